@@ -18,7 +18,7 @@ from ..run.named_file import open_regular
 from .band_notes import band_notes, content_hint, float_alpha
 from .file_grid import FileGrid, grid_of, has_shear, unit_of
 from .header_files import HEADER_DRIVER, HEADER_SUFFIXES, check_header, check_length
-from .length_scale import length_warnings
+from .length_scale import length_warnings, mirror_warnings
 from .png_file import png_damage
 from .raster import ImportSettings, Raster, blank, cause
 from .rounding import band_rounding
@@ -268,8 +268,11 @@ def _georeference(grid: FileGrid, width: int, height: int, settings: ImportSetti
         if settings.extent is None:
             raise
         return None
-    found = length_warnings(grid, width, height, georeference)
-    return dataclasses.replace(georeference, size_warnings=(*georeference.size_warnings, *found))
+    return dataclasses.replace(
+        georeference,
+        warnings=(*georeference.warnings, *mirror_warnings(grid, width, height)),
+        size_warnings=(*georeference.size_warnings, *length_warnings(grid, width, height, georeference)),
+    )
 
 
 def _check_blocks(path: Path, dataset) -> None:

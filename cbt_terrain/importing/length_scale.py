@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A warning where lengths in a projected coordinate system differ from those on the ground, as in Web Mercator."""
+"""Warnings where a projected coordinate system differs from the ground: in lengths, as Web Mercator, or mirrored."""
 
 import math
 
 import numpy as np
 
-from ..ask.linear import lengths
+from ..ask.linear import length, lengths
 from ..field.georeference import Georeference, degree_lengths, ellipsoid_of
 from .file_grid import FileGrid, base_crs
 
@@ -33,6 +33,41 @@ def length_warnings(grid: FileGrid, width: int, height: int, place: Georeference
     ]
 
 
+def mirror_warnings(grid: FileGrid, width: int, height: int) -> list[str]:
+    """Return a warning if x and y of a system, at the raster's middle, turn the other way round than east and north.
+
+    A raster is laid out with x to the right and y up, so that the ground would be seen from below.
+    """
+    if grid.crs is None or not grid.crs.is_projected:
+        return []
+    a, b, _, d, e, _ = grid.transform
+    x, y = grid.positions(width / 2, height / 2)
+    step = max(length((a, d)), length((b, e)), 1.0)
+    found = _degrees(grid.crs, x + step * np.array([-0.5, 0.5, 0.0, 0.0]), y + step * np.array([0.0, 0.0, -0.5, 0.5]))
+    if found is None or not np.isfinite(found[0]).all():
+        return []
+    longitude, latitude = np.radians(found[0])
+    at = np.stack([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
+    along_x, along_y, up = at[:, 1] - at[:, 0], at[:, 3] - at[:, 2], at.sum(axis=1)
+    if (np.cross(along_x, along_y) * up).sum() >= 0.0:
+        return []
+    name = grid.name[:80]
+    east = _within_180(found[0][0, 1::2] - found[0][0, ::2]) * np.cos(latitude.mean())
+    north = found[0][1, 1::2] - found[0][1, ::2]
+    ways = " and ".join(map(_direction, east, north))
+    return [
+        f"x and y of {name} run {ways}, so the ground comes out mirrored: import it with "
+        "--project utm, or EPSG:n of a system whose axes run east and north."
+    ]
+
+
+def _direction(east: float, north: float) -> str:
+    """Return the name of the nearest of the four directions."""
+    if abs(east) > abs(north):
+        return "east" if east > 0.0 else "west"
+    return "north" if north > 0.0 else "south"
+
+
 def _remedy(name: str, latitude: float) -> str:
     """Return what to do about wrong lengths at a latitude, degrees."""
     utm = f"EPSG:{32600 if latitude >= 0.0 else 32700}"[:-2]
@@ -50,21 +85,16 @@ def _remedy(name: str, latitude: float) -> str:
 def _factors(grid: FileGrid, width: int, height: int, place: Georeference) -> tuple[np.ndarray, float]:
     """Return how many times too large steps along x and y are, float64 [n, 2], the raster's middle first, and the
     latitude of that, degrees; no rows where the system has no place on the ground."""
-    from rasterio.warp import transform
-
     along = np.linspace(0.0, 1.0, BORDER_POINTS)
     ends = np.zeros_like(along), np.ones_like(along)
     columns = np.concatenate([[0.5], along, along, *ends]) * width
     rows = np.concatenate([[0.5], *ends, along, along]) * height
     near = ((-0.5, 0.0), (0.5, 0.0), (0.0, -0.5), (0.0, 0.5))
     x, y = np.array([grid.positions(columns + column, rows + row) for column, row in near]).transpose(1, 0, 2)
-    try:
-        base = base_crs(grid.crs)
-        moved = np.array(transform(grid.crs, base, x.ravel(), y.ravel())[:2])
-    except Exception:  # no geographic system, or PROJ does not know the way
+    found = _degrees(grid.crs, x.ravel(), y.ravel())
+    if found is None:
         return np.empty((0, 2)), 0.0
-    longitude, latitude = np.degrees(moved.reshape(2, *x.shape) * base.units_factor[1])
-    ellipsoid = ellipsoid_of(base.to_wkt())
+    (longitude, latitude), ellipsoid = found[0].reshape(2, *x.shape), found[1]
     factors = []
     for east, north, point in zip(
         (longitude[1::2] - longitude[::2]).T, (latitude[1::2] - latitude[::2]).T, latitude.mean(axis=0), strict=True
@@ -73,10 +103,28 @@ def _factors(grid: FileGrid, width: int, height: int, place: Georeference) -> tu
             factors.append((math.nan, math.nan))
             continue
         along_x, along_y = degree_lengths(float(point), ellipsoid)
-        column, row = lengths(np.stack([(east + 180.0) % 360.0 * along_x - 180.0 * along_x, north * along_y]))
+        column, row = lengths(np.stack([_within_180(east) * along_x, north * along_y]))
         steps = (row, column) if place.transposed else (column, row)
         factors.append((place.step_x / steps[0], place.step_y / steps[1]))
     found = np.array(factors)
     if not np.isfinite(found[0]).all():
         return np.empty((0, 2)), 0.0
     return found[np.isfinite(found).all(axis=1)], float(latitude[:, 0].mean())
+
+
+def _degrees(crs, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, tuple[float, float]] | None:
+    """Return longitudes and latitudes of positions in the system below a projected one, degrees [2, n], and its
+    ellipsoid; None where there is no geographic system, or PROJ does not know the way."""
+    from rasterio.warp import transform
+
+    try:
+        base = base_crs(crs)
+        moved = np.array(transform(crs, base, x, y)[:2])
+    except Exception:
+        return None
+    return np.degrees(moved * base.units_factor[1]), ellipsoid_of(base.to_wkt())
+
+
+def _within_180(longitudes: np.ndarray) -> np.ndarray:
+    """Return differences of longitude, degrees, from -180 to 180."""
+    return (longitudes + 180.0) % 360.0 - 180.0

@@ -4,11 +4,14 @@
 import math
 import re
 
+import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.importing.sources import open_source
 from rasterio.transform import Affine
-from rasters import hills, write_raster
+from rasterio.warp import transform
+from rasters import hills, imported, write_raster
+from transverse_mercator import utm_to_degrees
 
 A, F = 6378137.0, 1.0 / 298.257223563
 E2 = F * (2.0 - F)
@@ -33,8 +36,8 @@ def web_mercator(latitude):
     return y, A / along_x, A / math.cos(math.radians(latitude)) / along_y
 
 
-def warnings_of(tmp_path, transform, crs, width=11, height=21, **settings):
-    source = write_raster(tmp_path / "a.tif", hills(width, height), crs=crs, transform=transform)
+def warnings_of(tmp_path, placed, crs, width=11, height=21, **settings):
+    source = write_raster(tmp_path / "a.tif", hills(width, height), crs=crs, transform=placed)
     raster = open_source(ImportSettings(str(source), **settings))
     raster.close()
     return list(raster.georeference.size_warnings)
@@ -88,14 +91,14 @@ def test_plate_carree_is_wrong_along_x_alone(tmp_path):
 TURNED = Affine(0.0, 20.0, 1e6, 20.0, 0.0, 6.67e6), Affine(16.0, 12.0, 1e6, 12.0, -16.0, 6.67e6)
 
 
-@pytest.mark.parametrize("transform", TURNED, ids=["by 90", "by 37"])
-def test_turned_rasters_have_the_factors_of_their_own_axes(tmp_path, transform):
+@pytest.mark.parametrize("turned", TURNED, ids=["by 90", "by 37"])
+def test_turned_rasters_have_the_factors_of_their_own_axes(tmp_path, turned):
     """At 60 N: x is twice too long, y is right, and a diagonal is in between."""
-    along_x, along_y, _, _ = factors_of(warnings_of(tmp_path, transform, "EPSG:4087"))
+    along_x, along_y, _, _ = factors_of(warnings_of(tmp_path, turned, "EPSG:4087"))
     per_x, per_y = radii(6.67e6 / 111319.49)
-    x, y = (transform.b, 0.0) if transform.a == 0.0 else (transform.a, transform.d)
+    x, y = (turned.b, 0.0) if turned.a == 0.0 else (turned.a, turned.d)
     assert along_x == pytest.approx(20.0 / math.hypot(x / A * per_x, y / A * per_y), rel=2e-3)
-    x, y = (0.0, transform.d) if transform.a == 0.0 else (transform.b, transform.e)
+    x, y = (0.0, turned.d) if turned.a == 0.0 else (turned.b, turned.e)
     assert along_y == pytest.approx(20.0 / math.hypot(x / A * per_x, y / A * per_y), rel=2e-3)
 
 
@@ -141,11 +144,9 @@ def test_another_planet_is_measured_on_its_own_ellipsoid(tmp_path):
 
 
 def test_projecting_or_an_extent_makes_the_warning_needless(tmp_path):
-    from rasters import imported
-
     y = web_mercator(60.0)[0]
-    transform = Affine(20.0, 0.0, 1e6, 0.0, -20.0, y)
-    assert warnings_of(tmp_path, transform, "EPSG:3857", project="utm") == []
+    placed = Affine(20.0, 0.0, 1e6, 0.0, -20.0, y)
+    assert warnings_of(tmp_path, placed, "EPSG:3857", project="utm") == []
     assert imported(tmp_path, tmp_path / "a.tif", extent=(100.0, 200.0))[1]["warnings"] == []
     assert len(imported(tmp_path, tmp_path / "a.tif")[1]["warnings"]) == 1
 
@@ -155,3 +156,52 @@ def test_beyond_utm_a_polar_system_is_suggested(tmp_path):
     [warning] = warnings_of(tmp_path, Affine(20.0, 0.0, 1e6, 0.0, -20.0, y), "EPSG:3857")
     assert "--project EPSG:32661" in warning
     assert warnings_of(tmp_path, Affine(20.0, 0.0, 1e6, 0.0, -20.0, y), "EPSG:3857", project="EPSG:32661") == []
+
+
+SOUTH_WEST, EAST_NORTH = (1.05e6, 6.5e5), (-6.5e5, -1.05e6)  # the same place in Bohemia
+
+
+def slope_to_the_east(tmp_path, code, place):
+    """Write heights that are the longitude, in parts of a degree that are about 1 m long."""
+    columns, rows = np.meshgrid(np.arange(40) + 0.5, np.arange(40) + 0.5)
+    x, y = place[0] + 100.0 * columns, place[1] - 100.0 * rows
+    longitudes = np.array(transform(f"EPSG:{code}", "EPSG:4326", x.ravel(), y.ravel())[0]).reshape(40, 40)
+    heights = ((longitudes - 15.7) * 7e4).astype(np.float32)
+    place = {"crs": f"EPSG:{code}", "transform": Affine(100.0, 0.0, place[0], 0.0, -100.0, place[1])}
+    return write_raster(tmp_path / "a.tif", heights, **place)
+
+
+@pytest.mark.parametrize(
+    ("code", "place", "is_mirrored"), [(5513, SOUTH_WEST, True), (2065, SOUTH_WEST, True), (5514, EAST_NORTH, False)]
+)
+def test_systems_that_mirror_the_ground_are_warned_about(tmp_path, code, place, is_mirrored):
+    source = slope_to_the_east(tmp_path, code, place)
+    for settings in ({}, {"extent": (3900.0, 3900.0)}):
+        warnings = imported(tmp_path, source, **settings)[1]["warnings"]
+        assert [f"x and y of EPSG:{code} run south and west" in text for text in warnings] == [True] * is_mirrored
+        assert all("mirrored" in text and "--project utm" in text for text in warnings)
+    raster = open_source(ImportSettings(str(source), project="utm"))
+    placed, rows = raster.georeference, raster.read(0, raster.height)
+    x = placed.middle[0] + (np.arange(raster.width) - (raster.width - 1) / 2) * placed.step_x
+    y = placed.middle[1] - (np.arange(raster.height) - (raster.height - 1) / 2) * placed.step_y
+    longitudes, _ = utm_to_degrees(*np.meshgrid(x, y), 15.0)
+    inner = np.isfinite(rows)
+    inner[:, :4] = inner[:, -4:] = inner[:4] = inner[-4:] = False
+    off = np.abs(rows - (longitudes - 15.7) * 7e4)
+    assert inner.mean() > 0.5 and np.median(off[inner]) < 5.0 < 100.0 < np.ptp(rows[inner])
+    assert raster.warnings == [] and placed.warnings == ()
+    raster.close()
+
+
+@pytest.mark.parametrize(
+    ("code", "x", "y"),
+    [(32632, 5e5, 5e6), (2053, 1e5, 3e6), (3031, 0.0, 0.0), (3031, 1e6, 1e6), (3413, 0.0, 0.0),
+     (32661, 2e6, 2e6), (32761, 2.5e6, 1.5e6), (3857, 20037508.0, 6e6)],
+)  # fmt: skip
+def test_systems_that_keep_the_ground_are_silent(tmp_path, code, x, y):
+    """One of them runs west and south, which turns the ground by 180 degrees; some lie around a pole."""
+    for step in (30.0, -30.0):
+        source = write_raster(
+            tmp_path / "a.tif", hills(9, 9), crs=f"EPSG:{code}", transform=Affine(30, 0, x, 0, step, y)
+        )
+        assert not any("mirrored" in text for text in imported(tmp_path, source)[1]["warnings"])

@@ -26,10 +26,13 @@ def length_warnings(grid: FileGrid, width: int, height: int, place: Georeference
     if not len(factors) or np.abs(factors - 1.0).max() <= MAX_SCALE_ERROR:
         return []
     middle, low, high = factors[0], factors.min(), factors.max()
+    remedy = _remedy(grid.name, latitude)
+    if _passes_edge(grid, width, height):
+        remedy = "give the extent in metres (--extent): it passes the edge of its system, so it cannot be reprojected"
     return [
         f"Lengths in {grid.name[:80]} are not those on the ground: in the middle of the raster they are "
         f"{middle[0]:.4g} times the true ones along x and {middle[1]:.4g} times along y, and {low:.4g} to {high:.4g} "
-        f"times up to its border, while heights are true. To have them right, {_remedy(grid.name, latitude)}."
+        f"times up to its border, while heights are true. To have them right, {remedy}."
     ]
 
 
@@ -59,6 +62,20 @@ def mirror_warnings(grid: FileGrid, width: int, height: int) -> list[str]:
         f"x and y of {name} run {ways}, so the ground comes out mirrored: import it with "
         "--project utm, or EPSG:n of a system whose axes run east and north."
     ]
+
+
+def _passes_edge(grid: FileGrid, width: int, height: int) -> bool:
+    """Return whether corners of a raster are not found again from their longitudes and latitudes."""
+    from rasterio.warp import transform
+
+    x, y = grid.positions(np.array([0.02, 0.98, 0.02, 0.98]) * width, np.array([0.02, 0.02, 0.98, 0.98]) * height)
+    base = base_crs(grid.crs)
+    try:
+        back = np.array(transform(base, grid.crs, *transform(grid.crs, base, x, y)[:2])[:2])
+    except Exception:  # beyond what PROJ can transform
+        return True
+    a, b, _, d, e, _ = grid.transform
+    return not lengths(back - np.stack([x, y])).max() <= max(length((a, d)), length((b, e)))
 
 
 def _direction(east: float, north: float) -> str:

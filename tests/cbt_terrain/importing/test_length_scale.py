@@ -205,3 +205,13 @@ def test_systems_that_keep_the_ground_are_silent(tmp_path, code, x, y):
             tmp_path / "a.tif", hills(9, 9), crs=f"EPSG:{code}", transform=Affine(30, 0, x, 0, step, y)
         )
         assert not any("mirrored" in text for text in imported(tmp_path, source)[1]["warnings"])
+
+
+def test_across_180_degrees_an_extent_is_suggested(tmp_path):
+    """--project refuses a raster of Web Mercator that passes the edge of that system."""
+    across = Affine(30.0, 0.0, 20037508.0 - 150.0, 0.0, -30.0, web_mercator(-40.0)[0])
+    [warning] = warnings_of(tmp_path, across, "EPSG:3857")
+    assert "--project" not in warning and "--extent" in warning
+    beside = Affine(30.0, 0.0, 20037508.0 - 330.0, 0.0, -30.0, web_mercator(-40.0)[0])
+    [warning] = warnings_of(tmp_path, beside, "EPSG:3857")
+    assert "--project utm" in warning and warnings_of(tmp_path, beside, "EPSG:3857", project="utm") == []

@@ -38,18 +38,27 @@ class ExrChannel:
         return f"{self.part_name}.{self.name}"
 
 
-def named(channels: list[ExrChannel], name: str) -> ExrChannel | None:
-    """Return the channel that a user names by CHANNEL, LAYER.CHANNEL, PART.CHANNEL, LAYER or PART, in any case of its
-    letters where it has no other meaning; None if there is none."""
+def named(channels: list[ExrChannel], name: str) -> list[ExrChannel]:
+    """Return the channels that a user may mean by CHANNEL, LAYER.CHANNEL, PART.CHANNEL, LAYER or PART, in any case of
+    its letters where it has no other meaning, the likeliest first; of a layer or a part, the likeliest alone."""
     for fold in (str, str.casefold):
-        for names in (
-            lambda channel: (channel.name, channel.full_name, f"{channel.part_name}.{channel.name}"),
-            lambda channel: (channel.layer, channel.part_name),
-        ):
-            found = [channel for channel in channels if fold(name) in map(fold, names(channel))]
-            if found:
-                return likeliest(found, channels)
-    return None
+        sought = fold(name)
+        found = [
+            [channel]
+            for channel in channels
+            if sought in map(fold, (channel.name, channel.full_name, f"{channel.part_name}.{channel.name}"))
+        ]
+        if not found:
+            groups: dict[tuple, list[ExrChannel]] = {}
+            for channel in channels:
+                if sought in (fold(channel.part_name), fold(channel.layer)):
+                    layer = channel.layer if sought != fold(channel.part_name) else None
+                    groups.setdefault((channel.part, layer), []).append(channel)
+            found = list(groups.values())
+        if found:
+            meant = [likeliest(group, channels) for group in found]
+            return sorted(meant, key=lambda channel: _rank(channel, channels))
+    return []
 
 
 def likeliest(choice: list[ExrChannel], channels: list[ExrChannel]) -> ExrChannel:

@@ -35,7 +35,7 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
         sizes = [_size(header) for header in headers]
     except Exception as reason:
         raise TerrainError(f"{path} cannot be read as OpenEXR ({cause(reason)}): get the file again.") from reason
-    channel = _choose(path, channels, settings.channel)
+    channel, also_named = _choose(path, channels, settings.channel)
     width, height = sizes[channel.part]
     pixels = sum(int(sizes[c.part][0] * sizes[c.part][1]) for c in channels)
     if min(map(min, sizes)) < 1 or 4 * pixels > min(physical_memory() // 4, MOST_PACKED * path.stat().st_size):
@@ -57,6 +57,12 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
             f"The file has {len(channels)} channels; {shown(channel.full_name)} is taken as the height. If another one "
             f"is, name it (--channel): {shown(', '.join(others))}."
         )
+    if also_named:
+        others = shown(", ".join(c.full_name for c in also_named))
+        notes.append(
+            f"The file has {len(also_named) + 1} channels that {shown(settings.channel)!r} may mean; "
+            f"{shown(channel.full_name)} is taken. If another one is meant, give its full name (--channel): {others}."
+        )
     return Raster(
         width=width,
         height=height,
@@ -74,19 +80,21 @@ def _size(header: dict) -> tuple[int, int]:
     return int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1
 
 
-def _choose(path: Path, channels: list[ExrChannel], name: str) -> ExrChannel:
-    """Return the channel that is named, or the likeliest. Raises TerrainError if there is none."""
+def _choose(path: Path, channels: list[ExrChannel], name: str) -> tuple[ExrChannel, list[ExrChannel]]:
+    """Return the channel that is named, or the likeliest, and others that the name may mean. Raises TerrainError if
+    there is none."""
     if not channels:
         raise TerrainError(f"{path} has no channels: expected one of heights; get the file again.")
-    channel = named(channels, name) if name else likeliest(channels, channels)
-    if channel is None:
+    found = named(channels, name) if name else [likeliest(channels, channels)]
+    if not found:
         known = ", ".join(c.full_name for c in channels)
         raise TerrainError(f"{path} has no channel {shown(name)!r}: choose one of {shown(known, 500)}.")
+    channel, *others = found
     if channel.sampling != (1, 1):
         raise TerrainError(
             f"{path} stores channel {shown(channel.full_name)!r} at a fraction of the resolution: expected every pixel."
         )
-    return channel
+    return channel, others
 
 
 def _pixels(path: Path, channel: ExrChannel):

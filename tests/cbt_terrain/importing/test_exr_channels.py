@@ -75,3 +75,21 @@ def test_layers_are_named_and_unknown_ones_listed(tmp_path):
         assert imported(tmp_path, source, channel=name, **SIZE)[0].min_height > 1000.0
     with pytest.raises(TerrainError, match="no channel 'rock.V': choose one of A, ground.V"):
         imported(tmp_path, source, channel="rock.V")
+
+
+def test_a_name_that_several_parts_share_warns(tmp_path):
+    pixels = hills(), hills() + 1000.0
+    source = write_parts(tmp_path / "a.exr", first=("Y", pixels[0]), second=("Y", pixels[1]))
+    for name in ("Y", "y"):
+        field, report = imported(tmp_path, source, channel=name, **SIZE)
+        [warning] = report["warnings"]
+        assert "first.Y is taken" in warning and "second.Y" in warning and "--channel" in warning
+        assert np.array_equal(field.heights(), pixels[0][::-1])
+    field, report = imported(tmp_path, source, channel="second.Y", **SIZE)
+    assert np.array_equal(field.heights(), pixels[1][::-1]) and report["warnings"] == []
+
+
+def test_the_name_of_a_layer_takes_its_likeliest_channel(tmp_path):
+    source = write_exr(tmp_path / "a.exr", **{"p.X": hills(), "p.Y": hills(), "p.Z": hills() + 1000.0})
+    field, report = imported(tmp_path, source, channel="p", **SIZE)
+    assert field.min_height > 1000.0 and report["warnings"] == []

@@ -238,7 +238,7 @@ def _implausible(
     found = check.warnings()
     if found or place.size_warnings:  # these may be why heights are too large for the extent
         return found
-    is_sized = settings.extent is not None or raster.georeference is not None
+    is_sized = settings.extent is not None or raster.is_sized
     return relief_warning(report["lowest_m"], report["highest_m"], report["extent_m"], is_sized)
 
 

@@ -139,11 +139,13 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
             notes.append("The file's alpha band is not of 8 or 16 bits, so it masks nothing in a reprojected raster.")
     placed = own if view is None else _resampled(path, own, view, band)
     georeference = _georeference(grid, placed.width, placed.height, settings)
+    is_sized = georeference is not None
     if georeference is None and driver == "GTiff":
         georeference = oriented(orientation_of(path))
     return dataclasses.replace(
         placed,
         georeference=georeference,
+        is_sized=is_sized,
         projected_from=projected_from,
         scale=dataset.scales[band - 1] * in_metres,
         offset=dataset.offsets[band - 1] * in_metres,

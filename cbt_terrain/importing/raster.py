@@ -93,9 +93,10 @@ class Raster:
 
     `block_rows`: rows that are best read together. A height is the value * scale + offset metres, before the settings'
     own scale and offset. `roundings`: of the files that hold the samples, before scale and offset; without any, that of
-    the type `stored`. `georeference` is None where the file does not say how large and where it is.
-    `projected_from`: the coordinate system that it was reprojected from, if it was. `original`: the raster it was
-    resampled from, if it was. `sources`: other files that it is made of.
+    the type `stored`. `georeference` is None where the file does not say how large it is, where, and which way round.
+    `is_sized`: whether the file gives its size. `projected_from`: the coordinate system that it was reprojected
+    from, if it was. `original`: the raster it was resampled from, if it was. `sources`: other files that it is made
+    of.
     """
 
     width: int
@@ -104,6 +105,7 @@ class Raster:
     stored: str
     format: str
     georeference: Georeference | None = None
+    is_sized: bool = False
     block_rows: int = 1
     scale: float = 1.0
     offset: float = 0.0

@@ -97,3 +97,14 @@ def test_masks_are_turned_as_well(tmp_path):
     stored = np.linspace(0.0, 1.0, 35, dtype=np.float32).reshape(SHAPE)
     image = load_image(str(tiff(tmp_path / "a.tif", stored, 6)), tmp_path)
     assert np.array_equal(image, np.rot90(stored, -1)[::-1])
+
+
+def test_a_turned_picture_has_no_size_of_the_file(tmp_path):
+    source = tiff(tmp_path / "a.tif", hills(SHAPE[1], SHAPE[0]), 6)
+    [warning] = imported(tmp_path, source)[1]["warnings"]
+    assert "The file names no size, so a sample is 1 m" in warning
+    [warning] = imported(tmp_path, source, extent=(8.0, 6.0))[1]["warnings"]
+    assert "The file names no size" not in warning and "if that length is wrong" in warning
+    place = Affine(1.0, 0.0, 6e5, 0.0, -1.0, 5e6)
+    [warning] = imported(tmp_path, write_raster(tmp_path / "b.tif", hills(7, 5), transform=place))[1]["warnings"]
+    assert "if that length is wrong" in warning

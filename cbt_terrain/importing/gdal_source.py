@@ -23,7 +23,7 @@ from .png_file import png_damage
 from .raster import ImportSettings, Raster, blank, cause
 from .rounding import band_rounding
 from .sidecars import allow_aux_file, named_crs
-from .tiff_orientation import orientation_of, oriented
+from .tiff_orientation import orientation_notes, orientation_of, oriented
 from .units import height_unit
 from .vrt_rounding import mosaic_roundings
 from .vrt_source import read_mosaic
@@ -142,6 +142,8 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
     is_sized = georeference is not None
     if georeference is None and driver == "GTiff":
         georeference = oriented(orientation_of(path))
+    if georeference is None and mosaic is not None:
+        notes += orientation_notes(mosaic.sources)
     return dataclasses.replace(
         placed,
         georeference=georeference,

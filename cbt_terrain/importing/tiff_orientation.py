@@ -3,8 +3,10 @@
 
 import os
 import struct
+from collections.abc import Iterable
 from pathlib import Path
 
+from ..errors import shown
 from ..field.georeference import Georeference
 from ..run.named_file import open_regular
 
@@ -38,6 +40,18 @@ def orientation_of(path: Path) -> int:
             (orientation,) = struct.unpack_from(order + "H", content, at + value)
             return orientation if 1 <= orientation <= 8 else 1
     return 1
+
+
+def orientation_notes(paths: Iterable[Path]) -> list[str]:
+    """Return a warning about those files of a mosaic without a georeference that are to be seen turned or mirrored."""
+    turned = [path for path in paths if path.suffix.lower() in (".tif", ".tiff") and orientation_of(path) != 1]
+    if not turned:
+        return []
+    more = f" and {len(turned) - 1} more" if len(turned) > 1 else ""
+    return [
+        f"The TIFF tag Orientation of {shown(turned[0].name)}{more} turns or mirrors the picture, and the VRT takes "
+        "its rows as they are stored: import the file itself, or give the VRT a geotransform (gdal_edit.py -a_ullr)."
+    ]
 
 
 def oriented(orientation: int) -> Georeference | None:

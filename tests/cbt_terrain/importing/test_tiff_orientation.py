@@ -108,3 +108,21 @@ def test_a_turned_picture_has_no_size_of_the_file(tmp_path):
     place = Affine(1.0, 0.0, 6e5, 0.0, -1.0, 5e6)
     [warning] = imported(tmp_path, write_raster(tmp_path / "b.tif", hills(7, 5), transform=place))[1]["warnings"]
     assert "if that length is wrong" in warning
+
+
+@pytest.mark.parametrize("orientation", [1, 6])
+def test_a_mosaic_of_turned_pictures_warns(tmp_path, orientation):
+    """As GDAL does, it takes the rows as they are stored."""
+    stored = hills(SHAPE[1], SHAPE[0])
+    tiff(tmp_path / "a.tif", stored, orientation)
+    text = (
+        f'<VRTDataset rasterXSize="{SHAPE[1]}" rasterYSize="{SHAPE[0]}">{{}}<VRTRasterBand dataType="Float32" band="1">'
+        '<SimpleSource><SourceFilename relativeToVRT="1">a.tif</SourceFilename></SimpleSource></VRTRasterBand>'
+        "</VRTDataset>"
+    )
+    for place, is_placed in ("", False), ("<GeoTransform>6e5,1000,0,5e6,0,-1000</GeoTransform>", True):
+        (tmp_path / "a.vrt").write_text(text.format(place))
+        field, report = imported(tmp_path, tmp_path / "a.vrt")
+        found = [warning for warning in report["warnings"] if "Orientation" in warning]
+        assert len(found) == (orientation != 1 and not is_placed) and all("a.tif" in warning for warning in found)
+        assert np.array_equal(field.heights(), stored[::-1])

@@ -199,7 +199,8 @@ class _Import:
             self.report({"INFO"}, frame_terrain.said(done))
 
     def _update(self, obj, report: dict):
-        for warning in [*report["warnings"], *elsewhere(obj.adaptive_terrain.store)]:
+        notes = [*elsewhere(obj.adaptive_terrain.store), *imported.neighbour_notes(obj, session.all_terrains())]
+        for warning in [*report["warnings"], *notes]:
             self.report({"WARNING"}, warning)
         self.report({"INFO"}, summary(report))
         if obj.adaptive_terrain.live and not bpy.app.background:

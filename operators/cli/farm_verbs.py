@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The verbs that a render farm calls, and the one that writes its job."""
 
+import sys
+from pathlib import Path
+
 from ..text.console import Progress, print_line
 from .verbs import frames_told, largest_bound
 
@@ -26,10 +29,13 @@ def run_render(arguments) -> None:
     from ..blender import need_bpy
 
     need_bpy("A .blend file")
+    from ..output.file_outputs import folders_outside
     from ..output.frame_sources import SceneFrames
     from ..output.rendering import render_frames
 
     source = SceneFrames(arguments.scene, None, None)
+    for folder in folders_outside(source.scene, Path(arguments.scene).parent, arguments.out):
+        print_line(f"note: a File Output node writes outside the scene's folder, to {folder}", file=sys.stderr)
     with frames_told(arguments, "render") as on_frame:
         render_frames(source, arguments.frames, arguments.out, resume=arguments.resume, on_frame=on_frame)
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.errors import TerrainError, shown
+from ...cbt_terrain.run.owned_files import real_path
 from ...cbt_terrain.run.partial_files import written_beside
 from ..properties.scene_paths import absolute_path
 from .exporting import check_target, make_folder, named_failures
@@ -89,6 +90,14 @@ def output_folders(scene) -> list[Path]:
         parts = Path(os.path.dirname(path) if is_file else path).parts
         found.append(Path(*itertools.takewhile(lambda part: not set("{#") & set(part), parts)))
     return list(dict.fromkeys(found))
+
+
+def folders_outside(scene, *homes: Path) -> list[Path]:
+    """List the folders that File Output nodes write to and that are in none of `homes`, links resolved."""
+    homes = [real_path(home) for home in homes]
+    return [
+        folder for folder in output_folders(scene) if not any(real_path(folder).is_relative_to(home) for home in homes)
+    ]
 
 
 def node_folder(node) -> str:

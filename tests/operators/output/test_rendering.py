@@ -332,6 +332,14 @@ def test_a_path_that_blender_cuts_short_is_refused(shot, tmp_path, capsys):
     assert [path for path in outputs_in(tmp_path / "out") if path.suffix != ".json"] == []
 
 
+def test_folders_outside_the_scene_are_named(shot, tmp_path, capsys):
+    add_output(bpy.context.scene, str(tmp_path / "elsewhere") + "/")
+    bpy.ops.wm.save_mainfile()
+    assert run("render", "--scene", shot, "--out", tmp_path / "out", "--frames", "1") == 0
+    assert f"outside the scene's folder, to {tmp_path / 'elsewhere'}" in capsys.readouterr().err
+    assert len(list((tmp_path / "elsewhere").iterdir())) == 1
+
+
 def test_a_name_that_leaves_its_folder_is_refused(shot, tmp_path, capsys):
     node = add_output(bpy.context.scene, "//layers/")
     if hasattr(node, "directory"):

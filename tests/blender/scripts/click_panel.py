@@ -8,6 +8,7 @@ between turns only.
 import json
 import sys
 import time
+import traceback
 from pathlib import Path
 
 import bpy
@@ -363,7 +364,7 @@ def turn():
     except StopIteration:
         return None
     except Exception as error:
-        result["error"] = repr(error)
+        result["error"] = "".join(traceback.format_exception(error))
         (folder / "done.json").write_text(json.dumps(result))
         return None
 

@@ -12,7 +12,7 @@ SMOKE := $(addprefix tests/cbt_terrain/,field/test_store.py importing/test_impor
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: demo test smoke test-all kernels fuzz hard-cases bench profile accuracy effects animation fly-over figures lint format extension clean help
+.PHONY: demo test smoke test-all kernels fuzz hard-cases bench accuracy effects animation fly-over figures lint format extension clean help
 
 help:
 	@echo "make demo       the built-in island, 24 frames, pictures and a page in demo/"
@@ -23,7 +23,6 @@ help:
 	@echo "make fuzz       10,000 random views, thousands of damaged files and stores, 300 interrupts, more of the random tests"
 	@echo "make hard-cases run the hard cases and write docs/hard_cases.md"
 	@echo "make bench      what everything costs on this machine (BENCH=--quick, or other options)"
-	@echo "make profile    where the rows that miss their goals spend their time (needs Linux perf)"
 	@echo "make accuracy   docs/accuracy.md: what accuracy costs on the island and on a real elevation model"
 	@echo "make effects    docs/effects.md: what there is to read of a terrain, its pictures and costs"
 	@echo "make animation  docs/animation.md: how far points pop, whether a scatter stands still, what a farm was seen to do"
@@ -64,9 +63,6 @@ hard-cases: $(READY)
 
 bench: $(READY)
 	$(PY) -m adaptive_terrain.operators.cli.command_line bench $(BENCH)
-
-profile: $(READY)
-	$(PY) -m adaptive_terrain.benchmarks.profile
 
 accuracy: $(READY)
 	$(PY) tools/write_accuracy.py

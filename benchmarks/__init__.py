@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the program costs on this machine, beside two baselines measured in the same run: `adaptive-terrain bench`.
+"""Cost of the program on this machine, compared with baselines that run alternately: `adaptive-terrain bench`.
 
-`suite.py` is the order of the rows (`rows/`), which are measured by what is in `rig/`; `pages/` has what they should
-cost (`goals.py`) and how they are shown. Imports everything below; only the command line's verb imports this.
+`suite.py` lists the rows in order. `rows/` measures them with the tools of `rig/`. `pages/` holds their goals
+(`goals.py`) and writes the results. Only the command line imports this package.
 """

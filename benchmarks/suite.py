@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The benchmark from its first row to its last: what is measured, in which order, and what becomes of it."""
+"""The benchmark: its rows in order, their measurement, and the files that it writes."""
 
 import shutil
 import tempfile
@@ -16,11 +16,8 @@ from .rig import scenes
 from .rig.baselines import RoamRebuild, build_roam_rebuild
 from .rig.measure import Row
 from .rows import (
-    cycles,
-    cycles_likeness,
-    demand_rows,
-    detail_rows,
-    effects,
+    demand_row,
+    effects_row,
     engine,
     files,
     fit_row,
@@ -28,31 +25,32 @@ from .rows import (
     in_blender,
     in_program,
     land_rows,
-    layer_rows,
-    light_rows,
-    maps_rows,
-    morph_rows,
-    query_rows,
-    scale,
-    scatter_rows,
-    scree_rows,
-    shading_row,
+    light_row,
+    maps_row,
+    query_row,
+    same_picture,
+    scatter_row,
     start,
-    water_rows,
 )
 
-# Measures one row or several, and measures them anew whenever it is called.
+# Measures one row or several, anew on each call.
 Measure = Callable[[], Row | Iterable[Row]]
 
 
 def run(quick: bool, with_cycles: bool, blender: list[str] | None, json_file: Path | None, docs: Path | None) -> None:
-    """Measure, print a line a row, and write what was asked for. `blender`: a command that starts the program.
+    """Measure all rows, print a line for each, and write the requested files.
 
-    Raises TerrainError at once if that cannot be written, and at the end of a quick run if a row is worse than goals.py
-    allows.
+    Args:
+        blender: the command that starts a Blender program.
+        json_file: file for the rows.
+        docs: folder for the pages on performance.
+
+    Raises:
+        TerrainError: a file cannot be written (before any measurement), or a row of a quick run is worse than goals.py
+            allows (after all measurements).
     """
-    documents = [docs / name for name in performance_page.documents([], {}, [])] if docs else []
-    for path in ([json_file] if json_file else []) + documents:
+    pages = [docs / name for name in performance_page.documents([], {}, [])] if docs else []
+    for path in ([json_file] if json_file else []) + pages:
         report.check_writable(path)
     notes: list[str] = []
 
@@ -60,43 +58,43 @@ def run(quick: bool, with_cycles: bool, blender: list[str] | None, json_file: Pa
         notes.append(text)
         print(f"note: {text}", flush=True)
 
-    described = machine()
+    description = machine()
     if blender:
-        described["Program"] = in_program.program_version(blender)
-    for name, value in described.items():
+        description["Program"] = in_program.program_version(blender)
+    for name, value in description.items():
         print(f"{name}: {value}")
-    with scratch_folder(1 if quick else 3 if with_cycles else 2) as folder:
+    with scratch_folder(1 if quick else 4 if with_cycles else 3) as folder:
         roam = build_roam_rebuild(folder, note)
         try:
-            measures = everything(folder, quick, with_cycles, blender, roam, note)
-            rows = measured(measures, goals.ATTEMPTS if quick else 1)
+            measures = list_measures(folder, quick, with_cycles, blender, roam, note)
+            rows = measure_rows(measures, goals.ATTEMPTS if quick else 1)
         finally:
             if roam:
                 roam.close()
     if json_file is not None:
         report.write_json(rows, json_file)
     if docs is not None:
-        for name, text in performance_page.documents(rows, described, notes).items():
+        for name, text in performance_page.documents(rows, description, notes).items():
             report.write_text(docs / name, text)
     if quick and (failed := goals.failures(rows)):
-        said = ", ".join(
-            f"{row.name} at {row.size:,} (ratio {row.ratio:.3g}, at most {goals.most_allowed(row.name, row.size):.3g})"
+        failures = ", ".join(
+            f"{row.name} at {row.size:,} (ratio {row.ratio:.3g}, at most {goals.max_ratio(row.name, row.size):.3g})"
             for row in failed
         )
-        raise TerrainError(f"Slower than allowed in each of {goals.ATTEMPTS} attempts: {said}.")
+        raise TerrainError(f"Slower than allowed in each of {goals.ATTEMPTS} attempts: {failures}.")
 
 
-def measured(measures: Iterable[Measure], attempts: int) -> list[Row]:
-    """The rows of all measures, printed as they come; one that fails is measured again after all others.
+def measure_rows(measures: Iterable[Measure], attempts: int) -> list[Row]:
+    """Measure all rows, print them, and measure those that fail again after the others.
 
-    What disturbed it may then be over. It fails only if every attempt does; of its attempts the best is kept.
+    Another program may have disturbed the first attempt. The best attempt of a failed row counts.
     """
     rows: dict[tuple[str, int], Row] = {}
     for attempt in range(1, attempts + 1):
         failed = []
         for measure in measures:
-            found = measure()
-            for row in [found] if isinstance(found, Row) else found:
+            result = measure()
+            for row in [result] if isinstance(result, Row) else result:
                 row.attempts = attempt
                 print(report.line(row), flush=True)
                 best = rows.setdefault((row.name, row.size), row)
@@ -112,7 +110,7 @@ def measured(measures: Iterable[Measure], attempts: int) -> list[Row]:
     return list(rows.values())
 
 
-def everything(
+def list_measures(
     folder: Path,
     quick: bool,
     with_cycles: bool,
@@ -120,73 +118,49 @@ def everything(
     roam: RoamRebuild | None,
     note: Callable[[str], None],
 ) -> Iterator[Measure]:
-    """Every row, in the order of the table; a quick run leaves out what has no goal, files and the largest sizes."""
+    """Yield the measurement of every row in the order of the table; a quick run omits files, fits and small frames."""
     flat, rough = scenes.flat(), scenes.rough()
-    for threads, sizes in engine.REFINE_SIZES.items():
+    for name, (_, sizes) in engine.REFINE_SIZES.items():
         for size in sizes:
-            yield partial(engine.refine_row, flat, size, threads, roam)
-    for row in (engine.refine_error_row, engine.still_row, engine.surface_row, engine.meshlets_row):
+            yield partial(engine.refine_row, name, flat, size, roam)
+    for row in (engine.refine_error_row, engine.still_row, engine.surface_row):
         yield partial(row, rough, roam)
-    yield effects.fused_row
-    yield effects.frames_rows
-    yield partial(engine.depth_row, flat)
-    if not quick:
-        yield partial(engine.depth_reached_row, flat)
-    yield partial(engine.budget_rows, rough)
-    yield partial(engine.budget_level_row, flat)
-    yield partial(layer_rows.layer_rows, rough)
-    yield partial(light_rows.light_rows)
-    yield from (land_rows.relief_row, land_rows.river_rows, land_rows.demanded_row)
-    yield partial(scree_rows.scree_rows)
-    yield water_rows.water_rows
-    yield partial(scatter_rows.scatter_rows, rough)
+    yield partial(engine.budget_flight_row, rough)
+    yield partial(engine.morph_flight_row, rough)
     yield partial(hidden_row.hidden_row, folder)
-    yield partial(morph_rows.morph_rows, rough)
-    yield partial(maps_rows.maps_row)
-    yield from (detail_rows.from_air_row, detail_rows.from_ground_row, detail_rows.displacement_row)
-    yield query_rows.query_rows
-    store = in_blender.keep(rough, folder / "rough")
+    yield effects_row.effects_flight_row
+    yield light_row.light_preview_row
+    yield from (land_rows.rivers_row, land_rows.scree_row, land_rows.water_row)
+    yield partial(scatter_row.scatter_flight_row, rough)
+    yield maps_row.maps_row
+    yield query_row.query_heights_row
+    store = in_blender.write_store(rough, folder / "rough")
     if not quick:
-        yield partial(start.warm_row, rough, store)
-        yield partial(shading_row.shading_rows, folder)
-        yield partial(land_rows.stack_rows)
         yield partial(fit_row.fit_rows, note)
-        yield partial(start.no_cache_row, rough, store)
+        yield partial(start.cold_start_row, rough, store)
         tiff = files.write_tiff(rough, folder / "rough.tif")
-        yield partial(files.import_rows, tiff, folder)
-        yield partial(files.large_rows, store, folder, note)
+        yield partial(files.import_row, tiff, folder)
+        yield partial(files.large_rows, tiff, folder, note)
     blender = _has_blender(note)
     if blender:
-        yield partial(in_blender.ingest_row, rough)
-        for size in [in_blender.MILLION] if quick else in_blender.FRAME_SIZES:
+        yield partial(demand_row.demand_row, rough)
+        for size in in_blender.FRAME_SIZES[-1:] if quick else in_blender.FRAME_SIZES:
             yield partial(in_blender.frame_row, rough, store, size)
-        if not quick:
-            yield partial(in_blender.frame_row, rough, store, in_blender.MILLION, engine.MESHLET)
-            yield partial(in_blender.still_frame_row, rough, store)
-        yield partial(demand_rows.demand_rows, rough)
-        yield effects.ingest_row
     if program:
-        yield partial(in_program.program_rows, program, store)
+        yield partial(in_program.program_frame_row, program, store)
     else:
-        note("The rows program_ are measured with --blender only.")
-    sizes = scale.QUICK_SIZES if quick else scale.SIZES
-    yield partial(scale.refine_row, flat, sizes)
-    yield partial(scale.surface_row, rough, sizes)
-    if blender:
-        yield partial(scale.ingest_row, rough, sizes)
-        yield partial(scale.frame_row, rough, store, sizes)
-    if with_cycles and blender:
-        yield partial(cycles.cycles_rows, store, tiff, folder)
-        yield partial(cycles_likeness.same_picture_rows, folder / "island")
-    elif not with_cycles:
-        note("The rows cycles are measured with --with-cycles only.")
+        note("The row program_frame is measured with --blender only.")
+    if not with_cycles:
+        note("The rows same_picture are measured with --with-cycles only.")
+    elif blender:
+        yield partial(same_picture.same_picture_rows, folder / "island")
 
 
 @contextmanager
 def scratch_folder(stores: int) -> Iterator[Path]:
-    """A folder that is removed in the end. Raises TerrainError unless there is room for so many stores.
+    """Yield a folder that is removed at the end. Raises TerrainError without room for `stores` stores.
 
-    They are written through mapped memory, where a full disk ends the process without a word.
+    Stores are written through mapped memory, where a full disk ends the process without a message.
     """
     try:
         folder = tempfile.TemporaryDirectory(prefix="adaptive-terrain-bench-", ignore_cleanup_errors=True)
@@ -204,7 +178,7 @@ def scratch_folder(stores: int) -> Iterator[Path]:
 
 def _has_blender(note: Callable[[str], None]) -> bool:
     try:
-        need_bpy("The rows ingest, frame and cycles")
+        need_bpy("The rows demand, frame and same_picture")
     except TerrainError as error:
         note(str(error))
         return False

@@ -47,7 +47,7 @@ ROOMS = {
         *("handlers", "registration"),
         *("blender", "demo", "cli"),
     ],
-    "benchmarks": ["rig", "rows", "pages", "suite", "profile"],
+    "benchmarks": ["rig", "rows", "pages", "suite"],
 }
 MAY_ASK_FOR_BENCHMARKS = "operators/cli/verbs.py"
 BLENDER = {"bpy", "bmesh", "mathutils", "gpu", "bpy_extras", "addon_utils", "bl_ui", "idprop", "blf"}

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is made of rows: goals, tables, charts, the page on performance."""
+"""Goals, tables and the pages on performance."""

@@ -1,207 +1,188 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What each row should cost, and the one rule by which a quick run fails.
+"""Rows with their goals, and the rule by which a quick run fails.
 
-A goal is a ratio to the row's baseline; smaller is better. ANY_SIZE stands for every size of a row.
+A new row needs an entry in ROWS and a measurement in suite.py.
 """
+
+from dataclasses import dataclass, field
 
 from ..rig.measure import Row
 
 ANY_SIZE = 0
 SLACK = 1.5
-# A quick run fails where each of so many measurements is worse than the rule allows: one alone may be the machine's.
+# A quick run fails if each of this many measurements of a row is worse than allowed.
 ATTEMPTS = 3
 
-# (row, size): the largest ratio that is good enough.
-GOALS: dict[tuple[str, int], float] = {
-    ("refine_1t", 5_500): 3.0,
-    ("refine_1t", 50_000): 2.2,
-    ("refine_1t", 500_000): 0.35,
-    ("refine_1t", 1_000_000): 0.25,
-    ("refine_2t", 500_000): 0.23,
-    ("refine_2t", 1_000_000): 0.17,
-    ("refine_error", 1_000_000): 0.30,
-    ("still", 1_000_000): 0.002,
-    ("surface", 1_000_000): 0.38,
-    ("meshlets", 1_000_000): 0.4,
-    ("ingest", 1_000_000): 0.15,
-    ("frame", 1_000_000): 0.17,
-    ("program_ingest", 1_000_000): 0.15,
-    ("program_frame", 1_000_000): 0.35,
-    ("effects_fused", 1_000_000): 0.5,
-    ("effects_cut", 1_000_000): 1.0,
-    ("effects_flight", 1_000_000): 0.15,
-    ("effects_ingest", 1_000_000): 0.01,
-    ("demand", ANY_SIZE): 0.02,
-    ("demand_large", ANY_SIZE): 0.1,
-    ("demand_kept", ANY_SIZE): 0.005,
-    ("splats", ANY_SIZE): 3.5,
-    ("flow", ANY_SIZE): 1.0,
-    ("depth", 500_000): 1.15,
-    ("budget_first", ANY_SIZE): 3.0,
-    ("budget_flight", ANY_SIZE): 3.0,
-    ("budget_level", ANY_SIZE): 3.0,
-    ("hidden", ANY_SIZE): 0.65,
-    ("morph_flight", ANY_SIZE): 1.35,
-    ("morph_cut", ANY_SIZE): 1.35,
-    ("light_rays", ANY_SIZE): 0.03,
-    ("light_preview", ANY_SIZE): 0.02,
-    ("land_relief", ANY_SIZE): 0.2,
-    ("land_water", ANY_SIZE): 0.01,
-    ("land_snow", ANY_SIZE): 0.25,
-    ("land_routing", ANY_SIZE): 0.25,
-    ("land_rivers", ANY_SIZE): 0.4,
-    ("land_sediment", ANY_SIZE): 1.5,
-    ("land_scree", ANY_SIZE): 0.06,
-    ("land_demanded", ANY_SIZE): 0.35,
-    ("scatter", ANY_SIZE): 0.4,
-    ("scatter_flight", ANY_SIZE): 0.1,
-    ("maps_normal", ANY_SIZE): 1.0,
-    # 5.5 and 6 of 255 beside 15.4 and 13.4 by normals at vertices.
-    ("shading_error", ANY_SIZE): 0.36,
-    ("shading_flicker", ANY_SIZE): 0.45,
-    ("detail_from_air", ANY_SIZE): 1.1,
-    ("detail_from_ground", ANY_SIZE): 1.75,
-    ("detail_displace", ANY_SIZE): 6.0,
-    ("query_heights", ANY_SIZE): 0.5,
-    ("query_rays", ANY_SIZE): 0.005,
-    ("import_reopen", ANY_SIZE): 1.0,
-    ("scale_refine", ANY_SIZE): 1.05,
-    ("scale_surface", ANY_SIZE): 1.05,
-    ("scale_ingest", ANY_SIZE): 1.05,
-    ("scale_frame", ANY_SIZE): 1.05,
-    ("cycles_error", ANY_SIZE): 0.05,
-    ("same_picture", ANY_SIZE): 0.35,
-    ("same_picture_memory", ANY_SIZE): 0.1,
-}
 
-# Rows known to fall short of their goal: the ratio that was measured, and what holds it, for docs/performance.md. Those
-# that are at SLACK times their goal or beyond may not become worse than SLACK times that ratio.
-RECORDED: dict[tuple[str, int], tuple[float, str]] = {
-    ("refine_1t", 5_500): (
-        3.5,
-        "0.33 ms: all but 3 in 100 triangles are in doubt of their band and measured, at 50 ns each, a quarter of that "
-        "for the box of the diamond, a fifth for its pixels, a tenth for the band below it.",
+@dataclass(frozen=True)
+class RowGoal:
+    """Description of a row in one sentence, and its ratios by size; smaller is better.
+
+    Attributes:
+        ratios: the goals.
+        known: measured ratios of rows that miss their goals by SLACK or more, which may not become worse than SLACK
+            times that.
+    """
+
+    sentence: str
+    ratios: dict[int, float]
+    known: dict[int, float] = field(default_factory=dict)
+
+
+ROWS = {
+    "refine_1t": RowGoal(
+        "Refinement of flat ground, seen all around by a moving camera, for edges of equal length on screen, on one "
+        "thread, against a complete rebuild of as many triangles in serial C.",
+        {50_000: 2.2, 500_000: 0.35, 1_000_000: 0.25},
+        {500_000: 0.68},
     ),
-    ("refine_1t", 500_000): (
-        0.68,
-        "from machine to machine 0.29 to 0.68. On an AMD EPYC 8.4 ms beside 17, 13 beside 47 with other work on it; on "
-        "an Intel Xeon 11 to 12 ms beside 17 to 19.",
+    "refine_2t": RowGoal(
+        "The refinement of `refine_1t` on two threads against the same serial rebuild.",
+        {500_000: 0.23, 1_000_000: 0.17},
+        {500_000: 0.36, 1_000_000: 0.27},
     ),
-    ("refine_1t", 1_000_000): (
-        0.35,
-        "0.33 to 0.36 on an Intel Xeon: 16 ms beside 47; below the goal on an AMD EPYC.",
+    "refine_error": RowGoal(
+        "Refinement of rough ground in a flight for an error on screen, on one thread, against a complete rebuild of "
+        "as many triangles in serial C.",
+        {ANY_SIZE: 0.3},
     ),
-    ("refine_2t", 500_000): (
-        0.36,
-        "what refine_1t is at this size, on two threads; from machine to machine 0.22 to 0.36.",
+    "still": RowGoal(
+        "An update with an unchanged camera, which finds that the mesh is up to date, against a complete rebuild in "
+        "serial C.",
+        {ANY_SIZE: 0.002},
     ),
-    ("refine_2t", 1_000_000): (0.18, "from machine to machine 0.165 to 0.18: 8.2 ms beside 48; once 13."),
-    ("frame", 1_000_000): (
-        0.28,
-        "from machine to machine 28 to 42 ms, beside 125 to 188 of the plain ingest: 0.17 to 0.33. A third to a half "
-        "of it is Blender's mesh, copies into its own memory.",
+    "surface": RowGoal(
+        "A whole update in a flight over rough ground, to positions, normals and texture coordinates, on all threads, "
+        "against a rebuild of the triangles alone in serial C.",
+        {ANY_SIZE: 0.38},
+        {ANY_SIZE: 0.57},
     ),
-    ("program_ingest", 1_000_000): (
-        2.3,
-        "before 4.5 Blender takes normals by corner only and encodes them one by one: this is the program 4.3.2. In "
-        "the program 5.2.2 it holds the goal: 0.09.",
+    "budget_flight": RowGoal(
+        "Refinement in a flight under a triangle limit that is far too small for the requested error, search included, "
+        "on one thread, against refinement for an error that fits.",
+        {ANY_SIZE: 3.0},
     ),
-    ("program_frame", 1_000_000): (
-        2.4,
-        "the same normals: 465 of its 491 ms write the mesh. In the program 5.2.2 it holds the goal: 0.25.",
+    "morph_flight": RowGoal(
+        "A whole update in a flight with *Smooth Transitions*, on one thread, against one without for the same bound.",
+        {ANY_SIZE: 1.35},
+        {ANY_SIZE: 4.7},
     ),
-    ("effects_cut", 1_000_000): (
-        1.4,
-        "130 ns a vertex for all attributes with twelve splat layers; what is not computed are copies of 56 bytes a "
-        "vertex and new places for them.",
+    "hidden": RowGoal(
+        "Triangles of the demo's flight where ground behind ridges may be 8 times coarser, against triangles without "
+        "that.",
+        {ANY_SIZE: 0.65},
     ),
-    ("splats", ANY_SIZE): (4.0, "half of the layers have noise of their own; from machine to machine 3.6 to 4.0."),
-    ("effects_ingest", 1_000_000): (
-        0.015,
-        "from run to run 0.010 to 0.015: one copy of 2 MB in 0.12 to 0.15 ms, 15 GB/s, beside 10 to 14 ms.",
+    "effects_flight": RowGoal(
+        "Seven attributes and twelve splat layers at all vertices in a flight, on all threads, against the update of "
+        "the same frames.",
+        {ANY_SIZE: 0.15},
+        {ANY_SIZE: 0.37},
     ),
-    ("land_relief", ANY_SIZE): (
-        0.296,
-        "75 to 102 ns a sample for three octaves; numpy takes 260 to 390 ms, so 0.20 to 0.30.",
+    "light_preview": RowGoal(
+        "A first preview of sky light at all vertices, on all threads, against sky light in full.",
+        {ANY_SIZE: 0.02},
     ),
-    ("land_sediment", ANY_SIZE): (
-        2.4,
-        "90 ns a sample with it, 40 without: it settles on lake floors in twelve passes more; 1.55 on another machine "
-        "when there were fewer.",
+    "land_rivers": RowGoal(
+        "20,000 years of river erosion on 1,025 x 1,025 samples, on one thread, against fastscapelib.",
+        {ANY_SIZE: 0.4},
     ),
-    ("detail_displace", ANY_SIZE): (
-        10.7,
-        "14 to 24 ns an octave and vertex, all of it arithmetic; the displacement beside it waits for memory. On an "
-        "AMD EPYC 18.7 ms beside 4.2, on an Intel Xeon 26.6 beside 2.5.",
+    "land_scree": RowGoal(
+        "A sweep of scree over 1,025 x 1,025 samples, on one thread, against numpy with equal bytes.",
+        {ANY_SIZE: 0.06},
     ),
-    ("demand_large", ANY_SIZE): (
-        0.15,
-        "some 20 microseconds a node, all of it "
-        "Python that asks Blender for names and sockets; only after a node was edited, else it is the row demand_kept.",
+    "land_water": RowGoal(
+        "Depth, speed and discharge of steady rain on 257 x 257 samples, on one thread, against an hour of rain "
+        "simulated as shallow water by our own kernels.",
+        {ANY_SIZE: 0.01},
     ),
-    ("surface", 1_000_000): (
-        0.57,
-        "from machine to machine 0.33 to 0.57, once 0.75: half of it is the refinement for an error, on two threads: "
-        "nine leaves in ten are taken from the last frame, most of the rest measures diamonds of the others and reads "
-        "their errors. The other half is welding and displacement, with normals and uv, most of that the latency of "
-        "reading samples.",
+    "scatter_flight": RowGoal(
+        "The points of a scatter in the next frame of a flight, against the same points computed in numpy.",
+        {ANY_SIZE: 0.1},
     ),
-    ("light_rays", ANY_SIZE): (
-        0.06,
-        "rays skip 97 of 100 crossings, but a skip reads what no cache holds and costs as much as a crossing: 20 to 30 "
-        "ns. Other sizes of the smallest blocks and other distances of the first crossings are within a tenth.",
+    "maps_normal": RowGoal(
+        "A baked normal map of 2,048 x 2,048 texels in a PNG file, against differences in numpy with equal compression "
+        "on one thread.",
+        {ANY_SIZE: 1.0},
     ),
-    ("effects_flight", 1_000_000): (
-        0.37,
-        "nothing of it is large: the level of each vertex anew (a third), the copies of what stays (a third), to find "
-        "it, and the half percent that is computed.",
+    "query_heights": RowGoal(
+        "Heights, normals and slopes at a million points, on one thread, against heights alone in numpy.",
+        {ANY_SIZE: 0.5},
     ),
-    ("morph_flight", ANY_SIZE): (
-        4.7,
-        "1.45 of it are triangles, a tenth of them in the fringe of the frame, where the walk copies nothing. A point "
-        "that was in its place and is takes one comparison, but almost half of the points are on their way and move "
-        "with every frame.",
+    "fit_jacksboro": RowGoal(
+        "Triangles of `bake --fit` on a real elevation model for a vertical error (error_m) that holds over the whole "
+        "surface, against greedy Delaunay insertion (pydelatin), whose error holds at the samples.",
+        {ANY_SIZE: 1.3},
     ),
-    ("query_heights", ANY_SIZE): (
-        0.57,
-        "from run to run 0.44 to 0.57: 42 to 54 ns a place, of which an arc tangent takes 16.",
+    "cold_start": RowGoal(
+        "Time from the start of Python to the first mesh of an existing store, with compiled kernels in the cache, "
+        "against a limit of 1 s.",
+        {ANY_SIZE: 1.0},
     ),
-    ("refine_error", 1_000_000): (0.44, "from machine to machine 0.24 to 0.44: 14 to 22 ms, beside 46 to 79."),
-    ("morph_cut", ANY_SIZE): (
-        3.0,
-        "1.45 of it are triangles; each point's diamond is measured once more than by the walk.",
+    "import": RowGoal(
+        "Import of a GeoTIFF of 4,097 x 4,097 samples, 67 MB, in a child process, against a limit of 5 s.",
+        {ANY_SIZE: 1.0},
     ),
-    ("cycles_error", ANY_SIZE): (
-        0.1,
-        "the mesh has 6,000 triangles; three quarters of the time a picture of two triangles takes as well, by the "
-        "profile nine tenths are rays.",
+    "import_large": RowGoal(
+        "Import of a GeoTIFF of 16,385 x 16,385 samples, 1.07 GB, against the import of 4,097 x 4,097 samples times "
+        "the ratio of their numbers.",
+        {ANY_SIZE: 1.2},
     ),
-    ("same_picture_memory", ANY_SIZE): (
-        0.24,
-        "330 MB: 216,000 triangles take 480 bytes each, the image of normals 67 MB in Cycles, the store's pages that "
-        "were read, which the system may drop, some 100 MB, and what the bake has left 40 MB.",
+    "large_frame": RowGoal(
+        "An update in a flight over 16,385 x 16,385 samples, on all threads, against one with as many triangles over "
+        "4,097 x 4,097.",
+        {ANY_SIZE: 1.5},
+    ),
+    "large_memory": RowGoal(
+        "Resident memory after these updates of 16,385 x 16,385 samples, against that of 4,097 x 4,097.",
+        {ANY_SIZE: 2.0},
+    ),
+    "demand": RowGoal(
+        "The search for attributes that a scene reads (the demo's sky and sea, a material of 20 nodes), so that unused "
+        "effects cost nothing, against the update of a flight.",
+        {ANY_SIZE: 0.02},
+    ),
+    "frame": RowGoal(
+        "A frame in Blender, from the camera's motion to the evaluated mesh, against a plain script that writes a mesh "
+        "of the same size.",
+        {50_000: 1.0, 250_000: 0.5, 1_000_000: 0.17},
+        {1_000_000: 0.28},
+    ),
+    "program_frame": RowGoal(
+        "The row `frame` inside the Blender program named above, without a window, against the same plain script.",
+        {ANY_SIZE: 0.35},
+    ),
+    "same_picture": RowGoal(
+        "Processor time of a Cycles render of our mesh with a baked normal map, at the coarsest error (error_px) whose "
+        "picture resembles that of the whole grid as much, against Cycles' adaptive dicing at 1 px.",
+        {ANY_SIZE: 0.35},
+    ),
+    "same_picture_memory": RowGoal(
+        "Peak memory of the same two renders above that of a render of a flat plane, against Cycles' adaptive dicing "
+        "at 1 px.",
+        {ANY_SIZE: 0.1},
+        {ANY_SIZE: 0.24},
     ),
 }
 
 
 def goal_of(name: str, size: int) -> float | None:
-    return GOALS.get((name, size), GOALS.get((name, ANY_SIZE)))
+    """Return the goal of a row, None if it has none."""
+    return _ratio(ROWS[name].ratios, size) if name in ROWS else None
 
 
-def recorded_of(name: str, size: int) -> tuple[float, str] | None:
-    return RECORDED.get((name, size), RECORDED.get((name, ANY_SIZE)))
+def known_ratio(name: str, size: int) -> float | None:
+    """Return the known ratio of a row that misses its goal, None for others."""
+    return _ratio(ROWS[name].known, size) if name in ROWS else None
 
 
-def most_allowed(name: str, size: int) -> float | None:
-    """The ratio beyond which a quick run fails; None for rows that are figures only."""
-    goal, recorded = goal_of(name, size), recorded_of(name, size)
-    if goal is not None and recorded is not None and recorded[0] >= round(SLACK * goal, 9):
-        goal = recorded[0]
-    return None if goal is None else SLACK * goal
+def max_ratio(name: str, size: int) -> float | None:
+    """Return the ratio above which a quick run fails, None for rows without a goal."""
+    goal, known = goal_of(name, size), known_ratio(name, size)
+    return None if goal is None else SLACK * max(goal, known or 0.0)
 
 
-def missed_by(row: Row) -> float | None:
-    """By which part of its goal a row is over it (0.3: 30 %); None where there is no goal, or it is met."""
+def excess(row: Row) -> float | None:
+    """Return by which fraction a row misses its goal (0.3: 30 %), None if it has none or meets it."""
     goal = goal_of(row.name, row.size)
     if goal is None or row.ratio is None or row.ratio <= goal:
         return None
@@ -209,6 +190,10 @@ def missed_by(row: Row) -> float | None:
 
 
 def failures(rows: list[Row]) -> list[Row]:
-    """The rows that are worse than the rule allows."""
-    limits = [(row, most_allowed(row.name, row.size)) for row in rows]
+    """Return the rows that are worse than allowed."""
+    limits = [(row, max_ratio(row.name, row.size)) for row in rows]
     return [row for row, limit in limits if limit is not None and row.ratio is not None and row.ratio > limit]
+
+
+def _ratio(ratios: dict[int, float], size: int) -> float | None:
+    return ratios.get(size, ratios.get(ANY_SIZE))

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The two charts of docs/performance.md: time against triangles, and the steps of a frame."""
+"""The chart of docs/performance.md: the steps of a frame."""
 
-from ...operators.text.log_plot import Curve, draw
 from ...operators.text.svg import GOLD, GREEN, LINE, PURPLE, RED, SOFT, TEAL, box, path, picture, text
 from ..rig.measure import Row
 
-COLOURS = {"refine": TEAL, "surface": GREEN, "ingest": GOLD, "frame": RED}
-# What a frame's steps are, in their order; the last is what lies between them.
+# Steps of a frame in their order; the last is the remainder.
 STEPS = {
     "refine": ("refine", TEAL),
     "weld": ("weld", GREEN),
@@ -17,24 +15,8 @@ STEPS = {
 }
 
 
-def write_plot(rows: list[Row]) -> str:
-    """Our times at each size of the `scale_` rows, the baselines' wherever they were measured."""
-    curves = []
-    for row in rows:
-        name = row.name.removeprefix("scale_")
-        if name != row.name:
-            points = [(int(size.removesuffix("_ms")), ms) for size, ms in row.figures.items()]
-            curves.append(Curve(f"{name}, slope {row.ratio:.2f}", COLOURS[name], points))
-    for baseline, dash in (("roam_rebuild", "7 4"), ("plain_ingest", "2 4")):
-        # Rows of one size met the baseline at different moments; the last one stands for them.
-        points = {row.size: row.baseline_ms for row in rows if row.baseline == baseline and row.baseline_ms}
-        if len(points) > 1:
-            curves.append(Curve(baseline, SOFT, sorted(points.items()), dash))
-    return draw(curves, "triangles", "ms")
-
-
 def write_bars(rows: list[Row]) -> str:
-    """A bar for each size of the row `frame`: its steps, one after the other."""
+    """Return an SVG with a bar for each size of the row `frame`, divided into its steps."""
     frames = [row for row in rows if row.name == "frame" and row.ms]
     width, left, right, top, pitch = 860, 96, 84, 56, 46
     scale = (width - left - right) / max((row.ms for row in frames), default=1.0)

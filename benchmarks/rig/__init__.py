@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What rows are measured with: times, scenes, baselines, processes of their own."""
+"""Tools that rows share: timing, scenes, baselines, child processes."""

@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the program is measured against: a serial C bintree, and the plain way of making a Blender mesh.
-
-`roam_rebuild.c` rebuilds the whole refinement of the unit square from its two roots, on one thread. `plain_ingest`
-hands Blender the same arrays and lets it find the edges.
-"""
+"""Baselines: a serial bintree in C (`roam_rebuild`), and the plain way to make a Blender mesh (`plain_ingest`)."""
 
 import json
 import shutil
@@ -23,18 +19,18 @@ ROAM, PLAIN = "roam_rebuild", "plain_ingest"
 
 
 class RoamRebuild:
-    """The C program, built with the system's compiler; it stays loaded and rebuilds whenever it is asked to."""
+    """Running processes of the compiled C program, one for each number of leaves."""
 
     def __init__(self, program: Path):
         self.program = program
         self._running: dict[int, subprocess.Popen] = {}
 
     def timer(self, leaves: int) -> Callable[[], float]:
-        """A function that rebuilds about that many leaves once and returns the milliseconds."""
+        """Return a function that rebuilds about `leaves` leaves once and returns the milliseconds."""
         if leaves not in self._running:
             command = [str(self.program), "--depth", str(DEPTH), "--leaves", str(leaves), "--runs", "1", "--serve"]
             process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-            json.loads(process.stdout.readline())  # it has found its camera
+            json.loads(process.stdout.readline())  # printed once the camera is found
             self._running[leaves] = process
         process = self._running[leaves]
 
@@ -51,36 +47,37 @@ class RoamRebuild:
         return rebuild
 
     def close(self) -> None:
+        """End all processes."""
         while self._running:
             _, process = self._running.popitem()
-            with suppress(OSError):  # it may have ended before
+            with suppress(OSError):  # a process that has already ended
                 process.stdin.close()
             process.stdout.close()
             process.wait()
 
 
 def build_roam_rebuild(folder: Path, note: Callable[[str], None]) -> RoamRebuild | None:
-    """The program, built into `folder`; None, and a note why, where it cannot be built."""
+    """Compile the C program into `folder`; return None and note the reason if that fails."""
     compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
     if compiler is None:
         note(f"There is no C compiler here: the baseline {ROAM} is left out.")
         return None
     program = folder / ROAM
     command = [compiler, "-O3", "-march=native", str(SOURCE), "-o", str(program), "-lm"]
-    built = subprocess.run(command, capture_output=True, text=True)
-    if built.returncode != 0:
-        said = (built.stderr.strip().splitlines() or ["no message"])[-1]
-        note(f"{compiler} cannot build {SOURCE.name} ({said}): the baseline {ROAM} is left out.")
+    result = subprocess.run(command, capture_output=True, text=True)
+    if result.returncode != 0:
+        message = (result.stderr.strip().splitlines() or ["no message"])[-1]
+        note(f"{compiler} cannot build {SOURCE.name} ({message}): the baseline {ROAM} is left out.")
         return None
     return RoamRebuild(program)
 
 
 def plain_ingest(obj, surface) -> float:
-    """Write the mesh of a Blender object the plain way and have it evaluated; returns milliseconds.
+    """Write the mesh of a Blender object the plain way, evaluate it and return the milliseconds.
 
-    The same arrays as our writer's but the edges, which Blender finds: positions, corners, offsets, texture
-    coordinates, levels and normals. They go in as attributes, which is twice as fast as by `vertices`
-    and `loops`.
+    The arrays are those of our writer without the edges, which Blender computes: positions, corners, offsets, texture
+    coordinates, levels and normals. They are written as attributes, which is twice as fast as through `vertices` and
+    `loops`.
     """
     import bpy
 
@@ -105,6 +102,6 @@ def plain_ingest(obj, surface) -> float:
 
 
 def evaluated_triangles(context, obj) -> int:
-    """How many faces the object has once the dependency graph has seen what changed."""
-    depsgraph = context.evaluated_depsgraph_get()  # brings the graph up to date
+    """Update the dependency graph and return the number of faces of the evaluated object."""
+    depsgraph = context.evaluated_depsgraph_get()  # updates it
     return len(obj.evaluated_get(depsgraph).data.polygons)

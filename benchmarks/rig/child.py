@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Measurements that need a process of their own: its start, its memory, a renderer that keeps nothing."""
+"""Measurements in a child process: start-up time, memory, a renderer with no cached data."""
 
 import json
 import os
@@ -12,32 +12,32 @@ PACKAGE = __name__.rsplit(".", 2)[0]
 
 
 def run_child(module: str, *arguments, **environment: str) -> dict:
-    """Run a module of this folder as a program; returns the JSON object that it prints as its last line."""
+    """Run a module of this package as a program and return the JSON object of its last line of output."""
     command = [sys.executable, "-P", "-m", f"{PACKAGE}.{module}", *map(str, arguments)]
-    ended = subprocess.run(command, env={**os.environ, **environment}, capture_output=True, text=True)
-    lines = ended.stdout.splitlines()
-    if ended.returncode != 0 or not lines:
-        said = (ended.stderr.strip().splitlines() or ["no message"])[-1]
-        raise TerrainError(f"The benchmark's process {module} ended with code {ended.returncode} ({said}).")
+    result = subprocess.run(command, env={**os.environ, **environment}, capture_output=True, text=True)
+    lines = result.stdout.splitlines()
+    if result.returncode != 0 or not lines:
+        message = (result.stderr.strip().splitlines() or ["no message"])[-1]
+        raise TerrainError(f"The benchmark's process {module} ended with code {result.returncode} ({message}).")
     return json.loads(lines[-1])
 
 
 def resident_mb() -> dict[str, float] | None:
-    """This process's resident memory in MB: `own` (anonymous) and `mapped` (files); None where nobody tells."""
-    status = _status()
+    """Return the resident memory of this process in MB, `own` (anonymous) and `mapped` (files); None if unknown."""
+    status = _status_mb()
     return {"own": status["RssAnon"], "mapped": status["RssFile"]} if status else None
 
 
 def peak_mb() -> float | None:
-    """The most memory that this process ever held, in MB; None where nobody tells.
+    """Return the maximum resident memory of this process in MB; None if unknown.
 
-    Not `getrusage`: on Linux it begins with what the parent held when it started this process.
+    `getrusage` is no use: on Linux it starts from the memory of the parent when it started this process.
     """
-    status = _status()
+    status = _status_mb()
     return status["VmHWM"] if status else None
 
 
-def _status() -> dict[str, float]:
+def _status_mb() -> dict[str, float]:
     try:
         with open("/proc/self/status", encoding="ascii") as file:
             fields = dict(line.split(":", 1) for line in file)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A process that makes one mesh of a store and says how long after its start: `first_mesh STORE PX STARTED`.
+"""Program that makes one mesh of a store and prints the time since its start: `first_mesh STORE PX STARTED`.
 
-STARTED is the time of the clock (seconds since the epoch) at which it was started.
+STARTED is the start time of the process in seconds since the epoch.
 """
 
 import json

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How a time is taken, and the row that holds it.
+"""Timing, and the row that holds a result.
 
-Ours and the baseline take turns in blocks, so that a machine that is busy for a moment is busy for both. Blocks of one
-run would be fairer still to a busy machine, but not to the baseline: with its caches taken away after every run it is
-about a fifth slower at 50,000 leaves, ours is not. Every figure is the median of all runs but the first of each; ours
-is reported apart, because it finds cold memory.
+Blocks of our runs and blocks of baseline runs alternate, so that a busy machine slows both. Blocks of a single run
+would treat the baseline unfairly: with cold caches before every run it is about a fifth slower at 50,000 leaves, and
+ours is not. Every figure is the median of all runs but the first, which finds cold memory and is reported separately.
 """
 
 import statistics
@@ -16,19 +15,24 @@ from dataclasses import dataclass, field
 from ...cbt_terrain.accuracy.timed_runs import median_by_step
 
 BLOCKS, RUNS = 3, 5
-# What takes less than this is measured more often: a moment's disturbance is larger than it.
+# Shorter measurements use more blocks, since a short disturbance is longer than they are.
 SHORT_MS, SHORT_BLOCKS = 5.0, 15
-# No block takes longer, unless one run does: a moment's disturbance is nothing to runs that are long.
+# Maximum time of a block, unless a single run is longer.
 BLOCK_MS = 500.0
 
 
 @dataclass
 class Row:
-    """One line of the result. `size` counts triangles (samples, where a raster is measured); times are milliseconds.
+    """Result of one measurement.
 
-    `ratio` is `ms / baseline_ms` unless given (memory, slopes). `attempts`: of how many measurements this is the best.
-    `steps`: milliseconds of the parts. `figures`: what else was measured, units in the names. `first_ms`: the first
-    run, with memory that was never touched.
+    Attributes:
+        size: triangles, or samples of a raster.
+        ms: milliseconds, the median.
+        ratio: `ms / baseline_ms` unless given (a ratio of memory or triangles).
+        attempts: number of measurements of which this is the best.
+        first_ms: milliseconds of the first run, which finds cold memory.
+        steps: milliseconds by step.
+        figures: other measurements, with their units in the names.
     """
 
     name: str
@@ -49,7 +53,7 @@ class Row:
 
 @dataclass
 class Timed:
-    """Medians: `ms` by step, `baseline_ms` None without a baseline; `first_ms` by step of the first run."""
+    """Medians by step, the first run by step, and the median of the baseline, all in milliseconds."""
 
     ms: dict[str, float]
     first_ms: dict[str, float]
@@ -57,29 +61,35 @@ class Timed:
 
 
 def alternate(ours: Callable[[], dict[str, float]], theirs: Callable[[], float] | None = None) -> Timed:
-    """Run both in turns of RUNS, or as many as a block has time for, BLOCKS times, or SHORT_BLOCKS what is short;
-    `ours` returns milliseconds by step."""
-    first, first_other = ours(), theirs() if theirs else 0.0
+    """Run both in alternating blocks; `ours` returns milliseconds by step, `theirs` milliseconds."""
+    first, first_baseline = ours(), theirs() if theirs else 0.0
     longest = max(first.values())
-    own, others = runs_of(longest), runs_of(first_other)
+    our_runs, baseline_runs = count_runs(longest), count_runs(first_baseline)
     blocks = SHORT_BLOCKS if longest < SHORT_MS else BLOCKS
-    every = 1 if first_other < SHORT_MS else blocks // BLOCKS  # blocks of ours to one of a baseline that is not short
-    mine, other = [], []
+    blocks_per_baseline = 1 if first_baseline < SHORT_MS else blocks // BLOCKS
+    our_times, baseline_times = [], []
     for number in range(blocks):
-        if theirs and number % every == 0:
-            other += [theirs() for _ in range(others)]
-        mine += [ours() for _ in range(own)]
-    return Timed(median_by_step(mine), first, statistics.median(other) if other else None)
+        if theirs and number % blocks_per_baseline == 0:
+            baseline_times += [theirs() for _ in range(baseline_runs)]
+        our_times += [ours() for _ in range(our_runs)]
+    return Timed(median_by_step(our_times), first, statistics.median(baseline_times) if baseline_times else None)
 
 
-def runs_of(ms: float) -> int:
-    """How many runs that take so long are a block."""
+def count_runs(ms: float) -> int:
+    """Return the runs in a block, given the milliseconds of one."""
     return max(1, min(RUNS, int(BLOCK_MS / max(ms, SHORT_MS))))
+
+
+def time_ms(work: Callable[[], object]) -> float:
+    """Return the milliseconds of one call."""
+    with stopwatch() as elapsed:
+        work()
+    return elapsed[0]
 
 
 @contextmanager
 def stopwatch():
-    """Yields a list that holds the block's milliseconds once it has ended."""
+    """Yield a list that receives the milliseconds of the block at its end."""
     elapsed, start = [], time.perf_counter()
     yield elapsed
     elapsed.append((time.perf_counter() - start) * 1e3)

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A process that flies over a store and says what stayed in memory: `resident STORE PX`.
+"""Program that flies over a store and prints the memory it keeps: `resident STORE PX`.
 
-Megabytes count from before the store was opened: `open_` after opening it, the others after the flight; `own` is memory
-of the process, `mapped` are pages of files.
+Megabytes are differences to the memory before the store was opened, after opening it (`open_`) and after the flight.
 """
 
 import json
@@ -16,6 +15,7 @@ from .measure import BLOCKS, RUNS
 
 
 def main(store: str, px: float) -> dict:
+    """Return milliseconds of the first frame and of the others, and megabytes where the system reports them."""
     before = resident_mb()
     field = open_store(store)
     opened = resident_mb()
@@ -24,11 +24,11 @@ def main(store: str, px: float) -> dict:
     first_ms = flight()["total"]
     frames = [flight()["total"] for _ in range(BLOCKS * RUNS)]
     after = resident_mb()
-    said = {"first_ms": first_ms, "frame_ms": statistics.median(frames)}
+    result = {"first_ms": first_ms, "frame_ms": statistics.median(frames)}
     if before is not None:
-        said |= {f"open_{kind}_mb": opened[kind] - before[kind] for kind in before}
-        said |= {f"{kind}_mb": after[kind] - before[kind] for kind in before}
-    return said
+        result |= {f"open_{kind}_mb": opened[kind] - before[kind] for kind in before}
+        result |= {f"{kind}_mb": after[kind] - before[kind] for kind in before}
+    return result
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The terrains and the flights that are measured: a flat one seen all round, a rough one seen through a lens."""
+"""Terrains and camera flights of the benchmark: a flat terrain with a panoramic camera, a rough one with a lens."""
 
-import math
 from collections.abc import Callable
 from functools import cache
 
@@ -17,23 +16,22 @@ from ...cbt_terrain.terrain import Terrain, Update
 
 SAMPLES = 4097
 SIDE = 4096.0  # metres
-STEP = 0.001  # of the side, that the camera moves a frame
-EYE_HEIGHT = 2.0  # metres, of the eye over the flat terrain
+STEP = 0.001  # camera motion a frame, as a fraction of the side
+EYE_HEIGHT = 2.0  # metres over the flat terrain
 PANORAMA_PIXELS = 1920
-DEPTH = 27  # as the serial baseline has
-# A search for a number of triangles ends within this part of it.
+DEPTH = 27  # maximum depth, the same as in the serial baseline
+MILLION = 1_000_000
+# The search for a triangle count accepts this relative difference.
 TOLERANCE = 0.01
-
-Asked = Callable[[float], Criterion]
-Views = Callable[[int], View]
 
 
 def flat() -> HeightField:
+    """Return a flat terrain."""
     return from_array(np.zeros((SAMPLES, SAMPLES), np.float32), SIDE / (SAMPLES - 1))
 
 
 def noise(samples: int) -> np.ndarray:
-    """float32 [samples, samples] metres: height falls with frequency to the power 2.2; repeats without a seam."""
+    """Return periodic noise, float32 [samples, samples] metres, with a power spectrum of exponent -2.2."""
     rng = np.random.default_rng(1)
     frequency = np.fft.rfftfreq(samples)[None, :] ** 2 + np.fft.fftfreq(samples)[:, None] ** 2
     frequency[0, 0] = 1
@@ -44,65 +42,64 @@ def noise(samples: int) -> np.ndarray:
 
 
 def rough() -> HeightField:
+    """Return a terrain of noise."""
     return from_array(noise(SAMPLES), SIDE / (SAMPLES - 1))
-
-
-def built_in_island() -> HeightField:
-    return island_of(SAMPLES)
 
 
 @cache
 def island_of(samples: int) -> HeightField:
-    """The same one for every row that asks."""
+    """Return the built-in island, the same object for every row."""
     return from_array(island.island(samples), island.SIDE / (samples - 1))
 
 
-def around(frame: int, height: float = EYE_HEIGHT) -> View:
-    """All round, low over the flat terrain: leaves of every size, as the serial baseline has them."""
-    eye = np.array([-0.07 * SIDE + STEP * SIDE * frame, 0.07 * SIDE, height])
+def around(frame: int) -> View:
+    """Return a panoramic view from just over the flat terrain, whose leaves have every size."""
+    eye = np.array([-0.07 * SIDE + STEP * SIDE * frame, 0.07 * SIDE, EYE_HEIGHT])
     return View.look(eye, eye + [1, 0, 0], kind=PANORAMIC, fov_deg=360, resolution=(PANORAMA_PIXELS, 1080))
 
 
 def eye_over(frame: float, side: float = SIDE) -> np.ndarray:
+    """Return the eye of a flight along the southern border, float64 [3] metres."""
     return np.array([(STEP * frame - 0.4) * side, -0.5 * side, side / 16])
 
 
-def over(frame: int, side: float = SIDE) -> View:
-    """From the rim of the rough terrain towards its middle."""
+def over(frame: float, side: float = SIDE) -> View:
+    """Return the view from the southern border towards the centre of a terrain."""
     return View.look(eye_over(frame, side), (0, 0, 0))
 
 
-def edges(px: float, depth: int = DEPTH) -> Criterion:
-    return Criterion(error_px=0, edge_px=px, max_depth=depth)
+def edges(px: float) -> Criterion:
+    """Return a criterion of edge lengths on screen."""
+    return Criterion(error_px=0, edge_px=px, max_depth=DEPTH)
 
 
-def errors(px: float, meshlet: int = 0) -> Criterion:
-    """Guard band and coarser detail off screen are on, as they are by default."""
-    return Criterion(error_px=px, meshlet=meshlet)
+def errors(px: float) -> Criterion:
+    """Return a criterion of error on screen, with the default guard band and coarser detail outside the frame."""
+    return Criterion(error_px=px)
 
 
-def pixels_for(field: HeightField, view: Callable[[float], View], asked: Asked, triangles: int) -> float:
-    """How many pixels to ask for so that about `triangles` result; `view(px)` may depend on the answer."""
+def pixels_for(field: HeightField, view: View, criterion: Callable[[float], Criterion], triangles: int) -> float:
+    """Return the pixels for which `criterion(pixels)` gives about `triangles` in a view.
+
+    Raises:
+        TerrainError: no such number of pixels was found.
+    """
     terrain, px = Terrain(field), 64.0
     for _ in range(40):
-        found = terrain.update(asked(px), [view(px)]).triangles
+        found = terrain.update(criterion(px), [view]).triangles
         if abs(found - triangles) <= TOLERANCE * triangles:
             return px
-        # Triangles fall with pixels to a power between 1 and 2, so this converges; and it never asks for far too much.
+        # Triangles are proportional to pixels to a power between -1 and -2. The limits keep every trial cheap.
         px *= min(max((found / triangles) ** 0.6, 0.25), 4.0)
     raise TerrainError(f"No refinement of about {triangles:,} triangles was found; the last had {found:,}.")
 
 
-def height_reaching(depth: int, px: float) -> float:
-    """Metres over the flat terrain from which the finest leaves just have `depth` bisections."""
-    longest = SIDE * 2 ** ((3 - depth) / 2)  # of a triangle one bisection above the finest
-    return longest / (1.1 * px * math.tau / PANORAMA_PIXELS)
-
-
 class Flight:
-    """A terrain whose camera moves on by one frame at each call, which returns the milliseconds by step."""
+    """Terrain seen by a moving camera; each call updates the next frame and returns milliseconds by step."""
 
-    def __init__(self, field: HeightField, views: Views, criterion: Criterion, threads: int | None = None):
+    def __init__(
+        self, field: HeightField, views: Callable[[int], View], criterion: Criterion, threads: int | None = None
+    ):
         self.terrain, self.views, self.criterion = Terrain(field, threads), views, criterion
         self.frame = -1
         self.update: Update | None = None

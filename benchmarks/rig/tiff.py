@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A process that writes a GeoTIFF: `tiff HEIGHTS.npy OUT.tif STEP`.
+"""Program that writes a GeoTIFF: `tiff HEIGHTS.npy OUT.tif STEP`.
 
 Heights are metres with row 0 in the south, STEP metres apart.
 """
@@ -14,10 +14,10 @@ from rasterio.transform import from_origin
 WEST, NORTH, UTM = 500_000.0, 5_000_000.0, "EPSG:32632"
 
 if __name__ == "__main__":
-    heights = np.load(sys.argv[1])[::-1]
+    heights = np.load(sys.argv[1], mmap_mode="r")[::-1]
     step = float(sys.argv[3])
-    place = {"transform": from_origin(WEST, NORTH, step, step), "crs": UTM}
+    georeference = {"transform": from_origin(WEST, NORTH, step, step), "crs": UTM}
     shape = {"height": heights.shape[0], "width": heights.shape[1], "count": 1, "dtype": heights.dtype}
-    with rasterio.open(sys.argv[2], "w", driver="GTiff", **shape, **place) as file:
+    with rasterio.open(sys.argv[2], "w", driver="GTiff", **shape, **georeference) as file:
         file.write(heights, 1)
     print(json.dumps({"written": sys.argv[2]}))

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A process that renders a flight in Cycles, one of five ways: `cycles_frame MODE STORE TIFF PX PICTURE SUN`.
+"""Program that renders a flight in Cycles: `cycles_frame MODE STORE TIFF PX PICTURE SUN`.
 
-MODE `error` renders our terrain with an error of PX pixels; `mapped` the same with a map of its normals, baked for the
-first frame's camera, so that shading does not wait for triangles; `adaptive` a plane under Cycles' adaptive subdivision
-at a dicing rate of PX pixels, displaced by the TIFF; `grid` every sample of the store, one frame only; `bare` a flat
-plane, one frame only: what any picture takes. The first frame goes to PICTURE. SUN: degrees from the zenith.
+MODE `error` renders our terrain with an error of PX pixels; `mapped` adds a normal map, baked for the camera of the
+first frame; `adaptive` renders a plane under Cycles' adaptive subdivision at a dicing rate of PX pixels, displaced by
+the TIFF; `grid` renders every sample of the store, one frame only; `bare` renders a flat plane, one frame only, to find
+the memory of any render. The first frame is written to PICTURE. SUN is in degrees from the zenith.
 """
 
 import json
@@ -32,7 +32,8 @@ COARSE_PX = 100.0
 
 
 def main(mode: str, store: str, tiff: str, px: float, picture: str, sun: float) -> dict:
-    bpy = need_bpy("The row cycles")
+    """Render all frames; return medians of time and processor time, triangles, and peak memory."""
+    bpy = need_bpy("The row same_picture")
     scene, obj = render_scene(mode, store, tiff, px, sun)
     bake_start = time.process_time()
     if mode == MAPPED:
@@ -51,13 +52,13 @@ def main(mode: str, store: str, tiff: str, px: float, picture: str, sun: float) 
         if frame == 0:
             with quiet():
                 bpy.data.images["Render Result"].save_render(picture)
-    said = {"ms": statistics.median(times[1:] or times), "first_ms": times[0], "triangles": rendered[0]}
+    costs = {"ms": statistics.median(times[1:] or times), "triangles": rendered[0]}
     cpu_s = statistics.median(processor[1:] or processor)
-    return said | {"cpu_s": cpu_s, "peak_mb": peak_mb(), "bake_cpu_s": bake_cpu_s}
+    return costs | {"cpu_s": cpu_s, "peak_mb": peak_mb(), "bake_cpu_s": bake_cpu_s}
 
 
 def render_scene(mode: str, store: str, tiff: str, px: float, sun: float = HIGH):
-    """The flight as that way renders it: the scene and the object that is rendered."""
+    """Return the scene of the flight and the object that it renders."""
     scene = flight_scene(RESOLUTION)
     set_up_render(scene, sun)
     if mode == GRID:
@@ -72,7 +73,7 @@ def render_scene(mode: str, store: str, tiff: str, px: float, sun: float = HIGH)
 
 
 def set_up_render(scene, zenith: float = HIGH) -> None:
-    """One sample of direct sunlight on the processor: the pictures show geometry and no noise."""
+    """Set up one sample of direct sunlight on the processor, so that pictures show geometry and no noise."""
     import bpy
 
     from ...operators.demand.trees import tree_of_new
@@ -93,7 +94,7 @@ def set_up_render(scene, zenith: float = HIGH) -> None:
 def _terrain(store: str, px: float):
     obj = new_object("Terrain")
     settings = obj.adaptive_terrain
-    settings.viewport.error_px = COARSE_PX  # what Blender asks for around the render is no part of it
+    settings.viewport.error_px = COARSE_PX  # for updates outside the render
     settings.render.error_px = px
     settings.render.smooth_transitions = False  # a still
     settings.store, settings.live, settings.enabled = store, False, True
@@ -101,7 +102,7 @@ def _terrain(store: str, px: float):
 
 
 def _shade_by_map(material, obj) -> None:
-    """Bake the map that *Bake Maps* makes of itself, and have a material's shader take its normals from there."""
+    """Bake the default map of *Bake Maps*, and connect it to the normals of a material's shader."""
     import bpy
 
     from ...operators.effects.map_images import map_image, map_vector
@@ -119,7 +120,7 @@ def _shade_by_map(material, obj) -> None:
 
 
 def _grid(store: str):
-    """Every sample a vertex, every cell a smooth quadrilateral: what a terrain without levels of detail would be."""
+    """Return an object without levels of detail: a vertex for each sample, a smooth quadrilateral for each cell."""
     heights = open_store(store).heights()
     rows, columns = heights.shape
     obj = new_object("Grid")
@@ -142,12 +143,12 @@ def _grid(store: str):
 
 
 def _plane():
-    """A plane in patches; its texture coordinates meet the middles of the samples."""
+    """Return a plane of patches whose texture coordinates are at the centres of the samples."""
     import bpy
 
     mesh, n = bpy.data.meshes.new("Plane"), PATCHES
-    places = np.linspace(0.0, 1.0, n + 1)
-    points = [((x - 0.5) * scenes.SIDE, (y - 0.5) * scenes.SIDE, 0.0) for y in places for x in places]
+    line = np.linspace(0.0, 1.0, n + 1)
+    points = [((x - 0.5) * scenes.SIDE, (y - 0.5) * scenes.SIDE, 0.0) for y in line for x in line]
     corners = [
         (r * (n + 1) + c, r * (n + 1) + c + 1, (r + 1) * (n + 1) + c + 1, (r + 1) * (n + 1) + c)
         for r in range(n)
@@ -164,20 +165,20 @@ def _plane():
 
 
 def _dice(obj, px: float) -> None:
-    """Put an object under adaptive subdivision."""
+    """Add adaptive subdivision to an object."""
     import bpy
 
     scene = bpy.context.scene
     modifier = obj.modifiers.new("Dicing", "SUBSURF")
     modifier.subdivision_type = "SIMPLE"
-    if hasattr(scene.cycles, "feature_set"):  # Blender 5.0 and later offer dicing without it
+    if hasattr(scene.cycles, "feature_set"):  # Blender 5.0 and later need none
         scene.cycles.feature_set = "EXPERIMENTAL"
     scene.cycles.dicing_rate = px
     (modifier if hasattr(modifier, "use_adaptive_subdivision") else obj.cycles).use_adaptive_subdivision = True
 
 
 def _material(tiff: str | None):
-    """Grey and rough; displaced by the heights of `tiff`, in metres, if there is one."""
+    """Return a grey diffuse material, displaced by the heights of `tiff` in metres if it is given."""
     import bpy
 
     from ...operators.demand.trees import tree_of_new

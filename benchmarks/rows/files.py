@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rows of files: a GeoTIFF imported and reopened, and a raster that is larger than what a frame should touch."""
+"""Rows of files: the import of a GeoTIFF, and of one with 16 times as many samples; frames and memory of the latter."""
 
 import os
 import shutil
@@ -9,117 +9,112 @@ from pathlib import Path
 
 import numpy as np
 
-from ...cbt_terrain.field.build import build
 from ...cbt_terrain.field.heightfield import HeightField
-from ...cbt_terrain.field.store import Draft, open_store
+from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.field.store_folder import remove_store
 from ...cbt_terrain.importing.import_process import import_source
 from ...cbt_terrain.importing.raster import ImportSettings
 from ...cbt_terrain.run.owned_files import remove_file
 from ..rig import scenes
 from ..rig.child import run_child
-from ..rig.measure import BLOCKS, RUNS, Row, stopwatch
+from ..rig.measure import Row, time_ms
+from ..rig.scenes import MILLION
 
-REOPEN_LIMIT_MS = 50.0
+IMPORT_LIMIT_MS = 5000.0
 IMPORT_RUNS = 9
 LARGE_SAMPLES = 16_385
-LARGE_SIZES = (50_000, 1_000_000)
-# Bytes a sample of a store, and some room.
+# Bytes a sample in a store, rounded up.
 STORE_BYTES = 18
+SMALL = "4097 x 4097"
 
 
-def import_rows(tiff: Path, folder: Path) -> Iterator[Row]:
-    """The GeoTIFF to a store, hierarchy included, in the import's own process as users have it; and opening that."""
-    store, times = folder / "imported", []
-    for _ in range(IMPORT_RUNS):
-        remove_store(store)  # an import of what is there already would do nothing
-        with stopwatch() as elapsed:
-            import_source(ImportSettings(source=str(tiff)), store)
-        times += elapsed
+def import_row(tiff: Path, folder: Path) -> Row:
+    """Measure the import of a GeoTIFF into a store, in a child process as in Blender, against a fixed limit."""
+    times = [_import_ms(tiff, folder / "imported") for _ in range(IMPORT_RUNS)]
     ms, megabytes = statistics.median(times), tiff.stat().st_size / 1e6
-    row = Row("import", scenes.SAMPLES**2, ms, first_ms=times[0])
+    row = Row("import", scenes.SAMPLES**2, ms, "5 s", IMPORT_LIMIT_MS, first_ms=times[0])
     row.figures = {"file_mb": megabytes, "mb_per_s": megabytes / ms * 1e3}
-    yield row
-    ms = statistics.median(_opened(store) for _ in range(BLOCKS * RUNS))
-    yield Row("import_reopen", scenes.SAMPLES**2, ms, "50 ms", REOPEN_LIMIT_MS)
+    return row
+
+
+def large_rows(tiff: Path, folder: Path, note: Callable[[str], None]) -> Iterator[Row]:
+    """Measure import, frames and memory of 16,385 x 16,385 samples against the same of 4,097 x 4,097."""
+    needed, free = STORE_BYTES * LARGE_SAMPLES**2, shutil.disk_usage(folder).free
+    if needed > free:
+        note(f"The rows large need {needed / 1e9:.1f} GB in {folder}, where {free / 1e9:.1f} GB are free: left out.")
+        return
+    large_tiff, stores = write_large_tiff(folder / "large.tif"), (folder / "large", folder / "small")
+    try:
+        large_ms, small_ms = (_import_ms(path, store) for path, store in zip((large_tiff, tiff), stores, strict=True))
+        row = Row("import_large", LARGE_SAMPLES**2, large_ms, f"{SMALL}, the same number of samples")
+        row.baseline_ms = small_ms * (LARGE_SAMPLES / scenes.SAMPLES) ** 2
+        row.ratio = large_ms / row.baseline_ms
+        row.figures = {"file_mb": large_tiff.stat().st_size / 1e6, "store_mb": _store_mb(stores[0])}
+        remove_file(large_tiff, may_be_link=True)
+        yield row
+        yield from _large_frames(*stores)
+    finally:
+        remove_file(large_tiff, may_be_link=True)
+        for store in stores:
+            remove_store(store)
 
 
 def write_tiff(field: HeightField, path: Path) -> Path:
-    """A GeoTIFF of metres in UTM, written by a process of its own: GDAL and Blender do not meet."""
+    """Write heights as a GeoTIFF in UTM, in a child process, since GDAL must not share one with Blender."""
     array = path.with_suffix(".npy")
     np.save(array, field.heights())
-    run_child("rig.tiff", array, path, field.lattice.step_x)
+    return _tiff_of_array(array, field.lattice.step_x, path)
+
+
+def write_large_tiff(path: Path) -> Path:
+    """Write a GeoTIFF of LARGE_SAMPLES x LARGE_SAMPLES samples that repeats the noise, row by row."""
+    period, array = scenes.SAMPLES - 1, path.with_suffix(".npy")
+    tile, columns = scenes.noise(period), np.arange(LARGE_SAMPLES) % period
+    heights = np.lib.format.open_memmap(array, "w+", np.float32, (LARGE_SAMPLES, LARGE_SAMPLES))
+    for row in range(LARGE_SAMPLES):
+        heights[row] = tile[row % period][columns]
+    del heights
+    return _tiff_of_array(array, scenes.SIDE / period, path)
+
+
+def _tiff_of_array(array: Path, step: float, path: Path) -> Path:
+    run_child("rig.tiff", array, path, step)
     remove_file(array, may_be_link=True)
     return path
 
 
-def large_rows(small_store: Path, folder: Path, note: Callable[[str], None]) -> Iterator[Row]:
-    """A raster of 16385 x 16385: opening it, and time and memory of frames beside those of the 4097 x 4097."""
-    needed, free = STORE_BYTES * LARGE_SAMPLES**2, shutil.disk_usage(folder).free
-    if needed > free:
-        note(f"The row large needs {needed / 1e9:.1f} GB in {folder}, where {free / 1e9:.1f} GB are free: left out.")
-        return
-    store = folder / "large"
-    try:
-        with stopwatch() as built:
-            size_gb = build_large(store) / 1e9
-        ms = statistics.median(_opened(store) for _ in range(BLOCKS * RUNS))
-        row = Row("large_open", LARGE_SAMPLES**2, ms)
-        row.figures = {"store_gb": size_gb, "built_s": built[0] / 1e3}
-        yield row
-        for size in LARGE_SIZES:
-            yield from _large_frames(store, small_store, size)
-    finally:
-        remove_store(store)
+def _import_ms(tiff: Path, store: Path) -> float:
+    remove_store(store)  # an import into an up-to-date store does nothing
+    return time_ms(lambda: import_source(ImportSettings(source=str(tiff)), store))
 
 
-def build_large(store: Path) -> int:
-    """Repeat the noise over a raster of LARGE_SAMPLES, written row by row; returns the store's bytes."""
-    period = scenes.SAMPLES - 1
-    tile = scenes.noise(period)
-    draft = Draft(store)
-    try:
-        samples = draft.allocate("samples", (LARGE_SAMPLES, LARGE_SAMPLES), np.dtype(np.float32))
-        across = np.arange(LARGE_SAMPLES) % period
-        for row in range(LARGE_SAMPLES):
-            samples[row] = tile[row % period][across]
-        step = scenes.SIDE / (scenes.SAMPLES - 1)
-        field = build(samples, step, step, missing=0, allocate=draft.allocate)
-        draft.publish(field, "benchmark", {})
-    finally:
-        draft.discard_unless_published()
-    return sum(file.stat().st_size for file in store.rglob("*.npy"))
-
-
-def _large_frames(store: Path, small_store: Path, size: int) -> Iterator[Row]:
-    """`first_ms` is of a process that finds nothing of the store in the system's file cache."""
-    found = {}
+def _large_frames(store: Path, small_store: Path) -> Iterator[Row]:
+    """Yield the rows of frames and of memory; `first_ms` starts with no file of the store in the system's cache."""
+    results = []
     for path in (store, small_store):
         field = open_store(path)
         side = (field.lattice.width - 1) * field.lattice.step_x
-        px = scenes.pixels_for(field, lambda _px, side=side: scenes.over(0, side), scenes.errors, size)
+        px = scenes.pixels_for(field, scenes.over(0, side), scenes.errors, MILLION)
         del field
-        _forget_files(path)
-        found[path] = run_child("rig.resident", path, px)
-    large, small = found[store], found[small_store]
-    row = Row("large_frame", size, large["frame_ms"], "4097 x 4097", small["frame_ms"], first_ms=large["first_ms"])
-    yield row
+        _drop_from_cache(path)
+        results.append(run_child("rig.resident", path, px))
+    large, small = results
+    first_ms = large["first_ms"]
+    yield Row("large_frame", MILLION, large["frame_ms"], SMALL, small["frame_ms"], first_ms=first_ms)
     if "own_mb" in large:
         ratio = (large["own_mb"] + large["mapped_mb"]) / (small["own_mb"] + small["mapped_mb"])
-        row = Row("large_memory", size, None, "4097 x 4097", ratio=ratio)
+        row = Row("large_memory", MILLION, None, SMALL, ratio=ratio)
         row.figures = {name: large[name] for name in ("open_own_mb", "open_mapped_mb", "own_mb", "mapped_mb")}
         row.figures |= {f"small_{name}": small[name] for name in ("own_mb", "mapped_mb")}
         yield row
 
 
-def _opened(store: Path) -> float:
-    with stopwatch() as elapsed:
-        open_store(store)
-    return elapsed[0]
+def _store_mb(store: Path) -> float:
+    return sum(file.stat().st_size for file in store.rglob("*.npy")) / 1e6
 
 
-def _forget_files(store: Path) -> None:
-    """Ask the system to drop a store from its file cache, where it can be asked."""
+def _drop_from_cache(store: Path) -> None:
+    """Drop a store from the system's file cache, where the system offers that."""
     if not hasattr(os, "posix_fadvise"):
         return
     os.sync()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Triangles and time for one vertical error: interpolation, the fit, and greedy Delaunay insertion where there is one.
+"""Triangles of a fit for one vertical error, against greedy Delaunay insertion.
 
-Greedy Delaunay is the C++ of pydelatin (Garland and Heckbert 1995), of the extra `dev`: without it the rows have no
-baseline. Its error holds at the samples, ours on the whole surface between them too.
+Greedy insertion is the C++ of pydelatin (Garland and Heckbert 1995) from the extra `dev`; without it the row has no
+ratio. Its error holds at the samples, ours over the whole surface.
 """
 
 from collections.abc import Callable, Iterator
@@ -15,65 +15,55 @@ from ...cbt_terrain.field.build import from_array
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.fit.fit import fit
 from ...cbt_terrain.terrain import Terrain
-from ..rig.measure import Row, alternate, stopwatch
-from ..rig.scenes import noise
+from ..rig.measure import Row, alternate, time_ms
 
-SAMPLES = 513
-ROUGH_M = (0.25, 0.5, 1.0, 4.0)
-JACKSBORO_M = (5.0, 10.0, 20.0, 50.0)
-JACKSBORO_STEP_M = 90.0
+ERRORS_M = (5.0, 20.0, 50.0)
+STEP_M = 90.0
 GREEDY = "pydelatin"
 
 
 def jacksboro() -> np.ndarray:
-    """float32 [321, 385] metres: most of the Jacksboro fault DEM (SRTM) that comes with matplotlib, row 0 south."""
+    """Return most of the Jacksboro fault DEM (SRTM) of matplotlib, float32 [321, 385] metres, row 0 in the south."""
     cbook = import_module("matplotlib.cbook")
     heights = cbook.get_sample_data("jacksboro_fault_dem.npz")["elevation"]
     return np.ascontiguousarray(heights[::-1][:321, :385].astype(np.float32))
 
 
 def fit_rows(note: Callable[[str], None]) -> Iterator[Row]:
-    """A row for each terrain and error; its size is the fit's triangles."""
+    """Yield a row for each error; its size is the triangles of the fit."""
     try:
         greedy = import_module(GREEDY).Delatin
     except ImportError:
         greedy = None
-        note(f"The rows fit have no baseline: {GREEDY} (greedy Delaunay) is not installed; pip install {GREEDY}.")
-    rough = from_array(np.ascontiguousarray(noise(2 * (SAMPLES - 1))[:SAMPLES, :SAMPLES]), 1.0)
-    for error_m in ROUGH_M:
-        yield fit_row("fit_rough", rough, error_m, greedy)
+        note(f"The row fit_jacksboro has no baseline: {GREEDY} is not installed; pip install {GREEDY}.")
     try:
-        real = from_array(jacksboro(), JACKSBORO_STEP_M)
+        field = from_array(jacksboro(), STEP_M)
     except ImportError:
-        note("The rows fit_jacksboro are left out: the DEM comes with matplotlib, which cannot be imported.")
+        note("The row fit_jacksboro is left out: the DEM comes with matplotlib, which cannot be imported.")
         return
-    for error_m in JACKSBORO_M:
-        yield fit_row("fit_jacksboro", real, error_m, greedy)
+    for error_m in ERRORS_M:
+        yield fit_row("fit_jacksboro", field, error_m, greedy)
 
 
 def fit_row(name: str, field: HeightField, error_m: float, greedy=None) -> Row:
-    """Fit and greedy insertion in turns; interpolation, of which the time is that of one warm update, apart."""
-    count = {}
+    """Measure a fit; its ratio is of triangles."""
+    fits, greedy_meshes = [], []
 
-    def fitted() -> dict[str, float]:
-        found = fit(field, error_m)
-        count["fit"], count["bound_m"], count["rounds"] = found.triangles, found.bound_m, found.rounds
-        return found.ms
+    def run_fit() -> dict[str, float]:
+        fits.append(fit(field, error_m))
+        return fits[-1].ms
 
-    def inserted() -> float:
-        with stopwatch() as elapsed:
-            count["greedy"] = len(greedy(field.heights(), max_error=error_m).triangles)
-        return elapsed[0]
+    def run_greedy() -> float:
+        return time_ms(lambda: greedy_meshes.append(greedy(field.heights(), max_error=error_m).triangles))
 
-    timed = alternate(fitted, inserted if greedy else None)
-    plain = Terrain(field)
-    plain.update(Criterion(error_px=0.0, error_m=2 * error_m))
-    update = plain.update(Criterion(error_px=0.0, error_m=error_m))
-    row = Row(name, count["fit"], timed.ms["total"], GREEDY, timed.baseline_ms, first_ms=timed.first_ms["total"])
+    timed = alternate(run_fit, run_greedy if greedy else None)
+    triangles = fits[-1].triangles
+    plain = Terrain(field).update(Criterion(error_px=0.0, error_m=error_m))
+    row = Row(name, triangles, timed.ms["total"], f"triangles of {GREEDY}", first_ms=timed.first_ms["total"])
     row.steps = {step: ms for step, ms in timed.ms.items() if step != "total"}
-    row.figures = {"asked_m": error_m, "bound_m": count["bound_m"], "rounds": count["rounds"]}
-    row.figures |= {"plain_triangles": update.triangles, "plain_ms": update.ms["total"]}
-    row.figures["triangles_to_plain"] = count["fit"] / update.triangles
+    row.figures = {"error_m": error_m, "bound_m": fits[-1].bound_m, "plain_triangles": plain.triangles}
     if greedy:
-        row.figures |= {"greedy_triangles": count["greedy"], "triangles_to_greedy": count["fit"] / count["greedy"]}
+        greedy_triangles = len(greedy_meshes[-1])
+        row.ratio = triangles / greedy_triangles
+        row.figures |= {"greedy_triangles": greedy_triangles, "greedy_ms": timed.baseline_ms}
     return row

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run of the benchmark: what it writes, and how it fails."""
+"""Files that a run of the benchmark writes, and its failures."""
 
 import importlib.util
 import json
@@ -10,7 +10,6 @@ from dataclasses import asdict
 import pytest
 from adaptive_terrain.benchmarks import suite
 from adaptive_terrain.benchmarks.pages import goals, report
-from adaptive_terrain.benchmarks.pages.report import MEANING
 from adaptive_terrain.benchmarks.rig.measure import Row
 from adaptive_terrain.benchmarks.rows import in_program
 from adaptive_terrain.cbt_terrain.errors import TerrainError
@@ -24,16 +23,13 @@ def a_program(tmp_path, script: str) -> list[str]:
     return [str(path)]
 
 
-def test_rows_from_inside_a_program(tmp_path):
-    rows = [Row("program_ingest", 1_000_000, 13.0, "plain_ingest", 240.0, steps={"mesh": 12.0})]
-    said = in_program.MARK + json.dumps([asdict(row) for row in rows])
-    command = a_program(tmp_path, f"echo a line of its own\necho '{said}'\necho Blender quit")
-    assert in_program.program_rows(command, tmp_path) == rows
+def test_a_row_comes_from_inside_a_program(tmp_path):
+    row = Row("program_frame", 1_000_000, 13.0, "plain_ingest", 240.0, steps={"mesh": 12.0})
+    line = in_program.MARK + json.dumps(asdict(row))
+    command = a_program(tmp_path, f"echo another line\necho '{line}'\necho Blender quit")
+    assert in_program.program_frame_row(command, tmp_path) == row and row.name in goals.ROWS
     with pytest.raises(TerrainError, match=r"has measured nothing \(Blender quit\)"):
-        in_program.program_rows(a_program(tmp_path, "echo Blender quit"), tmp_path)
-    assert set(f"{in_program.PREFIX}{name}" for name in ("ingest", "frame", "frame_meshlets", "still_frame")) <= set(
-        MEANING
-    )
+        in_program.program_frame_row(a_program(tmp_path, "echo Blender quit"), tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -44,7 +40,7 @@ def test_rows_from_inside_a_program(tmp_path):
         ("printf 'Krita \\351'", "no Blender program"),
     ],
 )
-def test_what_is_no_blender_is_refused_before_anything_is_measured(one_row, tmp_path, capsys, script, said):
+def test_a_program_that_is_not_blender_is_refused_first(one_row, tmp_path, capsys, script, said):
     assert command_line.main(["bench", "--quick", "--blender", *a_program(tmp_path, script)]) == 1
     printed = capsys.readouterr()
     assert re.search(said, printed.err) and not printed.out
@@ -54,24 +50,23 @@ def test_what_is_no_blender_is_refused_before_anything_is_measured(one_row, tmp_
 
 @pytest.fixture
 def one_row(monkeypatch):
-    """The suite measures nothing: one row that fails its goal."""
-    monkeypatch.setattr(goals, "RECORDED", {})
+    """Replace the suite by one row that fails its goal."""
     monkeypatch.setattr(suite, "build_roam_rebuild", lambda *_: None)
     monkeypatch.setattr(
-        suite, "everything", lambda *_: [lambda: Row("ingest", 1_000_000, 100.0, "plain_ingest", 100.0)]
+        suite, "list_measures", lambda *_: [lambda: Row("maps_normal", 1_000_000, 200.0, "numpy", 100.0)]
     )
 
 
-def test_a_quick_run_that_is_too_slow_fails_after_it_is_written(one_row, tmp_path, capsys):
+def test_a_quick_run_that_is_too_slow_fails_once_written(one_row, tmp_path, capsys):
     target = tmp_path / "rows.json"
     assert command_line.main(["bench", "--quick", "--json", str(target)]) == 1
     said = capsys.readouterr()
     assert said.err == (
         "adaptive-terrain: error: Slower than allowed in each of 3 attempts: "
-        "ingest at 1,000,000 (ratio 1, at most 0.225).\n"
+        "maps_normal at 1,000,000 (ratio 2, at most 1.5).\n"
     )
     [row] = json.loads(target.read_text())
-    assert row["attempts"] == 3 and said.out.count("goal 0.15: missed") == 3
+    assert row["attempts"] == 3 and said.out.count("goal 1: missed") == 3
     assert command_line.main(["bench"]) == 0
 
 
@@ -96,8 +91,8 @@ def test_documents_are_written_only_where_asked(one_row, tmp_path, monkeypatch, 
 
 
 @pytest.mark.parametrize("option", ["--json", "--docs"])
-def test_what_cannot_be_written_is_said_before_anything_is_measured(option, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(suite, "everything", lambda *_: pytest.fail("it was measured"))
+def test_unwritable_files_are_reported_before_measuring(option, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(suite, "list_measures", lambda *_: pytest.fail("it was measured"))
     (tmp_path / "file").write_text("in the way")
     assert command_line.main(["bench", option, str(tmp_path / "file" / "below")]) == 1
     said = capsys.readouterr()
@@ -105,13 +100,13 @@ def test_what_cannot_be_written_is_said_before_anything_is_measured(option, tmp_
     assert said.out == "" and [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_a_run_that_is_stopped_leaves_what_was_there(one_row, tmp_path, monkeypatch, capsys):
+def test_an_interrupted_run_leaves_existing_files(one_row, tmp_path, monkeypatch, capsys):
     def stop():
         raise KeyboardInterrupt
 
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(suite.tempfile, "tempdir", None)
-    monkeypatch.setattr(suite, "everything", lambda *_: [stop])
+    monkeypatch.setattr(suite, "list_measures", lambda *_: [stop])
     (tmp_path / "rows.json").write_text("[]")
     assert command_line.main(["bench", "--json", str(tmp_path / "rows.json")]) == 130
     assert capsys.readouterr().err == "adaptive-terrain: stopped\n"
@@ -122,7 +117,7 @@ def test_a_run_that_is_stopped_leaves_what_was_there(one_row, tmp_path, monkeypa
 def test_results_go_into_a_pipe_too(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     end = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
-    report.write_json([Row("ingest", 1_000_000, 1.0)], tmp_path / "pipe")
-    assert json.loads(os.read(end, 10_000))[0]["name"] == "ingest"
+    report.write_json([Row("frame", 1_000_000, 1.0)], tmp_path / "pipe")
+    assert json.loads(os.read(end, 10_000))[0]["name"] == "frame"
     os.close(end)
     assert [path.name for path in tmp_path.iterdir()] == ["pipe"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What baking a map costs, beside the plainest way to as large a normal map: numpy, on one thread."""
+"""Time to bake a normal map, against the plainest way in numpy to a map of the same size."""
 
 import tempfile
 import zlib
@@ -13,18 +13,17 @@ from ..rig import scenes
 from ..rig.measure import Row, alternate, stopwatch
 
 SAMPLES, TEXELS = 2049, 2048
-ASKED = (Asked("detail_normal", ("this benchmark",)),)
+REQUEST = (Asked("detail_normal", ("this benchmark",)),)
 
 
 def maps_row() -> Row:
-    """The normals of an island of as many samples as texels, from heights to a complete PNG file. Its first run makes
-    the pyramid as well."""
+    """Measure the way from heights to a complete PNG file; the first run computes the height pyramid as well."""
     field = scenes.island_of(SAMPLES)
     heights, step = field.samples, field.lattice.step_x
 
-    def baked() -> dict[str, float]:
+    def ours() -> dict[str, float]:
         with tempfile.TemporaryDirectory() as folder, stopwatch() as elapsed:
-            bake(field, ASKED, Path(folder) / "maps", [TEXELS])
+            bake(field, REQUEST, Path(folder) / "maps", [TEXELS])
         return {"total": elapsed[0]}
 
     def plain() -> float:
@@ -35,6 +34,6 @@ def maps_row() -> Row:
             zlib.compress(np.rint((normals * 0.5 + 0.5) * 255).astype(np.uint8).tobytes(), 1)
         return elapsed[0]
 
-    timed = alternate(baked, plain)
+    timed = alternate(ours, plain)
     figures = {"ns_texel": timed.ms["total"] * 1e6 / TEXELS**2}
     return Row("maps_normal", TEXELS**2, timed.ms["total"], "numpy", timed.baseline_ms, figures=figures)

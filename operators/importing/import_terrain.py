@@ -19,6 +19,7 @@ from ..scene import session
 from ..scene.polls import on_terrain
 from ..text.numbers import SMALLEST, plain
 from ..viewport import frame_terrain, live
+from .placement_notes import neighbour_notes, picture_note
 from .store_location import elsewhere, store_folder
 
 POLL_S = 0.1
@@ -199,9 +200,11 @@ class _Import:
             self.report({"INFO"}, frame_terrain.said(done))
 
     def _update(self, obj, report: dict):
-        notes = [*elsewhere(obj.adaptive_terrain.store), *imported.neighbour_notes(obj, session.all_terrains())]
+        notes = [*elsewhere(obj.adaptive_terrain.store), *neighbour_notes(obj, session.all_terrains())]
         for warning in [*report["warnings"], *notes]:
             self.report({"WARNING"}, warning)
+        if note := picture_note(imported.imported_of(obj.adaptive_terrain)):
+            self.report({"INFO"}, note)
         self.report({"INFO"}, summary(report))
         if obj.adaptive_terrain.live and not bpy.app.background:
             live.mark_dirty()

@@ -64,7 +64,7 @@ def _read(folder: str, _changed_ns: int) -> Imported | None:
         origin=(content["origin"][0], content["origin"][1]),
         raster=raster,
         extent_m=extent,
-        step_m=tuple(length / max(count - 1, 1) for length, count in zip(extent, raster, strict=True)),
+        step_m=(lattice.step_x, lattice.step_y),
         heights_m=(content["min_height"], content["max_height"]),
         warnings=tuple(shown(text, LONGEST_WARNING) for text in report.get("warnings", [])[:MAX_WARNINGS]),
     )
@@ -146,23 +146,3 @@ def tag_object(obj) -> None:
             del obj[name]
     if imported is not None and imported.crs:
         obj[SRID], (obj[CRS_X], obj[CRS_Y]) = shown(imported.crs, LONGEST_CRS), imported.origin
-
-
-def neighbour_notes(obj, others) -> list[str]:
-    """Return where a terrain belongs beside another one of the same coordinate system, if it does not stand there.
-
-    Every terrain is imported to its object's place, so two neighbouring rasters stand on each other at first.
-    """
-    for other in others:
-        if other == obj or not obj.get(SRID) or other.get(SRID) != obj[SRID]:
-            continue
-        apart = [obj[name] - other[name] for name in (CRS_X, CRS_Y)]
-        stands = [a - b for a, b in zip(obj.matrix_world.translation, other.matrix_world.translation, strict=True)][:2]
-        if any(apart) and not any(stands):
-            east, north = (f"{value:.10g}" for value in apart)
-            return [
-                f"{shown(obj.name)} stands where {shown(other.name)} stands, but in {shown(obj[SRID], 40)} it is "
-                f"{east} further east and {north} further north, in the system's units: change its location by that "
-                "length in metres."
-            ]
-    return []

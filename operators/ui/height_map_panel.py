@@ -5,6 +5,7 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from ..importing import import_terrain, store_paths
+from ..importing.placement_notes import picture_note
 from ..properties.properties import FILE
 from ..request.imported import changed_settings, imported_of, lines_of
 from .panel_parts import TerrainSubpanel, draw_ground, figures, message, switched
@@ -80,8 +81,8 @@ class ImportedPanel(TerrainSubpanel, bpy.types.Panel):
         column.operator("adaptive_terrain.pack_store", icon="PACKAGE")
         for notice in store_paths.notices.values():
             message(self.layout, notice, "INFO")
-        for warning in imported.warnings if imported is not None else ():
-            message(column, warning, "INFO")
+        for text in (*imported.warnings, picture_note(imported)) if imported is not None else ():
+            message(column, text, "INFO")
 
 
 class SurfacePanel(TerrainSubpanel, bpy.types.Panel):

@@ -1,8 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A second raster of the same coordinate system is not silently put on the first."""
+"""A second raster of the same coordinate system is not silently put on the first, or beside an open cell."""
 
 import bpy
-from adaptive_terrain.operators.request.imported import neighbour_notes
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.query.ground import ground_at
+from adaptive_terrain.operators.importing.placement_notes import neighbour_notes
+from adaptive_terrain.operators.request.imported import tag_object
+from rasters import hills, imported, write_raster
 
 
 def placed(name: str, crs: str, x: float, y: float):
@@ -29,3 +36,66 @@ def test_other_systems_and_the_same_raster_are_silent(scene):
     assert neighbour_notes(placed("other", "EPSG:2056", 2600640.0, 1199360.0), [first]) == []
     bare = bpy.data.objects.new("bare", bpy.data.meshes.new("bare"))
     assert neighbour_notes(bare, [first]) == []
+
+
+def tile(folder, name: str, columns: int, rows: int, x: float, y: float, cell=10.0, crs="EPSG:32632"):
+    """Import a pixel-is-area raster whose corner in the north-west is (x, y); return an object that has its store."""
+    transform = (cell, 0.0, x, 0.0, -cell, y)
+    write_raster(folder / f"{name}.tif", hills(columns, rows), crs=crs, transform=transform)
+    run_import(ImportSettings(str(folder / f"{name}.tif")), folder / name)
+    obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+    bpy.context.scene.collection.objects.link(obj)
+    obj.adaptive_terrain.store = str(folder / name)
+    tag_object(obj)
+    return obj
+
+
+def seams(*objects):
+    """Return the notes about open cells of the last of the objects, after it was put where it belongs."""
+    return [note for note in neighbour_notes(objects[-1], objects) if "edge to edge" in note]
+
+
+# A tile of 40 x 30 cells whose corner in the north-west is (x, y), and another one: columns, rows, x, y of that, cell.
+@pytest.mark.parametrize(
+    ("crs", "cell", "corner", "other", "is_open"),
+    [
+        ("EPSG:32632", 10.0, (6e5, 5.2e6), (40, 30, 6e5 + 400, 5.2e6, 10.0), True),
+        ("EPSG:32632", 10.0, (6e5, 5.2e6), (40, 20, 6e5, 5.2e6 + 200, 10.0), True),
+        ("EPSG:32632", 10.0, (6e5, 5.2e6), (60, 9, 6e5 - 300, 5.2e6 - 40, 5.0), True),  # half the cells, half the side
+        ("EPSG:32632", 10.0, (6e5, 5.2e6), (40, 30, 6e5 + 390, 5.2e6, 10.0), False),  # a shared column of samples
+        ("EPSG:32632", 10.0, (6e5, 5.2e6), (40, 30, 6e5 + 400, 5.2e6 - 300, 10.0), False),  # a shared corner
+        ("EPSG:32632", 10.0, (6e5, 5.2e6), (40, 30, 6e5 + 430, 5.2e6, 10.0), False),  # cells that are missing
+        ("EPSG:4326", 1 / 1200, (10.0, 47.0), (40, 30, 10.0 + 40 / 1200, 47.0, 1 / 1200), True),
+        ("EPSG:4326", 1 / 1200, (10.0, 47.0), (40, 30, 10.0, 47.0 - 30 / 1200, 1 / 1200), True),
+        ("EPSG:4326", 1 / 1200, (10.0, 47.0), (40, 30, 10.0 + 39 / 1200, 47.0, 1 / 1200), False),
+        ("EPSG:2263", 30.0, (9.8e5, 2e5), (40, 30, 9.8e5 + 1200, 2e5, 30.0), True),  # US feet
+    ],
+)
+def test_tiles_that_meet_edge_to_edge_warn(scene, tmp_path, crs, cell, corner, other, is_open):
+    columns, rows, x, y, other_cell = other
+    first = tile(tmp_path, "first", 40, 30, *corner, cell, crs)
+    notes = seams(first, tile(tmp_path, "second", columns, rows, x, y, other_cell, crs))
+    assert len(notes) == is_open
+    assert not is_open or "gdalbuildvrt merged.vrt first.tif second.tif" in notes[0]
+
+
+def test_a_merged_raster_has_the_ground_between_its_tiles(scene, tmp_path):
+    """What the warning says to do leaves nothing open."""
+    heights = hills(80, 30)
+    merge = tmp_path / "merged.vrt"
+    sources = ""
+    for name, first in (("w", 0), ("e", 40)):
+        transform = (10.0, 0.0, 6e5 + 10.0 * first, 0.0, -10.0, 5.2e6)
+        write_raster(tmp_path / f"{name}.tif", heights[:, first : first + 40], crs="EPSG:32632", transform=transform)
+        sources += (
+            f'<SimpleSource><SourceFilename relativeToVRT="1">{name}.tif</SourceFilename><SourceBand>1</SourceBand>'
+            f'<SrcRect xOff="0" yOff="0" xSize="40" ySize="30"/><DstRect xOff="{first}" yOff="0" xSize="40" '
+            'ySize="30"/></SimpleSource>'
+        )
+    merge.write_text(
+        '<VRTDataset rasterXSize="80" rasterYSize="30"><SRS>EPSG:32632</SRS><GeoTransform>600000, 10, 0, 5200000, 0, '
+        f'-10</GeoTransform><VRTRasterBand dataType="Float32" band="1">{sources}</VRTRasterBand></VRTDataset>'
+    )
+    field, _ = imported(tmp_path, merge)
+    between = np.array([[600400.0 - field.origin[0], 5199855.0 - field.origin[1]]])  # in row 14, between the tiles
+    assert ground_at(field, between).heights[0] == pytest.approx(heights[14, 39:41].mean(), abs=1e-3)

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Notes after an import: how the terrain stands beside others, and how a picture of the same raster fits on it."""
+
+from pathlib import Path
+
+from ...cbt_terrain.errors import shown
+from ...cbt_terrain.field.georeference import degree_lengths
+from ...cbt_terrain.field.lands import LANDS
+from ..request.imported import CRS_X, CRS_Y, SRID, Imported, imported_of
+
+FOOT = 0.3048
+# Part of a cell by which the open cell between two rasters may differ from one: degrees of other ellipsoids.
+MAX_GAP_ERROR = 0.25
+
+
+def neighbour_notes(obj, others) -> list[str]:
+    """Return notes about other terrains of the same coordinate system: a wrong distance, an open cell between both.
+
+    Every terrain is imported to its object's place, so two neighbouring rasters stand on each other at first.
+    """
+    notes, on_other = [], False
+    for other in others:
+        if other == obj or not obj.get(SRID) or other.get(SRID) != obj[SRID]:
+            continue
+        apart = [obj[name] - other[name] for name in (CRS_X, CRS_Y)]
+        stands = [a - b for a, b in zip(obj.matrix_world.translation, other.matrix_world.translation, strict=True)][:2]
+        if any(apart) and not any(stands) and not on_other:
+            on_other = True
+            east, north = (f"{value:.10g}" for value in apart)
+            notes.append(
+                f"{shown(obj.name)} stands where {shown(other.name)} stands, but in {shown(obj[SRID], 40)} it is "
+                f"{east} further east and {north} further north, in the system's units: change its location by that "
+                "length in metres."
+            )
+        rasters = [imported_of(item.adaptive_terrain) for item in (other, obj)]
+        if None not in rasters and has_open_cell(*rasters):
+            files = " ".join(shown(Path(raster.settings.get("source", "")).name) or "FILE" for raster in rasters)
+            notes.append(
+                f"The cells of {shown(other.name)} and {shown(obj.name)} meet edge to edge, but a mesh ends at the "
+                "middles of its outermost samples, so one cell between them stays open: merge the files "
+                f"(gdalbuildvrt merged.vrt {files}) and import merged.vrt as one terrain."
+            )
+    return notes
+
+
+def has_open_cell(first: Imported, second: Imported) -> bool:
+    """Return whether the rasters of two stores of the same coordinate system meet edge to edge along a side.
+
+    Stores do not record the unit of their coordinate system, so metres, feet and degrees are tried.
+    """
+    latitude = (first.origin[1] + second.origin[1]) / 2
+    units = [(1.0, 1.0), (FOOT, FOOT)]
+    if abs(latitude) < 90.0 and max(abs(first.origin[0]), abs(second.origin[0])) <= 360.0:
+        units.append(degree_lengths(latitude))
+    return any(_meets_edge_to_edge(first, second, metres) for metres in units)
+
+
+def _meets_edge_to_edge(first: Imported, second: Imported, metres: tuple[float, float]) -> bool:
+    """`metres`: of a unit of the coordinate system along x and y."""
+    gaps = []
+    for axis in (0, 1):
+        apart = abs(second.origin[axis] - first.origin[axis]) * metres[axis]
+        cell = (first.step_m[axis] + second.step_m[axis]) / 2
+        gaps.append((apart - (first.extent_m[axis] + second.extent_m[axis]) / 2) / cell)
+    return abs(max(gaps) - 1.0) < MAX_GAP_ERROR and min(gaps) < 0.0
+
+
+def picture_note(imported: Imported | None) -> str:
+    """Return how to lay a picture with the raster's corners on the mesh; "" for a built-in land or a reprojected file.
+
+    The mesh's UV is 0 and 1 at the middles of the outermost samples, half a cell inside those corners.
+    """
+    settings = imported.settings if imported is not None else {}
+    if not settings or settings.get("source", "") in LANDS or settings.get("project"):
+        return ""
+    samples = [round(extent / step) + 1 for extent, step in zip(imported.extent_m, imported.step_m, strict=True)]
+    location, scale = (", ".join(f"{value:.7g}" for value in values) for values in picture_mapping(samples))
+    return (
+        "A picture with the raster's corners (an orthophoto) is off by half a cell on the mesh's UV map: put a Mapping "
+        f"node between UV and the picture, with Location {location} and Scale {scale}."
+    )
+
+
+def picture_mapping(samples) -> tuple[list[float], list[float]]:
+    """Return location and scale along x and y that take the mesh's UV to places in a picture of a raster's cells."""
+    return [0.5 / count for count in samples], [(count - 1) / count for count in samples]

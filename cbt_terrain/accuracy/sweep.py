@@ -156,12 +156,26 @@ def curve_of(rows: Sequence[Row]) -> CostCurve:
 
 def unsteady_row(rows: Sequence[Row]) -> Row | None:
     """Return the row of the cost curve whose runs differ most, if by more than MAX_SPREAD: then there is no curve."""
-    found = max(curve_rows(rows), key=_spread, default=None)
-    return found if found is not None and _spread(found) > MAX_SPREAD else None
+    found = max(curve_rows(rows), key=lambda row: _spread_factor(row.spread_ms), default=None)
+    return found if found is not None and is_unsteady(found.spread_ms) else None
 
 
-def _spread(row: Row) -> float:
-    low, high = row.spread_ms or (1.0, 1.0)
+def is_unsteady(spread_ms: tuple[float, float] | None) -> bool:
+    """Return whether runs of the same update differ by more than MAX_SPREAD, by `spread_of` their times."""
+    return _spread_factor(spread_ms) > MAX_SPREAD
+
+
+def unsteady_text(setting: str, spread_ms: tuple[float, float]) -> str:
+    """Return the sentence that says why there is no curve; `setting`: at which runs differ."""
+    low, high = spread_ms
+    return (
+        f"at {setting} runs of the same update took {low:.3g} to {high:.3g} ms of CPU, more than a factor of "
+        f"{MAX_SPREAD:g} apart, so that none of these times can be relied on. Measure again while nothing else runs."
+    )
+
+
+def _spread_factor(spread_ms: tuple[float, float] | None) -> float:
+    low, high = spread_ms or (1.0, 1.0)
     return high / low if low > 0.0 else math.inf
 
 

@@ -56,7 +56,7 @@ def has_open_cell(first: Imported, second: Imported) -> bool:
 
 
 def _meets_edge_to_edge(first: Imported, second: Imported, metres: tuple[float, float]) -> bool:
-    """`metres`: of a unit of the coordinate system along x and y."""
+    """Return whether two rasters do; `metres`: of a unit of the coordinate system along x and y."""
     gaps = []
     for axis in (0, 1):
         apart = abs(second.origin[axis] - first.origin[axis]) * metres[axis]

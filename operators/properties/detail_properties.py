@@ -116,6 +116,9 @@ class DetailSettings:
     curve: StringProperty(
         name="Cost Curve", description="What errors cost, as Measure Accuracy has measured it; JSON", update=changed
     )
+    no_curve: StringProperty(
+        name="No Cost Curve", description="Why the last Measure Accuracy gave no curve; empty if it did"
+    )
     measured: StringProperty(
         name="Measured Accuracy", description="Errors of one mesh, as Measure Accuracy has measured them; JSON"
     )

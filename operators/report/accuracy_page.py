@@ -6,7 +6,7 @@ import io
 import json
 
 from ...cbt_terrain.accuracy import interpolation
-from ...cbt_terrain.accuracy.sweep import MAX_SPREAD, STEPS, TERMS, Row, curve_of, curve_rows, unsteady_row
+from ...cbt_terrain.accuracy.sweep import STEPS, TERMS, Row, curve_of, curve_rows, unsteady_row, unsteady_text
 from ...cbt_terrain.accuracy.sweep_settings import Setting
 from ...cbt_terrain.ask.criterion import LARGEST
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
@@ -273,12 +273,8 @@ def timing_notes(subject) -> list[str]:
     notes = []
     for unit, rows in by_unit(subject.rows).items():
         if (row := unsteady_row(rows)) is not None:
-            low, high = row.spread_ms
-            notes.append(
-                f"The curve of errors in {unit} against time is left out: at {label(row.setting)} runs of the same "
-                f"update took {low:.3g} to {high:.3g} ms of CPU, more than a factor of {MAX_SPREAD:g} apart, so that "
-                "none of these times can be relied on. Measure again while nothing else runs."
-            )
+            reason = unsteady_text(label(row.setting), row.spread_ms)
+            notes.append(f"The curve of errors in {unit} against time is left out: {reason}")
     return notes
 
 

@@ -8,7 +8,7 @@ import bpy
 
 from ...cbt_terrain.accuracy import Measured, measure
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
-from ...cbt_terrain.accuracy.sweep import worst
+from ...cbt_terrain.accuracy.sweep import is_unsteady, spread_of, unsteady_text, worst
 from ...cbt_terrain.accuracy.sweep_settings import PIXELS, metre_steps
 from ...cbt_terrain.accuracy.timed_runs import Frame, fastest, timed_runs
 from ...cbt_terrain.ask.criterion import unit_asked
@@ -19,22 +19,28 @@ from ..scene import session
 from .measuring import MeasuringOperator
 
 MAX_TRIANGLES = 1 << 22  # a finer error is left out of the curve: it would take long, and memory that the scene needs
+TRIES = 3  # measurements of an error whose runs differ too much: the window is drawn by this process, too
 DETAIL = {VIEWPORT: "viewport", RENDER: "render"}  # mode -> property group of its settings
 NO_ERROR_ASKED = "Measure Accuracy needs an error to vary: set Screen Error or Vertical Error."
 
 
 @dataclass(frozen=True)
 class Result:
-    """Of one mode: what errors cost, and the errors of the mesh (named by Request.digest) that its settings give."""
+    """Of one mode: what errors cost, and the errors of the mesh (named by Request.digest) that its settings give.
 
-    curve: CostCurve
+    `curve`: None where runs of the same update differ too much, for the reason `no_curve`.
+    """
+
+    curve: CostCurve | None
     measured: Measured
     digest: str
+    no_curve: str = ""
 
     def store(self, detail) -> None:
         """Keep it in a DetailSettings, and with it in the .blend file."""
         detail.measured = json.dumps({"digest": self.digest, **asdict(self.measured)})
-        detail.curve = self.curve.to_json()
+        detail.no_curve = self.no_curve
+        detail.curve = "" if self.curve is None else self.curve.to_json()
 
 
 def read_measured(detail) -> dict:
@@ -81,7 +87,7 @@ def measure_request(field, request: Request, on_progress) -> Result:
     frame = Frame(request.views, request.placement, request.vertical_scale, request.vertical_offset)
     looks = frame.views or [None]
     steps = len(errors) + len(looks)
-    terrain, points = Terrain(field), []
+    terrain, points, no_curve = Terrain(field), [], ""
     for i, error in enumerate(errors):
 
         def on_run(_surface=None, done: int = i, error: float = error) -> float:
@@ -93,15 +99,21 @@ def measure_request(field, request: Request, on_progress) -> Result:
         update = terrain.update(criterion, frame.views, *frame.heights)
         if update.relaxed > 1:
             break
-        runs = timed_runs(terrain, criterion, frame, write=on_run)
+        for _ in range(TRIES):
+            runs = timed_runs(terrain, criterion, frame, write=on_run)
+            spread = spread_of([run["cpu"] for run in runs])
+            if not is_unsteady(spread):
+                break
+        else:
+            no_curve = no_curve or f"No curve of errors against time: {unsteady_text(f'{error:g} {unit}', spread)}"
         points.append((error, update.triangles, fastest(runs)["total"]))
     if len(points) < 2:
         raise TerrainError(
             f"An error of {errors[len(points)]:g} {unit} takes more than {MAX_TRIANGLES:,} triangles with these "
             "settings, too many to measure; make Meshlet Level, Edge Length or Triangle Area coarser."
         )
-    curve = CostCurve.through(unit, points)
-    if request.max_ms is not None:  # from now on this curve says which error fits
+    curve = None if no_curve else CostCurve.through(unit, points)
+    if curve is not None and request.max_ms is not None:  # from now on this curve says which error fits
         request = replace(request, criterion=replace(request.criterion, **{name: curve.error_for_ms(request.max_ms)}))
     surface = terrain.update(request.criterion, frame.views, *frame.heights).surface
     found = []
@@ -112,7 +124,7 @@ def measure_request(field, request: Request, on_progress) -> Result:
 
         found.append(measure(field, surface, view, *frame.heights, on_progress=on_part))
     on_progress(1.0, "done")
-    return Result(curve, worst(found), request.digest(field.key))
+    return Result(curve, worst(found), request.digest(field.key), no_curve)
 
 
 def _requests(obj, depsgraph) -> tuple[dict[str, Request], list[str]]:
@@ -121,9 +133,13 @@ def _requests(obj, depsgraph) -> tuple[dict[str, Request], list[str]]:
     for mode in DETAIL:
         try:
             request = gather(obj, depsgraph, mode)
-            if not unit_asked(request.criterion):
+            unit = unit_asked(request.criterion)
+            if not unit:
                 raise TerrainError(NO_ERROR_ASKED)
-            requests[mode] = request
+            # Without its time budget, whose curve is about to be replaced.
+            detail = getattr(obj.evaluated_get(depsgraph).adaptive_terrain, DETAIL[mode])
+            asked = {f"error_{unit}": getattr(detail, f"error_{unit}")}
+            requests[mode] = replace(request, criterion=replace(request.criterion, **asked))
         except TerrainError as error:
             problems.append(f"{DETAIL[mode].capitalize()}: {error}")
     if not requests:
@@ -149,6 +165,8 @@ class MeasureAccuracy(MeasuringOperator, bpy.types.Operator):
     def finish(self, obj, results: dict[str, Result]):
         for mode, result in results.items():
             result.store(getattr(obj.adaptive_terrain, DETAIL[mode]))
+            if result.no_curve:
+                self.report({"WARNING"}, f"{DETAIL[mode].capitalize()}: {result.no_curve}")
             self.report({"INFO"}, f"{DETAIL[mode].capitalize()}: {errors_text(result.measured)}")
 
 

@@ -227,6 +227,8 @@ def within_time(criterion: Criterion, detail) -> tuple[Criterion, str]:
     if not unit:
         return criterion, "Time budget needs an error to vary: set Screen Error or Vertical Error"
     if not detail.curve:
+        if detail.no_curve:
+            return criterion, "Time budget needs a curve, but times differed: Measure Accuracy again"
         return criterion, "Time budget needs a measured curve: press Measure Accuracy"
     try:
         curve = CostCurve.from_json(detail.curve)

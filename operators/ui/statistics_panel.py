@@ -7,7 +7,7 @@ import bpy
 
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.ask.criterion import LARGEST, unit_asked
-from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.errors import TerrainError, shown
 from ..report import measure_accuracy, measuring, sweep_accuracy
 from ..report.accuracy_report import PAGE
 from ..scene import session
@@ -56,6 +56,8 @@ class StatisticsPanel(TerrainSubpanel, bpy.types.Panel):
         except TerrainError as damaged:
             message(column, str(damaged), "INFO")
             return
+        if detail.no_curve:
+            message(column, shown(detail.no_curve, 400), "INFO")
         predicted = prediction_lines(status, curve, exact=bool(lines)) if curve else []
         if predicted:
             column.separator()

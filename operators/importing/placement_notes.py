@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Notes after an import: how the terrain stands beside others, and how a picture of the same raster fits on it."""
 
+import math
 from pathlib import Path
 
 from ...cbt_terrain.errors import shown
@@ -9,7 +10,7 @@ from ...cbt_terrain.field.lands import LANDS
 from ..request.imported import CRS_X, CRS_Y, SRID, Imported, imported_of
 
 FOOT = 0.3048
-# Part of a cell by which the open cell between two rasters may differ from one: degrees of other ellipsoids.
+# Cells by which the distance of two rasters may be off: degrees of other ellipsoids.
 MAX_GAP_ERROR = 0.25
 
 
@@ -33,36 +34,46 @@ def neighbour_notes(obj, others) -> list[str]:
                 "length in metres."
             )
         rasters = [imported_of(item.adaptive_terrain) for item in (other, obj)]
-        if None not in rasters and has_open_cell(*rasters):
+        if None not in rasters and (gap := cells_between(*rasters)) is not None:
+            both = f"{shown(other.name)} and {shown(obj.name)}"
             files = " ".join(shown(Path(raster.settings.get("source", "")).name) or "FILE" for raster in rasters)
+            problem = (
+                f"The cells of {both} meet edge to edge, but a mesh ends at the middles of its outermost samples, so "
+                "one cell between them stays open"
+                if gap
+                else f"{both} share a line of samples, where their meshes may be apart by up to the sum of both errors"
+            )
             notes.append(
-                f"The cells of {shown(other.name)} and {shown(obj.name)} meet edge to edge, but a mesh ends at the "
-                "middles of its outermost samples, so one cell between them stays open: merge the files "
-                f"(gdalbuildvrt merged.vrt {files}) and import merged.vrt as one terrain."
+                f"{problem}: merge the files (gdalbuildvrt merged.vrt {files}) and import merged.vrt as one terrain."
             )
     return notes
 
 
-def has_open_cell(first: Imported, second: Imported) -> bool:
-    """Return whether the rasters of two stores of the same coordinate system meet edge to edge along a side.
+def cells_between(first: Imported, second: Imported) -> int | None:
+    """Return the cells between the outermost samples of two rasters that touch along a side; None if they do not.
 
-    Stores do not record the unit of their coordinate system, so metres, feet and degrees are tried.
+    1: their cells meet edge to edge. 0: they share a line of samples. Both are of the same coordinate system, whose
+    unit a store does not record, so metres, feet and degrees are tried.
     """
     latitude = (first.origin[1] + second.origin[1]) / 2
     units = [(1.0, 1.0), (FOOT, FOOT)]
     if abs(latitude) < 90.0 and max(abs(first.origin[0]), abs(second.origin[0])) <= 360.0:
         units.append(degree_lengths(latitude))
-    return any(_meets_edge_to_edge(first, second, metres) for metres in units)
+    gaps = [_gap(first, second, metres) for metres in units]
+    return next((cells for cells in (1, 0) if any(abs(gap - cells) < MAX_GAP_ERROR for gap in gaps)), None)
 
 
-def _meets_edge_to_edge(first: Imported, second: Imported, metres: tuple[float, float]) -> bool:
-    """Return whether two rasters do; `metres`: of a unit of the coordinate system along x and y."""
+def _gap(first: Imported, second: Imported, metres: tuple[float, float]) -> float:
+    """Return the gap in cells, infinite where only corners face each other.
+
+    metres: of a unit of the coordinate system along x and y.
+    """
     gaps = []
     for axis in (0, 1):
         apart = abs(second.origin[axis] - first.origin[axis]) * metres[axis]
         cell = (first.step_m[axis] + second.step_m[axis]) / 2
         gaps.append((apart - (first.extent_m[axis] + second.extent_m[axis]) / 2) / cell)
-    return abs(max(gaps) - 1.0) < MAX_GAP_ERROR and min(gaps) < 0.0
+    return max(gaps) if min(gaps) < -MAX_GAP_ERROR else math.inf
 
 
 def picture_note(imported: Imported | None) -> str:

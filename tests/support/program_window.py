@@ -46,9 +46,10 @@ def window(program, arguments: list, framebuffer: Path, kernels: Path | None = N
                 process.wait(GUARD_S)
 
 
-def wait_for(path: Path, process) -> None:
+def wait_for(path: Path, process, ended: Path | None = None) -> None:
+    """Wait until a file is there, or `ended`, which a script writes when it is done or has failed."""
     end = time.monotonic() + GUARD_S
-    while not path.exists():
+    while not path.exists() and not (ended is not None and ended.exists()):
         assert process.poll() is None, f"the program ended with {process.returncode} before {path.name} was there"
         assert time.monotonic() < end, f"{path.name} was not there after {GUARD_S} s"
         time.sleep(0.1)

@@ -20,9 +20,13 @@ folder = Path(folder)
 FIRST_BUTTON_BELOW_TOP = 40
 SMALL = 257  # samples a side
 WAIT_S = 900.0  # only so that a hang ends
+HUD_S = 30.0  # an interface that is drawn at all is drawn within this
 [warmup] = [module for name, module in sys.modules.items() if name.endswith("cbt_terrain.run.warmup")]
 [subjects] = [module for name, module in sys.modules.items() if name.endswith("operators.report.accuracy_subject")]
 [timed_runs] = [module for name, module in sys.modules.items() if name.endswith("cbt_terrain.accuracy.timed_runs")]
+[measuring] = [module for name, module in sys.modules.items() if name.endswith("operators.report.measure_accuracy")]
+[session] = [module for name, module in sys.modules.items() if name.endswith("operators.scene.session")]
+[imports] = [module for name, module in sys.modules.items() if name.endswith("operators.importing.import_terrain")]
 [sweep] = [module for name, module in sys.modules.items() if name.endswith("cbt_terrain.accuracy.sweep")]
 sweep.MAX_SPREAD = math.inf  # of times that other programs disturb: there is a curve all the same
 settings_for = subjects.settings_for
@@ -64,6 +68,15 @@ def until(condition):
         yield 0.1
 
 
+def shows_the_tab() -> bool:
+    """Choose the tab; only a region that has been drawn knows its tabs."""
+    try:
+        parts()[2].active_panel_category = "Terrain"
+    except (AttributeError, TypeError):
+        return False
+    return True
+
+
 def steps():
     yield 2.0
     area = parts()[1]
@@ -71,9 +84,7 @@ def steps():
     # The default cube stands where the terrain will be.
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     area.tag_redraw()
-    yield 1.5
-    # Only a region that has been drawn knows its tabs.
-    parts()[2].active_panel_category = "Terrain"
+    yield from until(shows_the_tab)
     area.tag_redraw()
     yield 1.0
     result["tab"] = parts()[2].active_panel_category
@@ -85,9 +96,8 @@ def steps():
     result["visible_s"] = time.monotonic() - started
     result["preparing_when_visible"] = warmup.preparing()
     result["triangles"] = len(terrain().data.polygons)
-    yield 1.0
-    hud = next(region for region in parts()[1].regions if region.type == "HUD")
-    result["last_operation"] = bpy.context.window_manager.operators[-1].bl_idname, hud.y > 0  # 0: it is hidden
+    yield from until(lambda: hud_shown() or (time.monotonic() - started > HUD_S + result["visible_s"]))
+    result["last_operation"] = bpy.context.window_manager.operators[-1].bl_idname, hud_shown()
     # The viewport's own mesh follows the settings, without a click.
     terrain().adaptive_terrain.viewport.error_px = 8.0
     yield from until(lambda: len(terrain().data.polygons) < result["triangles"])
@@ -114,7 +124,18 @@ def steps():
     yield from cancel_an_import()
     yield from render_in_the_window()
     yield from render_the_viewport()
-    (folder / "done.json").write_text(json.dumps(result))
+    write_result()
+
+
+def write_result() -> None:
+    """Write it whole under another name first: the test reads the file as soon as it is there."""
+    (folder / "done.json.part").write_text(json.dumps(result))
+    (folder / "done.json.part").rename(folder / "done.json")
+
+
+def hud_shown() -> bool:
+    """Whether the panel of the last operation is there; at 0 it is hidden."""
+    return any(region.type == "HUD" and region.y > 0 for region in parts()[1].regions)
 
 
 def take_a_small_island():
@@ -131,6 +152,8 @@ def measure_accuracy():
     """Measuring runs beside the window; stopped it leaves nothing, and at its end the curves are there."""
     settings = terrain().adaptive_terrain
     operators = bpy.ops.adaptive_terrain
+    # So many errors that it is never done before it is stopped, however late a busy machine gets there.
+    errors, measuring.PIXELS = measuring.PIXELS, tuple(16.0 * 0.999**i for i in range(4000))
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
         operators.measure_accuracy("INVOKE_DEFAULT")
     yield 0.5
@@ -139,6 +162,7 @@ def measure_accuracy():
         operators.cancel_measure()
     yield from until(operators.measure_accuracy.poll)
     result["curve_after_cancel"] = settings.viewport.curve
+    measuring.PIXELS = errors
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
         operators.measure_accuracy("INVOKE_DEFAULT")
     result["turns_while_measuring"] = 0
@@ -161,7 +185,9 @@ def coarse_settings(heights, frame, morph):
 def write_a_report():
     """The sweep runs beside the window, meshes written in between; stopped it leaves no report."""
     bpy.context.scene.render.resolution_percentage = 20  # rays through all pixels are most of its time
-    subjects.settings_for, timed_runs.SHORT_UPDATES = coarse_settings, 1  # times are not looked at
+    timed_runs.SHORT_UPDATES = 1  # times are not looked at
+    # As above: the sweep that is stopped has far more settings than it comes to.
+    subjects.settings_for = lambda *arguments: coarse_settings(*arguments) * 100
     settings, operators = terrain().adaptive_terrain, bpy.ops.adaptive_terrain
     settings.reports = str(folder / "reports")
     scroll_panel(10_000)
@@ -175,6 +201,7 @@ def write_a_report():
     operators.cancel_measure()
     yield from until(operators.sweep_accuracy.poll)
     result["report_after_cancel"] = report.exists()
+    subjects.settings_for = coarse_settings
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
         operators.sweep_accuracy("INVOKE_DEFAULT")
     result["turns_while_sweeping"] = 0
@@ -298,10 +325,13 @@ def cancel_an_import():
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
         bpy.ops.adaptive_terrain.import_source("INVOKE_DEFAULT")
     result["import_started_s"] = time.monotonic() - started
-    yield 3.0
+    # Under way, and far from its end; stopped in the same turn, before the window can see it end.
+    yield from until(lambda: (imports.progress_of(terrain()) or (1.0,))[0] > 0.0)
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
-        result["could_cancel"] = bpy.ops.adaptive_terrain.cancel_import.poll()
-        bpy.ops.adaptive_terrain.cancel_import()
+        result["could_cancel"] = bpy.ops.adaptive_terrain.cancel_import.poll()  # if not, it has failed: see its error
+        result["import_error"] = session.record_of(terrain()).status.error
+        if result["could_cancel"]:
+            bpy.ops.adaptive_terrain.cancel_import()
     yield 1.0
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
         result["can_import_again"] = bpy.ops.adaptive_terrain.import_source.poll()
@@ -368,7 +398,7 @@ def turn():
         return None
     except Exception as error:
         result["error"] = "".join(traceback.format_exception(error))
-        (folder / "done.json").write_text(json.dumps(result))
+        write_result()
         return None
 
 

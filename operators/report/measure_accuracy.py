@@ -138,8 +138,8 @@ def _requests(obj, depsgraph) -> tuple[dict[str, Request], list[str]]:
                 raise TerrainError(NO_ERROR_ASKED)
             # Without its time budget, whose curve is about to be replaced.
             detail = getattr(obj.evaluated_get(depsgraph).adaptive_terrain, DETAIL[mode])
-            asked = {f"error_{unit}": getattr(detail, f"error_{unit}")}
-            requests[mode] = replace(request, criterion=replace(request.criterion, **asked))
+            error = {f"error_{unit}": getattr(detail, f"error_{unit}")}
+            requests[mode] = replace(request, criterion=replace(request.criterion, **error))
         except TerrainError as error:
             problems.append(f"{DETAIL[mode].capitalize()}: {error}")
     if not requests:

@@ -3,6 +3,7 @@
 
 import hashlib
 import os
+import pickle
 import subprocess
 import sys
 import textwrap
@@ -188,6 +189,13 @@ def test_forked_processes_go_on_after_an_update(script):
     root = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=root, timeout=120)
     assert result.returncode == 0, result.stderr
+
+
+def test_a_pickled_field_gives_the_same_mesh():
+    """As multiprocessing sends it to a new process, with the methods spawn and forkserver."""
+    field = hills(holes=True)
+    expected = digest(Terrain(field, 2).update(FINE, VIEWS[:1]).surface)
+    assert digest(Terrain(pickle.loads(pickle.dumps(field)), 1).update(FINE, VIEWS[:1]).surface) == expected
 
 
 def test_a_call_inside_an_update_is_refused(monkeypatch):

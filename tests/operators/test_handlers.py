@@ -90,6 +90,49 @@ def test_a_render_uses_its_own_settings_and_restores_the_viewports(flight, add_t
     assert session.record_of(terrain).status.mode == "VIEWPORT"
 
 
+def test_handlers_of_other_extensions_change_no_mesh(flight, add_terrain, tmp_path):
+    """Before and after ours: they update the view layer, rebuild meshes and move objects while frames change."""
+    terrain, found = add_terrain(), []
+    flight.render.resolution_percentage = 5
+    flight.frame_start, flight.frame_end = 1, 3
+    other = bpy.data.objects.new("Other", bpy.data.meshes.new("Other"))
+    flight.collection.objects.link(other)
+
+    def look(scene, _unused):
+        found[-1].append(positions(terrain))
+
+    def update(scene, _unused=None):
+        bpy.context.view_layer.update()
+
+    def rebuild(scene, _unused=None):
+        other.data.clear_geometry()
+        other.data.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, scene.frame_current)], [], [(0, 1, 2)])
+
+    def move(scene, _unused=None):
+        other.location.x = scene.frame_current
+        update(scene)
+
+    handlers_of = bpy.app.handlers
+    added = [
+        (handlers_of.render_pre, update),
+        (handlers_of.frame_change_pre, rebuild),
+        (handlers_of.frame_change_post, move),
+    ]
+    handlers_of.render_post.append(look)
+    try:
+        for are_there in (False, True):
+            found.append([])
+            for functions, function in added if are_there else []:
+                functions.insert(0, function)
+                functions.append(function)
+            render(flight, tmp_path)
+    finally:
+        for functions, function in [*added, *added, (handlers_of.render_post, look)]:
+            if function in functions:
+                functions.remove(function)
+    assert found[0] == found[1] and len(set(found[0])) == 3
+
+
 def test_shutter_times_do_not_rebuild(scene, add_terrain, monkeypatch):
     """Shutter times may be whole neighbouring frames: only the frame of render_pre counts, until render_post."""
     updates = []

@@ -134,7 +134,7 @@ def write_result() -> None:
 
 
 def hud_shown() -> bool:
-    """Whether the panel of the last operation is there; at 0 it is hidden."""
+    """Return whether the panel of the last operation is there; at 0 it is hidden."""
     return any(region.type == "HUD" and region.y > 0 for region in parts()[1].regions)
 
 

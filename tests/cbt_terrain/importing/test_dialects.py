@@ -63,7 +63,9 @@ def test_dialects_of_ascii_grids(tmp_path, name, header, options):
     assert report["filled"] == 0 and report["step_m"] == [5.0, 5.0]
 
 
-@pytest.mark.parametrize(("word", "header"), [("-9999", "-9999.0"), ("-9999.00", "-9999"), ("null", "null"), ("nan", "nan")])
+@pytest.mark.parametrize(
+    ("word", "header"), [("-9999", "-9999.0"), ("-9999.00", "-9999"), ("null", "null"), ("nan", "nan")]
+)
 def test_missing_samples_of_ascii_grids(tmp_path, word, header):
     heights = np.round(hills(), 3)
     heights[3:9, 4:12] = np.nan
@@ -182,7 +184,8 @@ def test_a_mosaic_that_lacks_a_tile_has_no_data_there(tmp_path):
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "a.vrt").write_text(
         '<VRTDataset rasterXSize="80" rasterYSize="60"><VRTRasterBand dataType="Float32" band="1"><NoDataValue>-9999'
-        f"</NoDataValue><Metadata><MDI key=\"STATISTICS_MAXIMUM\">7</MDI></Metadata>{sources}</VRTRasterBand></VRTDataset>"
+        f'</NoDataValue><Metadata><MDI key="STATISTICS_MAXIMUM">7</MDI></Metadata>{sources}</VRTRasterBand>'
+        "</VRTDataset>"
     )
     field, report = imported(tmp_path, tmp_path / "sub" / "a.vrt", **SIZE)
     assert report["filled"] == 1200 and np.array_equal(field.heights()[30:], heights[29::-1])
@@ -204,7 +207,7 @@ def test_small_cells_keep_their_places_in_the_millions(tmp_path, crs, cell, corn
     check_places(field, heights, transform, tolerance=steepest * 1e-8 * max(corner))  # two doubles of such a size
 
 
-NAMES = ["höhe Ätna.tif", "地形 01.tif", "a b  c.tif", "100% & more.tif", "it's \"quoted\".tif", "semi;colon,comma.tif"]
+NAMES = ["höhe Ätna.tif", "地形 01.tif", "a b  c.tif", "100% & more.tif", 'it\'s "quoted".tif', "semi;colon,comma.tif"]
 NAMES += ["#hash?q=1.tif", "-dash.tif", "new\nline.tif", "UPPER.TIF", "dot.in.name.tiff", "e\u0301 decomposed.tif"]
 
 

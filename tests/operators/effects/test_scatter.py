@@ -50,6 +50,33 @@ def scatter(terrain):
     return new_scatter(terrain, 12.0)
 
 
+@pytest.mark.parametrize("camera", ["shifted", "small", "orthographic", "in a scaled rig"])
+def test_unusual_cameras_see_points_that_keep_their_places(scene, terrain, scatter, camera):
+    """None loses all its points, and what two cameras see has the same number at the same place."""
+
+    def points() -> dict[int, tuple]:
+        bpy.context.view_layer.update()
+        session.update_object(terrain)
+        return dict(zip(attribute(scatter, "id", 1, np.int32).tolist(), map(tuple, positions(scatter)), strict=True))
+
+    usual, shown = points(), scene.camera
+    count = len(usual)
+    if camera == "shifted":
+        shown.data.shift_y = 0.2
+    elif camera == "small":  # as FBX brings cameras
+        shown.scale = (0.01, 0.01, 0.01)
+    elif camera == "orthographic":
+        shown.data.type, shown.data.ortho_scale = "ORTHO", 400.0
+    else:
+        rig = bpy.data.objects.new("rig", None)
+        scene.collection.objects.link(rig)
+        rig.scale, shown.parent, shown.location = (100.0, 100.0, 100.0), rig, shown.location / 100.0
+    found = points()
+    both = usual.keys() & found.keys()
+    assert len(both) > 20 and all(usual[number] == found[number] for number in both)
+    assert camera not in ("small", "in a scaled rig") or abs(len(found) - count) <= 0.02 * count
+
+
 def instances(obj):
     """The world matrices of an object's instances, and what is instanced."""
     depsgraph = bpy.context.evaluated_depsgraph_get()

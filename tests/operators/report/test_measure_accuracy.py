@@ -39,7 +39,7 @@ def terrain(scene, add_terrain):
 
 @pytest.fixture(autouse=True)
 def undisturbed(monkeypatch):
-    """Other programs may disturb the times: no spread of them is too large."""
+    """Accept any spread of the times, which other programs may disturb."""
     monkeypatch.setattr(sweep, "MAX_SPREAD", math.inf)
 
 
@@ -235,7 +235,7 @@ def test_errors_that_take_too_many_triangles_are_left_out(terrain, monkeypatch):
 
 
 def disturbed(monkeypatch, factors):
-    """Let the runs of each further measurement of an error differ by the next of the factors, then by the last."""
+    """Make the runs of each further measurement of an error differ by the next factor, at last by the last one."""
     factors = list(factors)
 
     def timed_runs(terrain, criterion, frame, write):

@@ -158,7 +158,7 @@ def test_missing_tiles_of_a_sparse_tiff(tmp_path, no_data):
 def test_no_data_differs_between_bands_of_a_mosaic(tmp_path):
     for number in (1, 2):
         heights = hills() + number
-        heights[:, :9] = -number
+        heights[:, : 9 * number] = -number
         write_raster(tmp_path / f"{number}.tif", heights)
     bands = (
         f'<VRTRasterBand dataType="Float32" band="{n}"><NoDataValue>{-n}</NoDataValue><SimpleSource><SourceFilename '
@@ -167,7 +167,7 @@ def test_no_data_differs_between_bands_of_a_mosaic(tmp_path):
     )
     (tmp_path / "a.vrt").write_text(f'<VRTDataset rasterXSize="40" rasterYSize="30">{"".join(bands)}</VRTDataset>')
     field, report = imported(tmp_path, tmp_path / "a.vrt", band=2, **SIZE)
-    assert report["filled"] == 270 and np.array_equal(field.heights()[::-1, 9:], (hills() + 2)[:, 9:])
+    assert report["filled"] == 540 and np.array_equal(field.heights()[::-1, 18:], (hills() + 2)[:, 18:])
 
 
 def test_a_mosaic_that_lacks_a_tile_has_no_data_there(tmp_path):

@@ -53,8 +53,8 @@ def main(folder: str, first: str, count: str) -> None:
         kind = ("land", "scene", "summary", "file")[seed % 4]
         done, arguments, prepare = MUTATIONS[kind](work, scene, rng)
         writable = {work / "out", work / "gift" / "st_land"}
-        if not os.path.lexists(work / "gift" / "st"):
-            writable.add(work / "gift" / "st")  # a verb may import the store again
+        if not os.path.lexists(work / "gift" / "st" / "store.json"):
+            writable.add(work / "gift" / "st")  # a verb may import the store again, and remove its old arrays
         before = _contents(work, kind, writable)
         status, text, seconds = _in_fork(lambda a=arguments, p=prepare: _run(p, a))
         fault = _fault(status, text, seconds)

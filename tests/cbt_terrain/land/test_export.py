@@ -19,6 +19,7 @@ PLACES = {
     "utm": ("EPSG:32632", Affine(30.0, 0, 500_000.0, 0, -20.0, 5_200_000.0)),
     "degrees": ("EPSG:4326", Affine(1 / 3600, 0, 10.25, 0, -1 / 1200, 46.5)),
     "feet": ("EPSG:2263", Affine(30.0, 0, 980_000.0, 0, -30.0, 200_000.0)),
+    "south first": ("EPSG:32632", Affine(30.0, 0, 500_000.0, 0, 20.0, 5_200_000.0)),
 }
 
 
@@ -44,7 +45,7 @@ def shaped(tmp_path):
     return make
 
 
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", ["utm", "degrees", "feet"])
 def test_a_geotiff_has_the_pixels_and_the_place_of_the_source(shaped, tmp_path, place):
     heights, store = shaped(place)
     files = export_raster(store, tmp_path / "old.tif")
@@ -76,6 +77,14 @@ def test_an_exr_has_the_same_pixels(shaped, tmp_path):
         pixels = OpenEXR.File(str(file), separate_channels=True).parts[0].channels["Y"].pixels
         assert pixels.dtype == np.float32 and pixels.shape == (290, 333)
         assert expected is None or (pixels == expected).all()
+
+
+def test_a_raster_from_south_to_north_is_written_from_the_north(shaped, tmp_path):
+    heights, store = shaped("south first")
+    files = export_raster(store, tmp_path / "old.tif")
+    with rasterio.open(files[0]) as found:
+        assert (found.read(1) == heights[::-1]).all()
+        assert found.transform[:6] == pytest.approx((30.0, 0, 500_000.0, 0, -20.0, 5_200_000.0 + 20.0 * 290), abs=1e-6)
 
 
 @pytest.mark.parametrize("suffix", [".tif", ".exr"])

@@ -47,6 +47,8 @@ def _damage(file: Path, rng: np.random.Generator) -> str:
         return f"{file.name} was gone"
     raw = bytearray(file.read_bytes())
     dtype = np.dtype(re.search(rb"'descr': '([^']*)'", raw[:PAGE])[1].decode())
+    if dtype.hasobject:
+        return f"{file.name} was replaced"
     nbytes = _data_bytes(len(raw))
     data = np.frombuffer(raw, np.uint8, nbytes, PAGE)
     values = data[: nbytes // dtype.itemsize * dtype.itemsize].view(dtype)

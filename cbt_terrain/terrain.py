@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A terrain: one height field and what keeps its mesh up to date with the views."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,10 +15,12 @@ from .ask.spans import Plan, Spans, spans_of
 from .ask.view import View, listed_views
 from .errors import TerrainError
 from .field.heightfield import HeightField
-from .mesh.builder import SurfaceBuilder, TornMesh
+from .history.frame_history import FrameHistory
+from .mesh.builder import SurfaceRequest, build_surface
 from .mesh.pieces import Pieces, middles
 from .mesh.rising import Rising
 from .mesh.surface import Surface
+from .mesh.welding import TornMesh
 from .plain_numbers import plain_number, rows, vertical
 from .refine.contract import (
     MARGIN,
@@ -33,12 +34,11 @@ from .refine.contract import (
 )
 from .refine.domain import depth_limit, make_domain, pack, usual_depth
 from .refine.horizon import RAMP, horizon_of, place_rings
-from .refine.refinement import MAX_TRIANGLES, Refinement
+from .refine.refinement import MAX_TRIANGLES, refine, replay
+from .refine.request import RefinementRequest
 from .refine.saved_leaves import depths_in_squares
 from .refine.terms import Terms, position_rounding, rounding
 from .run import launch
-from .run.buffers import Buffers
-from .run.locks import SharedLock
 from .tree.location import locate
 
 
@@ -84,64 +84,50 @@ class Update:
         return f"<{type(self).__name__}: {', '.join((f'{self.triangles:,} triangles', *bounds))}>"
 
 
+@dataclass
+class _Result:
+    """What is known of the last mesh.
+
+    `shape`: the arguments that place its leaves' vertices, in the order of `_shape`. `horizon`: arguments of
+    `horizon_of`, if what it hides is known. `pieces`: of the surface, once triangles at points are requested.
+    """
+
+    update: Update
+    shape: tuple
+    horizon: tuple | None = None
+    pieces: Pieces | None = None
+
+
 class Terrain:
     """The adaptive mesh of one height field. Updates are pure: the same arguments give the same bytes.
 
     Threads may share a terrain: one call waits for another. `threads`: how many of its own it computes with, all cores
-    by default. `whole`: with what of the triangles reaches beyond the raster's rim, where the mesh is cut otherwise.
+    by default. `whole`: triangles that reach beyond the border of the raster are not cut there. `history` holds what
+    survives an update, which only saves time.
     """
 
     def __init__(self, field: HeightField, threads: int | None = None, whole: bool = False):
         self.field = field
         self.threads = launch.checked_threads(threads)
+        self.history = FrameHistory()
         self._whole = whole
-        self._lock, self._is_busy = SharedLock(), False
-        self._begin()
-
-    def _begin(self) -> None:
-        """Begin without a mesh."""
-        self._buffers = Buffers()
-        self._refinement = Refinement(self.field, self._buffers, self.threads)
-        self._builder = SurfaceBuilder(self.field, self._buffers, self.threads, self._whole)
-        self._domain, self._domain_key = None, None
-        self._asked_key = None
-        self._shape_key = None
-        self._last: Update | None = None
-        self._hides: tuple | None = None  # of the last mesh: arguments of `horizon_of`, if any
-        self._pieces: Pieces | None = None  # of the surface that was last asked for a place
-
-    @contextmanager
-    def _alone(self) -> Iterator[None]:
-        """Keep other threads out. In a process that was forked while one was inside, begin anew."""
-        with self._lock:
-            if self._lock.broken:
-                self._begin()
-                self._lock.broken = self._is_busy = False
-            if self._is_busy:
-                raise TerrainError(
-                    "The terrain is being updated on this thread, where a signal or a callback interrupted it; "
-                    "expected one call after the other: call it later."
-                )
-            self._is_busy = True
-            try:
-                yield
-            finally:
-                self._is_busy = False
+        self._placed: tuple[tuple, Domain] | None = None  # the last placed domain, and its arguments
 
     def __repr__(self) -> str:
         lattice = self.field.lattice
-        mesh = f"{self._last.triangles:,} triangles" if self._last else "no mesh yet"
+        last = self.history.last.result
+        mesh = f"{last.update.triangles:,} triangles" if last else "no mesh yet"
         return f"<Terrain: {lattice.width:,} x {lattice.height:,} samples, {mesh}>"
 
     @property
     def tree(self):
         """The concurrent binary tree of the last update."""
-        return self._refinement.tree
+        return self.history.tree
 
     @property
     def buffer_bytes(self) -> int:
         """Address space of the engine's arrays; the system commits what is touched of it."""
-        return self._buffers.nbytes + (self.tree.nbytes if self.tree else 0)
+        return self.history.nbytes
 
     def update(
         self,
@@ -161,16 +147,15 @@ class Terrain:
         views, placement = listed_views(views), np.eye(4) if placement is None else np.array(placement, np.float64)
         heights = vertical(vertical_scale, vertical_offset)
         key = (criterion, tuple(v.key() for v in views), placement.tobytes(), *heights)
-        return self._made(key, lambda ms: self._update(criterion, views, placement, *heights, ms))
+        return self._make(key, lambda ms: self._update(key, criterion, views, placement, *heights, ms))
 
     def saved(self) -> tuple[bytes, dict]:
         """The tree of the last update as bytes, and the other arguments with which `restore` makes its mesh again.
 
         Where points were rising it says until which ratio: of their heights the tree knows nothing.
         """
-        with self._alone():
-            self._need_update()
-            meshlet, _, scale, offset, morph = self._shape_key
+        with self.history.alone():
+            meshlet, _, scale, offset, morph = self._need_result().shape
             how = {"meshlet": meshlet, "vertical_scale": scale, "vertical_offset": offset}
             return self.tree.to_bytes(), how | ({"morph": morph} if morph > 1 else {})
 
@@ -190,50 +175,55 @@ class Terrain:
         """
         meshlet = plain_number(meshlet, int, "The meshlet level of the saved tree")
         heights = vertical(vertical_scale, vertical_offset)
-        return self._made((tree, meshlet, *heights), lambda ms: self._restore(tree, meshlet, *heights, ms))
+        key = (tree, meshlet, *heights)
+        return self._make(key, lambda ms: self._restore(key, tree, meshlet, *heights, ms))
 
-    def _made(self, key: tuple, make: Callable[[dict[str, float]], Update]) -> Update:
-        """What `make` makes, given where to note milliseconds; or the last update where the same is asked again."""
-        with self._alone():
-            if key == self._asked_key:
-                return replace(self._last, changed=False, ms={})
+    def _make(self, key: tuple, make: Callable[[dict[str, float]], Update]) -> Update:
+        """Return what `make` makes, given where to note milliseconds; or the last update if its key is the same."""
+        with self.history.alone():
+            if self.history.begin(key):
+                return replace(self.history.last.result.update, changed=False, ms={})
             with launch.stopwatch() as ms, launch.timed("total"):
-                update = make(ms)
-            self._asked_key, self._last = key, update
-            return update
+                return make(ms)
 
-    def _build(self, *what) -> Surface:
-        """Build a surface. The memory of the last one is free for it, unless a caller still uses that."""
-        self._last = self._pieces = None
-        return self._builder.build(*what)
+    def _build(self, request: SurfaceRequest, changed: bool) -> Surface:
+        """Build a surface of the next frame's leaves, or keep that of the last frame if nothing has changed."""
+        if changed:
+            return build_surface(self.field, request, self.history, self.threads)
+        return self.history.last.result.update.surface
 
-    def _restore(self, tree: bytes, meshlet: int, vertical_scale: float, vertical_offset: float, ms) -> Update:
+    def _restore(self, key, tree: bytes, meshlet: int, vertical_scale: float, vertical_offset: float, ms) -> Update:
         box_of(self.field, vertical_scale, vertical_offset)
         cell_bits, depths = depths_in_squares(tree, self.field, meshlet)
         depth = int(depths.max())
         domain = self._placed_domain(meshlet, depth, vertical_scale, vertical_offset)
         shape = (meshlet, depth, vertical_scale, vertical_offset, 1.0)
-        self._asked_key, shape_key, self._shape_key = None, self._shape_key, None
-        leaves, error = self._refinement.replay(domain, depths, cell_bits)
-        changed = leaves.changed or shape != shape_key
-        try:
-            surface = self._build(leaves, domain, meshlet) if changed else self._last.surface
-        except TornMesh:
-            raise TerrainError(
-                "The saved tree has leaves that do not fit together, so no terrain had it; save it again."
-            ) from None
-        self._shape_key = shape
-        self._hides = None
-        parts = error * domain.error_scale, domain.rounding + domain.most_lean, domain.source
-        most_m = add_up(parts) * (1 + MARGIN)
-        return Update(
-            surface=surface,
-            leaves=leaves.total,
-            changed=changed,
-            ms=ms,
-            bound_m=most_m,
-            terms_m=Terms.shares(most_m, *parts),
-        )
+        with self.history.writing():
+            leaves, error = replay(self.field, domain, depths, cell_bits, self.history)
+            changed = leaves.changed or self._is_other(shape)
+            try:
+                surface = self._build(SurfaceRequest(domain, meshlet, whole=self._whole), changed)
+            except TornMesh:
+                raise TerrainError(
+                    "The saved tree is corrupt: its leaves do not form a conforming mesh. Save it again."
+                ) from None
+            parts = error * domain.error_scale, domain.rounding + domain.most_lean, domain.source
+            most_m = add_up(parts) * (1 + MARGIN)
+            update = Update(
+                surface=surface,
+                leaves=leaves.total,
+                changed=changed,
+                ms=ms,
+                bound_m=most_m,
+                terms_m=Terms.shares(most_m, *parts),
+            )
+            self.history.commit(key, _Result(update, shape), keeps_vertices=not changed)
+        return update
+
+    def _is_other(self, shape: tuple) -> bool:
+        """Return whether the last frame displaced its leaves otherwise."""
+        last = self.history.last.result
+        return last is None or last.shape != shape
 
     def triangles_at(self, places: np.ndarray) -> np.ndarray:
         """Which triangle of the last update's surface is at each place: int64 [n]; -1 in holes and beyond the raster.
@@ -242,28 +232,29 @@ class Terrain:
         were cut at a rim or for holes, their parts are looked through too, which are listed once for a surface.
         """
         places = rows(places, 2, "places")
-        with self._alone():
-            self._need_update()
-            surface, lattice, meshlet = self._last.surface, self.field.lattice, self._shape_key[0]
+        with self.history.alone():
+            last, lattice = self._need_result(), self.field.lattice
+            surface, meshlet = last.update.surface, last.shape[0]
             found = locate(self.tree, lattice, places, meshlet)
             if not lattice.is_padded and self.field.valid is None:
                 return found
-            if self._pieces is None or self._pieces.surface is not surface:
-                self._pieces = Pieces.of(surface, locate(self.tree, lattice, middles(surface), meshlet))
-            return self._pieces.at(found, places)
+            if last.pieces is None:
+                last.pieces = Pieces.of(surface, locate(self.tree, lattice, middles(surface), meshlet))
+            return last.pieces.at(found, places)
 
     def horizon(self) -> "Asked | None":
         """The maps of what the last update's mesh hides from the views that it was for; None where that is not known:
         without views and an error asked, of a restored tree, and with holes, through which one sees."""
-        with self._alone():
-            self._need_update()
-            return horizon_of(self.field, *self._hides, self.threads) if self._hides else None
+        with self.history.alone():
+            last = self._need_result()
+            return horizon_of(self.field, *last.horizon, self.threads) if last.horizon else None
 
-    def _need_update(self) -> None:
-        if self._last is None or self._shape_key is None:
+    def _need_result(self) -> _Result:
+        if self.history.last.result is None:
             raise TerrainError("The terrain has no mesh yet; update it first.")
+        return self.history.last.result
 
-    def _update(self, criterion, views, placement, vertical_scale, vertical_offset, ms) -> Update:
+    def _update(self, key, criterion, views, placement, vertical_scale, vertical_offset, ms) -> Update:
         box = box_of(self.field, vertical_scale, vertical_offset)
         _check(criterion, views, placement)
         depth = self._max_depth(criterion)
@@ -281,45 +272,46 @@ class Terrain:
         if criterion.hides and self.field.valid is None:  # through holes one sees what ground beside them hides
             place_rings(domain, local, criterion.hidden_factor, RAMP if rises_until > 1 else 0.0)
         asked = pack(criterion, local, spans, domain.source)
-        # From here on an update that is stopped leaves nothing that the next one may take for a mesh.
-        self._asked_key, shape_key, self._shape_key = None, self._shape_key, None
-        changed = shape != shape_key or rises_until > 1
-        most = _max_leaves(criterion)
-        while True:
-            limited = criterion.max_triangles is not None
-            leaves, relaxed = self._refinement.run(domain, asked, depth, most, limited, rises_until)
-            # The same leaves displaced the same way are the same mesh.
-            changed |= leaves.changed
-            rising = Rising(asked, rises_until, relaxed) if rises_until > 1 else None
-            surface = None  # or its memory would be in use
-            surface = self._build(leaves, domain, criterion.meshlet, rising) if changed else self._last.surface
-            # The cut at the rim makes two of some triangles.
-            over = 0 if criterion.max_triangles is None else len(surface.level) - criterion.max_triangles
-            if over <= 0 or leaves.total > most:
-                break
-            most = leaves.total - 1  # the next step: with more triangles to spend a mesh is never coarser
-        self._shape_key, self._hides = shape, None
-        if local and (criterion.error_px or criterion.error_m) and self.field.valid is None:
-            self._hides = domain, asked, depth, relaxed * rises_until * (1 + MARGIN)
-        outcome = Outcome(
-            domain=domain,
-            asked=asked,
-            relaxed=relaxed,
-            stopped=leaves.stopped,
-            max_depth=depth,
-            deepest=int(surface.level.max(initial=0)) - 2 * criterion.meshlet,
-            relief=float(box[1, 2] - box[0, 2]) * (1 + MARGIN),
-            buffers=self._buffers,
-        )
-        return _described(criterion, spans, outcome, surface=surface, leaves=leaves.total, changed=changed, ms=ms)
+        with self.history.writing():
+            changed = self._is_other(shape) or rises_until > 1
+            most, limited = _max_leaves(criterion), criterion.max_triangles is not None
+            while True:
+                request = RefinementRequest(domain, asked, depth, most, limited, rises_until)
+                leaves, relaxed = refine(self.field, request, self.history, self.threads)
+                # The same leaves displaced the same way are the same mesh.
+                changed |= leaves.changed
+                rising = Rising(asked, rises_until, relaxed) if rises_until > 1 else None
+                surface = None  # or its memory would be in use
+                surface = self._build(SurfaceRequest(domain, criterion.meshlet, rising, self._whole), changed)
+                # The cut at the border makes two of some triangles.
+                over = len(surface.level) - criterion.max_triangles if limited else 0
+                if over <= 0 or leaves.total > most:
+                    break
+                most = leaves.total - 1  # the next step: with more triangles to spend a mesh is never coarser
+            hides = None
+            if local and (criterion.error_px or criterion.error_m) and self.field.valid is None:
+                hides = domain, asked, depth, relaxed * rises_until * (1 + MARGIN)
+            outcome = Outcome(
+                domain=domain,
+                asked=asked,
+                relaxed=relaxed,
+                stopped=leaves.stopped,
+                max_depth=depth,
+                deepest=int(surface.level.max(initial=0)) - 2 * criterion.meshlet,
+                relief=float(box[1, 2] - box[0, 2]) * (1 + MARGIN),
+                buffers=self.history.scratch,
+            )
+            made = {"surface": surface, "leaves": leaves.total, "changed": changed, "ms": ms}
+            update = _described(criterion, spans, outcome, **made)
+            self.history.commit(key, _Result(update, shape, hides), keeps_vertices=not changed)
+        return update
 
     def _placed_domain(self, meshlet: int, depth: int, vertical_scale: float, vertical_offset: float) -> Domain:
         key = (meshlet, depth, vertical_scale, vertical_offset)
-        if key != self._domain_key:
+        if self._placed is None or self._placed[0] != key:
             rounded = rounding(self.field, depth + 2 * meshlet, vertical_scale, vertical_offset)
-            self._domain = make_domain(self.field, meshlet, vertical_scale, vertical_offset, rounded)
-            self._domain_key = key
-        return self._domain
+            self._placed = key, make_domain(self.field, meshlet, vertical_scale, vertical_offset, rounded)
+        return self._placed[1]
 
     def _max_depth(self, criterion: Criterion) -> int:
         """Deepest bisection of a leaf, its meshlet's own bisections taken off."""

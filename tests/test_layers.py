@@ -38,7 +38,7 @@ ROOMS = {
         "accuracy",
     ],
     "cbt_terrain": [
-        *("errors", "plain_numbers", "run", "ask", "field", "tree", "refine", "mesh", "terrain", "query"),
+        *("errors", "plain_numbers", "run", "ask", "field", "tree", "history", "refine", "mesh", "terrain", "query"),
         *("effects", "evaluate", "scatter", "maps", "importing", "land_effects", "land", "fit", "accuracy"),
     ],
     "operators": [

@@ -3,14 +3,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
+from ...kernels.field.detail import Coats
 from ..errors import TerrainError
 from ..run.locks import caching
 from . import codes
-from .coats import Ground, parts_of
+from .coats import Ground, packed, parts_of
 from .detail_bounds import Part, highest
 from .lattice import Lattice
 
@@ -96,6 +98,11 @@ class HeightField:
         lattice = self.lattice
         bits = PLANE_BITS - (max(lattice.columns, lattice.rows) - 1).bit_length() - lattice.levels
         return min(lattice.step_x, lattice.step_y) * 2.0**-bits
+
+    @cached_property
+    def packed_detail(self) -> "Coats | None":
+        """The detail as kernels read it; None without one."""
+        return packed(self.detail, self.finest_edge, self.lattice) if self.detail else None
 
     @property
     def parts(self) -> list[Part]:

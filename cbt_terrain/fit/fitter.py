@@ -27,11 +27,13 @@ from ...kernels.refine.pixels import Asked, LocalView
 from ..ask.linear import add_up
 from ..field import codes
 from ..field.heightfield import HeightField
+from ..history.frame_history import FrameHistory
 from ..mesh import borders
-from ..mesh.builder import SurfaceBuilder
+from ..mesh.builder import SurfaceRequest, build_surface
 from ..mesh.surface import Surface
 from ..refine.domain import DEPTH_BELOW_CELLS, make_domain, usual_depth
-from ..refine.refinement import MAX_TRIANGLES, Refinement
+from ..refine.refinement import MAX_TRIANGLES, refine
+from ..refine.request import RefinementRequest
 from ..refine.terms import DISPLACEMENT_ERROR, SINGLE_BITS, Terms, left_of, rounding
 from ..run import launch
 from ..run.buffers import Buffers, shared
@@ -92,16 +94,16 @@ class Fitter:
         if not self.scale or self.field.valid is not None:
             return None
         field, buffers = self.field, Buffers()
-        refinement = Refinement(field, buffers, self.threads)
-        builder = SurfaceBuilder(field, buffers, self.threads, whole=True)
+        history = FrameHistory()
         error, table = self._codes(error_m)
         domain = make_domain(replace(field, error=error, expanded={}), 0, *self.placement)
         domain.table = shared(table, wp.float32)
         m, asked, known = self._mesh(error_m), _asked(error_m), self._nothing_known()
         m.codes, work = shared(error, wp.uint8), Sweeps(self, m, buffers)
         for rounds in range(1, MAX_MESHES + 1):
-            leaves, _ = refinement.run(domain, asked, self.depth, MAX_TRIANGLES)
-            surface = builder.build(leaves, domain, 0)
+            refine(field, RefinementRequest(domain, asked, self.depth, MAX_TRIANGLES), history, self.threads)
+            surface = build_surface(field, SurfaceRequest(domain, whole=True), history, self.threads)
+            history.commit()
             work.bind(surface, known)
             if rounds > 1:
                 self._measure(m, surface)

@@ -8,6 +8,7 @@ import warp as wp
 from ...kernels.morph import residual as kernels
 from ...kernels.morph.residual import FRONT, REMEMBERED, Ahead, Known, Memory
 from ...kernels.refine.pixels import Asked
+from ..history.frame_history import FrameHistory
 from ..run.buffers import Buffers, bind
 
 
@@ -20,8 +21,8 @@ class Rising:
     end: float
     relaxed: float
 
-    def pack(self, coats, meshlet: int, vertices: int, buffers: Buffers) -> kernels.Rising:
-        """`coats`: of the detail, or None. What is known of points for the next frame is in the buffers."""
+    def pack(self, coats, meshlet: int, vertices: int, history: FrameHistory) -> kernels.Rising:
+        """Return what the kernel reads. `coats`: of the detail, or None."""
         rising = kernels.Rising()
         rising.asked, ramp = self.asked, rising.ramp
         ramp.limit, ramp.end2, ramp.steep = (
@@ -32,7 +33,7 @@ class Rising:
         ramp.bisections = 2 * meshlet
         if coats:
             ramp.coats = coats
-        known, last = buffers.get("known", vertices, Known), buffers.get("last_known", 1, Known)
+        known, last = history.next.arrays.get("known", vertices, Known), history.last.arrays.get("known", 1, Known)
         bind(rising, known=known, last_known=last)
         return rising
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Arrays that live as long as a terrain and only ever grow, so that a warm frame allocates nothing.
 
-Results are lent: their arrays are read-only, and while one of them is in use its memory is not written again.
+Results are lent (`Loans`): their arrays are read-only, and while one of them is in use its memory is not written.
 """
 
 import weakref
-from collections.abc import Container
+from collections.abc import Container, Iterable
 
 import numpy as np
 import warp as wp
@@ -43,16 +43,51 @@ def _scalar(dtype):
     return dtype.numpy_dtype() if hasattr(dtype, "numpy_dtype") else wp.dtype_to_numpy(dtype)
 
 
+class Loans:
+    """Memory that callers may still read: their arrays are read-only, and it is not written while one is in use."""
+
+    def __init__(self):
+        self._lent: list[tuple[np.ndarray, weakref.ref[np.ndarray]]] = []  # memory, and an array over it
+
+    def lend(self, memory: np.ndarray, count: int) -> np.ndarray:
+        """Return the first `count` items of some memory, read-only."""
+        # Over a memoryview numpy cannot make it writable, and views of it refer to it rather than to the memory.
+        lent = np.asarray(memoryview(memory[:count]).toreadonly())
+        self._lent.append((memory, weakref.ref(lent)))
+        return lent
+
+    def reclaim(self, written: "Iterable[Buffers]", kept: "Buffers") -> None:
+        """Give buffers other memory where a lent array is in use: rubbish in those `written`, a copy in those `kept`.
+
+        Memory of arrays that were let go of is used again.
+        """
+        in_use = {id(memory): memory for memory, lent in self._lent if lent() is not None}
+        returned = {id(memory): memory for memory, _ in self._lent if id(memory) not in in_use}
+        self._lent = [(memory, lent) for memory, lent in self._lent if id(memory) in in_use]
+        everything = [*written, kept]
+        held = {id(memory) for buffers in everything for memory in buffers.memory()}
+        spare = [memory for memory in returned.values() if id(memory) not in held]
+        for buffers in everything:
+            buffers.replace(in_use, spare, copy=buffers is kept)
+
+    def memory(self) -> list[np.ndarray]:
+        """List the memory that was lent."""
+        return [memory for memory, _ in self._lent]
+
+
 class Buffers:
-    """Named Warp arrays over uninitialised memory, which the system commits as it is touched."""
+    """Named Warp arrays over uninitialised memory, which the system commits as it is touched.
+
+    `launches` are recorded with structs that are bound to these arrays: see `launch.slices`.
+    """
 
     def __init__(self):
         self._arrays: dict[str, tuple[np.ndarray, wp.array]] = {}
-        # Memory, and the arrays that were lent of it: of buffers, and of what were buffers.
-        self._lent: list[tuple[np.ndarray, weakref.ref[np.ndarray]]] = []
+        self._structs: dict = {}
+        self.launches: dict = {}
 
     def get(self, name: str, count: int, dtype) -> wp.array:
-        """At least `count` items of a Warp dtype; the contents are kept only if it did not have to grow."""
+        """Return at least `count` items of a Warp dtype; the contents are kept only if the array need not grow."""
         held = self._arrays.get(name)
         if held is None or len(held[0]) < count:
             scalar, columns = _NUMPY.get(dtype) or (_scalar(dtype), 1)
@@ -61,8 +96,20 @@ class Buffers:
             self._arrays[name] = held = (array, shared(array, dtype))
         return held[1]
 
+    def struct(self, kind, slot: int = 0):
+        """Return a Warp struct of one kind for a slot, always the same one: see `bind`."""
+        if (kind, slot) not in self._structs:
+            self._structs[kind, slot] = kind()
+        return self._structs[kind, slot]
+
+    def table(self, name: str, values: np.ndarray, dtype) -> wp.array:
+        """Return a buffer that begins with `values`."""
+        table = self.get(name, values.size, dtype)
+        self.numpy(name)[: values.size] = values.reshape(-1)
+        return table
+
     def extend(self, name: str, count: int) -> np.ndarray:
-        """The memory of a buffer with room for at least `count` items; the contents are kept."""
+        """Return the memory of a buffer with room for at least `count` items; the contents are kept."""
         array, shared_array = self._arrays[name]
         if len(array) < count:
             larger = np.empty((int(1.25 * count), *array.shape[1:]), array.dtype)
@@ -70,42 +117,40 @@ class Buffers:
             self._arrays[name] = (larger, shared(larger, shared_array.dtype))
         return self.numpy(name)
 
-    def swap(self, a: str, b: str) -> None:
-        """What was called one is called the other; a name that nothing has yet stays free."""
-        held = {a: self._arrays.pop(b, None), b: self._arrays.pop(a, None)}
-        self._arrays |= {name: array for name, array in held.items() if array is not None}
+    def exchange(self, other: "Buffers", names: Iterable[str]) -> None:
+        """Exchange the arrays of these names with other buffers, which may lack some of them."""
+        for name in names:
+            pair = other._arrays.pop(name, None), self._arrays.pop(name, None)
+            for buffers, held in zip((self, other), pair, strict=True):
+                if held is not None:
+                    buffers._arrays[name] = held
 
     def numpy(self, name: str) -> np.ndarray:
-        """The memory of a buffer that `get` has made."""
+        """Return the memory of a buffer that `get` has made."""
         return self._arrays[name][0]
 
-    def lend(self, name: str, count: int) -> np.ndarray:
-        """Return the first `count` items of a buffer, read-only."""
-        memory = self.numpy(name)
-        # Over a memoryview numpy cannot make it writable, and views of it refer to it rather than to the memory.
-        lent = np.asarray(memoryview(memory[:count]).toreadonly())
-        self._lent.append((memory, weakref.ref(lent)))
-        return lent
-
-    def reclaim(self, keep: Container[str]) -> None:
-        """Replace the memory of every buffer of which a lent array is in use; those named in `keep` are copied."""
-        in_use = {id(memory): memory for memory, lent in self._lent if lent() is not None}
-        returned = {id(memory): memory for memory, _ in self._lent if id(memory) not in in_use}
-        current = {id(memory) for memory, _ in self._arrays.values()}
-        spare = [memory for memory in returned.values() if id(memory) not in current]
-        for name, (memory, shared_array) in self._arrays.items():
-            if id(memory) in in_use:
-                fresh = _taken_from(spare, memory)
-                if name in keep:
-                    np.copyto(fresh[: len(memory)], memory)
-                self._arrays[name] = fresh, shared(fresh, shared_array.dtype)
-        self._lent = [(memory, lent) for memory, lent in self._lent if id(memory) in in_use]
+    def memory(self) -> list[np.ndarray]:
+        """List the memory of all buffers."""
+        return [array for array, _ in self._arrays.values()]
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays, touched or not, with what is lent of earlier ones."""
-        memory = [array for array, _ in self._arrays.values()] + [array for array, _ in self._lent]
-        return sum(int(array.nbytes) for array in {id(array): array for array in memory}.values())
+        """Bytes of all arrays, touched or not."""
+        return address_space(self.memory())
+
+    def replace(self, in_use: Container[int], spare: list[np.ndarray], copy: bool) -> None:
+        """Take other memory, spare memory first, in place of memory with an id `in_use`; `copy`: with its contents."""
+        for name, (memory, shared_array) in self._arrays.items():
+            if id(memory) in in_use:
+                fresh = _taken_from(spare, memory)
+                if copy:
+                    np.copyto(fresh[: len(memory)], memory)
+                self._arrays[name] = fresh, shared(fresh, shared_array.dtype)
+
+
+def address_space(memory: Iterable[np.ndarray]) -> int:
+    """Return the bytes of some memory, touched or not; arrays that occur twice count once."""
+    return sum(int(array.nbytes) for array in {id(array): array for array in memory}.values())
 
 
 def _taken_from(spare: list[np.ndarray], memory: np.ndarray) -> np.ndarray:

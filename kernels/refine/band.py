@@ -18,7 +18,7 @@ LEAF = wp.constant(0)
 SPLIT = wp.constant(1)
 DOUBT = wp.constant(2)  # only measuring can tell
 EVEN_BLOCK = wp.constant(3)  # its leaves are all of one depth
-TAKEN = wp.constant(4)  # its leaves are those of the last frame
+REUSED = wp.constant(4)  # its leaves are copied from the last frame
 
 
 @wp.struct

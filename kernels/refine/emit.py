@@ -6,7 +6,7 @@ import warp as wp
 
 from ..field.domain import Domain
 from ..unchecked import number_cells, put
-from .band import EVEN_BLOCK, LEAF, TAKEN
+from .band import EVEN_BLOCK, LEAF
 from .block import new_vertices, write_block
 from .curve import (
     BORDER,
@@ -116,7 +116,7 @@ def emit_block(w: Walk, q: Square, c: Cursor, n: Written, depth: wp.int32) -> wp
 
 @wp.func
 def emit(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written, verdict: wp.int32) -> Written:
-    """Write what is final of a triangle, and count it; what is taken is written already."""
+    """Write and count the leaves of a triangle whose verdict is final: LEAF or EVEN_BLOCK."""
     leaves = wp.int32(0)
     vertices = wp.int32(0)
     edges = wp.int32(0)
@@ -129,11 +129,6 @@ def emit(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written, verdict: wp.
         leaves = 1 << (depth - c.depth)
         vertices = emit_block(w, q, c, n, depth)
         edges = leaves + vertices
-    elif verdict == TAKEN:
-        sizes = w.keeper[w.slot].sizes
-        leaves = sizes[0]
-        vertices = sizes[1]
-        edges = sizes[2]
     n.leaves = n.leaves + wp.int64(leaves)
     n.vertices = n.vertices + wp.int64(vertices)
     n.edges = n.edges + wp.int64(edges)

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The method without its short cuts: where to begin reading, and what the tests hold the walk against.
+"""The method as a kernel without short cuts and without a past: the tests compare the walk with it.
+
+cbt_terrain/refine/reference.py is the same method in Python, and the place to begin reading.
 
 A triangle is split if its *diamond* is too coarse: it and the triangle behind its longest edge, which share the vertex
 that a split makes. How coarse a diamond is follows from its error and its box alone (diamond.py). Both are nested: no
@@ -16,9 +18,8 @@ import warp as wp
 from ..field.domain import Domain
 from .band import LEAF, SPLIT, measured_at, too_coarse
 from .emit import emit
-from .kept import begin_keeping
 from .pixels import Asked
-from .steps import advance, enter, middle_of, put_results, square_at
+from .steps import STOPPED, advance, enter, middle_of, put_results, square_at
 from .stored_errors import error_at
 from .walk_state import Walk, Written
 
@@ -27,7 +28,6 @@ from .walk_state import Walk, Written
 def walk(domain: Domain, asked: Asked, w: Walk):
     """As the kernel of walk.py, for whatever is asked."""
     n = Written()
-    begin_keeping(w)
     square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
     while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and n.leaves <= w.leaf_limit:
         q = square_at(domain, w, square)
@@ -41,7 +41,7 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                 if c.depth < w.max_depth:
                     verdict = SPLIT
                 else:
-                    w.keeper[w.slot].stopped = 1
+                    w.counts[4 * w.slot + STOPPED] = wp.int64(1)
             n = emit(domain, w, q, c, n, verdict)
             c = advance(w, q, c, verdict)
         square += 1

@@ -6,7 +6,6 @@ import warp as wp
 from ..field.domain import Domain
 from .band import LEAF, SPLIT
 from .emit import emit
-from .kept import begin_keeping
 from .steps import advance, enter, middle_of, put_results, square_at
 from .stored_errors import error_at
 from .walk_state import Walk, Written
@@ -19,7 +18,6 @@ def replay(domain: Domain, w: Walk, depths: wp.array(dtype=wp.uint8), worst: wp.
     `worst` [1]: the largest error of a leaf's diamond, metres before scaling.
     """
     n = Written()
-    begin_keeping(w)
     largest = wp.float32(0.0)
     for number in range(domain.columns * domain.rows):
         q = square_at(domain, w, number)

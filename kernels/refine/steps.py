@@ -9,6 +9,8 @@ from .band import SPLIT, nothing_certain
 from .curve import HYP_LEG, LEG_HYP, left_state, right_state
 from .walk_state import STACK, Cursor, Square, Walk, Written
 
+STOPPED = wp.constant(3)  # entry of a slice's counts: 1 if a leaf is too coarse and as deep as leaves may be
+
 
 @wp.func
 def square_at(domain: Domain, w: Walk, number: wp.int32) -> Square:
@@ -98,11 +100,7 @@ def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
 
 @wp.func
 def put_results(w: Walk, n: Written):
-    """How much the slice has written, kept and taken, and whether a leaf was stopped."""
+    """Write the slice's counts beside its STOPPED flag, which the walk has set."""
     w.counts[4 * w.slot] = n.leaves
     w.counts[4 * w.slot + 1] = n.vertices
     w.counts[4 * w.slot + 2] = n.edges
-    w.counts[4 * w.slot + 3] = wp.int64(w.keeper[w.slot].stopped)
-    w.kept_counts[w.slot] = w.keeper[w.slot].count
-    w.taken[w.slot] = w.keeper[w.slot].taken
-    w.point_run_counts[w.slot] = w.keeper[w.slot].point_runs

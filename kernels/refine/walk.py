@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The refinement: one walk over the triangles in curve order that splits whatever is too coarse.
 
-plain.py is the same method without its short cuts. Here a triangle's leaves may be *taken* from the last frame
-(kept.py); else its diamond is *judged*. Below a diamond that is split, a *band* says what is certain (band.py), so most
-are judged by a look at their error, or at nothing but their depth. Only one that is in doubt is measured, and makes a
-narrower band for what is below it. Leaves of one depth are written as an even block.
+plain.py is the same method without short cuts. Here the leaves below a triangle may be *reused* from the last frame
+(reuse.py); otherwise its diamond is *judged*. Below a diamond that is split, a *band* says what is certain (band.py):
+most are judged by their error, or at their depth alone. A diamond that is in doubt is measured, and makes a
+narrower band for those below it. Leaves of one depth are written as an even block.
 """
 
 import warp as wp
@@ -14,8 +14,8 @@ from .band import (
     DOUBT,
     EVEN_BLOCK,
     LEAF,
+    REUSED,
     SPLIT,
-    TAKEN,
     Limits,
     band_below,
     foretold,
@@ -25,20 +25,30 @@ from .band import (
 )
 from .block import MAX_BISECTIONS
 from .emit import emit, stands_alone
-from .kept import begin_keeping, close_subtree, looks_for_subtree, note_turning, open_subtree, take
 from .pixels import Asked
-from .steps import advance, enter, middle_of, put_results, square_at
+from .reuse import (
+    begin_reuse,
+    close_subtree,
+    count_reused,
+    end_reuse,
+    may_begin_subtree,
+    note_turning,
+    open_subtree,
+    reuse_subtree,
+)
+from .reuse_state import Reuse
+from .steps import STOPPED, advance, enter, middle_of, put_results, square_at
 from .stored_errors import error_at, fetch_ahead, leaves_tile
 from .walk_state import STACK, Cursor, Square, Walk, Written
 
-# A diamond that is surely split is measured if depths alone decide below it, but which ones is in doubt for more than
-# so many bisections: a narrower band may leave none. One of even depth, whose box is tighter (`reach_of`).
+# Measure a diamond even if it will certainly be split when its interval leaves more than NARROWED levels undecided: a
+# tighter interval often decides them all. Only at even depths, whose boxes are tighter (`reach_of`).
 NARROWED = wp.constant(2)
 
 
 @wp.func
-def judge(domain: Domain, asked: Asked, limits: Limits, w: Walk, q: Square, c: Cursor, n: Written):
-    """The verdict on a triangle, SPLIT, LEAF or EVEN_BLOCK, and the band that holds below it."""
+def judge(domain: Domain, asked: Asked, limits: Limits, w: Walk, r: Reuse, q: Square, c: Cursor, n: Written):
+    """Return the verdict on a triangle, SPLIT, LEAF or EVEN_BLOCK, and the band that holds below it."""
     middle = middle_of(c)
     above = w.bands[c.held]
     held = c.held
@@ -49,10 +59,10 @@ def judge(domain: Domain, asked: Asked, limits: Limits, w: Walk, q: Square, c: C
     if c.depth < w.max_depth:
         narrows = above.calm == 1 and above.even_depth == 0 and (c.depth & 1) == 0
         narrows = narrows and above.leaf_depth - c.depth > NARROWED
-        if (narrows and verdict == SPLIT) or looks_for_subtree(w, q, c):
+        if (narrows and verdict == SPLIT) or may_begin_subtree(w, r, q, c):
             verdict = DOUBT
-    elif w.keeper[w.slot].stopped == 1:
-        verdict = LEAF  # and nothing more can be learnt of it
+    elif w.counts[4 * w.slot + STOPPED] == wp.int64(1):
+        verdict = LEAF  # its measure can add nothing
     if verdict == DOUBT:
         m = measured_at(domain, asked, middle[0], middle[1], c.depth, error, above.in_frame)
         verdict = LEAF
@@ -62,17 +72,17 @@ def judge(domain: Domain, asked: Asked, limits: Limits, w: Walk, q: Square, c: C
                 band = band_below(domain, asked, limits, limits, m, c.depth, w.max_depth, above.in_frame)
                 held = w.slot * STACK + c.top
                 w.bands[held] = band
-                open_subtree(asked, w, q, c, m, band, n)
-        note_turning(asked, limits, w, m)
+                open_subtree(asked, w, r, q, c, m, band, n)
+        note_turning(asked, limits, w, r, m)
     if c.depth == w.max_depth and verdict == SPLIT:
-        w.keeper[w.slot].stopped = 1
+        w.counts[4 * w.slot + STOPPED] = wp.int64(1)
         verdict = LEAF
     bisections = w.bands[held].even_depth - c.depth
     if verdict == SPLIT and bisections > 0 and bisections <= MAX_BISECTIONS:
         if stands_alone(w, q, c):
             verdict = EVEN_BLOCK
             if w.bands[held].leaf_depth > w.max_depth:
-                w.keeper[w.slot].stopped = 1
+                w.counts[4 * w.slot + STOPPED] = wp.int64(1)
     return verdict, held
 
 
@@ -88,26 +98,28 @@ def fetch_children(domain: Domain, w: Walk, c: Cursor):
 
 
 @wp.kernel
-def walk(domain: Domain, asked: Asked, w: Walk):
-    """Refine the leaves whose first deepest cell lies in the slice; what does not fit is only counted."""
-    limits = limits_of(asked, w.slack)
+def walk(domain: Domain, asked: Asked, w: Walk, r: Reuse):
+    """Refine the leaves whose first deepest cell lies in the slice; leaves that do not fit are only counted."""
+    limits = limits_of(asked, r.slack)
     n = Written()
-    begin_keeping(w)
+    begin_reuse(r, w.slot)
     square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
     while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and n.leaves <= w.leaf_limit:
         q = square_at(domain, w, square)
         c = enter(w, q)
         while c.top >= 0 and n.leaves <= w.leaf_limit:
-            verdict = take(asked, w, q, c, n)
+            verdict = reuse_subtree(asked, w, r, q, c, n)
             held = c.held
-            if verdict != TAKEN:
-                verdict, held = judge(domain, asked, limits, w, q, c, n)
+            if verdict != REUSED:
+                verdict, held = judge(domain, asked, limits, w, r, q, c, n)
             c.held = held
             n = emit(domain, w, q, c, n, verdict)
+            n = count_reused(r, w.slot, n, verdict)
             if verdict == SPLIT:
                 fetch_children(domain, w, c)
             c = advance(w, q, c, verdict)
             if verdict != SPLIT:
-                close_subtree(w, q.base + c.cell, n)
+                close_subtree(w, r, q.base + c.cell, n)
         square += 1
     put_results(w, n)
+    end_reuse(r, w.slot)

@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain import terrain as terrains
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
@@ -169,7 +170,7 @@ BUSY = """
         child = os.fork()
         if not child:
             signal.alarm(30)
-            status = 2 if SHARED._lock.broken else 0
+            status = 2 if SHARED.history._lock.broken else 0
             right = [digest(SHARED.update(FINE, [VIEWS[k]]).surface) for k in range(4)] == expected
             right = right and work(1) == expected[1]
             os._exit(status if right else 1)
@@ -201,14 +202,14 @@ def test_a_pickled_field_gives_the_same_mesh():
 def test_a_call_inside_an_update_is_refused(monkeypatch):
     """As from a signal handler, on the same thread; the terrain works on afterwards."""
     terrain = Terrain(hills(), 1)
-    build = terrain._builder.build
+    build = terrains.build_surface
 
     def build_and_call(*arguments):
         with pytest.raises(TerrainError, match="is being updated on this thread"):
             terrain.update(FINE, VIEWS[1:2])
         return build(*arguments)
 
-    monkeypatch.setattr(terrain._builder, "build", build_and_call)
+    monkeypatch.setattr(terrains, "build_surface", build_and_call)
     found = terrain.update(FINE, VIEWS[:1]).surface
     monkeypatch.undo()
     assert digest(found) == digest(Terrain(hills(), 1).update(FINE, VIEWS[:1]).surface)

@@ -13,7 +13,7 @@ from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSP
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
-from adaptive_terrain.cbt_terrain.refine.drift import move
+from adaptive_terrain.cbt_terrain.history.drift import move
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.kernels.refine.coherence import Motion, Subtree
@@ -28,8 +28,8 @@ MANY_LEAVES = 100_000  # a flight with more has two frames
 
 def taken(terrain: Terrain) -> int:
     """Leaves that the last update took from the frame before."""
-    memory, slots = terrain._buffers.numpy, terrain._refinement._last.slots
-    return int(memory("taken")[:slots].sum())
+    history = terrain.history
+    return int(history.scratch.numpy("reused")[: history.last.subtrees.slots].sum())
 
 
 def a_field(rng):

@@ -6,11 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import warp as wp
+from adaptive_terrain.cbt_terrain import terrain as terrains
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import PANORAMIC, View
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
+from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
 from adaptive_terrain.cbt_terrain.refine import refinement
 from adaptive_terrain.cbt_terrain.refine.block_tables import blocks
 from adaptive_terrain.cbt_terrain.run import launch
@@ -78,23 +80,29 @@ def refined(field, criterion: Criterion, views: list[View], scale: float, offset
     """Leaves, whether one was stopped, the limit's factor, and all arrays."""
     terrain, runs = Terrain(field, 2), []
     terrain.update(Criterion(error_px=8.0), views)  # so that there is something to cut for two slices
-    run = terrain._refinement.run
-    terrain._refinement.run = lambda *args: runs.append(run(*args)) or runs[-1]
-    update = terrain.update(criterion, views, vertical_scale=scale, vertical_offset=offset)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(terrains, "refine", lambda *args: runs.append(refinement.refine(*args)) or runs[-1])
+        update = terrain.update(criterion, views, vertical_scale=scale, vertical_offset=offset)
     [(leaves, relaxed)] = runs
     return leaves.total, leaves.stopped, relaxed, arrays(update.surface)
 
 
 @pytest.fixture(scope="module")
 def measures_all():
-    """The walk without its short cuts, as a kernel."""
+    """The walk without short cuts, as a kernel."""
     return SimpleNamespace(walk=wp.kernel(plain.walk))
 
 
 def same_as_plain(scenes, measures_all, monkeypatch) -> list[bool]:
     """Assert that the walk makes of each scene what measuring every diamond does; which of them were stopped."""
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
-    fast = [refined(*scene) for scene in scenes]
+    fast, slices = [refined(*scene) for scene in scenes], launch.slices
+
+    def without_history(kernel, inputs, **rest):
+        slices(kernel, [values[:3] for values in inputs] if kernel is measures_all.walk else inputs, **rest)
+
+    monkeypatch.setattr(launch, "slices", without_history)
+    monkeypatch.setattr(FrameHistory, "reuse_subtrees", lambda *_: None)
     monkeypatch.setattr(refinement, "kernels", measures_all)
     for scene, found in zip(scenes, fast, strict=True):
         assert refined(*scene) == found, scene[1]
@@ -122,11 +130,11 @@ def test_the_table_of_even_blocks_is_read(monkeypatch):
     code, found = blocks().code.numpy(), []
     for bit in (0, 1):  # of the state
         terrain = Terrain(field, 1)
-        monkeypatch.setattr(terrain._builder, "build", lambda *_: surface)  # of words that are wrong
+        monkeypatch.setattr(terrains, "build_surface", lambda *_: surface)  # of words that are wrong
         code[:] ^= bit
         try:
             leaves = terrain.update(Criterion(error_px=0.0, edge_px=4.0), [view]).leaves
         finally:
             code[:] ^= bit
-        found.append(terrain._buffers.numpy("code")[:leaves].copy())
+        found.append(terrain.history.last.arrays.numpy("code")[:leaves].copy())
     assert (found[0] != found[1]).mean() > 0.6

@@ -51,7 +51,7 @@ def guarded_numpy() -> SimpleNamespace:
 def fly(field, flights, threads: int) -> None:
     """One update after the other: each mesh is the one that a new terrain with one thread makes."""
     terrain = Terrain(field, threads)
-    terrain._refinement._capacity = 7
+    terrain.history.hints.capacity = 7
     for criterion, views in flights:
         found = terrain.update(criterion, views).surface
         assert arrays(found) == arrays(Terrain(field, 1).update(criterion, views).surface)

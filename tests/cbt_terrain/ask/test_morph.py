@@ -86,7 +86,7 @@ def test_a_point_rises_by_its_own_ratio(kind):
     criterion = Criterion(error_px=5.0, morph=2.0, off_screen_factor=1.0, max_depth=field.lattice.cell_depth)
     terrain = Terrain(field, 1)
     update = terrain.update(criterion, [view])
-    expected = risen_heights(field, view, 5.0, 2.0, terrain._domain.rounding)
+    expected = risen_heights(field, view, 5.0, 2.0, terrain._placed[1].rounding)
     places = np.rint(update.surface.positions[:, :2] / 10.0 + (8.0, 16.0)).astype(int)
     z = np.array([expected[tuple(place)] for place in places.tolist()])
     assert np.abs(update.surface.positions[:, 2] - z).max() < 1e-4

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain import terrain as terrains
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
-from adaptive_terrain.cbt_terrain.mesh.builder import SurfaceBuilder
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from fields import reference_heights, rough
@@ -91,7 +91,7 @@ def test_a_flat_map_is_two_triangles_a_square_with_flat_normals():
 def test_a_warm_build_allocates_no_memory(meshlet, monkeypatch):
     """Also where a caller still has the surface of the update before, as in every loop."""
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
-    build, peaks = SurfaceBuilder.build, []
+    build, peaks = terrains.build_surface, []
 
     def measured(*arguments):
         tracemalloc.start()
@@ -100,7 +100,7 @@ def test_a_warm_build_allocates_no_memory(meshlet, monkeypatch):
         tracemalloc.stop()
         return surface
 
-    monkeypatch.setattr(SurfaceBuilder, "build", measured)
+    monkeypatch.setattr(terrains, "build_surface", measured)
     terrain = Terrain(rough(65, 129), 2)
     criterion = Criterion(error_px=0.2, meshlet=meshlet)
     views = [View.look((x, -400.0, 120.0), (0, 0, 0)) for x in (0.0, 30.0)]
@@ -128,7 +128,7 @@ def test_points_that_stay_are_not_displaced_again(interpolation, meshlet, monkey
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     field = interpolated(rough(129, 129), interpolation)
     terrain, asked, views = flown(field, meshlet)
-    terrain._buffers.numpy("positions")[:, 2] += 1000.0
+    terrain.history.last.arrays.numpy("positions")[:, 2] += 1000.0
     heights = terrain.update(asked, [views[0]]).surface.positions[:, 2]
     fresh = Terrain(field, 1).update(asked, [views[0]]).surface.positions[:, 2]
     raised = heights > 500.0
@@ -165,8 +165,7 @@ def test_an_interrupted_displacement_is_no_ones_last_frame(meshlet, monkeypatch)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(launch, "slices", stopped)
         terrain.update(asked, [View.look((60.0, -300.0, 100.0), (0, 0, 0))])
-    for name in ("positions", "last_positions"):
-        terrain._buffers.numpy(name)[:] = np.nan
+    assert terrain.history.last.vertices is None
     again = terrain.update(asked, [views[1]]).surface
     fresh = Terrain(rough(129, 129), 1).update(asked, [views[1]]).surface
     assert arrays(again) == arrays(fresh)

@@ -7,17 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import warp as wp
+from adaptive_terrain.cbt_terrain import terrain as terrains
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
-from adaptive_terrain.cbt_terrain.refine.budget import limit_of
+from adaptive_terrain.cbt_terrain.refine.budget import count_splits, limit_of
+from adaptive_terrain.cbt_terrain.refine.request import RefinementRequest
+from adaptive_terrain.cbt_terrain.refine.slices import Slices
 from adaptive_terrain.cbt_terrain.refine.step_search import MAX_STEP, Found, lowest
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
-from adaptive_terrain.kernels.budget.count_state import MARKS, STEPS_PER_OCTAVE
-from adaptive_terrain.kernels.refine import walk as refine
+from adaptive_terrain.kernels.budget.count_state import MARKS, STEPS_PER_OCTAVE, Count
+from adaptive_terrain.kernels.refine import walk
 from fields import random_view, rough
 from invariants import arrays
 from level_ground import level_scenes
@@ -67,50 +70,57 @@ def counted(monkeypatch):
 
     def noted(kernel, inputs, *, step, **rest):
         slices(kernel, inputs, step=step, **rest)
-        walks = [values[-1] for values in inputs]
+        walks = [values[2] for values in inputs] if step in ("budget", "refine") else []
         if step == "budget":
             leaves = walks[0].last_steps.numpy()[: len(walks) * (MAX_STEP + 2)].reshape(len(walks), -1).sum(axis=0)
             launched.append((step, int(leaves.sum())))
         if step == "refine":
-            launched.append((step, int(walks[0].counts.numpy()[: 3 * len(walks) : 3].sum())))
+            launched.append((step, int(walks[0].counts.numpy()[: 4 * len(walks) : 4].sum())))
 
     monkeypatch.setattr(launch, "slices", noted)
     return launched
 
 
-def walked(terrain: Terrain, called: list, step: int) -> int:
-    """Leaves of the refinement that was `called`, at a step, by the walk itself."""
-    domain, asked, depth = called[-1][:3]
-    refinement = terrain._refinement
-    asked.limit = limit_of(step)
-    walks = refinement._walks([0, refinement.lattice.squares << refinement._cell_bits], depth, 1 << 30, 0)
-    launch.slices(refine.walk, [[domain, asked, walks[0]]], step="count")
-    return int(refinement.buffers.numpy("counts")[0])
+@pytest.fixture
+def called(monkeypatch):
+    """The request of each refinement."""
+    requests, refine = [], terrains.refine
+    monkeypatch.setattr(terrains, "refine", lambda *args: requests.append(args[1]) or refine(*args))
+    return requests
+
+
+def walked(terrain: Terrain, request: RefinementRequest, step: int) -> int:
+    """Count the leaves of a refinement at a step by the walk itself."""
+    lattice, history = terrain.field.lattice, terrain.history
+    request.asked.limit = limit_of(step)
+    history.hints.capacity = 0
+    end = lattice.squares << history.tree.max_depth - lattice.square_bits
+    slices = Slices.of(history, lattice, [0, end], request.max_depth, 1 << 30)
+    slices.bind_reuse(False, None)
+    launch.slices(walk.walk, [[request.domain, request.asked, slices.walks[0], slices.reuses[0]]], step="count")
+    return int(slices.counts[0, 0])
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_the_step_is_the_finest_that_fits(monkeypatch, threads):
+def test_the_step_is_the_finest_that_fits(monkeypatch, threads, called):
     """By the walk: 60 scenes, their counts at the step, at the one before it, and far from both."""
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     coarsened = 0
     for seed in range(60):
         field, views, criterion, most = scene(seed)
-        terrain, called = Terrain(field, threads), []
-        run = terrain._refinement.run
-        terrain._refinement.run = lambda *args, run=run, called=called: called.append(args) or run(*args)
+        terrain = Terrain(field, threads)
         update = terrain.update(criterion, views)
         step, most = step_of(update.relaxed), max(most, 2 * field.lattice.squares)
-        assert walked(terrain, called, step) == update.leaves <= most
-        assert step == 0 or walked(terrain, called, step - 1) > most
+        assert walked(terrain, called[-1], step) == update.leaves <= most
+        assert step == 0 or walked(terrain, called[-1], step - 1) > most
         coarsened += step > 0
-        domain, asked, depth = called[-1][:3]
         roots = 2 * field.lattice.squares
-        finer = max(step - 5, 0)
-        first, splits = terrain._refinement._budget._splits(domain, asked, depth, finer, MAX_STEP, most - roots)
+        finer, given = max(step - 5, 0), (field.lattice, called[-1], terrain.history, threads)
+        first, splits = count_splits(*given, finer, MAX_STEP, most - roots)
         assert first == step
         for further in (0, 1, 7, 40, 300):
             if step + further <= MAX_STEP:
-                assert splits[further] + roots == walked(terrain, called, step + further)
+                assert splits[further] + roots == walked(terrain, called[-1], step + further)
     assert coarsened > 40
 
 
@@ -126,49 +136,45 @@ def test_the_answer_does_not_depend_on_what_came_before():
             assert arrays(update.surface) == arrays(fresh.surface)
 
 
-def test_level_ground_is_counted_as_it_is_walked(monkeypatch):
+def test_level_ground_is_counted_as_it_is_walked(monkeypatch, called):
     """Windows of many and of few steps, where whole cells are counted at once: the first step that fits, and splits."""
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     rng, fitted = np.random.default_rng(3), 0
     for field, criterion, views, scale in level_scenes():
-        terrain, called = Terrain(field, 2), []
-        run = terrain._refinement.run
-        terrain._refinement.run = lambda *args, run=run, called=called: called.append(args) or run(*args)
+        terrain = Terrain(field, 2)
         terrain.update(replace(criterion, max_triangles=None), views, vertical_scale=scale)
-        domain, asked, depth = called[-1][:3]
-        roots = 2 * field.lattice.squares
+        roots, given = 2 * field.lattice.squares, (field.lattice, called[-1], terrain.history, 2)
         for _ in range(4):
             finest, most = int(rng.integers(0, 60)), int(10 ** rng.uniform(2, 5))
             coarsest = finest + int(rng.choice([1, 5, 40, 400, MAX_STEP - 60]))
-            first, splits = terrain._refinement._budget._splits(domain, asked, depth, finest, coarsest, most)
+            first, splits = count_splits(*given, finest, coarsest, most)
             for step in {first, (first + coarsest) // 2, coarsest} if len(splits) else ():
-                assert splits[step - first] + roots == walked(terrain, called, step)
+                assert splits[step - first] + roots == walked(terrain, called[-1], step)
                 fitted += 1
             if finest < first:
-                assert walked(terrain, called, first - 1) - roots > most
+                assert walked(terrain, called[-1], first - 1) - roots > most
     assert fitted > 100
 
 
-def test_threads_share_by_places_that_are_noted(monkeypatch):
+def test_threads_share_by_places_that_are_noted(monkeypatch, called):
     """Every place that is due is noted: none is left as it was, nothing is written behind them."""
     nowhere = np.uint64(1 << 62)
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
-    terrain, called = Terrain(rough(257, 257, relief=20.0), 3), []
-    run = terrain._refinement.run
-    terrain._refinement.run = lambda *args: called.append(args) or run(*args)
+    terrain = Terrain(rough(257, 257, relief=20.0), 3)
     terrain.update(Criterion(error_px=0.02), [View.look((0.0, -150.0, 40.0), (0.0, 0.0, 0.0))])
-    (domain, criterion, depth), search = called[-1][:3], terrain._refinement._budget
-    search._splits(domain, criterion, depth, 101, 400, 2000)  # its buffers, and the places of the first cuts
+    scratch, given = terrain.history.scratch, (terrain.field.lattice, called[-1], terrain.history, 3)
+    count_splits(*given, 101, 400, 2000)  # its buffers, and the places of the first cuts
     for most in (2000, 128_000):
-        search._buffers.get("count_marks", 4 * MARKS, wp.uint64)
-        search._buffers.numpy("count_marks")[:] = nowhere
-        search._splits(domain, criterion, depth, 101, 400, most)
-        marks = search._buffers.numpy("count_marks")
-        measured = search._buffers.numpy("count_measured")[:3]
+        scratch.get("count_marks", 4 * MARKS, wp.uint64)
+        scratch.numpy("count_marks")[:] = nowhere
+        count_splits(*given, 101, 400, most)
+        marks = scratch.numpy("count_marks")
+        measured = scratch.numpy("count_measured")[:3]
         assert np.all(marks[3 * MARKS :] == nowhere)
-        for walk, places, count in zip(search._structs[:3], marks.reshape(-1, MARKS), measured, strict=False):
-            due = min(count // walk.spacing, MARKS)
-            assert due > 0 and np.all(places[:due] < walk.end_cell) and np.all(places[due:] == nowhere)
+        structs = [scratch.struct(Count, slot) for slot in range(3)]
+        for struct, places, count in zip(structs, marks.reshape(-1, MARKS), measured, strict=False):
+            due = min(count // struct.spacing, MARKS)
+            assert due > 0 and np.all(places[:due] < struct.end_cell) and np.all(places[due:] == nowhere)
 
 
 @pytest.mark.parametrize("most", [0, 10])

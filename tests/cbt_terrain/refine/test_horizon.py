@@ -17,9 +17,9 @@ from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
+from adaptive_terrain.cbt_terrain.refine import refinement
 from adaptive_terrain.cbt_terrain.refine.domain import pack
 from adaptive_terrain.cbt_terrain.refine.horizon import RAMP, fill, place_rings
-from adaptive_terrain.cbt_terrain.refine.refinement import Refinement
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import Buffers
 from adaptive_terrain.cbt_terrain.terrain import Terrain, box_of
@@ -176,15 +176,15 @@ def test_a_hidden_mesh_is_a_function_of_the_view_alone(monkeypatch):
 def test_counts_of_a_triangle_limit_know_what_is_hidden(monkeypatch):
     """What the search has counted is what the walk makes, however much the limit relaxes what is asked."""
     counted = []
-    walk = Refinement._walk
+    walk = refinement._walk
 
-    def noted(self, domain, asked, max_depth, most, expected=0):
-        walks, counts = walk(self, domain, asked, max_depth, most, expected)
-        if expected and walks is not None:  # step 0 need not be counted
-            counted.append((expected, int(counts[:, 0].sum()), asked.limit))
-        return walks, counts
+    def noted(field, request, history, threads, most, expected=0):
+        slices = walk(field, request, history, threads, most, expected)
+        if expected and slices is not None:  # step 0 need not be counted
+            counted.append((expected, int(slices.counts[:, 0].sum()), request.asked.limit))
+        return slices
 
-    monkeypatch.setattr(Refinement, "_walk", noted)
+    monkeypatch.setattr(refinement, "_walk", noted)
     for limit in (100, 1000, 5000):
         for field, criterion, *rest in scenes(limit, 15):
             found = updated(

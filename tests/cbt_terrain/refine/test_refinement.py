@@ -7,6 +7,7 @@ from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.refine.refinement import _cuts
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from bisection import from_tree_id
@@ -36,7 +37,7 @@ def test_leaves_equal_forced_splits(seed):
         asked = float(10 ** rng.uniform(0, 2.5))
         terrain = Terrain(field, 1)
         update = terrain.update(Criterion(error_px=asked, off_screen_factor=1.0, max_depth=depth), [view])
-        rounded = terrain._domain.rounding
+        rounded = terrain._placed[1].rounding
         # the reference's units: 2^exponent a side of a root square
         exponent = lattice.levels + 1
         per_sample = 2.0 ** (exponent - lattice.levels)
@@ -172,10 +173,11 @@ def test_threads_share_the_curve_by_cost(monkeypatch):
     field, view = rough(65, 129), View.look((0.0, -300.0, 200.0), (0, 0, 0), resolution=(640, 480))
     terrain = Terrain(field, 2)
     leaves = terrain.update(Criterion(error_px=1.0), [view]).leaves
-    refinement = terrain._refinement
+    tree, last = terrain.tree, terrain.history.last.leaves
     for costs, share in (((3, 1), 1 / 3), ((1, 3), 2 / 3), ((1, 1), 1 / 2)):
         half = leaves // 2
-        refinement._last.work = np.array([half, leaves - half]), np.array(costs) * half
-        _, cut, _ = refinement._cuts()
+        last.counts = np.array([[half, 0, 0], [leaves - half, 0, 0]])
+        last.work = np.array(costs) * half
+        _, cut, _ = _cuts(terrain.history, field.lattice, 2)
         near = (int(share * leaves) - 1, int(share * leaves))  # an odd number of leaves has no half
-        assert cut in [refinement.tree.cell_of_leaf(leaf) >> 6 << 6 for leaf in near]
+        assert cut in [tree.cell_of_leaf(leaf) >> 6 << 6 for leaf in near]

@@ -81,6 +81,6 @@ def test_leaves_that_do_not_fit_together_are_refused():
     terrain = Terrain(rough(65, 65), 1)
     terrain.update(Criterion(error_px=2.0), VIEWS[:1])
     for torn in ([2, 3, 3, 1], [1, 3, 3, 3, 3], [2, 2, 1]):
-        with pytest.raises(TerrainError, match="do not fit together"):
+        with pytest.raises(TerrainError, match="do not form a conforming mesh"):
             terrain.restore(depths_to_bytes(12, np.array(torn, np.uint8)))
     assert terrain.update(Criterion(error_px=2.0), VIEWS[:1]).triangles > 100

@@ -5,10 +5,13 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
-from adaptive_terrain.cbt_terrain.refine import refinement
+from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
+from adaptive_terrain.cbt_terrain.refine import slices
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.tree.concurrent_tree import ConcurrentBinaryTree
+from adaptive_terrain.kernels.refine.reuse_state import Reuse
+from adaptive_terrain.kernels.refine.walk_state import Walk
 from edited_tree import EditedTree
 from fields import rough
 from hypothesis import given, settings
@@ -84,7 +87,8 @@ def test_cells_that_were_written_and_not_marked_change_nothing():
 
 def taken(terrain: Terrain) -> int:
     """Leaves that the last update took from the frame before."""
-    return int(terrain._buffers.numpy("taken")[: terrain._refinement._last.slots].sum())
+    history = terrain.history
+    return int(history.scratch.numpy("reused")[: history.last.subtrees.slots].sum())
 
 
 def assert_as_new(flown: Terrain, criterion: Criterion, view: View) -> None:
@@ -109,7 +113,7 @@ def test_points_that_are_taken_without_room_for_runs_are_displaced_again(monkeyp
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     flown = Terrain(rough(129, 129, relief=20.0), 2)
     for frame, room in enumerate((1000, 2, 1000, 1)):
-        monkeypatch.setattr(refinement, "_room_for", lambda _leaves, room=room: room)
+        monkeypatch.setattr(slices, "room_for", lambda _leaves, room=room: room)
         assert_as_new(flown, ERROR, over(frame))
 
 
@@ -145,13 +149,14 @@ def test_a_warm_frame_copies_no_cells(criterion, monkeypatch):
     """The tree's cells lie where the walk has written them, in two memories that take turns."""
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     terrain, written = Terrain(rough(65, 193), 2), []
-    marked = refinement.Refinement._mark
+    commit = FrameHistory.commit
 
-    def noted(self, walks, counts):
-        written.append([(walk.cell, walk.last_cell) for walk in walks])
-        return marked(self, walks, counts)
+    def noted(history, *args, **kwargs):
+        structs = [[history.next.arrays.struct(kind, slot) for kind in (Walk, Reuse)] for slot in range(2)]
+        written.append([(walk.cell, reuse.last_cell) for walk, reuse in structs])
+        commit(history, *args, **kwargs)
 
-    monkeypatch.setattr(refinement.Refinement, "_mark", noted)
+    monkeypatch.setattr(FrameHistory, "commit", noted)
     for frame in range(4):
         terrain.update(criterion, [over(frame)])
     for frame in range(4, 8):

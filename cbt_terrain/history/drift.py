@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether the next walk may take what the last one has kept, and how the view has moved since, for coherence.py."""
+"""Whether a walk may reuse the last frame's subtrees, and how the view has moved since, for coherence.py."""
 
 import math
 from dataclasses import dataclass
@@ -9,37 +9,30 @@ from ...kernels.refine.coherence import Motion
 from ...kernels.refine.pixels import Asked, LocalView
 from ..ask.linear import add_up
 
-# By which part lengths, all but spans of a pixel, may change from frame to frame: 4 times this comes off the slack.
-MOST_DRIFT = 2e-3
+# Largest fraction by which lengths, all but pixel footprints, may change from frame to frame: 4 times this comes off
+# the slack.
+MAX_DRIFT = 2e-3
 
 
 @dataclass
-class Walked:
-    """What the last walk's subtrees were kept for."""
+class CachedSubtrees:
+    """What the subtrees of a frame were cached for."""
 
     domain: Domain
     asked: Asked
     max_depth: int
     slots: int
-    room: int  # of subtrees, and of runs of leaves, in a slot
-    work: tuple  # of each slot: leaves, and what they cost, in leaves that are found anew
-    after: object  # the leaves that it has taken some from, or None
-    leaves: object = None  # that it has found; None: the tree does not hold them yet
+    room: int  # of subtrees, and of runs of points, in a slot
 
     def __post_init__(self):
         self.limit = self.asked.limit
 
     def drift(self, domain: Domain, asked: Asked, max_depth: int) -> float:
-        """By what part the lengths have changed that spans of a pixel are made of and compared with, all but those
-        that `Motion` has; infinity if more than the camera has moved."""
+        """Return the largest fraction by which lengths have changed that pixel footprints are made of and compared
+        with, except those in `Motion`; infinity if more than the camera has changed."""
         of_asked = "view_count", "measures_edges", "metres2"
         of_view = "kind", "plane_count", "off_screen2", "fade", "fringe"
-        same = (
-            self.leaves is not None
-            and domain is self.domain
-            and max_depth == self.max_depth
-            and asked.limit == self.limit
-        )
+        same = domain is self.domain and max_depth == self.max_depth and asked.limit == self.limit
         same = same and all(getattr(asked, name) == getattr(self.asked, name) for name in of_asked)
         if not same or any(getattr(asked.view, name) != getattr(self.asked.view, name) for name in of_view):
             return math.inf

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The only owner of what survives a frame.
+
+Two frames take turns. Functions read the past from `last`, which is committed, and write into `next`. With an empty
+history they make the same bytes: the past only saves time. So an update that fails or is interrupted discards it.
+
+`scratch` and `hints` carry no meaning: whatever is in them, results are the same.
+"""
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...kernels.field.domain import Domain
+from ...kernels.refine.coherence import Motion
+from ...kernels.refine.pixels import Asked
+from ..errors import TerrainError
+from ..run.buffers import Buffers, Loans, address_space
+from ..run.locks import SharedLock
+from ..tree.concurrent_tree import ConcurrentBinaryTree
+from .drift import MAX_DRIFT, move
+from .frame import Frame
+
+# Arrays of a frame that a walk writes, and those of its vertices; a surface is made of the ones in DISPLACED.
+LEAF_ARRAYS = ("code", "point", "cached", "cached_counts")
+DISPLACED = ("positions", "normals", "uv")
+VERTEX_ARRAYS = (*DISPLACED, "known", "leaf_level")
+
+
+@dataclass
+class Hints:
+    """Guesses from earlier frames that only change how fast a frame is found.
+
+    `capacity`: leaves for which a slice has room. `step`: the last step that kept to a triangle limit, a
+    `step_search.Found`. `marks`: positions in squares along the quadtree, evenly by the work of the last count.
+    """
+
+    capacity: int = 4096
+    step: object = None
+    marks: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def make_room(self, leaves: int) -> None:
+        """Have slices begin with room for so many leaves and some more."""
+        if leaves > self.capacity:
+            self.capacity = int(1.25 * leaves) + 1024
+
+
+class FrameHistory:
+    """The tree, cached subtrees, reusable vertices, geomorph memory, attribute values and scatter candidates of the
+    last frame, with the key of the request that made it.
+
+    `values` and `ground` are those of the effects (evaluate/) and of a scatter (scatter/). Whoever updates one takes it
+    out and puts it back when it is complete.
+    """
+
+    def __init__(self):
+        self._lock, self._is_busy = SharedLock(), False
+        self.discard()
+
+    def discard(self) -> None:
+        """Forget everything. Results of earlier updates stay valid for their holders."""
+        self.last, self.next = Frame(), Frame()
+        self.tree: ConcurrentBinaryTree | None = None
+        self.values = self.ground = None
+        self.scratch, self.hints, self._loans = Buffers(), Hints(), Loans()
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Keep other threads out. In a process that was forked while one was inside, begin with nothing."""
+        with self._lock:
+            if self._lock.broken:
+                self.discard()
+                self._lock.broken = self._is_busy = False
+            if self._is_busy:
+                raise TerrainError(
+                    "The terrain is being updated on this thread, where a signal or a callback interrupted it; "
+                    "expected one call after the other: call it later."
+                )
+            self._is_busy = True
+            try:
+                yield
+            finally:
+                self._is_busy = False
+
+    @contextmanager
+    def writing(self) -> Iterator[Frame]:
+        """Yield the frame to be written and committed in the block; discard everything if the block raises."""
+        try:
+            yield self.next
+        except BaseException:
+            self.discard()
+            raise
+
+    def begin(self, key: tuple) -> bool:
+        """Begin a frame; return True if it is the last one again, so that nothing is to be done."""
+        self.next = self.next.emptied()
+        return key == self.last.key
+
+    def commit(self, key: tuple | None = None, result: object = None, keeps_vertices: bool = False) -> None:
+        """Make the next frame the last one. `keeps_vertices`: it has the same mesh and no vertices of its own."""
+        if keeps_vertices:
+            self.next.vertices = self.last.vertices
+            self._replace_vertices()
+        self.tree.mark(self.next.parts)
+        self.next.key, self.next.result = key, result
+        self.last, self.next = self.next, self.last.emptied()
+
+    def reuse_subtrees(self, domain: Domain, asked: Asked, max_depth: int) -> "Motion | None":
+        """Return how the view has moved since the last frame's subtrees were cached; None if none may be reused."""
+        cached = self.last.subtrees
+        drift = cached.drift(domain, asked, max_depth) if cached else math.inf
+        if drift > MAX_DRIFT:
+            return None
+        motion = self.scratch.struct(Motion)
+        move(motion, cached.asked.view, asked.view, drift)
+        return motion
+
+    def replace_leaves(self) -> None:
+        """Have the next frame's leaves written into the memory of the last ones: nothing is cached."""
+        self.next.arrays.exchange(self.last.arrays, LEAF_ARRAYS)
+        self.last.subtrees = None
+
+    def reuse_vertices(self, domain: Domain, morphs: bool, has_runs: bool) -> bool:
+        """Return whether vertices of the last frame may be copied; let go of its result.
+
+        Vertices that changed places where the mesh was cut are put back. Without reuse the next vertices are written
+        into the memory of the last ones. `has_runs`: whether runs of vertices that are in both frames can be known.
+        """
+        vertices = self.last.vertices
+        reuses = has_runs and vertices is not None and vertices.domain is domain and vertices.morphs == morphs
+        self.last.result = None
+        if not reuses:
+            self._replace_vertices()
+        self._loans.reclaim([self.scratch, self.next.arrays], self.last.arrays)
+        if reuses:
+            for swapped in reversed(vertices.swapped):
+                for name in DISPLACED:
+                    array = self.last.arrays.numpy(name)
+                    array[swapped] = array[swapped[::-1]]
+            vertices.swapped = []
+        return reuses
+
+    def _replace_vertices(self) -> None:
+        self.next.arrays.exchange(self.last.arrays, VERTEX_ARRAYS)
+        self.last.vertices = None
+
+    def lend(self, buffers: Buffers, name: str, count: int) -> np.ndarray:
+        """Return the first `count` items of an array, read-only: it is not written while a caller uses it."""
+        return self._loans.lend(buffers.numpy(name), count)
+
+    @property
+    def nbytes(self) -> int:
+        """Address space of all arrays; the system commits what is touched of it."""
+        memory = [m for buffers in (self.scratch, self.last.arrays, self.next.arrays) for m in buffers.memory()]
+        return address_space(memory + self._loans.memory()) + (self.tree.nbytes if self.tree else 0)

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Displacement: positions, normals and uv of a frame's points. Points of the last frame are copied from it."""
+
+from functools import cache
+
+import numpy as np
+import warp as wp
+
+from ...kernels.detail import displace as detail_kernels
+from ...kernels.field.domain import Domain
+from ...kernels.mesh import displace as displace_kernels
+from ...kernels.mesh import meshlet as meshlet_kernels
+from ...kernels.morph import displace as rising_kernels
+from ...kernels.refine.runs import Run, Runs
+from ..field.heightfield import HeightField
+from ..history.frame import Vertices
+from ..history.frame_history import FrameHistory
+from ..run import launch
+from ..run.buffers import bind
+from .rising import Rising, memories
+
+
+def displace(
+    field: HeightField,
+    domain: Domain,
+    history: FrameHistory,
+    point: wp.array,
+    parts: list[tuple[int, int]],
+    pieces: int,
+    slots: list[int] | None,
+    rising: Rising | None,
+    meshlet: int,
+) -> None:
+    """Displace points that lie in parts (base, count) of the array `point`, each part in so many pieces.
+
+    `slots`: each part's list of the runs that `reuse_points` or `reuse_inner_points` has bound; None: nothing is
+    copied. Raises TerrainError where a damaged field gives positions that are not finite.
+    """
+    arrays, scratch, vertices = history.next.arrays, history.scratch, sum(int(n) for _, n in parts)
+    p = arrays.struct(displace_kernels.Points)
+    if slots is None:
+        bind(p, taken=_no_runs())
+        slots = [0] * len(parts)
+    bind(
+        p,
+        point=point,
+        positions=arrays.get("positions", vertices, wp.vec3f),
+        normals=arrays.get("normals", vertices, wp.vec3f),
+        uv=arrays.get("uv", vertices, wp.vec2f),
+        not_finite=scratch.get("not_finite", 1, wp.int32),
+    )
+    inputs, first = [], 0
+    for (base, n), slot in zip(parts, slots, strict=True):
+        inputs += [[*piece, base, first, slot, domain, p] for piece in launch.ranges(n, pieces)]
+        first += n
+    not_finite = scratch.numpy("not_finite")
+    not_finite[0] = 0
+    kernel, detail = displace_kernels.displace, field.packed_detail
+    if rising:
+        packed = rising.pack(detail, meshlet, vertices, history)
+        kernel, own = rising_kernels.displace_rising, memories(scratch, len(inputs))
+        inputs = [[*values, packed, memory] for values, memory in zip(inputs, own, strict=True)]
+    elif detail:
+        kernel, inputs = detail_kernels.displace_detail, [[*values, detail] for values in inputs]
+    launch.slices(kernel, inputs, step="displace", recorded=arrays.launches)
+    if not_finite[0]:
+        raise field.damage("it has heights that are not finite or too large for a mesh")
+
+
+def reuse_points(history: FrameHistory) -> list[int]:
+    """Have the points copied that the walk has copied from the last frame; returns each slice's list of runs."""
+    leaves, before = history.next.leaves, history.last.leaves
+    _copy(history, history.next.reused_points, before.base, np.cumsum([0, *before.counts[:-1, 1]]))
+    return leaves.slots.tolist()
+
+
+def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> list[int]:
+    """Have the `points` inside each leaf copied that is in both frames; returns the list of runs of all other points
+    and that of these."""
+    scratch, before = history.scratch, history.last.vertices
+    runs, room = scratch.struct(Runs, slot=1), min(before.leaves, now.leaves)
+    bind(runs, runs=scratch.get("inner_runs", room, Run), counts=scratch.get("inner_run_counts", 1, wp.int64))
+    bind(runs, room=room, lists=1)
+    levels = [frame.arrays.get("leaf_level", 1, wp.int32) for frame in (history.last, history.next)]
+    firsts = before.first_inner, now.first_inner
+    inputs = [before.leaves, now.leaves, *levels, *firsts, points, runs.runs, runs.counts]
+    launch.once(meshlet_kernels.points_that_stay, inputs, step="meshlets", recorded=history.next.arrays.launches)
+    nothing = np.zeros(1, np.int64)
+    _copy(history, runs, nothing, nothing)
+    return [1, 0]
+
+
+def _copy(history: FrameHistory, runs: Runs, base: np.ndarray, first: np.ndarray) -> None:
+    """Have runs of points copied from the last frame, where the points of slices lie from `base` on and have numbers
+    from `first` on."""
+    arrays, last = history.next.arrays, history.last.arrays
+    bind(
+        arrays.struct(displace_kernels.Points),
+        taken=runs,
+        last_base=history.scratch.table("last_slice_base", base, wp.int64),
+        last_vertex=history.scratch.table("last_slice_vertex", first, wp.int64),
+        last_slices=len(base),
+        last_positions=last.get("positions", 1, wp.vec3f),
+        last_normals=last.get("normals", 1, wp.vec3f),
+        last_uv=last.get("uv", 1, wp.vec2f),
+    )
+
+
+@cache
+def _no_runs() -> Runs:
+    """Return lists without a run."""
+    runs = Runs()
+    runs.runs, runs.counts = wp.zeros(1, dtype=Run, device="cpu"), wp.zeros(1, dtype=wp.int64, device="cpu")
+    runs.room = 1
+    return runs

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Welding: from leaves in curve order to the vertices, edges and corners of one mesh."""
+
+import numpy as np
+import warp as wp
+
+from ...kernels.field.domain import Domain
+from ...kernels.mesh import join as join_kernels
+from ...kernels.mesh import weld as weld_kernels
+from ...kernels.mesh import weld_state
+from ..errors import TerrainError
+from ..field.heightfield import HeightField
+from ..history.frame import Leaves
+from ..history.frame_history import FrameHistory
+from ..run import launch
+from ..run.buffers import Buffers, bind
+
+NOT_NESTED = "its errors are not nested or its heights not finite, so that triangles would not meet"
+
+
+class TornMesh(TerrainError):
+    """Leaves do not fit together."""
+
+
+def weld(field: HeightField, domain: Domain, history: FrameHistory, level_in: Buffers) -> None:
+    """Number the next frame's vertices and edges along the curve, each slice from its exact base; join the slices.
+
+    The mesh is in scratch arrays that begin with "leaf_"; the levels of leaves are in `level_in`. Raises TornMesh where
+    a damaged field or tree gives leaves that do not fit together.
+    """
+    leaves, scratch, arrays = history.next.leaves, history.scratch, history.next.arrays
+    triangles, _, edges = leaves.counts.sum(axis=0).tolist()
+    slices, squares = len(leaves.counts), domain.columns * domain.rows
+    _check_sides(field, leaves.sides.reshape(domain.rows, domain.columns, 4))
+    side_base = scratch.get("side_base", 2 * squares + 1, wp.int32)
+    ends = scratch.numpy("side_base")
+    ends[0] = 0
+    np.cumsum(leaves.sides.T[2:], dtype=np.int32, out=ends[1 : 2 * squares + 1])
+    # An entry in each list for every leaf, and some more: memory is committed as it is touched.
+    room, sides = triangles + weld_state.SPARE * slices, int(ends[2 * squares])
+    w = scratch.struct(weld_state.Weld)
+    w.columns, w.rows = domain.columns, domain.rows
+    bind(
+        w,
+        **_tables(leaves, scratch),
+        side_base=side_base,
+        code=arrays.get("code", 0, wp.uint16),
+        side=scratch.get("side", sides, wp.vec2i),
+        side_level=scratch.get("side_level", sides, wp.int32),
+        corners=scratch.get("corners", 2 * squares, wp.int32),
+        stack=scratch.get("weld_stack", 2 * room, wp.vec2i),
+        stack_level=scratch.get("weld_stack_level", 2 * room, wp.int32),
+        imports=scratch.get("imports", 2 * room, wp.vec2i),
+        fixes=scratch.get("fixes", room, wp.int32),
+        state=scratch.get("weld_state", (slices + 1) * weld_state.STATE_SIZE, wp.int32),
+        **mesh_arrays(scratch, "leaf_", triangles, edges, level_in),
+    )
+    launch.slices(weld_kernels.weld, [[k, w] for k in range(slices)], step="weld", recorded=scratch.launches)
+    if slices > 1:
+        open_edges, found = scratch.get("open_edges", 2 * room, wp.vec2i), scratch.get("found", 2 * room, wp.vec2i)
+        open_level = scratch.get("open_level", 2 * room, wp.int32)
+        inputs = [slices, room, w, open_edges, open_level, found]
+        launch.once(join_kernels.join, inputs, step="weld", recorded=scratch.launches)
+    state = scratch.numpy("weld_state")[: slices * weld_state.STATE_SIZE].reshape(slices, -1)
+    entered, left = state[:, weld_state.FIRST_LEVEL], state[:, weld_state.LAST_LEVEL]
+    torn = state[:, weld_state.TORN].any() or entered[0] or left[-1] or (entered[1:] != left[:-1]).any()
+    # A single slice has no earlier ones that could have the edges it looks for.
+    if torn or (slices == 1 and state[0, weld_state.IMPORTS]):
+        raise TornMesh(str(field.damage(NOT_NESTED)))
+
+
+def mesh_arrays(buffers: Buffers, prefix: str, triangles: int, edges: int, level_in: Buffers) -> dict[str, wp.array]:
+    """Return the topology arrays of a mesh, and the levels of its triangles in `level_in`."""
+    return {
+        "corner_verts": buffers.get(prefix + "corner_verts", 3 * triangles, wp.int32),
+        "corner_edges": buffers.get(prefix + "corner_edges", 3 * triangles, wp.int32),
+        "edges": buffers.get(prefix + "edges", edges, wp.vec2i),
+        "level": level_in.get(prefix + "level", triangles, wp.int32),
+    }
+
+
+def _tables(leaves: Leaves, scratch: Buffers) -> dict[str, wp.array]:
+    """Return what the kernel knows of the slices."""
+    return {
+        "counts": scratch.table("slice_counts", leaves.counts, wp.int64),
+        "leaf_base": scratch.table("slice_base", leaves.base, wp.int64),
+        "squares": scratch.table("slice_squares", leaves.squares, wp.int32),
+        "before": scratch.table("slice_before", leaves.before, wp.int32),
+    }
+
+
+def _check_sides(field: HeightField, sides: np.ndarray) -> None:
+    """Check that every square takes as many edges of a side as its neighbour gives; sides int32 [rows, columns, 4]."""
+    left, below, right, above = np.moveaxis(sides, 2, 0)
+    if (left[:, 1:] != right[:, :-1]).any() or (below[1:] != above[:-1]).any():
+        raise TornMesh(str(field.damage(NOT_NESTED)))

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The slices of the curve that threads walk side by side, bound to the arrays of the frame that they write."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ...kernels.refine.band import Band
+from ...kernels.refine.coherence import Motion, Subtree
+from ...kernels.refine.reuse_state import Reuse, ReuseCursor
+from ...kernels.refine.runs import Run, Runs
+from ...kernels.refine.walk_state import STACK, Walk
+from ..field.lattice import Lattice
+from ..history.frame_history import FrameHistory
+from ..run.buffers import bind
+from .block_tables import blocks
+
+# Fraction by which pixel footprints may change before a cached subtree has to be walked anew.
+SLACK = 0.05
+
+
+@dataclass
+class Slices:
+    """The structs of all slices. `capacity`: leaves for which each has room. `counts` int64 [slices, 4]: leaves,
+    vertices, edges, and 1 if a leaf is too coarse at the deepest level. `reused` int64 [slices]: leaves."""
+
+    history: FrameHistory
+    walks: list[Walk]
+    reuses: list[Reuse]
+    capacity: int
+    cell_bits: int
+    counts: np.ndarray
+    reused: np.ndarray
+
+    @classmethod
+    def of(cls, history: FrameHistory, lattice: Lattice, cuts: list[int], max_depth: int, max_leaves: int) -> "Slices":
+        """Bind the walks between `cuts` to the next frame; beyond the capacity each only counts its leaves."""
+        count, squares, capacity = len(cuts) - 1, lattice.squares, history.hints.capacity
+        stride, cell_bits = capacity + 2 * squares + 8, history.tree.max_depth - lattice.square_bits
+        written, scratch = history.next.arrays, history.scratch
+        arrays = {
+            "code": written.get("code", count * stride, wp.uint16),
+            "point": written.get("point", count * stride, wp.vec2i),
+            "cell": history.tree.next_cells(count * stride + (1 << lattice.square_bits)),
+            "stack": scratch.get("walk_stack", count * STACK, wp.vec4i),
+            "aside": scratch.get("walk_aside", count * STACK, wp.int32),
+            "bands": scratch.get("walk_bands", count * STACK, Band),
+            "blocks": blocks(),
+            "sides": scratch.get("sides", count * 4 * squares, wp.int32),
+            "counts": scratch.get("counts", count * 4, wp.int64),
+        }
+        scratch.numpy("sides")[: count * 4 * squares] = 0
+        counts = scratch.numpy("counts")[: count * 4].reshape(count, 4)
+        counts[:] = 0
+        walks = [written.struct(Walk, slot) for slot in range(count)]
+        for slot, walk in enumerate(walks):
+            bind(
+                walk,
+                first_cell=cuts[slot],
+                end_cell=cuts[slot + 1],
+                cell_bits=cell_bits,
+                max_depth=max_depth,
+                leaf_capacity=capacity,
+                leaf_limit=max_leaves,
+                leaf_base=slot * stride,
+                slot=slot,
+                grid=int(squares > 1),
+                **arrays,
+            )
+        return cls(history, walks, [], capacity, cell_bits, counts, np.zeros(count, np.int64))
+
+    def bind_reuse(self, caches: bool, motion: "Motion | None") -> None:
+        """Bind what the slices cache for the next frame and, if the view has moved by a known `motion`, reuse."""
+        history, count, last = self.history, len(self.walks), self.history.last
+        written, scratch, read = history.next.arrays, history.scratch, history.last.arrays
+        room = room_for(self.capacity) if caches else 0
+        arrays = {
+            "cursor": scratch.get("reuse_cursor", count, ReuseCursor),
+            "cached": written.get("cached", max(count * room, 1), Subtree),
+            "cached_counts": written.get("cached_counts", count, wp.int64),
+            "point_runs": scratch.get("point_runs", max(count * room, 1), Run),
+            "point_run_counts": scratch.get("point_run_counts", count, wp.int64),
+            "reused": scratch.get("reused", count, wp.int64),
+            "last_cached": read.get("cached", 1, Subtree),
+            "last_counts": read.get("cached_counts", 1, wp.int64),
+            "last_code": read.get("code", 1, wp.uint16),
+            "last_point": read.get("point", 1, wp.vec2i),
+            "last_cell": history.tree.last_cells(),
+        }
+        slots, last_room = (last.subtrees.slots, last.subtrees.room) if motion else (0, 1)
+        self.reuses = [written.struct(Reuse, slot) for slot in range(count)]
+        for reuse in self.reuses:
+            bind(reuse, slack=SLACK if caches else 0.0, room=room, last_slots=slots, last_room=last_room, **arrays)
+            if motion:
+                reuse.motion = motion
+        self.reused = scratch.numpy("reused")[:count]
+
+    def read_counts(self) -> np.ndarray:
+        """Return the counts that the kernels have written, int64 [slices, 4]."""
+        self.counts, self.reused = self.counts.copy(), self.reused.copy()
+        return self.counts
+
+    def reused_points(self) -> Runs:
+        """Return the runs of points that were copied from the last frame."""
+        runs, scratch = self.history.scratch.struct(Runs), self.history.scratch
+        bind(runs, runs=scratch.get("point_runs", 1, Run), counts=scratch.get("point_run_counts", 1, wp.int64))
+        bind(runs, room=self.reuses[0].room, lists=len(self.walks))
+        return runs
+
+
+def room_for(leaves: int) -> int:
+    """Return how many subtrees a slice of so many leaves may cache."""
+    return leaves // 8 + 8

@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterable
 from pathlib import Path
 
+from adaptive_terrain.cbt_terrain.refine.reference import Triangle, children, edges, middle, nested, refine, square
 from adaptive_terrain.operators.text.svg import (
     BLUE,
     GOLD,
@@ -25,7 +26,6 @@ from adaptive_terrain.operators.text.svg import (
     picture,
     text,
 )
-from method_in_little import Triangle, children, edges, middle, refined, square
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 WIDTH = 860
@@ -99,7 +99,8 @@ def example(depth: int, finest: float) -> list[Triangle]:
         ridge = abs(at[1] - 0.30 - 0.35 * math.sin(2.4 * at[0]))
         return longest > finest + 0.9 * ridge + 0.2 * abs(at[0] - 0.55)
 
-    return refined(square(0, 0, 1), depth, wanted)
+    roots = square(0, 0, 1)
+    return refine(roots, depth, nested(roots, depth, wanted))
 
 
 def inner(triangle: Triangle) -> Point:
@@ -308,7 +309,8 @@ def rim() -> str:
     left, high = at(0, rows)
     shape = f'<rect x="{left}" y="{high}" width="{columns * unit}" height="{rows * unit}"/>'
     parts, inside, outside = [f'<defs><clipPath id="rim">{shape}</clipPath></defs>'], [], []
-    for leaf in refined([root for i in range(across) for root in square(i * side, 0, side)], 8, wanted):
+    roots = [root for i in range(across) for root in square(i * side, 0, side)]
+    for leaf in refine(roots, 8, nested(roots, 8, wanted)):
         points = [at(*p) for p in leaf]
         if any(x > columns or y > rows for x, y in leaf):
             outside.append(path(points, LINE, 1, PAPER, 'stroke-dasharray="2 3"'))

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The whole method in few lines: read this first.
+
+A right triangle is split at the middle of its longest edge. The triangle behind that edge has the same longest edge, so
+both are split at this *split vertex* or neither is; one alone would leave a crack. The two form a *diamond*, and a
+*criterion* decides for each diamond whether it is too coarse.
+
+A criterion is *nested* if a split diamond always has split parents: the diamonds at the apexes of its two triangles.
+Then one walk from the roots that looks at each triangle once gives a mesh without cracks, in the order of the
+Sierpinski curve, and the mesh depends on nothing but the criterion. `nested` makes any criterion nested; the product's
+criteria are nested by construction (docs/method/pixels.md).
+
+kernels/refine/plain.py is `refine` as a kernel. walk.py beside it makes the same bytes faster.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+
+Point = tuple[float, float]
+Triangle = tuple[Point, Point, Point]  # left, apex, right: the longest edge runs from left to right
+Criterion = Callable[[Point, float], bool]  # is the diamond split, by its split vertex and its longest edge
+
+
+def middle(a: Point, b: Point) -> Point:
+    return (a[0] + b[0]) / 2, (a[1] + b[1]) / 2
+
+
+def children(triangle: Triangle) -> tuple[Triangle, Triangle]:
+    """Return the two halves of a triangle in the order of the curve."""
+    left, apex, right = triangle
+    vertex = middle(left, right)
+    return (left, vertex, apex), (apex, vertex, right)
+
+
+def square(x: float, y: float, side: float) -> tuple[Triangle, Triangle]:
+    """Return the two roots of a square with its lower left corner at (x, y)."""
+    upper_left, lower_right = (x, y + side), (x + side, y)
+    return (upper_left, (x, y), lower_right), (lower_right, (x + side, y + side), upper_left)
+
+
+def refine(roots: Sequence[Triangle], depth: int, is_split: Criterion) -> list[Triangle]:
+    """Return the leaves below some roots in the order of the curve, at most `depth` bisections deep."""
+    leaves = []
+    for triangle in roots:
+        left, _, right = triangle
+        if depth and is_split(middle(left, right), math.dist(left, right)):
+            leaves += refine(children(triangle), depth - 1, is_split)
+        else:
+            leaves.append(triangle)
+    return leaves
+
+
+def nested(roots: Sequence[Triangle], depth: int, is_split: Criterion) -> Criterion:
+    """Return the criterion that also splits all ancestors of a split diamond (a *saturated* criterion)."""
+    found: dict[Point, bool] = {}
+
+    def visit(triangles: Sequence[Triangle], left_over: int, apexes: dict[Point, set[Point]]) -> None:
+        for left, apex, right in triangles if left_over else ():
+            apexes.setdefault(middle(left, right), set()).add(apex)
+            found[middle(left, right)] = is_split(middle(left, right), math.dist(left, right))
+            visit(children((left, apex, right)), left_over - 1, apexes)
+
+    def split(vertex: Point) -> None:
+        found[vertex] = True
+        for parent in parents[vertex]:
+            if found.get(parent) is False:
+                split(parent)
+
+    parents: dict[Point, set[Point]] = {}
+    visit(roots, depth, parents)
+    for vertex in [vertex for vertex, wanted in found.items() if wanted]:
+        split(vertex)
+    return lambda vertex, _longest: found[vertex]
+
+
+def edges(triangle: Triangle) -> list[frozenset[Point]]:
+    """Return the three edges of a triangle."""
+    left, apex, right = triangle
+    return [frozenset(pair) for pair in ((left, apex), (apex, right), (right, left))]

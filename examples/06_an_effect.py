@@ -12,9 +12,10 @@ import numpy as np
 from adaptive_terrain import Criterion, ImportSettings, Terrain, import_source, open_store
 from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.effects.effect import Asked, Effect, Parameter
-from adaptive_terrain.cbt_terrain.evaluate.evaluate import Evaluator
+from adaptive_terrain.cbt_terrain.evaluate.evaluate import EffectRequest, evaluate
 from adaptive_terrain.cbt_terrain.evaluate.examples import evaluate_on
 from adaptive_terrain.cbt_terrain.evaluate.plan import plan
+from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
 
 
 def make(places, wanted, read):
@@ -47,10 +48,9 @@ folder = Path(sys.argv[1] if len(sys.argv) > 1 else "example")
 import_source(ImportSettings("island", size=513), folder / "island.store")
 field = open_store(folder / "island.store")
 surface = Terrain(field).update(Criterion(error_m=2.0, error_px=0), []).surface
-evaluator = Evaluator()
 asked = plan([Asked("noon_sun", ("example 6",), parameters=(("elevation", 30.0),))])
-attributes = evaluator.attributes(asked, field, surface)
-noon = attributes["noon_sun"].array
+made = evaluate(field, EffectRequest(asked, surface), FrameHistory())
+noon = made.attributes["noon_sun"].array
 print(f"noon_sun of {len(noon):,} vertices: {noon.min():.2f} to {noon.max():.2f}")
-print(f"made: {', '.join(evaluator.ran)}; left alone: {len(asked.skipped)}")
+print(f"made: {', '.join(made.ran)}; left alone: {len(asked.skipped)}")
 del EFFECTS["noon_sun"]

@@ -21,9 +21,10 @@ from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.effects.effect import LINEAR_RGB, Asked, Effect, Places
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.evaluate.evaluate import Evaluator
+from adaptive_terrain.cbt_terrain.evaluate.evaluate import EffectRequest, evaluate
 from adaptive_terrain.cbt_terrain.evaluate.plan import plan
 from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ISLAND, ImportSettings
 from adaptive_terrain.cbt_terrain.land.shape_process import shape_store
@@ -227,9 +228,8 @@ def alone(name: str, field, surface, view: View) -> float:
     """Milliseconds of an effect and what it reads, on one thread."""
     asked, times = plan([Asked(name, ("a material",))]), []
     for _ in range(RUNS + 1):
-        evaluator = Evaluator(threads=1)
         start = time.perf_counter()
-        evaluator.attributes(asked, field, surface, [view])
+        evaluate(field, EffectRequest(asked, surface, [view]), FrameHistory())
         times.append((time.perf_counter() - start) * 1e3)
     return statistics.median(times[1:])
 

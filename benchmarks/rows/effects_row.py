@@ -9,7 +9,7 @@ from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.effects.effect import Asked
 from ...cbt_terrain.effects.pyramid import ground
 from ...cbt_terrain.effects.splat import SPLATS
-from ...cbt_terrain.evaluate.evaluate import Evaluator
+from ...cbt_terrain.evaluate.evaluate import EffectRequest, evaluate
 from ...cbt_terrain.evaluate.plan import plan
 from ...cbt_terrain.terrain import Terrain
 from ..rig import scenes
@@ -33,7 +33,6 @@ def effects_flight_row() -> Row:
     ground(field, 1.0, 0.0, 1)  # computed once for a store
     criterion = scenes.errors(scenes.pixels_for(field, view_at(0), scenes.errors, MILLION))
     terrain = Terrain(field)
-    evaluator = Evaluator(terrain.threads)
     wanted = plan([Asked(effect, ("benchmark",)) for effect in (*ATTRIBUTES, *(splat.name for splat in SPLATS))])
     updates, effects, computed = [], [], []
 
@@ -42,10 +41,10 @@ def effects_flight_row() -> Row:
         with stopwatch() as update_ms:
             surface = terrain.update(criterion, views).surface
         with stopwatch() as effects_ms:
-            evaluator.attributes(wanted, field, surface, views)
+            result = evaluate(field, EffectRequest(wanted, surface, views), terrain.history, terrain.threads)
         updates.append(update_ms[0])
         effects.append(effects_ms[0])
-        computed.append(evaluator.ran["slope"].computed / len(surface.positions))
+        computed.append(result.ran["slope"].computed / len(surface.positions))
 
     next_frame()
     next_frame()

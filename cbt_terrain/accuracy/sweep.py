@@ -12,7 +12,7 @@ import numpy as np
 
 from ..ask.criterion import Criterion
 from ..ask.view import View
-from ..evaluate.evaluate import Evaluator
+from ..evaluate.evaluate import EffectRequest, evaluate
 from ..evaluate.plan import Plan
 from ..field.bicubic import interpolated
 from ..field.heightfield import HeightField
@@ -200,7 +200,6 @@ def _row(
     heights, setting: Setting, frames: Sequence[Frame], base: Criterion, threads, sight, write, effects: Plan, on_part
 ) -> Row:
     criterion, terrain = setting.criterion(base), Terrain(heights, threads)
-    evaluator = Evaluator(terrain.threads)
     if setting.unit == "m":
         frames = [dataclasses.replace(frames[0], views=(), after=None)]
     looks = [(frame, view) for frame in frames for view in frame.views or [None]]
@@ -225,7 +224,8 @@ def _row(
             )
 
         def made(surface: Surface, views: Sequence[View], frame: Frame = frame) -> dict[str, Attribute]:
-            return evaluator.attributes(effects, heights, surface, views, *frame.heights)
+            request = EffectRequest(effects, surface, views, *frame.heights)
+            return evaluate(heights, request, terrain.history, terrain.threads).attributes
 
         update = None
         if not frame.after:

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Running a plan on a surface: each effect once, nothing that is not in the plan, nothing again that is known."""
+"""Evaluation of a plan of effects on a surface: each effect once, and only at points that the last surface lacks."""
 
 import time
 import weakref
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,18 +12,18 @@ from ..ask.view import View
 from ..effects.catalogue import EFFECTS
 from ..effects.effect import GEOMETRY, Asked, Places
 from ..field.heightfield import HeightField
+from ..history.frame_history import FrameHistory
 from ..mesh.attributes import POINT as POINTS
 from ..mesh.attributes import Attribute
 from ..mesh.surface import Surface
-from ..run.locks import SharedLock
-from .keep import Kept
 from .plan import Plan, plan
 from .scale import fixed_level, footprint_levels
+from .values import EffectValues, Made
 
 Group = list[Asked]  # what is made in one call
 # Bytes that the values of effects may take of one terrain, with those of the last surface. This surface's are held
 # whatever they take: the mesh is written from them.
-MOST_BYTES = 1 << 28
+MAX_BYTES = 1 << 28
 NUMBER = 4  # bytes of a number, float32
 ANY_LEVEL = "ANY_LEVEL"
 BAND = 1 << 18  # samples that are evaluated together
@@ -41,114 +40,103 @@ class Ran:
 
 
 @dataclass(frozen=True)
-class _State:
-    """What the last call left. `keys`: of the values that are kept, by effect."""
+class EffectRequest:
+    """Which effects to evaluate on which surface; arguments as of `Terrain.update`. With no views, effects in pictures
+    are at the raster's own scale, and so are those in geometry unless `geometry_metres` gives another."""
 
-    surface: weakref.ref[Surface] | Callable[[], None] = lambda: None
-    asked: tuple = ()
-    keys: dict[str, tuple] = field(default_factory=dict)
-    found: dict[str, Attribute] = field(default_factory=dict)
+    plan: Plan
+    surface: Surface
+    views: Sequence[View] = ()
+    placement: np.ndarray | None = None
+    vertical_scale: float = 1.0
+    vertical_offset: float = 0.0
+    geometry_metres: float = 0.0
+
+    def key(self, heights: HeightField) -> tuple:
+        """Return everything but the surface that the values depend on."""
+        where = b"" if self.placement is None else np.asarray(self.placement, np.float64).tobytes()
+        views = tuple(view.key() for view in self.views)
+        scale = float(self.vertical_scale), float(self.vertical_offset)
+        return self.plan, heights.key, scale, where, views, self.geometry_metres
 
 
-@dataclass
-class Evaluator:
-    """Evaluates effects for one terrain's surfaces; keeps what the next surface may take over.
+@dataclass(frozen=True)
+class Evaluated:
+    """`attributes`: by name, in arrays that stay as they are until the next evaluation with the same history. `ran`: by
+    effect. `nbytes`: of all values that the history holds, those of the last surface too."""
 
-    `most_bytes`: see MOST_BYTES. `runs`: how often each effect was computed, ever: what is not asked for is not in it.
-    `ran`: what the last call took. Values are functions of a place, a level, parameters and heights alone, so what is
-    kept has the bits of what would be computed, whatever surfaces came before.
+    attributes: dict[str, Attribute]
+    ran: dict[str, Ran]
+    nbytes: int = 0
+
+
+def evaluate(
+    heights: HeightField,
+    request: EffectRequest,
+    history: FrameHistory,
+    threads: int = 1,
+    max_bytes: int = MAX_BYTES,
+) -> Evaluated:
+    """Evaluate effects on a surface.
+
+    Values are functions of a point, a level, parameters and heights alone. So the bytes are the same whatever the
+    history, which saves the effects at points that the last surface has too. `max_bytes`: see MAX_BYTES.
     """
+    with history.alone():
+        values, history.values = history.values, None  # discarded where this is interrupted
+        if not request.plan.steps:
+            return Evaluated({}, {})
+        values = EffectValues(threads) if values is None else values
+        last, key = values.made, request.key(heights)
+        ran = {step.name: Ran(0.0, 0, 0) for step in request.plan.steps}
+        if request.surface is not last.surface() or key != last.request:
+            keys = _keys(request, heights)
+            found = _values(heights, request, values, keys, max_bytes, ran)
+            names = request.plan.attributes
+            attributes = {name: Attribute(found[name], POINTS, EFFECTS[name].unit) for name in names}
+            values.made = Made(weakref.ref(request.surface), key, keys, attributes)
+        history.values = values
+        return Evaluated(values.made.attributes, ran, values.nbytes)
 
-    threads: int = 1
-    most_bytes: int = MOST_BYTES
-    runs: Counter = field(default_factory=Counter)
-    ran: dict[str, Ran] = field(default_factory=dict)
-    _lock: SharedLock = field(default_factory=SharedLock, init=False, repr=False)
-    _state: _State = field(default_factory=_State, init=False, repr=False)
-    _kept: Kept | None = field(default=None, init=False, repr=False)
 
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all values that are held, of this surface and of the last one."""
-        return 0 if self._kept is None else self._kept.nbytes
-
-    def attributes(
-        self,
-        plan: Plan,
-        heights: HeightField,
-        surface: Surface,
-        views: Sequence[View] = (),
-        placement: np.ndarray | None = None,
-        vertical_scale: float = 1.0,
-        vertical_offset: float = 0.0,
-        geometry_metres: float = 0.0,
-    ) -> dict[str, Attribute]:
-        """The attributes of the plan for this surface, by name; in arrays that stay as they are until the next call.
-
-        Arguments as of `Terrain.update`. With no views what pictures show is at the raster's own scale, and so is what
-        geometry is made from, unless `geometry_metres` says another.
-        """
-        scale = float(vertical_scale), float(vertical_offset)
-        with self._lock:
-            return self._attributes(plan, heights, surface, views, placement, scale, geometry_metres)
-
-    def _attributes(
-        self,
-        plan: Plan,
-        heights: HeightField,
-        surface: Surface,
-        views: Sequence[View],
-        placement: np.ndarray | None,
-        scale: tuple[float, float],
-        geometry_metres: float,
-    ) -> dict[str, Attribute]:
-        where = b"" if placement is None else np.asarray(placement, np.float64).tobytes()
-        asked = (plan, heights.key, scale, where, tuple(view.key() for view in views), geometry_metres)
-        last, self._state, self.ran = self._state, _State(), {}
-        if surface is last.surface() and asked == last.asked:
-            self._state, self.ran = last, {step.name: Ran(0.0, 0, 0) for step in plan.steps}
-            return last.found
-        kept, self._kept = self._kept, None  # what is half done when this is stopped is not known
-        if not plan.steps:
-            return {}
-        kept = Kept(self.threads) if kept is None else kept
-        level = fixed_level(heights, geometry_metres)
-        keys = _keys(plan, (heights.key, *scale), level)
-        values: dict[str, np.ndarray] = {}
-        positions = kept.move_to(surface.positions)
-        places, fresh = {}, {}
-        for family in sorted({step.family for step in plan.steps}):
-            levels, before = kept.turn(family)
-            if family == GEOMETRY:
-                levels[:] = level
-            else:
-                footprint_levels(heights, positions, views, placement, self.threads, levels)
-            places[family] = Places(heights, positions, levels, *scale, self.threads)
-            fresh[family] = kept.fresh(levels, before)
-        if not all(EFFECTS[step.name].scaled for step in plan.steps):
-            fresh[ANY_LEVEL] = kept.new()
-        made = [step for step in plan.steps if not EFFECTS[step.name].is_nothing(step.parameters)]
-        once = _held_once(made, len(positions), self.most_bytes)
-        kept.forget(once)
-        stay = {step.name for step in made if last.keys.get(step.name) == keys[step.name]} - once
-        which = {step.name: fresh[step.family if EFFECTS[step.name].scaled else ANY_LEVEL] for step in made}
-        which |= dict.fromkeys(which.keys() - stay)
-        values |= kept.take({name: EFFECTS[name].width for name, some in which.items() if some is not None})
-        for step in set(plan.steps) - set(made):
-            values[step.name] = kept.zeros(EFFECTS[step.name].width)
-            self.runs[step.name] += 0
-            self.ran[step.name] = Ran(0.0, 0, 0)
-        for group in _made_together(made, stay):
-            start = time.perf_counter()
-            computed = _make(group, places[group[0].family], which[group[0].name], values, kept, once)
-            ms = (time.perf_counter() - start) * 1e3 / len(group)
-            for step in group:
-                self.runs[step.name] += computed > 0
-                self.ran[step.name] = Ran(ms, values[step.name].nbytes, computed)
-        kept.forget_others({*which, *places})
-        found = {name: Attribute(values[name], POINTS, EFFECTS[name].unit) for name in plan.attributes}
-        self._kept, self._state = kept, _State(weakref.ref(surface), asked, keys, found)
-        return found
+def _values(
+    heights: HeightField,
+    request: EffectRequest,
+    values: EffectValues,
+    keys: dict[str, tuple],
+    max_bytes: int,
+    ran: dict[str, Ran],
+) -> dict[str, np.ndarray]:
+    """Return the values of all steps by name, and note in `ran` what they took."""
+    steps, last, scale = request.plan.steps, values.made, (request.vertical_scale, request.vertical_offset)
+    positions = values.move_to(request.surface.positions)
+    places, fresh = {}, {}
+    for family in sorted({step.family for step in steps}):
+        levels, before = values.turn(family)
+        if family == GEOMETRY:
+            levels[:] = fixed_level(heights, request.geometry_metres)
+        else:
+            footprint_levels(heights, positions, request.views, request.placement, values.threads, levels)
+        places[family] = Places(heights, positions, levels, *map(float, scale), values.threads)
+        fresh[family] = values.fresh(levels, before)
+    if not all(EFFECTS[step.name].scaled for step in steps):
+        fresh[ANY_LEVEL] = values.new()
+    made = [step for step in steps if not EFFECTS[step.name].is_nothing(step.parameters)]
+    once = _held_once(made, len(positions), max_bytes)
+    values.forget(once)
+    reused = {step.name for step in made if last.keys.get(step.name) == keys[step.name]} - once
+    which = {step.name: fresh[step.family if EFFECTS[step.name].scaled else ANY_LEVEL] for step in made}
+    which |= dict.fromkeys(which.keys() - reused)
+    found = values.reuse({name: EFFECTS[name].width for name, some in which.items() if some is not None})
+    for step in set(steps) - set(made):
+        found[step.name] = values.zeros(EFFECTS[step.name].width)
+    for group in _made_together(made, reused):
+        start = time.perf_counter()
+        computed = _make(group, places[group[0].family], which[group[0].name], found, values, once)
+        ms = (time.perf_counter() - start) * 1e3 / len(group)
+        ran |= {step.name: Ran(ms, found[step.name].nbytes, computed) for step in group}
+    values.forget_others({*which, *places})
+    return found
 
 
 def values_at(places: Places, asked: Iterable[Asked]) -> dict[str, np.ndarray]:
@@ -205,24 +193,26 @@ def _held_once(steps: Sequence[Asked], count: int, most: int) -> set[str]:
     return once
 
 
-def _keys(plan: Plan, heights: tuple, level: float) -> dict[str, tuple]:
-    """What the values of each step are a function of, beside places and the levels of pictures."""
+def _keys(request: EffectRequest, heights: HeightField) -> dict[str, tuple]:
+    """Return what the values of each step depend on, beside points and the levels of pictures."""
     keys: dict[str, tuple] = {}
-    for step in plan.steps:
+    level = fixed_level(heights, request.geometry_metres)
+    surface = heights.key, float(request.vertical_scale), float(request.vertical_offset)
+    for step in request.plan.steps:
         effect = EFFECTS[step.name]
         numbers = tuple(sorted((effect.defaults() | dict(step.parameters)).items()))
         scale = level if step.family == GEOMETRY and effect.scaled else None
         read = tuple(keys[name] for name in effect.reads_with(step.parameters))
-        keys[step.name] = (step.name, effect.version, numbers, step.family, scale, heights, read)
+        keys[step.name] = (step.name, effect.version, numbers, step.family, scale, surface, read)
     return keys
 
 
-def _made_together(steps: Sequence[Asked], stay: set[str]) -> list[Group]:
-    """Steps in groups that one call makes: of one function and family, of which all are known of the same places."""
+def _made_together(steps: Sequence[Asked], reused: set[str]) -> list[Group]:
+    """Return steps in groups that one call makes: of one function and family, known at the same points."""
     group_of: dict[str, int] = {}
     order: list[tuple[tuple, Group]] = []
     for step in steps:
-        kind = (EFFECTS[step.name].make, step.family, EFFECTS[step.name].scaled, step.name in stay)
+        kind = (EFFECTS[step.name].make, step.family, EFFECTS[step.name].scaled, step.name in reused)
         after = max((group_of.get(name, -1) for name in EFFECTS[step.name].reads_with(step.parameters)), default=-1)
         number = next((k for k in range(after + 1, len(order)) if order[k][0] == kind), len(order))
         if number == len(order):
@@ -243,18 +233,23 @@ def _computed(group: Sequence[Asked], places: Places, read: Mapping[str, np.ndar
 
 
 def _make(
-    group: Group, places: Places, which: np.ndarray | None, values: dict[str, np.ndarray], kept: Kept, once: set[str]
+    group: Group,
+    places: Places,
+    which: np.ndarray | None,
+    found: dict[str, np.ndarray],
+    values: EffectValues,
+    once: set[str],
 ) -> int:
-    """Put the group's values into `values`; returns of how many elements they were computed. which: the places that are
-    not known, where `values` has the others; None for all of them. once: see `_held_once`."""
-    read = {name: values[name] for step in group for name in EFFECTS[step.name].reads_with(step.parameters)}
+    """Put the group's values into `found`; returns for how many elements they were computed. which: the points that are
+    not known, where `found` has the others; None for all of them. once: see `_held_once`."""
+    read = {name: found[name] for step in group for name in EFFECTS[step.name].reads_with(step.parameters)}
     if which is None:
         for name, array in _computed(group, places, read).items():
-            kept.put(name, array, name in once)
-            values[name] = array
+            values.put(name, array, name in once)
+            found[name] = array
         return len(places)
     if len(which):
         some = {name: array[which] for name, array in read.items()}
         for name, array in _computed(group, places.only(which), some).items():
-            values[name][which] = array
+            found[name][which] = array
     return len(which)

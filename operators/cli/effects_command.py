@@ -6,9 +6,10 @@ from pathlib import Path
 from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.effects.catalogue import EFFECTS
 from ...cbt_terrain.effects.effect import GEOMETRY, Asked
-from ...cbt_terrain.evaluate.evaluate import Evaluator
+from ...cbt_terrain.evaluate.evaluate import EffectRequest, Ran, evaluate
 from ...cbt_terrain.evaluate.plan import plan
 from ...cbt_terrain.field.store import open_store
+from ...cbt_terrain.history.frame_history import FrameHistory
 from ...cbt_terrain.run import launch, stopping
 from ...cbt_terrain.terrain import Terrain
 from ..text import effect_lines
@@ -37,10 +38,8 @@ def _alone(name: str, field, surface):
     """What an effect takes with all that it reads, once kernels are compiled and what is kept of a field is there."""
     asked = plan([Asked(name, ("this command",), GEOMETRY)])
     for _ in range(2):
-        evaluator = Evaluator(launch.default_threads())
-        evaluator.attributes(asked, field, surface)
-    ran = evaluator.ran.values()
-    return type(evaluator.ran[name])(sum(r.ms for r in ran), sum(r.nbytes for r in ran), evaluator.ran[name].computed)
+        ran = evaluate(field, EffectRequest(asked, surface), FrameHistory(), launch.default_threads()).ran
+    return Ran(sum(r.ms for r in ran.values()), sum(r.nbytes for r in ran.values()), ran[name].computed)
 
 
 def of_scene(blend: Path, camera: str | None = None) -> list[str]:

@@ -13,14 +13,13 @@ from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.effects.effect import GEOMETRY, Asked
 from ...cbt_terrain.errors import TerrainError, shown
-from ...cbt_terrain.evaluate.evaluate import Evaluator
+from ...cbt_terrain.evaluate.evaluate import EffectRequest, evaluate
 from ...cbt_terrain.evaluate.plan import plan
 from ...cbt_terrain.field.bicubic import interpolated
 from ...cbt_terrain.field.detail import Detail
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS, with_detail
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.mesh.surface import Surface
-from ...cbt_terrain.run import launch
 from ...cbt_terrain.run.named_file import blocks_reader
 from ...cbt_terrain.run.owned_files import real_path
 from ...cbt_terrain.scatter.points import Points
@@ -76,7 +75,6 @@ class StoreFrames:
         self.field = with_detail(interpolated(open_store(store), interpolation), detail)
         self.terrain = Terrain(self.field)
         self.effects = plan(Asked(name, ("the export",), GEOMETRY) for name in effects)
-        self.evaluator = Evaluator(launch.default_threads())
         self.obj = new_object(self.name) if in_blender else None
         self.settings = {
             "store": field_identity(self.field),
@@ -95,7 +93,9 @@ class StoreFrames:
         view = self.path.view(frame, self.resolution)
         update = self.terrain.update(self.criterion, [view])
         tree, how = self.terrain.saved()
-        surface = update.surface.with_attributes(self.evaluator.attributes(self.effects, self.field, update.surface))
+        request = EffectRequest(self.effects, update.surface)
+        made = evaluate(self.field, request, self.terrain.history, self.terrain.threads)
+        surface = update.surface.with_attributes(made.attributes)
         info = describe(update, self.criterion, [view], self.field) | {"frame": frame, "tree": how}
         if self.obj is not None:
             from ..mesh.writer import write_mesh

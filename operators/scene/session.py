@@ -8,11 +8,12 @@ Nothing here holds a reference to Blender data, which undo and loading invalidat
 import dataclasses
 import threading
 import time
+from collections import Counter
 
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.evaluate.evaluate import Evaluator
+from ...cbt_terrain.evaluate.evaluate import EffectRequest, evaluate
 from ...cbt_terrain.evaluate.layered_detail import laid
 from ...cbt_terrain.evaluate.plan import plan
 from ...cbt_terrain.field.bicubic import interpolated
@@ -79,7 +80,8 @@ class Record:
     """One terrain's engine. `serial` counts surfaces, `shown` tells which one the mesh holds and how it was written;
     `generation` counts everything that makes an update that is under way stale. `overlay` is None while it is off;
     `overlay_key` names what it was made of, in `overlay_ms`. `effects`: the attributes that effects have made, in
-    arrays of the evaluator; `effects_serial` counts their values, `effects_made` says what there is to say of each.
+    arrays of the terrain's history, which holds `effects_bytes`; `effects_serial` counts their values, `effects_made`
+    has the status of each, `effects_runs` how often each was computed.
     `scatters`: by the session_uid of their objects."""
 
     terrain: Terrain | None = None
@@ -89,10 +91,11 @@ class Record:
     overlay: Overlay | None = None
     overlay_key: tuple | None = None
     overlay_ms: float = 0.0
-    evaluator: Evaluator | None = None
     effects: dict[str, Attribute] = dataclasses.field(default_factory=dict)
     effects_serial: int = 0
     effects_made: dict[str, EffectStatus] = dataclasses.field(default_factory=dict)
+    effects_bytes: int = 0
+    effects_runs: Counter = dataclasses.field(default_factory=Counter)
     live_key: tuple | None = None
     scatters: dict[int, ScatterRecord] = dataclasses.field(default_factory=dict)
     generation: int = 0
@@ -192,7 +195,6 @@ def solve(record: Record, request: Request):
 def _refine(record: Record, request: Request, heights: HeightField):
     if record.terrain is None or record.field is not heights:
         record.terrain, record.field, record.serial = Terrain(heights), heights, record.serial + 1
-        record.evaluator = Evaluator(record.terrain.threads)
     placed = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
     if request.frozen:
         tree, meshlet = frozen.from_text(request.frozen)
@@ -208,18 +210,20 @@ def _refine(record: Record, request: Request, heights: HeightField):
 def _make_effects(record: Record, request: Request, update, placed: dict[str, float]) -> None:
     """The attributes that the request asks for, on the surface of an update."""
     names, asked = set(record.effects), plan(request.effects.asked)
-    record.effects = record.evaluator.attributes(
+    effects = EffectRequest(
         asked,
-        record.field,
         update.surface,
         request.views,
         request.placement,
         **placed,
         geometry_metres=request.effects.geometry_metres,
     )
-    ran = record.evaluator.ran
-    record.effects_serial += names != set(record.effects) or any(step.computed for step in ran.values())
-    record.effects_made = statuses(request.effects, asked, ran, record.field)
+    made = evaluate(record.field, effects, record.terrain.history, record.terrain.threads)
+    record.effects, record.effects_bytes = made.attributes, made.nbytes
+    for name, ran in made.ran.items():
+        record.effects_runs[name] += ran.computed > 0
+    record.effects_serial += names != set(record.effects) or any(step.computed for step in made.ran.values())
+    record.effects_made = statuses(request.effects, asked, made.ran, record.field)
 
 
 def frozen_now(obj) -> str:
@@ -290,7 +294,7 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
         left=len(obj.data.polygons),
         ms=ms,
         effects=record.effects_made,
-        effects_bytes=record.evaluator.nbytes if record.evaluator is not None else 0,
+        effects_bytes=record.effects_bytes,
         **{name: getattr(update, name) for name in FIGURES},
     )
     return written

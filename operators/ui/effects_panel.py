@@ -8,7 +8,7 @@ moves while someone aims at it.
 import bpy
 
 from ...cbt_terrain.effects.catalogue import EFFECTS
-from ...cbt_terrain.evaluate.evaluate import MOST_BYTES
+from ...cbt_terrain.evaluate.evaluate import MAX_BYTES
 from ..properties.effect_properties import is_number
 from ..properties.map_properties import label
 from ..scene import session
@@ -72,13 +72,13 @@ def about_text(name: str) -> str:
 
 
 def summary_lines(statuses, nbytes: int) -> list[tuple[str, str]]:
-    """The lines above the list: as many before the first update. `nbytes`: what is held, see MOST_BYTES."""
+    """The lines above the list: as many before the first update. `nbytes`: what is held, see MAX_BYTES."""
     made = [status for status in statuses.values() if not status.skipped]
     ms, megabytes = sum(status.ms for status in made), sum(status.nbytes for status in made) / 1e6
     return [
         ("Computed", f"{len(made)} of {len(EFFECTS)}"),
         ("Cost", f"{plain(ms)} ms, {plain(megabytes)} MB"),
-        ("Held", f"{plain(nbytes / 1e6)} of {plain(MOST_BYTES / 1e6)} MB"),
+        ("Held", f"{plain(nbytes / 1e6)} of {plain(MAX_BYTES / 1e6)} MB"),
     ]
 
 

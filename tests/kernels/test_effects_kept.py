@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adaptive_terrain import kernels
-from adaptive_terrain.cbt_terrain.evaluate import keep
-from adaptive_terrain.cbt_terrain.evaluate.keep import Kept
+from adaptive_terrain.cbt_terrain.evaluate import values as effect_values
+from adaptive_terrain.cbt_terrain.evaluate.values import EffectValues
 from twins import load
 
 
@@ -27,7 +27,7 @@ def surfaces(rng):
 
 def taken(first: np.ndarray, second: np.ndarray, threads: int = 1) -> tuple[list[np.ndarray], int]:
     """Values of width 1 and 3 that were a function of the place, for the second surface; and how many were fresh."""
-    kept, found = Kept(threads), []
+    kept, found = EffectValues(threads), []
     kept.move_to(first)
     kept.turn("level")[0][:] = first[:, 2] > 1500
     kept.put("one", first[:, 0] * 2 + 1)
@@ -36,7 +36,7 @@ def taken(first: np.ndarray, second: np.ndarray, threads: int = 1) -> tuple[list
     levels, before = kept.turn("level")
     levels[:] = second[:, 2] > 1400
     fresh = kept.fresh(levels, before)
-    both = kept.take({"one": 1, "three": 3})
+    both = kept.reuse({"one": 1, "three": 3})
     for name, places in (("one", second[:, 0]), ("three", second)):
         values = both[name]
         values[fresh] = places[fresh] * 2 + 1
@@ -62,7 +62,7 @@ def test_snippets_find_and_copy_the_bytes_of_plain_warp(tmp_path, monkeypatch):
     path.write_text(source.replace("from ..unchecked import ", "from ..checked import "))
     pairs = [surfaces(np.random.default_rng(seed)) for seed in range(4)]
     fast = [taken(*pair) for pair in pairs]
-    monkeypatch.setattr(keep, "kernels", load("effects.keep_checked", path))
+    monkeypatch.setattr(effect_values, "kernels", load("effects.keep_checked", path))
     for (values, fresh), pair in zip(fast, pairs, strict=True):
         plain, as_many = taken(*pair)
         assert fresh == as_many and [a.tobytes() for a in values] == [b.tobytes() for b in plain]

@@ -39,7 +39,7 @@ def note(moment):
     record = session.record_of(terrain())
     said = {name: [status.readers, status.skipped] for name, status in record.status.effects.items()}
     result[moment] = {"made": made(), "triangles": len(terrain().data.polygons), "said": said}
-    result[moment]["runs"] = dict(record.evaluator.runs)
+    result[moment]["runs"] = dict(record.effects_runs)
 
 
 def editor():

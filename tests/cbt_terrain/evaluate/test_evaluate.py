@@ -10,10 +10,10 @@ from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.effects.effect import GEOMETRY, PICTURE, Asked, Effect
 from adaptive_terrain.cbt_terrain.effects.splat import SPLATS
 from adaptive_terrain.cbt_terrain.effects.splat_rules import Layer
-from adaptive_terrain.cbt_terrain.evaluate.evaluate import Evaluator
 from adaptive_terrain.cbt_terrain.evaluate.plan import Plan, plan
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from evaluations import Evaluations
 from padded import raster
 
 EVERY = plan([Asked(name, ("a material",)) for name in jet.MADE])
@@ -38,7 +38,7 @@ def test_any_history_gives_the_bytes_of_none(seed, monkeypatch):
     """Views that creep, jump and take turns, plans and families that change, an object that is turned and scaled."""
     monkeypatch.setattr("adaptive_terrain.cbt_terrain.run.launch.SLICE_ITEMS", 50)
     rng, heights = np.random.default_rng(seed), field()
-    terrain, kept = Terrain(heights, 2), Evaluator(threads=2)
+    terrain, kept = Terrain(heights, 2), Evaluations(threads=2)
     now, known = view(rng), 0
     for frame in range(30):
         if rng.random() < 0.15:
@@ -57,20 +57,20 @@ def test_any_history_gives_the_bytes_of_none(seed, monkeypatch):
         asked = (wanted, heights, surface, views, placement)
         metres = 40.0 if rng.random() < 0.1 else 0.0
         found = kept.attributes(*asked, **scale, geometry_metres=metres)
-        assert bytes_of(found) == bytes_of(Evaluator().attributes(*asked, **scale, geometry_metres=metres))
+        assert bytes_of(found) == bytes_of(Evaluations().attributes(*asked, **scale, geometry_metres=metres))
         assert found.keys() == set(names) and all(len(found[name].array) == len(surface.positions) for name in names)
         known += sum(ran.computed < len(surface.positions) for ran in kept.ran.values())
     assert known > 10, "next to nothing was kept, so next to nothing was tested"
 
 
-def flown(evaluator: Evaluator, heights, terrain: Terrain, x: float, wanted: Plan = EVERY):
+def flown(evaluator: Evaluations, heights, terrain: Terrain, x: float, wanted: Plan = EVERY):
     views = [View.look((x, -900.0, 500.0), (0, 0, 0), resolution=(60, 40))]
     surface = terrain.update(Criterion(error_px=0.05), views).surface
     return evaluator.attributes(wanted, heights, surface, views), surface, views
 
 
 def test_a_small_step_computes_little_and_the_same_surface_nothing():
-    heights, evaluator = field(), Evaluator()
+    heights, evaluator = field(), Evaluations()
     terrain = Terrain(heights)
     _, surface, views = flown(evaluator, heights, terrain, 0.0)
     assert all(ran.computed == len(surface.positions) for ran in evaluator.ran.values())
@@ -96,7 +96,7 @@ def test_what_nobody_reads_is_never_computed_and_one_call_makes_what_belongs_tog
         effect = EFFECTS[name]
         values = {key: getattr(effect, key) for key in Effect.__dataclass_fields__}
         monkeypatch.setitem(EFFECTS, name, Effect(**(values | {"make": counted})))
-    heights, evaluator = field(), Evaluator()
+    heights, evaluator = field(), Evaluations()
     terrain = Terrain(heights)
     some = plan([Asked("slope", ("x",)), Asked("height", ("y",)), Asked("moisture", ("an attribute of others",))])
     flown(evaluator, heights, terrain, 0.0, some)
@@ -110,7 +110,7 @@ def test_what_nobody_reads_is_never_computed_and_one_call_makes_what_belongs_tog
 
 def test_splats_of_layers_that_are_not_there_are_zeros_that_nobody_makes():
     """Whatever layers came before, and at every step of a flight."""
-    heights, evaluator = field(), Evaluator(threads=2)
+    heights, evaluator = field(), Evaluations(threads=2)
     terrain = Terrain(heights)
     names = [splat.name for splat in SPLATS]
     for frame, count in enumerate((3, 3, 5, 5, 4, 3, 12, 1, 9)):
@@ -126,7 +126,7 @@ def test_splats_of_layers_that_are_not_there_are_zeros_that_nobody_makes():
 
 
 def test_for_geometry_no_value_depends_on_the_camera():
-    heights, evaluator = field(), Evaluator()
+    heights, evaluator = field(), Evaluations()
     wanted = plan([Asked("slope", ("a modifier",), GEOMETRY)])
     terrain = Terrain(heights)
     surface = terrain.update(Criterion(error_px=1.0), [View.look((0, -900.0, 500.0), (0, 0, 0))]).surface
@@ -142,7 +142,7 @@ def test_for_geometry_no_value_depends_on_the_camera():
 
 
 def test_results_stay_until_the_next_call_and_a_failure_leaves_nothing_behind(monkeypatch):
-    heights, evaluator = field(), Evaluator()
+    heights, evaluator = field(), Evaluations()
     terrain = Terrain(heights)
     flown(evaluator, heights, terrain, 0.0)
     found, _, _ = flown(evaluator, heights, terrain, 1.0)
@@ -153,7 +153,7 @@ def test_results_stay_until_the_next_call_and_a_failure_leaves_nothing_behind(mo
             flown(evaluator, heights, terrain, 2.0)
     assert bytes_of(found) == before
     found, surface, views = flown(evaluator, heights, terrain, 2.0)
-    assert bytes_of(found) == bytes_of(Evaluator().attributes(EVERY, heights, surface, views))
+    assert bytes_of(found) == bytes_of(Evaluations().attributes(EVERY, heights, surface, views))
 
 
 def test_another_field_of_the_same_places_takes_over_nothing():
@@ -161,7 +161,7 @@ def test_another_field_of_the_same_places_takes_over_nothing():
     other.samples = other.samples + np.arange(33, dtype=np.float32)
     other.key = "another"
     surface = Terrain(one).update(Criterion(error_px=0, error_m=1.0)).surface
-    evaluator = Evaluator()
+    evaluator = Evaluations()
     assert not evaluator.attributes(EVERY, one, surface)["slope"].array.any()
     assert (evaluator.attributes(EVERY, other, surface)["slope"].array > 0.09).all()
 
@@ -174,21 +174,21 @@ def test_values_beyond_the_limit_are_held_once_the_costliest_last():
     views = [View.look(eye + [k, 0, 0], (0, 0, 0), resolution=(60, 40)) for k in range(4)]
     terrain = Terrain(heights, 2)
     surfaces = []
-    evaluators = Evaluator(threads=2), Evaluator(threads=2)
+    evaluators = Evaluations(threads=2), Evaluations(threads=2)
     for view in views:
         surfaces.append(terrain.update(Criterion(error_px=0.1), [view]).surface)
         count = len(surfaces[-1].positions)
         # Places and levels twice, all values once, and two more numbers: those of the two that are costliest.
-        evaluators[1].most_bytes = 4 * count * (2 * 5 + 6 + 2)
+        evaluators[1].max_bytes = 4 * count * (2 * 5 + 6 + 2)
         one, two = (bytes_of(e.attributes(wanted, heights, surfaces[-1], [view])) for e in evaluators)
         assert one == two
     free, limited = evaluators
     assert all(free.ran[name].computed < count for name in free.ran)
     assert {name for name, ran in limited.ran.items() if ran.computed < count} == {"sky", "sun"}
     room = 1.25  # buffers have more than is used
-    assert limited.nbytes <= room * limited.most_bytes < free.nbytes
-    evaluators[1].most_bytes = 0
+    assert limited.nbytes <= room * limited.max_bytes < free.nbytes
+    evaluators[1].max_bytes = 0
     assert bytes_of(limited.attributes(wanted, heights, surfaces[0], views[:1])) == bytes_of(
-        Evaluator().attributes(wanted, heights, surfaces[0], views[:1])
+        Evaluations().attributes(wanted, heights, surfaces[0], views[:1])
     )
     assert all(ran.computed == len(surfaces[0].positions) for ran in limited.ran.values())

@@ -14,7 +14,7 @@ from adaptive_terrain.cbt_terrain.effects.effect import Asked
 from adaptive_terrain.cbt_terrain.effects.layers import NAMES
 from adaptive_terrain.cbt_terrain.effects.splat_rules import Layer, Rule
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.evaluate.evaluate import Evaluator, on_samples
+from adaptive_terrain.cbt_terrain.evaluate.evaluate import on_samples
 from adaptive_terrain.cbt_terrain.evaluate.plan import plan
 from adaptive_terrain.cbt_terrain.field.store import verify
 from adaptive_terrain.cbt_terrain.field.store_arrays import all_checksums, header
@@ -25,6 +25,7 @@ from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.mesh.archive import finite_json, write_npz
 from adaptive_terrain.cbt_terrain.mesh.attributes import Attribute
+from evaluations import Evaluations
 
 ROCK = (Layer("Scree", (Rule("scree", 0.1, 10.0, 0.1),)), Layer("Rock", ()))
 SNOW = Stack((Entry("snow", mask=Mask("", (GroundRule("scree", low=0.1, edge=0.1),))),))
@@ -52,7 +53,7 @@ def shaped(tmp_path_factory):
 def attributes(store, asked):
     field = open_store(store)
     surface = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=20.0)).surface
-    return Evaluator(1).attributes(plan([asked]), field, surface, [])
+    return Evaluations(1).attributes(plan([asked]), field, surface, [])
 
 
 READERS = {

@@ -13,7 +13,6 @@ from adaptive_terrain.cbt_terrain.effects.effect import Asked, Places
 from adaptive_terrain.cbt_terrain.effects.layers import LAYERS, NAMES, lacks, make
 from adaptive_terrain.cbt_terrain.effects.splat_rules import Layer, Rule
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.evaluate.evaluate import Evaluator
 from adaptive_terrain.cbt_terrain.evaluate.plan import plan
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
@@ -28,6 +27,7 @@ from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.land.tiles import levels_of
 from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from evaluations import Evaluations
 from land_effects import SMOOTH, bumpy
 
 HILL = Entry("hill", {"east": 2000.0, "north": 1500.0, "radius": 800.0})
@@ -258,7 +258,7 @@ def test_splat_rules_are_about_layers_too(source, tmp_path):
     for depth in (None, np.tile(np.linspace(0, 2, 700, dtype=np.float32), (333, 1))):
         field.layers = {} if depth is None else {"snow": depth}
         field.found.clear()
-        white = Evaluator().attributes(asked, field, surface)["splat_1"].array[:, 1]
+        white = Evaluations().attributes(asked, field, surface)["splat_1"].array[:, 1]
         east = surface.positions[:, 0] > 0.01 * 699 * 9
         west = surface.positions[:, 0] < -0.01 * 699 * 9
         assert not white[west].any() and (white[east] == (0.0 if depth is None else 1.0)).all()

@@ -204,7 +204,8 @@ import warp as wp
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.effects.effect import Asked
-from adaptive_terrain.cbt_terrain.evaluate.evaluate import Evaluator
+from adaptive_terrain.cbt_terrain.evaluate.evaluate import EffectRequest, evaluate
+from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
 from adaptive_terrain.cbt_terrain.evaluate.kernels_needed import kernels_of
 from adaptive_terrain.cbt_terrain.evaluate.plan import plan
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -214,7 +215,7 @@ field = from_array(np.random.default_rng(0).random((40, 50), np.float32) * 9, 3.
 view = View.look((50, 50, 60), (0, 0, 0), resolution=(60, 40))
 surface = Terrain(field, 1).update(Criterion(error_px=1.0), [view]).surface
 wanted = plan([Asked(name, ("a test",)) for name in sys.argv[1:]])
-Evaluator().attributes(wanted, field, surface, [view])
+evaluate(field, EffectRequest(wanted, surface, [view]), FrameHistory())
 loaded = {m.__name__ for m in other_modules() if wp.get_module(m.__name__).execs}
 print(json.dumps([sorted(loaded), sorted(m.__name__ for m in kernels_of(wanted))]))
 """

@@ -46,12 +46,12 @@ def test_what_is_not_demanded_runs_zero_times(scene, add_terrain):
         else:
             geometry_tree(terrain, source, names)
         record = session.record_of(terrain)
-        record.evaluator.runs.clear()
+        record.effects_runs.clear()
         session.update_object(terrain)
         found = asked(look(terrain, "VIEWPORT"), EFFECTS)
         steps = {name for name, said in record.status.effects.items() if not said.skipped}
         inputs = {name for name in steps if all(r.startswith("effect ") for r in record.status.effects[name].readers)}
-        assert set(+record.evaluator.runs) <= steps and steps - inputs == set(found), number
+        assert set(+record.effects_runs) <= steps and steps - inputs == set(found), number
         assert {name for name in EFFECTS if name in terrain.data.attributes} == set(found), number
         never += len(EFFECTS) - len(steps)
         demanded += len(found)

@@ -48,7 +48,7 @@ def statuses(terrain):
 def test_what_is_read_is_computed_and_nothing_else(worn):
     session.update_object(worn)
     assert made(worn) == {"slope", "height"}
-    runs = session.record_of(worn).evaluator.runs
+    runs = session.record_of(worn).effects_runs
     assert set(runs) == {"slope", "height"}
     heights = np.empty(3 * len(worn.data.vertices), np.float32)
     worn.data.attributes["position"].data.foreach_get("vector", heights)
@@ -65,19 +65,19 @@ def test_unlinking_a_node_skips_its_effect_though_no_triangle_changes(worn):
     tree = worn.material_slots[0].material.node_tree
     tree.links.remove(next(link for link in tree.links if link.from_node.type == "ATTRIBUTE"))
     before, record = len(worn.data.polygons), session.record_of(worn)
-    runs = dict(record.evaluator.runs)
+    runs = dict(record.effects_runs)
     update = session.update_object(worn)
     assert not update.changed and len(worn.data.polygons) == before
     assert made(worn) == {"height"} and statuses(worn)["slope"].skipped == "nothing reads it"
-    assert record.evaluator.runs["slope"] == runs["slope"]
+    assert record.effects_runs["slope"] == runs["slope"]
 
 
 def test_nothing_is_computed_or_written_again_while_nothing_changes(worn):
     session.update_object(worn)
     record = session.record_of(worn)
-    runs, shown = dict(record.evaluator.runs), record.shown
+    runs, shown = dict(record.effects_runs), record.shown
     session.update_object(worn)
-    assert dict(record.evaluator.runs) == runs and record.shown == shown
+    assert dict(record.effects_runs) == runs and record.shown == shown
     assert "mesh" not in record.status.ms
 
 
@@ -203,7 +203,7 @@ def test_an_update_that_an_effect_stops_keeps_the_last_mesh(worn, monkeypatch):
     def fails(*_arguments, **_named):
         raise TerrainError("The effect 'slope' cannot be made; try another.")
 
-    monkeypatch.setattr(session.record_of(worn).evaluator, "attributes", fails)
+    monkeypatch.setattr(session, "evaluate", fails)
     with pytest.raises(TerrainError):
         session.update_object(worn)
     assert len(worn.data.polygons) == before and made(worn) == {"slope", "height"}

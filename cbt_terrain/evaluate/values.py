@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Values that stay: of every named array two, that of this surface and that of the last one, which take turns."""
+"""Values of effects for a surface, and those of the last surface, in arrays that take turns."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from weakref import ref
 
 import numpy as np
 import warp as wp
 
 from ...kernels.effects import keep as kernels
+from ..mesh.attributes import Attribute
+from ..mesh.surface import Surface
 from ..run import launch
 from ..run.buffers import flat, shared
 
@@ -14,11 +18,24 @@ PLACES = "places"
 MOST_FRESH = 0.75
 
 
-class Kept:
-    """Places of this surface and of the last one, which of them are the same, and what is known of them."""
+@dataclass(frozen=True)
+class Made:
+    """What the values are of: the surface, all that was requested, what each effect's values depend on beside points
+    and levels, and the attributes."""
+
+    surface: "ref[Surface] | Callable[[], None]" = lambda: None
+    request: tuple = ()
+    keys: dict[str, tuple] = field(default_factory=dict)
+    attributes: dict[str, Attribute] = field(default_factory=dict)
+
+
+class EffectValues:
+    """Points of this surface and of the last one, which of them are the same, and the values of effects there. A frame
+    history owns it."""
 
     def __init__(self, threads: int):
-        self._threads = threads
+        self.threads = threads
+        self.made = Made()
         self._arrays: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}  # room for this surface, for the last one
         self._count = self._last_count = 0
         self._zeros: dict[int, np.ndarray] = {}  # by width
@@ -30,7 +47,7 @@ class Kept:
         return sum(array.nbytes for pair in self._arrays.values() for array in pair if array is not None)
 
     def move_to(self, positions: np.ndarray) -> np.ndarray:
-        """Another surface, float32 [V, 3]: what was this one's becomes the last one's. Returns a copy of its places."""
+        """Begin another surface, float32 [V, 3]: this one becomes the last one. Returns a copy of its points."""
         self._last_count, self._count = self._count, len(positions)
         places, last = self.turn(PLACES, 3)
         launch.together([lambda a=a, b=b: np.copyto(places[a:b], positions[a:b]) for a, b in self._pieces()])
@@ -38,7 +55,7 @@ class Kept:
         return places
 
     def turn(self, name: str, width: int = 1) -> tuple[np.ndarray, np.ndarray | None]:
-        """Room for an array, float32 [V] or [V, width], and what the last surface had of it, or None."""
+        """Return room for an array, float32 [V] or [V, width], and the last surface's array, or None."""
         now, before = self._arrays.get(name, (None, None))
         if before is None or len(before) < self._count:
             more = int(1.25 * self._count)
@@ -47,11 +64,11 @@ class Kept:
         return before[: self._count], None if now is None else now[: self._last_count]
 
     def put(self, name: str, values: np.ndarray, once: bool = False) -> None:
-        """An array of this surface that was made as a whole. `once`: that of the last one is let go of."""
+        """Hold an array of this surface that was made as a whole. `once`: drop that of the last surface."""
         self._arrays[name] = values, None if once else self._arrays.get(name, (None, None))[0]
 
-    def take(self, widths: Mapping[str, int]) -> dict[str, np.ndarray]:
-        """As `turn`, of several arrays, with the values of those places that the last surface has, too."""
+    def reuse(self, widths: Mapping[str, int]) -> dict[str, np.ndarray]:
+        """Return room for several arrays as `turn` does, with the values of points that the last surface has too."""
         turned = {name: self.turn(name, width) for name, width in widths.items()}
         pairs = [_pair(*both, widths[name]) for name, both in turned.items() if both[1] is not None]
         if len(self._runs) and pairs:
@@ -61,16 +78,16 @@ class Kept:
         return {name: values for name, (values, _) in turned.items()}
 
     def zeros(self, width: int) -> np.ndarray:
-        """float32 [V, width], for everything of this surface that is 0: nobody writes it, so it takes no memory."""
+        """Return zeros, float32 [V, width]. Nothing writes them, so they take no memory."""
         held = self._zeros.get(width)
         if held is None or len(held) < self._count:
             self._zeros[width] = held = np.zeros((int(1.25 * self._count), width), np.float32)
         return held[: self._count]
 
     def fresh(self, levels: np.ndarray, last: np.ndarray | None) -> np.ndarray | None:
-        """int32 [n]: the places that the last surface does not have, or not at their level.
+        """Return the points that the last surface does not have, or not at their level, int32 [n].
 
-        None if most are so: to make all anew costs less than to put them among others.
+        None if most are so: it costs less to compute all than to put these among others.
         """
         if last is None or not len(self._runs):
             return None
@@ -82,7 +99,7 @@ class Kept:
         return fresh[: found[0]] if found[0] <= MOST_FRESH * self._count else None
 
     def new(self) -> np.ndarray:
-        """int32 [n]: the places that the last surface does not have, whatever their levels."""
+        """Return the points that the last surface does not have, whatever their levels, int32 [n]."""
         change = np.zeros(self._count + 1, np.int8)
         change[self._runs[:, 0]] += 1
         np.subtract.at(change, self._runs[:, 0] + self._runs[:, 2], 1)
@@ -98,7 +115,7 @@ class Kept:
 
     def _pieces(self) -> list[tuple[int, int]]:
         """Ranges of places, for as many threads as pay."""
-        pieces = max(1, min(self._threads, self._count // launch.SLICE_ITEMS))
+        pieces = max(1, min(self.threads, self._count // launch.SLICE_ITEMS))
         return launch.ranges(self._count, pieces)
 
 

@@ -9,7 +9,7 @@ import warp as wp
 from adaptive_terrain import kernels
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
-from adaptive_terrain.cbt_terrain.mesh import builder, meshlet_template
+from adaptive_terrain.cbt_terrain.mesh import builder, displacement, meshlet_template, welding
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from fields import rough
@@ -25,13 +25,15 @@ def in_warp_alone(tmp_path, monkeypatch):
     """Kernels of the surface that import tests/kernels/checked.py in place of kernels/unchecked.py."""
     load("checked", Path(__file__).with_name("checked.py"))
     twins = {}
-    for name in ("weld", "displace", "meshlet"):
+    users = {"weld": [welding], "displace": [displacement], "meshlet": [builder, displacement]}
+    for name, modules in users.items():
         source = (KERNELS / f"{name}.py").read_text()
         assert source.count("from ..unchecked import ") == 1
         path = tmp_path / f"{name}_checked.py"
         path.write_text(source.replace("from ..unchecked import ", "from ..checked import "))
         twins[name] = load(f"mesh.{path.stem}", path)
-        monkeypatch.setattr(builder, f"{name}_kernels", twins[name])
+        for module in modules:
+            monkeypatch.setattr(module, f"{name}_kernels", twins[name])
     monkeypatch.setattr(meshlet_template, "Template", twins["meshlet"].Template)
     meshlet_template.template.cache_clear()
     yield

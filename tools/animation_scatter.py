@@ -7,9 +7,10 @@ import numpy as np
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
-from adaptive_terrain.cbt_terrain.scatter.points import Points, Scatterer
+from adaptive_terrain.cbt_terrain.scatter.points import Points, ScatterRequest, place_points
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.operators.blender import need_bpy
@@ -35,7 +36,7 @@ def view(frame: int) -> View:
 def scatter_section(folder: Path) -> list:
     import_source(ImportSettings(source="island", size=2049), folder / "island.store")
     field = open_store(folder / "island.store")
-    counts, moved, sudden, changed = stillness(Scatterer(field, SCATTER))
+    counts, moved, sudden, changed = stillness(field)
     rows = [["Adaptive Scatter", f"{counts:,.0f}", f"{100 * (1 - moved):.4g} %"]]
     need_bpy("Blender's own distribution of points")
     rows += [
@@ -60,12 +61,13 @@ def scatter_section(folder: Path) -> list:
     ]
 
 
-def stillness(scatterer: Scatterer) -> tuple[float, float, float, float]:
+def stillness(field) -> tuple[float, float, float, float]:
     """Mean count of points; the part of those in both of two frames that moved; the largest size, of the full one, at
     which one came or went well inside of both frames; the largest change of size."""
     counts, moved, both_frames, sudden, changed, before = [], 0, 0, 0.0, 0.0, None
+    history = FrameHistory()
     for frame in range(FRAMES):
-        points = scatterer.points([view(frame)])
+        points = place_points(field, ScatterRequest(SCATTER, [view(frame)]), history)
         order = np.argsort(points.id)
         points = points.only(order)
         counts.append(len(points))

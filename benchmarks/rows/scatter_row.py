@@ -9,7 +9,8 @@ from ...cbt_terrain.ask.local_view import frustum_planes
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import HeightField
-from ...cbt_terrain.scatter.points import Scatterer
+from ...cbt_terrain.history.frame_history import FrameHistory
+from ...cbt_terrain.scatter.points import ScatterRequest, place_points
 from ...cbt_terrain.scatter.scatter import Scatter
 from ...cbt_terrain.scatter.tile import FINEST, POINTS, SHIFTS, UNITS, shifts, tile
 from ..rig import scenes
@@ -22,14 +23,14 @@ ROUNDED, PENDING = 1e-5, 0.01
 
 def scatter_flight_row(field: HeightField) -> Row:
     """Measure the next frame of a flight over the rough terrain; every run is another frame."""
-    scatterer, frames = Scatterer(field, SCATTER), iter(range(10_000))
+    history, frames = FrameHistory(), iter(range(10_000))
     points, frame = None, 0
 
     def ours() -> dict[str, float]:
         nonlocal points, frame
         frame = next(frames)
         with stopwatch() as elapsed:
-            points = scatterer.points([scenes.over(frame)])
+            points = place_points(field, ScatterRequest(SCATTER, [scenes.over(frame)]), history)
         return {"total": elapsed[0]}
 
     def plain() -> float:

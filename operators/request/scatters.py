@@ -11,8 +11,9 @@ import numpy as np
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import HeightField
+from ...cbt_terrain.history.frame_history import FrameHistory
 from ...cbt_terrain.run.memory import physical_memory
-from ...cbt_terrain.scatter.points import Points, Scatterer, on_mesh
+from ...cbt_terrain.scatter.points import Points, ScatterRequest, on_mesh, place_points
 from ...cbt_terrain.scatter.scatter import Scatter
 from ..mesh.point_writer import write_points
 from ..properties.scatter_properties import MESH, scatter_of
@@ -38,7 +39,7 @@ class AskedScatter:
 @dataclass(frozen=True, eq=False)
 class Scatters:
     """Those of a terrain that somebody sees, and the views that they are for; without a view, everywhere. `most`: as
-    of Scatterer.points, for each."""
+    of ScatterRequest, for each."""
 
     asked: tuple[AskedScatter, ...] = ()
     views: tuple[View, ...] = ()
@@ -50,11 +51,10 @@ class Scatters:
 
 @dataclass
 class ScatterRecord:
-    """What is known of a scatter. `key`: of what `points` are; `scatterer_key`: of what `scatterer` is for. `shown`:
-    which points its mesh has. `ms`: of the last points; `runs`: how often points were made, ever."""
+    """The last points of a scatter. `key`: what they depend on. `shown`: which points its mesh has. `ms`: of the last
+    points; `runs`: how often points were made. `history`: holds candidates on the ground for later frames."""
 
-    scatterer: Scatterer | None = None
-    scatterer_key: tuple = ()
+    history: FrameHistory = field(default_factory=FrameHistory)
     key: tuple = ()
     points: Points | None = None
     shown: tuple = ()
@@ -110,21 +110,25 @@ def make_points(
     horizon = cache(terrain.horizon)  # one for all scatters
     for asked in scatters.asked:
         record = records.setdefault(asked.uid, ScatterRecord())
-        ground = asked.scatter, heights.key, scale, outline
-        key = *ground, views, request.placement.tobytes(), below, asked.on_mesh and serial
+        key = (
+            asked.scatter,
+            heights.key,
+            scale,
+            outline,
+            views,
+            request.placement.tobytes(),
+            below,
+            asked.on_mesh and serial,
+        )
         culls = asked.culls and whole
         key += (culls and (request.criterion, request.frozen),)
         if key == record.key:
             continue
         start, record.key = time.perf_counter(), ()
         try:
-            if record.scatterer_key != ground:
-                record.scatterer, record.scatterer_key = None, ()
-                boundary = request.cleanup.boundary
-                record.scatterer = Scatterer(heights, asked.scatter, *scale, terrain.threads, boundary)
-                record.scatterer_key = ground
-            hidden_by = horizon() if culls else None
-            points = record.scatterer.points(scatters.views, request.placement, hidden_by, scatters.most)
+            boundary, hidden_by = request.cleanup.boundary, horizon() if culls else None
+            placed = scatters.views, request.placement, *scale, boundary, hidden_by, scatters.most
+            points = place_points(heights, ScatterRequest(asked.scatter, *placed), record.history, terrain.threads)
         except TerrainError as error:
             raise TerrainError(f"The scatter {asked.name!r} cannot be made. {error}") from None
         if asked.on_mesh:

@@ -17,9 +17,10 @@ from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
 from adaptive_terrain.cbt_terrain.query.ground import ground_at
 from adaptive_terrain.cbt_terrain.run import launch
-from adaptive_terrain.cbt_terrain.scatter.points import Scatterer
+from adaptive_terrain.cbt_terrain.scatter.points import ScatterRequest, place_points, scatter_points
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 
@@ -82,10 +83,14 @@ def test_threads_share_one_field():
 
 def test_threads_share_one_scatter():
     field, scatter = hills(), Scatter(spacing=8.0, full_until=100.0)
-    expected = [Scatterer(field, scatter, threads=1).points([view]).id.tolist() for view in VIEWS]
-    shared = Scatterer(field, scatter, threads=1)
+    history = FrameHistory()
+
+    def ids(k: int) -> list[int]:
+        return place_points(field, ScatterRequest(scatter, [VIEWS[k % 8]]), history, 1).id.tolist()
+
+    expected = [scatter_points(field, scatter, [view], threads=1).id.tolist() for view in VIEWS]
     with ThreadPoolExecutor(8) as pool:
-        found = list(pool.map(lambda k: shared.points([VIEWS[k % 8]]).id.tolist(), range(24)))
+        found = list(pool.map(ids, range(24)))
     assert found == expected * 3
 
 

@@ -4,9 +4,10 @@
 import numpy as np
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.effects.splat_rules import Layer, Rule
-from adaptive_terrain.cbt_terrain.scatter.points import Scatterer, scatter_points
+from adaptive_terrain.cbt_terrain.scatter.points import scatter_points
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from fields import rough
+from scattered_frames import ScatteredFrames
 
 FRAMES = 200
 SCATTER = Scatter(spacing=6.0, full_until=120.0, variation=0.0, where=Layer("Low", (Rule("height", high=60, edge=80),)))
@@ -30,7 +31,7 @@ def in_frame(frame: int, positions: np.ndarray) -> np.ndarray:
 def test_case_73_no_point_of_a_flight_moves_or_appears_full_grown():
     """200 frames over a turned and scaled raster that fits no lattice: places are those of before to the bit; what
     comes or goes in the frame has a size below 0.15, and none changes by more than that."""
-    scatterer, last = Scatterer(rough(90, 123, step=8.0), SCATTER), None
+    scatterer, last = ScatteredFrames(rough(90, 123, step=8.0), SCATTER), None
     every, appeared, largest = [], 0, 0.0
     for frame in range(FRAMES):
         points = scatterer.points([view(frame)], PLACEMENT)
@@ -57,7 +58,7 @@ def test_case_73_no_point_of_a_flight_moves_or_appears_full_grown():
 def test_case_73_a_frame_alone_is_the_frame_of_the_flight():
     """Frames 0, 57 and 199 by themselves have the bytes that they have after all others, on one thread and on three."""
     field = rough(90, 123, step=8.0)
-    flying = [Scatterer(field, SCATTER, threads=threads) for threads in (1, 3)]
+    flying = [ScatteredFrames(field, SCATTER, threads=threads) for threads in (1, 3)]
     for frame in (0, 199, 30, 57, 0):
         alone = scatter_points(field, SCATTER, [view(frame)], placement=PLACEMENT)
         for scatterer in flying:

@@ -14,11 +14,12 @@ from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
 from adaptive_terrain.cbt_terrain.run import launch
-from adaptive_terrain.cbt_terrain.scatter.points import Scatterer, scatter_points
+from adaptive_terrain.cbt_terrain.scatter.points import scatter_points
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from adaptive_terrain.cbt_terrain.scatter.tile import POINTS, UNITS, tile
 from fields import rough
 from scatter_by_hand import grown_by_hand, heights_by_hand, places_by_hand, wanted_by_hand
+from scattered_frames import ScatteredFrames
 
 SHAPE = 70, 101  # of a raster that fits no lattice
 SCATTER = Scatter(spacing=7.0, full_until=150.0, variation=0.0, margin_deg=0.0, seed=3)
@@ -80,7 +81,7 @@ def test_the_points_are_those_of_every_place_that_is_asked(field, by_hand, views
 def test_a_frame_alone_is_a_frame_of_a_sequence_on_any_threads(field, eager_threads):
     """A flight there and back with a jump, and the same frames each by itself, on one, two and five threads."""
     scatter = replace(SCATTER, where=Layer("Steep", (Rule("slope", low=0.2, edge=0.2),)))
-    rows = [Scatterer(field, scatter, threads=threads) for threads in (1, 2, 5)]
+    rows = [ScatteredFrames(field, scatter, threads=threads) for threads in (1, 2, 5)]
     for k in (0, 1, 2, 30, 2, 1):
         view = View.look((-420.0 + 9 * k, -300.0 + 5 * k, 160.0), (2 * k, 0, 0))
         alone = arrays(scatter_points(field, scatter, [view], threads=1))
@@ -88,7 +89,7 @@ def test_a_frame_alone_is_a_frame_of_a_sequence_on_any_threads(field, eager_thre
 
 
 def test_what_is_kept_is_used_again(field):
-    scatterer, moved = Scatterer(field, SCATTER), View.look((-419.9, -300.0, 160.0), (0, 0, 0), clip=(1.0, 700.0))
+    scatterer, moved = ScatteredFrames(field, SCATTER), View.look((-419.9, -300.0, 160.0), (0, 0, 0), clip=(1.0, 700.0))
     scatterer.points([NEAR])
     with launch.stopwatch() as ms:
         scatterer.points([moved])

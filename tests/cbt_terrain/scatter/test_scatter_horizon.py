@@ -11,12 +11,13 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.island import SIDE, island
 from adaptive_terrain.cbt_terrain.run import launch
-from adaptive_terrain.cbt_terrain.scatter.points import Points, Scatterer
+from adaptive_terrain.cbt_terrain.scatter.points import Points
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from fields import extent, reference_heights
 from first_hits import in_sight
 from horizon_scenes import behind_a_ridge, scenes, updated
+from scattered_frames import ScatteredFrames
 
 REACH = 25.0  # metres of the world
 
@@ -36,13 +37,13 @@ def low_scenes(seed: int, count: int, views: int = 1):
         yield field, criterion, seen, placement, heights
 
 
-def scattered(scene, threads: int = 1) -> Scatterer:
+def scattered(scene, threads: int = 1) -> ScatteredFrames:
     """Some 150,000 places, which reach out by REACH."""
     field, *_, heights = scene
     size = extent(field)
     spacing = float(np.sqrt(size[0] * size[1] / 1.5e5))
     full_until = 0.3 * float(size[0]) if len(scene[2]) > 1 else 0.0
-    return Scatterer(field, Scatter(spacing, full_until, margin_m=REACH), *heights, threads=threads)
+    return ScatteredFrames(field, Scatter(spacing, full_until, margin_m=REACH), *heights, threads=threads)
 
 
 def meshed(scene, threads: int = 1, **asked) -> Terrain:
@@ -115,7 +116,7 @@ def test_what_reaches_out_of_its_square_is_left():
     scene = a_wall()
     horizon, counts = meshed(scene).horizon(), []
     for reach in (0.0, 20.0, 150.0):
-        scatterer = Scatterer(scene[0], Scatter(8.0, 0.0, margin_m=reach), threads=1)
+        scatterer = ScatteredFrames(scene[0], Scatter(8.0, 0.0, margin_m=reach), threads=1)
         whole, left = (scatterer.points(scene[2], None, of) for of in (None, horizon))
         counts.append(len(left) / len(whole))
     assert counts == sorted(counts) and counts[0] < 0.3 and counts[2] > 0.5, counts

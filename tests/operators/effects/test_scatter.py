@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.scatter.points import Scatterer, scatter_points
+from adaptive_terrain.cbt_terrain.scatter.points import scatter_points
 from adaptive_terrain.operators.effects.add_scatter import GROUP, new_scatter
 from adaptive_terrain.operators.properties.scatter_properties import scatter_of
 from adaptive_terrain.operators.request import scatters
@@ -140,7 +140,7 @@ def test_points_follow_the_camera_in_viewport_and_render(scene, terrain, scatter
 def test_a_hidden_scatter_costs_nothing(scene, terrain, scatter, monkeypatch):
     """No points are made, no views are gathered, no kernel is asked for; shown again it is there."""
     made = []
-    monkeypatch.setattr(Scatterer, "points", lambda *_: made.append(1))
+    monkeypatch.setattr(scatters, "place_points", lambda *_: made.append(1))
     for hide in (lambda: scatter.hide_set(True), lambda: setattr(scatter, "hide_viewport", True)):
         scatter.hide_set(False)
         scatter.hide_viewport = False

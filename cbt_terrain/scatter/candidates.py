@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Candidates of a scatter that are on the ground already: later frames find them by their squares."""
+"""Candidates of a scatter that are on the ground: later frames find them by their squares."""
 
 import numpy as np
 import warp as wp
@@ -7,10 +7,10 @@ import warp as wp
 from ...kernels.scatter import points as kernels
 from ..run.buffers import flat, shared
 
-SPARE = 2.0  # times what is kept, the room for it
+SPARE = 2.0  # room for candidates over their number
 
 
-class Kept:
+class Candidates:
     """Runs of candidates in a few long arrays, found by int64 keys. `positions`, `normals`: float32 [room, 3];
     `density`: float32 [room]."""
 
@@ -32,14 +32,14 @@ class Kept:
         return made
 
     def find(self, keys: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """int64 [n], bool [n]: where the run of each key begins, and whether it has `count` candidates at least."""
+        """Return where the run of each key begins, int64 [n], and whether it has `count` candidates, bool [n]."""
         if not len(self._keys):
             return np.zeros(len(keys), np.int64), np.zeros(len(keys), bool)
         number = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
         return self._at[number], (self._keys[number] == keys) & (self._count[number] >= count)
 
     def reserve(self, count: int, keys: np.ndarray) -> int:
-        """Where `count` more begin. Where there is no room, only the runs of `keys`, which are known, are kept."""
+        """Return where `count` more begin. If there is no room, only the runs of the known `keys` stay."""
         if self._used + count > len(self.density):
             number = np.searchsorted(self._keys, np.sort(keys))
             held, before = self._count[number], (self.positions, self.normals, self.density)
@@ -53,7 +53,7 @@ class Kept:
         return self._used
 
     def add(self, keys: np.ndarray, count: np.ndarray) -> None:
-        """What was reserved is there: runs of so many candidates each. They replace those of the same keys."""
+        """Add runs of so many candidates each, which were reserved and written. They replace those of the same keys."""
         at = self._used + np.cumsum(count) - count
         others = ~np.isin(self._keys, keys)
         both = [np.concatenate([a[others], b]) for a, b in ((self._keys, keys), (self._at, at), (self._count, count))]

@@ -86,6 +86,10 @@ class Criterion:
         return self.morph if self.needs_view else 1.0
 
     @property
+    def measures_edges(self) -> bool:
+        return bool(self.edge_px or self.area_px)
+
+    @property
     def needs_view(self) -> bool:
         return bool(self.error_px or self.edge_px or self.area_px)
 

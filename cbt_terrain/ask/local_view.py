@@ -9,7 +9,7 @@ from ...kernels.refine.pixels import MAX_PLANES, LocalView
 from ..errors import TerrainError
 from .criterion import LARGEST, Criterion
 from .linear import least_stretch, length, lengths, product, settled, solve
-from .spans import secant_of
+from .spans import secant_of, slant_rows, slants_of
 from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
 # How many times coarser a terrain may be of which nothing is in view.
@@ -49,11 +49,16 @@ def localise(
     elif criterion.rises_until > 1:
         fade = math.sqrt(math.sqrt(factor)) - 1
         fringe = FRINGE * (min(b - a for a, b in view.bounds()) / 2 if view.kind == ORTHOGRAPHIC else 1.0)
+    most, least = slants_of(view, placement, criterion)
+    slants = slant_rows(view, placement) / most if most > least else np.zeros((2, 2))
     numbers = {
         "eye": eye,
         "weight": (sigma * stretch) ** 2 * (1 - 1e-12),
         "depth": [*-linear[2], -shift[2]],
         "pixel2": 1 / (pixels * pixels * stretch[2] * stretch[2]),
+        "slant_x": slants[0],
+        "slant_y": slants[1],
+        "most_gain2": (most / least) * (most / least),
         "cosine2": 1 / (secant_of(view) * secant_of(view)),
         "near2": near * near,
         "off_screen2": factor * factor,

@@ -17,8 +17,13 @@ from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
 # Relative; far above what rounding does to pixels and metres, far below what can be seen of them.
 ROUNDING = 1e-9
-# A sine of which nothing is seen any more; none is smaller, so that everything stays finite.
-LEAST_SLANT = 1e-6
+# Without a shading floor a height counts as if it were seen at this part of the frame's largest slant at least. The
+# ground that this makes finer is a 256th of a picture that looks straight down.
+LEAST_SLANT = 1 / 16
+# Where slants in the frame differ by less than this factor, one for all of them saves as many triangles, and time.
+EVEN_SLANTS = 1.06
+# A slant of which nothing is seen any more; none is smaller, so that everything stays finite.
+NO_SLANT = 1e-6
 # Edges are asked for shorter by what float32 corners may add to them at the depth limit, but by no more than this part:
 # where leaves get so small that it is more, the bound says so.
 MOST_STRETCH = 0.01
@@ -39,13 +44,14 @@ class Plan:
 class Spans:
     """What pixels are in spans, for each of `views`.
 
-    `slants`: metres across the view of a metre of height, at most. `scales`: the same, widened so that what holds in
-    spans holds as it is seen. `edge`: spans of an edge of one pixel. `lengths`: squared diagonal and side of a lattice
+    `wholes`: see `whole_of`. `widenings`: the factor on spans that makes what holds in spans hold as it is seen.
+    `scales`: the largest slant in the frame, widened. `edge`: spans of an edge of one pixel. `lengths`: squared diagonal and side of a lattice
     unit, in camera space. `allowed`: the part by which edges are asked for shorter, for rounding.
     """
 
     views: tuple[View, ...] = ()
-    slants: tuple[float, ...] = ()
+    wholes: tuple[float, ...] = ()
+    widenings: tuple[float, ...] = ()
     scales: tuple[float, ...] = ()
     edge: float = 1.0
     lengths: tuple[float, float] = (0.0, 0.0)
@@ -55,8 +61,8 @@ class Spans:
 
     def pixels(self, spans: float) -> float:
         """Pixels on the screen of so many spans of error, in the view that shows most of them."""
-        seen = zip(self.views, self.slants, self.scales, strict=True)
-        return max(as_seen(v, slant, spans * (1 + 0.5 * ROUNDING) * slant / scale) for v, slant, scale in seen)
+        seen = zip(self.views, self.wholes, self.widenings, strict=True)
+        return max(as_seen(view, whole, spans * (1 + 0.5 * ROUNDING) / wide) for view, whole, wide in seen)
 
     def excess_of_edges(self, depth: int) -> float:
         """The factor, 1 or more, by which float32 corners make edges of leaves down to `depth` longer than allowed."""
@@ -65,10 +71,13 @@ class Spans:
 
 def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray, plan: Plan) -> Spans:
     """The spans of the views of a terrain that stands at `placement`."""
-    slants = [slant_of(v, placement, criterion.shading_floor) for v in views]
-    scales = [widening(v, s, criterion.error_px) * s for v, s in zip(views, slants, strict=True)]
-    if not views or not (criterion.edge_px or criterion.area_px):
-        return Spans(tuple(views), tuple(slants), tuple(scales))
+    slants = [slants_of(view, placement, criterion) for view in views]
+    wholes = [whole_of(view, placement, least) for view, (_, least) in zip(views, slants, strict=True)]
+    wide = [widening(view, whole, criterion.error_px) for view, whole in zip(views, wholes, strict=True)]
+    scales = [factor * most for factor, (most, _) in zip(wide, slants, strict=True)]
+    seen = tuple(views), tuple(wholes), tuple(wide)
+    if not views or not criterion.measures_edges:
+        return Spans(*seen, tuple(scales))
     # Spans are those of heights, edges may lie across the view. One scale for the edges of all views: they must not
     # depend on what errors do to each.
     secants = [secant_of(v) for v in views]
@@ -78,33 +87,68 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
     longest = tuple(max(of_one) for of_one in zip(*units, strict=True))
     off = max(largest_offset(v, placement, plan.off) for v in views)
     allowed = min(_stretch(longest, plan.unit_bits, plan.depth, off), 1 + MOST_STRETCH)
-    return Spans(tuple(views), tuple(slants), tuple(scales), edge / allowed, longest, allowed, off, plan.unit_bits)
+    return Spans(*seen, tuple(scales), edge / allowed, longest, allowed, off, plan.unit_bits)
 
 
-def slant_of(view: View, placement: np.ndarray, floor: float) -> float:
-    """The longest that a metre of height looks anywhere in the frame, in metres across the view at a depth of 1 m.
+def slants_of(view: View, placement: np.ndarray, criterion: Criterion) -> tuple[float, float]:
+    """Return the largest and the smallest slant that counts in the frame: metres that a metre of height moves a point
+    across the view of a perspective, at a depth of 1 m.
 
-    That is |t x u| for the direction t of a ray, 1 deep, and the unit vector u of height in camera space: convex in t,
-    so largest in a corner of the frame. `floor`: it counts as no less, since shading and shadows show an error too.
+    The shading floor is the smallest, since shading and shadows show an error too. Edges have no slant: where they are
+    measured, all spans are those of the largest. So they are in a panorama.
     """
-    up = product(view.world_to_camera[:3, :3], placement[:3, 2])
-    up = up / length(up)
     if view.kind == PANORAMIC:
-        return 1.0
-    across, along = view.bounds() if view.kind == PERSPECTIVE else ((0.0,), (0.0,))
-    x, y, z = up.tolist()
-    looks = (length((b * z + y, a * z + x, a * y - b * x)) for a in across for b in along)
-    return max(floor, LEAST_SLANT, *looks)
+        return 1.0, 1.0
+    x, y, z = _up(view, placement).tolist()
+    frame = view.bounds() if view.kind == PERSPECTIVE else ((0.0, 0.0), (0.0, 0.0))
+    # Across and along the view a slant is linear in the tangent of the ray.
+    ends = [sorted(f * (end * z + u) for end in at) for f, at, u in zip(_aspect(view), frame, (x, y), strict=True)]
+    largest = max(criterion.shading_floor, NO_SLANT, length([max(-low, high) for low, high in ends]))
+    if view.kind == ORTHOGRAPHIC or criterion.measures_edges:
+        return largest, largest
+    smallest = length([max(low, -high, 0.0) for low, high in ends])
+    smallest = max(criterion.shading_floor, LEAST_SLANT * largest, smallest)
+    return largest, largest if largest < EVEN_SLANTS * smallest else smallest
 
 
-def as_seen(view: View, slant: float, pixels: float) -> float:
+def slant_rows(view: View, placement: np.ndarray) -> np.ndarray:
+    """float64 [2, 2]: how far a metre of height moves a point that is (x, y) metres of the terrain's space from the eye
+    of a perspective, across and along the view, times the squared depth. Height itself changes nothing: the point
+    stays on its vertical.
+
+    That is f (u_z c - u c_z) for a point c and the unit vector u of height in camera space, f being the pixels of either
+    axis over those of the larger.
+    """
+    up, linear = _up(view, placement), product(view.world_to_camera, placement)[:3, :2]
+    return np.array([f * (up[2] * linear[k] - up[k] * linear[2]) for k, f in enumerate(_aspect(view))])
+
+
+def _up(view: View, placement: np.ndarray) -> np.ndarray:
+    """float64 [3]: the unit vector of height in camera space."""
+    up = product(view.world_to_camera[:3, :3], placement[:3, 2])
+    return up / length(up)
+
+
+def _aspect(view: View) -> tuple[float, float]:
+    """Pixels across and along the view, in parts of `pixels_per_unit`."""
+    return tuple(abs(float(view.projection[k, k])) * view.resolution[k] / 2 / view.pixels_per_unit for k in (0, 1))
+
+
+def whole_of(view: View, placement: np.ndarray, slant: float) -> float:
+    """Pixels of an error that reaches the eye: of a perspective as long as the depth, measured along the view, and seen
+    at the smallest slant; of a panorama as long as the distance."""
+    if view.kind == PANORAMIC:
+        return view.pixels_per_unit
+    return view.pixels_per_unit * slant / max(abs(float(_up(view, placement)[2])), NO_SLANT)
+
+
+def as_seen(view: View, whole: float, pixels: float) -> float:
     """Pixels that a point can be from its place in the frame where its error in height is `pixels` spans of a pixel.
 
     A span is taken at the reference surface, and an error towards the camera looks larger than that. Of an error e at
-    depth z or more, and at distance d or more, a perspective of focal length f shows f e slant / (z - e) at most, a
-    panorama the angle asin(e / d). Beyond what could ever be asked, where the mesh may reach the eye: LARGEST.
+    depth z or more, and at distance d or more, a perspective of focal length f shows f e slant / (z - |u_z| e) at most,
+    a panorama the angle asin(e / d). Beyond what could ever be asked, where the mesh may reach the eye: LARGEST.
     """
-    whole = view.pixels_per_unit * slant  # the error is as long as the depth or the distance
     if view.kind == PERSPECTIVE:
         return min(pixels / (1 - pixels / whole), LARGEST) if pixels < whole else LARGEST
     if view.kind == PANORAMIC:
@@ -112,12 +156,11 @@ def as_seen(view: View, slant: float, pixels: float) -> float:
     return pixels
 
 
-def widening(view: View, slant: float, error_px: float) -> float:
+def widening(view: View, whole: float, error_px: float) -> float:
     """The factor, 1 or more, on spans of a pixel that makes a limit on them one on pixels as they are seen.
 
     `as_seen` is convex: at less than what was asked, spans times this factor are still not below it.
     """
-    whole = view.pixels_per_unit * slant
     if not error_px or error_px >= LARGEST or view.kind == ORTHOGRAPHIC:
         return 1 + ROUNDING
     if view.kind == PANORAMIC:

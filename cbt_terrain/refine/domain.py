@@ -117,7 +117,7 @@ def pack(criterion: Criterion, views: list[LocalView], spans: Spans, source: flo
         return value / mean * (value / mean) if value > 0 else math.inf
 
     asked.view_count = len(views)
-    asked.measures_edges = int(criterion.edge_px > 0 or criterion.area_px > 0)
+    asked.measures_edges = int(criterion.measures_edges)
     asked.error_px2, asked.edge_px2 = squared(criterion.error_px), squared(criterion.edge_px * spans.edge)
     asked.area_px2 = 2 * squared(math.sqrt(criterion.area_px) * spans.edge)
     asked.metres2 = squared(weighed_as(criterion.error_m, source, mean) * mean * (1 - 2 * MARGIN))

@@ -17,8 +17,13 @@ from .pixels import (
     PERSPECTIVE,
     Asked,
     LocalView,
+    ends_of,
+    farthest_far2,
     least_of,
     most_of,
+    nearest_far2,
+    sizes_of,
+    slants2_of,
     steady_stand_of,
 )
 
@@ -54,6 +59,9 @@ class Motion:
     eye: wp.vec3d  # before, as in LocalView
     depth: wp.vec4d
     step: wp.float64  # metres of camera space that the eye has moved
+    slant_x: wp.vec2d  # ... as are these
+    slant_y: wp.vec2d
+    most_gain2: wp.float64
     ratio: wp.float64  # span of a pixel at unit depth over what it was
     drift: wp.float64  # part by which the lengths may have changed that spans are made of and compared with
 
@@ -95,22 +103,124 @@ def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
 
 
 @wp.func
+def slant_change(now: wp.vec2d, before: wp.vec2d, step: wp.vec2d, low: wp.vec2d, high: wp.vec2d):
+    """By how much, least and most, the largest size of a row's product has grown in any rectangle inside this one.
+
+    step: how far the eye has moved; low, high: from where it was. The product is linear in the place.
+    """
+    was = ends_of(before, low, high)
+    grown = ends_of(now - before, low, high)
+    moved = now[0] * step[0] + now[1] * step[1]
+    least = grown[0] - moved
+    most = grown[1] - moved
+    if was[0] < wp.float64(0.0) or was[0] + least < wp.float64(0.0):
+        least = -most
+        most = moved - grown[0]
+        if was[1] > wp.float64(0.0) or was[1] + (grown[1] - moved) > wp.float64(0.0):
+            most = larger(most, -least)
+            least = -most
+    return least, most
+
+
+@wp.func
+def slant_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d) -> wp.vec2d:
+    """By what the largest slant times depth, squared, is multiplied in any box inside this one: at least and at most."""
+    low2 = wp.vec2d(low[0] - motion.eye[0], low[1] - motion.eye[1])
+    high2 = wp.vec2d(high[0] - motion.eye[0], high[1] - motion.eye[1])
+    step = wp.vec2d(view.eye[0] - motion.eye[0], view.eye[1] - motion.eye[1])
+    x = sizes_of(ends_of(motion.slant_x, low2, high2))
+    y = sizes_of(ends_of(motion.slant_y, low2, high2))
+    least_x, most_x = slant_change(view.slant_x, motion.slant_x, step, low2, high2)
+    least_y, most_y = slant_change(view.slant_y, motion.slant_y, step, low2, high2)
+    # (q + change)^2 - q^2, of which the square of a fall may be left away.
+    two = wp.float64(2.0)
+    fall = two * (smaller(x[0] * least_x, x[1] * least_x) + smaller(y[0] * least_y, y[1] * least_y))
+    rise = two * (larger(x[0] * most_x, x[1] * most_x) + larger(y[0] * most_y, y[1] * most_y))
+    rise += most_x * most_x + most_y * most_y
+    least2 = x[0] * x[0] + y[0] * y[0]
+    most2 = x[1] * x[1] + y[1] * y[1]
+    one = wp.float64(1.0)
+    lowest = one + fall / wp.where(fall < wp.float64(0.0), least2, most2)
+    highest = one + rise / wp.where(rise > wp.float64(0.0), least2, most2)
+    return wp.vec2d(lowest, highest)
+
+
+@wp.func
+def span_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d, least: wp.float64, most: wp.float64):
+    """By what the span of a pixel is multiplied in any box inside this one, at least and at most; and whether that is
+    known. least, most: by how much depths or distances have grown, see `change_of`.
+
+    A span is the middle one of three: depth, depth^2 over slant times depth, and depth times the largest gain. Where it
+    is the first or the last in all boxes, before and now, its squared gain is returned and the factors are without the
+    depth's; else that gain is 0.
+    """
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    before = view
+    before.eye = motion.eye
+    before.depth = motion.depth
+    nearest2 = nearest_far2(before, low, high, least_of(before.depth, low, high))
+    farthest2 = farthest_far2(before, low, high)
+    nearest = wp.sqrt(nearest2)
+    farthest = wp.sqrt(farthest2)
+    lower = one + least / wp.where(least < zero, nearest, farthest)
+    upper = one + most / wp.where(most > zero, nearest, farthest)
+    slants2 = slant_factors(view, motion, low, high)
+    # Squared gains, before they are clamped to 1 and the largest.
+    was2 = slants2_of(motion.slant_x, motion.slant_y, motion.eye, low, high)
+    is2 = slants2_of(view.slant_x, view.slant_y, view.eye, low, high)
+    least_gain2 = smaller(nearest2 / was2[1], nearest_far2(view, low, high, least_of(view.depth, low, high)) / is2[1])
+    most_gain2 = larger(farthest2 / was2[0], farthest_far2(view, low, high) / is2[0])
+    known = wp.int32(1)
+    gain2 = zero
+    lowest = lower * lower / wp.sqrt(slants2[1])
+    highest = upper * upper / wp.sqrt(slants2[0])
+    clamped2 = smaller(view.most_gain2, motion.most_gain2)
+    if most_gain2 <= one:
+        gain2 = one
+        lowest = one
+        highest = one
+    elif least_gain2 >= larger(view.most_gain2, motion.most_gain2):
+        gain2 = view.most_gain2
+        lowest = wp.sqrt(view.most_gain2 / motion.most_gain2)
+        highest = lowest
+    else:
+        if not (lower > zero and slants2[0] > zero):
+            known = 0
+        if least_gain2 < one:
+            lowest = smaller(lower, lowest)
+            highest = larger(upper, highest)
+        if most_gain2 > clamped2:
+            gain = wp.sqrt(view.most_gain2 / motion.most_gain2)
+            lowest = smaller(lower * gain, lowest)
+            highest = larger(upper * gain, highest)
+    return lowest, highest, gain2, known
+
+
+@wp.func
 def span_change(view: LocalView, motion: Motion, kept: Subtree):
     """By how much, least and most, spans have grown in any box of the subtree, metres; and whether that is known."""
+    one = wp.float64(1.0)
     least = wp.float64(0.0)
     most = wp.float64(0.0)
     known = wp.int32(1)
+    lowest = one
+    highest = one
+    gain2 = one
     if view.kind != ORTHOGRAPHIC:
         least, most, known = change_of(view, motion, kept.low, kept.high)
-    coarser2 = wp.float64(1.0)
+    if view.most_gain2 > one or motion.most_gain2 > one:
+        lowest, highest, gain2, sure = span_factors(view, motion, kept.low, kept.high, least, most)
+        known = wp.min(known, sure)
     if kept.stands == OUTSIDE:
-        coarser2 = view.off_screen2
-    span = wp.sqrt(view.pixel2) * wp.sqrt(coarser2)
-    growth = motion.ratio - wp.float64(1.0)
+        gain2 = gain2 * view.off_screen2
+    span = wp.sqrt(view.pixel2) * wp.sqrt(gain2)
+    fall = motion.ratio * lowest - one
+    rise = motion.ratio * highest - one
     # Spans drift, and so do those at which diamonds are decided otherwise.
     rounded = (ROUNDED + wp.float64(4.0) * motion.drift) * kept.coarse
-    least = least * span + smaller(growth * kept.fine, growth * kept.coarse) - rounded
-    most = most * span + larger(growth * kept.fine, growth * kept.coarse) + rounded
+    least = least * span + smaller(fall * kept.fine, fall * kept.coarse) - rounded
+    most = most * span + larger(rise * kept.fine, rise * kept.coarse) + rounded
     return least, most, known
 
 

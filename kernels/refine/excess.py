@@ -15,7 +15,7 @@ import warp as wp
 from ..field.codes import bilinear, corners_of
 from ..field.domain import Domain
 from .diamond import Diamond, diamond_at, larger, rest_of, smaller
-from .pixels import OUTSIDE, PERSPECTIVE, Asked, LocalView, nearest_pixel2, sizes, stand_of
+from .pixels import OUTSIDE, PERSPECTIVE, Asked, LocalView, least_of, nearest_pixel2, sizes, stand_of
 from .stored_errors import detail_missed, halvings_at, is_beyond, raster_error_at
 
 # What is looked for.
@@ -133,11 +133,10 @@ def finest_seen_in(view: LocalView, d: Diamond) -> wp.float64:
     """Squared metres that a pixel spans at least on what of the box is in view; infinity where nothing is."""
     pixel2 = wp.float64(wp.inf)
     if stand_of(view, d.low, d.high, wp.float64(0.0)) != OUTSIDE:
-        pixel2 = nearest_pixel2(view, d)
+        deep = least_of(view.depth, d.low, d.high)
         if view.kind == PERSPECTIVE:
-            ahead = least_depth(view, d)
-            if ahead > wp.float64(0.0):
-                pixel2 = larger(pixel2, view.pixel2 * (ahead * ahead))
+            deep = larger(least_depth(view, d), deep)
+        pixel2 = nearest_pixel2(view, d.low, d.high, deep)
     return pixel2
 
 

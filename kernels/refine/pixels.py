@@ -29,7 +29,11 @@ class LocalView:
     eye: wp.vec3d  # metres
     weight: wp.vec3d  # squared metres of camera space per squared metre along each axis
     depth: wp.vec4d  # depth along the view = depth . (x, y, z, 1), metres
-    pixel2: wp.float64  # squared metres of a pixel; of perspective at unit depth, of a panorama at unit distance
+    pixel2: wp.float64  # squared metres of a pixel; of perspective at unit depth and the frame's largest slant, of a
+    # panorama at unit distance
+    slant_x: wp.vec2d  # slant times depth, over the frame's largest, = slant_x . (dx, dy) across the view ...
+    slant_y: wp.vec2d  # ... and slant_y . (dx, dy) along it; metres of camera space per metre from the eye
+    most_gain2: wp.float64  # squared largest slant of the frame over the smallest that counts
     cosine2: wp.float64  # squared least depth over distance inside the frame
     near2: wp.float64  # squared distance below which nothing is seen
     off_screen2: wp.float64  # squared factor by which pixels are coarser outside the frustum
@@ -144,30 +148,81 @@ def sizes(asked: Asked, unit_bits: wp.int32, depth: wp.int32):
 
 
 @wp.func
-def pixel2_at(view: LocalView, dx: wp.float64, dy: wp.float64, dz: wp.float64, deep: wp.float64) -> wp.float64:
-    """Squared metres that a pixel spans, (dx, dy, dz) metres from the eye of a view that is not orthographic.
-
-    A segment of length e at depth z (`deep`) and distance r moves by at most f e r / z^2 pixels.
-    """
+def far2_at(view: LocalView, dx: wp.float64, dy: wp.float64, dz: wp.float64, deep: wp.float64) -> wp.float64:
+    """Squared metres of camera space: of perspective the depth, else the distance, of what is (dx, dy, dz) metres from
+    the eye. In the frame a depth is at least the distance times a cosine."""
     far2 = view.weight[0] * (dx * dx) + view.weight[1] * (dy * dy) + view.weight[2] * (dz * dz)
     far2 = larger(far2, view.near2)
     if view.kind == PERSPECTIVE:
         ahead = larger(deep, wp.float64(0.0))
         far2 = larger(ahead * ahead, far2 * view.cosine2)
-    return view.pixel2 * far2
+    return far2
 
 
 @wp.func
-def nearest_pixel2(view: LocalView, d: Diamond) -> wp.float64:
-    """Squared metres that a pixel spans at least, wherever in the box."""
+def ends_of(row: wp.vec2d, low: wp.vec2d, high: wp.vec2d) -> wp.vec2d:
+    """The least and the most that row . (x, y) is in a rectangle."""
+    least = smaller(row[0] * low[0], row[0] * high[0]) + smaller(row[1] * low[1], row[1] * high[1])
+    most = larger(row[0] * low[0], row[0] * high[0]) + larger(row[1] * low[1], row[1] * high[1])
+    return wp.vec2d(least, most)
+
+
+@wp.func
+def sizes_of(ends: wp.vec2d) -> wp.vec2d:
+    """The least and the most of absolute values between two ends."""
+    return wp.vec2d(larger(larger(ends[0], -ends[1]), wp.float64(0.0)), larger(ends[1], -ends[0]))
+
+
+@wp.func
+def slants2_of(slant_x: wp.vec2d, slant_y: wp.vec2d, eye: wp.vec3d, low: wp.vec3d, high: wp.vec3d) -> wp.vec2d:
+    """The least and the most, squared, of slant times depth over the frame's largest slant, in a box."""
+    near = wp.vec2d(low[0] - eye[0], low[1] - eye[1])
+    far = wp.vec2d(high[0] - eye[0], high[1] - eye[1])
+    x = sizes_of(ends_of(slant_x, near, far))
+    y = sizes_of(ends_of(slant_y, near, far))
+    return wp.vec2d(x[0] * x[0] + y[0] * y[0], x[1] * x[1] + y[1] * y[1])
+
+
+@wp.func
+def pixel2_at(view: LocalView, far2: wp.float64, slants2: wp.float64) -> wp.float64:
+    """Squared metres of height that a pixel spans, at a depth or distance and at a slant times that depth.
+
+    A height e at depth z and slant s moves a point by f e s / z pixels. s counts as the floor at least, and in the
+    frame it is at most the largest.
+    """
+    gain2 = larger(smaller(far2 / slants2, view.most_gain2), wp.float64(1.0))
+    return view.pixel2 * far2 * gain2
+
+
+@wp.func
+def nearest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.float64) -> wp.float64:
+    """`far2_at` of the nearest point of a box that is `deep` at least."""
     zero = wp.float64(0.0)
+    dx = larger(larger(low[0] - view.eye[0], view.eye[0] - high[0]), zero)
+    dy = larger(larger(low[1] - view.eye[1], view.eye[1] - high[1]), zero)
+    dz = larger(larger(low[2] - view.eye[2], view.eye[2] - high[2]), zero)
+    return far2_at(view, dx, dy, dz, deep)
+
+
+@wp.func
+def farthest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+    """`far2_at` of the farthest point of a box, at most."""
+    dx = larger(high[0] - view.eye[0], view.eye[0] - low[0])
+    dy = larger(high[1] - view.eye[1], view.eye[1] - low[1])
+    dz = larger(high[2] - view.eye[2], view.eye[2] - low[2])
+    return far2_at(view, dx, dy, dz, most_of(view.depth, low, high))
+
+
+@wp.func
+def nearest_pixel2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.float64) -> wp.float64:
+    """Squared metres that a pixel spans at least, wherever in the box, which is `deep` at least."""
     pixel2 = view.pixel2
     if view.kind != ORTHOGRAPHIC:
-        # Squared distance of camera space from the eye to the box.
-        dx = larger(larger(d.low[0] - view.eye[0], view.eye[0] - d.high[0]), zero)
-        dy = larger(larger(d.low[1] - view.eye[1], view.eye[1] - d.high[1]), zero)
-        dz = larger(larger(d.low[2] - view.eye[2], view.eye[2] - d.high[2]), zero)
-        pixel2 = pixel2_at(view, dx, dy, dz, least_of(view.depth, d.low, d.high))
+        far2 = nearest_far2(view, low, high, deep)
+        pixel2 = view.pixel2 * far2
+        if view.most_gain2 > wp.float64(1.0):
+            slants2 = slants2_of(view.slant_x, view.slant_y, view.eye, low, high)
+            pixel2 = pixel2_at(view, far2, slants2[1])
     return pixel2
 
 
@@ -176,10 +231,11 @@ def farthest_pixel2(view: LocalView, d: Diamond) -> wp.float64:
     """Squared metres that a pixel spans at most, in whatever box inside this one."""
     pixel2 = view.pixel2
     if view.kind != ORTHOGRAPHIC:
-        dx = larger(d.high[0] - view.eye[0], view.eye[0] - d.low[0])
-        dy = larger(d.high[1] - view.eye[1], view.eye[1] - d.low[1])
-        dz = larger(d.high[2] - view.eye[2], view.eye[2] - d.low[2])
-        pixel2 = pixel2_at(view, dx, dy, dz, most_of(view.depth, d.low, d.high))
+        far2 = farthest_far2(view, d.low, d.high)
+        pixel2 = view.pixel2 * far2
+        if view.most_gain2 > wp.float64(1.0):
+            slants2 = slants2_of(view.slant_x, view.slant_y, view.eye, d.low, d.high)
+            pixel2 = pixel2_at(view, far2, slants2[0])
     return pixel2
 
 
@@ -239,7 +295,7 @@ def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, i
         part = cover_of(view.rings, view.ramp, slopes, d.low - view.eye, d.high - view.eye)
         if part > zero:
             coarser2 = larger(veiled2(view.hidden2, view.veil, part), coarser2)
-    return nearest_pixel2(view, d) * coarser2
+    return nearest_pixel2(view, d.low, d.high, least_of(view.depth, d.low, d.high)) * coarser2
 
 
 @wp.func

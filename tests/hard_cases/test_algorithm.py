@@ -6,7 +6,7 @@ import os
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.spans import as_seen, slant_of
+from adaptive_terrain.cbt_terrain.ask.spans import as_seen, slants_of, whole_of
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
@@ -53,9 +53,8 @@ def test_case_37_budget_of_nothing_and_exactly_full(eager_threads, shape, thread
         assert least <= update.triangles <= max(budget, least)
         assert (update.limited == "max_triangles") == (budget < full.triangles)
         assert screen_error(VIEW, field, update.surface, points) <= update.bound_px
-        assert update.bound_px <= as_seen(
-            VIEW, slant_of(VIEW, np.eye(4), Criterion().shading_floor), 0.5 * update.relaxed
-        )
+        _, smallest = slants_of(VIEW, np.eye(4), Criterion())
+        assert update.bound_px <= as_seen(VIEW, whole_of(VIEW, np.eye(4), smallest), 0.5 * update.relaxed)
     assert arrays(update.surface) == arrays(full.surface)
     assert arrays(update.surface) == whole
 

@@ -151,7 +151,8 @@ def test_a_kept_subtree_bounds_what_its_band_leaves_in_doubt():
 
 def test_what_comes_into_the_frame_is_refined_and_what_leaves_it_is_not():
     """A camera that only turns: spans of what is behind it stay, and only the frustum says that it is seen now."""
-    field, criterion = rough(129, 129, 8, relief=20.0), Criterion(error_px=1.0, guard_deg=0.0, max_depth=17)
+    criterion = Criterion(error_px=1.0, guard_deg=0.0, max_depth=17, shading_floor=1.0)
+    field = rough(129, 129, 8, relief=20.0)
     flown, from_last = Terrain(field, 1), 0
     for angle in np.radians(np.arange(0.0, 40.0, 2.0)):
         view = View.look((0, 0, 60), (np.cos(angle), np.sin(angle), 59.7), fov_deg=30, resolution=(960, 540))

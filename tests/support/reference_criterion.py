@@ -41,19 +41,28 @@ def reference_pixels(field, view: View, x: float, y: float, depth: int, rounded:
         return view.pixels_per_unit * error / distance
     secant = math.sqrt(1 + sum(max(map(abs, ends)) ** 2 for ends in view.bounds()))
     depth_m = max(0.0, -(corners @ view.world_to_camera[2, :3] + view.world_to_camera[2, 3]).max())
-    return view.pixels_per_unit * error * slant_of(view) / max(depth_m, distance / secant)
+    depth_m = max(depth_m, distance / secant)
+    in_camera = corners @ view.world_to_camera[:3, :3].T + view.world_to_camera[:3, 3]
+    moves = np.cross(up, in_camera)[:, :2]  # pixels' square: a metre of height moves a point at right angles to these
+    slant = np.linalg.norm(np.abs(moves).max(axis=0)) / depth_m
+    smallest, largest = slants_of(view)
+    return view.pixels_per_unit * error * min(max(slant, smallest), largest) / depth_m
 
 
-def slant_of(view: View) -> float:
-    """What a metre of height across the view is at most, 1 m deep in the frame; never less than half of it counts."""
-    corners = [(x, y, -1.0) for x in view.bounds()[0] for y in view.bounds()[1]]
-    return max(0.5, *(np.linalg.norm(np.cross(corner, view.world_to_camera[:3, 2])) for corner in corners))
+def slants_of(view: View) -> tuple[float, float]:
+    """What a metre of height across the view is, 1 m deep in the frame, at least and at most; half of it counts."""
+    x, y = (np.linspace(*ends, 401) for ends in view.bounds())
+    rays = np.stack([*np.broadcast_arrays(x[:, None], y, -1.0)], axis=-1)
+    looks = np.linalg.norm(np.cross(view.world_to_camera[:3, 2], rays)[..., :2], axis=-1)
+    smallest, largest = max(0.5, looks.min()), max(0.5, looks.max())
+    return (largest if largest < 1.06 * smallest else smallest), largest
 
 
 def correction(view: View, asked: float) -> float:
     """An error e seen from distance d can look as long as e / (d - e) in a plane, as asin(e / d) in a panorama."""
     if view.kind == PERSPECTIVE:
-        return 1 + asked / (view.pixels_per_unit * slant_of(view))
+        ahead = abs(view.world_to_camera[2, 2])
+        return 1 + asked * ahead / (view.pixels_per_unit * slants_of(view)[0])
     if view.kind == ORTHOGRAPHIC:
         return 1.0
     radians = asked * view.radians_per_pixel

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A kernel for test_nested.py: random ways down the diamonds, and where a child exceeds its parent."""
+
+import warp as wp
+
+from ..field.domain import Domain
+from .band import measured_at, too_coarse
+from .excess import half, root
+from .pixels import Asked, coarsest
+from .stored_errors import error_at
+
+
+@wp.kernel
+def nested_paths(domain: Domain, asked: Asked, ways: wp.array(dtype=wp.uint64), found: wp.array(dtype=wp.int32)):
+    """ways: bits that choose children. found, added up over the ways: diamonds; those with a finer pixel than their
+    parent, with a larger error, split below one that is not, and with a coarser pixel than an ancestor allows."""
+    for n in range(ways.shape[0]):
+        way = ways[n]
+        t = root(domain, wp.int32(way % wp.uint64(2 * domain.columns * domain.rows)))
+        pixel2 = wp.float64(0.0)
+        metres2 = wp.float64(wp.inf)
+        split = wp.bool(True)
+        coarse2 = wp.float64(wp.inf)
+        for depth in range(1, 2 * domain.unit_bits - 1):
+            x = (t.left[0] + t.right[0]) >> 1
+            y = (t.left[1] + t.right[1]) >> 1
+            m = measured_at(domain, asked, x, y, depth, error_at(domain, x, y, depth), 0)
+            below, _inside = coarsest(asked, m.diamond, 0)
+            found[0] += 1
+            if m.pixel2 < pixel2:
+                found[1] += 1
+            if m.metres2 > metres2:
+                found[2] += 1
+            if too_coarse(asked, asked.limit, m) and not split:
+                found[3] += 1
+            if m.diamond.rim == 0 and m.pixel2 > coarse2 * wp.float64(1.0 + 1e-12):
+                found[4] += 1
+            split = too_coarse(asked, asked.limit, m)
+            pixel2 = m.pixel2
+            metres2 = m.metres2
+            coarse2 = wp.min(below, coarse2)
+            if ((way >> wp.uint64(depth)) & wp.uint64(1)) == wp.uint64(1):
+                t = half(t, t.left, t.apex)
+            else:
+                t = half(t, t.apex, t.right)

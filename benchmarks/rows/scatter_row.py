@@ -3,7 +3,6 @@
 
 import numpy as np
 
-from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.ask.linear import inverse
 from ...cbt_terrain.ask.local_view import frustum_planes
 from ...cbt_terrain.ask.view import View
@@ -61,7 +60,7 @@ def ids_in_numpy(field: HeightField, scatter: Scatter, view: View) -> np.ndarray
     lattice, side, squares = field.lattice, scatter.tile_side, 1 << FINEST
     west, south, east, north = lattice.rectangle()
     tiles, pattern, small = int(max(east - west, north - south) / side) + 2, tile(), side / squares
-    planes = frustum_planes(view, Criterion(guard_deg=scatter.margin_deg).guard_deg) @ view.world_to_camera
+    planes = frustum_planes(view, (scatter.margin_deg, scatter.margin_deg)) @ view.world_to_camera
     eye = inverse(view.world_to_camera)[:3, 3]
     row, column = np.divmod(np.arange((tiles * squares) ** 2), tiles * squares)
     low = np.stack([west + column * small, south + row * small, np.full(len(row), field.min_height)], 1)

@@ -26,7 +26,8 @@ class Criterion:
 
     `error_px`: screen-space geometric error, pixels. `edge_px`: longest edge, pixels. `area_px`: triangle area, square
     pixels. `error_m`: vertical error, metres, independent of any view. `guard_deg`: how far outside the frame still
-    counts as seen, degrees. `off_screen_factor`: how much coarser the rest may be; 1 switches culling off.
+    counts as seen, degrees. `off_screen_factor`: how much coarser the rest may be; 1 switches culling off. Both are
+    those of a field of view of 50 degrees: of a narrower one the band is narrower and the rest coarser in proportion.
     `hidden_factor`: the same of ground in the frame that nearer ground hides. It needs an error, an eye (an
     orthographic view has none) and ground without holes; mirrors, shadows and lenses wider than a point see more.
     `shading_floor`: from above, errors of height move no pixel but show in shading and shadows; an error counts as if
@@ -41,7 +42,7 @@ class Criterion:
     edge_px: float = 0.0
     area_px: float = 0.0
     error_m: float = 0.0
-    guard_deg: float = 5.0
+    guard_deg: float = 2.5
     off_screen_factor: float = 16.0
     hidden_factor: float = 1.0
     shading_floor: float = SHADING_FLOOR

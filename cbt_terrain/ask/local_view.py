@@ -14,19 +14,28 @@ from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
 # How many times coarser a terrain may be of which nothing is in view.
 HIDDEN = 1e90
+# Degrees of the field of view for which the guard band and the fringe are stated; narrower ones have them in proportion.
+NORMAL_FOV = 50.0
 # Where points rise, detail gets coarser outside the frame over this part of the depth (11 degrees at a field of view of
 # 50; of an orthographic frame the part of its half), not at once.
 FRINGE = 0.25
 
 
 def localise(
-    view: View, placement: np.ndarray, box: np.ndarray, criterion: Criterion, height_scale: float, off: float = 0.0
+    view: View,
+    placement: np.ndarray,
+    box: np.ndarray,
+    criterion: Criterion,
+    height_scale: float,
+    off: float = 0.0,
+    margins: tuple[float, float] | None = None,
 ) -> LocalView:
-    """The view from the terrain's own space, as the kernels read it.
+    """Return the view from the terrain's own space, as the kernels read it.
 
     `placement` float64 [4, 4] takes the terrain's space to the world, `box` float64 [2, 3] is everything that the
     terrain may occupy in its own space. A metre of height counts as `height_scale` metres across the view. What is seen
-    of true heights may be `off` metres of height from the surface; the frustum is wider by that.
+    of true heights may be `off` metres of height from the surface; the frustum is wider by that. `margins`: degrees beyond
+    the frame's sides across and along the view that are inside; those of the criterion's guard band by default.
     """
     to_camera = product(view.world_to_camera, placement)
     linear, shift = to_camera[:3, :3], to_camera[:3, 3]
@@ -39,16 +48,17 @@ def localise(
     # Nothing nearer than the clip start is seen; half of it leaves room for the error itself.
     start = view.clip[0] if view.clip[0] < view.clip[1] else 0.0
     near = max(start / 2, 1e-9 * length(stretch * (box[1] - box[0])), 1e-150)
-    planes = product(frustum_planes(view, criterion.guard_deg), to_camera)
+    planes = product(frustum_planes(view, margins or guard_margins(view, criterion.guard_deg)), to_camera)
     planes[:, 3] += np.abs(planes[:, 2]) * off
     # What rounding could put on the wrong side of a plane is inside.
     planes[:, 3] += 1e-12 * (product(np.abs(planes[:, :3]), np.abs(box).max(axis=0)) + np.abs(planes[:, 3]))
-    factor, fade, fringe = min(criterion.off_screen_factor, LARGEST), 0.0, 0.0
+    narrow = _narrowness(view)  # ground off the screen is as coarse as a normal lens has it
+    factor, fade, fringe = min(1 + (criterion.off_screen_factor - 1) / narrow, LARGEST), 0.0, 0.0
     if factor > 1 and _outside(planes, box):
         factor = HIDDEN  # nothing of this terrain is in view: the smallest mesh will do
     elif criterion.rises_until > 1:
         fade = math.sqrt(math.sqrt(factor)) - 1
-        fringe = FRINGE * (min(b - a for a, b in view.bounds()) / 2 if view.kind == ORTHOGRAPHIC else 1.0)
+        fringe = FRINGE * (min(b - a for a, b in view.bounds()) / 2 if view.kind == ORTHOGRAPHIC else narrow)
     most, least = slants_of(view, placement, criterion)
     slants = slant_rows(view, placement) / most if most > least else np.zeros((2, 2))
     numbers = {
@@ -87,18 +97,35 @@ def eye_of(to_camera: np.ndarray) -> np.ndarray:
         ) from None
 
 
-def frustum_planes(view: View, guard_deg: float) -> np.ndarray:
-    """float64 [n, 4]: planes in camera space, positive towards what may be seen, n from 0 to 6.
+def guard_margins(view: View, guard_deg: float) -> tuple[float, float]:
+    """Return degrees of the guard band across and along the view. A perspective whose frame is narrower than NORMAL_FOV
+    along an axis has the band in proportion: else nine tenths of the triangles of a telephoto shot are outside it."""
+    if view.kind != PERSPECTIVE:
+        return guard_deg, guard_deg
+    fields = [settled(math.degrees(math.atan(high) - math.atan(low))) for low, high in view.bounds()]
+    return tuple(guard_deg * min(1.0, field / NORMAL_FOV) for field in fields)
 
-    The guard band turns the side planes of a perspective outward by its angle; of an orthographic view it widens the
-    frame by the angle's tangent. A clip range that is upside down culls nothing.
+
+def _narrowness(view: View) -> float:
+    """Return the tangent of half the wider field of view over that of NORMAL_FOV, at most 1."""
+    if view.kind != PERSPECTIVE:
+        return 1.0
+    half = max(high - low for low, high in view.bounds()) / 2
+    return min(1.0, half / settled(math.tan(math.radians(NORMAL_FOV / 2))))
+
+
+def frustum_planes(view: View, margins: tuple[float, float]) -> np.ndarray:
+    """Return planes in camera space, float64 [n, 4], positive towards what may be seen, n from 0 to 6.
+
+    margins: degrees across and along the view. They turn the side planes of a perspective outward; an orthographic
+    frame they widen by their tangents. A clip range that is upside down culls nothing.
     """
     if view.kind == PANORAMIC or not view.clip[0] < view.clip[1]:
         return np.zeros((0, 4))
-    guard = math.radians(min(guard_deg, 89.0))
-    sine, cosine = settled(math.sin(guard)), settled(math.cos(guard))
     planes = [[0, 0, -1, 0], [0, 0, 1, view.clip[1]]]
     for axis, (low, high) in enumerate(view.bounds()):
+        guard = math.radians(min(margins[axis], 89.0))
+        sine, cosine = settled(math.sin(guard)), settled(math.cos(guard))
         unit = np.eye(3)[axis]
         if view.kind == ORTHOGRAPHIC:
             margin = (high - low) / 2 * sine / cosine

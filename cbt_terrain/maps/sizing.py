@@ -76,7 +76,7 @@ def _pixels(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarray:
 def _in_frame(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarray:
     """bool [tiles]: False where a box is wholly on the outer side of one plane of the frame."""
     inside = np.ones(len(boxes), bool)
-    for a, b, c, d in product(frustum_planes(view, 0.0), product(view.world_to_camera, placement)):
+    for a, b, c, d in product(frustum_planes(view, (0.0, 0.0)), product(view.world_to_camera, placement)):
         normal = np.array([a, b, c])
         farthest = np.where(normal > 0, boxes[:, 1], boxes[:, 0])
         inside &= (farthest * normal).sum(axis=1) + d >= 0

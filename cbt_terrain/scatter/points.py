@@ -133,9 +133,9 @@ def _seen(request: ScatterRequest, views: list[View], ground: ScatterGround) -> 
     """Return the views as the kernels read them."""
     scatter, horizon, seen, local = request.scatter, request.horizon, Views(), []
     placement = np.eye(4) if request.placement is None else np.asarray(request.placement, np.float64)
-    criterion = Criterion(guard_deg=scatter.margin_deg)
+    criterion, margins = Criterion(), (scatter.margin_deg, scatter.margin_deg)
     for view in views:
-        found = localise(view, placement, ground.box, criterion, 1.0)
+        found = localise(view, placement, ground.box, criterion, 1.0, margins=margins)
         planes = np.array(found.planes, np.float64).reshape(-1, 4)
         planes[: found.plane_count, 3] += scatter.margin_m
         found.planes = planes

@@ -67,12 +67,14 @@ class DetailSettings:
     )  # fmt: skip
     guard_deg: FloatProperty(
         name="Guard Band",
-        description="How far outside the frame full detail is kept, in degrees",
-        default=5.0, min=0.0, max=89.0, precision=1, update=changed,
+        description="How far outside the frame full detail is kept, in degrees at a field of view of 50; a lens that "
+        "sees less has it in proportion",
+        default=2.5, min=0.0, max=89.0, precision=1, update=changed,
     )  # fmt: skip
     off_screen_factor: FloatProperty(
         name="Off-Screen Factor",
-        description="How many times coarser the terrain may be outside the frame; 1 keeps full detail everywhere",
+        description="How many times coarser the terrain may be outside the frame, at a field of view of 50 degrees; "
+        "a lens that sees less has it coarser in proportion. 1 keeps full detail everywhere",
         default=16.0, min=1.0, soft_max=1000.0, precision=1, update=changed,
     )  # fmt: skip
     hidden_factor: FloatProperty(

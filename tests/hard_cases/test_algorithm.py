@@ -77,7 +77,7 @@ def test_case_39_the_same_view_changes_nothing(field):
     mesh, before = arrays(first.surface), terrain.tree.to_bytes()
     assert not terrain.update(Criterion(), [VIEW]).changed
     # asked in other words, so that the walk runs: still the same tree
-    again = checked(terrain, Criterion(guard_deg=5.0000001), [VIEW])
+    again = checked(terrain, Criterion(guard_deg=2.5000001), [VIEW])
     assert not again.changed and arrays(again.surface) == mesh
     assert terrain.tree.to_bytes() == before
 

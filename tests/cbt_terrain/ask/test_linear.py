@@ -47,9 +47,9 @@ def test_products_have_the_same_bits_in_every_python():
 
 
 VIEW_DIGESTS = {
-    PERSPECTIVE: "337b7a7f712d656e",
-    ORTHOGRAPHIC: "718f2d068b435577",
-    PANORAMIC: "e3656f72e9afbe7c",
+    PERSPECTIVE: "ef6ea71dc5c2d76a",
+    ORTHOGRAPHIC: "d37bf47b4812e326",
+    PANORAMIC: "70e47b04d316792f",
 }
 
 
@@ -64,5 +64,5 @@ def test_views_have_the_same_bits_in_every_python(kind, stored):
         spans = spans_of(criterion, [view], placement, Plan((10.1, 9.7), 9, 21, (1e-3, 2e-3, 3e-3)))
         found.update(view.key() + repr((spans.wholes, spans.scales, spans.edge, spans.lengths, spans.off)).encode())
         local = localise(view, placement, box, Criterion(shading_floor=0.0), spans.scales[0])
-        found.update(np.array([*np.array(local.planes).ravel(), *local.slant_x, *local.slant_y]).tobytes())
+        found.update(b"".join(np.array(part).tobytes() for part in (local.planes, local.slant_x, local.slant_y)))
     assert found.hexdigest() == stored

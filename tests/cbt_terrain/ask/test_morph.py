@@ -220,7 +220,7 @@ def test_what_leaves_the_frame_gets_coarser_by_degrees():
         terrain, heights = Terrain(field, 1), []
         for turn in np.radians(20 + step * np.arange(5)):
             target = (300 * np.sin(turn), -400 + 300 * np.cos(turn), 110)
-            view = View.look((0, -400, 180), target, resolution=(960, 540), fov_deg=40)
+            view = View.look((0, -400, 180), target, resolution=(960, 540))
             heights.append(mesh_heights(terrain.update(Criterion(error_px=4.0, morph=SMOOTH), [view]).surface, plane))
         most.append(np.abs(np.diff(heights, axis=0)).max())
     assert most[0] > 3 * most[1] > 9 * most[2] > 0

@@ -40,16 +40,16 @@ def test_what_is_seen_lies_inside_all_planes(kind):
     points = rng.normal(0, 10, (20_000, 3))
     _, seen = project(view, points)
     camera = np.c_[points @ view.world_to_camera[:3, :3].T + view.world_to_camera[:3, 3], np.ones(len(points))]
-    inside = (camera @ frustum_planes(view, 0.0).T > -1e-9).all(axis=1)
+    inside = (camera @ frustum_planes(view, (0.0, 0.0)).T > -1e-9).all(axis=1)
     assert seen.sum() > 50 and inside[seen].all()
     behind_start = -camera[:, 2] <= view.clip[0]  # the near plane passes through the eye
     assert not inside[~seen & ~behind_start].any()
-    wider = (camera @ frustum_planes(view, 20.0).T > -1e-9).all(axis=1)
+    wider = (camera @ frustum_planes(view, (20.0, 20.0)).T > -1e-9).all(axis=1)
     assert wider[inside].all() and wider.sum() > inside.sum()
 
 
 def test_a_panorama_has_no_planes():
-    assert len(frustum_planes(View.look((0, 0, 0), (0, 1, 0), kind=PANORAMIC, fov_deg=360), 5.0)) == 0
+    assert len(frustum_planes(View.look((0, 0, 0), (0, 1, 0), kind=PANORAMIC, fov_deg=360), (5.0, 5.0))) == 0
 
 
 def test_what_cannot_be_a_view_is_refused():

@@ -68,6 +68,17 @@ def test_vertical_error_is_view_independent_and_reaches_what_is_asked():
         assert update.bound_m <= asked and update.bound_px is None and update.limited == ""
 
 
+@pytest.mark.parametrize("fov_deg", [0.5, 2.0, 10.0, 50.0])
+def test_little_is_drawn_outside_a_narrow_frame(fov_deg):
+    """By default: at most 1.3 times the triangles that the frame alone takes."""
+    field = rough(257, 257, seed=1, relief=60.0, step=30.0)
+    away = 3000.0 / np.tan(np.radians(fov_deg / 2)) ** 0.5
+    view = View.look((-away, 0.2 * away, 0.4 * away), (0, 0, 0), fov_deg=fov_deg, clip=(1, 1e7))
+    frame = Terrain(field, 1).update(Criterion(error_px=1.0, guard_deg=0.0, off_screen_factor=1e12), [view])
+    whole = Terrain(field, 1).update(Criterion(error_px=1.0), [view])
+    assert whole.triangles < 1.3 * frame.triangles and frame.triangles > 1000
+
+
 def test_caps_hold_together_with_the_error():
     field = rough(33, 33, relief=20.0)
     view = View.look((0, -500, 300), (0, 0, 0))

@@ -265,10 +265,12 @@ class Terrain:
         plan = Plan((domain.unit_x, domain.unit_y), domain.unit_bits, depth, off)
         spans = spans_of(criterion, views if criterion.needs_view else (), placement, plan)
         unsure = domain.rounding + domain.most_lean + domain.source
-        local = [
-            localise(view, placement, box, criterion, scale, unsure)
-            for view, scale in zip(spans.views, spans.scales, strict=True)
-        ]
+
+        def views_within(margins=None) -> list:
+            seen = zip(spans.views, spans.scales, strict=True)
+            return [localise(view, placement, box, criterion, scale, unsure, margins) for view, scale in seen]
+
+        local = views_within()
         if criterion.hides and self.field.valid is None:  # through holes one sees what ground beside them hides
             place_rings(domain, local, criterion.hidden_factor, RAMP if rises_until > 1 else 0.0)
         asked = pack(criterion, local, spans, domain.source)
@@ -300,6 +302,7 @@ class Terrain:
                 deepest=int(surface.level.max(initial=0)) - 2 * criterion.meshlet,
                 relief=float(box[1, 2] - box[0, 2]) * (1 + MARGIN),
                 buffers=self.history.scratch,
+                in_frame=lambda: pack(criterion, views_within((0.0, 0.0)), spans, domain.source),
             )
             made = {"surface": surface, "leaves": leaves.total, "changed": changed, "ms": ms}
             update = _described(criterion, spans, outcome, **made)

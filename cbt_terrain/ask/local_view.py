@@ -64,7 +64,8 @@ def localise(
     numbers = {
         "eye": eye,
         "weight": (sigma * stretch) ** 2 * (1 - 1e-12),
-        "depth": [*-linear[2], -shift[2]],
+        "unsure": off,
+        "depth": [*-linear[2], -shift[2] - abs(linear[2, 2]) * off],
         "pixel2": 1 / (pixels * pixels * stretch[2] * stretch[2]),
         "slant_x": slants[0],
         "slant_y": slants[1],

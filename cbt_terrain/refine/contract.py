@@ -7,6 +7,7 @@ beside its own t is nowhere more in the others. So the mean is off by what the f
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import warp as wp
@@ -52,7 +53,8 @@ class Outcome:
 
     `relaxed`: the factor by which a triangle limit coarsened what was asked; infinity where no factor is enough, so
     that the mesh is the roots. `stopped`: whether a leaf is still too coarse, and at `max_depth`. `deepest`: the depth
-    of the deepest leaf. `relief`: metres between the lowest and the highest point.
+    of the deepest leaf. `relief`: metres between the lowest and the highest point. `in_frame`: returns `asked` without the
+    guard band, for what is seen alone.
     """
 
     domain: Domain
@@ -63,10 +65,11 @@ class Outcome:
     deepest: int
     relief: float
     buffers: Buffers
+    in_frame: Callable[[], Asked]
 
     def search(self, what: int, least: float) -> Excess | None:
         """The most of `what` (FIXED, ERROR, EDGE, AREA: on ground in view; METRES: anywhere) that leaves at the depth
-        limit have, rounded up by a thousandth; None where none has more than `least`."""
+        limit have, rounded up by a hundredth; None where none has more than `least`."""
         stack, found = self.buffers.get("excess_stack", STACK, Triangle), self.buffers.get("excess", 3, wp.float64)
         inputs = [self.domain, self.asked, what, self.max_depth, math.copysign(least * least, least), stack, found]
         launch.once(find_most, inputs, step="bound")
@@ -95,6 +98,13 @@ def bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
     """Pixels that a point in view can be from its place; 0 where nothing is in view."""
     if not criterion.error_px or not spans.views:
         return None
+    found = _bound_px(criterion, spans, o)
+    if found.reason:  # ground in the guard band may be nearer than what is seen
+        found = _bound_px(criterion, spans, replace(o, asked=o.in_frame()))
+    return found
+
+
+def _bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound:
     fixed = o.search(FIXED, -1.0)
     if fixed is None:
         return Bound(0.0, "", Terms(0.0, 0.0, 0.0))

@@ -82,7 +82,7 @@ def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
     """
     half = wp.float64(0.5)
     centre = half * (low + high)
-    reach = half * (high - low)
+    reach = half * (high - low) + wp.vec3d(wp.float64(0.0), wp.float64(0.0), view.unsure)
     radius = weighed(view, reach)
     before = weighed(view, centre - motion.eye)
     now = weighed(view, centre - view.eye)

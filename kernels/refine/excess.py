@@ -7,15 +7,28 @@ was found already.
 
 A diamond is refined for its whole box, which must be nested too, but for those on either side of it. Here a triangle
 counts with its own box, in the raster's cells with the heights that the surface has there, and with what of it can be
-in the frame: one that reaches from under the camera into the frame is seen no nearer than where it enters.
+in the frame: one that reaches from under the camera into the frame is seen no nearer than where it enters. A leaf that is
+large beside its distance is divided further. Each part is seen from its own distance, and errs by no more than the
+triangle that is drawn there is off from the surface in it.
 """
 
 import warp as wp
 
-from ..field.codes import bilinear, corners_of
+from ..field.codes import bilinear, corners_of, twist_of
 from ..field.domain import Domain
 from .diamond import Diamond, diamond_at, larger, rest_of, smaller
-from .pixels import OUTSIDE, PERSPECTIVE, Asked, LocalView, least_of, nearest_pixel2, sizes, stand_of
+from .pixels import (
+    CROSSED,
+    OUTSIDE,
+    PERSPECTIVE,
+    Asked,
+    LocalView,
+    farthest_pixel2,
+    least_of,
+    nearest_pixel2,
+    sizes,
+    stand_of,
+)
 from .stored_errors import detail_missed, halvings_at, is_beyond, raster_error_at
 
 # What is looked for.
@@ -25,8 +38,12 @@ EDGE = wp.constant(2)  # ... of the longest edge
 AREA = wp.constant(3)  # squared ones of twice the area
 METRES = wp.constant(4)  # metres of all error, in view or not
 STACK = wp.constant(80)  # triangles: one a level, and both of the last
+# A part of a leaf is small enough where squared spans of a pixel differ by less than the first factor in it; at the
+# frame's sides, where it may not be seen at all, by less than the second.
+ONE_SPAN = wp.constant(wp.float64(1.2))
+ONE_SPAN_CROSSED = wp.constant(wp.float64(1.02))
 # Of squares; what is found is more than this part below what is said.
-NEARLY = wp.constant(wp.float64(1.002))
+NEARLY = wp.constant(wp.float64(1.02))
 UNSEEN = wp.constant(wp.float64(-1.0))
 # Relative; far above what rounding does to a sum of a few terms.
 MARGIN = wp.constant(wp.float64(1e-12))
@@ -42,7 +59,11 @@ class Triangle:
     right: wp.vec2i
     depth: wp.int32
     most2: wp.float64  # squared: what it has at most; UNSEEN if nothing of it is in view
-    fixed: wp.float64  # metres, see Excess in cbt_terrain/refine/contract.py
+    is_small: wp.bool  # squared spans of a pixel hardly differ in it
+    is_drawn: wp.bool  # it is a part of a triangle that is drawn, whose plane is known
+    drawn: wp.vec2i  # that one's apex
+    plane: wp.vec3d  # metres, before scaling, there, and metres a lattice unit along x and y from there
+    fixed: wp.float64  # metres, see Excess in cbt_terrain/refine/contract.py; of a part those of its leaf
     total: wp.float64
 
 
@@ -129,67 +150,139 @@ def least_depth(view: LocalView, d: Diamond) -> wp.float64:
 
 
 @wp.func
-def finest_seen_in(view: LocalView, d: Diamond) -> wp.float64:
-    """Squared metres that a pixel spans at least on what of the box is in view; infinity where nothing is."""
+def finest_seen_in(view: LocalView, d: Diamond):
+    """Squared metres that a pixel spans at least on what of the box is in view, infinity where nothing is; and at most,
+    as ONE_SPAN compares it."""
     pixel2 = wp.float64(wp.inf)
-    if stand_of(view, d.low, d.high, wp.float64(0.0)) != OUTSIDE:
+    coarse2 = wp.float64(0.0)
+    stand = stand_of(view, d.low, d.high, wp.float64(0.0))
+    if stand != OUTSIDE:
         deep = least_of(view.depth, d.low, d.high)
         if view.kind == PERSPECTIVE:
             deep = larger(least_depth(view, d), deep)
         pixel2 = nearest_pixel2(view, d.low, d.high, deep)
-    return pixel2
+        coarse2 = farthest_pixel2(view, d)
+        if stand == CROSSED:
+            coarse2 = coarse2 * ONE_SPAN / ONE_SPAN_CROSSED
+    return pixel2, coarse2
 
 
 @wp.func
-def finest_seen(domain: Domain, asked: Asked, d: Diamond, t: Triangle) -> wp.float64:
-    """The same of a triangle of a diamond, by all views."""
+def finest_seen(domain: Domain, asked: Asked, d: Diamond, t: Triangle):
+    """The same of a triangle of a diamond, by all views; and whether all of it has spans that hardly differ."""
     x0 = wp.min(t.apex[0], wp.min(t.left[0], t.right[0]))
     y0 = wp.min(t.apex[1], wp.min(t.left[1], t.right[1]))
     x1 = wp.min(wp.max(t.apex[0], wp.max(t.left[0], t.right[0])), domain.east)
     y1 = wp.min(wp.max(t.apex[1], wp.max(t.left[1], t.right[1])), domain.north)
     pixel2 = wp.float64(wp.inf)
+    coarse2 = wp.float64(0.0)
     if x0 < x1 and y0 < y1:
         box = box_between(domain, d, x0, y0, x1, y1, t.depth)
         for v in range(asked.view_count):
-            pixel2 = smaller(finest_seen_in(asked.views[v], box), pixel2)
-    return pixel2
+            fine2, most2 = finest_seen_in(asked.views[v], box)
+            if fine2 < pixel2:
+                pixel2 = fine2
+                coarse2 = most2
+    return pixel2, coarse2 < ONE_SPAN * pixel2
 
 
 @wp.func
-def error_below(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, deepest: wp.int32) -> wp.float64:
+def error_below(domain: Domain, t: Triangle, x: wp.int32, y: wp.int32, deepest: wp.int32) -> wp.float64:
     """The most error, metres, of leaves at depth `deepest` in a triangle of the diamond split at (x, y).
 
-    Above the raster's cells it may be all that the diamond has. Inside of one it falls with each bisection; but where
-    the diamond has no side of the cell, those below it that have one take the error of the next cell: at most four
-    times, of a bicubic surface twice, the cell's own. What is missed of a detail depends on their depth alone.
+    Above the raster's cells it may be all that the diamond has. Inside of one it falls with each bisection: of a bilinear
+    surface it is a quarter of the cell's own twist. A bicubic one has that of the diamond; but where that has no side of
+    the cell, those below it that have one take the error of the next cell: at most twice the cell's own. What is missed
+    of a detail depends on the depth of the leaves alone.
     """
-    error = wp.float64(raster_error_at(domain, x, y, depth)) * domain.error_scale
-    if depth > 2 * domain.levels and depth < deepest:
-        beside = wp.where((depth & 1) == 0, 0, wp.where(domain.bicubic == 0, 2, 1))
-        falls = wp.max(halvings_at(domain, deepest) - halvings_at(domain, depth) - beside, 0)
+    error = wp.float64(raster_error_at(domain, x, y, t.depth))
+    if t.depth > 2 * domain.levels:
+        bits = domain.unit_bits - domain.levels
+        i = wp.min(t.apex[0], wp.min(t.left[0], t.right[0])) >> bits
+        j = wp.min(t.apex[1], wp.min(t.left[1], t.right[1])) >> bits
+        beside = wp.where((t.depth & 1) == 0, 0, 1)
+        falls = wp.max(halvings_at(domain, deepest) - halvings_at(domain, t.depth) - beside, 0)
+        if domain.bicubic == 0 and i < domain.samples.columns - 1 and j < domain.samples.rows - 1:
+            falls = halvings_at(domain, deepest) + 2 * domain.levels - domain.detail_rim  # that of a meshlet's triangles
+            error = wp.float64(0.25) * twist_of(corners_of(domain.samples, i, j))
         error = error / wp.float64(wp.int64(1) << wp.int64(falls))
-    if domain.detailed == 1 and not is_beyond(domain, x, y, depth):
-        error += wp.float64(detail_missed(domain, x, y, depth, deepest)) * domain.error_scale
+    error = error * domain.error_scale
+    if domain.detailed == 1 and not is_beyond(domain, x, y, t.depth):
+        error += wp.float64(detail_missed(domain, x, y, t.depth, deepest)) * domain.error_scale
     return error
 
 
 @wp.func
+def surface_height(domain: Domain, p: wp.vec2i) -> wp.float64:
+    """Metres, before scaling, of the bilinear surface at a lattice point; beyond the rim those of the nearest point."""
+    bits = domain.unit_bits - domain.levels
+    part = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)
+    i = wp.min(p[0] >> bits, domain.samples.columns - 2)
+    j = wp.min(p[1] >> bits, domain.samples.rows - 2)
+    east = smaller(wp.float64(p[0] - (i << bits)) * part, wp.float64(1.0))
+    north = smaller(wp.float64(p[1] - (j << bits)) * part, wp.float64(1.0))
+    return bilinear(corners_of(domain.samples, i, j), east, north)
+
+
+@wp.func
+def plane_of(domain: Domain, t: Triangle) -> wp.vec3d:
+    """The plane through the surface at a triangle's corners, see Triangle. Its legs are at right angles."""
+    base = surface_height(domain, t.apex)
+    first = surface_height(domain, t.left) - base
+    second = surface_height(domain, t.right) - base
+    u = t.left - t.apex
+    v = t.right - t.apex
+    length2 = wp.float64(u[0]) * wp.float64(u[0]) + wp.float64(u[1]) * wp.float64(u[1])
+    slope_x = (first * wp.float64(u[0]) + second * wp.float64(v[0])) / length2
+    slope_y = (first * wp.float64(u[1]) + second * wp.float64(v[1])) / length2
+    return wp.vec3d(base, slope_x, slope_y)
+
+
+@wp.func
+def distance_from_plane(domain: Domain, t: Triangle) -> wp.float64:
+    """The largest distance, metres before scaling, of the surface from the plane over the rectangle about a triangle in
+    one cell: there it is a saddle, which has its extremes at corners."""
+    x0 = wp.min(t.apex[0], wp.min(t.left[0], t.right[0]))
+    y0 = wp.min(t.apex[1], wp.min(t.left[1], t.right[1]))
+    x1 = wp.max(t.apex[0], wp.max(t.left[0], t.right[0]))
+    y1 = wp.max(t.apex[1], wp.max(t.left[1], t.right[1]))
+    found = wp.float64(0.0)
+    for k in range(4):
+        p = wp.vec2i(wp.where((k & 1) == 0, x0, x1), wp.where((k & 2) == 0, y0, y1))
+        height = surface_height(domain, p)
+        across = t.plane[1] * wp.float64(p[0] - t.drawn[0]) + t.plane[2] * wp.float64(p[1] - t.drawn[1])
+        size = wp.abs(height) + wp.abs(t.plane[0]) + wp.abs(across)
+        found = larger(found, wp.abs(height - t.plane[0] - across) + MARGIN * size)
+    return found
+
+
+@wp.func
 def measured(domain: Domain, asked: Asked, what: wp.int32, deepest: wp.int32, t: Triangle) -> Triangle:
-    """The triangle with the most that leaves at depth `deepest` in it have."""
+    """The triangle with the most that leaves at depth `deepest` in it have, or the leaf that it is a part of."""
     x = (t.left[0] + t.right[0]) >> 1
     y = (t.left[1] + t.right[1]) >> 1
     d = diamond_at(domain, x, y, t.depth)
-    t.fixed = rest_of(domain, d) + domain.source
-    t.total = t.fixed
-    if what == ERROR or what == METRES:
-        t.total += error_below(domain, x, y, t.depth, deepest)
+    if t.depth <= deepest:
+        t.fixed = rest_of(domain, d) + domain.source
+        t.total = t.fixed
+        if what == ERROR or what == METRES:
+            t.total += error_below(domain, t, x, y, deepest)
+    if what == ERROR and domain.bicubic == 0 and domain.detailed == 0:
+        if t.depth == deepest + 2 * domain.levels - domain.detail_rim:  # a leaf, or a triangle of its meshlet
+            t.is_drawn = wp.bool(True)
+            t.drawn = t.apex
+            t.plane = plane_of(domain, t)
+        if t.is_drawn and t.depth > 2 * domain.levels:
+            t.total = smaller(t.fixed + distance_from_plane(domain, t) * domain.error_scale, t.total)
     all2 = t.total * t.total
     if what == EDGE or what == AREA:
         long2, legs2 = sizes(asked, domain.unit_bits, deepest)
         all2 = wp.where(what == EDGE, long2, legs2) + d.rise * d.rise
     t.most2 = all2
+    t.is_small = what != FIXED and what != ERROR
     if what != METRES:
-        pixel2 = finest_seen(domain, asked, d, t)
+        pixel2, is_small = finest_seen(domain, asked, d, t)
+        t.is_small = t.is_small or is_small
         t.most2 = wp.where(pixel2 < wp.float64(wp.inf), all2 / pixel2, UNSEEN)
     return t
 
@@ -221,6 +314,11 @@ def half(t: Triangle, first: wp.vec2i, second: wp.vec2i) -> Triangle:
     below.apex = wp.vec2i((t.left[0] + t.right[0]) >> 1, (t.left[1] + t.right[1]) >> 1)
     below.right = second
     below.depth = t.depth + 1
+    below.is_drawn = t.is_drawn
+    below.drawn = t.drawn
+    below.plane = t.plane
+    below.fixed = t.fixed
+    below.total = t.total
     return below
 
 
@@ -245,7 +343,7 @@ def find_most(
             t = stack[top]
             top -= 1
             if t.most2 >= wp.float64(0.0) and t.most2 > most2:
-                if t.depth == deepest:
+                if t.depth >= deepest and (t.is_small or t.depth >= 2 * domain.unit_bits - 1):
                     most2 = t.most2 * NEARLY
                     fixed = t.fixed
                     total = t.total

@@ -27,8 +27,9 @@ class LocalView:
     kind: wp.int32
     plane_count: wp.int32
     eye: wp.vec3d  # metres
+    unsure: wp.float64  # metres of height by which what is seen may be off the surface: boxes are higher by that
     weight: wp.vec3d  # squared metres of camera space per squared metre along each axis
-    depth: wp.vec4d  # depth along the view = depth . (x, y, z, 1), metres
+    depth: wp.vec4d  # depth along the view = depth . (x, y, z, 1), metres, less what `unsure` takes off it
     pixel2: wp.float64  # squared metres of a pixel; of perspective at unit depth and the frame's largest slant, of a
     # panorama at unit distance
     slant_x: wp.vec2d  # slant times depth, over the frame's largest, = slant_x . (dx, dy) across the view ...
@@ -200,7 +201,7 @@ def nearest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.float6
     zero = wp.float64(0.0)
     dx = larger(larger(low[0] - view.eye[0], view.eye[0] - high[0]), zero)
     dy = larger(larger(low[1] - view.eye[1], view.eye[1] - high[1]), zero)
-    dz = larger(larger(low[2] - view.eye[2], view.eye[2] - high[2]), zero)
+    dz = larger(larger(low[2] - view.eye[2], view.eye[2] - high[2]) - view.unsure, zero)
     return far2_at(view, dx, dy, dz, deep)
 
 
@@ -209,7 +210,7 @@ def farthest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
     """`far2_at` of the farthest point of a box, at most."""
     dx = larger(high[0] - view.eye[0], view.eye[0] - low[0])
     dy = larger(high[1] - view.eye[1], view.eye[1] - low[1])
-    dz = larger(high[2] - view.eye[2], view.eye[2] - low[2])
+    dz = larger(high[2] - view.eye[2], view.eye[2] - low[2]) + view.unsure
     return far2_at(view, dx, dy, dz, most_of(view.depth, low, high))
 
 

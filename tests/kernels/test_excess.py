@@ -67,6 +67,21 @@ def test_heights_over_a_rectangle_are_those_of_the_bilinear_surface(kernels):
         assert np.ptp(heights) > 0.97 * (most - least)
 
 
+@pytest.mark.parametrize("seed", [0, 4, 5])
+def test_half_a_metre_above_large_cells_a_bound_is_near_the_truth(seed):
+    """Leaves at the depth limit are larger than their distance: the bound is at most twice what is seen."""
+    rng = np.random.default_rng(seed)
+    field = from_array(rough(65, 65, seed=seed).samples.astype(np.float64) * 2.0, 30.0)
+    spot, heading = rng.uniform(-400, 400, 2), rng.uniform(0, 6.28)
+    eye = np.array([*spot, reference_heights(field, spot[None])[0] + 0.5])
+    view = View.look(eye, eye + [np.cos(heading), np.sin(heading), -0.2], resolution=(960, 540), clip=(0.1, 1e5))
+    update = Terrain(field, 1).update(Criterion(error_px=0.5), [view])
+    away, turned = np.geomspace(0.2, 600.0, 600), heading + np.linspace(-0.7, 0.7, 300)
+    plane = spot + np.stack([np.outer(away, f(turned)).ravel() for f in (np.cos, np.sin)], axis=1)
+    true = screen_error(view, field, update.surface, plane[(np.abs(plane) < 950).all(axis=1)])
+    assert update.limited == "max_depth" and true <= update.bound_px <= 2.0 * true
+
+
 @pytest.mark.parametrize("tilt", [0.0, -0.15, 0.3])
 @pytest.mark.parametrize("source_max", [0.0, 0.5])
 def test_low_over_the_ground_a_bound_is_that_of_the_nearest_ground_in_the_frame(tilt, source_max):

@@ -2,6 +2,6 @@
 """How far a delivered mesh is from the reference surface, measured."""
 
 from .interpolation import interpolation
-from .measure import Errors, Measured, Sight, look, measure, popping, triangle_errors
+from .measure import Errors, Measured, Sight, look, measure, popping, shading_change, triangle_errors
 
-__all__ = ["Errors", "Measured", "Sight", "interpolation", "look", "measure", "popping", "triangle_errors"]
+__all__ = ["Errors", "Measured", "Sight", "interpolation", "look", "measure", "popping", "shading_change", "triangle_errors"]

@@ -15,6 +15,7 @@ import warp as wp
 
 from ...kernels.accuracy import normals as normal_kernels
 from ...kernels.accuracy import screen as screen_kernels
+from ..ask.linear import lengths
 from ..ask.view import View, listed_views
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
@@ -171,6 +172,31 @@ def popping(
     samples = [mesh.differences()[0] for mesh in meshes]
     there = [mesh.differences_at(sight.visible_points())[0] for mesh in meshes]
     return sight.errors(*samples, there)[0]
+
+
+def shading_change(
+    field: HeightField,
+    before: Surface,
+    after: Surface,
+    view: View,
+    placement: np.ndarray | None = None,
+    vertical_scale: float = 1.0,
+    vertical_offset: float = 0.0,
+    *,
+    threads: int | None = None,
+    sight: Sight | None = None,
+) -> Errors:
+    """Return by how much the shading of pixels changes where mesh `after` takes the place of `before`, in 255ths.
+
+    Of the point of the reference in each pixel: 255 times the distance between the two unit normals that the meshes
+    have there. No light changes Lambert's shading of white ground by more. `sight` as in `measure`.
+    """
+    sight = _same(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
+    points = sight.visible_points()
+    found = [MeasuredMesh(sight.ground, surface).normals_at(points) for surface in (before, after)]
+    (first, in_first), (second, in_second) = found
+    change = 255.0 * lengths((first - second).T)
+    return errors_of(change[(in_first >= 0) & (in_second >= 0)])
 
 
 def _same(sight: Sight | None, looked: Sight) -> Sight:

@@ -12,7 +12,7 @@ from ...kernels.accuracy import edges as edge_kernels
 from ...kernels.accuracy import facets as kernels
 from ...kernels.accuracy import grid as grid_kernels
 from ...kernels.accuracy import points as point_kernels
-from ..ask.linear import add_up
+from ..ask.linear import add_up, lengths
 from ..errors import TerrainError
 from ..field import coats, codes
 from ..field.detail_bounds import highest
@@ -110,6 +110,7 @@ class MeasuredMesh:
         m = self.packed = kernels.Mesh()
         m.positions, m.normals = shared(surface.positions, wp.vec3f), shared(surface.normals, wp.vec3f)
         m.corners = shared(surface.corner_verts, wp.int32)
+        self._surface = surface
         self._cuts = self._even_cuts(surface)
 
     def _even_cuts(self, surface: Surface) -> list[int]:
@@ -185,3 +186,16 @@ class MeasuredMesh:
         p.x, p.y, p.key, p.order = (shared(a, wp.int64) for a in (x, y, key, order))
         self.walk(point_kernels.locate, [p])
         return difference, owner
+
+    def normals_at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return float64 [n, 3]: the vertex normals interpolated at points as in `differences_at`, of unit length; and
+        the triangle that covers each, int32 [n]; -1 in a hole."""
+        _, owner = self.differences_at(points)
+        packed, s = self.ground.packed, self._surface
+        corners = s.triangles[np.maximum(owner, 0)]
+        at = points * (np.array([packed.step_x, packed.step_y]) / 2.0 ** (self.ground.bits + POINT_BITS))
+        ends = s.positions[corners, :2] - (at + [packed.west, packed.south])[:, None]
+        (ax, ay), (bx, by), (cx, cy) = (ends[:, k].T for k in range(3))
+        areas = np.stack([bx * cy - by * cx, cx * ay - cy * ax, ax * by - ay * bx], axis=1)
+        normals = (s.normals[corners] * areas[..., None]).sum(axis=1)
+        return normals / lengths(normals.T)[:, None], owner

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from ...kernels.morph import residual as kernels
-from ...kernels.morph.residual import FRONT, REMEMBERED, Ahead, Known, Memory
+from ...kernels.morph.residual import PENDING, REMEMBERED, Known, Memory, Pending, Risen
 from ...kernels.refine.pixels import Asked
 from ..history.frame_history import FrameHistory
 from ..run.buffers import Buffers, bind
@@ -41,9 +41,8 @@ class Rising:
 def memories(buffers: Buffers, threads: int) -> list[Memory]:
     """Scratch of so many threads."""
     arrays = {
-        "points": buffers.get("rising_points", threads * int(REMEMBERED), wp.vec2i),
-        "lags": buffers.get("rising_lags", threads * int(REMEMBERED), wp.float64),
-        "front": buffers.get("rising_front", threads * int(FRONT), Ahead),
+        "points": buffers.get("rising_points", threads * int(REMEMBERED), Risen),
+        "pending": buffers.get("rising_pending", threads * int(PENDING), Pending),
     }
     made = [Memory() for _ in range(threads)]
     for slot, memory in enumerate(made):

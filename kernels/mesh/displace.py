@@ -86,6 +86,16 @@ def in_cell(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.flo
 
 
 @wp.func
+def normal_of(domain: Domain, g: wp.vec3d) -> wp.vec3f:
+    """The unit normal where the surface has height and gradient g (metres a cell)."""
+    units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
+    nx = -g[1] * (domain.height_scale / (domain.unit_x * units))
+    ny = -g[2] * (domain.height_scale / (domain.unit_y * units))
+    nz = wp.float64(1.0) / wp.sqrt(nx * nx + ny * ny + wp.float64(1.0))
+    return wp.vec3f(wp.float32(nx * nz), wp.float32(ny * nz), wp.float32(nz))
+
+
+@wp.func
 def put_vertex(points: Points, o: wp.int32, domain: Domain, p: wp.vec2i, g: wp.vec3d):
     """Vertex `o` at the lattice point p, with height and gradient g: all in float64, cast to float32 last."""
     units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Displacement of points that rise to their places. Normals are those of the surface."""
+"""Displacement of points that rise to their places, with normals that turn to those of the surface."""
 
 import warp as wp
 
 from ..field.domain import Domain
 from ..mesh.displace import AHEAD, HIGHEST, Points, fetch_samples, find_run, put_vertex, runs_of, take_run
-from ..unchecked import item_at
+from ..unchecked import item_at, put
 from .residual import Memory, Rising, forget_all, has_settled, risen, settled_from
 
 
@@ -30,7 +30,7 @@ def displace_rising(
     rising: Rising,
     memory: Memory,
 ):
-    """As `displace` in kernels/mesh/displace.py; of points that were in the last frame the heights are new, but for
+    """As `displace` in kernels/mesh/displace.py; points that were in the last frame get new heights and normals, but for
     those that were in their places and are."""
     forget_all(memory)
     last = point_base + wp.int64(end - 1)
@@ -54,11 +54,10 @@ def displace_rising(
             else:
                 fetch_samples(domain, item_at(points.point, wp.min(k + wp.int64(AHEAD), last)))
             if rises:
-                there = risen(domain, rising, memory, p, vertex_base + u, last_vertex)
-                height = there.surface[0] - there.residual
+                there, surface = risen(domain, rising, memory, p, vertex_base + u, last_vertex)
                 if u < begin:
-                    g = wp.vec3d(height, there.surface[1], there.surface[2])
-                    put_vertex(points, vertex_base + u, domain, p, g)
+                    put_vertex(points, vertex_base + u, domain, p, wp.vec3d(there.z, surface[1], surface[2]))
                 else:
-                    put_height(points, vertex_base + u, domain, height)
+                    put_height(points, vertex_base + u, domain, there.z)
+                put(points.normals, vertex_base + u, there.normal)
         v = stop

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far below its place on the surface a point of the lattice still is.
+"""Where a point of the lattice stands while it rises to its place, and the normal that it has there.
 
 A split vertex rises by W of its surplus, which is its height less the mean of the ends of the edge that it splits:
 
     z(v) = (z(l) + z(r)) / 2 + W(ratio(v)) (h(v) - (h(l) + h(r)) / 2)
 
-So h - z, the residual, is the sum over v and all that it comes from of its *lag*, (1 - W) times its surplus, halved
-with each edge. Ratios are nested: what v comes from is nearer to its place than v is. Where W is 1 the sum ends.
+Its normal turns by the same weight, from the mean of the two ends' normals to that of the surface, n:
+
+    N(v) = unit((1 - W) (N(l) + N(r)) / 2 + W n(v))
+
+Ratios are nested: what v comes from is nearer to its place than v is. Where W is 1 the recursion ends.
 
 Warp passes structs by value, and the compiler undoes that only of a function with one caller: here all have one.
 """
@@ -16,16 +19,15 @@ import warp as wp
 from ..detail.displace import with_detail
 from ..field.detail import Coats
 from ..field.domain import Domain
-from ..mesh.displace import surface_at
+from ..mesh.displace import normal_of, surface_at
 from ..refine.band import ABOVE
 from ..refine.diamond import Diamond, diamond_at, larger, metres2_of, rest_of
 from ..refine.pixels import Asked, finest, sizes
 from ..refine.stored_errors import error_at, reach_of
-from .lattice import SplitVertex, above, depth_of, split_vertex
+from .lattice import SplitVertex, above, split_vertex
 
-REMEMBERED = wp.constant(1 << 12)  # lags in a table: neighbours on the curve come from the same points
-FRONT = wp.constant(8)  # points that are still to be looked at: three at most
-IN_PLACE = wp.constant(wp.float64(wp.inf))  # the lag of a point whose W is 1
+REMEMBERED = wp.constant(1 << 12)  # points in a table: neighbours on the curve come from the same ones
+PENDING = wp.constant(64)  # points that wait for those they come from: at most one of each depth
 NOWHERE = wp.constant(-1)
 
 
@@ -48,8 +50,9 @@ class Known:
     high: wp.float64
     rise: wp.float64  # as in Diamond
     metres2: wp.float64  # see `metres2_of`
-    height: wp.float64  # of the surface at the point itself, metres before scaling, as the surplus
-    surplus: wp.float64  # NaN: not known, and where the vertex itself is meant, it is in its place
+    height: wp.float64  # of the surface at the point itself, metres before scaling
+    normal: wp.vec3f  # of the surface there
+    in_place: wp.int32  # 1: its W was 1 in the frame that this is known of
 
 
 @wp.struct
@@ -66,27 +69,33 @@ class Rising:
 class Risen:
     """Where a point is."""
 
-    surface: wp.vec3d  # height and gradient (metres a cell) of the surface there
-    residual: wp.float64  # metres, before scaling, by which the point is below it (negative: above)
+    point: wp.vec2i
+    height: wp.float64  # of the surface, metres before scaling
+    z: wp.float64  # of the point, metres before scaling
+    normal: wp.vec3f
 
 
 @wp.struct
-class Ahead:
-    """A point that the one at hand comes from."""
+class Pending:
+    """A point that waits for the two that it comes from."""
 
-    point: wp.vec2i
-    depth: wp.int32
-    part: wp.float64  # of its lag that counts
+    left: wp.vec2i
+    right: wp.vec2i
+    own: Risen  # in its place
+    weight: wp.float64  # its W
+    seen: wp.int32  # how many of the two are known
+    height: wp.float64  # sums over these
+    z: wp.float64
+    normal: wp.vec3d
 
 
 @wp.struct
 class Memory:
-    """Scratch of one thread: all begin at entry `slot` times their size."""
+    """Scratch of one thread: both begin at entry `slot` times their size."""
 
     slot: wp.int32
-    points: wp.array(dtype=wp.vec2i)  # whose lags are remembered; NOWHERE: none is
-    lags: wp.array(dtype=wp.float64)
-    front: wp.array(dtype=Ahead)
+    points: wp.array(dtype=Risen)  # at NOWHERE: none
+    pending: wp.array(dtype=Pending)
 
 
 @wp.func
@@ -107,7 +116,6 @@ def known_of(domain: Domain, a: SplitVertex) -> Known:
     k.high = wp.where(d.rim == 2, wp.float64(wp.inf), d.high[2])
     k.rise = d.rise
     k.metres2 = metres2_of(domain, error_at(domain, a.point[0], a.point[1], a.depth), rest_of(domain, d))
-    k.surplus = wp.float64(wp.nan)
     return k
 
 
@@ -138,19 +146,19 @@ def ratio2_of(domain: Domain, asked: Asked, a: SplitVertex, k: Known) -> wp.floa
 
 
 @wp.func
-def missing(ramp: Ramp, ratio2: wp.float64) -> wp.float64:
-    """1 - W: 1 up to a ratio of 1, 0 from k on."""
+def weight_of(ramp: Ramp, ratio2: wp.float64) -> wp.float64:
+    """W: 0 up to a ratio of 1, 1 from k on."""
     one = wp.float64(1.0)
-    part = wp.float64(0.0)
+    weight = one
     if ratio2 < ramp.end2:
         u = wp.clamp((one - one / wp.sqrt(larger(ratio2, one))) * ramp.steep, wp.float64(0.0), one)
-        part = one - u * u * (wp.float64(3.0) - wp.float64(2.0) * u)
-    return part
+        weight = u * u * (wp.float64(3.0) - wp.float64(2.0) * u)
+    return weight
 
 
 @wp.func
 def entry_of(memory: Memory, p: wp.vec2i) -> wp.int32:
-    """Where the lag of a point is remembered."""
+    """Return the entry in which a point is remembered."""
     mixed = p[0] * 73856093 ^ p[1] * 19349663
     return memory.slot * REMEMBERED + ((mixed ^ (mixed >> 15)) & (REMEMBERED - 1))
 
@@ -158,47 +166,15 @@ def entry_of(memory: Memory, p: wp.vec2i) -> wp.int32:
 @wp.func
 def forget_all(memory: Memory):
     for k in range(REMEMBERED):
-        memory.points[memory.slot * REMEMBERED + k] = wp.vec2i(NOWHERE, NOWHERE)
-
-
-@wp.func
-def look_ahead(memory: Memory, count: wp.int32, unit_bits: wp.int32, p: wp.vec2i, part: wp.float64) -> wp.int32:
-    """Put p among what is still to be looked at, once; returns how many there are. Corners are in their places."""
-    first = memory.slot * FRONT
-    k = wp.int32(0)
-    while k < count and not (memory.front[first + k].point == p):
-        k += 1
-    if k < count:
-        memory.front[first + k].part = memory.front[first + k].part + part
-    else:
-        depth = depth_of(unit_bits, p)
-        if depth > 0 and count < FRONT:
-            memory.front[first + k].point = p
-            memory.front[first + k].depth = depth
-            memory.front[first + k].part = part
-            count += 1
-    return count
-
-
-@wp.func
-def take_deepest(memory: Memory, count: wp.int32) -> Ahead:
-    """Take the deepest of what is still to be looked at: nothing that is left comes from it."""
-    first = memory.slot * FRONT
-    best = wp.int32(0)
-    for k in range(1, count):
-        if memory.front[first + k].depth > memory.front[first + best].depth:
-            best = k
-    taken = memory.front[first + best]
-    memory.front[first + best] = memory.front[first + count - 1]
-    return taken
+        memory.points[memory.slot * REMEMBERED + k].point = wp.vec2i(NOWHERE, NOWHERE)
 
 
 @wp.func
 def see(domain: Domain, rising: Rising, v: SplitVertex, is_own: wp.bool, vertex: wp.int32, last: wp.int64):
-    """The lag of a point, metres before scaling; and if it is that of the vertex at hand itself, the surface there (of
-    one that was in the last frame the height alone), and what is known of it is kept."""
-    lag = wp.float64(wp.inf)
-    part = wp.float64(0.0)
+    """Return a point's W, what is known of it, and the surface there (not of a vertex of the last frame). What is known
+    of the vertex at hand itself is kept."""
+    weight = wp.float64(1.0)
+    surface = wp.vec3d()
     known = Known()
     was_there = is_own and last >= wp.int64(0)
     if was_there:
@@ -207,30 +183,28 @@ def see(domain: Domain, rising: Rising, v: SplitVertex, is_own: wp.bool, vertex:
         judged = above(domain.unit_bits, v, rising.ramp.bisections)
         if not was_there:
             known = known_of(domain, judged)
-        part = missing(rising.ramp, ratio2_of(domain, rising.asked, judged, known) / rising.ramp.limit)
-    own = wp.vec3d(known.height, wp.float64(0.0), wp.float64(0.0))
-    surplus = known.height
-    is_new = part > wp.float64(0.0) and wp.isnan(known.surplus)
-    for place in range(wp.int32(was_there), wp.where(is_new, 3, wp.int32(is_own))):
-        p = v.point
-        weight = wp.float64(1.0)
-        if place > 0:
-            p = wp.where(place == 1, v.left, v.right)
-            weight = wp.float64(-0.5)
-        g = surface_of(domain, rising.ramp.coats, p)
-        surplus += weight * g[0]
-        if place == 0:
-            own = g
-    known.height = own[0]
-    if is_new:
-        known.surplus = surplus
-    if part > wp.float64(0.0):
-        lag = part * known.surplus
-    else:
-        known.surplus = wp.float64(wp.nan)
+        weight = weight_of(rising.ramp, ratio2_of(domain, rising.asked, judged, known) / rising.ramp.limit)
+    if not was_there:
+        surface = surface_of(domain, rising.ramp.coats, v.point)
+        known.height = surface[0]
+        known.normal = normal_of(domain, surface)
+    known.in_place = wp.where(weight < wp.float64(1.0), 0, 1)
     if is_own:
         rising.known[vertex] = known
-    return lag, own
+    return weight, known, surface
+
+
+@wp.func
+def between(p: Pending) -> Risen:
+    """Return where a point is whose two ends are known."""
+    half = wp.float64(0.5)
+    found = p.own
+    found.z = half * p.z + p.weight * (p.own.height - half * p.height)
+    own = wp.vec3d(wp.float64(p.own.normal[0]), wp.float64(p.own.normal[1]), wp.float64(p.own.normal[2]))
+    n = (wp.float64(1.0) - p.weight) * half * p.normal + p.weight * own
+    long = wp.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+    found.normal = wp.vec3f(wp.float32(n[0] / long), wp.float32(n[1] / long), wp.float32(n[2] / long))
+    return found
 
 
 @wp.func
@@ -245,40 +219,71 @@ def has_settled(
 ) -> wp.bool:
     """Whether the vertex `last` of the last frame was in its place, and is: then what is known of it is kept."""
     known = rising.last_known[last]
-    found = wp.isnan(known.surplus) and known.metres2 > settled
+    found = known.in_place == 1 and known.metres2 > settled
     if found:
-        entry = entry_of(memory, p)
-        memory.points[entry] = p
-        memory.lags[entry] = IN_PLACE
+        there = Risen()
+        there.point = p
+        there.height = known.height
+        there.z = known.height
+        there.normal = known.normal
+        memory.points[entry_of(memory, p)] = there
         rising.known[vertex] = known
     return found
 
 
 @wp.func
-def risen(domain: Domain, rising: Rising, memory: Memory, p: wp.vec2i, vertex: wp.int32, last: wp.int64) -> Risen:
-    """A vertex at the lattice point p; `last`: which vertex of the last frame it was, -1: none."""
-    found = Risen()
-    at = Ahead()
-    at.point = p
-    at.part = wp.float64(1.0)
+def risen(domain: Domain, rising: Rising, memory: Memory, p: wp.vec2i, vertex: wp.int32, last: wp.int64):
+    """Return where a vertex at the lattice point p is, and the surface there (not of a vertex of the last frame).
+
+    `last`: which vertex of the last frame it was, -1: none.
+    """
+    first = memory.slot * PENDING
+    top = first - 1  # the last of the points that wait
+    at = p
+    there = Risen()
+    own_surface = wp.vec3d()
     is_own = wp.bool(True)
-    count = wp.int32(0)  # points that are still to be looked at, beside this one
-    while count >= 0:
-        v = split_vertex(domain.unit_bits, at.point)
-        entry = entry_of(memory, at.point)
-        if is_own or not (memory.points[entry] == at.point):
-            lag, surface = see(domain, rising, v, is_own, vertex, last)
-            memory.points[entry] = at.point
-            memory.lags[entry] = lag
+    goes_on = wp.bool(True)
+    while goes_on:
+        entry = entry_of(memory, at)
+        there = memory.points[entry]
+        is_known = wp.bool(True)
+        if is_own or not (there.point == at):
+            v = split_vertex(domain.unit_bits, at)
+            weight, known, surface = see(domain, rising, v, is_own, vertex, last)
             if is_own:
-                found.surface = surface
+                own_surface = surface
             is_own = False
-        if memory.lags[entry] != IN_PLACE:
-            half = wp.float64(0.5) * at.part
-            found.residual += at.part * memory.lags[entry]
-            for side in range(2):
-                count = look_ahead(memory, count, domain.unit_bits, wp.where(side == 0, v.left, v.right), half)
-        count -= 1
-        if count >= 0:
-            at = take_deepest(memory, count + 1)
-    return found
+            there.point = at
+            there.height = known.height
+            there.z = known.height
+            there.normal = known.normal
+            is_known = weight >= wp.float64(1.0)
+            if is_known:
+                memory.points[entry] = there
+            else:
+                top += 1
+                waiting = Pending()
+                waiting.left = v.left
+                waiting.right = v.right
+                waiting.own = there
+                waiting.weight = weight
+                memory.pending[top] = waiting
+        while is_known and top >= first:
+            waiting = memory.pending[top]
+            waiting.height += there.height
+            waiting.z += there.z
+            n = wp.vec3d(wp.float64(there.normal[0]), wp.float64(there.normal[1]), wp.float64(there.normal[2]))
+            waiting.normal = waiting.normal + n
+            waiting.seen += 1
+            is_known = waiting.seen == 2
+            if is_known:
+                there = between(waiting)
+                memory.points[entry_of(memory, there.point)] = there
+                top -= 1
+            else:
+                memory.pending[top] = waiting
+        goes_on = top >= first
+        if goes_on:
+            at = wp.where(memory.pending[top].seen == 0, memory.pending[top].left, memory.pending[top].right)
+    return there, own_surface

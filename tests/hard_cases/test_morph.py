@@ -57,6 +57,32 @@ def test_case_60_jumps_fall_with_the_step_of_the_camera(name):
     assert abs(slope - 1) < 0.1 and bend > 1.7 and found[0, 0] < 0.15, found
 
 
+def shading(field, step: float, morph: float) -> float:
+    """Return the largest distance between a point's unit normals in two frames `step` metres apart, in 255ths: the most
+    that Lambert's shading changes there under any light."""
+    plane, found, terrain = scattered(field, 500), [], Terrain(field, 1)
+    for start in (0.0, 40.0, 80.0):
+        normals = []
+        for flown in (start, start + step):
+            eye = np.array([-600.0 + flown, -500.0, field.max_height + 100.0])
+            view = View.look(eye, eye + [1.0, 0.8, -0.6], resolution=(960, 540))
+            surface = terrain.update(Criterion(error_px=8.0, morph=morph), [view]).surface
+            n = mesh_heights(surface, plane, surface.normals)
+            normals.append(n / np.linalg.norm(n, axis=1, keepdims=True))
+        _, seen = project(view, np.c_[plane, mesh_heights(surface, plane)])
+        found.append(np.linalg.norm(normals[1] - normals[0], axis=1)[seen].max())
+    return 255.0 * max(found)
+
+
+@pytest.mark.parametrize("name", ["rough", "real"])
+def test_case_60_shading_changes_with_the_step_of_the_camera(name):
+    """Three steps of the camera: the change falls as the step does, slope 1 +- 0.15."""
+    field, steps = FIELDS[name](), np.array([8.0, 4.0, 2.0])
+    found = np.array([shading(field, step, SMOOTH) for step in steps])
+    assert abs(np.polyfit(np.log(steps), np.log(found), 1)[0] - 1) < 0.15, found
+    assert found[0] < 0.25 * shading(field, steps[0], 1.0)
+
+
 def test_case_60_a_point_begins_on_its_edge_and_ends_in_its_place():
     """An eye that comes nearer by a thousandth of its way a frame: new points are on the mesh that there was, within
     what all others move; what is in its place stays there; and every mesh keeps the invariants."""

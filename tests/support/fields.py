@@ -170,8 +170,8 @@ def least_triangles(field: HeightField, meshlet: int) -> int:
     return Terrain(field, 1).update(Criterion(error_px=0.0, error_m=1e30, meshlet=meshlet)).triangles
 
 
-def mesh_heights(surface: Surface, plane: np.ndarray) -> np.ndarray:
-    """Height of the mesh at points [n, 2]."""
+def mesh_heights(surface: Surface, plane: np.ndarray, values: np.ndarray | None = None) -> np.ndarray:
+    """Return the height of the mesh at points [n, 2], or other `values` of its vertices there."""
     corners, p = surface.triangles, surface.positions.astype(np.float64)
     finder = Triangulation(p[:, 0], p[:, 1], corners).get_trifinder()
     owner = finder(*plane.T)
@@ -184,7 +184,7 @@ def mesh_heights(surface: Surface, plane: np.ndarray) -> np.ndarray:
         owner[n] = _barycentric(p[corners], plane[n]).min(axis=1).argmax()
     weights = _barycentric(p[corners[owner]], plane)
     assert weights.min() > -1e-4
-    return (weights * p[corners[owner], 2]).sum(axis=1)
+    return np.einsum("nk,nk...->n...", weights, (p[:, 2] if values is None else values)[corners[owner]])
 
 
 def _barycentric(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:

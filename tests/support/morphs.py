@@ -40,9 +40,12 @@ def mean_of_meshes(field: HeightField, criterion: Criterion, views, plane, parts
     return mean
 
 
-def risen_heights(field: HeightField, view: View, error_px: float, k: float, rounded: float) -> dict:
-    """Heights, metres, of all split vertices above the raster's cells and of the corners, by sample (column, row)."""
+def risen_points(field: HeightField, view: View, error_px: float, k: float, rounded: float) -> tuple[dict, dict]:
+    """Return the heights, metres, and the unit normals of all split vertices above the raster's cells and of the
+    corners, by sample (column, row)."""
     lattice, heights = field.lattice, field.samples.astype(np.float64)
+    slope_y, slope_x = np.gradient(heights, lattice.step_y, lattice.step_x)
+    own = _unit(np.stack([-slope_x, -slope_y, np.ones_like(heights)], axis=-1))
     side, ends = 1 << lattice.levels, {}
     triangles = []
     for x in range(0, lattice.columns * side, side):
@@ -50,6 +53,7 @@ def risen_heights(field: HeightField, view: View, error_px: float, k: float, rou
             sw, se, nw, ne = (x, y), (x + side, y), (x, y + side), (x + side, y + side)
             triangles += [(nw, sw, se), (se, ne, nw)]
     z = {corner: heights[corner[1], corner[0]] for triangle in triangles for corner in triangle}
+    normals = {corner: own[corner[1], corner[0]] for corner in z}
     times = correction(view, error_px) * mean_ratio(k) / error_px
     for depth in range(1, 2 * lattice.levels + 1):
         for left, _, right in triangles:
@@ -58,7 +62,13 @@ def risen_heights(field: HeightField, view: View, error_px: float, k: float, rou
             if middle not in z:
                 surplus = heights[y, x] - (heights[left[1], left[0]] + heights[right[1], right[0]]) / 2
                 ratio = reference_pixels(field, view, x, y, depth, rounded) * times
-                z[middle] = (z[left] + z[right]) / 2 + weight(ratio, k) * surplus
+                w = weight(ratio, k)
+                z[middle] = (z[left] + z[right]) / 2 + w * surplus
+                normals[middle] = _unit((1 - w) * (normals[left] + normals[right]) / 2 + w * own[y, x])
         halves = [(t, ((t[0][0] + t[2][0]) // 2, (t[0][1] + t[2][1]) // 2)) for t in triangles]
         triangles = [half for (left, apex, right), m in halves for half in ((left, m, apex), (apex, m, right))]
-    return z
+    return z, normals
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)

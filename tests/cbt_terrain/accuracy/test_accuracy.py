@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.accuracy import interpolation, look, measure, popping, triangle_errors
+from adaptive_terrain.cbt_terrain.accuracy import interpolation, look, measure, popping, shading_change, triangle_errors
 from adaptive_terrain.cbt_terrain.accuracy.mesh import Ground, MeasuredMesh, errors_of
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, View
@@ -210,6 +210,24 @@ def test_popping_is_how_far_points_jump():
     assert jump.max == pytest.approx(10 * 2**0.5, rel=0.01)
     assert popping(field, fine, fine, view).max == 0.0
     assert popping(field, fine, coarse, view) == jump
+
+
+def test_a_shading_change_is_the_distance_between_normals():
+    """A level mesh, and the same with one normal turned by 90 degrees: nothing changes in triangles without it."""
+    field = spiked()
+    before = mesh_of(field, 100.0)
+    view = View.look((0, -90, 90), (0, 0, 0), kind=ORTHOGRAPHIC, ortho_width=80.0, resolution=(160, 160))
+    level = before.copy()
+    level.normals[:] = (0.0, 0.0, 1.0)
+    turned = level.copy()
+    turned.normals[:] = (1.0, 0.0, 0.0)
+    found = shading_change(field, level, turned, view)
+    assert found.max == found.mean == pytest.approx(255 * 2**0.5) and found.count > 1000
+    turned.normals[:] = level.normals
+    turned.normals[turned.triangles[0]] = (0.6, 0.0, 0.8)
+    some = shading_change(field, level, turned, view)
+    assert some.mean < some.max <= 255 * 0.4**0.5 + 1e-3 and some == shading_change(field, turned, level, view)
+    assert shading_change(field, level, level, view).max == 0.0
 
 
 def test_a_distribution_is_that_of_numpy():

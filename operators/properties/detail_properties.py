@@ -107,7 +107,8 @@ class DetailSettings:
     limit_time: BoolProperty(
         name="Time Budget",
         description="Instead of the error above ask for the finest error that fits a time, from the curve that "
-        "Measure Accuracy has measured; the same curve and the same time give the same mesh on every machine",
+        "Measure Accuracy has measured; the live viewport corrects it by the times of its last updates. A render does "
+        "not: the same curve and the same time give the same mesh on every machine",
         update=changed,
     )  # fmt: skip
     max_ms: FloatProperty(

@@ -11,6 +11,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
+from ...cbt_terrain.accuracy.time_correction import TimeCorrection
 from ...cbt_terrain.ask.criterion import Criterion, unit_asked
 from ...cbt_terrain.ask.linear import determinant
 from ...cbt_terrain.ask.morph import SMOOTH
@@ -60,6 +61,7 @@ class Request:
     `interpolation`: of the height field, by its name in heightfield.py. `ground`: the detail on it, or None.
     `placement` float64 [4, 4]: the terrain's space to the world, metres. `overlay`: which colours the mesh gets.
     `max_ms`: the time budget that the criterion's error is to follow, None without one. `note`: why it cannot, or "".
+    `curve`: the cost curve that the budget reads, None without one.
     `frozen`: the triangles to keep whatever the criterion asks, see frozen.py; "" where the mesh follows its camera.
     `effects`: those whose attributes the mesh gets. `scatters`: objects with points on it that are seen. `store`:
     folder of the height field, in a viewport that of its shaped land where there is some. `made_ns`: when that was
@@ -84,6 +86,7 @@ class Request:
     frozen: str
     effects: Effects
     scatters: Scatters = Scatters()
+    curve: CostCurve | None = None
 
     def key(self) -> tuple:
         """Equal for equal requests."""
@@ -124,7 +127,7 @@ def gather(
     if interpolation not in INTERPOLATIONS:  # a driver or a script may set any number
         raise TerrainError(f"The terrain {obj.name!r} has an unknown interpolation; choose one on its panel.")
     placement = _placement(obj.name, evaluated)
-    max_ms, note, frozen = None, "", ""
+    max_ms, note, frozen, curve = None, "", "", None
     if criterion is None:
         frozen = settings.frozen if replace(overrides, effects=None) == Overrides() else ""
         detail = settings.render if mode == RENDER else settings.viewport
@@ -133,6 +136,7 @@ def gather(
         if overrides.error_px is None:
             criterion, note = within_time(criterion, detail)
             max_ms = detail.max_ms if detail.limit_time else None
+            curve = CostCurve.from_json(detail.curve) if detail.limit_time and not note else None
     views = []
     if criterion.needs_view:
         with _named(obj):
@@ -168,6 +172,7 @@ def gather(
         scatters=gather_scatters(
             obj, depsgraph, mode == RENDER, lambda: views or _views(settings, depsgraph, mode, camera, resolution)
         ),
+        curve=curve,
     )
 
 
@@ -238,6 +243,20 @@ def within_time(criterion: Criterion, detail) -> tuple[Criterion, str]:
     if curve.unit != unit:
         return criterion, f"Time budget needs a curve measured in {unit}: press Measure Accuracy again"
     return replace(criterion, **{f"error_{unit}": error}), ""
+
+
+def corrected(request: Request, correction: TimeCorrection) -> Request:
+    """Return the request with the error that fits its time budget by the times of recent updates."""
+    if request.curve is None:
+        return request
+    error = correction.error_for_ms(request.curve, request.max_ms)
+    return replace(request, criterion=replace(request.criterion, **{f"error_{request.curve.unit}": error}))
+
+
+def record_time(request: Request, ms: float, correction: TimeCorrection) -> None:
+    """Correct the next errors by the milliseconds of an update that was made for a request with a time budget."""
+    if request.curve is not None:
+        correction.record(request.curve, getattr(request.criterion, f"error_{request.curve.unit}"), ms)
 
 
 def cleanup_from(settings, terrain, depsgraph) -> Cleanup:

@@ -12,6 +12,7 @@ from collections import Counter
 
 import bpy
 
+from ...cbt_terrain.accuracy.time_correction import TimeCorrection
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.evaluate.evaluate import EffectRequest, evaluate
 from ...cbt_terrain.evaluate.layered_detail import laid
@@ -82,7 +83,7 @@ class Record:
     `overlay_key` names what it was made of, in `overlay_ms`. `effects`: the attributes that effects have made, in
     arrays of the terrain's history, which holds `effects_bytes`; `effects_serial` counts their values, `effects_made`
     has the status of each, `effects_runs` how often each was computed.
-    `scatters`: by the session_uid of their objects."""
+    `scatters`: by the session_uid of their objects. `time_correction`: from the updates of the live viewport."""
 
     terrain: Terrain | None = None
     field: object = None
@@ -97,6 +98,7 @@ class Record:
     effects_bytes: int = 0
     effects_runs: Counter = dataclasses.field(default_factory=Counter)
     live_key: tuple | None = None
+    time_correction: TimeCorrection = dataclasses.field(default_factory=TimeCorrection)
     scatters: dict[int, ScatterRecord] = dataclasses.field(default_factory=dict)
     generation: int = 0
     status: Status = dataclasses.field(default_factory=Status)

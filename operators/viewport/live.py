@@ -22,7 +22,7 @@ from ..demand.screens import screens_key
 from ..ground import keep_ground
 from ..request import land_request
 from ..request.kernels_asked import kernels_for
-from ..request.request import RENDER, VIEWPORT, Request, follows_viewport, gather
+from ..request.request import RENDER, VIEWPORT, Request, corrected, follows_viewport, gather, record_time
 from ..scene import land_jobs, session
 from . import previews, resting_land
 
@@ -146,6 +146,7 @@ def _next_job() -> Job | None:
             if not _is_prepared(record, request):
                 return None
             record.live_key, _started = request.key(), time.monotonic()
+            request = corrected(request, record.time_correction)  # after its key: a camera that stands gets one mesh
             return Job(obj.session_uid, record.generation, request, _worker.submit(_solve, record, request))
     return None
 
@@ -233,6 +234,8 @@ def _finish(job: Job) -> None:
             # Another update may have been shown since then.
             if record.generation == job.generation and record.serial == serial:
                 session.show(obj, record, job.request, update, VIEWPORT)
+                if update.changed:
+                    record_time(job.request, update.ms["total"], record.time_correction)
         _unrefined.pop(job.uid, None)
         if not whole:
             _unrefined[job.uid] = replace(job, future=None)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The time budget asks for the finest error that fits, by the stored curve alone."""
+"""The time budget asks for the finest error that fits, by the stored curve; the live viewport corrects it."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -156,3 +157,25 @@ def test_the_viewport_follows_a_curve_that_has_just_been_measured(terrain, monke
     job = live._next_job()
     assert job.request.key() != key and job.request.criterion.error_px == pytest.approx(8.0, rel=1e-3)
     job.future.result(20)
+
+
+def test_the_live_viewport_corrects_the_curve_by_its_own_times(terrain, monkeypatch):
+    """Updates that take twice what the curve says; explicit updates and renders follow the curve alone."""
+    shown = SimpleNamespace(
+        scene=bpy.context.scene, view_layer=bpy.context.view_layer, screen=SimpleNamespace(areas=[])
+    )
+    monkeypatch.setattr(live, "_windows", lambda: [shown])
+    errors = []
+    for frame in range(5):
+        bpy.context.scene.camera.location.x += 1.0
+        bpy.context.view_layer.update()
+        job = live._next_job()
+        errors.append(job.request.criterion.error_px)
+        update, serial, whole = job.future.result(20)
+        ms = {"total": 2.0 * CURVE.at(errors[-1])[1]}
+        live._finish(replace(job, future=Mock(result=lambda done=(replace(update, ms=ms), serial, whole): done)))
+        assert live._next_job() is None, "a camera that stands still keeps its mesh"
+    assert errors == [CURVE.error_for_ms(2.0)] * 3 + [pytest.approx(CURVE.error_for_ms(1.0), rel=1e-3)] * 2
+    assert session.record_of(terrain).time_correction.factor == pytest.approx(2.0, rel=1e-3)
+    assert request_of(terrain).criterion.error_px == CURVE.error_for_ms(2.0)
+    assert request_of(terrain, RENDER).criterion.error_px == CURVE.error_for_ms(8.0)

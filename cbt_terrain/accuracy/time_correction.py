@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Correction of a cost curve by the times of recent updates, so that a time budget holds while a camera flies."""
+
+import statistics
+from collections import deque
+from dataclasses import dataclass, field
+
+from .cost_curve import CostCurve
+
+MIN_UPDATES, MAX_UPDATES = 3, 5  # of which the median is taken: one slow update among them changes nothing
+# The factor stays while the median is within this part of it: an update at a new error reuses less of the last one.
+TOLERANCE = 0.04
+
+
+@dataclass
+class TimeCorrection:
+    """The factor by which updates take longer than a cost curve predicts. Only the viewport corrects: a render's mesh
+    depends on the curve alone."""
+
+    factor: float = 1.0
+    _ratios: deque = field(default_factory=lambda: deque(maxlen=MAX_UPDATES))
+
+    def error_for_ms(self, curve: CostCurve, ms: float) -> float:
+        """Return the finest error whose update is expected to take at most `ms` milliseconds."""
+        return curve.error_for_ms(ms / self.factor)
+
+    def record(self, curve: CostCurve, error: float, ms: float) -> None:
+        """Take into account that an update at an error took `ms` milliseconds."""
+        self._ratios.append(ms / curve.at(error)[1])
+        median = statistics.median(self._ratios)
+        if len(self._ratios) >= MIN_UPDATES and abs(median / self.factor - 1.0) > TOLERANCE:
+            self.factor = median
+            self._ratios.clear()

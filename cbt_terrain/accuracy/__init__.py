@@ -4,4 +4,14 @@
 from .interpolation import interpolation
 from .measure import Errors, Measured, Sight, look, measure, popping, shading_change, triangle_errors
 
-__all__ = ["Errors", "Measured", "Sight", "interpolation", "look", "measure", "popping", "shading_change", "triangle_errors"]
+__all__ = [
+    "Errors",
+    "Measured",
+    "Sight",
+    "interpolation",
+    "look",
+    "measure",
+    "popping",
+    "shading_change",
+    "triangle_errors",
+]

@@ -21,7 +21,7 @@ from ..mesh.attributes import Attribute
 from ..mesh.surface import Surface
 from ..refine.terms import Terms
 from ..terrain import Terrain
-from . import Errors, Measured, Sight, look, measure, popping
+from . import Errors, Measured, Sight, look, measure, popping, shading_change
 from .cost_curve import CostCurve
 from .sweep_settings import Setting
 from .timed_runs import FRAME_RUNS, RUNS, Frame, fastest, median_by_step, timed_runs, to_finished_mesh
@@ -37,6 +37,7 @@ LONG_FIT_MS = 1000.0
 STEPS = ("refine", "weld", "meshlets", "displace", "effects", "ingest", "fit")
 ALIKE = "unit", "interpolation"  # settings on one cost curve
 TERMS = tuple(Terms.__dataclass_fields__)
+TRANSITIONS = "popping_px", "shading_change"  # between the meshes of two frames
 PARTS = tuple(Errors.__dataclass_fields__)
 
 
@@ -47,10 +48,10 @@ class Row:
     `bound`: in the setting's unit. `limited`: as in Update, of any frame. `surface_mb`: the
     mesh's arrays; `buffers_mb`: address space of all arrays of the engine, of which the system commits what is touched
     (None for a fit). `terms`: the parts of the largest bound, in the setting's unit.
-    `popping_px`: None where no frame follows. `ms`: by step, and "total" of the update (of the fit for a fitted row);
-    "effects", making attributes, and "ingest", writing a Blender mesh, come on top; of each frame those of its fastest
-    run. `cpu_ms`: processor time of all threads to the finished mesh; `spread_ms`: that of the fastest and of the
-    slowest run, of the frame where they differ most.
+    `popping_px`, `shading_change` (255ths): None where no frame follows. `ms`: by step, and "total" of the update (of
+    the fit for a fitted row); "effects", making attributes, and "ingest", writing a Blender mesh, come on top; of each
+    frame those of its fastest run. `cpu_ms`: processor time of all threads to the finished mesh; `spread_ms`: that of
+    the fastest and of the slowest run, of the frame where they differ most.
     """
 
     setting: Setting
@@ -63,6 +64,7 @@ class Row:
     measured: Measured
     terms: Terms | None = None
     popping_px: Errors | None = None
+    shading_change: Errors | None = None
     ms: dict[str, float] = field(default_factory=dict)
     spread_ms: tuple[float, float] | None = None
     cpu_ms: float | None = None
@@ -93,7 +95,7 @@ class Row:
         figures |= dict(zip(("ms_fastest", "ms_slowest"), self.spread_ms or (None, None), strict=True))
         figures |= {"surface_mb": self.surface_mb, "buffers_mb": self.buffers_mb}
         measured = {f.name: getattr(self.measured, f.name) for f in dataclasses.fields(self.measured)}
-        for name, value in (measured | {"popping_px": self.popping_px}).items():
+        for name, value in (measured | {n: getattr(self, n) for n in TRANSITIONS}).items():
             if isinstance(value, float):
                 figures[name] = value
             else:
@@ -203,7 +205,7 @@ def _row(
     if setting.unit == "m":
         frames = [dataclasses.replace(frames[0], views=(), after=None)]
     looks = [(frame, view) for frame in frames for view in frame.views or [None]]
-    updates, sizes, measured, popped, runs, spreads = [], [], [], [], [], []
+    updates, sizes, measured, changes, runs, spreads = [], [], [], [], [], []
     for frame in frames:
         update = terrain.update(criterion, frame.views, *frame.heights)
         surface = update.surface
@@ -235,7 +237,8 @@ def _row(
         runs.append(fastest(found))
         spreads.append(spread_of([run["cpu"] for run in found]))
         if frame.after:
-            popped += _popped(terrain, criterion, surface, frame.after, threads, sight)
+            changes += _transitions(terrain, criterion, surface, frame.after, threads, sight)
+    popped, shaded = (worst([change[i] for change in changes]) for i in range(2))
     triangles, vertices, surface_bytes = (median_count(column) for column in zip(*sizes, strict=True))
     ms = median_by_step(runs)
     cpu = ms.pop("cpu")
@@ -252,7 +255,8 @@ def _row(
         terrain.buffer_bytes / 1e6,
         worst(measured),
         updates[loosest].terms_px if in_pixels else updates[loosest].terms_m,
-        worst(popped),
+        popped,
+        shaded,
         ms,
         max(spreads, key=lambda times: times[1] / max(times[0], 1e-9)),
         cpu,
@@ -302,11 +306,15 @@ def _fitted_row(heights, setting: Setting, frame: Frame, threads, on_part) -> Ro
     )
 
 
-def _popped(terrain: Terrain, criterion: Criterion, before: Surface, frame: Frame, threads, sight) -> list:
-    """Jumps from the surface `before` to the one of the frame that follows, one distribution for each view."""
+def _transitions(terrain: Terrain, criterion: Criterion, before: Surface, frame: Frame, threads, sight) -> list:
+    """Jumps and changes of shading from the surface `before` to the one of the frame that follows, for each view."""
     after = terrain.update(criterion, frame.views, *frame.heights).surface
-    looks = [(view, sight(terrain.field, view, frame)) for view in frame.views]
-    return [popping(terrain.field, before, after, v, *frame.heights, threads=threads, sight=s) for v, s in looks]
+    found = []
+    for view in frame.views:
+        seen = sight(terrain.field, view, frame)
+        inputs = terrain.field, before, after, view, *frame.heights
+        found.append([measured(*inputs, threads=threads, sight=seen) for measured in (popping, shading_change)])
+    return found
 
 
 def _bytes(surface: Surface) -> int:

@@ -9,7 +9,7 @@ from .cost_curve import CostCurve
 
 MIN_UPDATES, MAX_UPDATES = 3, 5  # of which the median is taken: one slow update among them changes nothing
 # The factor stays while the median is within this part of it: an update at a new error reuses less of the last one.
-TOLERANCE = 0.04
+TOLERANCE = 0.05
 
 
 @dataclass

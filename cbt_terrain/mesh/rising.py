@@ -3,8 +3,6 @@
 
 from dataclasses import dataclass
 
-import warp as wp
-
 from ...kernels.morph import residual as kernels
 from ...kernels.morph.residual import PENDING, REMEMBERED, Known, Memory, Pending, Risen
 from ...kernels.refine.pixels import Asked

@@ -30,8 +30,8 @@ def displace_rising(
     rising: Rising,
     memory: Memory,
 ):
-    """As `displace` in kernels/mesh/displace.py; points that were in the last frame get new heights and normals, but for
-    those that were in their places and are."""
+    """As `displace` in kernels/mesh/displace.py. Points of the last frame get new heights and normals, but for those
+    that were in their places and are."""
     forget_all(memory)
     last = point_base + wp.int64(end - 1)
     run, run_end = runs_of(points, slot)

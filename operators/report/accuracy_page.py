@@ -75,6 +75,11 @@ WORDS = [
         "outlines are finer than that.",
     ),
     ("popping", "How far points jump from one frame's mesh to the next frame's; no figure where no frame follows."),
+    (
+        "shading change",
+        "The largest change of a pixel's shading from one frame's mesh to the next frame's: 255 times the distance "
+        "between the two unit normals, the most that any light shows on white ground.",
+    ),
     ("rounding", "What float32 has changed of the measured error."),
     ("faces, shading", "Angles of triangles to the surface's normals, and of the normals that are rendered."),
     (

@@ -14,6 +14,8 @@ HEAD = [
     "smooth",
     "p99.9, without",
     "smooth",
+    "shading: max, without",
+    "smooth",
     "error: max, without",
     "smooth",
     "triangles ×",
@@ -32,6 +34,7 @@ def transitions_section(rows: list[Row], of: str, plot: str) -> list:
             f"{rough.setting.error:g} px",
             *(f"{row.popping_px.max:.3g}" for row in (rough, smooth)),
             *(f"{row.popping_px.p999:.3g}" for row in (rough, smooth)),
+            *(f"{row.shading_change.max:.3g}" for row in (rough, smooth)),
             *(f"{row.error:.3g}" for row in (rough, smooth)),
             f"{smooth.triangles / rough.triangles:.2f}",
             f"{smooth.whole_ms / rough.whole_ms:.2f}",
@@ -42,7 +45,8 @@ def transitions_section(rows: list[Row], of: str, plot: str) -> list:
         Heading(f"What Smooth Transitions{of} save and cost"),
         Text(
             "Pixels by which points of the ground jump from one frame's mesh to the next one's, the largest and what "
-            "99.9 % of them stay within; the largest error of what is seen; and how many times as many triangles, and "
+            "99.9 % of them stay within; the largest change of a pixel's shading, in 255ths of white ground under the "
+            "light that shows it most; the largest error of what is seen; and how many times as many triangles, and "
             "milliseconds to the finished mesh, smooth ones take. A jump without them is as large as the error. Smooth "
             "ones move as far as the camera does: half the way a frame, half the jump."
         ),

@@ -140,9 +140,10 @@ def test_of_several_frames_the_worst_error_counts_and_popping_is_between_neighbo
     assert both.bound == max(row.bound for row in apart)
     assert both.measured.screen_px.count == sum(row.measured.screen_px.count for row in apart)
     assert [row.popping_px for row in apart] == [None, None]
-    assert 0 < both.popping_px.max
+    assert 0 < both.popping_px.max and 0 < both.shading_change.max < 2 * 255
+    assert both.figures()["shading_change_max"] == both.shading_change.max
     still = sweep(field, [setting], [Frame([SEEN], after=Frame([SEEN]))])[0]
-    assert still.popping_px.max == 0
+    assert still.popping_px.max == still.shading_change.max == 0
 
 
 def test_raising_ends_a_sweep(field):

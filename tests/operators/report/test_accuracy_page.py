@@ -59,14 +59,17 @@ def test_each_interpolation_has_a_pareto_front_of_its_own():
 def test_a_section_compares_popping_with_smooth_transitions_and_without(morph, name):
     """Whichever way the other rows are; errors of the pair are not mixed up, and it has no part in the fronts."""
     own = dataclasses.replace(known_rows()[0], popping_px=Errors(9, 4.0, 0.0, 3.0, 0.1, 0.2))
+    own = dataclasses.replace(own, shading_change=Errors(9, 30.0, 0.0, 3.0, 0.1, 0.2))
     setting = dataclasses.replace(own.setting, morph=morph)
     jumps = Errors(9, 0.04, 0.01, 0.02, 0.01, 0.01)
     other = dataclasses.replace(own, setting=setting, popping_px=jumps, triangles=125, ms={"total": 0.5})
+    other = dataclasses.replace(other, shading_change=Errors(9, 2.0, 0.0, 1.0, 0.1, 0.2))
     heading, _, table, plot = transitions_section([own, other, *known_rows()[1:]], " of hills", "a_popping.svg")
     assert heading.text == "What Smooth Transitions of hills save and cost"
     ratios, jumped = (["1.25", "0.50"], ["4", "0.04"]) if morph > 1 else (["0.80", "2.00"], ["0.04", "4"])
+    shaded = ["30", "2"] if morph > 1 else ["2", "30"]
     [line] = table.rows
-    assert line[0] == "4 px" and line[1:3] == jumped and line[-2:] == ratios
+    assert line[0] == "4 px" and line[1:3] == jumped and line[5:7] == shaded and line[-2:] == ratios
     curves = ElementTree.fromstring(plot.svg).findall(f".//{SVG}text")
     assert {"without, largest", "smooth, 99.9 %"} <= {text.text for text in curves}
     assert accuracy_plots.label(setting) == f"4 px, {name}"

@@ -20,9 +20,9 @@ PARTS = (1 / 8192, 16), (1 / 64, 400), (1 / 8, 2000)
 NEAR = 3
 # From just before a step that is foretold on, so many are counted, for the budget and for its parts; each time that was
 # not enough, three times as many.
-REACH, REACH_OF_PARTS, WIDER = 10, 64, 3
+REACH, REACH_OF_PARTS, WIDER = 40, 256, 3
 # From a step before the last frame's answer on, steps up to so many later are counted.
-WINDOW = 2
+WINDOW = 8
 # Octaves of splits for an octave of error, on most ground.
 SPLITS_PER_ERROR = 1.2
 # ... and fewest: of coarse meshes they rise too seldom to tell.

@@ -25,7 +25,7 @@ from ..refine.band import (
     too_coarse,
 )
 from ..refine.pixels import Asked
-from ..refine.stored_errors import error_at, fetch_ahead, leaves_tile
+from ..refine.stored_errors import SURE, error_at, fetch_ahead, leaves_tile, may_be_less, stored_error_at
 from .count_state import CELLS, MARKS, Cell, Count, Part, add, last_split
 
 
@@ -104,10 +104,18 @@ def judge(
     or not.
     """
     error = wp.float32(0.0)
+    sure = wp.float64(1.0)
     if w.has_errors == 1:
-        error = error_at(domain, p.x, p.y, p.depth)
+        error = stored_error_at(domain, p.x, p.y, p.depth)
+        if may_be_less(domain, p.depth):
+            sure = SURE
     own = wp.float64(error) * domain.error_scale
-    verdict = foretold(cell.band, p.depth, own)
+    verdict = foretold(cell.band, p.depth, sure * own, own)
+    if verdict == DOUBT and sure < wp.float64(1.0):
+        sure = wp.float64(1.0)
+        error = error_at(domain, p.x, p.y, p.depth)
+        own = wp.float64(error) * domain.error_scale
+        verdict = foretold(cell.band, p.depth, own, own)
     last = step - 1
     looks = wp.bool(False)
     measured = wp.int32(0)
@@ -117,6 +125,9 @@ def judge(
         looks = p.number >= 0
     # What is certain to be split is measured for what can be said below it.
     if verdict == DOUBT or (looks and own <= cell.band.leaf_up_to):
+        if sure < wp.float64(1.0):
+            error = error_at(domain, p.x, p.y, p.depth)
+            own = wp.float64(error) * domain.error_scale
         m = measured_at(domain, asked, p.x, p.y, p.depth, error, cell.band.in_frame)
         measured = 1
         looks = wp.bool(False)

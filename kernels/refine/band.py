@@ -124,10 +124,10 @@ def nothing_certain() -> Band:
 
 
 @wp.func
-def foretold(band: Band, depth: wp.int32, own: wp.float64) -> wp.int32:
-    """The verdict on a diamond below, of `own` metres of error: whether it should be split."""
+def foretold(band: Band, depth: wp.int32, sure: wp.float64, own: wp.float64) -> wp.int32:
+    """The verdict on a diamond below, of `sure` to `own` metres of error: whether it should be split."""
     verdict = wp.int32(LEAF)
-    if depth < band.split_depth or own > band.split_above:
+    if depth < band.split_depth or sure > band.split_above:
         verdict = SPLIT
     elif depth < band.leaf_depth or own > band.leaf_up_to:
         verdict = DOUBT

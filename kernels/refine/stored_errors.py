@@ -6,12 +6,15 @@ A diamond is known by its split vertex (x, y in lattice units) and its depth ins
 
 import warp as wp
 
-from ..field.codes import error_of
+from ..field.codes import corners_of, error_of, twist_of
 from ..field.domain import Domain
+from ..field.hierarchy import round_up
 from ..field.layout import tile_index
 from ..unchecked import item_at, prefetch
 
 UP = wp.constant(wp.float32(1.0 + 2.0**-22))  # above what a sum of two float32 rounds
+SURE = wp.constant(wp.float64(0.5))  # of a stored error inside the raster's cells: this part is an error's own at least
+RINGS = wp.constant(5)  # of cells whose twists are evaluated; a code that is an octave too large is 4^-6 of one there
 UP_MASKS = wp.constant(wp.float32(1.0 + 2.0**-19))  # ... of a dozen
 
 
@@ -29,6 +32,53 @@ def cell_entry(domain: Domain, group: wp.int32, i: wp.int32, j: wp.int32) -> wp.
 def cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
     """Saturated error of the diamond in the middle of raster cell (i, j): the last level that is stored."""
     return cell_entry(domain, domain.cell_group, i, j)
+
+
+@wp.func
+def twist_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
+    """Error of the diamond in the middle of raster cell (i, j), by its own twist alone; of a leaf that is drawn as a
+    meshlet that of the triangles."""
+    twist = wp.float64(0.25) * twist_of(corners_of(domain.samples, i, j))
+    return round_up(twist / wp.float64(wp.int64(1) << wp.int64(2 * domain.levels - domain.detail_rim)))
+
+
+@wp.func
+def exact_cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
+    """The same as `cell_error` from twists, where that is less: codes are rounded up, by up to an octave.
+
+    Saturated, an error is the largest T(b) / 4^d of all cells b that are d steps from neighbour to neighbour away. Here
+    twists are evaluated up to RINGS steps away, and the codes of the next ring stand for the rest: so a neighbour's
+    error is never more than four times this. Where no code of a ring counts, none of a later one does. Half of the own
+    code counts at least: a band can tell then what is certain without twists.
+    """
+    stored = cell_error(domain, i, j)
+    found = stored
+    if stored > wp.float32(0.0):
+        found = wp.max(twist_error(domain, i, j), wp.float32(SURE) * stored)
+        counts = wp.bool(True)
+        ring = wp.int32(1)
+        part = wp.float32(0.25)
+        while counts and ring <= RINGS + 1 and found < stored:
+            counts = wp.bool(False)
+            before = found
+            for k in range(4 * ring):
+                t = k % ring
+                side = k / ring
+                x = wp.where((side & 1) == 0, ring - t, -t)
+                y = wp.where((side & 1) == 0, t, ring - t)
+                x = i + wp.where(side < 2, x, -x)
+                y = j + wp.where(side < 2, y, -y)
+                error = part * cell_error(domain, x, y)
+                if error > before:
+                    counts = wp.bool(True)
+                if error > found:
+                    if ring <= RINGS:
+                        error = part * twist_error(domain, x, y)
+                    found = wp.max(error, found)
+            ring += 1
+            part = wp.float32(0.25) * part
+        found = wp.min(found, stored)
+    return found
 
 
 @wp.func
@@ -101,6 +151,21 @@ def raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -
 
 
 @wp.func
+def exact_raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
+    """The same with `exact_cell_error`, of a bilinear surface inside the raster's cells."""
+    bits = domain.unit_bits - domain.levels
+    i = x >> bits
+    j = y >> bits
+    error = exact_cell_error(domain, i, j)
+    if (depth & 1) == 0:
+        if (i << bits) == x:
+            error = wp.max(error, exact_cell_error(domain, i - 1, j))
+        if (j << bits) == y:
+            error = wp.max(error, exact_cell_error(domain, i, j - 1))
+    return error / wp.float32(wp.int64(1) << wp.int64(halvings_at(domain, depth)))
+
+
+@wp.func
 def most_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int32:
     """The most of a mask over the box of the diamond split at (x, y): 255 is all.
 
@@ -145,11 +210,28 @@ def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, lea
 
 
 @wp.func
-def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """Saturated error of the diamond split at (x, y): metres, before scaling."""
+def stored_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
+    """`error_at` or more: at most twice as much where it `may_be_less`."""
     error = raster_error_at(domain, x, y, depth)
     if domain.detailed == 1 and not is_beyond(domain, x, y, depth):
         error = (error + detail_missed(domain, x, y, depth, depth)) * UP
+    return error
+
+
+@wp.func
+def may_be_less(domain: Domain, depth: wp.int32) -> wp.bool:
+    """Whether `error_at` of a diamond at a depth may be less than what is stored."""
+    return depth > 2 * domain.levels and domain.bicubic == 0
+
+
+@wp.func
+def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
+    """Saturated error of the diamond split at (x, y): metres, before scaling. It is what a diamond is judged by."""
+    error = stored_error_at(domain, x, y, depth)
+    if may_be_less(domain, depth) and error > wp.float32(0.0):
+        error = exact_raster_error_at(domain, x, y, depth)
+        if domain.detailed == 1:
+            error = (error + detail_missed(domain, x, y, depth, depth)) * UP
     return error
 
 

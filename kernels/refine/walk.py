@@ -38,7 +38,7 @@ from .reuse import (
 )
 from .reuse_state import Reuse
 from .steps import STOPPED, advance, enter, middle_of, put_results, square_at
-from .stored_errors import error_at, fetch_ahead, leaves_tile
+from .stored_errors import SURE, error_at, fetch_ahead, leaves_tile, may_be_less, stored_error_at
 from .walk_state import STACK, Cursor, Square, Walk, Written
 
 # Measure a diamond even if it will certainly be split when its interval leaves more than NARROWED levels undecided: a
@@ -53,9 +53,18 @@ def judge(domain: Domain, asked: Asked, limits: Limits, w: Walk, r: Reuse, q: Sq
     above = w.bands[c.held]
     held = c.held
     error = wp.float32(0.0)  # where depths alone decide, errors need not be read
+    sure = wp.float64(1.0)
     if above.calm == 0:
+        error = stored_error_at(domain, middle[0], middle[1], c.depth)
+        if may_be_less(domain, c.depth):
+            sure = SURE
+    own = wp.float64(error) * domain.error_scale
+    verdict = foretold(above, c.depth, sure * own, own)
+    if verdict == DOUBT and sure < wp.float64(1.0):
+        sure = wp.float64(1.0)
         error = error_at(domain, middle[0], middle[1], c.depth)
-    verdict = foretold(above, c.depth, wp.float64(error) * domain.error_scale)
+        own = wp.float64(error) * domain.error_scale
+        verdict = foretold(above, c.depth, own, own)
     if c.depth < w.max_depth:
         narrows = above.calm == 1 and above.even_depth == 0 and (c.depth & 1) == 0
         narrows = narrows and above.leaf_depth - c.depth > NARROWED
@@ -64,6 +73,8 @@ def judge(domain: Domain, asked: Asked, limits: Limits, w: Walk, r: Reuse, q: Sq
     elif w.counts[4 * w.slot + STOPPED] == wp.int64(1):
         verdict = LEAF  # its measure can add nothing
     if verdict == DOUBT:
+        if sure < wp.float64(1.0):
+            error = error_at(domain, middle[0], middle[1], c.depth)
         m = measured_at(domain, asked, middle[0], middle[1], c.depth, error, above.in_frame)
         verdict = LEAF
         if too_coarse(asked, asked.limit, m):

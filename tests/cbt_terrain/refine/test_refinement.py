@@ -68,6 +68,20 @@ def test_vertical_error_is_view_independent_and_reaches_what_is_asked():
         assert update.bound_m <= asked and update.bound_px is None and update.limited == ""
 
 
+@pytest.mark.parametrize("heights", [(1000.0,), (1000.0, 610.0), (333.0,)])
+def test_an_error_just_above_a_code_takes_no_extra_level(heights):
+    """On a cliff errors are h / 4^k; what is asked is 0.1 % above one of them, or 4 % above, beyond the rounding."""
+    y, x = np.mgrid[0:90, 0:121]
+    steps = [np.where(x + 0.3 * y > 45 + 40 * k, h, 0.0) for k, h in enumerate(heights)]
+    field = from_array(np.sum(steps, axis=0).astype(np.float32), 1.0)
+    for level in (3, 4, 5):
+        near, above = (
+            Terrain(field, 1).update(Criterion(error_px=0.0, error_m=heights[0] / 4**level * part)).triangles
+            for part in (1.001, 1.04)
+        )
+        assert above <= near <= 1.2 * above
+
+
 @pytest.mark.parametrize("fov_deg", [0.5, 2.0, 10.0, 50.0])
 def test_little_is_drawn_outside_a_narrow_frame(fov_deg):
     """By default: at most 1.3 times the triangles that the frame alone takes."""

@@ -14,7 +14,7 @@ from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
 # How many times coarser a terrain may be of which nothing is in view.
 HIDDEN = 1e90
-# Degrees of the field of view for which the guard band and the fringe are stated; narrower ones have them in proportion.
+# Degrees of the field of view for which the guard band and the fringe are stated; of narrower ones both are narrower.
 NORMAL_FOV = 50.0
 # Where points rise, detail gets coarser outside the frame over this part of the depth (11 degrees at a field of view of
 # 50; of an orthographic frame the part of its half), not at once.
@@ -34,8 +34,9 @@ def localise(
 
     `placement` float64 [4, 4] takes the terrain's space to the world, `box` float64 [2, 3] is everything that the
     terrain may occupy in its own space. A metre of height counts as `height_scale` metres across the view. What is seen
-    of true heights may be `off` metres of height from the surface; the frustum is wider by that. `margins`: degrees beyond
-    the frame's sides across and along the view that are inside; those of the criterion's guard band by default.
+    of true heights may be `off` metres of height from the surface; the frustum is wider by that, and boxes are higher.
+    `margins`: degrees beyond the frame's sides, across and along the view, that are inside; those of the criterion's
+    guard band by default.
     """
     to_camera = product(view.world_to_camera, placement)
     linear, shift = to_camera[:3, :3], to_camera[:3, 3]
@@ -59,8 +60,8 @@ def localise(
     elif criterion.rises_until > 1:
         fade = math.sqrt(math.sqrt(factor)) - 1
         fringe = FRINGE * (min(b - a for a, b in view.bounds()) / 2 if view.kind == ORTHOGRAPHIC else narrow)
-    most, least = slants_of(view, placement, criterion)
-    slants = slant_rows(view, placement) / most if most > least else np.zeros((2, 2))
+    largest, smallest = slants_of(view, placement, criterion)
+    slants = slant_rows(view, placement) / largest if largest > smallest else np.zeros((2, 2))
     numbers = {
         "eye": eye,
         "weight": (sigma * stretch) ** 2 * (1 - 1e-12),
@@ -69,7 +70,7 @@ def localise(
         "pixel2": 1 / (pixels * pixels * stretch[2] * stretch[2]),
         "slant_x": slants[0],
         "slant_y": slants[1],
-        "most_gain2": (most / least) * (most / least),
+        "max_gain2": (largest / smallest) * (largest / smallest),
         "cosine2": 1 / (secant_of(view) * secant_of(view)),
         "near2": near * near,
         "off_screen2": factor * factor,

@@ -19,7 +19,7 @@ from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 ROUNDING = 1e-9
 # Without a shading floor a height counts as if it were seen at this part of the frame's largest slant at least. The
 # ground that this makes finer is a 256th of a picture that looks straight down.
-LEAST_SLANT = 1 / 16
+MIN_SLANT = 1 / 16
 # Where slants in the frame differ by less than this factor, one for all of them saves as many triangles, and time.
 EVEN_SLANTS = 1.06
 # A slant of which nothing is seen any more; none is smaller, so that everything stays finite.
@@ -45,8 +45,9 @@ class Spans:
     """What pixels are in spans, for each of `views`.
 
     `wholes`: see `whole_of`. `widenings`: the factor on spans that makes what holds in spans hold as it is seen.
-    `scales`: the largest slant in the frame, widened. `edge`: spans of an edge of one pixel. `lengths`: squared diagonal and side of a lattice
-    unit, in camera space. `allowed`: the part by which edges are asked for shorter, for rounding.
+    `scales`: the largest slant in the frame, widened. `edge`: spans of an edge of one pixel. `lengths`: squared
+    diagonal and side of a lattice unit, in camera space. `allowed`: the part by which edges are asked for shorter, for
+    rounding.
     """
 
     views: tuple[View, ...] = ()
@@ -72,9 +73,9 @@ class Spans:
 def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray, plan: Plan) -> Spans:
     """The spans of the views of a terrain that stands at `placement`."""
     slants = [slants_of(view, placement, criterion) for view in views]
-    wholes = [whole_of(view, placement, least) for view, (_, least) in zip(views, slants, strict=True)]
+    wholes = [whole_of(view, placement, smallest) for view, (_, smallest) in zip(views, slants, strict=True)]
     wide = [widening(view, whole, criterion.error_px) for view, whole in zip(views, wholes, strict=True)]
-    scales = [factor * most for factor, (most, _) in zip(wide, slants, strict=True)]
+    scales = [factor * largest for factor, (largest, _) in zip(wide, slants, strict=True)]
     seen = tuple(views), tuple(wholes), tuple(wide)
     if not views or not criterion.measures_edges:
         return Spans(*seen, tuple(scales))
@@ -107,43 +108,43 @@ def slants_of(view: View, placement: np.ndarray, criterion: Criterion) -> tuple[
     if view.kind == ORTHOGRAPHIC or criterion.measures_edges:
         return largest, largest
     smallest = length([max(low, -high, 0.0) for low, high in ends])
-    smallest = max(criterion.shading_floor, LEAST_SLANT * largest, smallest)
+    smallest = max(criterion.shading_floor, MIN_SLANT * largest, smallest)
     return largest, largest if largest < EVEN_SLANTS * smallest else smallest
 
 
 def slant_rows(view: View, placement: np.ndarray) -> np.ndarray:
-    """float64 [2, 2]: how far a metre of height moves a point that is (x, y) metres of the terrain's space from the eye
-    of a perspective, across and along the view, times the squared depth. Height itself changes nothing: the point
-    stays on its vertical.
+    """Return rows, float64 [2, 2], whose products with (x, y) metres of the terrain's space from the eye of a
+    perspective say how far a metre of height moves a point across and along the view, times the squared depth. The
+    height of the point changes nothing: it stays on its vertical.
 
-    That is f (u_z c - u c_z) for a point c and the unit vector u of height in camera space, f being the pixels of either
-    axis over those of the larger.
+    That is f (u_z c - u c_z) for a point c and the unit vector u of height in camera space, f being the pixels of
+    either axis over those of the larger.
     """
     up, linear = _up(view, placement), product(view.world_to_camera, placement)[:3, :2]
     return np.array([f * (up[2] * linear[k] - up[k] * linear[2]) for k, f in enumerate(_aspect(view))])
 
 
 def _up(view: View, placement: np.ndarray) -> np.ndarray:
-    """float64 [3]: the unit vector of height in camera space."""
+    """Return the unit vector of height in camera space, float64 [3]."""
     up = product(view.world_to_camera[:3, :3], placement[:3, 2])
     return up / length(up)
 
 
 def _aspect(view: View) -> tuple[float, float]:
-    """Pixels across and along the view, in parts of `pixels_per_unit`."""
+    """Return pixels across and along the view, in parts of `pixels_per_unit`."""
     return tuple(abs(float(view.projection[k, k])) * view.resolution[k] / 2 / view.pixels_per_unit for k in (0, 1))
 
 
 def whole_of(view: View, placement: np.ndarray, slant: float) -> float:
-    """Pixels of an error that reaches the eye: of a perspective as long as the depth, measured along the view, and seen
-    at the smallest slant; of a panorama as long as the distance."""
+    """Return pixels of an error that reaches the eye: of a perspective as long as the depth, measured along the view,
+    and seen at the smallest slant; of a panorama as long as the distance."""
     if view.kind == PANORAMIC:
         return view.pixels_per_unit
     return view.pixels_per_unit * slant / max(abs(float(_up(view, placement)[2])), NO_SLANT)
 
 
 def as_seen(view: View, whole: float, pixels: float) -> float:
-    """Pixels that a point can be from its place in the frame where its error in height is `pixels` spans of a pixel.
+    """Return pixels that a point can be from its place in the frame where its error in height is `pixels` spans.
 
     A span is taken at the reference surface, and an error towards the camera looks larger than that. Of an error e at
     depth z or more, and at distance d or more, a perspective of focal length f shows f e slant / (z - |u_z| e) at most,
@@ -157,7 +158,7 @@ def as_seen(view: View, whole: float, pixels: float) -> float:
 
 
 def widening(view: View, whole: float, error_px: float) -> float:
-    """The factor, 1 or more, on spans of a pixel that makes a limit on them one on pixels as they are seen.
+    """Return the factor, 1 or more, on spans of a pixel that makes a limit on them one on pixels as they are seen.
 
     `as_seen` is convex: at less than what was asked, spans times this factor are still not below it.
     """
@@ -170,7 +171,7 @@ def widening(view: View, whole: float, error_px: float) -> float:
 
 
 def secant_of(view: View) -> float:
-    """The most that a point in the frame is further away than deep."""
+    """Return the largest distance over depth of a point in the frame."""
     if view.kind != PERSPECTIVE:
         return 1.0
     x, y = (max(abs(end) for end in ends) for ends in view.bounds())

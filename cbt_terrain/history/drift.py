@@ -51,5 +51,5 @@ def move(motion: Motion, before: LocalView, now: LocalView, drift: float) -> Non
     motion.eye, motion.depth, motion.drift = before.eye, before.depth, drift
     offsets = zip(now.weight, now.eye, before.eye, strict=True)
     motion.step = math.sqrt(add_up(float(w) * (float(a) - float(b)) * (float(a) - float(b)) for w, a, b in offsets))
-    motion.slant_x, motion.slant_y, motion.most_gain2 = before.slant_x, before.slant_y, before.most_gain2
+    motion.slant_x, motion.slant_y, motion.max_gain2 = before.slant_x, before.slant_y, before.max_gain2
     motion.ratio = math.sqrt(float(now.pixel2) / float(before.pixel2))

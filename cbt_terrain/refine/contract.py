@@ -53,8 +53,8 @@ class Outcome:
 
     `relaxed`: the factor by which a triangle limit coarsened what was asked; infinity where no factor is enough, so
     that the mesh is the roots. `stopped`: whether a leaf is still too coarse, and at `max_depth`. `deepest`: the depth
-    of the deepest leaf. `relief`: metres between the lowest and the highest point. `in_frame`: returns `asked` without the
-    guard band, for what is seen alone.
+    of the deepest leaf. `relief`: metres between the lowest and the highest point. `in_frame`: returns `asked` without
+    the guard band.
     """
 
     domain: Domain
@@ -95,7 +95,7 @@ def reason_of(bounds: list[Bound | None], relaxed: float) -> str:
 
 
 def bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
-    """Pixels that a point in view can be from its place; 0 where nothing is in view."""
+    """Return pixels that a point in view can be from its place; 0 where nothing is in view."""
     if not criterion.error_px or not spans.views:
         return None
     found = _bound_px(criterion, spans, o)
@@ -105,6 +105,7 @@ def bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
 
 
 def _bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound:
+    """Return the same for the views of `o.asked`."""
     fixed = o.search(FIXED, -1.0)
     if fixed is None:
         return Bound(0.0, "", Terms(0.0, 0.0, 0.0))

@@ -48,7 +48,7 @@ def corners_of(s: Samples, i: wp.int32, j: wp.int32) -> wp.vec4d:
 
 @wp.func
 def twist_of(corners: wp.vec4d) -> wp.float64:
-    """How far the bilinear patch with such corners is from a plane: |h00 + h11 - h10 - h01|, metres."""
+    """Return how far the bilinear patch with such corners is from a plane: |h00 + h11 - h10 - h01|, metres."""
     return wp.abs((corners[0] - corners[1]) + (corners[3] - corners[2]))
 
 

@@ -61,7 +61,7 @@ class Motion:
     step: wp.float64  # metres of camera space that the eye has moved
     slant_x: wp.vec2d  # ... as are these
     slant_y: wp.vec2d
-    most_gain2: wp.float64
+    max_gain2: wp.float64
     ratio: wp.float64  # span of a pixel at unit depth over what it was
     drift: wp.float64  # part by which the lengths may have changed that spans are made of and compared with
 
@@ -103,56 +103,54 @@ def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
 
 
 @wp.func
-def slant_change(now: wp.vec2d, before: wp.vec2d, step: wp.vec2d, low: wp.vec2d, high: wp.vec2d):
-    """By how much, least and most, the largest size of a row's product has grown in any rectangle inside this one.
+def slant_change(now: wp.vec2d, before: wp.vec2d, step: wp.vec2d, low: wp.vec2d, high: wp.vec2d) -> wp.vec2d:
+    """Bound by how much the largest size of a row's product has grown in any rectangle inside this one: lower, upper.
 
     step: how far the eye has moved; low, high: from where it was. The product is linear in the place.
     """
     was = ends_of(before, low, high)
     grown = ends_of(now - before, low, high)
     moved = now[0] * step[0] + now[1] * step[1]
-    least = grown[0] - moved
-    most = grown[1] - moved
-    if was[0] < wp.float64(0.0) or was[0] + least < wp.float64(0.0):
-        least = -most
-        most = moved - grown[0]
-        if was[1] > wp.float64(0.0) or was[1] + (grown[1] - moved) > wp.float64(0.0):
-            most = larger(most, -least)
-            least = -most
-    return least, most
+    grown = wp.vec2d(grown[0] - moved, grown[1] - moved)
+    if was[0] < wp.float64(0.0) or was[0] + grown[0] < wp.float64(0.0):
+        if was[1] > wp.float64(0.0) or was[1] + grown[1] > wp.float64(0.0):
+            size = larger(grown[1], -grown[0])
+            grown = wp.vec2d(-size, size)
+        else:
+            grown = wp.vec2d(-grown[1], -grown[0])
+    return grown
 
 
 @wp.func
 def slant_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d) -> wp.vec2d:
-    """By what the largest slant times depth, squared, is multiplied in any box inside this one: at least and at most."""
+    """Bound the factor on the largest slant times depth, squared, in any box inside this one: lower, upper."""
     low2 = wp.vec2d(low[0] - motion.eye[0], low[1] - motion.eye[1])
     high2 = wp.vec2d(high[0] - motion.eye[0], high[1] - motion.eye[1])
     step = wp.vec2d(view.eye[0] - motion.eye[0], view.eye[1] - motion.eye[1])
     x = sizes_of(ends_of(motion.slant_x, low2, high2))
     y = sizes_of(ends_of(motion.slant_y, low2, high2))
-    least_x, most_x = slant_change(view.slant_x, motion.slant_x, step, low2, high2)
-    least_y, most_y = slant_change(view.slant_y, motion.slant_y, step, low2, high2)
+    grown_x = slant_change(view.slant_x, motion.slant_x, step, low2, high2)
+    grown_y = slant_change(view.slant_y, motion.slant_y, step, low2, high2)
     # (q + change)^2 - q^2, of which the square of a fall may be left away.
     two = wp.float64(2.0)
-    fall = two * (smaller(x[0] * least_x, x[1] * least_x) + smaller(y[0] * least_y, y[1] * least_y))
-    rise = two * (larger(x[0] * most_x, x[1] * most_x) + larger(y[0] * most_y, y[1] * most_y))
-    rise += most_x * most_x + most_y * most_y
-    least2 = x[0] * x[0] + y[0] * y[0]
-    most2 = x[1] * x[1] + y[1] * y[1]
+    fall = two * (smaller(x[0] * grown_x[0], x[1] * grown_x[0]) + smaller(y[0] * grown_y[0], y[1] * grown_y[0]))
+    rise = two * (larger(x[0] * grown_x[1], x[1] * grown_x[1]) + larger(y[0] * grown_y[1], y[1] * grown_y[1]))
+    rise += grown_x[1] * grown_x[1] + grown_y[1] * grown_y[1]
+    smallest2 = x[0] * x[0] + y[0] * y[0]
+    largest2 = x[1] * x[1] + y[1] * y[1]
     one = wp.float64(1.0)
-    lowest = one + fall / wp.where(fall < wp.float64(0.0), least2, most2)
-    highest = one + rise / wp.where(rise > wp.float64(0.0), least2, most2)
-    return wp.vec2d(lowest, highest)
+    lower = one + fall / wp.where(fall < wp.float64(0.0), smallest2, largest2)
+    upper = one + rise / wp.where(rise > wp.float64(0.0), smallest2, largest2)
+    return wp.vec2d(lower, upper)
 
 
 @wp.func
-def span_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d, least: wp.float64, most: wp.float64):
-    """By what the span of a pixel is multiplied in any box inside this one, at least and at most; and whether that is
-    known. least, most: by how much depths or distances have grown, see `change_of`.
+def span_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d, fall: wp.float64, rise: wp.float64):
+    """Bound the factor on the span of a pixel in any box inside this one: lower, upper, gain, and whether they hold.
 
-    A span is the middle one of three: depth, depth^2 over slant times depth, and depth times the largest gain. Where it
-    is the first or the last in all boxes, before and now, its squared gain is returned and the factors are without the
-    depth's; else that gain is 0.
+    fall, rise: the bounds of `change_of`. A span is the middle one of three: depth, depth^2 over slant times depth, and
+    depth times the largest gain. Where it is the first or the last in all boxes, before and now, its squared gain is
+    returned and the factors are without the depth's; else that gain is 0.
     """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -163,35 +161,35 @@ def span_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d,
     farthest2 = farthest_far2(before, low, high)
     nearest = wp.sqrt(nearest2)
     farthest = wp.sqrt(farthest2)
-    lower = one + least / wp.where(least < zero, nearest, farthest)
-    upper = one + most / wp.where(most > zero, nearest, farthest)
+    lower = one + fall / wp.where(fall < zero, nearest, farthest)
+    upper = one + rise / wp.where(rise > zero, nearest, farthest)
     slants2 = slant_factors(view, motion, low, high)
     # Squared gains, before they are clamped to 1 and the largest.
     was2 = slants2_of(motion.slant_x, motion.slant_y, motion.eye, low, high)
     is2 = slants2_of(view.slant_x, view.slant_y, view.eye, low, high)
-    least_gain2 = smaller(nearest2 / was2[1], nearest_far2(view, low, high, least_of(view.depth, low, high)) / is2[1])
-    most_gain2 = larger(farthest2 / was2[0], farthest_far2(view, low, high) / is2[0])
+    min_gain2 = smaller(nearest2 / was2[1], nearest_far2(view, low, high, least_of(view.depth, low, high)) / is2[1])
+    max_gain2 = larger(farthest2 / was2[0], farthest_far2(view, low, high) / is2[0])
     known = wp.int32(1)
     gain2 = zero
     lowest = lower * lower / wp.sqrt(slants2[1])
     highest = upper * upper / wp.sqrt(slants2[0])
-    clamped2 = smaller(view.most_gain2, motion.most_gain2)
-    if most_gain2 <= one:
+    clamped2 = smaller(view.max_gain2, motion.max_gain2)
+    if max_gain2 <= one:
         gain2 = one
         lowest = one
         highest = one
-    elif least_gain2 >= larger(view.most_gain2, motion.most_gain2):
-        gain2 = view.most_gain2
-        lowest = wp.sqrt(view.most_gain2 / motion.most_gain2)
+    elif min_gain2 >= larger(view.max_gain2, motion.max_gain2):
+        gain2 = view.max_gain2
+        lowest = wp.sqrt(view.max_gain2 / motion.max_gain2)
         highest = lowest
     else:
         if not (lower > zero and slants2[0] > zero):
             known = 0
-        if least_gain2 < one:
+        if min_gain2 < one:
             lowest = smaller(lower, lowest)
             highest = larger(upper, highest)
-        if most_gain2 > clamped2:
-            gain = wp.sqrt(view.most_gain2 / motion.most_gain2)
+        if max_gain2 > clamped2:
+            gain = wp.sqrt(view.max_gain2 / motion.max_gain2)
             lowest = smaller(lower * gain, lowest)
             highest = larger(upper * gain, highest)
     return lowest, highest, gain2, known
@@ -209,7 +207,7 @@ def span_change(view: LocalView, motion: Motion, kept: Subtree):
     gain2 = one
     if view.kind != ORTHOGRAPHIC:
         least, most, known = change_of(view, motion, kept.low, kept.high)
-    if view.most_gain2 > one or motion.most_gain2 > one:
+    if view.max_gain2 > one or motion.max_gain2 > one:
         lowest, highest, gain2, sure = span_factors(view, motion, kept.low, kept.high, least, most)
         known = wp.min(known, sure)
     if kept.stands == OUTSIDE:

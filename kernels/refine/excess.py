@@ -6,10 +6,10 @@ nested. So of two triangles the one that may have more is looked into first, and
 was found already.
 
 A diamond is refined for its whole box, which must be nested too, but for those on either side of it. Here a triangle
-counts with its own box, in the raster's cells with the heights that the surface has there, and with what of it can be
-in the frame: one that reaches from under the camera into the frame is seen no nearer than where it enters. A leaf that is
-large beside its distance is divided further. Each part is seen from its own distance, and errs by no more than the
-triangle that is drawn there is off from the surface in it.
+counts with its own box, in the raster's cells with the heights that the surface has there, and with the part of it that
+can be in the frame: one that reaches from under the camera into the frame is seen no nearer than where it enters. A leaf
+that is large compared with its distance is divided further. Each part counts with its distance, and with the largest
+distance of the surface in it from the triangle that is drawn there.
 """
 
 import warp as wp
@@ -151,8 +151,8 @@ def least_depth(view: LocalView, d: Diamond) -> wp.float64:
 
 @wp.func
 def finest_seen_in(view: LocalView, d: Diamond):
-    """Squared metres that a pixel spans at least on what of the box is in view, infinity where nothing is; and at most,
-    as ONE_SPAN compares it."""
+    """Return squared metres that a pixel spans at least on the part of the box in view, infinity where there is none;
+    and at most, as ONE_SPAN compares it."""
     pixel2 = wp.float64(wp.inf)
     coarse2 = wp.float64(0.0)
     stand = stand_of(view, d.low, d.high, wp.float64(0.0))
@@ -169,7 +169,7 @@ def finest_seen_in(view: LocalView, d: Diamond):
 
 @wp.func
 def finest_seen(domain: Domain, asked: Asked, d: Diamond, t: Triangle):
-    """The same of a triangle of a diamond, by all views; and whether all of it has spans that hardly differ."""
+    """Return the same of a triangle of a diamond, by all views; and whether spans hardly differ in it."""
     x0 = wp.min(t.apex[0], wp.min(t.left[0], t.right[0]))
     y0 = wp.min(t.apex[1], wp.min(t.left[1], t.right[1]))
     x1 = wp.min(wp.max(t.apex[0], wp.max(t.left[0], t.right[0])), domain.east)
@@ -179,21 +179,21 @@ def finest_seen(domain: Domain, asked: Asked, d: Diamond, t: Triangle):
     if x0 < x1 and y0 < y1:
         box = box_between(domain, d, x0, y0, x1, y1, t.depth)
         for v in range(asked.view_count):
-            fine2, most2 = finest_seen_in(asked.views[v], box)
+            fine2, far2 = finest_seen_in(asked.views[v], box)
             if fine2 < pixel2:
                 pixel2 = fine2
-                coarse2 = most2
+                coarse2 = far2
     return pixel2, coarse2 < ONE_SPAN * pixel2
 
 
 @wp.func
 def error_below(domain: Domain, t: Triangle, x: wp.int32, y: wp.int32, deepest: wp.int32) -> wp.float64:
-    """The most error, metres, of leaves at depth `deepest` in a triangle of the diamond split at (x, y).
+    """Bound the error, metres, of leaves at depth `deepest` in a triangle of the diamond split at (x, y).
 
-    Above the raster's cells it may be all that the diamond has. Inside of one it falls with each bisection: of a bilinear
-    surface it is a quarter of the cell's own twist. A bicubic one has that of the diamond; but where that has no side of
-    the cell, those below it that have one take the error of the next cell: at most twice the cell's own. What is missed
-    of a detail depends on the depth of the leaves alone.
+    Above the raster's cells it may be all that the diamond has. Inside of one it falls with each bisection: of a
+    bilinear surface it is a quarter of the cell's twist. A bicubic one has that of the diamond; but where that has no
+    side of the cell, those below it that have one take the error of the next cell: at most twice the cell's. What is
+    missed of a detail depends on the depth of the leaves alone.
     """
     error = wp.float64(raster_error_at(domain, x, y, t.depth))
     if t.depth > 2 * domain.levels:
@@ -203,7 +203,9 @@ def error_below(domain: Domain, t: Triangle, x: wp.int32, y: wp.int32, deepest: 
         beside = wp.where((t.depth & 1) == 0, 0, 1)
         falls = wp.max(halvings_at(domain, deepest) - halvings_at(domain, t.depth) - beside, 0)
         if domain.bicubic == 0 and i < domain.samples.columns - 1 and j < domain.samples.rows - 1:
-            falls = halvings_at(domain, deepest) + 2 * domain.levels - domain.detail_rim  # that of a meshlet's triangles
+            falls = (
+                halvings_at(domain, deepest) + 2 * domain.levels - domain.detail_rim
+            )  # that of a meshlet's triangles
             error = wp.float64(0.25) * twist_of(corners_of(domain.samples, i, j))
         error = error / wp.float64(wp.int64(1) << wp.int64(falls))
     error = error * domain.error_scale
@@ -214,7 +216,7 @@ def error_below(domain: Domain, t: Triangle, x: wp.int32, y: wp.int32, deepest: 
 
 @wp.func
 def surface_height(domain: Domain, p: wp.vec2i) -> wp.float64:
-    """Metres, before scaling, of the bilinear surface at a lattice point; beyond the rim those of the nearest point."""
+    """Return metres, before scaling, of the bilinear surface at a lattice point; beyond the border the nearest ones."""
     bits = domain.unit_bits - domain.levels
     part = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)
     i = wp.min(p[0] >> bits, domain.samples.columns - 2)
@@ -226,7 +228,7 @@ def surface_height(domain: Domain, p: wp.vec2i) -> wp.float64:
 
 @wp.func
 def plane_of(domain: Domain, t: Triangle) -> wp.vec3d:
-    """The plane through the surface at a triangle's corners, see Triangle. Its legs are at right angles."""
+    """Return the plane through the surface at a triangle's corners, see Triangle. Its legs are at right angles."""
     base = surface_height(domain, t.apex)
     first = surface_height(domain, t.left) - base
     second = surface_height(domain, t.right) - base
@@ -240,8 +242,8 @@ def plane_of(domain: Domain, t: Triangle) -> wp.vec3d:
 
 @wp.func
 def distance_from_plane(domain: Domain, t: Triangle) -> wp.float64:
-    """The largest distance, metres before scaling, of the surface from the plane over the rectangle about a triangle in
-    one cell: there it is a saddle, which has its extremes at corners."""
+    """Return the largest distance, metres before scaling, of the surface from the plane over the rectangle about a
+    triangle in one cell: there it is a saddle, which has its extremes at corners."""
     x0 = wp.min(t.apex[0], wp.min(t.left[0], t.right[0]))
     y0 = wp.min(t.apex[1], wp.min(t.left[1], t.right[1]))
     x1 = wp.max(t.apex[0], wp.max(t.left[0], t.right[0]))
@@ -258,7 +260,7 @@ def distance_from_plane(domain: Domain, t: Triangle) -> wp.float64:
 
 @wp.func
 def measured(domain: Domain, asked: Asked, what: wp.int32, deepest: wp.int32, t: Triangle) -> Triangle:
-    """The triangle with the most that leaves at depth `deepest` in it have, or the leaf that it is a part of."""
+    """Return the triangle with the most that leaves at depth `deepest` in it have, or the leaf that it is a part of."""
     x = (t.left[0] + t.right[0]) >> 1
     y = (t.left[1] + t.right[1]) >> 1
     d = diamond_at(domain, x, y, t.depth)
@@ -289,7 +291,7 @@ def measured(domain: Domain, asked: Asked, what: wp.int32, deepest: wp.int32, t:
 
 @wp.func
 def root(domain: Domain, n: wp.int32) -> Triangle:
-    """One of the two halves of a root square."""
+    """Return one of the two halves of a root square."""
     side = wp.int32(1) << domain.unit_bits
     square = n >> 1
     x0 = (square % domain.columns) << domain.unit_bits
@@ -308,7 +310,7 @@ def root(domain: Domain, n: wp.int32) -> Triangle:
 
 @wp.func
 def half(t: Triangle, first: wp.vec2i, second: wp.vec2i) -> Triangle:
-    """The triangle below t whose longest edge goes from corner `first` to corner `second` of it."""
+    """Return the triangle below t whose longest edge goes from corner `first` to corner `second` of it."""
     below = Triangle()
     below.left = first
     below.apex = wp.vec2i((t.left[0] + t.right[0]) >> 1, (t.left[1] + t.right[1]) >> 1)

@@ -189,7 +189,7 @@ def off_at(
 ) -> wp.float64:
     """Metres that the mesh may be off from the surface where it keeps `relaxed` times what is asked, at a place that is
     sqrt(across2) from the eye in plan, and `rise` above it. Only errors keep a mesh near the surface."""
-    part2 = relaxed * relaxed * asked.error_px2 * view.pixel2 * view.most_gain2
+    part2 = relaxed * relaxed * asked.error_px2 * view.pixel2 * view.max_gain2
     metres2 = relaxed * relaxed * asked.metres2
     # A pixel must not grow as fast as the way to it: else higher ground might have a lower mesh.
     if part2 * reach2 < wp.float64(0.5):

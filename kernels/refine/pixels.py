@@ -34,7 +34,7 @@ class LocalView:
     # panorama at unit distance
     slant_x: wp.vec2d  # slant times depth, over the frame's largest, = slant_x . (dx, dy) across the view ...
     slant_y: wp.vec2d  # ... and slant_y . (dx, dy) along it; metres of camera space per metre from the eye
-    most_gain2: wp.float64  # squared largest slant of the frame over the smallest that counts
+    max_gain2: wp.float64  # squared largest slant of the frame over the smallest that counts
     cosine2: wp.float64  # squared least depth over distance inside the frame
     near2: wp.float64  # squared distance below which nothing is seen
     off_screen2: wp.float64  # squared factor by which pixels are coarser outside the frustum
@@ -67,20 +67,20 @@ class Asked:
 
 @wp.func
 def most_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
-    """The most that plane . (x, y, z, 1) is in a box."""
-    most = plane[3] + larger(plane[0] * low[0], plane[0] * high[0])
-    most += larger(plane[1] * low[1], plane[1] * high[1])
-    most += larger(plane[2] * low[2], plane[2] * high[2])
-    return most
+    """Return the largest plane . (x, y, z, 1) in a box."""
+    found = plane[3] + larger(plane[0] * low[0], plane[0] * high[0])
+    found += larger(plane[1] * low[1], plane[1] * high[1])
+    found += larger(plane[2] * low[2], plane[2] * high[2])
+    return found
 
 
 @wp.func
 def least_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
-    """The least that plane . (x, y, z, 1) is in a box."""
-    least = plane[3] + smaller(plane[0] * low[0], plane[0] * high[0])
-    least += smaller(plane[1] * low[1], plane[1] * high[1])
-    least += smaller(plane[2] * low[2], plane[2] * high[2])
-    return least
+    """Return the smallest plane . (x, y, z, 1) in a box."""
+    found = plane[3] + smaller(plane[0] * low[0], plane[0] * high[0])
+    found += smaller(plane[1] * low[1], plane[1] * high[1])
+    found += smaller(plane[2] * low[2], plane[2] * high[2])
+    return found
 
 
 @wp.func
@@ -119,7 +119,7 @@ def stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d, beyond: wp.float64)
 
 @wp.func
 def fringe_at(view: LocalView, deep: wp.float64) -> wp.float64:
-    """Metres beyond a plane over which pixels get coarser, at a depth."""
+    """Return metres beyond a plane over which pixels get coarser, at a depth."""
     wide = view.fringe
     if view.kind == PERSPECTIVE:
         wide = wide * larger(deep, wp.float64(0.0))
@@ -150,8 +150,8 @@ def sizes(asked: Asked, unit_bits: wp.int32, depth: wp.int32):
 
 @wp.func
 def far2_at(view: LocalView, dx: wp.float64, dy: wp.float64, dz: wp.float64, deep: wp.float64) -> wp.float64:
-    """Squared metres of camera space: of perspective the depth, else the distance, of what is (dx, dy, dz) metres from
-    the eye. In the frame a depth is at least the distance times a cosine."""
+    """Return squared metres of camera space: of perspective the depth, else the distance, of a point (dx, dy, dz)
+    metres from the eye. In the frame a depth is at least the distance times a cosine."""
     far2 = view.weight[0] * (dx * dx) + view.weight[1] * (dy * dy) + view.weight[2] * (dz * dz)
     far2 = larger(far2, view.near2)
     if view.kind == PERSPECTIVE:
@@ -162,21 +162,21 @@ def far2_at(view: LocalView, dx: wp.float64, dy: wp.float64, dz: wp.float64, dee
 
 @wp.func
 def ends_of(row: wp.vec2d, low: wp.vec2d, high: wp.vec2d) -> wp.vec2d:
-    """The least and the most that row . (x, y) is in a rectangle."""
-    least = smaller(row[0] * low[0], row[0] * high[0]) + smaller(row[1] * low[1], row[1] * high[1])
-    most = larger(row[0] * low[0], row[0] * high[0]) + larger(row[1] * low[1], row[1] * high[1])
-    return wp.vec2d(least, most)
+    """Return the smallest and the largest row . (x, y) in a rectangle."""
+    lower = smaller(row[0] * low[0], row[0] * high[0]) + smaller(row[1] * low[1], row[1] * high[1])
+    upper = larger(row[0] * low[0], row[0] * high[0]) + larger(row[1] * low[1], row[1] * high[1])
+    return wp.vec2d(lower, upper)
 
 
 @wp.func
 def sizes_of(ends: wp.vec2d) -> wp.vec2d:
-    """The least and the most of absolute values between two ends."""
+    """Return the smallest and the largest absolute value between two ends."""
     return wp.vec2d(larger(larger(ends[0], -ends[1]), wp.float64(0.0)), larger(ends[1], -ends[0]))
 
 
 @wp.func
 def slants2_of(slant_x: wp.vec2d, slant_y: wp.vec2d, eye: wp.vec3d, low: wp.vec3d, high: wp.vec3d) -> wp.vec2d:
-    """The least and the most, squared, of slant times depth over the frame's largest slant, in a box."""
+    """Return the smallest and the largest slant times depth, squared, over the frame's largest slant, in a box."""
     near = wp.vec2d(low[0] - eye[0], low[1] - eye[1])
     far = wp.vec2d(high[0] - eye[0], high[1] - eye[1])
     x = sizes_of(ends_of(slant_x, near, far))
@@ -186,18 +186,18 @@ def slants2_of(slant_x: wp.vec2d, slant_y: wp.vec2d, eye: wp.vec3d, low: wp.vec3
 
 @wp.func
 def pixel2_at(view: LocalView, far2: wp.float64, slants2: wp.float64) -> wp.float64:
-    """Squared metres of height that a pixel spans, at a depth or distance and at a slant times that depth.
+    """Return squared metres of height that a pixel spans, at a depth or distance and at a slant times that depth.
 
     A height e at depth z and slant s moves a point by f e s / z pixels. s counts as the floor at least, and in the
     frame it is at most the largest.
     """
-    gain2 = larger(smaller(far2 / slants2, view.most_gain2), wp.float64(1.0))
+    gain2 = larger(smaller(far2 / slants2, view.max_gain2), wp.float64(1.0))
     return view.pixel2 * far2 * gain2
 
 
 @wp.func
 def nearest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.float64) -> wp.float64:
-    """`far2_at` of the nearest point of a box that is `deep` at least."""
+    """Return `far2_at` of the nearest point of a box that is `deep` at least."""
     zero = wp.float64(0.0)
     dx = larger(larger(low[0] - view.eye[0], view.eye[0] - high[0]), zero)
     dy = larger(larger(low[1] - view.eye[1], view.eye[1] - high[1]), zero)
@@ -207,7 +207,7 @@ def nearest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.float6
 
 @wp.func
 def farthest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
-    """`far2_at` of the farthest point of a box, at most."""
+    """Return `far2_at` of the farthest point of a box, at most."""
     dx = larger(high[0] - view.eye[0], view.eye[0] - low[0])
     dy = larger(high[1] - view.eye[1], view.eye[1] - low[1])
     dz = larger(high[2] - view.eye[2], view.eye[2] - low[2]) + view.unsure
@@ -216,12 +216,12 @@ def farthest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 @wp.func
 def nearest_pixel2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.float64) -> wp.float64:
-    """Squared metres that a pixel spans at least, wherever in the box, which is `deep` at least."""
+    """Return squared metres that a pixel spans at least, anywhere in the box, which is `deep` at least."""
     pixel2 = view.pixel2
     if view.kind != ORTHOGRAPHIC:
         far2 = nearest_far2(view, low, high, deep)
         pixel2 = view.pixel2 * far2
-        if view.most_gain2 > wp.float64(1.0):
+        if view.max_gain2 > wp.float64(1.0):
             slants2 = slants2_of(view.slant_x, view.slant_y, view.eye, low, high)
             pixel2 = pixel2_at(view, far2, slants2[1])
     return pixel2
@@ -229,12 +229,12 @@ def nearest_pixel2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.floa
 
 @wp.func
 def farthest_pixel2(view: LocalView, d: Diamond) -> wp.float64:
-    """Squared metres that a pixel spans at most, in whatever box inside this one."""
+    """Return squared metres that a pixel spans at most, in any box inside this one."""
     pixel2 = view.pixel2
     if view.kind != ORTHOGRAPHIC:
         far2 = farthest_far2(view, d.low, d.high)
         pixel2 = view.pixel2 * far2
-        if view.most_gain2 > wp.float64(1.0):
+        if view.max_gain2 > wp.float64(1.0):
             slants2 = slants2_of(view.slant_x, view.slant_y, view.eye, d.low, d.high)
             pixel2 = pixel2_at(view, far2, slants2[0])
     return pixel2

@@ -13,7 +13,7 @@ from ..field.layout import tile_index
 from ..unchecked import item_at, prefetch
 
 UP = wp.constant(wp.float32(1.0 + 2.0**-22))  # above what a sum of two float32 rounds
-SURE = wp.constant(wp.float64(0.5))  # of a stored error inside the raster's cells: this part is an error's own at least
+SURE = wp.constant(wp.float64(0.5))  # an error inside the raster's cells is at least this part of what is stored
 RINGS = wp.constant(5)  # of cells whose twists are evaluated; a code that is an octave too large is 4^-6 of one there
 UP_MASKS = wp.constant(wp.float32(1.0 + 2.0**-19))  # ... of a dozen
 
@@ -36,15 +36,15 @@ def cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
 
 @wp.func
 def twist_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
-    """Error of the diamond in the middle of raster cell (i, j), by its own twist alone; of a leaf that is drawn as a
-    meshlet that of the triangles."""
+    """Return the error of the diamond in the middle of raster cell (i, j), by the cell's twist alone; of a leaf that is
+    drawn as a meshlet that of the triangles."""
     twist = wp.float64(0.25) * twist_of(corners_of(domain.samples, i, j))
     return round_up(twist / wp.float64(wp.int64(1) << wp.int64(2 * domain.levels - domain.detail_rim)))
 
 
 @wp.func
 def exact_cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
-    """The same as `cell_error` from twists, where that is less: codes are rounded up, by up to an octave.
+    """Return the same as `cell_error` from twists, where that is less: codes are rounded up, by up to an octave.
 
     Saturated, an error is the largest T(b) / 4^d of all cells b that are d steps from neighbour to neighbour away. Here
     twists are evaluated up to RINGS steps away, and the codes of the next ring stand for the rest: so a neighbour's
@@ -108,7 +108,7 @@ def reach_of(unit_bits: wp.int32, depth: wp.int32) -> wp.int32:
 
 @wp.func
 def is_beyond(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.bool:
-    """Whether the box of the diamond split at (x, y) is beyond the raster's rim: boxes are nested, and so is this."""
+    """Return whether the box of the diamond split at (x, y) is beyond the raster: nested, as boxes are."""
     beyond = wp.bool(False)
     if x > domain.east or y > domain.north:
         reach = reach_of(domain.unit_bits, depth)
@@ -126,7 +126,7 @@ def halvings_at(domain: Domain, depth: wp.int32) -> wp.int32:
 
 @wp.func
 def raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """Saturated error of the diamond split at (x, y), without detail: metres, before scaling."""
+    """Return the saturated error of the diamond split at (x, y), without detail: metres, before scaling."""
     error = wp.float32(0.0)
     finer = depth - 2 * domain.levels - 1
     if is_beyond(domain, x, y, depth):
@@ -152,7 +152,7 @@ def raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -
 
 @wp.func
 def exact_raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """The same with `exact_cell_error`, of a bilinear surface inside the raster's cells."""
+    """Return the same with `exact_cell_error`, of a bilinear surface inside the raster's cells."""
     bits = domain.unit_bits - domain.levels
     i = x >> bits
     j = y >> bits
@@ -211,7 +211,7 @@ def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, lea
 
 @wp.func
 def stored_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """`error_at` or more: at most twice as much where it `may_be_less`."""
+    """Return `error_at` or more: at most twice as much where it `may_be_less`."""
     error = raster_error_at(domain, x, y, depth)
     if domain.detailed == 1 and not is_beyond(domain, x, y, depth):
         error = (error + detail_missed(domain, x, y, depth, depth)) * UP
@@ -220,13 +220,13 @@ def stored_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -
 
 @wp.func
 def may_be_less(domain: Domain, depth: wp.int32) -> wp.bool:
-    """Whether `error_at` of a diamond at a depth may be less than what is stored."""
+    """Return whether `error_at` of a diamond at a depth may be less than what is stored."""
     return depth > 2 * domain.levels and domain.bicubic == 0
 
 
 @wp.func
 def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """Saturated error of the diamond split at (x, y): metres, before scaling. It is what a diamond is judged by."""
+    """Return the saturated error of the diamond split at (x, y), by which it is judged: metres, before scaling."""
     error = stored_error_at(domain, x, y, depth)
     if may_be_less(domain, depth) and error > wp.float32(0.0):
         error = exact_raster_error_at(domain, x, y, depth)

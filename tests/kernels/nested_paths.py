@@ -12,8 +12,9 @@ from .stored_errors import error_at
 
 @wp.kernel
 def nested_paths(domain: Domain, asked: Asked, ways: wp.array(dtype=wp.uint64), found: wp.array(dtype=wp.int32)):
-    """ways: bits that choose children. found, added up over the ways: diamonds; those with a finer pixel than their
-    parent, with a larger error, split below one that is not, and with a coarser pixel than an ancestor allows."""
+    """Go down the diamonds. ways: bits that choose children. found, added up over the ways: diamonds; those with a
+    finer pixel than their parent, with a larger error, split below one that is not, and with a coarser pixel than an
+    ancestor allows."""
     for n in range(ways.shape[0]):
         way = ways[n]
         t = root(domain, wp.int32(way % wp.uint64(2 * domain.columns * domain.rows)))

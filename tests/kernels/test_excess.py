@@ -68,7 +68,7 @@ def test_heights_over_a_rectangle_are_those_of_the_bilinear_surface(kernels):
 
 
 @pytest.mark.parametrize("seed", [0, 4, 5])
-def test_half_a_metre_above_large_cells_a_bound_is_near_the_truth(seed):
+def test_near_the_ground_a_bound_is_at_most_twice_the_truth(seed):
     """Leaves at the depth limit are larger than their distance: the bound is at most twice what is seen."""
     rng = np.random.default_rng(seed)
     field = from_array(rough(65, 65, seed=seed).samples.astype(np.float64) * 2.0, 30.0)

@@ -40,7 +40,7 @@ def grounds():
 
 
 def a_placement(rng: np.random.Generator) -> np.ndarray:
-    """Turned, mirrored, sheared, scaled along each axis, and far away; or none of it."""
+    """Return one turned, mirrored, sheared, scaled along each axis, and far away; or none of it."""
     placement = np.eye(4)
     if rng.random() < 0.8:
         placement[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] @ np.diag(10 ** rng.uniform(-1, 1, 3))
@@ -50,7 +50,7 @@ def a_placement(rng: np.random.Generator) -> np.ndarray:
 
 
 def a_view(rng: np.random.Generator, size: np.ndarray, placement: np.ndarray) -> View:
-    """From anywhere, also from the surface and from far away, with a shifted lens and pixels that are not square."""
+    """Return a view from anywhere, also from the surface and from far away, with a shifted lens and oblong pixels."""
     eye = rng.uniform(-1, 1, 3) * size * 10 ** rng.uniform(-3, 1)
     eye, target = (placement[:3, :3] @ p + placement[:3, 3] for p in (eye, rng.uniform(-0.5, 0.5, 3) * size))
     kind = str(rng.choice([PERSPECTIVE] * 6 + [ORTHOGRAPHIC, PANORAMIC]))
@@ -90,6 +90,6 @@ def test_no_diamond_exceeds_its_parent_in_any_view(kernels, grounds):
         ways = wp.array(rng.integers(0, 2**63, WAYS, np.uint64), dtype=wp.uint64, device="cpu")
         inputs = [domain, pack(criterion, [local], spans, 0.0), ways, found]
         wp.launch(kernels.nested_paths, 1, inputs=inputs, device="cpu")
-        uneven += local.most_gain2 > 1.0
+        uneven += local.max_gain2 > 1.0
     diamonds, *wrong = found.numpy().tolist()
     assert wrong == [0, 0, 0, 0] and diamonds > 20 * WAYS * VIEWS and uneven > 0.4 * VIEWS

@@ -50,7 +50,7 @@ def reference_pixels(field, view: View, x: float, y: float, depth: int, rounded:
 
 
 def slants_of(view: View) -> tuple[float, float]:
-    """What a metre of height across the view is, 1 m deep in the frame, at least and at most; half of it counts."""
+    """Return how far a metre of height looks, 1 m deep in the frame, at least and at most; half of it counts."""
     x, y = (np.linspace(*ends, 401) for ends in view.bounds())
     rays = np.stack([*np.broadcast_arrays(x[:, None], y, -1.0)], axis=-1)
     looks = np.linalg.norm(np.cross(view.world_to_camera[:3, 2], rays)[..., :2], axis=-1)

@@ -38,7 +38,9 @@ def cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
 def twist_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
     """Return the error of the diamond in the middle of raster cell (i, j), by the cell's twist alone; of a leaf that is
     drawn as a meshlet that of the triangles."""
-    twist = wp.float64(0.25) * twist_of(corners_of(domain.samples, i, j))
+    twist = wp.float64(0.0)
+    if i < domain.samples.columns - 1 and j < domain.samples.rows - 1:  # a meshlet's errors reach beyond the raster
+        twist = wp.float64(0.25) * twist_of(corners_of(domain.samples, i, j))
     return round_up(twist / wp.float64(wp.int64(1) << wp.int64(2 * domain.levels - domain.detail_rim)))
 
 

@@ -76,6 +76,15 @@ class Risen:
 
 
 @wp.struct
+class Ends:
+    """Sums over the two ends of the edge that a point splits."""
+
+    height: wp.float64
+    z: wp.float64
+    normal: wp.vec3d
+
+
+@wp.struct
 class Pending:
     """A point that waits for the two that it comes from."""
 
@@ -83,10 +92,8 @@ class Pending:
     right: wp.vec2i
     own: Risen  # in its place
     weight: wp.float64  # its W
-    seen: wp.int32  # how many of the two are known
-    height: wp.float64  # sums over these
-    z: wp.float64
-    normal: wp.vec3d
+    seen: wp.int32  # how many of the two are in the sums
+    ends: Ends
 
 
 @wp.struct
@@ -195,15 +202,25 @@ def see(domain: Domain, rising: Rising, v: SplitVertex, is_own: wp.bool, vertex:
 
 
 @wp.func
-def between(p: Pending) -> Risen:
-    """Return where a point is whose two ends are known."""
+def with_end(ends: Ends, end: Risen) -> Ends:
+    ends.height += end.height
+    ends.z += end.z
+    n = wp.vec3d(wp.float64(end.normal[0]), wp.float64(end.normal[1]), wp.float64(end.normal[2]))
+    ends.normal = ends.normal + n
+    return ends
+
+
+@wp.func
+def between(own: Risen, weight: wp.float64, ends: Ends) -> Risen:
+    """Return where a point is whose place, W and two ends are known."""
     half = wp.float64(0.5)
-    found = p.own
-    found.z = half * p.z + p.weight * (p.own.height - half * p.height)
-    own = wp.vec3d(wp.float64(p.own.normal[0]), wp.float64(p.own.normal[1]), wp.float64(p.own.normal[2]))
-    n = (wp.float64(1.0) - p.weight) * half * p.normal + p.weight * own
-    long = wp.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
-    found.normal = wp.vec3f(wp.float32(n[0] / long), wp.float32(n[1] / long), wp.float32(n[2] / long))
+    found = own
+    found.z = half * ends.z + weight * (own.height - half * ends.height)
+    n = wp.vec3d(wp.float64(own.normal[0]), wp.float64(own.normal[1]), wp.float64(own.normal[2])) * weight
+    n += ends.normal * (half - half * weight)
+    per_length = wp.float64(1.0) / wp.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+    n = n * per_length
+    found.normal = wp.vec3f(wp.float32(n[0]), wp.float32(n[1]), wp.float32(n[2]))
     return found
 
 
@@ -259,26 +276,30 @@ def risen(domain: Domain, rising: Rising, memory: Memory, p: wp.vec2i, vertex: w
             there.z = known.height
             there.normal = known.normal
             is_known = weight >= wp.float64(1.0)
+            if not is_known:
+                # Most often both ends are remembered.
+                l = memory.points[entry_of(memory, v.left)]
+                r = memory.points[entry_of(memory, v.right)]
+                is_known = l.point == v.left and r.point == v.right
+                if is_known:
+                    there = between(there, weight, with_end(with_end(Ends(), l), r))
+                else:
+                    top += 1
+                    waiting = Pending()
+                    waiting.left = v.left
+                    waiting.right = v.right
+                    waiting.own = there
+                    waiting.weight = weight
+                    memory.pending[top] = waiting
             if is_known:
                 memory.points[entry] = there
-            else:
-                top += 1
-                waiting = Pending()
-                waiting.left = v.left
-                waiting.right = v.right
-                waiting.own = there
-                waiting.weight = weight
-                memory.pending[top] = waiting
         while is_known and top >= first:
             waiting = memory.pending[top]
-            waiting.height += there.height
-            waiting.z += there.z
-            n = wp.vec3d(wp.float64(there.normal[0]), wp.float64(there.normal[1]), wp.float64(there.normal[2]))
-            waiting.normal = waiting.normal + n
+            waiting.ends = with_end(waiting.ends, there)
             waiting.seen += 1
             is_known = waiting.seen == 2
             if is_known:
-                there = between(waiting)
+                there = between(waiting.own, waiting.weight, waiting.ends)
                 memory.points[entry_of(memory, there.point)] = there
                 top -= 1
             else:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.accuracy.measure import popping
+from adaptive_terrain.cbt_terrain.accuracy.measure import look, popping, shading_change
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
 from adaptive_terrain.cbt_terrain.ask.view import View
@@ -26,6 +26,15 @@ FRAMES = 6  # of a flight at each speed
 STEPS = (16.0, 8.0, 4.0, 2.0, 1.0)  # metres of the camera between frames
 LONG, LONG_STEP = 30, 2.0  # frames of the long flight, and its metres a frame
 METRES_PER_DEGREE = 111_320.0
+SHADING_HEAD = [
+    "",
+    "largest change, without",
+    "smooth",
+    "p99.9, without",
+    "smooth",
+    "slope, without",
+    "smooth",
+]
 
 
 @dataclass(frozen=True)
@@ -46,11 +55,13 @@ class Ground:
 
 @dataclass(frozen=True)
 class Flight:
-    """What was measured of a flight: per pair of frames the largest jump and what 99.9 % stay within, pixels; and the
-    triangles of its frames."""
+    """What was measured of a flight: per pair of frames the largest jump and what 99.9 % stay within, pixels; the
+    largest change of a pixel's shading and what 99.9 % stay within, 255ths; and the triangles of its frames."""
 
     most: list[float]
     p999: list[float]
+    shading: list[float]
+    shading_p999: list[float]
     triangles: float
 
 
@@ -78,37 +89,41 @@ def grounds(folder: Path) -> list[Ground]:
 
 def fly(ground: Ground, step: float, frames: int, morph: float) -> Flight:
     terrain, before = Terrain(ground.field), None
-    most, p999, triangles = [], [], []
+    most, p999, shading, shading_p999, triangles = [], [], [], [], []
     for number in range(frames):
         view = ground.view(number * step)
         update = terrain.update(Criterion(error_px=ERROR_PX, morph=morph), [view])
         after = update.surface.copy()
         if before is not None:
-            jumps = popping(ground.field, before, after, view)
+            sight = look(ground.field, view)
+            jumps = popping(ground.field, before, after, view, sight=sight)
+            change = shading_change(ground.field, before, after, view, sight=sight)
             most.append(jumps.max)
             p999.append(jumps.p999)
+            shading.append(change.max)
+            shading_p999.append(change.p999)
         before = after
         triangles.append(update.triangles)
-    return Flight(most, p999, sum(triangles) / len(triangles))
+    return Flight(most, p999, shading, shading_p999, sum(triangles) / len(triangles))
 
 
-def slope(flights: dict[float, Flight]) -> float:
-    """Of the largest jump against the camera's step, both as logarithms, by least squares."""
+def slope(flights: dict[float, Flight], name: str = "most") -> float:
+    """Return the slope of the largest jump, or of another figure, against the camera's step, both as logarithms, by
+    least squares."""
     x = np.log([step for step in flights])
-    y = np.log([max(flight.most) for flight in flights.values()])
+    y = np.log([max(getattr(flight, name)) for flight in flights.values()])
     x -= x.mean()
     return float((x * (y - y.mean())).sum() / (x * x).sum())
 
 
 def popping_section(folder: Path) -> list:
-    rows, curves, longs = [], [], []
+    rows, shades, curves = [], [], []
     for ground in grounds(folder):
         rough, smooth = ({step: fly(ground, step, FRAMES, morph) for step in STEPS} for morph in (1.0, SMOOTH))
         for flights, how, dash in ((rough, "without", "7 4"), (smooth, "smooth", "")):
             points = [(step, max(flight.most)) for step, flight in flights.items()]
             curves.append(Curve(f"{ground.name}, {how}", ground.colour, points, dash))
         long = [fly(ground, LONG_STEP, LONG, morph) for morph in (1.0, SMOOTH)]
-        longs.append((ground, long))
         rows.append(
             [
                 ground.name,
@@ -119,7 +134,15 @@ def popping_section(folder: Path) -> list:
                 f"{long[1].triangles / long[0].triangles:.2f}",
             ]
         )
-        print(rows[-1], flush=True)
+        shades.append(
+            [
+                ground.name,
+                *(f"{max(flight.shading):.3g}" for flight in long),
+                *(f"{max(flight.shading_p999):.3g}" for flight in long),
+                *(f"{slope(flights, 'shading'):.2f}" for flights in (rough, smooth)),
+            ]
+        )
+        print(rows[-1], shades[-1], flush=True)
     head = [
         "",
         "largest jump, without",
@@ -146,6 +169,14 @@ def popping_section(folder: Path) -> list:
             "half the jump for half the step, 0 is a jump however slow the camera."
         ),
         Table(head, rows),
+        Text(
+            "Normals turn with the heights, so that shading does not pop either. In the same flights: the largest "
+            "change of a pixel's shading from frame to frame, in 255ths of white ground under the light that shows it "
+            "most, what 99.9 % of the pixels stay within, and how the largest follows the camera's step. Where two "
+            "neighbouring normals are 45 degrees apart or more, on cliffs, a new vertex between them still "
+            "changes the shading beside it at once, since Blender interpolates unit vectors."
+        ),
+        Table(SHADING_HEAD, shades),
         Plot("images/animation_steps.svg", "The largest jump against the camera's step.", _steps(curves)),
     ]
 

@@ -52,7 +52,7 @@ class Known:
     metres2: wp.float64  # see `metres2_of`
     height: wp.float64  # of the surface at the point itself, metres before scaling
     normal: wp.vec3f  # of the surface there
-    in_place: wp.int32  # 1: its W was 1 in the frame that this is known of
+    is_settled: wp.int32  # 1: its W was 1 in the frame that this is known of
 
 
 @wp.struct
@@ -195,7 +195,7 @@ def see(domain: Domain, rising: Rising, v: SplitVertex, is_own: wp.bool, vertex:
         surface = surface_of(domain, rising.ramp.coats, v.point)
         known.height = surface[0]
         known.normal = normal_of(domain, surface)
-    known.in_place = wp.where(weight < wp.float64(1.0), 0, 1)
+    known.is_settled = wp.where(weight < wp.float64(1.0), 0, 1)
     if is_own:
         rising.known[vertex] = known
     return weight, known, surface
@@ -236,7 +236,7 @@ def has_settled(
 ) -> wp.bool:
     """Whether the vertex `last` of the last frame was in its place, and is: then what is known of it is kept."""
     known = rising.last_known[last]
-    found = known.in_place == 1 and known.metres2 > settled
+    found = known.is_settled == 1 and known.metres2 > settled
     if found:
         there = Risen()
         there.point = p
@@ -278,11 +278,11 @@ def risen(domain: Domain, rising: Rising, memory: Memory, p: wp.vec2i, vertex: w
             is_known = weight >= wp.float64(1.0)
             if not is_known:
                 # Most often both ends are remembered.
-                l = memory.points[entry_of(memory, v.left)]
-                r = memory.points[entry_of(memory, v.right)]
-                is_known = l.point == v.left and r.point == v.right
+                left = memory.points[entry_of(memory, v.left)]
+                right = memory.points[entry_of(memory, v.right)]
+                is_known = left.point == v.left and right.point == v.right
                 if is_known:
-                    there = between(there, weight, with_end(with_end(Ends(), l), r))
+                    there = between(there, weight, with_end(with_end(Ends(), left), right))
                 else:
                     top += 1
                     waiting = Pending()

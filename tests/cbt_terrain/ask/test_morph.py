@@ -92,7 +92,7 @@ def test_a_point_rises_and_turns_by_its_own_ratio(kind):
     z = np.array([expected[tuple(place)] for place in places.tolist()])
     assert np.abs(update.surface.positions[:, 2] - z).max() < 1e-4
     assert np.abs(field.samples[places[:, 1], places[:, 0]] - z).max() > 0.5
-    turned = np.array([normals[tuple(place)] for place in places.tolist()])
+    turned = np.array([normals[tuple(sample)] for sample in places.tolist()])
     assert np.abs(update.surface.normals - turned).max() < 1e-6
     still = Terrain(field, 1).restore(*terrain.saved()[:1], **terrain.saved()[1]).surface
     assert np.abs(still.normals - turned).max() > 0.1

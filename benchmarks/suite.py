@@ -30,6 +30,7 @@ from .rows import (
     query_row,
     same_picture,
     scatter_row,
+    split_merge_row,
     start,
 )
 
@@ -125,6 +126,7 @@ def list_measures(
             yield partial(engine.refine_row, name, flat, size, roam)
     for row in (engine.refine_error_row, engine.still_row, engine.surface_row):
         yield partial(row, rough, roam)
+    yield partial(split_merge_row.split_merge_row, rough)
     yield partial(engine.budget_flight_row, rough)
     yield partial(engine.morph_flight_row, rough)
     yield partial(hidden_row.hidden_row, folder)

@@ -16,6 +16,7 @@ from .ask.view import View, listed_views
 from .errors import TerrainError
 from .field.heightfield import HeightField
 from .history.frame_history import FrameHistory
+from .leb.location import locate
 from .mesh.builder import SurfaceRequest, build_surface
 from .mesh.pieces import Pieces, middles
 from .mesh.rising import Rising
@@ -39,7 +40,6 @@ from .refine.request import RefinementRequest
 from .refine.saved_leaves import depths_in_squares
 from .refine.terms import Terms, position_rounding, rounding
 from .run import launch
-from .tree.location import locate
 
 
 @dataclass(frozen=True)

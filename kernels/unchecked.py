@@ -11,7 +11,7 @@ import warp as wp
 # array: half of the welding's time, 3 to 5 % of a walk. Vertices in curve order jump over the raster: where nothing is
 # fetched ahead each waits for memory, 17.4 ms instead of 8.3. What the last frame has written of a subtree is copied in
 # rows: a tenth of a flight's walk for one error. The loops declare overloads, one for each type of items and indices.
-for item in (wp.uint8, wp.uint16, wp.int32, wp.int64, wp.float32, wp.vec2i, wp.vec4i, wp.vec2f, wp.vec3f):
+for item in (wp.uint8, wp.uint16, wp.int32, wp.int64, wp.uint64, wp.float32, wp.vec2i, wp.vec4i, wp.vec2f, wp.vec3f):
 
     @wp.func_native("__builtin_prefetch(a.data + i);")
     def prefetch(a: wp.array(dtype=item), i: wp.int64): ...
@@ -91,10 +91,6 @@ def place_legs(
     out: wp.array(dtype=wp.vec2i),
     at: wp.int64,
 ): ...
-
-
-@wp.func_native("wp::int64* __restrict to = cells.data + at; for (int k = 0; k < count; ++k) to[k] = first + k * step;")
-def number_cells(cells: wp.array(dtype=wp.int64), at: wp.int64, count: wp.int32, first: wp.uint64, step: wp.uint64): ...
 
 
 # What a cut asks of every triangle (kernels/mesh/cut.py): half the time of the plain loop.

@@ -24,6 +24,8 @@ ROOMS = {
     "kernels": [
         "unchecked",
         "field",
+        "tree",
+        "leb",
         "refine",
         "budget",
         "bicubic",
@@ -38,7 +40,7 @@ ROOMS = {
         "accuracy",
     ],
     "cbt_terrain": [
-        *("errors", "plain_numbers", "run", "ask", "field", "tree", "history", "refine", "mesh", "terrain", "query"),
+        *("errors", "plain_numbers", "run", "ask", "field", "tree", "leb", "history", "refine", "mesh", "terrain", "query"),
         *("effects", "evaluate", "scatter", "maps", "importing", "land_effects", "land", "fit", "accuracy"),
     ],
     "operators": [

@@ -57,6 +57,11 @@ ROWS = {
         {ANY_SIZE: 0.38},
         {ANY_SIZE: 0.57},
     ),
+    "split_merge": RowGoal(
+        "A pass of the classic concurrent update, in which every leaf splits or merges by one level, in a flight over "
+        "rough ground, on one thread, against the walk that finds the same leaves in one call.",
+        {ANY_SIZE: 12.0},
+    ),
     "budget_flight": RowGoal(
         "Refinement in a flight under a triangle limit that is far too small for the requested error, search included, "
         "on one thread, against refinement for an error that fits.",

@@ -57,15 +57,13 @@ class Vertices:
 class Frame:
     """The arrays of one frame and the facts that say what is in them.
 
-    `key`: the arguments of the update. `parts`: where the tree's cells were written, see `ConcurrentBinaryTree.mark`.
-    `subtrees`: None if none were cached. `reused_points`: runs of points that were in the last frame, None without
+    `key`: the arguments of the update. `subtrees`: None if none were cached. `reused_points`: runs of points that were in the last frame, None without
     any. `result`: the update.
     """
 
     arrays: Buffers = field(default_factory=Buffers)
     key: tuple | None = None
     leaves: Leaves | None = None
-    parts: list[tuple[int, int]] = field(default_factory=list)
     subtrees: CachedSubtrees | None = None
     reused_points: "Runs | None" = None
     vertices: Vertices | None = None

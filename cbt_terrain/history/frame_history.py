@@ -15,14 +15,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...kernels.field.domain import Domain
+from ...kernels.refine import curve
 from ...kernels.refine.coherence import Motion
 from ...kernels.refine.pixels import Asked
 from ..errors import TerrainError
 from ..run.buffers import Buffers, Loans, address_space
 from ..run.locks import SharedLock
-from ..tree.concurrent_tree import ConcurrentBinaryTree
+from ..tree.concurrent_binary_tree import ConcurrentBinaryTree, LeafPart
 from .drift import MAX_DRIFT, move
-from .frame import Frame
+from .frame import Frame, Leaves
 
 # Arrays of a frame that a walk writes, and those of its vertices; a surface is made of the ones in DISPLACED.
 LEAF_ARRAYS = ("code", "point", "cached", "cached_counts")
@@ -64,6 +65,7 @@ class FrameHistory:
         """Forget everything. Results of earlier updates stay valid for their holders."""
         self.last, self.next = Frame(), Frame()
         self.tree: ConcurrentBinaryTree | None = None
+        self._tree_leaves: Leaves | None = None  # the leaves that the tree holds
         self.values = self.ground = None
         self.scratch, self.hints, self._loans = Buffers(), Hints(), Loans()
 
@@ -104,7 +106,6 @@ class FrameHistory:
         if keeps_vertices:
             self.next.vertices = self.last.vertices
             self._replace_vertices()
-        self.tree.mark(self.next.parts)
         self.next.key, self.next.result = key, result
         self.last, self.next = self.next, self.last.emptied()
 
@@ -117,6 +118,22 @@ class FrameHistory:
         motion = self.scratch.struct(Motion)
         move(motion, cached.asked.view, asked.view, drift)
         return motion
+
+    def need_tree(self, max_depth: int, threads: int) -> None:
+        """Have a tree of this depth; another one is forgotten."""
+        if self.tree is None or max_depth != self.tree.max_depth:
+            self.tree, self._tree_leaves = ConcurrentBinaryTree(max_depth, threads), None
+
+    def set_tree(self, leaves: Leaves, parts: list[LeafPart], cell_bits: int) -> bool:
+        """Write the next frame's leaves into the tree, and return whether it has changed.
+
+        The parts may name nodes whose leaves are those of the last frame, as far as the tree still holds those.
+        """
+        if self._tree_leaves is not self.last.leaves:
+            parts = [part._replace(num_same=0) for part in parts]
+        changed = self.tree.set_leaves(parts, curve.DEPTH_SHIFT, cell_bits)
+        self._tree_leaves = leaves
+        return changed
 
     def replace_leaves(self) -> None:
         """Have the next frame's leaves written into the memory of the last ones: nothing is cached."""

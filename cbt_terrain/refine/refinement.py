@@ -20,7 +20,8 @@ from ..history.frame import Leaves
 from ..history.frame_history import FrameHistory
 from ..run import launch
 from ..run.buffers import shared
-from ..tree.concurrent_tree import MIN_DEPTH, ConcurrentBinaryTree
+from ..tree.concurrent_binary_tree import LeafPart
+from ..tree.saved import MIN_DEPTH
 from .budget import limit_of, ramp_start, search
 from .horizon import fill, has_rings
 from .request import RefinementRequest
@@ -47,7 +48,7 @@ def refine(
     morph, it is the factor from which they do.
     """
     domain, asked, depth, morphs = request.domain, request.asked, request.max_depth, request.morph_until > 1
-    _need_tree(history, field.lattice, max(depth, MIN_DEPTH))
+    history.need_tree(field.lattice.square_bits + max(depth, MIN_DEPTH), threads)
     hides, slices = has_rings(asked), None
     for relaxed in RELAXED[request.is_limited] if hides else (math.inf,):
         if hides:
@@ -97,7 +98,7 @@ def replay(
     Returns the leaves, and the largest error of one, metres before scaling.
     """
     lattice = field.lattice
-    _need_tree(history, lattice, cell_bits)
+    history.need_tree(lattice.square_bits + cell_bits, 1)
     history.replace_leaves()
     history.hints.step = None
     history.hints.make_room(len(depths))
@@ -106,13 +107,6 @@ def replay(
     launch.once(replay_kernels.replay, [domain, slices.walks[0], shared(depths, wp.uint8), worst], step="refine")
     slices.read_counts()
     return _end(history, slices, lattice), float(history.scratch.numpy("replay_worst")[0])
-
-
-def _need_tree(history: FrameHistory, lattice: Lattice, cell_bits: int) -> None:
-    """Make a tree with `cell_bits` levels below a square; another one is forgotten."""
-    depth = lattice.square_bits + cell_bits
-    if history.tree is None or depth != history.tree.max_depth:
-        history.tree = ConcurrentBinaryTree(depth)
 
 
 def _walk(
@@ -159,12 +153,12 @@ def _cuts(history: FrameHistory, lattice: Lattice, threads: int) -> list[int]:
     if last is not None and last.total == leaves:
         ends, costs = (np.cumsum([0, *of]) for of in (last.counts[:, 0], last.work))
     at = np.interp(np.arange(1, threads) / threads * costs[-1], costs, ends).astype(np.int64)
-    inner = [tree.cell_of_leaf(min(leaf, leaves - 1)) for leaf in at.tolist()]
+    inner = tree.cells_of(tree.decode(np.minimum(at, leaves - 1))).tolist()
     return [0, *sorted({cut for cut in inner if 0 < cut < end}), end]
 
 
 def _end(history: FrameHistory, slices: Slices, lattice: Lattice) -> Leaves:
-    """Describe the slices that hold any leaves, and note where the tree's cells are."""
+    """Describe the slices that hold any leaves, and write the leaves into the tree."""
     counts, walks, squares, cell_bits = slices.counts, slices.walks, lattice.squares, slices.cell_bits
     used = np.flatnonzero(counts[:, 0])
     sides = history.scratch.numpy("sides")[: len(walks) * 4 * squares].reshape(len(walks), squares, 4)
@@ -174,7 +168,6 @@ def _end(history: FrameHistory, slices: Slices, lattice: Lattice) -> Leaves:
     cells = np.array([w.first_cell for w in walks], np.int64)[used]
     # A slice whose first cells belong to the last leaf of a square begins with the next square.
     squares_of = (cells >> cell_bits) + (starts & (cells & ((1 << cell_bits) - 1) > 0))
-    history.next.parts = _parts(history, slices, lattice)
     history.next.leaves = leaves = Leaves(
         counts=np.ascontiguousarray(counts[used, :3]),
         squares=squares_of.astype(np.int32),
@@ -184,18 +177,15 @@ def _end(history: FrameHistory, slices: Slices, lattice: Lattice) -> Leaves:
         slots=used,
         work=(counts[:, 0] - (1 - REUSED_COST) * slices.reused)[used],
         stopped=bool(counts[:, 3].any()),
-        changed=history.tree.would_change(history.next.parts),
     )
+    leaves.changed = history.set_tree(leaves, _parts(history, slices, lattice), cell_bits)
     return leaves
 
 
-def _parts(history: FrameHistory, slices: Slices, lattice: Lattice) -> list[tuple[int, int]]:
-    """Return where the tree's next cells are: first entry and number of each part."""
-    parts = [(int(w.leaf_base), n) for w, n in zip(slices.walks, slices.counts[:, 0].tolist(), strict=True)]
-    squares, most = lattice.squares, 1 << lattice.square_bits
-    if squares < most:  # cells that only fill the tree up to a power of two are a leaf each, after all others
-        cells = history.tree.next_cells(1).numpy()
-        first = len(cells) - (most - squares)
-        cells[first : first + most - squares] = np.arange(squares, most, dtype=np.int64) << slices.cell_bits
-        parts.append((first, most - squares))
+def _parts(history: FrameHistory, slices: Slices, lattice: Lattice) -> list[LeafPart]:
+    """Return the parts of the tree that the slices have written."""
+    parts, unused = slices.leaf_parts(), (1 << lattice.square_bits) - lattice.squares
+    if unused:  # numbers after the last square, up to a power of two, are a leaf each
+        codes = shared(np.zeros(unused, np.uint16), wp.uint16)
+        parts.append(LeafPart(codes, 0, unused, history.tree.cell_count))
     return parts

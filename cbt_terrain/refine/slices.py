@@ -11,9 +11,11 @@ from ...kernels.refine.coherence import Motion, Subtree
 from ...kernels.refine.reuse_state import Reuse, ReuseCursor
 from ...kernels.refine.runs import Run, Runs
 from ...kernels.refine.walk_state import STACK, Walk
+from ...kernels.tree.bitfield import SameLeaves
 from ..field.lattice import Lattice
 from ..history.frame_history import FrameHistory
 from ..run.buffers import bind
+from ..tree.concurrent_binary_tree import LeafPart
 from .block_tables import blocks
 
 # Fraction by which pixel footprints may change before a cached subtree has to be walked anew.
@@ -42,13 +44,13 @@ class Slices:
         arrays = {
             "code": written.get("code", count * stride, wp.uint16),
             "point": written.get("point", count * stride, wp.vec2i),
-            "cell": history.tree.next_cells(count * stride + (1 << lattice.square_bits)),
             "stack": scratch.get("walk_stack", count * STACK, wp.vec4i),
             "aside": scratch.get("walk_aside", count * STACK, wp.int32),
             "bands": scratch.get("walk_bands", count * STACK, Band),
             "blocks": blocks(),
             "sides": scratch.get("sides", count * 4 * squares, wp.int32),
             "counts": scratch.get("counts", count * 4, wp.int64),
+            "ends": scratch.get("ends", count, wp.uint64),
         }
         scratch.numpy("sides")[: count * 4 * squares] = 0
         counts = scratch.numpy("counts")[: count * 4].reshape(count, 4)
@@ -81,12 +83,12 @@ class Slices:
             "cached_counts": written.get("cached_counts", count, wp.int64),
             "point_runs": scratch.get("point_runs", max(count * room, 1), Run),
             "point_run_counts": scratch.get("point_run_counts", count, wp.int64),
+            "same": scratch.get("same", max(count * room, 1), SameLeaves),
             "reused": scratch.get("reused", count, wp.int64),
             "last_cached": read.get("cached", 1, Subtree),
             "last_counts": read.get("cached_counts", 1, wp.int64),
             "last_code": read.get("code", 1, wp.uint16),
             "last_point": read.get("point", 1, wp.vec2i),
-            "last_cell": history.tree.last_cells(),
         }
         slots, last_room = (last.subtrees.slots, last.subtrees.room) if motion else (0, 1)
         self.reuses = [written.struct(Reuse, slot) for slot in range(count)]
@@ -100,6 +102,17 @@ class Slices:
         """Return the counts that the kernels have written, int64 [slices, 4]."""
         self.counts, self.reused = self.counts.copy(), self.reused.copy()
         return self.counts
+
+    def leaf_parts(self) -> list[LeafPart]:
+        """Return the leaves of each slice and the nodes of reused leaves, as the tree reads them."""
+        scratch, counts = self.history.scratch, self.counts[:, 0].tolist()
+        ends = scratch.numpy("ends").tolist()
+        parts = [LeafPart(w.code, int(w.leaf_base), counts[k], ends[k]) for k, w in enumerate(self.walks)]
+        if self.reuses:
+            runs = scratch.numpy("point_run_counts").tolist()
+            for k, reuse in enumerate(self.reuses):
+                parts[k] = parts[k]._replace(same=reuse.same, first_same=k * int(reuse.room), num_same=runs[k])
+        return parts
 
     def reused_points(self) -> Runs:
         """Return the runs of points that were copied from the last frame."""

@@ -31,11 +31,13 @@ from ...kernels import (
     field,
     fitting,
     land,
+    leb,
     mesh,
     morph,
     query,
     refine,
     scatter,
+    tree,
 )
 from ..errors import TerrainError
 from . import child, kernel_cache, launch, locks, stopping
@@ -43,8 +45,9 @@ from . import child, kernel_cache, launch, locks, stopping
 POLL_SECONDS = 0.1
 MAX_CHILDREN = 4
 HOUSE = field.__name__.removesuffix("field")  # of kernels, in this process
-OTHERS = effects, land, detail, morph, query, scatter, bicubic, fitting
+OTHERS = effects, land, leb, detail, morph, query, scatter, bicubic, fitting
 HORIZON_MAP = f"{refine.__name__}.horizon_map"
+RARE = {HORIZON_MAP, f"{refine.__name__}.split_merge", f"{tree.__name__}.edits"}  # of the rooms of a frame
 
 
 class _Preparation:
@@ -176,10 +179,10 @@ def wait(overlay: bool = False) -> None:
 
 
 def kernel_modules() -> list[ModuleType]:
-    """Every module that has kernels for an import or a frame; other rooms' are for what is asked now and then, and so
-    is the map of what ground hides."""
-    found = [module for room in (field, refine, budget, mesh) for module in modules_of(room)]
-    return [module for module in found if module.__name__ != HORIZON_MAP]
+    """Return every module that has kernels for an import or a frame. Other rooms' are needed now and then, and so are
+    those in RARE."""
+    found = [module for room in (field, tree, refine, budget, mesh) for module in modules_of(room)]
+    return [module for module in found if module.__name__ not in RARE]
 
 
 def overlay_modules() -> list[ModuleType]:
@@ -188,9 +191,10 @@ def overlay_modules() -> list[ModuleType]:
 
 
 def other_modules() -> list[ModuleType]:
-    """Those that are compiled when they are first asked for: effects, land, a detail, points that rise, queries, a
-    scatter, the bicubic surface, the fit, what ground hides."""
-    return [*(module for room in OTHERS for module in modules_of(room)), importlib.import_module(HORIZON_MAP)]
+    """Return those that are compiled when they are first needed: effects, land, bisection and edits of single nodes, a
+    detail, points that rise, queries, a scatter, the bicubic surface, the fit, what ground hides."""
+    rare = [importlib.import_module(name) for name in sorted(RARE)]
+    return [*(module for room in OTHERS for module in modules_of(room)), *rare]
 
 
 def others_named(names: Iterable[str]) -> list[ModuleType]:

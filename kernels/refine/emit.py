@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Leaves as a walk writes them: a word and a cell each, a point for each new vertex. What does not fit is only
-counted."""
+"""Leaves as a walk writes them: a word each, a point for each new vertex. What does not fit is only counted."""
 
 import warp as wp
 
 from ..field.domain import Domain
-from ..unchecked import number_cells, put
+from ..unchecked import put
 from .band import EVEN_BLOCK, LEAF
 from .block import new_vertices, write_block
 from .curve import (
@@ -57,7 +56,7 @@ def emit_entry(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
 
 @wp.func
 def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
-    """Write a leaf's word and cell and the vertices that are new with it; returns how many, and new edges."""
+    """Write a leaf's word and the vertices that are new with it; returns how many, and new edges."""
     code = leaf_word(c.state, c.depth)
     vertices = wp.int32(0)
     edges = wp.int32(1)  # that through which the curve leaves
@@ -86,7 +85,6 @@ def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
         if q.row < domain.rows - 1:
             count_side(domain, w, q, 3)
     if n.leaves < w.leaf_capacity:
-        put(w.cell, w.leaf_base + n.leaves, wp.int64(q.base + c.cell))
         put(w.code, w.leaf_base + n.leaves, wp.uint16(code))
     return vertices + new_vertex, edges + new_edge
 
@@ -110,7 +108,6 @@ def emit_block(w: Walk, q: Square, c: Cursor, n: Written, depth: wp.int32) -> wp
         leaf = w.leaf_base + n.leaves
         vertex = w.leaf_base + n.vertices
         write_block(w.blocks, c.state, bisections, c.left, c.apex, c.right, word, w.code, leaf, w.point, vertex)
-        number_cells(w.cell, leaf, leaves, q.base + c.cell, size_of(w, depth))
     return new_vertices(w.blocks, c.state, bisections)
 
 

@@ -28,6 +28,7 @@ from .walk_state import Walk, Written
 def walk(domain: Domain, asked: Asked, w: Walk):
     """As the kernel of walk.py, for whatever is asked."""
     n = Written()
+    end = w.first_cell
     square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
     while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and n.leaves <= w.leaf_limit:
         q = square_at(domain, w, square)
@@ -44,5 +45,6 @@ def walk(domain: Domain, asked: Asked, w: Walk):
                     w.counts[4 * w.slot + STOPPED] = wp.int64(1)
             n = emit(domain, w, q, c, n, verdict)
             c = advance(w, q, c, verdict)
+        end = q.base + c.cell
         square += 1
-    put_results(w, n)
+    put_results(w, n, end)

@@ -18,6 +18,7 @@ def replay(domain: Domain, w: Walk, depths: wp.array(dtype=wp.uint8), worst: wp.
     `worst` [1]: the largest error of a leaf's diamond, metres before scaling.
     """
     n = Written()
+    end = w.first_cell
     largest = wp.float32(0.0)
     for number in range(domain.columns * domain.rows):
         q = square_at(domain, w, number)
@@ -30,5 +31,6 @@ def replay(domain: Domain, w: Walk, depths: wp.array(dtype=wp.uint8), worst: wp.
                 largest = wp.max(largest, error_at(domain, middle[0], middle[1], c.depth))
                 n = emit(domain, w, q, c, n, verdict)
             c = advance(w, q, c, verdict)
-    put_results(w, n)
+        end = q.base + c.cell
+    put_results(w, n, end)
     worst[0] = largest

@@ -56,15 +56,18 @@ def end_reuse(r: Reuse, slot: wp.int32):
 
 
 @wp.func
-def note_points(r: Reuse, slot: wp.int32, first: wp.int64, before: wp.int64, points: wp.int64, coarse: wp.float64):
-    """Note a run of reused points; points that find no room here are displaced again."""
+def note_reused(r: Reuse, slot: wp.int32, subtree: Subtree, leaf: wp.int64, point: wp.int64):
+    """Note the leaves and points of a reused subtree; those that find no room here are written and displaced again."""
     count = r.cursor[slot].point_runs
     if count < r.room:
         entry = wp.int64(slot) * r.room + count
-        r.point_runs[entry].first = first
-        r.point_runs[entry].before = before
-        r.point_runs[entry].count = points
-        r.point_runs[entry].coarse = coarse
+        r.point_runs[entry].first = point
+        r.point_runs[entry].before = subtree.first_vertex
+        r.point_runs[entry].count = wp.int64(subtree.vertices)
+        r.point_runs[entry].coarse = subtree.coarse
+        r.same[entry].first = leaf
+        r.same[entry].count = subtree.leaves
+        r.same[entry].depth = subtree.depth
         r.cursor[slot].point_runs = count + wp.int64(1)
 
 
@@ -75,9 +78,8 @@ def copy_subtree(w: Walk, r: Reuse, subtree: Subtree, n: Written):
         leaf = w.leaf_base + n.leaves
         point = w.leaf_base + n.vertices
         copy_codes(r.last_code, subtree.first_leaf, subtree.leaves, wp.uint16(0), w.code, leaf)
-        copy_items(r.last_cell, subtree.first_leaf, subtree.leaves, w.cell, leaf)
         copy_items(r.last_point, subtree.first_vertex, subtree.vertices, w.point, point)
-        note_points(r, w.slot, point, subtree.first_vertex, wp.int64(subtree.vertices), subtree.coarse)
+        note_reused(r, w.slot, subtree, leaf, point)
 
 
 @wp.func

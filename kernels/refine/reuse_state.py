@@ -3,6 +3,7 @@
 
 import warp as wp
 
+from ..tree.bitfield import SameLeaves
 from .coherence import Motion, Subtree
 from .runs import Run
 from .walk_state import Written
@@ -37,11 +38,11 @@ class Reuse:
     cached_counts: wp.array(dtype=wp.int64)
     point_runs: wp.array(dtype=Run)  # of reused points, in lists like `cached`
     point_run_counts: wp.array(dtype=wp.int64)
+    same: wp.array(dtype=SameLeaves)  # the leaves that were reused with these points
     reused: wp.array(dtype=wp.int64)  # per slice: leaves
     last_cached: wp.array(dtype=Subtree)  # lists of the last frame
     last_counts: wp.array(dtype=wp.int64)
     last_room: wp.int64
     last_slots: wp.int32  # 0: no subtree of the last frame may be reused
-    last_code: wp.array(dtype=wp.uint16)  # leaves, points and cells of the last frame
+    last_code: wp.array(dtype=wp.uint16)  # leaves and points of the last frame
     last_point: wp.array(dtype=wp.vec2i)
-    last_cell: wp.array(dtype=wp.int64)

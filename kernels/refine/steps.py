@@ -99,8 +99,9 @@ def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
 
 
 @wp.func
-def put_results(w: Walk, n: Written):
-    """Write the slice's counts beside its STOPPED flag, which the walk has set."""
+def put_results(w: Walk, n: Written, end: wp.uint64):
+    """Write the slice's counts beside its STOPPED flag, which the walk has set, and the cell after its last leaf."""
+    w.ends[w.slot] = end
     w.counts[4 * w.slot] = n.leaves
     w.counts[4 * w.slot + 1] = n.vertices
     w.counts[4 * w.slot + 2] = n.edges

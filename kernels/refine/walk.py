@@ -113,6 +113,7 @@ def walk(domain: Domain, asked: Asked, w: Walk, r: Reuse):
     """Refine the leaves whose first deepest cell lies in the slice; leaves that do not fit are only counted."""
     limits = limits_of(asked, r.slack)
     n = Written()
+    end = w.first_cell
     begin_reuse(r, w.slot)
     square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
     while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and n.leaves <= w.leaf_limit:
@@ -131,6 +132,7 @@ def walk(domain: Domain, asked: Asked, w: Walk, r: Reuse):
             c = advance(w, q, c, verdict)
             if verdict != SPLIT:
                 close_subtree(w, r, q.base + c.cell, n)
+        end = q.base + c.cell
         square += 1
-    put_results(w, n)
+    put_results(w, n, end)
     end_reuse(r, w.slot)

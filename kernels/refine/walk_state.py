@@ -33,13 +33,13 @@ class Walk:
     grid: wp.int32  # 1: several squares, borders are tracked
     code: wp.array(dtype=wp.uint16)
     point: wp.array(dtype=wp.vec2i)
-    cell: wp.array(dtype=wp.int64)  # leaves' first deepest cells, all squares in a row: the tree
     stack: wp.array(dtype=wp.vec4i)
     aside: wp.array(dtype=wp.int32)
     bands: wp.array(dtype=Band)
     blocks: Blocks
     sides: wp.array(dtype=wp.int32)  # per square: edges taken left, below, given right, above
     counts: wp.array(dtype=wp.int64)  # per slice: leaves, vertices, edges, and 1 if a leaf is too coarse at max_depth
+    ends: wp.array(dtype=wp.uint64)  # per slice: the cell after its last leaf
 
 
 @wp.struct

@@ -22,6 +22,7 @@ from adaptive_terrain.benchmarks.rows import (
     query_row,
     same_picture,
     scatter_row,
+    split_merge_row,
     start,
 )
 from adaptive_terrain.cbt_terrain.errors import TerrainError
@@ -71,7 +72,7 @@ def test_the_serial_baseline_rebuilds_on_request(tmp_path, flat):
     assert all(rebuild() > 0 for _ in range(3))
     row = engine.refine_row("refine_1t", flat, 2_000, roam)
     assert row.ratio == row.ms / row.baseline_ms > 0
-    assert row.steps["refine"] == row.ms and not {"weld", "displace", "total"} & set(row.steps)
+    assert row.steps["refine"] + row.steps["tree"] == row.ms and not {"weld", "displace", "total"} & set(row.steps)
     roam.close()
 
 
@@ -179,6 +180,7 @@ def small_suite(monkeypatch):
         scatter_row: {"SCATTER": replace(scatter_row.SCATTER, spacing=20.0)},
         maps_row: {"SAMPLES": 129, "TEXELS": 128},
         query_row: {"POINTS": 2_500},
+        split_merge_row: {"SIZE": 2_000},
         start: {"SIZE": 2_000, "RUNS": 1},
     }.items():
         for name, value in sizes.items():
@@ -187,9 +189,9 @@ def small_suite(monkeypatch):
         monkeypatch.setattr(module, "MILLION", 8_000)
 
 
-ENGINE_ROWS = ["refine_1t", "refine_2t", "refine_error", "still", "surface", "budget_flight", "morph_flight", "hidden"]
-ENGINE_ROWS += ["effects_flight", "light_preview", "land_rivers", "land_scree", "land_water", "scatter_flight"]
-ENGINE_ROWS += ["maps_normal", "query_heights"]
+ENGINE_ROWS = ["refine_1t", "refine_2t", "refine_error", "still", "surface", "split_merge", "budget_flight"]
+ENGINE_ROWS += ["morph_flight", "hidden", "effects_flight", "light_preview", "land_rivers", "land_scree", "land_water"]
+ENGINE_ROWS += ["scatter_flight", "maps_normal", "query_heights"]
 
 
 def test_a_quick_run_has_every_row_that_takes_seconds(small_suite, tmp_path):

@@ -30,7 +30,7 @@ def test_case_01_the_deepest_mesh_has_exact_plane_coordinates():
 
 
 def test_case_03_a_deep_terrain_pays_for_its_leaves():
-    """Thousands of leaves among 2^28 to 2^34 possible ones: the tree keeps 8 bytes a leaf, twice."""
+    """Thousands of leaves among 2^28 to 2^34 possible ones: the tree keeps at most 64 bytes a leaf."""
     field = rough(17, 17, relief=5.0)
     for depth in (28, 31, depth_limit(field)):
         terrain = Terrain(field, 1)
@@ -42,8 +42,7 @@ def test_case_03_a_deep_terrain_pays_for_its_leaves():
             update = terrain.update(asked, [view])
         assert_invariants(update.surface, field.lattice)
         assert 2000 < update.leaves <= 100_000 and update.surface.level.max() == depth
-        # this frame's cells and the last one's, with the walk's room to spare
-        assert terrain.tree.nbytes <= 2 * 8 * (1.25 * update.leaves + 1100)
+        assert terrain.tree.nbytes <= 64 * update.leaves
 
 
 def earth_centred():

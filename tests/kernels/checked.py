@@ -95,12 +95,6 @@ def place_legs(
 
 
 @wp.func
-def number_cells(cells: wp.array(dtype=wp.int64), at: wp.int64, count: wp.int32, first: wp.uint64, step: wp.uint64):
-    for k in range(count):
-        cells[at + wp.int64(k)] = wp.int64(first + wp.uint64(k) * step)
-
-
-@wp.func
 def count_same_vec3s(
     a: wp.array(dtype=wp.vec3f), i: wp.int32, b: wp.array(dtype=wp.vec3f), j: wp.int32, most: wp.int32
 ) -> wp.int32:

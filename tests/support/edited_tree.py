@@ -1,17 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A tree whose leaves are asked for by heap id and edited one by one: what tests do with a tree, and no frame does.
-
-Id 1 is the root, id n has the children 2n and 2n + 1. Each edit writes all cells anew.
-"""
+"""A tree whose leaves are asked for and edited one by one, with checks: what the older tests do with a tree."""
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.tree.concurrent_tree import ConcurrentBinaryTree
-from adaptive_terrain.cbt_terrain.tree.saved import depths_from_bytes
+from adaptive_terrain.cbt_terrain.tree.concurrent_binary_tree import ConcurrentBinaryTree
 
 
 class EditedTree(ConcurrentBinaryTree):
-    """A tree that begins as its root. `cells` are views of an array that edits write: copy what is to last."""
+    """A tree that begins as its root."""
 
     @classmethod
     def of(cls, tree: ConcurrentBinaryTree) -> "EditedTree":
@@ -20,61 +16,35 @@ class EditedTree(ConcurrentBinaryTree):
         edited.__dict__ = tree.__dict__
         return edited
 
-    @classmethod
-    def from_bytes(cls, data: bytes) -> "EditedTree":
-        """The tree that `to_bytes` wrote."""
-        max_depth, depths = depths_from_bytes(data)
-        tree = cls(max_depth)
-        sizes = np.int64(1) << max_depth - depths.astype(np.int64)
-        tree.put(np.cumsum(sizes) - sizes)
-        return tree
-
     def put(self, cells: np.ndarray) -> bool:
-        """Replace the leaves by those that begin at `cells`, int64, ascending; returns whether they are others."""
-        cells = np.asarray(cells, np.int64)
-        self.next_cells(len(cells)).numpy()[: len(cells)] = cells
-        changed = self.would_change([(0, len(cells))])
-        self.mark([(0, len(cells))])
-        return changed
+        """Replace the leaves by those that begin at `cells`, ascending; returns whether they are others."""
+        sizes = np.diff(np.asarray(cells, np.int64), append=self.cell_count)
+        return self.set_depths(self.max_depth - np.searchsorted(1 << np.arange(self.max_depth + 1), sizes))
 
-    def reset(self, depth: int = 0) -> None:
-        """Make the leaves all the nodes at `depth`."""
-        self.put(np.arange(1 << depth, dtype=np.int64) << (self.max_depth - depth))
-
-    def leaves(self) -> np.ndarray:
-        """Heap ids of all leaves in order: uint64."""
-        return (self.cells() + self.cell_count >> self.max_depth - self.depths().astype(np.int64)).astype(np.uint64)
-
-    def decode(self, leaf: int) -> int:
-        """Heap id of leaf number `leaf`."""
-        first = self.cell_of_leaf(leaf)
-        return (self.cell_count + first) // (self.cell_of_leaf(leaf + 1) - first)
+    def decode(self, leaf):
+        """Heap id of leaf number `leaf`, or those of several."""
+        return super().decode(leaf) if np.ndim(leaf) else int(super().decode([leaf])[0])
 
     def leaf_at(self, cell: int) -> int:
         """Heap id of the leaf that covers `cell`."""
-        return self.decode(int(np.searchsorted(self.cells(), cell, side="right")) - 1)
+        return int(self.find([cell])[1][0])
 
     def encode(self, heap_id: int) -> int:
         """Number of the leaf `heap_id`; -1 if it is none."""
-        first = (heap_id << self.max_depth + 1 - heap_id.bit_length()) - self.cell_count
-        leaf = int(np.searchsorted(self.cells(), first))
-        return leaf if leaf < self.leaf_count and self.decode(leaf) == heap_id else -1
+        return int(self.find(self.cells_of(np.array([heap_id], np.uint64)))[0][0]) if self.is_leaf(heap_id) else -1
 
-    def is_leaf(self, heap_id: int) -> bool:
-        return self.encode(heap_id) >= 0
+    def is_leaf(self, heap_id):
+        found = super().is_leaf(np.atleast_1d(heap_id))
+        return found if np.ndim(heap_id) else bool(found[0])
 
     def split(self, heap_id: int) -> None:
         """Give the leaf `heap_id` its two children."""
         if heap_id >= self.cell_count or not self.is_leaf(heap_id):
             raise TerrainError(f"Node {heap_id} is at the deepest level or is not a leaf of the tree.")
-        self.put(np.union1d(self.cells(), [self._second_cell(heap_id)]))
+        super().split([heap_id])
 
     def merge(self, heap_id: int) -> None:
         """Take the two children of `heap_id` away, which must be leaves: undoes `split`."""
-        if not (self.is_leaf(2 * heap_id) and self.is_leaf(2 * heap_id + 1)):
+        if not self.is_leaf(np.array([2 * heap_id, 2 * heap_id + 1])).all():
             raise TerrainError(f"Node {heap_id} has not two leaves as children.")
-        self.put(np.setdiff1d(self.cells(), [self._second_cell(heap_id)]))
-
-    def _second_cell(self, heap_id: int) -> int:
-        """First cell of the second child."""
-        return (2 * heap_id + 1 << self.max_depth - heap_id.bit_length()) - self.cell_count
+        super().merge([heap_id])

@@ -205,4 +205,4 @@ def test_threads_share_the_curve_by_cost(monkeypatch):
         last.work = np.array(costs) * half
         _, cut, _ = _cuts(terrain.history, field.lattice, 2)
         near = (int(share * leaves) - 1, int(share * leaves))  # an odd number of leaves has no half
-        assert cut in [tree.cell_of_leaf(leaf) >> 6 << 6 for leaf in near]
+        assert cut in [int(tree.cells()[leaf]) >> 6 << 6 for leaf in near]

@@ -7,6 +7,8 @@ import zlib
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.run import launch
+from adaptive_terrain.cbt_terrain.tree.concurrent_binary_tree import ConcurrentBinaryTree, depths_of
 from edited_tree import EditedTree
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -67,7 +69,7 @@ def test_a_new_tree_is_its_root():
     assert (tree.leaf_count, tree.decode(0), tree.encode(1), tree.is_leaf(1)) == (1, 1, 0, True)
     assert not tree.is_leaf(2) and not tree.is_leaf(3)
     assert tree.leaf_at(0) == tree.leaf_at((1 << 20) - 1) == 1
-    assert [tree.cell_of_leaf(k) for k in (0, 1)] == [0, 1 << 20]
+    assert tree.cells().tolist() == [0]
 
 
 @settings(max_examples=40, deadline=None)
@@ -91,7 +93,7 @@ def test_random_split_and_merge_equal_the_reference(max_depth, seed, splits):
     for rank, heap_id in enumerate(in_order):
         assert tree.encode(heap_id) == rank
         assert tree.is_leaf(heap_id)
-        assert tree.cell_of_leaf(rank) == reference.cell(heap_id)
+        assert tree.cells()[rank] == reference.cell(heap_id)
         assert not (heap_id > 1 and tree.is_leaf(heap_id // 2))
         assert not (heap_id >> max_depth == 0 and tree.is_leaf(2 * heap_id))
     for cell in rng.integers(0, 1 << max_depth, 20):
@@ -181,10 +183,44 @@ def test_bytes_that_are_no_tree_are_refused():
 def test_what_is_no_tree_or_leaf_of_it_is_refused():
     tree = EditedTree(6)
     tree.reset(2)
-    assert [tree.cell_of_leaf(k) for k in range(5)] == [0, 16, 32, 48, 64]
-    for leaf in (-1, 5):
+    assert tree.cells().tolist() == [0, 16, 32, 48]
+    for leaf in (-1, 4):
         with pytest.raises(TerrainError, match="expected 0 .. 3"):
-            tree.cell_of_leaf(leaf)
+            tree.decode([0, leaf])
     for max_depth in (5, 41, 20.0, "20"):
         with pytest.raises(TerrainError, match="expected a whole number, 6 .. 40"):
             EditedTree(max_depth)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3, 8])
+def test_edits_do_not_depend_on_threads_or_their_order(threads, monkeypatch):
+    """Thousands of splits of neighbours and merges of some, in a pool that has to grow meanwhile: the same leaves."""
+    monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
+    for seed in range(6):
+        rng, expected, max_depth = np.random.default_rng(seed), np.ones(1, np.uint64), (26, 40)[seed % 2]
+        tree = ConcurrentBinaryTree(max_depth, threads)
+        for _ in range(12):
+            split = rng.random(len(expected)) < 0.8
+            tree.split(rng.permutation(expected[split]))
+            merged = expected[split][rng.random(split.sum()) < 0.2]
+            children = expected[split, None] * np.uint64(2) + np.array([0, 1], np.uint64)
+            expected = np.concatenate([expected[~split], children.ravel()])
+            expected = np.sort(expected << (max_depth - depths_of(expected)).astype(np.uint64))
+            assert tree.leaf_count == len(expected)
+            assert (tree.cells() + np.uint64(tree.cell_count) == expected).all()
+            tree.merge(rng.permutation(np.repeat(merged, 2)))  # each twice, as the leaves of a diamond do
+            assert tree.leaf_count == len(expected) - len(merged)
+            expected = tree.leaves()
+        copy = ConcurrentBinaryTree.from_bytes(tree.to_bytes())
+        assert (copy.leaves() == expected).all()
+
+
+def test_memory_is_reused_after_it_has_grown():
+    """Leaves that move through a deep tree for hundreds of frames need no more memory than at first."""
+    rng, tree, sizes = np.random.default_rng(4), ConcurrentBinaryTree(30), []
+    for _ in range(200):
+        reference = random_tree(rng, 30, 60)
+        tree.set_depths(np.array([n.bit_length() - 1 for n in reference.in_order()]))
+        sizes.append(tree.nbytes)
+        assert_same(EditedTree.of(tree), reference)
+    assert sizes[-1] == sizes[60] <= 2**19

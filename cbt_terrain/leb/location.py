@@ -9,7 +9,7 @@ subtractions of integers, exact however deep it is, and its bits are the number 
 import numpy as np
 
 from ..field.lattice import Lattice
-from .concurrent_tree import ConcurrentBinaryTree
+from ..tree.concurrent_binary_tree import ConcurrentBinaryTree, depths_of
 
 UNIT_BITS = 40  # of a square's side: what places are rounded to
 AT_ONCE = 1 << 14  # places whose numbers stay in the processor's cache on the way down
@@ -19,7 +19,7 @@ def locate(tree: ConcurrentBinaryTree, lattice: Lattice, places: np.ndarray, mes
     """Numbers of the triangles at `places`, in curve order, 4**meshlet for each leaf: int64 [n]; -1 beyond the raster.
 
     places: float64 [n, 2], x and y in metres in the terrain's own space. A place on an edge is in either triangle
-    beside it. Without meshlets a number is that of a leaf in the tree. O(depth + log leaves) a place.
+    beside it. Without meshlets a number is that of a leaf in the tree. O(depth) a place.
     """
     places = np.asarray(places, np.float64).reshape(-1, 2)
     west, south, east, north = lattice.rectangle()
@@ -34,11 +34,11 @@ def locate(tree: ConcurrentBinaryTree, lattice: Lattice, places: np.ndarray, mes
     for first in range(0, len(path), AT_ONCE):
         part = slice(first, first + AT_ONCE)
         path[part] += _path(x[part], y[part], depth + below)
-    starts = np.append(tree.cells(), tree.cell_count)
-    leaf = np.searchsorted(starts, path >> below, side="right") - 1
-    # A leaf of so many cells has as many steps of the path in each of its triangles.
-    step = starts[leaf + 1] - starts[leaf]
-    return np.where(inside, (leaf << below) + (path - (starts[leaf] << below)) // step, -1)
+    leaf, ids = tree.find(path >> below)
+    # A leaf of 2^n cells has 2^n steps of the path in each of its triangles.
+    step_bits = (tree.max_depth - depths_of(ids)).astype(np.int64)
+    first = tree.cells_of(ids).astype(np.int64) << below
+    return np.where(inside, (leaf.astype(np.int64) << below) + (path - first >> step_bits), -1)
 
 
 def _path(x: np.ndarray, y: np.ndarray, depth: int) -> np.ndarray:

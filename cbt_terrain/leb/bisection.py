@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Longest-edge bisection of a lattice's root squares, for many nodes at once. kernels/leb/bisection.py has the rules.
+
+Nodes are heap ids of the tree of the whole lattice, uint64; triangles are those below its squares, at depths
+`lattice.square_bits` + 1 and more.
+"""
+
+import numpy as np
+import warp as wp
+
+from ...kernels.leb import bisection as kernels
+from ...kernels.leb import nodes
+from ..errors import TerrainError
+from ..field.lattice import Lattice
+from ..run import launch
+from ..run.buffers import flat, shared
+from ..tree.concurrent_binary_tree import ConcurrentBinaryTree
+
+NODE_COST = 5.0  # of a node's triangle or neighbours, in lookups: see `launch.spread`
+
+
+def grid_of(lattice: Lattice) -> kernels.SquareGrid:
+    """Return the lattice's root squares as kernels read them."""
+    grid = kernels.SquareGrid()
+    grid.columns, grid.rows, grid.square_bits = lattice.columns, lattice.rows, lattice.square_bits
+    return grid
+
+
+def triangles(lattice: Lattice, ids: np.ndarray, unit_bits: int) -> np.ndarray:
+    """Return the corners (left, apex, right) of triangles: int32 [n, 3, 2], in units of which 2**unit_bits are the side
+    of a square. A triangle of d bisections of a square needs unit_bits of d // 2 or more."""
+    corners = np.empty((len(ids), 3, 2), np.int32)
+    _spread(nodes.write_triangles, lattice, ids, [unit_bits, shared(corners.reshape(-1, 2), wp.vec2i)])
+    return corners
+
+
+def neighbours(lattice: Lattice, ids: np.ndarray) -> np.ndarray:
+    """Return the triangles of the same depth over the edges apex-right, left-apex and left-right: uint64 [n, 3]; 0
+    beyond the lattice. The last one is the other half of the diamond."""
+    found = np.empty((len(ids), 3), np.uint64)
+    _spread(nodes.write_neighbours, lattice, ids, [flat(found, wp.uint64)])
+    return found
+
+
+def plant(tree: ConcurrentBinaryTree, lattice: Lattice) -> None:
+    """Make the tree's leaves the two roots of each square, and one leaf for each number after the last square."""
+    if tree.max_depth <= lattice.square_bits:
+        raise TerrainError(f"A tree of depth {tree.max_depth} is too shallow for {lattice.squares} root squares.")
+    roots = np.full(2 * lattice.squares, lattice.square_bits + 1)
+    tree.set_depths(np.append(roots, np.full((1 << lattice.square_bits) - lattice.squares, lattice.square_bits)))
+
+
+def split_conforming(tree: ConcurrentBinaryTree, lattice: Lattice, ids: np.ndarray) -> None:
+    """Split leaves above the deepest level, each with the other half of its diamond, coarser neighbours first."""
+    ids = np.ascontiguousarray(ids, np.uint64)
+    tree.edit(nodes.split_diamonds, len(ids), [grid_of(lattice), shared(ids, wp.uint64)])
+
+
+def merge_conforming(tree: ConcurrentBinaryTree, lattice: Lattice, ids: np.ndarray) -> np.ndarray:
+    """Merge the halves of nodes and of the other triangles of their diamonds, where all of them are leaves; return
+    which nodes were merged: bool."""
+    ids = np.ascontiguousarray(ids, np.uint64)
+    pairs = np.stack([ids, neighbours(lattice, ids)[:, 2]], axis=1)
+    halves = pairs[:, :, None] * np.uint64(2) + np.array([0, 1], np.uint64)
+    whole = ((pairs == 0) | tree.is_leaf(np.maximum(halves, 1).ravel()).reshape(halves.shape).all(axis=2)).all(axis=1)
+    tree.merge(np.setdiff1d(pairs[whole], [0]))
+    return whole
+
+
+def _spread(kernel, lattice: Lattice, ids: np.ndarray, inputs: list) -> None:
+    ids = shared(np.ascontiguousarray(ids, np.uint64), wp.uint64)
+    launch.spread(kernel, len(ids), [grid_of(lattice), ids, *inputs], step="leb", cost=NODE_COST)

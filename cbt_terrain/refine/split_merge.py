@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The classic update of a concurrent binary tree: one pass of split and merge decisions over all leaves a frame.
+
+The walk (kernels/refine/walk.py) finds the same leaves in one call from the roots. This is the reference that it is
+compared with in docs/method.md: it needs a pass for each level that a leaf is to go down or up.
+"""
+
+import numpy as np
+import warp as wp
+
+from ...kernels.field.domain import Domain
+from ...kernels.refine import split_merge as kernels
+from ...kernels.refine.pixels import Asked
+from ..field.lattice import Lattice
+from ..leb.bisection import grid_of
+from ..run import launch
+from ..run.buffers import shared
+from ..tree.concurrent_binary_tree import ConcurrentBinaryTree
+
+DECISION_COST = 40.0  # of a leaf's decision, in lookups: see `launch.spread`
+
+
+def split_merge(tree: ConcurrentBinaryTree, lattice: Lattice, domain: Domain, asked: Asked, max_depth: int) -> int:
+    """Split and merge the leaves of a tree over the lattice's squares by one level at most, towards what is asked.
+
+    Return how many leaves have decided so; 0 once the tree is the refinement. `max_depth`: bisections of a square.
+    """
+    orders, grid = np.empty(tree.leaf_count, np.uint64), grid_of(lattice)
+    shared_orders = shared(orders, wp.uint64)
+    inputs = [tree.bits, grid, domain, asked, max_depth, shared_orders]
+    launch.spread(kernels.decide, len(orders), inputs, step="decide", threads=tree.threads, cost=DECISION_COST)
+    decided = int(np.count_nonzero(orders))
+    if decided:
+        tree.edit(kernels.carry_out, len(orders), [grid, shared_orders])
+    return decided

@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The concurrent binary tree (Dupuy 2020): a bitfield with a bit for the first cell of each leaf, and a sum reduction
+above it. kernels/tree/bitfield.py says how the bits are stored.
+
+The tree knows nothing of triangles and cameras.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+
+from ...kernels.tree import bitfield, edits, queries, reduction
+from ...kernels.tree import set_leaves as writing
+from ..errors import TerrainError
+from ..run import launch
+from ..run.buffers import bind, shared
+from .saved import MAX_DEPTH, MIN_DEPTH, depths_from_bytes, depths_to_bytes
+
+SLOTS = 64  # words of a page
+FIRST_PAGES = 2  # page 0 stays empty, page 1 holds the highest word
+FEW_CHANGED = 500  # words that one thread sums sooner than several launches
+ARRAYS = {"words": wp.uint64, "stored": wp.uint64, "counts": wp.int32, "pages": wp.int32, "changed": wp.int32}
+DECODE_COST = 5.0  # of a leaf, in lookups: see `launch.spread`
+
+
+class LeafPart(NamedTuple):
+    """Consecutive leaves by the codes that hold their depths, up to a cell where the next part begins."""
+
+    codes: wp.array  # uint16
+    first: int  # entry of the first leaf
+    count: int
+    end: int  # the cell behind the last one
+    same: wp.array | None = None  # SameLeaves: nodes whose leaves are those that the tree has already, ascending
+    first_same: int = 0
+    num_same: int = 0
+
+
+class ConcurrentBinaryTree:
+    """A binary tree of at most `max_depth` (6 .. 40) levels below its root. It begins as its root.
+
+    | group | methods | cost |
+    | --- | --- | --- |
+    | count | `leaf_count`, `nbytes` | O(1) |
+    | query | `decode`, `find`, `is_leaf` | O(depth) a leaf |
+    | edit | `split`, `merge`, `edit` | O(depth) a node, then a sum for each word that changed |
+    | write all | `set_leaves`, `reset` | O(leaves), and a comparison with the words that there were |
+    | list all | `leaves`, `depths`, `cells`, `to_bytes` | O(leaves * depth) |
+
+    Node 1 is the root, node n has the children 2n and 2n + 1. A *cell* is a deepest node, numbered from 0. Leaves are
+    numbered in the order of their cells, which is the order of a depth-first walk. Kernels read and edit `bits`.
+
+    Queries and edits run on `threads` threads; the tree does not depend on how many, or in which order they write.
+    Memory grows by doubling: 28 bytes for each word that a page has room for.
+    """
+
+    def __init__(self, max_depth: int, threads: int | None = 1):
+        if not (isinstance(max_depth, int) and MIN_DEPTH <= max_depth <= MAX_DEPTH):
+            raise TerrainError(
+                f"The tree's depth is {max_depth!r}; expected a whole number, {MIN_DEPTH} .. {MAX_DEPTH}."
+            )
+        self.max_depth, self.cell_count, self.threads = max_depth, 1 << max_depth, threads
+        self.bits = bitfield.Bitfield()
+        self._state = np.zeros(5, np.int32)
+        self.bits.state = shared(self._state, wp.int32)
+        self.bits.max_depth, self.bits.top = max_depth, (max_depth - 1) // 6
+        self._arrays: dict[str, np.ndarray] = {}
+        self._runs: list[writing.LeafRun] = []
+        self._recorded: dict = {}
+        self._clear(FIRST_PAGES)
+
+    # Count: O(1)
+
+    @property
+    def leaf_count(self) -> int:
+        """Leaves of the tree, at least 1."""
+        return int(self._arrays["counts"][SLOTS]) + 1
+
+    @property
+    def nbytes(self) -> int:
+        """Address space of all arrays; the system commits the pages that are touched."""
+        return sum(array.nbytes for array in self._arrays.values())
+
+    # Query: O(depth) a leaf
+
+    def decode(self, numbers: np.ndarray) -> np.ndarray:
+        """Return the heap ids of leaves by their numbers, 0 .. leaf_count - 1: uint64."""
+        numbers = np.ascontiguousarray(numbers, np.int32)
+        low, high = numbers.min(initial=0), numbers.max(initial=0)
+        if low < 0 or high >= self.leaf_count:
+            raise TerrainError(f"The tree has no leaves {low} .. {high}; expected 0 .. {self.leaf_count - 1}.")
+        ids = np.empty(len(numbers), np.uint64)
+        self._spread(queries.decode_leaves, len(ids), [shared(numbers, wp.int32), shared(ids, wp.uint64)])
+        return ids
+
+    def find(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the number (int32) and heap id (uint64) of the leaf that covers each cell, 0 .. cell_count - 1."""
+        cells = np.ascontiguousarray(cells, np.uint64)
+        numbers, ids = np.empty(len(cells), np.int32), np.empty(len(cells), np.uint64)
+        arrays = shared(cells, wp.uint64), shared(numbers, wp.int32), shared(ids, wp.uint64)
+        self._spread(queries.find_leaves, len(cells), [*arrays])
+        return numbers, ids
+
+    def is_leaf(self, heap_ids: np.ndarray) -> np.ndarray:
+        """Return whether nodes are leaves, neither split nor below one: bool."""
+        heap_ids = np.asarray(heap_ids, np.uint64)
+        return self.find(self.cells_of(heap_ids))[1] == heap_ids
+
+    def cells_of(self, heap_ids: np.ndarray) -> np.ndarray:
+        """Return the first cell of nodes: uint64."""
+        return (heap_ids << (self.max_depth - depths_of(heap_ids)).astype(np.uint64)) - np.uint64(self.cell_count)
+
+    # Edit: O(depth) a node
+
+    def split(self, heap_ids: np.ndarray) -> None:
+        """Give leaves above the deepest level their two children."""
+        ids = np.ascontiguousarray(heap_ids, np.uint64)
+        self.edit(edits.split_leaves, len(ids), [shared(ids, wp.uint64)])
+
+    def merge(self, heap_ids: np.ndarray) -> None:
+        """Take the two children of nodes away, which must be leaves: undoes `split`."""
+        ids = np.ascontiguousarray(heap_ids, np.uint64)
+        self.edit(edits.merge_leaves, len(ids), [shared(ids, wp.uint64)])
+
+    def edit(self, kernel, count: int, inputs: list) -> None:
+        """Run a kernel over `count` items that splits and merges nodes of `bits`, then sum above the changed words.
+
+        The kernel is repeated where the pool of pages was full, so what it does must not depend on what it has done.
+        """
+        if 2 * self._pages_used > self.bits.num_pages:  # pages of words that are no longer stored were lost
+            depths = self.depths()
+            self._clear(self.bits.num_pages)
+            self.set_depths(depths)
+        self._state[bitfield.REPEATS] = 0
+        self._spread(kernel, count, inputs)
+        while self._state[bitfield.IS_FULL]:
+            self._resize(2 * self.bits.num_pages)
+            self._state[bitfield.REPEATS] = 1
+            self._spread(kernel, count, inputs)
+        self._reduce()
+
+    # Write all leaves: O(leaves)
+
+    def set_leaves(self, parts: list[LeafPart], shift: int = 0, levels: int | None = None) -> bool:
+        """Replace the leaves by those of the parts, and return whether they are others; a thread writes each part.
+
+        `shift`, `levels`: a leaf has 2^(levels - depth) cells, and its depth in the bits `shift` .. `shift` + 5 of its
+        code. Nodes whose leaves are the same, as the parts say, are passed over.
+        """
+        parts, start = [part for part in parts if part.count], 0
+        while len(self._runs) < len(parts):
+            self._runs.append(writing.LeafRun())
+        runs = self._runs[: len(parts)]
+        for run, part in zip(runs, parts, strict=True):
+            bind(run, codes=part.codes, first=part.first, count=part.count, start=start, end=part.end, shift=shift)
+            bind(run, levels=self.max_depth if levels is None else levels)
+            bind(run, first_same=part.first_same, end_same=part.first_same + part.num_same)
+            if part.num_same:
+                bind(run, same=part.same)
+            start = part.end
+        likely = sum(part.count for part in parts) // SLOTS
+        if likely > self.bits.num_pages:
+            self._resize(max(likely, 2 * self.bits.num_pages))
+        self._state[bitfield.DIFFERS] = 0
+        num_pages, is_empty = self.bits.num_pages, False
+        while True:
+            launch.slices(writing.set_leaves, [[self.bits, run] for run in runs], step="tree", recorded=self._recorded)
+            if not self._state[bitfield.IS_FULL]:
+                break
+            # Begin anew with an empty pool, or a larger one: pages of words that are no longer stored were lost.
+            num_pages *= 2 if is_empty else 1
+            self._clear(num_pages)
+            self._state[bitfield.DIFFERS] = is_empty = True
+            for run in runs:
+                run.end_same = run.first_same
+        self._reduce()
+        if 2 * self._pages_used > self.bits.num_pages and is_empty:
+            self._resize(2 * num_pages)
+        return bool(self._state[bitfield.DIFFERS])
+
+    def set_depths(self, depths: np.ndarray) -> bool:
+        """Replace the leaves by those of these depths, which leave no gap; return whether they are others."""
+        codes = shared(np.ascontiguousarray(depths, np.uint16), wp.uint16)
+        return self.set_leaves([LeafPart(codes, 0, len(depths), self.cell_count)])
+
+    def reset(self, depth: int = 0) -> None:
+        """Make the leaves all the nodes at `depth`."""
+        self.set_depths(np.full(1 << depth, depth))
+
+    # List all leaves: O(leaves * depth)
+
+    def leaves(self) -> np.ndarray:
+        """Return the heap ids of all leaves: uint64."""
+        return self.decode(np.arange(self.leaf_count, dtype=np.int32))
+
+    def depths(self) -> np.ndarray:
+        """Return the depth of each leaf: uint8."""
+        return depths_of(self.leaves())
+
+    def cells(self) -> np.ndarray:
+        """Return the first cell of each leaf: uint64."""
+        return self.cells_of(self.leaves())
+
+    def to_bytes(self) -> bytes:
+        """Return the tree as bytes: a header, a byte for each leaf and a checksum."""
+        return depths_to_bytes(self.max_depth, self.depths())
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> "ConcurrentBinaryTree":
+        """Return the tree that `to_bytes` wrote. Raises TerrainError for anything else."""
+        max_depth, depths = depths_from_bytes(data)
+        tree = cls(max_depth)
+        tree.set_depths(depths)
+        return tree
+
+    # Inside
+
+    @property
+    def _pages_used(self) -> int:
+        return int(self._state[bitfield.PAGES_USED])
+
+    def _spread(self, kernel, count: int, inputs: list) -> None:
+        launch.spread(kernel, count, [self.bits, *inputs], step="tree", threads=self.threads, cost=DECODE_COST)
+
+    def _reduce(self) -> None:
+        """Sum the changed words again, level by level."""
+        changed = int(self._state[bitfield.NUM_CHANGED])
+        if changed > FEW_CHANGED:
+            for level in range(self.bits.top + 1):
+                self._spread(reduction.reduce_level, changed, [level])
+            self._state[bitfield.NUM_CHANGED] = 0
+        elif changed:
+            launch.once(reduction.reduce_words, [self.bits], step="tree", recorded=self._recorded)
+
+    def _clear(self, num_pages: int) -> None:
+        """Make the root the only leaf, in a pool of so many pages."""
+        used = SLOTS * self._pages_used
+        self._resize(num_pages)
+        for array in self._arrays.values():
+            array[:used] = 0
+        self._arrays["words"][SLOTS] = 1
+        self._state[:] = 0
+        self._state[bitfield.PAGES_USED] = FIRST_PAGES
+
+    def _resize(self, num_pages: int) -> None:
+        """Make room for so many pages; what they hold stays."""
+        self._state[bitfield.PAGES_USED] = min(self._pages_used, self.bits.num_pages)
+        self._state[bitfield.IS_FULL] = 0
+        if num_pages != self.bits.num_pages:
+            for name, dtype in ARRAYS.items():
+                array = np.zeros(SLOTS * num_pages, wp.dtype_to_numpy(dtype))
+                if name in self._arrays:
+                    array[: len(self._arrays[name])] = self._arrays[name]
+                self._arrays[name] = array
+                setattr(self.bits, name, shared(array, dtype))
+            self.bits.num_pages = num_pages
+
+
+def depths_of(heap_ids: np.ndarray) -> np.ndarray:
+    """Return the depths of nodes: uint8."""
+    return (np.frexp(heap_ids.astype(np.float64))[1] - 1).astype(np.uint8)

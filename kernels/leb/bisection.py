@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Longest-edge bisection of a grid of root squares: functions from heap ids to triangles and neighbours, and conforming
+edits of the tree (Dupuy 2020, section 4).
+
+A triangle is (left, apex, right); its longest edge runs from left to right, and bisection puts a vertex in its middle:
+child 0 is (left, middle, apex), child 1 is (apex, middle, right). In a square the roots are ids 2 and 3, depth 1, on
+either side of the square's diagonal; id 1 is the square. In the tree of the grid the squares are the nodes at depth
+`square_bits`, row by row from the south west.
+"""
+
+import warp as wp
+
+from ..tree.atomic import highest_bit
+from ..tree.bitfield import ONE, Bitfield, is_leaf
+from ..tree.edits import split
+
+# Neighbours (left, right, edge) of ids 2 .. 7 as (columns to the east, rows to the north, id). Roots of two squares
+# meet turned by half a turn, not mirrored like other neighbours, so the rule for each bit holds from depth 2 on.
+FIRST_NEIGHBOURS = wp.constant(
+    wp.types.vector(length=54, dtype=wp.int32)(
+        *(0, -1, 3, -1, 0, 3, 0, 0, 3),
+        *(0, 1, 2, 1, 0, 2, 0, 0, 2),
+        *(0, 0, 5, 0, 0, 7, -1, 0, 6),
+        *(0, 0, 6, 0, 0, 4, 0, -1, 7),
+        *(0, 0, 7, 0, 0, 5, 1, 0, 4),
+        *(0, 0, 4, 0, 0, 6, 0, 1, 5),
+    )
+)
+
+
+@wp.struct
+class SquareGrid:
+    """The root squares."""
+
+    columns: wp.int32
+    rows: wp.int32
+    square_bits: wp.int32
+
+
+@wp.struct
+class LebNode:
+    """A triangle by its square and its heap id in that square; id 0: there is none."""
+
+    column: wp.int32
+    row: wp.int32
+    heap_id: wp.uint64
+
+
+@wp.func
+def node_of(grid: SquareGrid, tree_id: wp.uint64) -> LebNode:
+    """Return a node of the grid's tree as one of a square."""
+    root = ONE << wp.uint64(highest_bit(tree_id) - grid.square_bits)
+    square = wp.int32(tree_id / root) - (1 << grid.square_bits)
+    node = LebNode()
+    node.row = square / grid.columns
+    node.column = square - node.row * grid.columns
+    node.heap_id = root | (tree_id & (root - ONE))
+    return node
+
+
+@wp.func
+def tree_id_of(grid: SquareGrid, node: LebNode) -> wp.uint64:
+    """Undo `node_of`; 0 where there is no node."""
+    tree_id = wp.uint64(0)
+    if node.heap_id != wp.uint64(0):
+        squares = wp.uint64((1 << grid.square_bits) + node.row * grid.columns + node.column)
+        root = ONE << wp.uint64(highest_bit(node.heap_id))
+        tree_id = squares * root + node.heap_id - root
+    return tree_id
+
+
+@wp.func
+def triangle_of(node: LebNode, unit_bits: wp.int32):
+    """Return left, apex and right of a triangle, in units of which 2^unit_bits are a square's side."""
+    side = wp.int32(1) << unit_bits
+    left = wp.vec2i(0, side)
+    apex = wp.vec2i(0, 0)
+    right = wp.vec2i(side, 0)
+    depth = highest_bit(node.heap_id)
+    if ((node.heap_id >> wp.uint64(depth - 1)) & ONE) == ONE:
+        left = wp.vec2i(side, 0)
+        apex = wp.vec2i(side, side)
+        right = wp.vec2i(0, side)
+    for k in range(1, depth):
+        middle = wp.vec2i((left[0] + right[0]) >> 1, (left[1] + right[1]) >> 1)
+        if ((node.heap_id >> wp.uint64(depth - 1 - k)) & ONE) == ONE:
+            left = apex
+        else:
+            right = apex
+        apex = middle
+    corner = wp.vec2i(node.column << unit_bits, node.row << unit_bits)
+    return left + corner, apex + corner, right + corner
+
+
+@wp.func
+def first_neighbour(grid: SquareGrid, node: LebNode, heap_id: wp.int32, edge: wp.int32) -> LebNode:
+    """Return the neighbour of a triangle of depth 1 or 2 in the node's square."""
+    at = 9 * (heap_id - 2) + 3 * edge
+    near = LebNode()
+    near.column = node.column + FIRST_NEIGHBOURS[at]
+    near.row = node.row + FIRST_NEIGHBOURS[at + 1]
+    if near.column >= 0 and near.column < grid.columns and near.row >= 0 and near.row < grid.rows:
+        near.heap_id = wp.uint64(FIRST_NEIGHBOURS[at + 2])
+    return near
+
+
+@wp.func
+def half(node: LebNode, bit: wp.uint64) -> LebNode:
+    """Return a child of a node; none of none."""
+    if node.heap_id != wp.uint64(0):
+        node.heap_id = wp.uint64(2) * node.heap_id + bit
+    return node
+
+
+@wp.func
+def neighbours_of(grid: SquareGrid, node: LebNode):
+    """Return the triangles of the same depth over the edges apex-right ("left"), left-apex ("right") and left-right
+    ("edge"), as libleb names them."""
+    depth = highest_bit(node.heap_id)
+    start = wp.min(depth, 2)
+    heap_id = wp.int32(node.heap_id >> wp.uint64(depth - start))
+    left = first_neighbour(grid, node, heap_id, 0)
+    right = first_neighbour(grid, node, heap_id, 1)
+    edge = first_neighbour(grid, node, heap_id, 2)
+    own = LebNode()
+    own.column = node.column
+    own.row = node.row
+    own.heap_id = wp.uint64(heap_id)
+    for k in range(start, depth):
+        bit = (node.heap_id >> wp.uint64(depth - 1 - k)) & ONE
+        # Child 0 lies beside child 1 to its left, child 1 beside child 0 to its right.
+        across = half(edge, ONE - bit)
+        outer = half(right, ONE)
+        if bit == ONE:
+            outer = half(left, wp.uint64(0))
+            left = across
+            right = half(own, wp.uint64(0))
+        else:
+            left = half(own, ONE)
+            right = across
+        edge = outer
+        own = half(own, bit)
+    return left, right, edge
+
+
+@wp.func
+def edge_neighbour(grid: SquareGrid, node: LebNode) -> LebNode:
+    """Return the other triangle of a node's diamond."""
+    _left, _right, edge = neighbours_of(grid, node)
+    return edge
+
+
+@wp.func
+def split_conforming(t: Bitfield, grid: SquareGrid, tree_id: wp.uint64):
+    """Split a leaf with the other half of its diamond, and what is coarser beside them.
+
+    A diamond is split on both sides or not at all: forced splits as in ROAM (Duchaineau et al. 1997). Threads may split
+    neighbours at once: the one that splits a parent goes on from there. A parent comes before its half, for the bits
+    of a half may be the parent's.
+    """
+    split(t, tree_id)
+    node = node_of(grid, tree_id)
+    goes_on = wp.bool(True)
+    while goes_on:
+        other = edge_neighbour(grid, node)
+        goes_on = other.heap_id != wp.uint64(0)
+        if goes_on:
+            node = other
+            node.heap_id = other.heap_id >> ONE
+            goes_on = node.heap_id > ONE
+            if goes_on:
+                goes_on = not split(t, tree_id_of(grid, node))
+            split(t, tree_id_of(grid, other))
+
+
+@wp.func
+def has_leaves(t: Bitfield, tree_id: wp.uint64) -> wp.bool:
+    """Return whether both children of a node are leaves."""
+    return is_leaf(t, wp.uint64(2) * tree_id) and is_leaf(t, wp.uint64(2) * tree_id + ONE)
+
+
+@wp.func
+def can_merge(t: Bitfield, grid: SquareGrid, tree_id: wp.uint64) -> wp.bool:
+    """Return whether all halves of the triangles of a node's diamond are leaves: a diamond is merged whole."""
+    other = tree_id_of(grid, edge_neighbour(grid, node_of(grid, tree_id)))
+    can = has_leaves(t, tree_id)
+    if can and other != wp.uint64(0):
+        can = has_leaves(t, other)
+    return can

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Triangles, neighbours and conforming edits of many nodes at once."""
+
+import warp as wp
+
+from ..tree.bitfield import Bitfield
+from .bisection import SquareGrid, neighbours_of, node_of, split_conforming, tree_id_of, triangle_of
+
+
+@wp.kernel
+def write_triangles(
+    offset: wp.int32,
+    grid: SquareGrid,
+    ids: wp.array(dtype=wp.uint64),
+    unit_bits: wp.int32,
+    out: wp.array(dtype=wp.vec2i),
+):
+    """Write left, apex and right of triangles, in units of which 2^unit_bits are a square's side."""
+    k = offset + wp.tid()
+    left, apex, right = triangle_of(node_of(grid, ids[k]), unit_bits)
+    out[3 * k] = left
+    out[3 * k + 1] = apex
+    out[3 * k + 2] = right
+
+
+@wp.kernel
+def write_neighbours(
+    offset: wp.int32, grid: SquareGrid, ids: wp.array(dtype=wp.uint64), out: wp.array(dtype=wp.uint64)
+):
+    """Write the neighbours "left", "right" and "edge" of triangles; 0 beyond the grid."""
+    k = offset + wp.tid()
+    left, right, edge = neighbours_of(grid, node_of(grid, ids[k]))
+    out[3 * k] = tree_id_of(grid, left)
+    out[3 * k + 1] = tree_id_of(grid, right)
+    out[3 * k + 2] = tree_id_of(grid, edge)
+
+
+@wp.kernel
+def split_diamonds(offset: wp.int32, t: Bitfield, grid: SquareGrid, ids: wp.array(dtype=wp.uint64)):
+    """Split leaves, each with its diamond and what is coarser beside it."""
+    split_conforming(t, grid, ids[offset + wp.tid()])

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The classic update of a concurrent binary tree (Dupuy 2020; Deliot and Dupuy 2021): every leaf decides for itself.
+
+A leaf whose diamond is too coarse is split; one whose parent's diamond is not is merged, with the other halves of that
+diamond. The criterion is nested, so whatever a split forces to be split is too coarse too: no leaf is wanted by a split
+and by a merge, and both may be written in one pass.
+"""
+
+import warp as wp
+
+from ..field.domain import Domain
+from ..leb.bisection import SquareGrid, can_merge, node_of, split_conforming, triangle_of
+from ..tree.atomic import highest_bit
+from ..tree.bitfield import ONE, Bitfield, decode_leaf, heap_id_of
+from ..tree.edits import merge
+from .band import measured_at, too_coarse
+from .pixels import Asked
+from .stored_errors import error_at
+
+MERGE = wp.constant(wp.uint64(1 << 63))  # an order to merge the children of a node; without it, to split a leaf
+
+
+@wp.func
+def is_too_coarse(domain: Domain, asked: Asked, middle: wp.vec2i, depth: wp.int32) -> wp.bool:
+    """Return whether the diamond that is split at `middle` is too coarse."""
+    error = error_at(domain, middle[0], middle[1], depth)
+    return too_coarse(asked, asked.limit, measured_at(domain, asked, middle[0], middle[1], depth, error, 0))
+
+
+@wp.kernel
+def decide(
+    offset: wp.int32,
+    t: Bitfield,
+    grid: SquareGrid,
+    domain: Domain,
+    asked: Asked,
+    max_depth: wp.int32,
+    orders: wp.array(dtype=wp.uint64),
+):
+    """Write what each leaf is to become: a node to be split, one whose children are to be merged, or 0."""
+    k = offset + wp.tid()
+    tree_id = heap_id_of(t, decode_leaf(t, k))
+    node = node_of(grid, tree_id)
+    depth = highest_bit(node.heap_id)
+    order = wp.uint64(0)
+    if depth > 0:  # squares that only fill the tree up to a power of two are a leaf each
+        left, apex, right = triangle_of(node, domain.unit_bits)
+        if depth < max_depth:
+            if is_too_coarse(domain, asked, wp.vec2i((left[0] + right[0]) >> 1, (left[1] + right[1]) >> 1), depth):
+                order = tree_id
+        if order == wp.uint64(0) and depth > 1:
+            # A triangle's apex is the vertex at which its parent's diamond was split.
+            stays = depth <= max_depth
+            if stays:
+                stays = is_too_coarse(domain, asked, apex, depth - 1)
+            if not stays:
+                if can_merge(t, grid, tree_id >> ONE):
+                    order = MERGE | (tree_id >> ONE)
+    orders[k] = order
+
+
+@wp.kernel
+def carry_out(offset: wp.int32, t: Bitfield, grid: SquareGrid, orders: wp.array(dtype=wp.uint64)):
+    """Split and merge as leaves have decided."""
+    order = orders[offset + wp.tid()]
+    if order >= MERGE:
+        merge(t, order - MERGE)
+    elif order != wp.uint64(0):
+        split_conforming(t, grid, order)

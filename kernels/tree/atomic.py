@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Atomic operations and bit scans in C: on the CPU Warp's own atomics are a load, an operation and a store."""
+
+import warp as wp
+
+
+@wp.func_native("return __atomic_fetch_or(a.data + i, bits, __ATOMIC_RELAXED);")
+def fetch_or(a: wp.array(dtype=wp.uint64), i: wp.int32, bits: wp.uint64) -> wp.uint64: ...
+
+
+@wp.func_native("return __atomic_fetch_and(a.data + i, bits, __ATOMIC_RELAXED);")
+def fetch_and(a: wp.array(dtype=wp.uint64), i: wp.int32, bits: wp.uint64) -> wp.uint64: ...
+
+
+@wp.func_native("return __atomic_fetch_xor(a.data + i, bits, __ATOMIC_RELAXED);")
+def fetch_xor(a: wp.array(dtype=wp.uint64), i: wp.int32, bits: wp.uint64) -> wp.uint64: ...
+
+
+@wp.func_native("return __atomic_fetch_add(a.data + i, value, __ATOMIC_RELAXED);")
+def fetch_add(a: wp.array(dtype=wp.int32), i: wp.int32, value: wp.int32) -> wp.int32: ...
+
+
+@wp.func_native(
+    "int found = old; __atomic_compare_exchange_n(a.data + i, &found, value, false, __ATOMIC_ACQ_REL, "
+    "__ATOMIC_ACQUIRE); return found;"
+)
+def compare_exchange(a: wp.array(dtype=wp.int32), i: wp.int32, old: wp.int32, value: wp.int32) -> wp.int32: ...
+
+
+@wp.func_native("return __builtin_popcountll(bits);")
+def count_bits(bits: wp.uint64) -> wp.int32: ...
+
+
+@wp.func_native("return bits ? __builtin_ctzll(bits) : 64;")
+def lowest_bit(bits: wp.uint64) -> wp.int32: ...
+
+
+@wp.func_native("return 63 - __builtin_clzll(bits);")
+def highest_bit(bits: wp.uint64) -> wp.int32: ...

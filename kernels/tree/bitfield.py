@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The bitfield of a concurrent binary tree, stored by use, and the sum reduction above it (Dupuy 2020, section 3).
+
+The paper's bitfield has a bit for each deepest node, a *cell*; a leaf sets the bit of its first cell. At depth 40 that
+is 128 GiB. Here the bits are the leaves of a tree of 64-bit words with a fan-out of 64: a word of level L stands for
+64^(L + 1) cells, each of its bits for a part of 64^L cells, and a bit is set if a leaf begins in its part. A leaf of
+2^j cells always sets the first bit of its part on level j // 6, so a word whose first bit alone is set says no more
+than the bit above it, and is not stored: every stored word has two bits or more, and there are fewer words than leaves.
+
+The words below a word lie together in a *page* of 64, which is taken from a pool when the first is stored. Beside each
+word stands a mask of the bits below which a word is stored, and its counter: the leaves that begin in the word, without
+the first, which the bit above it counts. So a counter is a population count and a sum over a page, and a slot that
+stores no word adds 0 to it.
+"""
+
+import warp as wp
+
+from ..unchecked import item_at
+from .atomic import compare_exchange, fetch_add, highest_bit, lowest_bit
+
+WORD_BITS = wp.constant(6)  # log2 of the bits of a word
+LEVELS = wp.constant(7)  # of words in a tree of depth 40
+ROOT = wp.constant(64)  # slot of the highest word; page 0 stays empty, and words without a page refer to it
+CHANGED = wp.constant(-1)  # in place of a counter that has to be summed again
+LEVEL_SHIFT = wp.constant(28)  # of a word's level in the list of changed words
+# Entries of `state`.
+PAGES_USED = wp.constant(0)
+NUM_CHANGED = wp.constant(1)  # words in the list
+IS_FULL = wp.constant(2)  # 1: a page was needed and the pool had none; repeat the kernel with a larger pool
+DIFFERS = wp.constant(3)  # 1: `set_leaves` has changed a bit
+REPEATS = wp.constant(4)  # 1: the kernel is repeated, so bits may be its own
+
+ONE = wp.constant(wp.uint64(1))
+ALL_BITS = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
+
+
+@wp.struct
+class Bitfield:
+    """Slot s of page p is entry 64 p + s of the first five arrays."""
+
+    words: wp.array(dtype=wp.uint64)
+    stored: wp.array(dtype=wp.uint64)  # bits of a word below which a word is stored
+    counts: wp.array(dtype=wp.int32)
+    pages: wp.array(dtype=wp.int32)  # page of the words below a word; 0: none
+    changed: wp.array(dtype=wp.int32)  # list of the words to be summed again: level << LEVEL_SHIFT | slot
+    state: wp.array(dtype=wp.int32)
+    num_pages: wp.int32
+    max_depth: wp.int32
+    top: wp.int32  # level of the highest word
+
+
+@wp.struct
+class TreeLeaf:
+    """A leaf as decoding finds it."""
+
+    number: wp.int32
+    cell: wp.uint64  # its first
+    depth: wp.int32
+
+
+@wp.struct
+class SameLeaves:
+    """A node whose leaves are those that the tree has already."""
+
+    first: wp.int64  # entry of its first leaf's code
+    count: wp.int32
+    depth: wp.int32  # as in the codes
+
+
+@wp.func
+def cells_of_bit(level: wp.int32) -> wp.uint64:
+    """Return the number of cells that a bit of a word stands for."""
+    return ONE << wp.uint64(WORD_BITS * level)
+
+
+@wp.func
+def bit_of(cell: wp.uint64, level: wp.int32) -> wp.int32:
+    """Return the bit of a cell in its word of a level."""
+    return wp.int32((cell >> wp.uint64(WORD_BITS * level)) & wp.uint64(63))
+
+
+@wp.func
+def bits_below(bit: wp.int32) -> wp.uint64:
+    """Return the mask of the bits before `bit`, 0 .. 64."""
+    mask = ALL_BITS
+    if bit < 64:
+        mask = (ONE << wp.uint64(bit)) - ONE
+    return mask
+
+
+@wp.func
+def mark_changed(t: Bitfield, slot: wp.int32, level: wp.int32):
+    """Put a word on the list of those to be summed again, once."""
+    count = t.counts[slot]
+    if count != CHANGED:
+        if compare_exchange(t.counts, slot, count, CHANGED) == count:
+            t.changed[fetch_add(t.state, NUM_CHANGED, 1)] = (level << LEVEL_SHIFT) | slot
+
+
+@wp.func
+def page_below(t: Bitfield, slot: wp.int32) -> wp.int32:
+    """Return the page of the words below a word, a new one if it has none; 0 if the pool has none."""
+    page = item_at(t.pages, slot)
+    if page == 0:
+        page = fetch_add(t.state, PAGES_USED, 1)
+        if page < t.num_pages:
+            other = compare_exchange(t.pages, slot, 0, page)
+            if other != 0:
+                page = other
+        else:
+            t.state[IS_FULL] = 1
+            page = 0
+    return page
+
+
+# Queries
+
+
+@wp.func_native(
+    "const int* more = counts.data + first; for (;; bits &= bits - 1) { int bit = __builtin_ctzll(bits); "
+    "if (number <= more[bit]) return number << 6 | bit; number -= 1 + more[bit]; }"
+)
+def select_bit(bits: wp.uint64, counts: wp.array(dtype=wp.int32), first: wp.int32, number: wp.int32) -> wp.int64: ...
+
+
+@wp.func_native(
+    "int sum = __builtin_popcountll(bits & ((1ull << bit) - 1)); "
+    "if (first) for (int k = 0; k < bit; ++k) sum += counts.data[first + k]; return sum;"
+)
+def count_before(bits: wp.uint64, counts: wp.array(dtype=wp.int32), first: wp.int32, bit: wp.int32) -> wp.int32: ...
+
+
+@wp.func
+def leaf_of_bit(t: Bitfield, slot: wp.int32, level: wp.int32, bit: wp.int32, cell: wp.uint64, number: wp.int32):
+    """Return the leaf that begins at a bit: it ends at the word's next one."""
+    next_bit = wp.min(lowest_bit(t.words[slot] & ~bits_below(bit + 1)), 1 << wp.min(t.max_depth - WORD_BITS * level, 6))
+    leaf = TreeLeaf()
+    leaf.number = number
+    leaf.cell = cell
+    leaf.depth = t.max_depth - WORD_BITS * level - lowest_bit(wp.uint64(next_bit - bit))
+    return leaf
+
+
+@wp.func
+def decode_leaf(t: Bitfield, number: wp.int32) -> TreeLeaf:
+    """Return leaf `number`: descend into the bit whose counter holds it. O(depth)."""
+    slot = wp.int32(ROOT)
+    level = t.top
+    cell = wp.uint64(0)
+    left = number
+    bit = wp.int32(0)
+    is_inside = wp.bool(True)
+    while is_inside:
+        below = 64 * item_at(t.pages, slot)
+        found = select_bit(item_at(t.words, slot), t.counts, below, left)
+        bit = wp.int32(found & wp.int64(63))
+        left = wp.int32(found >> wp.int64(6))
+        cell = cell + (wp.uint64(bit) << wp.uint64(WORD_BITS * level))
+        is_inside = ((item_at(t.stored, slot) >> wp.uint64(bit)) & ONE) == ONE
+        if is_inside:
+            slot = below + bit
+            level -= 1
+    return leaf_of_bit(t, slot, level, bit, cell, number)
+
+
+@wp.func
+def leaf_at(t: Bitfield, cell: wp.uint64) -> TreeLeaf:
+    """Return the leaf that covers a cell: descend into the last bit at the cell or before it. O(depth)."""
+    slot = wp.int32(ROOT)
+    level = t.top
+    number = wp.int32(0)
+    bit = wp.int32(0)
+    is_inside = wp.bool(True)
+    while is_inside:
+        below = 64 * item_at(t.pages, slot)
+        words = item_at(t.words, slot)
+        at = bit_of(cell, level)
+        bit = highest_bit(words & bits_below(at + 1))
+        number += count_before(words, t.counts, below, bit)
+        is_inside = bit == at and ((item_at(t.stored, slot) >> wp.uint64(bit)) & ONE) == ONE
+        if is_inside:
+            slot = below + bit
+            level -= 1
+    shift = wp.uint64(WORD_BITS * (level + 1))
+    first = ((cell >> shift) << shift) + (wp.uint64(bit) << wp.uint64(WORD_BITS * level))
+    return leaf_of_bit(t, slot, level, bit, first, number)
+
+
+@wp.func
+def heap_id_of(t: Bitfield, leaf: TreeLeaf) -> wp.uint64:
+    """Return the heap id of a leaf: 1 is the root, n has the children 2n and 2n + 1."""
+    return ((ONE << wp.uint64(t.max_depth)) + leaf.cell) >> wp.uint64(t.max_depth - leaf.depth)
+
+
+@wp.func
+def is_leaf(t: Bitfield, heap_id: wp.uint64) -> wp.bool:
+    """Return whether a node is a leaf, neither split nor below one."""
+    shift = wp.uint64(t.max_depth - highest_bit(heap_id))
+    return heap_id_of(t, leaf_at(t, (heap_id << shift) - (ONE << wp.uint64(t.max_depth)))) == heap_id

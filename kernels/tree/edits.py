@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Edits of single nodes: a node is split by setting the bit of its second child's first cell, and merged by clearing
+it (Dupuy 2020, section 3.3)."""
+
+import warp as wp
+
+from .atomic import fetch_and, fetch_or, highest_bit
+from .bitfield import ONE, REPEATS, ROOT, Bitfield, bit_of, cells_of_bit, mark_changed, page_below
+
+
+@wp.func
+def second_half(t: Bitfield, heap_id: wp.uint64) -> wp.uint64:
+    """Return the first cell of a node's second child."""
+    shift = wp.uint64(t.max_depth - 1 - highest_bit(heap_id))
+    return ((wp.uint64(2) * heap_id + ONE) << shift) - (ONE << wp.uint64(t.max_depth))
+
+
+@wp.func
+def split(t: Bitfield, heap_id: wp.uint64) -> wp.bool:
+    """Split a node; return whether another thread or an earlier kernel has. Threads may split one node at once, and
+    nodes below it."""
+    cell = second_half(t, heap_id)
+    slot = wp.int32(ROOT)
+    level = t.top
+    before = wp.uint64(0)
+    flag = wp.uint64(0)
+    is_inside = wp.bool(True)
+    while is_inside:
+        bit = bit_of(cell, level)
+        flag = ONE << wp.uint64(bit)
+        mark_changed(t, slot, level)
+        before = fetch_or(t.words, slot, flag | ONE)
+        is_inside = (cell & (cells_of_bit(level) - ONE)) != wp.uint64(0)
+        if is_inside:
+            fetch_or(t.stored, slot, flag)
+            page = page_below(t, slot)
+            slot = 64 * page + bit
+            level -= 1
+            is_inside = page > 0
+    return (before & flag) != wp.uint64(0) and t.state[REPEATS] == 0
+
+
+@wp.func
+def merge(t: Bitfield, heap_id: wp.uint64):
+    """Merge the children of a node, which are leaves. Threads may merge one node at once."""
+    cell = second_half(t, heap_id)
+    slot = wp.int32(ROOT)
+    level = t.top
+    while (cell & (cells_of_bit(level) - ONE)) != wp.uint64(0):
+        mark_changed(t, slot, level)
+        slot = 64 * t.pages[slot] + bit_of(cell, level)
+        level -= 1
+    mark_changed(t, slot, level)
+    fetch_and(t.words, slot, ~(ONE << wp.uint64(bit_of(cell, level))))
+
+
+@wp.kernel
+def split_leaves(offset: wp.int32, t: Bitfield, ids: wp.array(dtype=wp.uint64)):
+    """Split leaves."""
+    split(t, ids[offset + wp.tid()])
+
+
+@wp.kernel
+def merge_leaves(offset: wp.int32, t: Bitfield, ids: wp.array(dtype=wp.uint64)):
+    """Merge the children of nodes, which are leaves."""
+    merge(t, ids[offset + wp.tid()])

@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Queries of many leaves at once."""
+
+import warp as wp
+
+from .bitfield import Bitfield, decode_leaf, heap_id_of, leaf_at
+
+
+@wp.kernel
+def decode_leaves(offset: wp.int32, t: Bitfield, numbers: wp.array(dtype=wp.int32), ids: wp.array(dtype=wp.uint64)):
+    """Write the heap ids of leaves by their numbers."""
+    k = offset + wp.tid()
+    ids[k] = heap_id_of(t, decode_leaf(t, numbers[k]))
+
+
+@wp.kernel
+def find_leaves(
+    offset: wp.int32,
+    t: Bitfield,
+    cells: wp.array(dtype=wp.uint64),
+    numbers: wp.array(dtype=wp.int32),
+    ids: wp.array(dtype=wp.uint64),
+):
+    """Write the numbers and heap ids of the leaves at `cells`."""
+    k = offset + wp.tid()
+    leaf = leaf_at(t, cells[k])
+    numbers[k] = leaf.number
+    ids[k] = heap_id_of(t, leaf)

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The sum reduction: the counters of changed words, from the lowest level up."""
+
+import warp as wp
+
+from .atomic import count_bits
+from .bitfield import LEVEL_SHIFT, NUM_CHANGED, ONE, ROOT, Bitfield
+
+
+@wp.func_native("int sum = 0; for (int k = 0; k < 64; ++k) sum += counts.data[first + k]; return sum;")
+def sum_page(counts: wp.array(dtype=wp.int32), first: wp.int32) -> wp.int32: ...
+
+
+@wp.func_native(
+    "wp::uint64 stored = 0; for (int k = 0; k < 64; ++k) stored |= (wp::uint64)(words.data[first + k] != 0) << k; "
+    "return stored;"
+)
+def stored_words(words: wp.array(dtype=wp.uint64), first: wp.int32) -> wp.uint64: ...
+
+
+@wp.func
+def sum_word(t: Bitfield, slot: wp.int32):
+    """Count the leaves of a word again; of one whose first bit alone is left, store no word."""
+    bits = t.words[slot]
+    below = 64 * t.pages[slot]
+    t.stored[slot] = stored_words(t.words, below)
+    t.counts[slot] = count_bits(bits) - 1 + sum_page(t.counts, below)
+    if bits == ONE and slot != ROOT:
+        t.words[slot] = wp.uint64(0)
+        t.pages[slot] = 0
+
+
+@wp.kernel
+def reduce_level(offset: wp.int32, t: Bitfield, level: wp.int32):
+    """Sum the changed words of one level; those of the levels below it have been summed."""
+    entry = t.changed[offset + wp.tid()]
+    if (entry >> LEVEL_SHIFT) == level:
+        sum_word(t, entry & ((1 << LEVEL_SHIFT) - 1))
+
+
+@wp.kernel
+def reduce_words(t: Bitfield):
+    """Sum all changed words, level by level: where there are few."""
+    for level in range(t.top + 1):
+        for k in range(t.state[NUM_CHANGED]):
+            entry = t.changed[k]
+            if (entry >> LEVEL_SHIFT) == level:
+                sum_word(t, entry & ((1 << LEVEL_SHIFT) - 1))
+    t.state[NUM_CHANGED] = 0

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""All leaves at once, in the order of the curve: what a refinement writes."""
+
+import warp as wp
+
+from ..unchecked import item_at, put
+from .atomic import count_bits, fetch_xor, highest_bit, lowest_bit
+from .bitfield import (
+    ALL_BITS,
+    DIFFERS,
+    ONE,
+    ROOT,
+    WORD_BITS,
+    Bitfield,
+    SameLeaves,
+    bit_of,
+    bits_below,
+    cells_of_bit,
+    mark_changed,
+    page_below,
+)
+
+SlotPath = wp.types.vector(length=7, dtype=wp.int32)
+BitPath = wp.types.vector(length=7, dtype=wp.uint64)
+
+
+@wp.struct
+class LeafRun:
+    """Consecutive leaves by their depths; `set_leaves` writes a run a thread."""
+
+    codes: wp.array(dtype=wp.uint16)  # a leaf's depth is in the bits `shift` .. `shift` + 5
+    first: wp.int64  # entry of the first
+    count: wp.int64
+    shift: wp.int32
+    levels: wp.int32  # a node of depth d has 2^(levels - d) cells
+    start: wp.uint64  # cells start .. end - 1 are those of the run
+    end: wp.uint64
+    same: wp.array(dtype=SameLeaves)  # nodes whose leaves are those that the tree has, ascending
+    first_same: wp.int64
+    end_same: wp.int64
+
+
+@wp.func
+def bits_of_node(run: LeafRun, k: wp.int64) -> wp.int32:
+    """Return log2 of the cells of a run's leaf."""
+    return run.levels - ((wp.int32(item_at(run.codes, run.first + k)) >> run.shift) & 63)
+
+
+@wp.func
+def first_of_same(run: LeafRun, same: wp.int64) -> wp.int64:
+    """Return the number in the run of the first leaf of a node whose leaves are the same; its end if there is none."""
+    first = run.count
+    if same < run.end_same:
+        first = run.same[same].first - run.first
+    return first
+
+
+@wp.func_native(
+    "const wp::uint16* code = codes.data + first; wp::uint64 bits = 0; "
+    "for (wp::int64 k = 0; k < count && bit < 64; ++k) { int size = deepest - ((code[k] >> shift) & 63); "
+    "if (size < 0) break; bits |= 1ull << bit; bit += 1 << size; } return bits;"
+)
+def fill_word(
+    codes: wp.array(dtype=wp.uint16),
+    first: wp.int64,
+    count: wp.int64,
+    shift: wp.int32,
+    deepest: wp.int32,
+    bit: wp.int32,
+) -> wp.uint64:
+    """Return the bits that leaves set in a word from `bit` on, up to its end or the first leaf of a lower level.
+
+    A leaf of depth d sets one bit and takes 2^(deepest - d) of them.
+    """
+    ...
+
+
+@wp.func_native("""
+    const wp::uint16* code = codes.data + first;
+    wp::int64 k = 0;
+    int filled = 0;
+    bool differs = false;
+    for (int slot = first_slot; bit + filled < 64 && k + 64 <= readable && !pages.data[slot]; ++slot) {
+        wp::uint64 bits = 0;
+        const wp::uint16* next = code + k;
+        for (int at = 0; at < 64; ++next) {
+            int size = deepest - ((*next >> shift) & 63);
+            if (size < 0 || size > 5) goto end;
+            bits |= 1ull << at;
+            at += 1 << size;
+        }
+        const int leaves = next - code - k;
+        if (k + leaves > count) goto end;
+        if (words.data[slot] != bits) {
+            words.data[slot] = bits;
+            differs = true;
+        }
+        counts.data[slot] = leaves - 1;
+        k += leaves;
+        ++filled;
+    }
+end:
+    if (differs) state.data[3] = 1;
+    return k << 8 | filled;
+""")
+def fill_words(
+    codes: wp.array(dtype=wp.uint16),
+    first: wp.int64,
+    count: wp.int64,
+    readable: wp.int64,
+    shift: wp.int32,
+    deepest: wp.int32,
+    bit: wp.int32,
+    first_slot: wp.int32,
+    words: wp.array(dtype=wp.uint64),
+    counts: wp.array(dtype=wp.int32),
+    pages: wp.array(dtype=wp.int32),
+    state: wp.array(dtype=wp.int32),
+) -> wp.int64:
+    """Store the whole words of one level below the bits of a word from `bit` on, as long as no leaf is of another
+    level and nothing is below them; return the number of leaves << 8 | the number of words."""
+    ...
+
+
+@wp.func
+def close_word(
+    t: Bitfield,
+    run: LeafRun,
+    slot: wp.int32,
+    level: wp.int32,
+    cell: wp.uint64,
+    bits: wp.uint64,
+    entered: wp.uint64,
+    leaves: wp.int64,
+):
+    """Store a word that a run has passed, up to `cell`, with `bits`, and with words below those in `entered` alone.
+
+    A word that runs share is not overwritten: each flips the bits that are its own, and the word is summed afterwards.
+    """
+    shift = wp.uint64(WORD_BITS * level)
+    above = wp.uint64(WORD_BITS * (level + 1))
+    base = ((cell - ONE) >> above) << above
+    size = ONE << wp.uint64(wp.min(t.max_depth, WORD_BITS * level + WORD_BITS))
+    own = ALL_BITS
+    old = item_at(t.words, slot)
+    old_stored = item_at(t.stored, slot)
+    if base >= run.start and base + size <= run.end:
+        if old != bits or old_stored != entered:
+            put(t.words, slot, bits)
+            put(t.stored, slot, entered)
+            t.state[DIFFERS] = 1
+        put(t.counts, slot, wp.int32(leaves) - 1)
+    else:
+        part = (ONE << shift) - ONE
+        if run.start > base:
+            own = ~bits_below(wp.int32((run.start - base + part) >> shift))
+        if run.end < base + size:
+            own = own & bits_below(wp.int32((run.end - base + part) >> shift))
+        if (((old ^ bits) | (old_stored ^ entered)) & own) != wp.uint64(0):
+            fetch_xor(t.words, slot, (old ^ bits) & own)
+            fetch_xor(t.stored, slot, (old_stored ^ entered) & own)
+            t.state[DIFFERS] = 1
+        mark_changed(t, slot, level)
+    gone = old_stored & ~entered & own
+    while gone != wp.uint64(0):
+        below = 64 * t.pages[slot] + lowest_bit(gone)
+        t.words[below] = wp.uint64(0)
+        t.stored[below] = wp.uint64(0)
+        t.counts[below] = 0
+        t.pages[below] = 0
+        gone = gone & (gone - ONE)
+
+
+@wp.kernel
+def set_leaves(t: Bitfield, run: LeafRun):
+    """Make the leaves of a run those of the tree: along the curve, down and up between the levels of words.
+
+    A word's bits are gathered in a register, and its leaves are counted by their numbers.
+    """
+    slots = SlotPath()  # of the words that are open, by level
+    bits = BitPath()
+    entered = BitPath()  # bits below which there are words
+    before = BitPath()  # leaves of the run before the word
+    level = t.top
+    slots[level] = ROOT
+    cell = run.start
+    k = wp.int64(0)
+    same = run.first_same
+    next_same = first_of_same(run, same)
+    while k < run.count:
+        size = bits_of_node(run, k)
+        if k == next_same:
+            size = run.levels - run.same[same].depth
+        filled = wp.int32(0)
+        if level > 0 and size < WORD_BITS * level and size >= WORD_BITS * (level - 1):
+            if (cell & (cells_of_bit(level) - ONE)) == wp.uint64(0) and k < next_same:
+                # Whole words of the next level.
+                page = page_below(t, slots[level])
+                if page == 0:
+                    return
+                bit = bit_of(cell, level)
+                slot = 64 * page + bit
+                codes = run.codes
+                at = run.first + k
+                count = next_same - k
+                left = run.count - k
+                deepest = run.levels - WORD_BITS * (level - 1)
+                found = fill_words(
+                    codes, at, count, left, run.shift, deepest, bit, slot, t.words, t.counts, t.pages, t.state
+                )
+                filled = wp.int32(found & wp.int64(255))
+                passed = bits_below(bit + filled) & ~bits_below(bit)
+                bits[level] = bits[level] | passed
+                entered[level] = entered[level] | passed
+                k += found >> wp.int64(8)
+                cell += wp.uint64(filled) << wp.uint64(WORD_BITS * level)
+        if filled == 0:
+            # Down, until a leaf, or a node whose leaves are the same, is not smaller than a bit.
+            while size < WORD_BITS * level:
+                bit = bit_of(cell, level)
+                bits[level] = bits[level] | (ONE << wp.uint64(bit))
+                entered[level] = entered[level] | (ONE << wp.uint64(bit))
+                page = page_below(t, slots[level])
+                if page == 0:
+                    return
+                level -= 1
+                slots[level] = 64 * page + bit
+                bits[level] = wp.uint64(0)
+                entered[level] = wp.uint64(0)
+                before[level] = wp.uint64(k)
+            # Along the word.
+            bit = bit_of(cell, level)
+            if k == next_same:
+                stays = bits_below(bit + (1 << (size - WORD_BITS * level))) & ~bits_below(bit)
+                bits[level] = bits[level] | (item_at(t.words, slots[level]) & stays)
+                entered[level] = entered[level] | (item_at(t.stored, slots[level]) & stays)
+                cell += ONE << wp.uint64(size)
+                k += wp.int64(run.same[same].count)
+                same += wp.int64(1)
+                next_same = first_of_same(run, same)
+            else:
+                deepest = run.levels - WORD_BITS * level
+                word = fill_word(run.codes, run.first + k, next_same - k, run.shift, deepest, bit)
+                bits[level] = bits[level] | word
+                k += wp.int64(count_bits(word))
+                cell += wp.uint64(highest_bit(word) - bit) << wp.uint64(WORD_BITS * level)
+                cell += ONE << wp.uint64(bits_of_node(run, k - wp.int64(1)))
+        # Up, out of the words that end here.
+        while level < t.top and (cell & (cells_of_bit(level + 1) - ONE)) == wp.uint64(0):
+            close_word(t, run, slots[level], level, cell, bits[level], entered[level], k - wp.int64(before[level]))
+            level += 1
+    while level <= t.top:
+        close_word(t, run, slots[level], level, cell, bits[level], entered[level], k - wp.int64(before[level]))
+        level += 1

@@ -40,8 +40,8 @@ ROOMS = {
         "accuracy",
     ],
     "cbt_terrain": [
-        *("errors", "plain_numbers", "run", "ask", "field", "tree", "leb", "history", "refine", "mesh", "terrain", "query"),
-        *("effects", "evaluate", "scatter", "maps", "importing", "land_effects", "land", "fit", "accuracy"),
+        *("errors", "plain_numbers", "run", "ask", "field", "tree", "leb", "history", "refine", "mesh", "terrain"),
+        *("query", "effects", "evaluate", "scatter", "maps", "importing", "land_effects", "land", "fit", "accuracy"),
     ],
     "operators": [
         *("text", "mesh", "demand", "properties", "request", "scene", "ground", "viewport", "land", "importing"),

@@ -376,7 +376,50 @@ def frame() -> str:
     return picture(WIDTH, third + tall + 30, "A frame as data", parts)
 
 
-FIGURES = {draw.__name__: draw for draw in (frame, diamond, curve, strip, band, error, rim)}
+# Processor time of one thread in a flight over rough ground, milliseconds: the walk with its tree, a pass of the
+# classic update, most passes and time until nothing changes in the next frame, the same after a cut. The last number is
+# libcbt's split pass and decoding at depth 27, see docs/method.md.
+PASSES = {
+    "50,000": (3.07, 15.5, 4, 60.6, 12, 174.0, 26.1),
+    "500,000": (15.6, 149.0, 7, 1_042.0, 13, 1_863.0, 283.0),
+    "1,000,000": (19.2, 380.0, 8, 2_592.0, 12, 4_173.0, 590.0),
+}
+
+
+def passes() -> str:
+    """The walk beside the classic update: measured times on a scale of decades."""
+    left, right, top, tall, low, high = 150, WIDTH - 40, 66, 118, 0.0, 4.0
+
+    def x(ms: float) -> float:
+        return left + (math.log10(ms) - low) / (high - low) * (right - left)
+
+    parts = [text(28, 30, "milliseconds until the mesh of a frame is there", look="bold")]
+    for decade in range(5):
+        at = x(10.0**decade)
+        parts.append(path([(at, top - 12), (at, top + tall * len(PASSES) - 30)], LINE, 1))
+        parts.append(text(at, top - 18, f"{10**decade:,} ms", "middle", look="soft small"))
+    for row, (leaves, (walk, one, flight, flight_ms, cut, cut_ms, other)) in enumerate(PASSES.items()):
+        y = top + tall * row
+        parts.append(text(28, y + 36, leaves, look="bold"))
+        parts.append(text(28, y + 54, "leaves", look="soft small"))
+        bars = (
+            (walk, TEAL, f"the walk: one call, {walk:.3g} ms"),
+            (one, GOLD, f"a pass of splits and merges: {one:.3g} ms"),
+            (flight_ms, GOLD, f"the next frame of a flight, up to {flight} passes: {flight_ms:,.0f} ms"),
+            (cut_ms, GOLD, f"after a cut, {cut} passes: {cut_ms:,.0f} ms"),
+            (other, SOFT, f"libcbt, one split pass and decoding: {other:.3g} ms"),
+        )
+        for k, (ms, colour, words) in enumerate(bars):
+            at = y + 18 * k
+            parts.append(f'<rect x="{left}" y="{at}" width="{x(ms) - left:.1f}" height="12" rx="3" fill="{colour}"/>')
+            if x(ms) < 0.5 * (left + right):
+                parts.append(text(x(ms) + 8, at + 11, words, look="soft small"))
+            else:
+                parts.append(text(x(ms) - 8, at + 11, words, "end", look="small", colour=PAPER))
+    return picture(WIDTH, top + tall * len(PASSES) - 8, "The walk and the classic update of the tree: times", parts)
+
+
+FIGURES = {draw.__name__: draw for draw in (frame, diamond, curve, strip, band, error, rim, passes)}
 
 
 def main() -> None:

@@ -21,10 +21,11 @@ FRAMES = 5
 
 @dataclass
 class Convergence:
-    """Passes until no leaf changes, with the last one, that finds so, and the median time of a pass."""
+    """Passes until no leaf changes, with the last one, that finds so; their median and their whole time."""
 
     passes: int
     pass_ms: float
+    all_ms: float
 
 
 def split_merge_row(rough: HeightField) -> Row:
@@ -45,12 +46,14 @@ def split_merge_row(rough: HeightField) -> Row:
     row.ratio = row.ms / row.baseline_ms
     row.figures = {"passes_from_roots": root.passes, "passes_after_cut": cut.passes}
     row.figures["passes_in_flight"] = max(flight.passes for flight in flights)
+    row.figures["after_cut_ms"] = cut.all_ms
+    row.figures["in_flight_ms"] = statistics.median(flight.all_ms for flight in flights)
     return row
 
 
 def _converge(tree: ConcurrentBinaryTree, terrain: Terrain) -> Convergence:
     """Make passes until the tree has the leaves of the terrain's last update."""
-    domain, asked, max_depth, _ = terrain._hides
+    domain, asked, max_depth, _ = terrain.history.last.result.hides
     times, changes = [], 1
     while changes:
         with stopwatch() as elapsed:
@@ -58,4 +61,4 @@ def _converge(tree: ConcurrentBinaryTree, terrain: Terrain) -> Convergence:
         times.append(elapsed[0])
     if tree.to_bytes() != terrain.tree.to_bytes():
         raise TerrainError("The passes ended with other leaves than the walk has found.")
-    return Convergence(len(times), statistics.median(times))
+    return Convergence(len(times), statistics.median(times), sum(times))

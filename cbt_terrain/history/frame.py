@@ -57,8 +57,8 @@ class Vertices:
 class Frame:
     """The arrays of one frame and the facts that say what is in them.
 
-    `key`: the arguments of the update. `subtrees`: None if none were cached. `reused_points`: runs of points that were in the last frame, None without
-    any. `result`: the update.
+    `key`: the arguments of the update. `subtrees`: None if none were cached. `reused_points`: runs of points that were
+    in the last frame, None without any. `result`: the update.
     """
 
     arrays: Buffers = field(default_factory=Buffers)

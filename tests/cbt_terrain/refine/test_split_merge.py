@@ -10,6 +10,7 @@ from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import PANORAMIC, View
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.leb.bisection import plant
+from adaptive_terrain.cbt_terrain.refine import refinement
 from adaptive_terrain.cbt_terrain.refine.split_merge import split_merge
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
@@ -51,13 +52,12 @@ def random_criterion(asks: str, rng) -> Criterion:
     return Criterion(**limits | numbers, max_depth=[None, 7, 12][rng.integers(3)])
 
 
-def walked(terrain: Terrain, criterion: Criterion, views: list[View]) -> tuple:
-    """Update a terrain; return the domain, what was asked, and the depth of its last walk."""
-    calls, run = [], terrain._refinement.run
-    terrain._refinement.run = lambda *args: calls.append(args) or run(*args)
+def walked(terrain: Terrain, criterion: Criterion, views: list[View], monkeypatch) -> tuple:
+    """Update a terrain; return the domain, the criterion in kernels, and the depth of its last walk."""
+    requests, refine = [], refinement.refine
+    monkeypatch.setattr("adaptive_terrain.cbt_terrain.terrain.refine", lambda *a: requests.append(a[1]) or refine(*a))
     terrain.update(criterion, views)
-    terrain._refinement.run = run
-    return calls[-1][:3]
+    return requests[-1].domain, requests[-1].asked, requests[-1].max_depth
 
 
 def converge(tree: ConcurrentBinaryTree, lattice, asked: tuple) -> int:
@@ -79,7 +79,7 @@ def test_passes_end_with_the_leaves_of_the_walk(asks, monkeypatch):
         size = np.array([2.0 * ground.lattice.width, 2.0 * ground.lattice.height])
         views = [random_view(rng, size) for _ in range(rng.integers(1, 3))]
         terrain = Terrain(ground, 1)
-        asked = walked(terrain, random_criterion(asks, rng), views)
+        asked = walked(terrain, random_criterion(asks, rng), views, monkeypatch)
         key = k % 3, terrain.tree.max_depth
         if key not in trees:
             trees[key] = ConcurrentBinaryTree(terrain.tree.max_depth, int(rng.integers(1, 4)))
@@ -90,10 +90,10 @@ def test_passes_end_with_the_leaves_of_the_walk(asks, monkeypatch):
     assert max(passes) > 3
 
 
-def test_a_pass_changes_leaves_by_one_level():
+def test_a_pass_changes_leaves_by_one_level(monkeypatch):
     ground, view = rough(65, 65), View.look((0.0, -300.0, 120.0), (0, 0, 0))
     terrain = Terrain(ground, 1)
-    asked = walked(terrain, Criterion(error_px=1.0), [view])
+    asked = walked(terrain, Criterion(error_px=1.0), [view], monkeypatch)
     tree = ConcurrentBinaryTree(terrain.tree.max_depth)
     plant(tree, ground.lattice)
     for _ in range(terrain.tree.depths().max() - 1):

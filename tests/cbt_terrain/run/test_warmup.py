@@ -18,8 +18,10 @@ def with_kernels(folder: Path) -> set[str]:
     return {path.stem for path in folder.glob("*.py") if "wp.kernel" in path.read_text("utf-8")}
 
 
-OF_A_FRAME = set().union(*(with_kernels(ROOT / "kernels" / room) for room in ("field", "refine", "budget", "mesh")))
-OF_A_FRAME -= {"horizon_map"}  # what ground hides is for who asks for it
+OF_A_FRAME = set().union(
+    *(with_kernels(ROOT / "kernels" / room) for room in ("field", "tree", "refine", "budget", "mesh"))
+)
+OF_A_FRAME -= {"horizon_map", "split_merge", "edits"}  # occlusion and edits of single nodes are compiled on demand
 OF_THE_OVERLAY = with_kernels(ROOT / "kernels" / "accuracy")
 # Modules that are compiled in a moment: half of a minute is what all would take.
 QUICK = "fill", "holes", "replay", "meshlet", "drawing", "grid"

@@ -6,7 +6,7 @@ import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.view import View
-from adaptive_terrain.cbt_terrain.refine import refinement
+from adaptive_terrain.cbt_terrain.refine import slices
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import shared
 from adaptive_terrain.cbt_terrain.terrain import Terrain
@@ -96,7 +96,8 @@ def test_leaves_in_parts_give_the_tree_of_all_leaves(max_depth, seed, threads):
 
 def taken(terrain: Terrain) -> int:
     """Leaves that the last update took from the frame before."""
-    return int(terrain._buffers.numpy("taken")[: terrain._refinement._last.slots].sum())
+    history = terrain.history
+    return int(history.scratch.numpy("reused")[: history.last.subtrees.slots].sum())
 
 
 def assert_as_new(flown: Terrain, criterion: Criterion, view: View) -> None:
@@ -120,7 +121,7 @@ def test_points_that_are_taken_without_room_for_runs_are_displaced_again(monkeyp
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     flown = Terrain(rough(129, 129, relief=20.0), 2)
     for frame, room in enumerate((1000, 2, 1000, 1)):
-        monkeypatch.setattr(refinement, "_room_for", lambda _leaves, room=room: room)
+        monkeypatch.setattr(slices, "room_for", lambda _leaves, room=room: room)
         assert_as_new(flown, ERROR, over(frame))
 
 

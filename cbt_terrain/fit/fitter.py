@@ -98,6 +98,7 @@ class Fitter:
         error, table = self._codes(error_m)
         domain = make_domain(replace(field, error=error, expanded={}), 0, *self.placement)
         domain.table = shared(table, wp.float32)
+        domain.is_raised = 1
         m, asked, known = self._mesh(error_m), _asked(error_m), self._nothing_known()
         m.codes, work = shared(error, wp.uint8), Sweeps(self, m, buffers)
         for rounds in range(1, MAX_MESHES + 1):

@@ -111,11 +111,6 @@ def judge(
             sure = SURE
     own = wp.float64(error) * domain.error_scale
     verdict = foretold(cell.band, p.depth, sure * own, own)
-    if verdict == DOUBT and sure < wp.float64(1.0):
-        sure = wp.float64(1.0)
-        error = error_at(domain, p.x, p.y, p.depth)
-        own = wp.float64(error) * domain.error_scale
-        verdict = foretold(cell.band, p.depth, own, own)
     last = step - 1
     looks = wp.bool(False)
     measured = wp.int32(0)

@@ -39,6 +39,7 @@ class Domain:
     mask_top: wp.int32  # the last level
     detail_rim: wp.int32  # deepest leaves whose triangles may reach over the raster's rim
     bicubic: wp.int32  # 1: the surface is bicubic, and the hierarchy that of kernels/bicubic/patches.py
+    is_raised: wp.int32  # 1: stored errors are more than those of the surface on purpose, also inside cells
     base: wp.array(dtype=wp.int64)  # of each group of depths, the cells and the bends: its first entry
     pages: wp.array(dtype=wp.int32)  # ... and pages in a row
     cell_base: wp.int64  # the same of the raster's cells

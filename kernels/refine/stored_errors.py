@@ -53,34 +53,36 @@ def exact_cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
     error is never more than four times this. Where no code of a ring counts, none of a later one does. Half of the own
     code counts at least: a band can tell then what is certain without twists.
     """
-    stored = cell_error(domain, i, j)
-    found = stored
-    if stored > wp.float32(0.0):
-        found = wp.max(twist_error(domain, i, j), wp.float32(SURE) * stored)
-        counts = wp.bool(True)
-        ring = wp.int32(1)
-        part = wp.float32(0.25)
-        while counts and ring <= RINGS + 1 and found < stored:
-            counts = wp.bool(False)
-            before = found
-            for k in range(4 * ring):
-                t = k % ring
-                side = k / ring
-                x = wp.where((side & 1) == 0, ring - t, -t)
-                y = wp.where((side & 1) == 0, t, ring - t)
-                x = i + wp.where(side < 2, x, -x)
-                y = j + wp.where(side < 2, y, -y)
-                error = part * cell_error(domain, x, y)
-                if error > before:
-                    counts = wp.bool(True)
-                if error > found:
-                    if ring <= RINGS:
-                        error = part * twist_error(domain, x, y)
-                    found = wp.max(error, found)
-            ring += 1
-            part = wp.float32(0.25) * part
-        found = wp.min(found, stored)
-    return found
+    stored = wp.float32(0.0)
+    found = wp.float32(0.0)
+    counts = wp.bool(True)
+    ring = wp.int32(0)
+    part = wp.float32(1.0)
+    while counts and ring <= RINGS + 1:
+        counts = wp.bool(False)
+        before = found
+        for k in range(wp.max(4 * ring, 1)):
+            t = k % wp.max(ring, 1)
+            side = k / wp.max(ring, 1)
+            x = wp.where((side & 1) == 0, ring - t, -t)
+            y = wp.where((side & 1) == 0, t, ring - t)
+            x = i + wp.where(side < 2, x, -x)
+            y = j + wp.where(side < 2, y, -y)
+            error = part * cell_error(domain, x, y)
+            if ring == 0:
+                stored = error
+            if error > before:
+                counts = wp.bool(True)
+            if error > found:
+                if ring <= RINGS:
+                    error = part * twist_error(domain, x, y)
+                found = wp.max(error, found)
+        if ring == 0:
+            found = wp.max(found, wp.float32(SURE) * stored)
+        counts = counts and found < stored
+        ring += 1
+        part = wp.float32(0.25) * part
+    return wp.min(found, stored)
 
 
 @wp.func
@@ -158,12 +160,11 @@ def exact_raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.in
     bits = domain.unit_bits - domain.levels
     i = x >> bits
     j = y >> bits
-    error = exact_cell_error(domain, i, j)
-    if (depth & 1) == 0:
-        if (i << bits) == x:
-            error = wp.max(error, exact_cell_error(domain, i - 1, j))
-        if (j << bits) == y:
-            error = wp.max(error, exact_cell_error(domain, i, j - 1))
+    error = wp.float32(0.0)
+    for k in range(3):  # one call: Warp passes structs by value, and compilers undo that of a function with one caller
+        shares = (depth & 1) == 0 and wp.where(k == 1, (i << bits) == x, (j << bits) == y)
+        if k == 0 or shares:
+            error = wp.max(error, exact_cell_error(domain, i - wp.int32(k == 1), j - wp.int32(k == 2)))
     return error / wp.float32(wp.int64(1) << wp.int64(halvings_at(domain, depth)))
 
 
@@ -223,7 +224,7 @@ def stored_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -
 @wp.func
 def may_be_less(domain: Domain, depth: wp.int32) -> wp.bool:
     """Return whether `error_at` of a diamond at a depth may be less than what is stored."""
-    return depth > 2 * domain.levels and domain.bicubic == 0
+    return depth > 2 * domain.levels and domain.bicubic == 0 and domain.is_raised == 0
 
 
 @wp.func

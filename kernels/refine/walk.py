@@ -60,11 +60,6 @@ def judge(domain: Domain, asked: Asked, limits: Limits, w: Walk, r: Reuse, q: Sq
             sure = SURE
     own = wp.float64(error) * domain.error_scale
     verdict = foretold(above, c.depth, sure * own, own)
-    if verdict == DOUBT and sure < wp.float64(1.0):
-        sure = wp.float64(1.0)
-        error = error_at(domain, middle[0], middle[1], c.depth)
-        own = wp.float64(error) * domain.error_scale
-        verdict = foretold(above, c.depth, own, own)
     if c.depth < w.max_depth:
         narrows = above.calm == 1 and above.even_depth == 0 and (c.depth & 1) == 0
         narrows = narrows and above.leaf_depth - c.depth > NARROWED

@@ -7,9 +7,10 @@ was found already.
 
 A diamond is refined for its whole box, which must be nested too, but for those on either side of it. Here a triangle
 counts with its box, in the raster's cells with the heights that the surface has there, and with the part of it that
-can be in the frame: one that reaches from under the camera into the frame is seen no nearer than where it enters. A leaf
-that is large compared with its distance is divided further. Each part counts with its distance, and with the largest
-distance of the surface in it from the triangle that is drawn there.
+can be in the frame: one that reaches from under the camera into the frame is seen no nearer than where it enters.
+
+A leaf that is large compared with its distance is divided further. Each part counts with its distance, and with the
+largest distance of the surface in it from the triangle that is drawn there.
 """
 
 import warp as wp

@@ -12,7 +12,7 @@ SMOKE := $(addprefix tests/cbt_terrain/,field/test_store.py importing/test_impor
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: demo test smoke test-all kernels fuzz hard-cases bench accuracy effects animation fly-over figures lint format extension clean help
+.PHONY: demo test smoke test-all kernels fuzz hard-cases bench accuracy effects animation fly-over figures docs lint format extension clean help
 
 help:
 	@echo "make demo       the built-in island, 24 frames, pictures and a page in demo/"
@@ -28,6 +28,7 @@ help:
 	@echo "make animation  docs/animation.md: how far points pop, whether a scatter stands still, what a farm was seen to do"
 	@echo "make fly-over   a flight over the demo's island through a farm's job in the real Blender program (Debian, root)"
 	@echo "make figures    the figures of docs/method"
+	@echo "make docs       the site of docs/ in site/, with a check of all links and pictures"
 	@echo "make lint       ruff check and format check"
 	@echo "make extension  the extension's zip for this platform in dist/"
 
@@ -80,6 +81,15 @@ fly-over: $(READY) demo
 figures: $(READY)
 	$(PY) tools/draw_figures.py
 
+# A small environment for the site alone: nothing of it is in requirements.lock. A dead link is an error.
+docs: .venv-docs/.ready
+	NO_MKDOCS_2_WARNING=1 .venv-docs/bin/python -m mkdocs build --quiet --strict
+
+.venv-docs/.ready: tools/site_requirements.txt
+	$(PYTHON) -m venv .venv-docs
+	.venv-docs/bin/python -m pip install --quiet --disable-pip-version-check --requirement tools/site_requirements.txt
+	@touch $@
+
 lint: $(READY)
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
@@ -99,4 +109,4 @@ $(READY): requirements.lock pyproject.toml tools/check_system.py
 	@touch $@
 
 clean:
-	rm -rf demo fly_over dist build .pytest_cache .hypothesis .ruff_cache
+	rm -rf demo fly_over dist build site .pytest_cache .hypothesis .ruff_cache

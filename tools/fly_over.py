@@ -211,7 +211,7 @@ def farm_section(path: Path) -> list:
         Text(
             "A fly-over of the demo's island, 10 s with trees, *Smooth Transitions* on: its job was written by "
             "`submit` and run by a worker of Open Job Description in Blender 4.3, frames in random order "
-            "([jobs, steps and guards](farm.md)). `make fly-over` does it again."
+            "([jobs, steps and guards](howto/farm.md)). `make fly-over` does it again."
         ),
         Table(["", ""], rows),
         Text("![Ten frames of the fly-over](images/fly_over.jpg)"),

@@ -41,8 +41,8 @@ PLOTS = "images/accuracy_"
 METRES_PER_DEGREE = 111_320.0
 INTRODUCTION = (
     "Written by `make accuracy`; do not edit it by hand. `adaptive-terrain accuracy --store DIR --out DIR` writes such "
-    "a page of any terrain, as HTML too, with all figures as CSV and JSON ([the manual](manual.md#what-accuracy-costs) "
-    "has the options). Absolute times are of one machine on one day."
+    "a page of any terrain, as HTML too, with all figures as CSV and JSON ([its "
+    "options](reference/commands/accuracy.md)). Absolute times are of one machine on one day."
 )
 
 

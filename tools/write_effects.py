@@ -56,7 +56,7 @@ Written by `make effects`; do not edit it by hand. Absolute times are of one mac
 An effect is something that a material, a modifier or a map may read of a terrain: its slope, its layers, how
 much sky it sees. **Only what is read is computed.** The extension looks which attributes your node trees read,
 adds what those effects read themselves, and runs that, once. `adaptive-terrain effects --scene shot.blend` says
-who reads what, and why the rest is skipped; so does the panel [Effects](manual.md#effects).
+who reads what, and why the rest is skipped; so does the panel [Effects](reference/panel/effects.md).
 """
 SCALES = """## Two scales
 

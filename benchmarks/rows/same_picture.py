@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rows `same_picture`: costs of the coarsest error whose picture resembles that of the whole grid as much as dicing's.
 
-They need 8 GB of memory. `python -m adaptive_terrain.benchmarks.rows.same_picture FOLDER` prints the manual's table and
-writes its picture shading_by_map.jpg. Use the newest bpy: Cycles' dicing became several times faster between Blender
+They need 8 GB of memory. `python -m adaptive_terrain.benchmarks.rows.same_picture FOLDER` prints the table of
+docs/understand/picture.md and writes its picture shading_by_map.jpg. Use the newest bpy: Cycles' dicing became several times faster between Blender
 4.2 and 5.2.
 """
 
@@ -29,7 +29,7 @@ SAME = 0.002  # difference in SSIM below which two pictures count as the same
 # Errors to choose from: the coarsest, and STEPS finer ones, a quarter of an octave apart.
 COARSEST_PX, STEPS, STEP = 8.0, 36, 2**-0.25
 DICING_PX = (1.0, 2.0, 4.0)
-# The manual's picture: the whole grid, our mesh, and our mesh with a map, under a low sun; a crop of each.
+# The picture of that page: the whole grid, our mesh, and our mesh with a map, under a low sun; a crop of each.
 SHOWN, CROP = (GRID, ERROR, MAPPED), (slice(95, 335), slice(250, 890))
 TABLE_PX = (1.0, 0.5, 0.25, 0.1, 0.05)
 BASELINE = "cycles dicing"

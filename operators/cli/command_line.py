@@ -43,7 +43,7 @@ DETAIL = {
     "help": "metres of height and length of detail below the raster's cells",
 }
 CAMERA = {"metavar": "NAME", "help": "a camera of the scene, instead of its active one"}
-CAMERA_PATH = {"type": path, "metavar": "FILE.json", "help": "camera path for --store (docs/manual.md)"}
+CAMERA_PATH = {"type": path, "metavar": "FILE.json", "help": "camera path for --store (docs/reference/camera-path.md)"}
 RESOLUTION = {"type": SIZE, "metavar": "WxH", "help": "pixels (the scene's, or 1920x1080)"}
 
 
@@ -265,7 +265,7 @@ def _add_shape(subparsers) -> None:
     verb.add_argument("--stack", type=path, required=True, metavar="FILE.json", help="the effects, in their order")
     verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder of the store to write")
     verb.add_argument(
-        "--path", type=path, metavar="FILE.json", help="only tiles that this camera sees (docs/manual.md)"
+        "--path", type=path, metavar="FILE.json", help="only tiles that this camera sees"
     )
     verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path (all)")
     verb.add_argument("--resolution", type=SIZE, metavar="WxH", help="pixels of the camera (1920x1080)")

@@ -196,7 +196,7 @@ def _export_source(arguments):
     if arguments.scatter:
         raise UsageError("--scatter belongs to --scene: a store has no scatters")
     if not arguments.path:
-        raise UsageError("--store needs --path FILE.json, the camera's keyframes (docs/manual.md has the format)")
+        raise UsageError("--store needs --path FILE.json, a camera path: see docs/reference/camera-path.md")
     criterion = Criterion(
         error_px=1.0 if arguments.pixel_error is None else arguments.pixel_error,
         max_triangles=arguments.budget,

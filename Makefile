@@ -28,7 +28,7 @@ help:
 	@echo "make animation  docs/animation.md: how far points pop, whether a scatter stands still, what a farm was seen to do"
 	@echo "make fly-over   a flight over the demo's island through a farm's job in the real Blender program (Debian, root)"
 	@echo "make figures    the figures of docs/method"
-	@echo "make docs       the site of docs/ in site/, with a check of all links and pictures"
+	@echo "make docs       the site of docs/ in site/; read it with python -m http.server -d site"
 	@echo "make lint       ruff check and format check"
 	@echo "make extension  the extension's zip for this platform in dist/"
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The documents: every link leads somewhere, and every figure is the one that its script draws."""
+"""The documents: links and pictures exist, pages are short and name what the code has, figures are their scripts'."""
 
+import argparse
+import ast
 import importlib.util
 import re
 from pathlib import Path
@@ -10,6 +12,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 LINK = re.compile(r"!?\[(?:[^\]]|\n)*\]\(([^)\s]+)\)")
+NAV = re.compile(r"^ *- (?:[^#\n]*: )?(\S+\.md)$", re.MULTILINE)
+MAX_WORDS = 700
 CODE = re.compile(r"^```.*?^```|^    .*?$|`[^`\n]*`", re.MULTILINE | re.DOTALL)
 
 
@@ -29,6 +33,77 @@ def test_every_link_of_a_page_leads_somewhere(page):
         target = (page.parent / name).resolve() if name else page
         assert target.exists(), link
         assert not anchor or anchor in anchors(target), link
+
+
+def pages_of(*folders: str) -> list[Path]:
+    return [page for folder in folders for page in sorted((ROOT / "docs" / folder).glob("*.md"))]
+
+
+def test_the_site_lists_every_page_once():
+    listed = NAV.findall((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    pages = [page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")]
+    assert sorted(listed) == sorted(pages)
+
+
+FOR_USERS = pages_of("start", "howto", "understand", "reference/panel")
+
+
+@pytest.mark.parametrize("page", FOR_USERS, ids=lambda page: page.stem)
+def test_a_page_for_users_is_short_and_has_a_picture(page):
+    text = page.read_text(encoding="utf-8")
+    assert len(text.split()) <= MAX_WORDS
+    assert re.search(r"!\[[^\]]+\]\([^)]+\.(?:jpg|png|svg)\)", text)
+
+
+def texts_in(folder: Path) -> set[str]:
+    """Every text in the code of a folder, those of an f-string in their parts."""
+    trees = (ast.parse(path.read_text(encoding="utf-8")) for path in folder.rglob("*.py"))
+    nodes = (node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Constant))
+    return {node.value for node in nodes if isinstance(node.value, str)}
+
+
+@pytest.fixture(scope="module")
+def labels() -> set[str]:
+    """Labels of panels and operators, without a unit; names of parameters as a panel makes labels of them."""
+    texts = texts_in(ROOT / "operators") | texts_in(ROOT / "cbt_terrain")
+    titles = {text.replace("_", " ").title() for text in texts if re.fullmatch("[a-z_]+", text)}
+    return {text.strip(" :") for text in texts} | titles
+
+
+@pytest.mark.parametrize("page", pages_of("reference/panel"), ids=lambda page: page.stem)
+def test_the_panels_have_every_label_of_their_pages(page, labels):
+    rows = re.findall(r"^\| (\*[^|]*)\|", page.read_text(encoding="utf-8"), re.MULTILINE)
+    named = [name for row in rows for name in re.findall(r"(?<!\*)\*([^*]+)\*(?!\*)", row)]
+    named = [name for name in named if not re.match(r"[\d.]+ px", name)]
+    assert named and [name for name in named if name not in labels] == []
+
+
+def test_the_page_of_a_command_has_its_options():
+    from adaptive_terrain.operators.cli.command_line import build_parser
+
+    verbs = next(a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction)).choices
+    pages = {page.stem: page for page in pages_of("reference/commands")}
+    assert set(pages) == {*verbs, "index"} - {"bench"}
+    for name, verb in verbs.items():
+        text = pages["demo" if name == "bench" else name].read_text(encoding="utf-8")
+        text = text.partition("## bench")[2 if name == "bench" else 0]
+        options = {option for action in verb._actions for option in action.option_strings if option.startswith("--")}
+        options -= {"--help", "--progress"}
+        table = "\n".join(line for line in text.splitlines() if line.startswith("|"))
+        found = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", table))
+        assert options - found == set(), f"missing on the page of {name}"
+        described = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", table.replace("`--path`, or", "")))
+        assert described - options <= {"--store", "--path", "--frames"}, f"unknown on the page of {name}"
+
+
+def test_the_api_page_has_every_public_name():
+    import adaptive_terrain
+
+    page = (ROOT / "docs" / "reference" / "python-api.md").read_text(encoding="utf-8")
+    named = re.findall(r"^::: adaptive_terrain\.cbt_terrain\.(\S+)\.(\w+)$", page, re.MULTILINE)
+    for module, name in named:
+        assert hasattr(importlib.import_module(f"adaptive_terrain.cbt_terrain.{module}"), name)
+    assert {name for _, name in named} >= set(adaptive_terrain.__all__)
 
 
 def test_no_page_of_the_method_is_out_of_reach():

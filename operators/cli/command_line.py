@@ -264,9 +264,7 @@ def _add_shape(subparsers) -> None:
     verb.add_argument("--store", type=path, required=True, metavar="DIR", help="the store to be shaped")
     verb.add_argument("--stack", type=path, required=True, metavar="FILE.json", help="the effects, in their order")
     verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder of the store to write")
-    verb.add_argument(
-        "--path", type=path, metavar="FILE.json", help="only tiles that this camera sees"
-    )
+    verb.add_argument("--path", type=path, metavar="FILE.json", help="only tiles that this camera sees")
     verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path (all)")
     verb.add_argument("--resolution", type=SIZE, metavar="WxH", help="pixels of the camera (1920x1080)")
     verb.add_argument("--pixel-error", type=PIXELS, metavar="PX", help="what a finer level has to change to count (1)")

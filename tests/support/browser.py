@@ -42,14 +42,14 @@ class Opened:
     wide: int
 
 
-def opened(page: Path, folder: Path, width: int = 1280) -> Opened:
-    """A page in a window of that width. `folder`: for what Chromium keeps."""
+def opened(page: Path | str, folder: Path, width: int = 1280) -> Opened:
+    """Open a page, a file or an address, in a window of that width. `folder`: for what Chromium keeps."""
     with _chromium(folder, width) as ask:
         target = ask("Target.createTarget", url="about:blank")["targetId"]
         session = ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             ask(f"{domain}.enable", session)
-        ask("Page.navigate", session, url=page.resolve().as_uri())
+        ask("Page.navigate", session, url=page if isinstance(page, str) else page.resolve().as_uri())
         ask.until("Page.loadEventFired")
 
         def value(script: str):

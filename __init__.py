@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Adaptive Terrain: a terrain of any size at exactly the detail that the camera can see, as an ordinary Blender mesh.
+"""Adaptive Terrain: a terrain at exactly the detail that the camera can see, as an ordinary Blender mesh.
 
 The repository's root is this package. Blender calls `register` and `unregister`; nothing here imports bpy before that,
 so that the engine runs, tests and benchmarks without Blender. Most programs need only the names below:

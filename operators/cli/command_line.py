@@ -115,7 +115,7 @@ def _with_frames_joined(argv: list[str]) -> list[str]:
 
 def build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog=PROGRAM, description="A terrain of any size at exactly the detail that the camera can see."
+        prog=PROGRAM, description="A terrain at exactly the detail that the camera can see."
     )
     subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     _add_import(subparsers)
@@ -268,7 +268,7 @@ def _add_shape(subparsers) -> None:
     verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path (all)")
     verb.add_argument("--resolution", type=SIZE, metavar="WxH", help="pixels of the camera (1920x1080)")
     verb.add_argument("--pixel-error", type=PIXELS, metavar="PX", help="what a finer level has to change to count (1)")
-    verb.add_argument("--whole", action="store_true", help="all tiles, of a raster of any size")
+    verb.add_argument("--whole", action="store_true", help="all tiles, also beyond 4097 x 4097 samples")
     verb.add_argument(
         "--finish-early", type=positive(1e9), metavar="SECONDS", help="then be content with the levels that are done"
     )

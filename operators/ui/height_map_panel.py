@@ -81,7 +81,8 @@ class ImportedPanel(TerrainSubpanel, bpy.types.Panel):
         column.operator("adaptive_terrain.pack_store", icon="PACKAGE")
         for notice in store_paths.notices.values():
             message(self.layout, notice, "INFO")
-        for text in (*imported.warnings, picture_note(imported)) if imported is not None else ():
+        notes = (*imported.warnings, picture_note(imported)) if imported is not None else ()
+        for text in filter(None, notes):
             message(column, text, "INFO")
 
 

@@ -16,6 +16,7 @@ from adaptive_terrain.operators.scene import session
 from adaptive_terrain.operators.scene.update_terrain import UpdateTerrain
 from adaptive_terrain.operators.text.shown_bounds import NO_BOUND
 from adaptive_terrain.operators.ui import status_bar
+from adaptive_terrain.operators.ui.height_map_panel import ImportedPanel
 from adaptive_terrain.operators.ui.panel_parts import wrapped
 from adaptive_terrain.operators.ui.panels import OutputPanel, TerrainPanel
 from adaptive_terrain.operators.ui.statistics_panel import statistics_lines, summary_lines
@@ -221,6 +222,12 @@ def test_the_panel_shows_that_kernels_are_prepared(scene, add_terrain, preparing
     preparing.done.set()
     assert not [call for call in draw(TerrainPanel).mock_calls if call[0].endswith("progress")]
     assert draw(OutputPanel).row().enabled is True
+
+
+def test_a_store_without_notes_has_no_empty_box(scene):
+    bpy.ops.mesh.adaptive_terrain_add()
+    boxes = [call for call in draw(ImportedPanel).mock_calls if call[0].endswith("box")]
+    assert boxes == []
 
 
 def test_the_panel_says_that_nothing_is_left(scene, add_terrain):

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The scene of a picture of the panel, run in Blender with a window: NAME FOLDER FILE.
+
+Touches FOLDER/NAME.ready when the scene is drawn."""
+
+import importlib
+import sys
+import time
+from pathlib import Path
+
+import bpy
+
+NAME, *_PATHS = sys.argv[sys.argv.index("--") + 1 :]
+FOLDER, FILE = map(Path, _PATHS)
+WAIT_S = 1200.0  # only so that a hang ends
+MOVES, QUIET_MS = 60, 60.0
+PACKAGE = bpy.types.Object.adaptive_terrain.keywords["type"].__module__.partition(".operators")[0]
+PANEL = "ADAPTIVE_TERRAIN_PT_"
+IMPORT_PANELS = {"main", "source", "imported", "surface"}
+LAND_PANELS = {"main", "land", "land_output", "scatters", "on_ground", "output"}
+
+
+def module(name: str):
+    return importlib.import_module(f"{PACKAGE}.{name}")
+
+
+def until(condition):
+    end = time.monotonic() + WAIT_S
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError("waited in vain")
+        yield 0.2
+
+
+def viewport():
+    window = bpy.context.window_manager.windows[0]
+    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+    regions = {region.type: region for region in area.regions}
+    return window, area, regions["WINDOW"], regions["UI"]
+
+
+def run(operator, *arguments, **options):
+    window, area, region, _ = viewport()
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        operator(*arguments, **options)
+
+
+def open_panels(names: set[str]) -> None:
+    """Register the panels anew, with these open and the others closed."""
+    panels = module("operators.ui.panels")
+    panels.unregister()
+    for cls in panels.CLASSES:
+        if issubclass(cls, bpy.types.Panel) and not getattr(cls, "preset_subdir", ""):
+            cls.bl_options = set() if cls.bl_idname.removeprefix(PANEL) in names else {"DEFAULT_CLOSED"}
+    panels.register()
+
+
+def settle(terrain):
+    """Move the camera by half a metre until an update is not disturbed by other programs; then let the window draw."""
+    record = module("operators.scene.session").record_of(terrain)
+    for _ in range(MOVES):
+        bpy.context.scene.camera.location.x += 0.5
+        yield 0.5
+        if sum(record.status.ms.values()) < QUIET_MS:
+            break
+    viewport()[1].tag_redraw()
+    yield 3.0
+    (FOLDER / f"{NAME}.ready").touch()
+
+
+def show_tab():
+    viewport()[1].spaces.active.show_region_ui = True
+    yield 1.5
+    viewport()[3].active_panel_category = "Terrain"
+    yield 1.0
+
+
+def look(view_3d, nearer: float) -> None:
+    """Bring the viewport nearer, with the camera at its place and a lens that sees all of it."""
+    view_3d.view_distance *= nearer
+    run(bpy.ops.view3d.camera_to_view)
+    view_3d.view_perspective = "PERSP"
+    bpy.context.scene.camera.data.lens *= 0.6
+
+
+def import_scene():
+    """A saved file beside its elevation model, reprojected, so that paths are short and nothing warns."""
+    bpy.data.objects.remove(bpy.data.objects["Cube"])
+    bpy.ops.wm.save_as_mainfile(filepath=str(FILE.with_name("valley.blend")))
+    open_panels(IMPORT_PANELS)
+    yield from show_tab()
+    terrain = bpy.data.objects.new("Terrain", bpy.data.meshes.new("Terrain"))
+    bpy.context.scene.collection.objects.link(terrain)
+    bpy.context.view_layer.objects.active = terrain
+    terrain.select_set(True)
+    settings = terrain.adaptive_terrain
+    settings.enabled, settings.source, settings.source_path, settings.project = True, "FILE", f"//{FILE.name}", "utm"
+    run(bpy.ops.adaptive_terrain.import_source, "INVOKE_DEFAULT")
+    yield from until(lambda: len(terrain.data.polygons) > 0)
+    yield 2.0
+    view_3d = viewport()[1].spaces.active.region_3d
+    look(view_3d, 0.75)
+    yield from settle(terrain)
+
+
+def land_scene():
+    """The built-in mountains, shaped, in one large viewport."""
+    bpy.data.objects.remove(bpy.data.objects["Cube"])
+    bpy.ops.wm.save_as_mainfile(filepath=str(FILE.with_name("mountains.blend")))
+    open_panels(LAND_PANELS)
+    run(bpy.ops.mesh.adaptive_terrain_add, "INVOKE_DEFAULT", land="MOUNTAINS", shape=True)
+    terrain = bpy.context.view_layer.objects.active
+    yield from until(lambda: len(terrain.data.polygons) > 0)
+    yield 3.0
+    run(bpy.ops.adaptive_terrain.shape, "INVOKE_DEFAULT")
+    jobs, shaped = module("operators.scene.land_jobs"), module("operators.scene.shaped_land")
+    yield 2.0
+    yield from until(lambda: not jobs.running and not shaped.state_of(terrain).wanted)
+    run(bpy.ops.screen.screen_full_area)
+    yield 2.0
+    look(viewport()[1].spaces.active.region_3d, 0.6)
+    yield 2.0
+    yield from show_tab()
+    yield from settle(terrain)
+
+
+def steps():
+    yield 2.0
+    yield from {"first_import": import_scene, "panel": land_scene}[NAME]()
+
+
+_steps = steps()
+bpy.app.timers.register(lambda: next(_steps, None), first_interval=2.0)

@@ -18,7 +18,7 @@ CODE = re.compile(r"^```.*?^```|^    .*?$|`[^`\n]*`", re.MULTILINE | re.DOTALL)
 
 
 def anchors(page: Path) -> set[str]:
-    """Of a page's headings, as GitHub makes them."""
+    """Return the anchors of a page's headings, as GitHub makes them."""
     headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
     names = [re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings]
     return {f"{name}-{names[:k].count(name)}".removesuffix("-0") for k, name in enumerate(names)}
@@ -56,7 +56,7 @@ def test_a_page_for_users_is_short_and_has_a_picture(page):
 
 
 def texts_in(folder: Path) -> set[str]:
-    """Every text in the code of a folder, those of an f-string in their parts."""
+    """Return every text in the code of a folder, those of an f-string in parts."""
     trees = (ast.parse(path.read_text(encoding="utf-8")) for path in folder.rglob("*.py"))
     nodes = (node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Constant))
     return {node.value for node in nodes if isinstance(node.value, str)}
@@ -64,7 +64,7 @@ def texts_in(folder: Path) -> set[str]:
 
 @pytest.fixture(scope="module")
 def labels() -> set[str]:
-    """Labels of panels and operators, without a unit; names of parameters as a panel makes labels of them."""
+    """Return the labels of panels and operators, and names of parameters as a panel turns them into labels."""
     texts = texts_in(ROOT / "operators") | texts_in(ROOT / "cbt_terrain")
     titles = {text.replace("_", " ").title() for text in texts if re.fullmatch("[a-z_]+", text)}
     return {text.strip(" :") for text in texts} | titles

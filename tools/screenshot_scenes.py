@@ -84,7 +84,7 @@ def look(view_3d, nearer: float) -> None:
 
 
 def import_scene():
-    """A saved file beside its elevation model, reprojected, so that paths are short and nothing warns."""
+    """Import a model in degrees, reprojected, into a saved file beside it: paths are short, and nothing warns."""
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     bpy.ops.wm.save_as_mainfile(filepath=str(FILE.with_name("valley.blend")))
     open_panels(IMPORT_PANELS)
@@ -104,7 +104,7 @@ def import_scene():
 
 
 def land_scene():
-    """The built-in mountains, shaped, in one large viewport."""
+    """Shape the built-in mountains, in one large viewport."""
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     bpy.ops.wm.save_as_mainfile(filepath=str(FILE.with_name("mountains.blend")))
     open_panels(LAND_PANELS)

@@ -2,8 +2,8 @@
 """Rows `same_picture`: costs of the coarsest error whose picture resembles that of the whole grid as much as dicing's.
 
 They need 8 GB of memory. `python -m adaptive_terrain.benchmarks.rows.same_picture FOLDER` prints the table of
-docs/understand/picture.md and writes its picture shading_by_map.jpg. Use the newest bpy: Cycles' dicing became several times faster between
-Blender 4.2 and 5.2.
+docs/understand/picture.md and writes its picture shading_by_map.jpg. Use the newest bpy: Cycles' dicing became several
+times faster between Blender 4.2 and 5.2.
 """
 
 import bisect

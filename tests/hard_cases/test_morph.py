@@ -28,8 +28,8 @@ STEPS = 0.4 * 0.5 ** np.arange(4)
 
 def jumps(field, criterion: Criterion, step: float) -> tuple[float, float]:
     """How far points in the frame jump in a flight that goes on by `step` hundredths of the terrain's width a frame:
-    pixels at most, and metres of second differences that 99.9 % stay within: the way of a few has a bend, where the
-    distance takes over from the depth."""
+    pixels at most, and metres of second differences that 99 % stay within: the way of a few has a bend, where the
+    distance takes over from the depth, or one direction of the slant from the other."""
     terrain, plane, wide = Terrain(field, 1), scattered(field, POINTS), field.lattice.step_x * field.lattice.width
     heights, first, second = [], 0.0, []
     for frame in range(FRAMES):
@@ -42,7 +42,7 @@ def jumps(field, criterion: Criterion, step: float) -> tuple[float, float]:
             first = max(first, np.linalg.norm(now - before, axis=1)[seen].max())
         if frame > 1:
             second.append(np.abs(heights[2] - 2 * heights[1] + heights[0])[seen])
-    return first, np.percentile(np.concatenate(second), 99.9)
+    return first, np.percentile(np.concatenate(second), 99.0)
 
 
 @pytest.mark.parametrize("name", FIELDS)
@@ -66,7 +66,7 @@ def shading(field, step: float, morph: float) -> float:
         for flown in (start, start + step):
             eye = np.array([-600.0 + flown, -500.0, field.max_height + 100.0])
             view = View.look(eye, eye + [1.0, 0.8, -0.6], resolution=(960, 540))
-            surface = terrain.update(Criterion(error_px=8.0, morph=morph), [view]).surface
+            surface = terrain.update(Criterion(error_px=2.0, morph=morph), [view]).surface
             n = mesh_heights(surface, plane, surface.normals)
             normals.append(n / np.linalg.norm(n, axis=1, keepdims=True))
         _, seen = project(view, np.c_[plane, mesh_heights(surface, plane)])

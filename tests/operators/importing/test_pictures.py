@@ -39,7 +39,7 @@ def test_the_named_mapping_puts_each_cell_in_its_place(scene, add_terrain, tmp_p
         heights, transform = heights[::-1].T, (0.0, CELL, WEST, CELL, 0.0, SOUTH)
     file = write_raster(tmp_path / "dem.tif", heights, crs="EPSG:32632", transform=transform)
     terrain, field = terrain_of(add_terrain, tmp_path, file)
-    terrain.adaptive_terrain.viewport.error_px = 0.5
+    terrain.adaptive_terrain.viewport.error_m = 0.1  # the camera sees other ground
     session.update_object(terrain)
     mesh = terrain.data
     points, corners = np.empty((len(mesh.vertices), 3)), np.empty(len(mesh.loops), np.int32)

@@ -108,7 +108,7 @@ class Slices:
         scratch, counts = self.history.scratch, self.counts[:, 0].tolist()
         ends = scratch.numpy("ends").tolist()
         parts = [LeafPart(w.code, int(w.leaf_base), counts[k], ends[k]) for k, w in enumerate(self.walks)]
-        if self.reuses:
+        if self.history.next.reused_points is not None:
             runs = scratch.numpy("point_run_counts").tolist()
             for k, reuse in enumerate(self.reuses):
                 parts[k] = parts[k]._replace(same=reuse.same, first_same=k * int(reuse.room), num_same=runs[k])

@@ -53,7 +53,7 @@ def split_merge_row(rough: HeightField) -> Row:
 
 def _converge(tree: ConcurrentBinaryTree, terrain: Terrain) -> Convergence:
     """Make passes until the tree has the leaves of the terrain's last update."""
-    domain, asked, max_depth, _ = terrain.history.last.result.hides
+    domain, asked, max_depth, _ = terrain.history.last.result.horizon
     times, changes = [], 1
     while changes:
         with stopwatch() as elapsed:

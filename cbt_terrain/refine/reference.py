@@ -25,6 +25,12 @@ def middle(a: Point, b: Point) -> Point:
     return (a[0] + b[0]) / 2, (a[1] + b[1]) / 2
 
 
+def length(a: Point, b: Point) -> float:
+    """Return the distance of two points."""
+    x, y = b[0] - a[0], b[1] - a[1]
+    return math.sqrt(x * x + y * y)
+
+
 def children(triangle: Triangle) -> tuple[Triangle, Triangle]:
     """Return the two halves of a triangle in the order of the curve."""
     left, apex, right = triangle
@@ -43,7 +49,7 @@ def refine(roots: Sequence[Triangle], depth: int, is_split: Criterion) -> list[T
     leaves = []
     for triangle in roots:
         left, _, right = triangle
-        if depth and is_split(middle(left, right), math.dist(left, right)):
+        if depth and is_split(middle(left, right), length(left, right)):
             leaves += refine(children(triangle), depth - 1, is_split)
         else:
             leaves.append(triangle)
@@ -57,7 +63,7 @@ def nested(roots: Sequence[Triangle], depth: int, is_split: Criterion) -> Criter
     def visit(triangles: Sequence[Triangle], left_over: int, apexes: dict[Point, set[Point]]) -> None:
         for left, apex, right in triangles if left_over else ():
             apexes.setdefault(middle(left, right), set()).add(apex)
-            found[middle(left, right)] = is_split(middle(left, right), math.dist(left, right))
+            found[middle(left, right)] = is_split(middle(left, right), length(left, right))
             visit(children((left, apex, right)), left_over - 1, apexes)
 
     def split(vertex: Point) -> None:

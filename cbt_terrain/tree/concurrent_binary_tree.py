@@ -158,7 +158,7 @@ class ConcurrentBinaryTree:
             if part.num_same:
                 bind(run, same=part.same)
             start = part.end
-        likely = sum(part.count for part in parts) // SLOTS
+        likely = sum(int(part.count) for part in parts) // SLOTS
         if likely > self.bits.num_pages:
             self._resize(max(likely, 2 * self.bits.num_pages))
         self._state[bitfield.DIFFERS] = 0

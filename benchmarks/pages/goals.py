@@ -69,8 +69,8 @@ ROWS = {
     ),
     "morph_flight": RowGoal(
         "A whole update in a flight with *Smooth Transitions*, on one thread, against one without for the same bound.",
-        {ANY_SIZE: 1.35},
-        {ANY_SIZE: 4.7},
+        {ANY_SIZE: 2.5},
+        {ANY_SIZE: 5.3},
     ),
     "hidden": RowGoal(
         "Triangles of the demo's flight where ground behind ridges may be 8 times coarser, against triangles without "

@@ -69,7 +69,7 @@ class Outcome:
 
     def search(self, what: int, least: float) -> Excess | None:
         """The most of `what` (FIXED, ERROR, EDGE, AREA: on ground in view; METRES: anywhere) that leaves at the depth
-        limit have, rounded up by a hundredth; None where none has more than `least`."""
+        limit have, rounded up by a thousandth, of ERROR by a hundredth; None where none has more than `least`."""
         stack, found = self.buffers.get("excess_stack", STACK, Triangle), self.buffers.get("excess", 3, wp.float64)
         inputs = [self.domain, self.asked, what, self.max_depth, math.copysign(least * least, least), stack, found]
         launch.once(find_most, inputs, step="bound")

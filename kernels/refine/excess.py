@@ -43,8 +43,10 @@ STACK = wp.constant(80)  # triangles: one a level, and both of the last
 # frame's sides, where it may not be seen at all, by less than the second.
 ONE_SPAN = wp.constant(wp.float64(1.2))
 ONE_SPAN_CROSSED = wp.constant(wp.float64(1.02))
-# Of squares; what is found is more than this part below what is said.
-NEARLY = wp.constant(wp.float64(1.02))
+# The search ends within this factor of the largest square; for errors on screen, whose leaves it divides, within the
+# second.
+NEARLY = wp.constant(wp.float64(1.002))
+NEARLY_ON_SCREEN = wp.constant(wp.float64(1.02))
 UNSEEN = wp.constant(wp.float64(-1.0))
 # Relative; far above what rounding does to a sum of a few terms.
 MARGIN = wp.constant(wp.float64(1e-12))
@@ -347,7 +349,7 @@ def find_most(
             top -= 1
             if t.most2 >= wp.float64(0.0) and t.most2 > most2:
                 if t.depth >= deepest and (t.is_small or t.depth >= 2 * domain.unit_bits - 1):
-                    most2 = t.most2 * NEARLY
+                    most2 = t.most2 * wp.where(what == ERROR, NEARLY_ON_SCREEN, NEARLY)
                     fixed = t.fixed
                     total = t.total
                 else:

@@ -216,10 +216,10 @@ def test_a_request_that_is_refused_leaves_the_last_frame():
 def test_an_unchanged_frame_keeps_vertices_for_the_next(monkeypatch):
     """Of a mesh that did not change, the next frame still copies vertices."""
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
-    terrain, criterion = Terrain(rough(65, 65, relief=30.0), 2), Criterion(error_px=1.0)
+    terrain, criterion = Terrain(rough(65, 65, relief=30.0), 2), Criterion(error_px=0.3)
     for x in (0.0, 1e-6, 2e-6):
         unchanged = terrain.update(criterion, [View.look((x, -200.0, 90.0), (0, 0, 0), resolution=(320, 180))])
     assert not unchanged.changed and terrain.history.last.vertices is not None
     terrain.history.last.arrays.numpy("positions")[:, 2] += 1000.0
     moved = terrain.update(criterion, [View.look((0.5, -200.0, 90.0), (0, 0, 0), resolution=(320, 180))])
-    assert moved.changed and 0.05 < (moved.surface.positions[:, 2] > 500.0).mean() < 1.0
+    assert moved.changed and 0.1 < (moved.surface.positions[:, 2] > 500.0).mean() < 1.0

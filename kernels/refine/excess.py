@@ -206,9 +206,8 @@ def error_below(domain: Domain, t: Triangle, x: wp.int32, y: wp.int32, deepest: 
         beside = wp.where((t.depth & 1) == 0, 0, 1)
         falls = wp.max(halvings_at(domain, deepest) - halvings_at(domain, t.depth) - beside, 0)
         if domain.bicubic == 0 and i < domain.samples.columns - 1 and j < domain.samples.rows - 1:
-            falls = (
-                halvings_at(domain, deepest) + 2 * domain.levels - domain.detail_rim
-            )  # that of a meshlet's triangles
+            # The error of a meshlet's triangles.
+            falls = halvings_at(domain, deepest) + 2 * domain.levels - domain.detail_rim
             error = wp.float64(0.25) * twist_of(corners_of(domain.samples, i, j))
         error = error / wp.float64(wp.int64(1) << wp.int64(falls))
     error = error * domain.error_scale

@@ -151,8 +151,11 @@ class FrameHistory:
         self.last.result = None
         if not reuses:
             self._replace_vertices()
-        self._loans.reclaim([self.scratch, self.next.arrays], self.last.arrays)
-        if reuses:
+        written, last = [self.scratch, self.next.arrays], [self.last.arrays]
+        if not (reuses and vertices.swapped):
+            self._loans.reclaim(written, copied=[], read=last)
+        else:
+            self._loans.reclaim(written, copied=last)
             for swapped in reversed(vertices.swapped):
                 for name in DISPLACED:
                     array = self.last.arrays.numpy(name)

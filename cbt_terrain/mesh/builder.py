@@ -89,7 +89,8 @@ def build_surface(field: HeightField, request: SurfaceRequest, history: FrameHis
         return buffers.extend(own_name, count)
 
     if not request.whole:
-        surface, made.swapped = borders.end(surface, field, domain, room=room, threads=threads)
+        surface, swapped = borders.end(surface, field, domain, room=room, threads=threads)
+        made.swapped = [items for items in swapped if items.size]
     history.next.vertices = made
     return surface.with_arrays({n: history.lend(*memory_of(n), len(a)) for n, a in surface.arrays().items()})
 

@@ -56,19 +56,20 @@ class Loans:
         self._lent.append((memory, weakref.ref(lent)))
         return lent
 
-    def reclaim(self, written: "Iterable[Buffers]", kept: "Buffers") -> None:
-        """Give buffers other memory where a lent array is in use: rubbish in those `written`, a copy in those `kept`.
+    def reclaim(self, written: "Iterable[Buffers]", copied: "Iterable[Buffers]", read: "Iterable[Buffers]" = ()) -> None:
+        """Give buffers other memory in place of lent arrays in use, so that they can be written.
 
-        Memory of arrays that were let go of is used again.
+        Buffers in `copied` keep their contents. Those in `read` are not written and keep their memory. Memory of arrays
+        that callers have released is used again.
         """
         in_use = {id(memory): memory for memory, lent in self._lent if lent() is not None}
         returned = {id(memory): memory for memory, _ in self._lent if id(memory) not in in_use}
         self._lent = [(memory, lent) for memory, lent in self._lent if id(memory) in in_use]
-        everything = [*written, kept]
-        held = {id(memory) for buffers in everything for memory in buffers.memory()}
+        written, copied = list(written), list(copied)
+        held = {id(memory) for buffers in (*written, *copied, *read) for memory in buffers.memory()}
         spare = [memory for memory in returned.values() if id(memory) not in held]
-        for buffers in everything:
-            buffers.replace(in_use, spare, copy=buffers is kept)
+        for buffers in (*written, *copied):
+            buffers.replace(in_use, spare, copy=buffers in copied)
 
     def memory(self) -> list[np.ndarray]:
         """List the memory that was lent."""

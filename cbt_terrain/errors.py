@@ -11,10 +11,36 @@ MAX_NAME_BYTES = 765 if sys.platform == "win32" else 255
 
 
 class TerrainError(Exception):
-    """Something that came from outside cannot be used.
+    """Something that came from outside cannot be used. Its text is one sentence for the user, made by `to_sentence`.
 
-    The message is one sentence for the user: what is wrong, where (file, value), what was expected, what to do.
+    Attributes:
+        what: clause that says what is wrong: "The saved tree has version 3".
+        where: file, object or setting, if `what` does not name it: "/land/alps.store".
+        expected: what can be used: "version 2".
+        fix: what the user can do: "save it again".
+        code: identifier for code that handles this error, "" if none does: "store.changed".
     """
+
+    FIELDS = ("what", "where", "expected", "fix", "code")
+
+    def __init__(self, what: str, where: object = "", expected: str = "", fix: str = "", code: str = ""):
+        super().__init__(what, str(where), expected, fix, code)
+        self.what, self.where, self.expected, self.fix, self.code = self.args
+
+    def __str__(self) -> str:
+        return to_sentence(self)
+
+    def to_json(self) -> dict[str, str]:
+        """Return the fields that are not empty."""
+        return {name: value for name, value in zip(self.FIELDS, self.args, strict=True) if value}
+
+
+def to_sentence(error: TerrainError) -> str:
+    """Return "What (where); expected this: do that." """
+    place = f" ({error.where})" if error.where else ""
+    expected = f"; expected {error.expected}" if error.expected else ""
+    fix = f": {error.fix}" if error.fix else ""
+    return f"{error.what.removesuffix('.')}{place}{expected}{fix}."
 
 
 def path_fault(path: str | os.PathLike) -> str:

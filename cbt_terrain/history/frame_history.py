@@ -4,7 +4,7 @@
 Two frames take turns. Functions read the past from `last`, which is committed, and write into `next`. With an empty
 history they make the same bytes: the past only saves time. So an update that fails or is interrupted discards it.
 
-`scratch` and `hints` carry no meaning: whatever is in them, results are the same.
+`scratch`, `points` and `hints` carry no meaning: whatever is in them, results are the same.
 """
 
 import math
@@ -67,7 +67,7 @@ class FrameHistory:
         self.tree: ConcurrentBinaryTree | None = None
         self._tree_leaves: Leaves | None = None  # the leaves that the tree holds
         self.values = self.ground = None
-        self.scratch, self.hints, self._loans = Buffers(), Hints(), Loans()
+        self.scratch, self.points, self.hints, self._loans = Buffers(), Buffers(), Hints(), Loans()
 
     @contextmanager
     def alone(self) -> Iterator[None]:
@@ -167,6 +167,11 @@ class FrameHistory:
         self.next.arrays.exchange(self.last.arrays, VERTEX_ARRAYS)
         self.last.vertices = None
 
+    def room_for_points(self) -> Buffers:
+        """Return the memory of scatter points, other memory where a caller still reads the last ones."""
+        self._loans.reclaim([self.points], copied=[])
+        return self.points
+
     def lend(self, buffers: Buffers, name: str, count: int) -> np.ndarray:
         """Return the first `count` items of an array, read-only: it is not written while a caller uses it."""
         return self._loans.lend(buffers.numpy(name), count)
@@ -174,5 +179,7 @@ class FrameHistory:
     @property
     def nbytes(self) -> int:
         """Address space of all arrays; the system commits what is touched of it."""
-        memory = [m for buffers in (self.scratch, self.last.arrays, self.next.arrays) for m in buffers.memory()]
+        memory = [
+            m for buffers in (self.scratch, self.points, self.last.arrays, self.next.arrays) for m in buffers.memory()
+        ]
         return address_space(memory + self._loans.memory()) + (self.tree.nbytes if self.tree else 0)

@@ -16,6 +16,7 @@ _NUMPY = {
     wp.vec4i: (np.int32, 4),
     wp.vec2f: (np.float32, 2),
     wp.vec3f: (np.float32, 3),
+    wp.vec4f: (np.float32, 4),
     wp.vec3d: (np.float64, 3),
 }
 
@@ -56,7 +57,9 @@ class Loans:
         self._lent.append((memory, weakref.ref(lent)))
         return lent
 
-    def reclaim(self, written: "Iterable[Buffers]", copied: "Iterable[Buffers]", read: "Iterable[Buffers]" = ()) -> None:
+    def reclaim(
+        self, written: "Iterable[Buffers]", copied: "Iterable[Buffers]", read: "Iterable[Buffers]" = ()
+    ) -> None:
         """Give buffers other memory in place of lent arrays in use, so that they can be written.
 
         Buffers in `copied` keep their contents. Those in `read` are not written and keep their memory. Memory of arrays

@@ -25,11 +25,20 @@ from ..field.heightfield import HeightField
 from ..history.frame_history import FrameHistory
 from ..mesh.surface import Surface
 from ..run import launch
-from ..run.buffers import Buffers, flat, shared
+from ..run.buffers import flat
 from ..terrain import Terrain
 from .ground import ScatterGround, listed_runs, pieces_of
 from .scatter import Scatter
 from .squares import TOO_MANY, squares_wanted
+
+ARRAYS = {
+    "positions": wp.vec3f,
+    "normals": wp.vec3f,
+    "size": wp.float32,
+    "id": wp.int64,
+    "variant": wp.int32,
+    "rotation": wp.vec4f,
+}
 
 
 @dataclass(frozen=True)
@@ -37,7 +46,7 @@ class Points:
     """Points of a frame. `positions`: float32 [n, 3], metres in the terrain's own space. `normals`: float32 [n, 3] of
     the ground. `size`: float32 [n], 0 where a point begins. `id`: int64 [n], the same for a point in every frame.
     `variant`: int32 [n], any number from 0 to 2^31 - 1, for a choice. `rotation`: float32 [n, 4], quaternions w, x, y,
-    z. `tested`: how many candidates were looked at."""
+    z. `tested`: how many candidates were looked at. The arrays are read-only."""
 
     positions: np.ndarray
     normals: np.ndarray
@@ -52,8 +61,7 @@ class Points:
 
     def only(self, which: np.ndarray) -> "Points":
         """Those of the numbers `which`, or where that is true."""
-        parts = self.positions, self.normals, self.size, self.id, self.variant, self.rotation
-        return Points(*(part[which] for part in parts), self.tested)
+        return Points(*(getattr(self, name)[which] for name in ARRAYS), self.tested)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,14 +107,15 @@ def place_points(
         ground, history.ground = history.ground, None  # discarded where this is interrupted
         if ground is None or not ground.is_of(field, request):
             ground = ScatterGround.of(field, request)
-        points = _points(request, views, ground, history.scratch, threads)
+        points = _points(request, views, ground, history, threads)
         history.ground = ground
         return points
 
 
 def _points(
-    request: ScatterRequest, views: list[View], ground: ScatterGround, scratch: Buffers, threads: int
+    request: ScatterRequest, views: list[View], ground: ScatterGround, history: FrameHistory, threads: int
 ) -> Points:
+    scratch = history.scratch
     seen, pattern, scatter = _seen(request, views, ground), ground.pattern, request.scatter
     placed = pattern.west, pattern.south, pattern.side, scatter.seed
     densest = min(scatter.where.strength, 1.0)  # of its layer's part, all rules holding
@@ -122,11 +131,11 @@ def _points(
     most = request.most
     if most is not None and counts.sum() > most[0]:
         raise TerrainError(TOO_MANY.format(f"{counts.sum():,}", f", expected {most[0]:,} at most, {most[1]}"))
-    points = _empty(int(counts.sum()), tested)
+    total = int(counts.sum())
     first = flat((np.cumsum(counts) - counts).astype(np.int32), wp.int32)
-    inputs = [listed, first, candidates, chosen, ground.look, _packed(points)]
+    inputs = [listed, first, candidates, chosen, ground.look, _room(history, total)]
     launch.slices(kernels.tell, [[*piece, *inputs] for piece in pieces_of(counts, threads)], step="tell")
-    return points
+    return Points(*(history.lend(history.points, name, total) for name in ARRAYS), tested)
 
 
 def _seen(request: ScatterRequest, views: list[View], ground: ScatterGround) -> Views:
@@ -176,15 +185,9 @@ def _hide(views: list[LocalView], horizon: Asked) -> None:
         view.rings.first, view.rings.count, view.rings.at = (int(number) for number in other["rings"])
 
 
-def _empty(count: int, tested: int) -> Points:
-    vectors = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
-    numbers = np.empty(count, np.float32), np.empty(count, np.int64), np.empty(count, np.int32)
-    return Points(*vectors, *numbers, np.empty((count, 4), np.float32), tested)
-
-
-def _packed(points: Points) -> kernels.Points:
-    made = kernels.Points()
-    made.positions, made.normals = shared(points.positions, wp.vec3f), shared(points.normals, wp.vec3f)
-    made.size, made.id = flat(points.size, wp.float32), flat(points.id, wp.int64)
-    made.variant, made.rotation = flat(points.variant, wp.int32), shared(points.rotation, wp.vec4f)
-    return made
+def _room(history: FrameHistory, count: int) -> kernels.Points:
+    """Return memory for so many points that no caller reads."""
+    room, arrays = kernels.Points(), history.room_for_points()
+    for name, dtype in ARRAYS.items():
+        setattr(room, name, arrays.get(name, count, dtype))
+    return room

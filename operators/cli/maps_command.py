@@ -83,8 +83,8 @@ def scene_subjects(
     """The terrains of a .blend file, each with its own settings and in a folder of its own."""
     source = SceneFrames(blend, camera, resolution)
 
+    from ...cbt_terrain.land.derived_store import raster_of
     from ..effects.map_request import gathered
-    from ..request.land_request import whole_raster_of
     from ..scene import session
 
     look = {"camera": source.camera, "resolution": resolution}
@@ -92,6 +92,6 @@ def scene_subjects(
     for obj in source.objects:
         *_, request = gathered(obj, source.scene, names, frames, **look)
         request = replace(request, folder=out / file_name(obj))
-        field = whole_raster_of(request.store, request.land, session.open_field)
+        field = raster_of(request.store, request.land, session.open_field, verified=True)
         subjects.append(Subject(obj.name, field, request))
     return subjects

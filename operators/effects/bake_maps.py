@@ -8,10 +8,10 @@ import traceback
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.land.derived_store import raster_of
 from ...cbt_terrain.maps.bake import Baked
 from ...cbt_terrain.maps.folder import files_of
 from ...cbt_terrain.run import warmup
-from ..request.land_request import whole_raster_of
 from ..scene import session
 from ..scene.polls import on_terrain
 from ..viewport import live
@@ -49,7 +49,7 @@ class Job:
         try:
             warmup.wait()
             with session.engine_lock:
-                field = whole_raster_of(request.store, request.land, session.open_field)
+                field = raster_of(request.store, request.land, session.open_field, verified=True)
             self.baked = carry_out(request, field, self._progress, session.engine_lock)
         except Stopped:
             pass

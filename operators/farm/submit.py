@@ -10,6 +10,7 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.importing.sidecars import sidecars
+from ...cbt_terrain.land.land_folder import folder_beside
 from ...cbt_terrain.run.owned_files import check_folder, real_path
 from ...cbt_terrain.run.partial_files import written_beside
 from ..effects.map_request import read_as_images
@@ -20,7 +21,6 @@ from ..output.preparing import is_missing, store_of
 from ..output.scene_files import scene_files
 from ..properties.map_properties import map_folder
 from ..properties.properties import land_of
-from ..request.land_folders import folder_beside
 from ..scene.shot import frames_of
 from .bundle import Job, openjd_command, write_bundle
 from .outside_files import check_outside, named_some

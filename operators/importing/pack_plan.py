@@ -14,12 +14,13 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field.moving import copy_entry
 from ...cbt_terrain.field.packing import copy_store
+from ...cbt_terrain.land import requested_tiles
+from ...cbt_terrain.land.land_folder import bytes_in
+from ...cbt_terrain.land.land_folder import folder_beside as land_beside
 from ...cbt_terrain.run.owned_files import MAPS, open_folder, real_path
 from ..properties.map_properties import map_folder
 from ..properties.scene_paths import absolute_path
-from ..request import land_request, land_tiles
-from ..request.land_folders import bytes_in
-from ..request.land_folders import folder_beside as land_beside
+from ..request.land_request import land_of
 from ..scene import session
 from ..text.numbers import plain
 from .store_location import folder_beside, lies_beside, source_name
@@ -47,7 +48,7 @@ def _copy_land(source: str, target: str, on_progress: OnProgress) -> None:
     """Copy a shaped store, and for which tiles it was made. Raises TerrainError."""
     if not stores.changed_ns(target):  # else another terrain has the same land there
         copy_store(source, target, on_progress)
-        land_tiles.note(target, land_tiles.known(source) or None)
+        requested_tiles.note(target, requested_tiles.known(source) or None)
 
 
 def _copy_maps(source: str, target: str, on_progress: OnProgress) -> None:
@@ -93,7 +94,7 @@ def _lands_of(obj, target: str) -> dict[str, str]:
     """Return the folders of the shaped land that a terrain uses, each with its new one beside the store `target`."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     try:
-        land = land_request.land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
+        land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
     except TerrainError:
         return {}  # a stack that cannot be applied has no land
     beside, found = land_beside(absolute_path(target)), {}

@@ -9,10 +9,10 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field import store_folder
+from ...cbt_terrain.land.derived_store import is_in_use
+from ...cbt_terrain.land.land_folder import bytes_in, folder_beside, remove, shaped_stores
 from ...cbt_terrain.run.owned_files import check_folder
 from ..properties.scene_paths import absolute_path
-from ..request.land_folders import bytes_in, folder_beside, remove, shaped_stores
-from ..request.land_request import is_in_use
 from ..scene import land_jobs, session
 from ..scene.polls import on_terrain
 from ..text.numbers import plain

@@ -9,12 +9,12 @@ import numpy as np
 
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.land.shape_process import ShapeJob
+from ...cbt_terrain.land import derived_store
+from ...cbt_terrain.land.derived_store import Land
+from ...cbt_terrain.land.requested_tiles import SeenTiles
 from ...cbt_terrain.run import warmup
 from ..properties.land_properties import SEEN
-from ..request import land_tiles
-from ..request.land_request import Land, is_whole, land_of, made, raster_of, remove_old, wanted_tiles
-from ..request.land_tiles import Seen
+from ..request.land_request import land_of
 from ..scene import session
 from ..scene.land_jobs import Work, running, stop_all
 from ..scene.polls import on_terrain
@@ -32,7 +32,7 @@ def wanted_land(obj, depsgraph, views: list[View] = ()) -> Land:
     if land is not None and views:
         settings, placement = evaluated.adaptive_terrain, np.array(evaluated.matrix_world, np.float64)
         scale = settings.vertical_scale, settings.vertical_offset
-        land = replace(land, seen=Seen(tuple(views), placement, settings.render.error_px, *scale))
+        land = replace(land, seen=SeenTiles(tuple(views), placement, settings.render.error_px, *scale))
     if land is None:
         raise TerrainError(
             f"The terrain {obj.name!r} has nothing to shape: its stack is empty or switched off; add an effect."
@@ -124,8 +124,7 @@ class ShapeLand(bpy.types.Operator):
             return {"CANCELLED"}
         if progress.error:
             return self._failed(obj, progress.error)
-        land_tiles.note(self.land.folder, self.wanted)
-        remove_old(self.land)
+        derived_store.finish(self.land, self.wanted)
         return self._take(obj)
 
     def _look(self, context, obj):
@@ -153,17 +152,16 @@ class ShapeLand(bpy.types.Operator):
 
     def _start(self, obj, depsgraph, views: list[View]) -> None:
         self.land = land = wanted_land(obj, depsgraph, views)
-        is_whole(land, session.open_field)  # else it is taken away
-        self.wanted = land_tiles.with_known(land.folder, wanted_tiles(land, session.open_field))
-        self.work.job = ShapeJob(land.source, land.stack, land.folder, self.wanted, tiles=land.tiles)
-        made["stores"] += 1
+        derived_store.is_whole(land, session.open_field)  # removes one that is damaged
+        self.work.job, self.wanted = derived_store.begin_shaping(land, session.open_field)
+        derived_store.counts["stores"] += 1
 
     def execute(self, context):
         obj = context.object
         try:
             _check_is_seen(obj, context.evaluated_depsgraph_get())
             *_, views = _views(obj, context.scene)
-            raster_of("", wanted_land(obj, context.evaluated_depsgraph_get(), views), session.open_field)
+            derived_store.raster_of("", wanted_land(obj, context.evaluated_depsgraph_get(), views), session.open_field)
         except TerrainError as error:
             return self._failed(obj, str(error))
         return self._take(obj)

@@ -7,13 +7,14 @@ import bpy
 import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.land.derived_store import raster_of
 from ...cbt_terrain.land.water_surface import water_of
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
 from ..demand.trees import tree_of_new
 from ..mesh.writer import write_mesh
 from ..properties.scene_paths import absolute_path
-from ..request.land_request import land_of, whole_raster_of
+from ..request.land_request import land_of
 from ..scene import session
 from ..scene.polls import on_terrain_object
 from .shape_land import check_is_shaped
@@ -64,7 +65,9 @@ def _surface(terrain) -> Surface:
     if not store:
         raise TerrainError(f"The terrain {terrain.name!r} has no height field; import one from its panel.")
     land = land_of(terrain, terrain.evaluated_get(depsgraph), depsgraph, waits=True)
-    surface = water_of(whole_raster_of(absolute_path(store), land, session.open_field), launch.default_threads())
+    surface = water_of(
+        raster_of(absolute_path(store), land, session.open_field, verified=True), launch.default_threads()
+    )
     if not len(surface.triangles):
         raise TerrainError(f"There is no water on {terrain.name!r}: no lake, no sea and no stream of 0.016 m³/s.")
     return surface

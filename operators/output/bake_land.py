@@ -8,11 +8,12 @@ from bpy_extras.io_utils import ExportHelper
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.packing import copy_store
+from ...cbt_terrain.land import derived_store
 from ...cbt_terrain.land.export import check_export, export_raster
 from ..importing.store_location import baked_folder
 from ..land import shape_land
 from ..properties.scene_paths import absolute_path
-from ..request import imported, land_request
+from ..request import imported
 from ..request.land_request import land_of
 from ..scene import session
 from ..scene.polls import on_terrain_object
@@ -57,13 +58,13 @@ class BakeLand(_LandOperator, bpy.types.Operator):
 
     def _carry_out(self, obj, depsgraph):
         land = shape_land.wanted_land(obj, depsgraph)
-        land_request.whole_raster_of("", land, session.open_field)
+        derived_store.raster_of("", land, session.open_field, verified=True)
         settings = obj.adaptive_terrain
         folder = free_folder(baked_folder(obj))
         copy_store(land.folder, absolute_path(folder))
         settings.store, settings.frozen, settings.land.active = folder, "", 0
         settings.land.entries.clear()
-        land_request.release(obj.session_uid)
+        derived_store.release(obj.session_uid)
         imported.tag_object(obj)
         obj.update_tag()
         self.report({"INFO"}, f"The land is in {folder}; Clear Land Cache frees what shaping it has left elsewhere")
@@ -96,7 +97,7 @@ class ExportHeights(_LandOperator, bpy.types.Operator, ExportHelper):
             raise TerrainError(f"The terrain {obj.name!r} has no height field; import one from its panel.")
         check_export(self.filepath)
         land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
-        land_request.whole_raster_of(store, land, session.open_field)
+        derived_store.raster_of(store, land, session.open_field, verified=True)
         files = export_raster(store if land is None else land.folder, self.filepath)
         self.report({"INFO"}, f"Written: {', '.join(file.name for file in files)}")
         return {"FINISHED"}

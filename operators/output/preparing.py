@@ -10,6 +10,7 @@ import numpy as np
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import JSON_NAME
 from ...cbt_terrain.importing.import_process import import_source
+from ...cbt_terrain.land.derived_store import raster_of
 from ..effects.map_baking import carry_out
 from ..effects.map_baking import summary as maps_summary
 from ..effects.map_request import gathered, read_as_images
@@ -19,7 +20,7 @@ from ..land.shape_land import wanted_land
 from ..properties.land_properties import SEEN
 from ..properties.map_properties import SHOT
 from ..properties.scene_paths import absolute_path
-from ..request.land_request import land_of, whole_raster_of
+from ..request.land_request import land_of
 from ..scene import session
 from ..scene.shot import look_through
 
@@ -59,12 +60,12 @@ def shape_land(obj, frames: Sequence[int], say: Say, to: To) -> None:
         views = []
         if obj.adaptive_terrain.land.where == SEEN:
             *_, views = look_through(obj, scene, frames, np.array(obj.matrix_world, np.float64))
-        whole_raster_of("", wanted_land(obj, bpy.context.evaluated_depsgraph_get(), views), session.open_field)
+        raster_of("", wanted_land(obj, bpy.context.evaluated_depsgraph_get(), views), session.open_field, verified=True)
         say(f"{obj.name}: its land is shaped")
     if names := read_as_images(obj):
         shot = frames if obj.adaptive_terrain.maps.frames == SHOT else None
         *_, request = gathered(obj, scene, names, shot)
-        field = whole_raster_of(request.store, request.land, session.open_field)
+        field = raster_of(request.store, request.land, session.open_field, verified=True)
         say(maps_summary(carry_out(request, field, to), obj.name))
 
 

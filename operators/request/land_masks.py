@@ -9,7 +9,6 @@ import numpy as np
 from mathutils import Matrix
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.run.named_file import open_regular
 from ...cbt_terrain.run.owned_files import is_real_file, open_folder
 from ...cbt_terrain.run.partial_files import written_beside
 from ..mesh.cleanup import plan_triangles
@@ -53,18 +52,6 @@ def _written(folder: Path, digest: str, make) -> str:
             "folder that can be written."
         ) from reason
     return str(path)
-
-
-def read(file: str) -> np.ndarray:
-    """Read a mask that `_written` wrote, float32 [rows, columns], row 0 north. Raises TerrainError."""
-    try:
-        with open_regular(Path(file)) as handle:
-            found = np.lib.format.read_array(handle, allow_pickle=False)
-        if found.ndim != 2 or found.dtype != np.float32 or not np.isfinite(found).all():
-            raise ValueError("expected finite float32 in rows and columns")
-    except (OSError, ValueError, EOFError, SyntaxError, MemoryError) as reason:
-        raise TerrainError(f"The mask {file} is damaged ({reason}): delete the file, it is made again.") from reason
-    return found
 
 
 def shadow(triangles: np.ndarray, extent_m: tuple[float, float]) -> np.ndarray:

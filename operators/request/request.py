@@ -21,6 +21,8 @@ from ...cbt_terrain.evaluate.layered_detail import LayeredDetail
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field.coats import Ground
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+from ...cbt_terrain.land.derived_store import Land
+from ...cbt_terrain.land.requested_tiles import SeenTiles
 from ..mesh.cleanup import Cleanup, plan_triangles
 from ..properties.land_properties import SEEN
 from ..properties.properties import CHOSEN_CAMERA, SCENE_CAMERA, VIEWPORT_VIEW
@@ -28,8 +30,7 @@ from ..properties.scene_paths import absolute_path
 from . import camera as cameras
 from .asked_effects import Effects, gather_effects
 from .evaluated import found_in
-from .land_request import Land, land_of
-from .land_tiles import Seen
+from .land_request import land_of
 from .layered_ground import ground_of
 from .scatters import Scatters, gather_scatters
 
@@ -145,7 +146,7 @@ def gather(
     if land is not None:
         if views and mode == RENDER and settings.land.where == SEEN:
             scale = settings.vertical_scale, settings.vertical_offset
-            land = replace(land, seen=Seen(tuple(views), placement, criterion.error_px, *scale))
+            land = replace(land, seen=SeenTiles(tuple(views), placement, criterion.error_px, *scale))
         elif mode != RENDER:
             store, land = _shown_land(store, land, frozen)
     cleanup = cleanup_from(settings.cleanup, evaluated, depsgraph)

@@ -20,6 +20,7 @@ from ...cbt_terrain.evaluate.plan import plan
 from ...cbt_terrain.field.bicubic import interpolated
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.store import changed_ns, is_intact, open_store
+from ...cbt_terrain.land import derived_store
 from ...cbt_terrain.mesh.attributes import Attribute
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.refine.terms import Terms
@@ -31,7 +32,6 @@ from ..mesh import freed_memory
 from ..mesh.cleanup import clean_up
 from ..mesh.writer import write_mesh
 from ..properties.properties import ERROR_OVERLAY, NO_OVERLAY
-from ..request import land_request
 from ..request.asked_effects import EffectStatus, statuses
 from ..request.request import VIEWPORT, Request, gather
 from ..request.scatters import ScatterRecord, make_points, show_points
@@ -124,7 +124,7 @@ def all_terrains() -> list:
     found = [obj for obj in bpy.data.objects if is_terrain(obj)]
     for uid in set(_records) - {obj.session_uid for obj in found}:
         del _records[uid]
-        land_request.release(uid)
+        derived_store.release(uid)
     return found
 
 
@@ -158,7 +158,9 @@ def update_object(obj, depsgraph=None, mode: str = VIEWPORT, **asked):
     try:
         try:
             return _update(obj, record, depsgraph, mode, asked)
-        except land_request.DamagedLand:  # which is gone: other land is asked for, or the same is made again
+        except TerrainError as error:
+            if error.code != derived_store.DAMAGED:
+                raise
             return _update(obj, record, depsgraph, mode, asked)
     except Exception as error:
         record.status.error = explain(error)
@@ -190,7 +192,7 @@ def solve(record: Record, request: Request):
     try:
         return _refine(record, request, heights)
     except TerrainError as error:
-        land_request.check_blocks(str(heights.path), error)
+        derived_store.check_after(str(heights.path), error)
         raise
 
 
@@ -252,7 +254,7 @@ def paint(record: Record, request: Request, update) -> None:
 
 def field_of(request: Request):
     """The height field that a request refines, with its interpolation and its detail."""
-    raster = land_request.raster_of(request.store, request.land, open_field)
+    raster = derived_store.raster_of(request.store, request.land, open_field)
     field = interpolated(raster, request.interpolation)
     placed = request.vertical_scale, request.vertical_offset
     return laid(field, request.ground, *placed, launch.default_threads())
@@ -339,4 +341,4 @@ def clear() -> None:
             record.generation += 1
         _records.clear()
         _fields.clear()
-        land_request.forget()
+        derived_store.forget()

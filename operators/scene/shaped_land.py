@@ -7,12 +7,13 @@ from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
+from ...cbt_terrain.land.derived_store import preview_of
+from ...cbt_terrain.land.land_folder import folder_beside, is_of_views
 from ...cbt_terrain.land.level_plan import MOST_WHOLE
 from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
 from ...cbt_terrain.land_effects.land_effect import LandLayer
 from ..properties.land_properties import EVERYWHERE
 from ..properties.scene_paths import absolute_path
-from ..request import land_request
 from ..request.imported import imported_of
 from ..text.numbers import length_text, plain
 from . import session
@@ -62,7 +63,7 @@ def store_of(obj) -> str:
     source = absolute_path(obj.adaptive_terrain.store)
     request = session.record_of(obj).status.request
     shown = _shown(request) if request is not None else ""
-    return shown if Path(shown).parent == land_request.folder_beside(source) else source
+    return shown if Path(shown).parent == folder_beside(source) else source
 
 
 def _shown(request) -> str:
@@ -83,7 +84,7 @@ def state_of(obj) -> State:
     if not numbers:
         return State()
     state, found = _as_updated(obj, numbers), imported_of(obj.adaptive_terrain)
-    state = replace(state, seen=land_request.is_of_views(store_of(obj)))
+    state = replace(state, seen=is_of_views(store_of(obj)))
     longer = max(found.extent_m) if found is not None else SMALL_M
     if longer < SMALL_M:  # as the Add menu's own
         state = replace(state, note=f"Effects are in metres, and the terrain has {length_text(longer)}: set its Size")
@@ -93,7 +94,7 @@ def state_of(obj) -> State:
 def _as_updated(obj, numbers: list[int]) -> State:
     request = session.record_of(obj).status.request
     if request is not None and request.land is not None and not request.land.waits:
-        found = land_request.preview_of(request.land)
+        found = preview_of(request.land)
         if found is not None:
             note = f"{found.without} takes too long for a preview: Shape Now" if found.without else NOTES[PREVIEW]
             return State(True, PREVIEW, found.step_m, None, _by_number(numbers, found.ms), note)

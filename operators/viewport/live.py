@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.land import derived_store
 from ...cbt_terrain.run import warmup
 from ..demand.screens import screens_key
 from ..ground import keep_ground
-from ..request import land_request
 from ..request.kernels_asked import kernels_for
 from ..request.request import RENDER, VIEWPORT, Request, corrected, follows_viewport, gather, record_time
 from ..scene import land_jobs, session
@@ -239,12 +239,12 @@ def _finish(job: Job) -> None:
         _unrefined.pop(job.uid, None)
         if not whole:
             _unrefined[job.uid] = replace(job, future=None)
-    except land_request.DamagedLand:
-        _unrefined.pop(job.uid, None)
-        mark_dirty()  # it is gone: other land is asked for
     except Exception as error:
         _unrefined.pop(job.uid, None)
-        _report(record, error)
+        if isinstance(error, TerrainError) and error.code == derived_store.DAMAGED:
+            mark_dirty()
+        else:
+            _report(record, error)
         if not isinstance(error, TerrainError):
             raise
     redraw_panels()

@@ -14,9 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.land import derived_store, requested_tiles
+from ...cbt_terrain.land.derived_store import Land
+from ...cbt_terrain.land.land_folder import is_of_views
 from ...cbt_terrain.land.shape_process import ShapeJob
-from ..request import land_tiles
-from ..request.land_request import Land, is_of_views, is_whole, land_of, remove_old, wanted_tiles
+from ..request.land_request import land_of
 from ..request.request import Request
 from ..scene import session
 from ..scene.land_jobs import Work, running
@@ -45,7 +47,7 @@ class _Making:
     land: Land
     work: Work
     begun: Future
-    wanted: land_tiles.Tiles | None = None
+    wanted: requested_tiles.Tiles | None = None
 
 
 _rests: dict[int, _Rest] = {}
@@ -134,18 +136,19 @@ def _of_settings(obj, depsgraph) -> Land | None:
         return None  # the update says why
 
 
-def _seen(request: Request) -> land_tiles.Seen:
+def _seen(request: Request) -> requested_tiles.SeenTiles:
     scale = request.vertical_scale, request.vertical_offset
-    return land_tiles.Seen(tuple(request.views), np.array(request.placement), request.criterion.error_px, *scale)
+    return requested_tiles.SeenTiles(
+        tuple(request.views), np.array(request.placement), request.criterion.error_px, *scale
+    )
 
 
-def _begin(land: Land) -> tuple[ShapeJob, land_tiles.Tiles] | None:
+def _begin(land: Land) -> tuple[ShapeJob, requested_tiles.Tiles] | None:
     """For a thread of its own."""
-    wanted = wanted_tiles(land, session.open_field)
-    if is_whole(land, session.open_field) and land_tiles.has(land.folder, wanted):
+    wanted = derived_store.wanted_tiles(land, session.open_field)
+    if derived_store.is_whole(land, session.open_field) and requested_tiles.has(land.folder, wanted):
         return None
-    wanted = land_tiles.with_known(land.folder, wanted)
-    return ShapeJob(land.source, land.stack, land.folder, wanted, tiles=land.tiles, gentle=True), wanted
+    return derived_store.begin_shaping(land, session.open_field, gentle=True)
 
 
 def _look_after(terrain: tuple | None) -> bool:
@@ -189,8 +192,7 @@ def _poll(making: _Making) -> bool:
         return False
     if progress.error:
         raise TerrainError(progress.error)
-    land_tiles.note(making.land.folder, making.wanted)
-    remove_old(making.land)
+    derived_store.finish(making.land, making.wanted)
     _end(making)
     return True
 

@@ -4,10 +4,14 @@
 import pickle
 
 import pytest
-
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 
-FIELDS = {"what": "The saved tree has version 3", "expected": "version 2", "fix": "save it again", "code": "tree.version"}
+FIELDS = {
+    "what": "The saved tree has version 3",
+    "expected": "version 2",
+    "fix": "save it again",
+    "code": "tree.version",
+}
 
 
 @pytest.mark.parametrize(

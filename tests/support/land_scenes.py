@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.store import Draft
-from adaptive_terrain.operators.request import land_request, land_stack
+from adaptive_terrain.cbt_terrain.land import derived_store, land_folder
+from adaptive_terrain.operators.request import land_stack
 from adaptive_terrain.operators.scene import session, shaped_land
 
 
@@ -20,8 +21,8 @@ def terrain(scene, add_terrain, store, tmp_path):
     shutil.copytree(store, own)
     obj = add_terrain()
     obj.adaptive_terrain.store = str(own)
-    land_request.forget()
-    land_request.made.update(previews=0, stores=0)
+    derived_store.forget()
+    derived_store.counts.update(previews=0, stores=0)
     return obj
 
 
@@ -35,15 +36,15 @@ def first_shaped(tmp_path_factory):
 def shaped(terrain, first_shaped):
     """The folder of the land that `terrain` shows, shaped by its stack of one entry."""
     add("thermal")
-    beside = land_request.folder_beside(terrain.adaptive_terrain.store)
+    beside = land_folder.folder_beside(terrain.adaptive_terrain.store)
     if not first_shaped.exists():
         assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
         shutil.copytree(beside, first_shaped)
-        land_request.made["stores"] = 0
+        derived_store.counts["stores"] = 0
     else:
         shutil.copytree(first_shaped, beside)
         session.update_object(terrain)
-    assert shaped_land.state_of(terrain).shown == "Shaped" and land_request.made["stores"] == 0
+    assert shaped_land.state_of(terrain).shown == "Shaped" and derived_store.counts["stores"] == 0
     return Path(shaped_land.store_of(terrain))
 
 

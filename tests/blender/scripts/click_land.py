@@ -30,7 +30,7 @@ def module(name: str):
 session, shaped_land, land_jobs = (
     module(f"operators.scene.{name}") for name in ("session", "shaped_land", "land_jobs")
 )
-land_request, resting_land = module("operators.request.land_request"), module("operators.viewport.resting_land")
+derived_store, resting_land = module("cbt_terrain.land.derived_store"), module("operators.viewport.resting_land")
 resting_land.REST_S = 1e9  # until it is its turn
 warmup, panels = module("cbt_terrain.run.warmup"), module("operators.ui.panels")
 OPEN = {"ADAPTIVE_TERRAIN_PT_main", "ADAPTIVE_TERRAIN_PT_land", "ADAPTIVE_TERRAIN_PT_land_effect"}
@@ -145,13 +145,13 @@ def rivers_are_shown_at_once():
 def a_slider_never_blocks():
     entry, seconds, longest = terrain().adaptive_terrain.land.entries[0], [], 0.0
     for years in (250e3, 200e3, 400e3):
-        start, before = time.monotonic(), land_request.made["previews"]
+        start, before = time.monotonic(), derived_store.counts["previews"]
         request = session.record_of(terrain()).status.request
         entry.rivers.years = years
         changed = lambda request=request: session.record_of(terrain()).status.request is not request  # noqa: E731
         longest = max(longest, (yield from turns(changed)))
         seconds.append(time.monotonic() - start)
-        result["previews_a_step"] = land_request.made["previews"] - before
+        result["previews_a_step"] = derived_store.counts["previews"] - before
     result["slider_s"], result["longest_turn_s"] = seconds, longest
     bpy.ops.ed.undo_push(message="Years")
 
@@ -200,22 +200,22 @@ def undo_and_hide():
     run(bpy.ops.adaptive_terrain.land_add, effect="relief")
     bpy.ops.ed.undo_push(message="Relief")
     yield from until(lambda: shown() == "Preview")
-    stores = land_request.made["stores"]
+    stores = derived_store.counts["stores"]
     window, area, region = parts()
     with bpy.context.temp_override(window=window, area=area, region=region):
         bpy.ops.ed.undo()
     yield from until(lambda: len(terrain().adaptive_terrain.land.entries) == 3 and shown() == "Shaped")
-    result["stores_for_undo"] = land_request.made["stores"] - stores
+    result["stores_for_undo"] = derived_store.counts["stores"] - stores
     terrain().hide_set(True)
     terrain().hide_render = True
     yield 1.0
-    before = dict(land_request.made)
+    before = dict(derived_store.counts)
     terrain().adaptive_terrain.land.entries[0].rivers.years = 123e3
     yield 3.0
-    result["hidden_cost"] = [land_request.made[name] - before[name] for name in before]
+    result["hidden_cost"] = [derived_store.counts[name] - before[name] for name in before]
     terrain().hide_set(False)
     yield from until(lambda: shown() == "Preview")
-    result["shown_cost"] = [land_request.made[name] - before[name] for name in before]
+    result["shown_cost"] = [derived_store.counts[name] - before[name] for name in before]
 
 
 def it_gets_finer_while_it_rests():

@@ -13,7 +13,7 @@ step, folder = sys.argv[sys.argv.index("--") + 1 :]
 folder = Path(folder)
 location = sys.modules[f"{package}.operators.importing.store_location"]
 session = sys.modules[f"{package}.operators.scene.session"]
-land_request = sys.modules[f"{package}.operators.request.land_request"]
+derived_store = sys.modules[f"{package}.cbt_terrain.land.derived_store"]
 notices = sys.modules[f"{package}.operators.importing.store_paths"].notices
 
 
@@ -44,7 +44,7 @@ if step == "old":
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "old.blend"))
 else:
     bpy.ops.wm.open_mainfile(filepath=str(folder / "old.blend"))
-    result = {"moved": state(bpy.data.objects["Terrain"]), "shaped_again": land_request.made["stores"]}
+    result = {"moved": state(bpy.data.objects["Terrain"]), "shaped_again": derived_store.counts["stores"]}
     result["notices"] = list(notices.values())
     assert bpy.ops.adaptive_terrain.bake_land() == {"FINISHED"}
     result["baked"] = state(bpy.data.objects["Terrain"])

@@ -13,10 +13,10 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.land import derived_store
 from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.farm import bundle
 from adaptive_terrain.operators.output import preparing
-from adaptive_terrain.operators.request import land_request
 from openjd.model import IntRangeExpr, create_job, decode_job_template, preprocess_job_parameters
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -245,18 +245,18 @@ def test_prepare_makes_each_thing_once(shot, capsys):
     entry = bpy.data.objects["Dunes"].adaptive_terrain.land.entries.add()
     entry.effect = "thermal" if "thermal" in entry.bl_rna.properties else entry.effect
     bpy.ops.wm.save_mainfile()
-    made = dict(land_request.made)
+    made = dict(derived_store.counts)
     assert run("prepare", "--scene", shot, "--progress", "openjd") == 0
     said = capsys.readouterr().out.splitlines()
     assert "openjd_status: Dunes: imported, 93 x 70 samples, " in "".join(said)[:4000]
     assert "openjd_status: Hills: its store is there" in said and "openjd_status: Dunes: its land is shaped" in said
     assert said[-1] == "openjd_progress: 100"
-    assert land_request.made["stores"] == made["stores"] + 1
+    assert derived_store.counts["stores"] == made["stores"] + 1
     assert len(list((shot.parent / "made" / "dunes_land").glob("*/store.json"))) == 1
     before = (shot.parent / "made" / "dunes" / "store.json").read_bytes()
     assert run("prepare", "--scene", shot) == 0
     assert "Dunes: its store is there" in capsys.readouterr().out
-    assert land_request.made["stores"] == made["stores"] + 1
+    assert derived_store.counts["stores"] == made["stores"] + 1
     assert (shot.parent / "made" / "dunes" / "store.json").read_bytes() == before
 
 

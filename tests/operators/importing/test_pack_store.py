@@ -8,12 +8,12 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.land import derived_store, land_folder, requested_tiles
 from adaptive_terrain.operators.effects import map_images
 from adaptive_terrain.operators.importing import pack_store
 from adaptive_terrain.operators.importing.store_location import lies_beside
 from adaptive_terrain.operators.land import shape_land
 from adaptive_terrain.operators.properties.map_properties import map_folder
-from adaptive_terrain.operators.request import land_folders, land_request, land_tiles
 from adaptive_terrain.operators.scene import session, shaped_land
 from land_scenes import add
 
@@ -43,26 +43,26 @@ def test_shaped_land_is_packed_and_not_made_again(terrain, tmp_path):
     entry.mask.kind, entry.mask.image = "IMAGE", image
     assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
     original = Path(terrain.adaptive_terrain.store)
-    [shaped] = [path.parent for path in land_folders.folder_beside(str(original)).glob("*/store.json")]
-    key, count = open_store(shaped).key, land_request.made["stores"]
+    [shaped] = [path.parent for path in land_folder.folder_beside(str(original)).glob("*/store.json")]
+    key, count = open_store(shaped).key, derived_store.counts["stores"]
     (tmp_path / "here").mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here" / "valley.blend"))
     assert bpy.ops.adaptive_terrain.pack_store() == {"FINISHED"}
-    packed = land_folders.folder_beside(str(absolute(terrain))) / shaped.name
+    packed = land_folder.folder_beside(str(absolute(terrain))) / shaped.name
     assert open_store(packed).key == key and shaped.is_dir()
     bpy.ops.wm.save_mainfile()
     bpy.ops.wm.read_homefile(use_empty=True)
     shutil.rmtree(original)
-    shutil.rmtree(land_folders.folder_beside(str(original)))
+    shutil.rmtree(land_folder.folder_beside(str(original)))
     (tmp_path / "here").rename(tmp_path / "there")
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "there" / "valley.blend"))
     opened = bpy.data.objects["Terrain"]
     session.update_object(opened, mode="RENDER")
-    assert session.record_of(opened).field.raster_key == key and land_request.made["stores"] == count
+    assert session.record_of(opened).field.raster_key == key and derived_store.counts["stores"] == count
     assert shaped_land.state_of(opened).shown == "Shaped"
 
 
-def land_folder(terrain, of_views: bool) -> Path:
+def folder_of_land(terrain, of_views: bool) -> Path:
     """Where the land of a terrain's stack is kept; a copy of its store stands in for it."""
     land = shape_land.wanted_land(terrain, bpy.context.evaluated_depsgraph_get())
     folder = (land.of_views_alone if of_views else land).folder
@@ -72,13 +72,13 @@ def land_folder(terrain, of_views: bool) -> Path:
 
 def test_land_of_a_shot_is_packed_with_its_tiles(terrain, tmp_path):
     add("thermal", depth=80.0)
-    folder, tiles = land_folder(terrain, of_views=True), [{0: 0.5}, {}]
-    land_tiles.note(str(folder), tiles)
+    folder, tiles = folder_of_land(terrain, of_views=True), [{0: 0.5}, {}]
+    requested_tiles.note(str(folder), tiles)
     (tmp_path / "here").mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here" / "valley.blend"))
     assert bpy.ops.adaptive_terrain.pack_store() == {"FINISHED"}
-    packed = land_folders.folder_beside(str(absolute(terrain))) / folder.name
-    assert open_store(packed) and land_tiles.known(str(packed)) == tiles
+    packed = land_folder.folder_beside(str(absolute(terrain))) / folder.name
+    assert open_store(packed) and requested_tiles.known(str(packed)) == tiles
 
 
 def test_baked_maps_are_packed_and_their_images_name_the_copies(terrain, tmp_path):
@@ -98,12 +98,12 @@ def test_baked_maps_are_packed_and_their_images_name_the_copies(terrain, tmp_pat
 
 def test_damaged_land_is_no_hindrance(terrain, tmp_path):
     add("thermal", depth=80.0)
-    [file] = land_folder(terrain, of_views=False).glob("data-*/samples.npy")
+    [file] = folder_of_land(terrain, of_views=False).glob("data-*/samples.npy")
     file.write_bytes(b"half")
     (tmp_path / "here").mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here" / "valley.blend"))
     assert bpy.ops.adaptive_terrain.pack_store() == {"FINISHED"}
-    assert open_store(absolute(terrain)) and not land_folders.folder_beside(str(absolute(terrain))).exists()
+    assert open_store(absolute(terrain)) and not land_folder.folder_beside(str(absolute(terrain))).exists()
 
 
 def test_a_store_of_another_terrain_in_the_same_place_stays(scene, add_terrain, tmp_path):

@@ -129,7 +129,7 @@ def test_baked_land_avoids_the_folder_that_blender_deletes(terrain, folders, tmp
     terrain.adaptive_terrain.store = str(lent)
     land = shape_land.wanted_land(terrain, bpy.context.evaluated_depsgraph_get())
     shutil.copytree(lent, land.folder)
-    monkeypatch.setattr(bake_land.land_request, "whole_raster_of", lambda *_given: None)
+    monkeypatch.setattr(bake_land.derived_store, "raster_of", lambda *_given, **_named: None)
     if saved:
         bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"))
     assert bpy.ops.adaptive_terrain.bake_land() == {"FINISHED"}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shaped land that is damaged on its disk: it is made again from its source, and what is a user's own is left alone."""
+"""Shaped land that is damaged on disk is built again from its source; a user's files stay as they are."""
 
 import errno
 import os
@@ -13,9 +13,9 @@ from adaptive_terrain.cbt_terrain.field import store_arrays
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.store import Draft, data_folder, open_store
 from adaptive_terrain.cbt_terrain.field.store_arrays import BLOCK_BYTES, PAGE_BYTES
+from adaptive_terrain.cbt_terrain.land import derived_store, land_folder, requested_tiles
 from adaptive_terrain.cbt_terrain.land.tile_cache import TileCache
 from adaptive_terrain.cbt_terrain.run import owned_files
-from adaptive_terrain.operators.request import land_folders, land_request, land_tiles
 from adaptive_terrain.operators.scene import session, shaped_land
 from land_scenes import add
 
@@ -47,7 +47,7 @@ def test_what_needs_damaged_land_makes_it_again_and_says_so(terrain, shaped, cap
     whole = cut_off(shaped)
     session.update_object(terrain, mode=mode)
     [line] = capsys.readouterr().out.splitlines()
-    said = f"The shaped land in {str(shaped)!r} is damaged, and is made again from its"
+    said = f"The shaped land in {str(shaped)!r} is damaged and is built again from its"
     assert line.startswith(f"Adaptive Terrain: {said}")
     assert "samples.npy is damaged (it has" in line and line.endswith(").")
     state = shaped_land.state_of(terrain)
@@ -55,7 +55,7 @@ def test_what_needs_damaged_land_makes_it_again_and_says_so(terrain, shaped, cap
     assert len(list(shaped.glob("data-*"))) == (mode == "RENDER"), "what is damaged takes no room"
     session.update_object(terrain, mode="RENDER")
     assert next(shaped.glob("data-*/samples.npy")).read_bytes() == whole
-    assert land_request.made["stores"] == 1 and not capsys.readouterr().out
+    assert derived_store.counts["stores"] == 1 and not capsys.readouterr().out
 
 
 def test_damage_that_only_an_update_finds_is_mended_too(terrain, wide_store, tmp_path):
@@ -74,7 +74,7 @@ def test_damage_that_only_an_update_finds_is_mended_too(terrain, wide_store, tmp
     samples.write_bytes(whole[:first] + b"\xff" * BLOCK_BYTES + whole[first + BLOCK_BYTES :])  # no numbers
     open_store(folder)
     session.update_object(terrain, mode="RENDER")
-    assert land_request.made["stores"] == 2
+    assert derived_store.counts["stores"] == 2
     assert next(Path(folder).glob("data-*/samples.npy")).read_bytes() == whole
 
 
@@ -86,7 +86,7 @@ def test_what_is_the_users_own_is_left_as_it_is_when_it_is_damaged(terrain):
     for mode in ("RENDER", "VIEWPORT"):
         with pytest.raises(session.TerrainError, match=r"hills/data-\w+/samples.npy is damaged .*import the terrain"):
             session.update_object(terrain, mode=mode)
-    assert (Path(source) / "store.json").is_file() and land_request.made["stores"] == 0
+    assert (Path(source) / "store.json").is_file() and derived_store.counts["stores"] == 0
 
 
 @pytest.mark.parametrize("other", ["Thumbs.db", "data/Thumbs.db", "data/samples.npy/more"])
@@ -114,7 +114,7 @@ def test_land_that_is_cut_off_while_it_is_open_is_made_again(terrain, shaped):
     [file] = shaped.glob("data-*/samples.npy")
     os.truncate(file, PAGE_BYTES)
     session.update_object(terrain, mode="RENDER")
-    assert session.record_of(terrain).status.error == "" and land_request.made["stores"] == 1
+    assert session.record_of(terrain).status.error == "" and derived_store.counts["stores"] == 1
 
 
 @pytest.mark.parametrize("array", ["error_c", "error_m1"])
@@ -152,7 +152,7 @@ def test_land_that_can_neither_be_read_nor_removed_is_an_error(terrain, shaped, 
     with monkeypatch.context() as context:
         context.setattr(owned_files, "remove_file", remove_file)
         with pytest.raises(
-            session.TerrainError, match=r"samples.npy is damaged \(it has .*\)\. It is shaped land, which"
+            session.TerrainError, match=r"samples.npy is damaged \(it has .*: it is shaped land that cannot"
         ):
             session.update_object(terrain)
     session.update_object(terrain)
@@ -174,7 +174,7 @@ def test_damage_to_a_by_product_is_neither_exported_nor_baked(terrain, shaped, t
         assert bpy.ops.adaptive_terrain.bake_land() == {"FINISHED"}
         scree = next(Path(terrain.adaptive_terrain.store).glob("data-*/layer_scree.npy"))
         assert scree.read_bytes() == whole
-    assert land_request.made["stores"] == 1
+    assert derived_store.counts["stores"] == 1
 
 
 def test_what_blender_is_short_of_is_no_damage(terrain, shaped, monkeypatch):
@@ -213,10 +213,10 @@ def test_shaped_land_that_was_chosen_as_a_source_is_left_as_it_is(terrain, shape
 def test_a_damaged_note_of_what_was_asked_for_is_not_read(tmp_path, level):
     """Tiles that there are none of, numbers that are none, brackets without end."""
     folder = str(tmp_path / "land")
-    land_tiles.note(folder, [{3: 0.5}])
-    assert land_tiles.with_known(folder, [{0: 0.25}]) == [{3: 0.5, 0: 0.25}]
+    requested_tiles.note(folder, [{3: 0.5}])
+    assert requested_tiles.with_known(folder, [{0: 0.25}]) == [{3: 0.5, 0: 0.25}]
     Path(f"{folder}.json").write_text(f"[{level}]")
-    assert land_tiles.with_known(folder, [{0: 0.25}]) == [{0: 0.25}]
+    assert requested_tiles.with_known(folder, [{0: 0.25}]) == [{0: 0.25}]
 
 
 def test_a_damaged_baked_store_is_an_error(terrain):
@@ -267,15 +267,15 @@ def test_land_that_another_blender_is_writing_is_not_cleared(terrain, shaped):
 def test_land_that_another_blender_clears_at_once_is_made_again(terrain, monkeypatch):
     """Between the end of its making and its first look."""
     add("thermal")
-    noted = land_tiles.note
+    noted = requested_tiles.note
 
     def cleared(folder, wanted):
-        monkeypatch.setattr(land_tiles, "note", noted)
-        land_folders.remove(Path(folder))
+        monkeypatch.setattr(requested_tiles, "note", noted)
+        land_folder.remove(Path(folder))
 
-    monkeypatch.setattr(land_tiles, "note", cleared)
+    monkeypatch.setattr(requested_tiles, "note", cleared)
     session.update_object(terrain, mode="RENDER")
-    assert land_request.made["stores"] == 2 and shaped_land.state_of(terrain).shown == "Shaped"
+    assert derived_store.counts["stores"] == 2 and shaped_land.state_of(terrain).shown == "Shaped"
 
 
 def test_tiles_are_kept_though_another_blender_has_cleared_them(tmp_path):

@@ -11,10 +11,11 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.land import derived_store, land_folder
 from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
 from adaptive_terrain.operators import handlers
 from adaptive_terrain.operators.land import land_cache, shape_land
-from adaptive_terrain.operators.request import land_folders, land_request, land_stack
+from adaptive_terrain.operators.request import land_stack
 from adaptive_terrain.operators.request.kernels_asked import kernels_for
 from adaptive_terrain.operators.request.request import gather
 from adaptive_terrain.operators.scene import land_jobs, session, shaped_land
@@ -30,7 +31,7 @@ def test_a_file_that_cannot_be_exported_is_told_of_before_the_land_is_shaped(ter
     add("thermal")
     with pytest.raises(RuntimeError, match="there is no folder"):
         bpy.ops.adaptive_terrain.export_heights(filepath=str(tmp_path / "none" / "land.tif"))
-    assert land_request.made["stores"] == 0
+    assert derived_store.counts["stores"] == 0
 
 
 def test_a_hidden_terrain_costs_nothing(terrain):
@@ -49,11 +50,11 @@ def test_a_hidden_terrain_costs_nothing(terrain):
         assert session.record_of(terrain).status.request.land is None
         with pytest.raises(RuntimeError, match="is hidden in viewports and in renders"):
             bpy.ops.adaptive_terrain.shape()
-    assert land_request.made == {"previews": 0, "stores": 0}
+    assert derived_store.counts == {"previews": 0, "stores": 0}
     terrain.hide_set(False)
     bpy.context.view_layer.update()
     session.update_object(terrain)
-    assert land_request.made == {"previews": 1, "stores": 0}
+    assert derived_store.counts == {"previews": 1, "stores": 0}
 
 
 def test_a_preview_first_and_the_land_when_it_is_shaped(terrain):
@@ -70,9 +71,9 @@ def test_a_preview_first_and_the_land_when_it_is_shaped(terrain):
     folder = shaped_land.store_of(terrain)
     request = session.record_of(terrain).status.request
     assert request.store == folder and request.land is None
-    assert land_request.made == {"previews": 1, "stores": 1}
+    assert derived_store.counts == {"previews": 1, "stores": 1}
     bpy.ops.adaptive_terrain.shape()
-    assert land_request.made == {"previews": 1, "stores": 1}, "what is there is not made again"
+    assert derived_store.counts == {"previews": 1, "stores": 1}, "what is there is not made again"
 
 
 def note_where(monkeypatch, terrain, **said) -> str:
@@ -136,7 +137,7 @@ def test_undo_brings_the_land_before_back_at_once(terrain):
     assert shaped_land.store_of(terrain) != first
     entry.thermal.depth = 30.0
     session.update_object(terrain)
-    assert shaped_land.store_of(terrain) == first and land_request.made["stores"] == 2
+    assert shaped_land.store_of(terrain) == first and derived_store.counts["stores"] == 2
     entry.on = False
     session.update_object(terrain)
     assert shaped_land.store_of(terrain) == terrain.adaptive_terrain.store
@@ -147,7 +148,7 @@ def test_a_render_has_all_of_the_land_and_waits_for_it(terrain):
     add("thermal", depth=80.0)
     session.update_object(terrain)
     session.update_object(terrain, mode="RENDER")
-    assert land_request.made == {"previews": 1, "stores": 1}
+    assert derived_store.counts == {"previews": 1, "stores": 1}
     assert shaped_land.state_of(terrain).shown == "Shaped"
     assert session.record_of(terrain).field.raster_key == open_store(shaped_land.store_of(terrain)).raster_key
 
@@ -164,7 +165,7 @@ def test_shaped_land_that_nobody_shows_goes_when_there_is_too_much(terrain, add_
     """The one that was not used for longest first; never what another terrain of the scene shows."""
 
     def there() -> set[str]:
-        return {str(folder) for folder, _ in land_request.shaped_stores(terrain.adaptive_terrain.store)}
+        return {str(folder) for folder, _ in land_folder.shaped_stores(terrain.adaptive_terrain.store)}
 
     other = add_terrain("Other")
     other.adaptive_terrain.store = terrain.adaptive_terrain.store
@@ -172,8 +173,8 @@ def test_shaped_land_that_nobody_shows_goes_when_there_is_too_much(terrain, add_
     add("thermal")
     bpy.ops.adaptive_terrain.shape()
     shown = shaped_land.store_of(other)
-    first, second = other_stores(shown, "0" * 16, "1" * 16 + land_request.OF_VIEWS)
-    monkeypatch.setattr(land_request, "MOST_BYTES", int(3.5 * land_folders.bytes_in(Path(first))))
+    first, second = other_stores(shown, "0" * 16, "1" * 16 + land_folder.OF_VIEWS)
+    monkeypatch.setattr(derived_store, "MAX_BYTES", int(3.5 * land_folder.bytes_in(Path(first))))
     bpy.context.view_layer.objects.active = terrain
     add("thermal", depth=10.0)
     bpy.ops.adaptive_terrain.shape()
@@ -182,8 +183,8 @@ def test_shaped_land_that_nobody_shows_goes_when_there_is_too_much(terrain, add_
     terrain.adaptive_terrain.land.entries[0].thermal.depth = 30.0
     session.update_object(terrain)
     assert shaped_land.store_of(terrain) == shown, "both terrains share it"
-    monkeypatch.setattr(land_request, "MOST_BYTES", 0)
-    land_request.remove_old(land_request.Land(terrain.adaptive_terrain.store, second, False, None))
+    monkeypatch.setattr(derived_store, "MAX_BYTES", 0)
+    derived_store.remove_old(derived_store.Land(terrain.adaptive_terrain.store, second, False, None))
     assert there() == {shown, second}
 
 
@@ -192,7 +193,7 @@ def test_the_cache_says_what_it_holds_and_is_cleared(terrain):
     bpy.ops.adaptive_terrain.shape()
     shown = shaped_land.store_of(terrain)
     [other] = other_stores(shown, "0" * 16)
-    beside = land_request.folder_beside(terrain.adaptive_terrain.store)
+    beside = land_folder.folder_beside(terrain.adaptive_terrain.store)
     said = land_cache.lines(terrain.adaptive_terrain.store)
     assert said[0] == str(beside) and said[1].endswith(" MB, stores: 1") and " 0 MB" not in "".join(said)
     assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
@@ -213,12 +214,12 @@ def test_the_cache_keeps_what_a_terrain_shows_by_another_path(terrain, add_terra
         bpy.context.view_layer.objects.active = other
         add("thermal")
         bpy.ops.adaptive_terrain.shape()
-        land_request._in_use.pop(terrain.session_uid, None)
+        derived_store._in_use.pop(terrain.session_uid, None)
         bpy.context.view_layer.objects.active = terrain
         assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
         assert Path(shaped_land.store_of(other)).is_dir() and shaped_land.state_of(other).shown == "Shaped"
         bpy.data.objects.remove(other)
-        land_request._in_use.clear()
+        derived_store._in_use.clear()
 
 
 def test_the_cache_gives_up_what_a_terrain_that_is_gone_has_shown(terrain, add_terrain):
@@ -241,10 +242,10 @@ def test_baked_land_needs_no_stack(terrain):
     baked = terrain.adaptive_terrain.store
     assert baked == source + "_baked" and not terrain.adaptive_terrain.land.entries
     assert open_store(source).key == before != open_store(baked).key
-    beside = land_request.folder_beside(source)
+    beside = land_folder.folder_beside(source)
     assert (beside / "tiles").is_dir() and str(beside) in land_cache.lines(baked), "for Undo"
     assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
-    assert not land_request.shaped_stores(source) and not (beside / "tiles").exists() and Path(source).is_dir()
+    assert not land_folder.shaped_stores(source) and not (beside / "tiles").exists() and Path(source).is_dir()
     session.update_object(terrain)
     assert session.record_of(terrain).field.raster_key == open_store(baked).raster_key
     with pytest.raises(RuntimeError, match="nothing to bake: the stack is empty"):
@@ -256,7 +257,7 @@ def test_heights_are_exported_with_what_the_stack_leaves(terrain, tmp_path):
 
     add("thermal", depth=80.0)
     assert bpy.ops.adaptive_terrain.export_heights(filepath=str(tmp_path / "land.tif")) == {"FINISHED"}
-    shaped = open_store(shaped_land.land_request.folder_beside(terrain.adaptive_terrain.store) / only_shaped(terrain))
+    shaped = open_store(land_folder.folder_beside(terrain.adaptive_terrain.store) / only_shaped(terrain))
     with rasterio.open(tmp_path / "land.tif") as file:
         assert np.array_equal(file.read(1)[::-1], shaped.heights())
     assert sorted(path.name for path in tmp_path.glob("land_*.tif")) == [f"land_{n}.tif" for n in sorted(shaped.layers)]
@@ -265,7 +266,7 @@ def test_heights_are_exported_with_what_the_stack_leaves(terrain, tmp_path):
 
 
 def only_shaped(terrain) -> str:
-    [folder] = {path.parent for path in land_request.folder_beside(terrain.adaptive_terrain.store).glob("*/store.json")}
+    [folder] = {path.parent for path in land_folder.folder_beside(terrain.adaptive_terrain.store).glob("*/store.json")}
     return folder.name
 
 
@@ -298,7 +299,7 @@ def test_looking_at_frames_can_be_cancelled(terrain, monkeypatch, by):
     else:
         assert bpy.ops.adaptive_terrain.shape_cancel() == {"FINISHED"}
     assert to_the_end(operator) == {"CANCELLED"}
-    assert scene.frame_current == 450 and not land_jobs.running and land_request.made["stores"] == 0
+    assert scene.frame_current == 450 and not land_jobs.running and derived_store.counts["stores"] == 0
 
 
 @pytest.mark.parametrize("by", ["file", "undo"])
@@ -322,7 +323,7 @@ def test_looking_at_frames_ends_where_the_scene_goes(terrain, tmp_path, monkeypa
         bpy.ops.ed.undo_push(message="after")
         assert bpy.ops.ed.undo() == {"FINISHED"}
         assert to_the_end(operator) == {"CANCELLED"}
-    assert not land_jobs.running and land_request.made["stores"] == 0
+    assert not land_jobs.running and derived_store.counts["stores"] == 0
 
 
 def test_shaping_says_why_it_does_not_begin(terrain):
@@ -339,7 +340,7 @@ def test_shaping_says_why_it_does_not_begin(terrain):
 def test_shaping_that_fails_unexpectedly_can_begin_again(terrain, monkeypatch):
     add("thermal", scree_angle=0.4)
     operator = running(shape_land.ShapeLand, terrain, NAMES)
-    monkeypatch.setattr(shape_land, "wanted_tiles", Mock(side_effect=OSError("no such device")))
+    monkeypatch.setattr(derived_store, "wanted_tiles", Mock(side_effect=OSError("no such device")))
     with pytest.raises(OSError, match="no such device"):
         to_the_end(operator)
     assert land_jobs.running == {}

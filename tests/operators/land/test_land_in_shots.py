@@ -6,7 +6,7 @@ import shutil
 import bpy
 import numpy as np
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.operators.request import land_request
+from adaptive_terrain.cbt_terrain.land import derived_store, land_folder
 from adaptive_terrain.operators.scene import session, shaped_land
 from land_scenes import add
 
@@ -16,7 +16,7 @@ def test_water_lies_on_the_land_that_the_stack_makes(terrain):
     add("water", sea=-10.0)
     session.update_object(terrain)
     assert bpy.ops.adaptive_terrain.water_surface() == {"FINISHED"}
-    assert land_request.made["stores"] == 1
+    assert derived_store.counts["stores"] == 1
     [water] = terrain.children
     heights = np.empty(3 * len(water.data.vertices), np.float32)
     water.data.vertices.foreach_get("co", heights)
@@ -46,13 +46,13 @@ def test_only_what_the_shot_sees_is_fine(scene, terrain, wide_store, tmp_path):
     fine = [np.abs(np.diff(part, 2)).mean() for part in (change[100:200, 150:250], change[800:900, 1200:1300])]
     assert fine[0] > 3.0 * fine[1], "fine waves where the camera looks only"
     session.update_object(terrain, mode="RENDER")
-    assert land_request.made["stores"] == 1, "the render finds its tiles"
+    assert derived_store.counts["stores"] == 1, "the render finds its tiles"
     look_at(scene, 4000.0, 3000.0)
     session.update_object(terrain, mode="RENDER")
-    assert land_request.made["stores"] == 2 and shaped_land.state_of(terrain).tiles[0] > built
+    assert derived_store.counts["stores"] == 2 and shaped_land.state_of(terrain).tiles[0] > built
     look_at(scene, -4000.0, -3000.0)
     session.update_object(terrain, mode="RENDER")
-    assert land_request.made["stores"] == 2
+    assert derived_store.counts["stores"] == 2
     again = open_store(folder).heights() - open_store(wide_store).heights()
     assert np.array_equal(again[50:250, 60:300], change[50:250, 60:300])
 
@@ -68,4 +68,4 @@ def test_a_frozen_terrain_keeps_its_triangles_and_takes_the_shaped_heights(terra
     assert shaped_land.state_of(terrain).shown == "Source" and len(terrain.data.polygons) == before
     assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
     assert shaped_land.state_of(terrain).shown == "Shaped" and len(terrain.data.polygons) == before
-    shutil.rmtree(land_request.folder_beside(str(wide_store)))
+    shutil.rmtree(land_folder.folder_beside(str(wide_store)))

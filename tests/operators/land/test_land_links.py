@@ -10,7 +10,8 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import store as stores
-from adaptive_terrain.operators.request import land_folders, land_request, land_tiles
+from adaptive_terrain.cbt_terrain.land import derived_store, land_folder, requested_tiles
+from adaptive_terrain.operators.request import land_request
 from adaptive_terrain.operators.scene import session, shaped_land
 from land_scenes import add
 
@@ -33,7 +34,7 @@ def content(folder) -> dict:
     return {str(file): (file.read_bytes(), file.stat().st_mtime_ns) for file in files}
 
 
-def land_folder(terrain) -> Path:
+def folder_of_land(terrain) -> Path:
     """The folder that the terrain's stack is shaped into."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     return Path(land_request.land_of(terrain, terrain.evaluated_get(depsgraph), depsgraph, waits=True).folder)
@@ -58,7 +59,7 @@ def mask_by(terrain) -> None:
 @pytest.mark.parametrize("mode", ["RENDER", "VIEWPORT"])
 def test_a_link_in_place_of_a_land_folder_is_refused(terrain, precious, at, mode):
     add("thermal")
-    folder, before = land_folder(terrain), content(precious)
+    folder, before = folder_of_land(terrain), content(precious)
     link = folder.parent / at.replace("NAME", folder.name)
     put_link(link, precious)
     with pytest.raises(session.TerrainError, match=rf"{link.name} is a link; expected a folder .*: move it away"):
@@ -67,7 +68,7 @@ def test_a_link_in_place_of_a_land_folder_is_refused(terrain, precious, at, mode
         mask_by(terrain)
         with pytest.raises(session.TerrainError, match="masks is a link"):
             session.update_object(terrain, mode=mode)
-    assert content(precious) == before and link.is_symlink() and land_request.made["stores"] == 0
+    assert content(precious) == before and link.is_symlink() and derived_store.counts["stores"] == 0
 
 
 @pytest.mark.parametrize("at", ["store.json", "data", "data/samples.npy", "data/layer_scree.npy", "../tiles/FIRST"])
@@ -89,7 +90,7 @@ def test_a_link_in_shaped_land_is_refused(terrain, shaped, precious, at):
         session.update_object(terrain, mode="RENDER")
         depsgraph = bpy.context.evaluated_depsgraph_get()
         land = land_request.land_of(terrain, terrain.evaluated_get(depsgraph), depsgraph, waits=True)
-        land_request.whole_raster_of("", land, session.open_field)  # as an export of heights reads it
+        derived_store.raster_of("", land, session.open_field, verified=True)  # as an export of heights reads it
     assert content(precious) == before and path.is_symlink()
 
 
@@ -112,7 +113,7 @@ def test_clear_land_cache_removes_nothing_behind_a_link(terrain, shaped, preciou
 
 def test_a_land_folder_that_is_a_file_is_refused(terrain):
     add("thermal")
-    beside = land_folder(terrain).parent
+    beside = folder_of_land(terrain).parent
     shutil.rmtree(beside, ignore_errors=True)
     beside.write_text("mine")
     with pytest.raises(session.TerrainError, match="hills_land is a file; expected a folder"):
@@ -123,7 +124,7 @@ def test_a_land_folder_that_is_a_file_is_refused(terrain):
 def test_the_store_of_another_terrain_is_not_land(terrain):
     """A valid store under the land's name: refused, and not shown."""
     add("thermal")
-    folder = land_folder(terrain)
+    folder = folder_of_land(terrain)
     shutil.copytree(terrain.adaptive_terrain.store, folder)
     before = content(folder)
     session.update_object(terrain)
@@ -156,7 +157,7 @@ def test_land_that_records_less_is_made_again(terrain, shaped, older):
     session.update_object(terrain)
     assert shaped_land.state_of(terrain).shown == "Preview"
     session.update_object(terrain, mode="RENDER")
-    assert land_request.made["stores"] == 1 and shaped_land.state_of(terrain).shown == "Shaped"
+    assert derived_store.counts["stores"] == 1 and shaped_land.state_of(terrain).shown == "Shaped"
     assert len(list(shaped.glob("data-*"))) == 1
 
 
@@ -172,28 +173,28 @@ def test_land_of_another_stack_is_refused_under_this_name(terrain, shaped):
 def test_use_of_land_does_not_touch_what_a_link_leads_to(terrain, precious):
     """The time of use is noted by the folder's own time."""
     add("thermal")
-    folder = land_folder(terrain)
+    folder = folder_of_land(terrain)
     put_link(folder, precious)
     os.utime(precious, (1, 1))
-    land_request.forget()
+    derived_store.forget()
     with pytest.raises(session.TerrainError):
-        land_folder(terrain)
+        folder_of_land(terrain)
     assert precious.stat().st_mtime == 1
 
 
 def test_a_note_of_tiles_behind_a_link_is_not_read(tmp_path):
-    land_tiles.note(str(tmp_path / "other"), [{3: 0.5}])
+    requested_tiles.note(str(tmp_path / "other"), [{3: 0.5}])
     (tmp_path / "land.json").symlink_to(tmp_path / "other.json")
-    assert land_tiles.known(str(tmp_path / "land")) == []
+    assert requested_tiles.known(str(tmp_path / "land")) == []
     with pytest.raises(session.TerrainError, match="land.json is a link"):
-        land_tiles.forget(str(tmp_path / "land"))
-    assert land_tiles.known(str(tmp_path / "other")) == [{3: 0.5}]
+        requested_tiles.forget(str(tmp_path / "land"))
+    assert requested_tiles.known(str(tmp_path / "other")) == [{3: 0.5}]
 
 
 def test_a_mask_behind_a_link_is_not_read(terrain, precious):
     add("thermal")
     mask_by(terrain)
-    masks = land_folder(terrain).parent / land_folders.MASKS
+    masks = folder_of_land(terrain).parent / land_folder.MASKS
     [mask] = masks.iterdir()
     np.save(precious / "white.npy", np.ones((4, 4), np.float32))
     put_link(mask, precious / "white.npy")

@@ -6,6 +6,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.land import land_folder
 from adaptive_terrain.cbt_terrain.land.mask import LIMITS
 from adaptive_terrain.operators.properties import land_properties
 from adaptive_terrain.operators.request import land_masks, land_stack
@@ -132,7 +133,7 @@ def test_a_damaged_mask_file_is_named(terrain, tmp_path, damage):
     entry = add("thermal")
     entry.mask.kind, entry.mask.image = "IMAGE", bpy.data.images.new("Paint", 4, 4)
     [found] = stack_now(terrain, tmp_path).entries
-    assert land_masks.read(found.mask.image).shape == (4, 4)
+    assert land_folder.read_mask(found.mask.image).shape == (4, 4)
     Path(found.mask.image).write_bytes(damage)
-    with pytest.raises(session.TerrainError, match=r"\.npy is damaged .*: delete the file, it is made again"):
-        land_masks.read(found.mask.image)
+    with pytest.raises(session.TerrainError, match=r"\.npy is damaged .*: delete the file, it is written again"):
+        land_folder.read_mask(found.mask.image)

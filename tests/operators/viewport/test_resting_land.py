@@ -12,7 +12,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store as stores
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.operators.request import land_request
+from adaptive_terrain.cbt_terrain.land import derived_store, land_folder
 from adaptive_terrain.operators.scene import land_jobs, session, shaped_land
 from adaptive_terrain.operators.viewport import live, resting_land
 from land_scenes import wide_hills
@@ -30,7 +30,7 @@ def terrain(scene, add_terrain, hills, tmp_path, monkeypatch):
     shutil.copytree(hills, tmp_path / "wide")
     obj = add_terrain()
     obj.adaptive_terrain.store = str(tmp_path / "wide")
-    land_request.forget()
+    derived_store.forget()
     bpy.ops.adaptive_terrain.land_add(effect="relief")
     scene.camera.location, scene.camera.rotation_euler = (-3000.0, -2000.0, 460.0), (0.0, 0.0, 0.0)
     shown = SimpleNamespace(scene=scene, view_layer=bpy.context.view_layer, screen=SimpleNamespace(areas=[]))
@@ -68,13 +68,13 @@ def test_what_the_view_needs_gets_finer_and_a_render_has_the_rest(terrain):
     turns(lambda: is_finished(terrain))
     state, folder = shaped_land.state_of(terrain), shaped_land.store_of(terrain)
     assert 0 < state.tiles[0] < state.tiles[1] and state.wanted, "Shape Now makes the others"
-    assert land_request.is_of_views(folder) and session.record_of(terrain).status.request.store == folder
+    assert land_folder.is_of_views(folder) and session.record_of(terrain).status.request.store == folder
     change = open_store(folder).heights() - open_store(terrain.adaptive_terrain.store).heights()
     fine = [np.abs(np.diff(part, 2)).mean() for part in (change[100:200, 50:150], change[550:650, 800:900])]
     assert fine[0] > 2.0 * fine[1], "below the camera"
     assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
     live.mark_dirty()
-    turns(lambda: not land_request.is_of_views(shaped_land.store_of(terrain)))
+    turns(lambda: not land_folder.is_of_views(shaped_land.store_of(terrain)))
     assert not shaped_land.state_of(terrain).wanted
     more = open_store(shaped_land.store_of(terrain)).heights() - open_store(folder).heights()
     seen, unseen = (np.abs(part).mean() for part in (more[100:200, 50:150], more[550:650, 800:900]))
@@ -107,7 +107,7 @@ def test_damaged_land_is_made_again_where_one_looks(terrain, capsys):
     live.mark_dirty()
     for state in ("Preview", "Shaped"):
         turns(lambda state=state: made.append(record.status.error) or shaped_land.state_of(terrain).shown == state)
-    assert set(made) == {""} and capsys.readouterr().out.count("_views' is damaged, and is made again from its") == 1
+    assert set(made) == {""} and capsys.readouterr().out.count("_views' is damaged and is built again from its") == 1
     assert record.field is session.open_field(str(folder))
     assert next(folder.glob("data-*/samples.npy")).read_bytes() == whole
 
@@ -134,7 +134,7 @@ def test_a_source_that_was_mended_is_seen_by_the_next_update(terrain, monkeypatc
         monkeypatch.setattr(
             stores, "open_regular", lambda f: opened(f) if f.stat().st_mode & 0o400 else opened(f.parent)
         )
-    land_request._key_of.cache_clear()
+    derived_store._key_of.cache_clear()
     session._fields.clear()
     live.mark_dirty()
     turns(lambda: "store.json cannot be read (" in record.status.error)
@@ -187,7 +187,7 @@ def test_land_that_is_damaged_again_and_again_is_left(terrain, monkeypatch, caps
     opened, record = session.open_store, session.record_of(terrain)
 
     def damaged(path):
-        if land_request.is_of_views(str(path)):
+        if land_folder.is_of_views(str(path)):
             raise TerrainError(f"{path} is damaged (its disk is worn out): import the terrain again.")
         return opened(path)
 
@@ -198,4 +198,4 @@ def test_land_that_is_damaged_again_and_again_is_left(terrain, monkeypatch, caps
         live.tick()
         time.sleep(0.005)
     assert not land_jobs.running and shaped_land.state_of(terrain).shown == "Preview"
-    assert capsys.readouterr().out.count("is made again from its source") == land_request.MOST_REPAIRS
+    assert capsys.readouterr().out.count("is built again from its source") == derived_store.MAX_REBUILDS

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which tiles of a shaped store its views have asked for: written beside it, since less may have been worth making."""
+"""The tiles that were requested of a derived store, in a file beside it. The store may hold fewer of them."""
 
 import hashlib
 import json
@@ -9,23 +9,22 @@ from pathlib import Path
 
 import numpy as np
 
-from ...cbt_terrain.ask.view import View
-from ...cbt_terrain.field.heightfield import HeightField
-from ...cbt_terrain.land.tiles import tiles_seen
-from ...cbt_terrain.run import owned_files
-from ...cbt_terrain.run.named_file import read_regular
-from ...cbt_terrain.run.partial_files import written_beside
+from ..ask.view import View
+from ..field.heightfield import HeightField
+from ..run import owned_files
+from ..run.named_file import read_regular
+from ..run.partial_files import written_beside
+from .tiles import tiles_seen
 
-# By level: of each tile, metres by which its heights may be off.
+# For each level: the tolerated error of each tile in metres.
 Tiles = list[dict[int, float]]
-
 
 MAX_BYTES = 1 << 26
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """Views of a terrain that stands at `placement`, float64 [4, 4]; the other numbers are those of `tiles_seen`."""
+class SeenTiles:
+    """Views of a terrain at `placement`, float64 [4, 4], with the other arguments of `tiles_seen`."""
 
     views: tuple[View, ...]
     placement: np.ndarray
@@ -34,6 +33,7 @@ class Seen:
     vertical_offset: float
 
     def tiles(self, source: HeightField) -> Tiles:
+        """Return the tiles that these views need."""
         scale = self.vertical_scale, self.vertical_offset
         return tiles_seen(source, self.views, self.placement, self.error_px or 1.0, *scale)
 
@@ -43,7 +43,7 @@ def _file(folder: str) -> Path:
 
 
 def known(folder: str) -> Tiles:
-    """What the store in `folder` was asked for; [] where that is not known, or damaged."""
+    """Return the tiles that were requested of a store, [] if the record is missing or damaged."""
     try:
         digest, text = read_regular(_file(folder), MAX_BYTES, links=False).decode("utf-8").split("\n", 1)
         levels = json.loads(text) if digest == _digest(text) else []
@@ -57,7 +57,7 @@ def _digest(text: str) -> str:
 
 
 def has(folder: str, wanted: Tiles | None) -> bool:
-    """Whether a store that is there was asked for these tiles, as exactly."""
+    """Return whether these tiles were requested of a store with at most these errors."""
     if wanted is None:
         return True
     there = known(folder)
@@ -69,7 +69,7 @@ def has(folder: str, wanted: Tiles | None) -> bool:
 
 
 def with_known(folder: str, wanted: Tiles | None) -> Tiles | None:
-    """With what was asked for before: what one frame needs does not go for the next."""
+    """Return these tiles with those requested before: one frame does not discard what another needs."""
     there = known(folder)
     if wanted is None or len(there) != len(wanted):
         return wanted
@@ -81,7 +81,7 @@ def with_known(folder: str, wanted: Tiles | None) -> Tiles | None:
 
 
 def note(folder: str, wanted: Tiles | None) -> None:
-    """Write down what a store was asked for; one in a folder that cannot be written is asked again."""
+    """Record the tiles that were requested of a store, if its folder can be written."""
     if wanted is not None:
         with suppress(OSError), written_beside(_file(folder)) as partial:
             text = json.dumps([sorted(level.items()) for level in wanted])
@@ -89,5 +89,6 @@ def note(folder: str, wanted: Tiles | None) -> None:
 
 
 def forget(folder: str) -> None:
+    """Remove the record of a store."""
     with suppress(OSError):
         owned_files.remove_file(_file(folder))

@@ -3,7 +3,7 @@
 
     STORE_land/NAME          a shaped store; NAME is the hash of the source and the stack, which the store records too
     STORE_land/NAME_views    the same, fine only where some views looked
-    STORE_land/NAME.json     the tiles that a store was made for (land_tiles.py)
+    STORE_land/NAME.json     the tiles that a store was built for (requested_tiles.py)
     STORE_land/tiles, masks  results by tile, images of masks
 
 It is a cache. But it may come with a stranger's project, and users may put files there: nothing in it is read, written
@@ -15,11 +15,14 @@ import re
 from contextlib import suppress
 from pathlib import Path
 
-from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.field import store as stores
-from ...cbt_terrain.field import store_folder
-from ...cbt_terrain.run import owned_files
-from . import land_tiles
+import numpy as np
+
+from ..errors import TerrainError
+from ..field import store as stores
+from ..field import store_folder
+from ..run import owned_files
+from ..run.named_file import open_regular
+from . import requested_tiles
 
 MASKS = "masks"
 OF_VIEWS = "_views"  # ends the names of stores that are fine only where some views looked
@@ -54,8 +57,9 @@ def records(provenance: dict, folder: str, source_key: str) -> bool:
         if "land" not in shaped and shaped.get("source_key") == source_key:
             return False
     raise TerrainError(
-        f"The folder {folder!r} holds the store of another terrain; expected land that was shaped from the store "
-        "beside it: move the folder elsewhere."
+        f"The folder {folder!r} holds the store of another terrain",
+        expected="land that was shaped from the store beside it",
+        fix="move the folder elsewhere",
     )
 
 
@@ -85,6 +89,20 @@ def _is_removable(folder: Path) -> bool:
         return True
 
 
+def read_mask(file: str) -> np.ndarray:
+    """Read an image in the folder of masks, float32 [rows, columns], row 0 north. Raises TerrainError."""
+    try:
+        with open_regular(Path(file)) as handle:
+            found = np.lib.format.read_array(handle, allow_pickle=False)
+        if found.ndim != 2 or found.dtype != np.float32 or not np.isfinite(found).all():
+            raise ValueError("expected finite float32 in rows and columns")
+    except (OSError, ValueError, EOFError, SyntaxError, MemoryError) as reason:
+        raise TerrainError(
+            f"The mask {file} is damaged ({reason})", fix="delete the file, it is written again"
+        ) from reason
+    return found
+
+
 def bytes_in(folder: Path) -> int:
     """Add up the sizes of all files below a folder; another Blender may remove some meanwhile."""
     found = 0
@@ -97,6 +115,6 @@ def bytes_in(folder: Path) -> int:
 
 def remove(folder: Path) -> None:
     """Remove shaped land; what another Blender is writing there stays, and so does what this program did not make."""
-    land_tiles.forget(str(folder))
+    requested_tiles.forget(str(folder))
     with suppress(OSError):
         store_folder.remove_store(folder)

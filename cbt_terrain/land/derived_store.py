@@ -1,0 +1,326 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Shaped land as a cache: the store that a stack derives from a source's store, or a preview until it is there.
+
+A derived store lies in the folder beside its source (land_folder.py) and is named for the content of the source and the
+stack. So the settings alone decide which land is shown: Undo brings back the one before at once, and terrains with
+equal settings share one. Everything in the folder can be rebuilt, so a store that fails a check is removed and built
+again.
+"""
+
+import errno
+import functools
+import os
+import threading
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import TerrainError
+from ..field import store as stores
+from ..field import store_folder
+from ..field.heightfield import HeightField
+from ..run import launch, owned_files
+from ..run.owned_files import NotOursError
+from . import land_folder, requested_tiles
+from .land_folder import OF_VIEWS, is_land_name, is_of_views, read_mask
+from .preview import Preview, preview
+from .requested_tiles import SeenTiles, Tiles
+from .shape_process import ShapeJob, shape_store
+from .stack import Stack, land_name
+
+OpenField = Callable[[str], HeightField]
+
+DAMAGED = "land.damaged"  # code of the error for a derived store that was removed: the caller asks again
+MAX_BYTES = 8 << 30  # of the derived stores of one source
+MAX_PREVIEWS = 4  # a preview holds about 12 MB
+MAX_REBUILDS = 3  # of one store in a session: a failing disk would keep the program busy for ever
+LIMITS_OF_PROCESS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)  # what this process lacks is no damage
+
+counts = {"previews": 0, "stores": 0}  # how often each was built, for tests of what a scene costs
+notify: Callable[[str], None] = print  # shows a sentence to the user
+_shaping = threading.Lock()
+_in_use: dict[int, str] = {}  # folder of the land that each user wants
+_previews: dict[str, Preview] = {}  # by `Land.folder`, the last one used last
+_rebuilds: Counter[str] = Counter()  # by folder
+_verified: set[tuple[str, int]] = set()  # stores, with their time of change, whose files were all checked
+
+
+@dataclass(frozen=True)
+class Land:
+    """A stack on a source.
+
+    Attributes:
+        source: folder of the source's store.
+        folder: folder of the derived store, whether or not it is there.
+        waits: whether the store is needed, and a preview is not enough.
+        stack: what is applied.
+        seen: the views that need fine land, None for all of it.
+    """
+
+    source: str
+    folder: str
+    waits: bool
+    stack: Stack = field(compare=False)
+    seen: SeenTiles | None = field(default=None, compare=False)
+
+    @classmethod
+    def of(cls, source: str, stack: Stack, waits: bool) -> "Land":
+        """Return the land that a stack makes of a source. Raises TerrainError where its folders are links."""
+        beside = land_folder.folder_beside(source)
+        land = cls(source, str(beside / land_name(_source_key(source), stack)), waits, stack)
+        owned_files.check_folder(beside, *(Path(some.folder).name for some in (land, land.of_views_alone)))
+        return land
+
+    @property
+    def tiles(self) -> Path:
+        """Folder of the tiles of all stacks on this source."""
+        return Path(self.folder).parent / store_folder.TILES
+
+    @property
+    def of_views_alone(self) -> "Land":
+        """The same land where only the parts in view are fine, which has another store."""
+        return replace(self, folder=self.folder.removesuffix(OF_VIEWS) + OF_VIEWS)
+
+    @property
+    def of_views(self) -> bool:
+        return is_of_views(self.folder)
+
+    @property
+    def shown(self) -> str:
+        """Folder of the store that a viewport shows, "" if it shows a preview."""
+        both = (self, self.of_views_alone)
+        return next((land.folder for land in both if land.is_shaped), "")
+
+    @property
+    def is_shaped(self) -> bool:
+        """Whether the store is there, has this version and records this land."""
+        changed = stores.changed_ns(self.folder)
+        try:
+            return bool(changed) and _is_recorded(self.folder, changed, _source_key(self.source))
+        except TerrainError:
+            return False
+
+
+def use(user: int, land: Land) -> None:
+    """Note that a user wants this land: it is not removed as old, and is rebuilt if it is damaged."""
+    if _in_use.get(user) != land.folder:
+        _in_use[user] = land.folder
+        for folder in (land.folder, land.of_views_alone.folder):
+            with suppress(OSError):
+                owned_files.touch(folder)  # see `remove_old`
+
+
+def release(user: int) -> None:
+    """Note that a user wants no land."""
+    _in_use.pop(user, None)
+
+
+def is_in_use(folder: str | os.PathLike) -> bool:
+    """Return whether a user wants the land in a folder, by whatever path."""
+    return os.path.realpath(folder).removesuffix(OF_VIEWS) in map(os.path.realpath, list(_in_use.values()))
+
+
+def forget() -> None:
+    """Forget all users, previews and checks."""
+    for known in (_previews, _in_use, _rebuilds, _verified):
+        known.clear()
+
+
+def raster_of(store: str, land: Land | None, open_field: OpenField, verified: bool = False) -> HeightField:
+    """Return the height field of a store or of land, which is shaped first if it is needed. For any thread.
+
+    Args:
+        store: folder that counts without land.
+        open_field: opens the store in a folder.
+        verified: check all files of a derived store first, as for an export: meshes do not read all of them.
+
+    Raises:
+        TerrainError: with the code DAMAGED where `store` was a derived store and was removed.
+    """
+    if land is None:
+        return _open(store, open_field)
+    if not land.waits and not land.is_shaped:
+        return previewed(land, open_field).field
+    if land.waits and (land.seen or not is_whole(land, open_field)):
+        with _shaping:  # two renders of one land shape it once
+            _shape(land, open_field)
+    if verified and _remove_damaged(land.folder) is not None:
+        return raster_of(store, land, open_field)
+    try:
+        return open_field(land.folder)
+    except TerrainError as error:
+        if stores.changed_ns(land.folder):
+            raise
+        raise TerrainError(
+            "Shaped land was removed, perhaps by Clear Land Cache of another Blender",
+            land.folder,
+            fix="try once more",
+            code=DAMAGED,
+        ) from error
+
+
+def _shape(land: Land, open_field: OpenField) -> None:
+    wanted = wanted_tiles(land, open_field)
+    if not is_whole(land, open_field) or not requested_tiles.has(land.folder, wanted):
+        wanted = requested_tiles.with_known(land.folder, wanted)
+        shape_store(land.source, land.stack, land.folder, wanted, tiles=land.tiles)
+        finish(land, wanted)
+        counts["stores"] += 1
+
+
+def begin_shaping(land: Land, open_field: OpenField, gentle: bool = False) -> tuple[ShapeJob, Tiles | None]:
+    """Begin to shape land in a child process; return the job and the tiles that `finish` needs."""
+    wanted = requested_tiles.with_known(land.folder, wanted_tiles(land, open_field))
+    return ShapeJob(land.source, land.stack, land.folder, wanted, tiles=land.tiles, gentle=gentle), wanted
+
+
+def finish(land: Land, wanted: Tiles | None) -> None:
+    """Record the tiles of land that was shaped, and remove old land."""
+    requested_tiles.note(land.folder, wanted)
+    remove_old(land)
+
+
+def is_whole(land: Land, open_field: OpenField) -> bool:
+    """Return whether the derived store is there, can be opened and records this land; remove one that is damaged.
+
+    Raises:
+        TerrainError: the folder is a link or holds the store of another terrain.
+    """
+    if not stores.changed_ns(land.folder):
+        return False
+    try:
+        found = open_field(land.folder)
+    except TerrainError as error:
+        _remove_damaged(land.folder, error)
+        return False
+    return land_folder.records(found.provenance, land.folder, _source_key(land.source))
+
+
+def wanted_tiles(land: Land, open_field: OpenField) -> Tiles | None:
+    """Return the tiles that the land's views need, None for all."""
+    return None if land.seen is None else land.seen.tiles(open_field(land.source))
+
+
+def previewed(land: Land, open_field: OpenField) -> Preview:
+    """Return a preview of land, built at most once."""
+    found = _previews.pop(land.folder, None)
+    if found is None:
+        counts["previews"] += 1
+        files = {e.mask.image for e in land.stack.active if e.mask is not None and e.mask.image}
+        images: dict[str, np.ndarray] = {file: read_mask(file)[::-1] for file in files}  # row 0 south
+        found = preview(open_field(land.source), land.stack, images, launch.default_threads())
+    _previews[land.folder] = found
+    while len(_previews) > MAX_PREVIEWS:
+        del _previews[next(iter(_previews))]
+    return found
+
+
+def preview_of(land: Land) -> Preview | None:
+    """Return the preview of land if there is one."""
+    return _previews.get(land.folder)
+
+
+def remove_old(land: Land) -> None:
+    """Remove derived stores of a source beyond MAX_BYTES, oldest use first, except `land` and land in use."""
+    found = land_folder.shaped_stores(land.source)
+    total = sum(size for _, size in found)
+    for folder, size in found:
+        if total > MAX_BYTES and not is_in_use(folder) and str(folder) != land.folder:
+            land_folder.remove(folder)
+            total -= size
+
+
+def check_after(store: str, error: TerrainError) -> None:
+    """Check a derived store after an error that its damage may have caused.
+
+    Raises:
+        TerrainError: with the code DAMAGED if it was damaged and is removed.
+    """
+    changed = stores.changed_ns(store)
+    if (store, changed) not in _verified:
+        fault = _remove_damaged(store)
+        if fault is not None:
+            raise _damaged(store, fault) from error
+        _verified.add((store, changed))
+
+
+def _open(store: str, open_field: OpenField) -> HeightField:
+    try:
+        return open_field(store)
+    except TerrainError as error:
+        if _remove_damaged(store, error) is not None:
+            raise _damaged(store, error) from error
+        if _is_rebuilt_here(store) and not _is_limit(error):
+            fix = "check its disk and your rights: it is shaped land that cannot be built again"
+            raise TerrainError(error.what, error.where, error.expected, fix) from error
+        raise
+
+
+def _remove_damaged(store: str, fault: TerrainError | None = None) -> TerrainError | None:
+    """Remove a derived store with a fault, and say so; return the fault if the store is gone.
+
+    Without a fault all its files are checked. Other stores stay, and so do files of others in its folder.
+
+    Raises:
+        NotOursError: the store is a link.
+    """
+    if not _is_rebuilt_here(store):
+        return None
+    changed = stores.changed_ns(store)
+    if fault is None:
+        try:
+            stores.verify(store)
+            return None
+        except TerrainError as found:
+            fault = found
+    if isinstance(fault, NotOursError):
+        raise fault
+    if _is_limit(fault):
+        return None
+    if changed and stores.changed_ns(store) == changed:  # else another process has replaced it
+        if _rebuilds[store] >= MAX_REBUILDS:
+            return None
+        try:
+            store_folder.take_away(Path(store))
+        except OSError:
+            return None
+        _rebuilds[store] += 1
+        notify(str(_damaged(store, fault)))
+    return fault
+
+
+def _damaged(store: str, fault: TerrainError) -> TerrainError:
+    what = f"The shaped land in {store!r} is damaged and is built again from its source ({fault.what})"
+    return TerrainError(what, code=DAMAGED)
+
+
+def _is_limit(error: TerrainError) -> bool:
+    return getattr(error.__cause__, "errno", None) in LIMITS_OF_PROCESS
+
+
+def _is_rebuilt_here(store: str) -> bool:
+    """Return whether a user's stack makes this store. Shaped land that was chosen as a source is not built again."""
+    return is_land_name(Path(store).name) and is_in_use(store)
+
+
+def _source_key(store: str) -> str:
+    changed = stores.changed_ns(store)
+    if not changed:
+        raise TerrainError(
+            f"There is no terrain store at {store!r}", fix="choose its folder under Store, or import again"
+        )
+    return _key_of(store, changed)
+
+
+@functools.lru_cache(maxsize=64)
+def _is_recorded(folder: str, _changed_ns: int, source_key: str) -> bool:
+    return land_folder.records(stores.read_json(Path(folder))["provenance"], folder, source_key)
+
+
+@functools.lru_cache(maxsize=64)
+def _key_of(store: str, _changed_ns: int) -> str:
+    return stores.read_json(Path(store))["key"]

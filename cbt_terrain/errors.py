@@ -43,55 +43,65 @@ def to_sentence(error: TerrainError) -> str:
     return f"{error.what.removesuffix('.')}{place}{expected}{fix}."
 
 
-def path_fault(path: str | os.PathLike) -> str:
-    """Return why no system can have a file of this name, "" if it can: the end of a sentence."""
+def path_fault(subject: str, path: str | os.PathLike) -> TerrainError | None:
+    """Return the error for a path that no file can have, None if a file can have it.
+
+    Args:
+        subject: start of the error's clause: "The store a/b".
+    """
     text = os.fspath(path)
+    name = "the name of a file or folder"
     if "\0" in text:
-        return "holds a NUL character: expected the name of a file or folder."
+        return TerrainError(f"{subject} holds a NUL character", expected=name)
     try:
         whole = Path(text).absolute()
         parts = [os.fsencode(part) for part in whole.parts]
         size = len(os.fsencode(whole))
     except (UnicodeEncodeError, OSError) as reason:  # OSError: the current folder was removed
-        return f"cannot be a path ({reason}): expected the name of a file or folder."
+        return TerrainError(f"{subject} cannot be a path ({reason})", expected=name)
+    fix = "choose a shorter one"
     if size >= MAX_PATH_BYTES:
-        return f"is a path of {size:,} bytes: expected fewer than {MAX_PATH_BYTES:,}; choose a shorter one."
+        return TerrainError(
+            f"{subject} is a path of {size:,} bytes", expected=f"fewer than {MAX_PATH_BYTES:,}", fix=fix
+        )
     longest = max(map(len, parts), default=0)
     if longest > MAX_NAME_BYTES:
-        return f"holds a name of {longest:,} bytes: expected at most {MAX_NAME_BYTES}; choose a shorter one."
-    return ""
+        return TerrainError(
+            f"{subject} holds a name of {longest:,} bytes", expected=f"{MAX_NAME_BYTES} at most", fix=fix
+        )
+    return None
 
 
 def check_path(what: str, path: str | os.PathLike) -> None:
-    """Raise TerrainError for a path that no system can have; what: "The store"."""
-    reason = path_fault(path)
-    if reason:
-        raise TerrainError(f"{what} {shown(path)} {reason}")
+    """Raise TerrainError for a path that no file can have. what: "The store"."""
+    error = path_fault(f"{what} {shown(path)}", path)
+    if error is not None:
+        raise error
 
 
 def check_number(name: str, value: float, low: float, high: float, unit: str) -> None:
-    """Raise TerrainError for what is not a number between `low` and `high`; name: "The detail's wavelength"."""
+    """Raise TerrainError unless `value` is a number from `low` to `high`. name: "The detail's wavelength"."""
     if not (isinstance(value, int | float) and low <= value <= high):
-        raise TerrainError(f"{name} is {value!r}; expected {low:g} .. {high:g} {unit}.")
+        raise TerrainError(f"{name} is {value!r}", expected=f"{low:g} .. {high:g} {unit}")
 
 
 def check_seed(name: str, seed: int) -> None:
-    """Raise TerrainError for what is not a whole number of 32 bits."""
+    """Raise TerrainError unless `seed` is a whole number of 32 bits."""
     if not (isinstance(seed, int) and 0 <= seed < 2**32):
-        raise TerrainError(f"{name} is {seed!r}; expected a whole number, 0 .. {2**32 - 1}.")
+        raise TerrainError(f"{name} is {seed!r}", expected=f"a whole number, 0 .. {2**32 - 1}")
 
 
 def named_once(pairs: list[tuple[str, object]]) -> dict:
-    """An object of JSON; ValueError where a name stands in it twice, of which Python would take the last."""
+    """Return a JSON object as a dict. Raise ValueError for a repeated name, of which Python would take the last."""
     content = {}
     for name, value in pairs:
         if name in content:
-            raise ValueError(f"{shown(name)!r} stands twice in one object")
+            raise ValueError(f"{shown(name)!r} occurs twice in one object")
         content[name] = value
     return content
 
 
-def shown(text: object, most: int = 200) -> str:
-    """A text from outside as it is shown: one line of at most `most` characters, none of which a terminal obeys."""
+def shown(text: object, max_length: int = 200) -> str:
+    """Return a text from outside as one line of at most `max_length` printable characters, safe for a terminal."""
     line = "".join(c if c.isprintable() else "?" for c in " ".join(str(text).split()))
-    return line if len(line) <= most else f"{line[:most]}..."
+    return line if len(line) <= max_length else f"{line[:max_length]}..."

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Numbers that a caller gives, as the engine keeps them: Python's own, whatever type they came in.
+"""Conversion of a caller's numbers to Python's types.
 
 So keys, digests and JSON are the same for 50, 50.0 and numpy's float32(50).
 """
@@ -21,7 +21,9 @@ def plain_number(value: object, kind: object, name: str):
     """Return a value of an annotated `kind` with Python's numbers: bool, int, float, tuples of them, or None.
 
     Whole floats are ints, scalar arrays are numbers, bools are not. Values of any other kind are returned as they are.
-    Raises TerrainError, which calls the value `name`: "The criterion's max_depth".
+
+    Args:
+        name: subject of the error: "The criterion's max_depth".
     """
     if kind not in EXPECTED:
         return _of_parts(value, kind, name)
@@ -37,11 +39,11 @@ def plain_number(value: object, kind: object, name: str):
                 return int(value)
     except OverflowError:  # more than a float holds
         pass
-    raise TerrainError(f"{name} is {shown(repr(value))}; expected {EXPECTED[kind]}.")
+    raise TerrainError(f"{name} is {shown(repr(value))}", expected=EXPECTED[kind])
 
 
 def _of_parts(value: object, kind: object, name: str):
-    """Return a tuple, or what may be None, with Python's numbers."""
+    """Return a value of a tuple or of an optional kind with Python's numbers."""
     kinds = get_args(kind)
     if get_origin(kind) is not tuple:
         kinds = tuple(k for k in kinds if k is not NoneType)
@@ -50,7 +52,7 @@ def _of_parts(value: object, kind: object, name: str):
         return value
     parts = tuple(value) if np.iterable(value) else ()
     if len(parts) != len(kinds):
-        raise TerrainError(f"{name} is {shown(repr(value))}; expected {len(kinds)} numbers.")
+        raise TerrainError(f"{name} is {shown(repr(value))}", expected=f"{len(kinds)} numbers")
     return tuple(plain_number(*part, name) for part in zip(parts, kinds, strict=True))
 
 
@@ -62,18 +64,20 @@ def keep_plain_numbers(settings: object, owner: str) -> None:
 
 
 def vertical(scale: float, offset: float) -> tuple[float, float]:
-    """Return a vertical scale and an offset in metres. Raises TerrainError for what is no number."""
+    """Return a vertical scale and an offset in metres. Raises TerrainError unless both are numbers."""
     return plain_number(scale, float, "The vertical scale"), plain_number(offset, float, "The vertical offset")
 
 
 def vectors(values, width: int, name: str) -> np.ndarray:
-    """Return float64 [n, width], contiguous. Raises TerrainError for another shape and for what is not finite."""
+    """Return float64 [n, width], contiguous. Raises TerrainError for another shape or infinite numbers."""
     found = rows(values, width, name)
     finite = np.isfinite(found)
     if not finite.all():
         at = int(np.argmin(finite.all(axis=1)))
         wrong = ", ".join(f"{value:g}" for value in found[at])
-        raise TerrainError(f"Number {at} of the {name} is ({wrong}); expected finite metres: correct or leave it out.")
+        raise TerrainError(
+            f"Number {at} of the {name} is ({wrong})", expected="finite metres", fix="correct or leave it out"
+        )
     return found
 
 
@@ -83,9 +87,9 @@ def rows(values, width: int, name: str) -> np.ndarray:
         values = list(values) if isinstance(values, Iterator) else values
         found = np.ascontiguousarray(values, np.float64)
     except (TypeError, ValueError):
-        raise TerrainError(f"The {name} are no numbers; expected [n, {width}] metres.") from None
+        raise TerrainError(f"The {name} are no numbers", expected=f"[n, {width}] metres") from None
     if found.ndim == 1 and found.size in (0, width):
         found = found.reshape(-1, width)
     if found.ndim != 2 or found.shape[1] != width:
-        raise TerrainError(f"The {name} came as an array of the shape {found.shape}; expected [n, {width}] metres.")
+        raise TerrainError(f"The {name} came as an array of the shape {found.shape}", expected=f"[n, {width}] metres")
     return found

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From a height map, which may be damaged or hostile, to a store."""
+"""Import of height maps, which may be damaged or hostile, into stores."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Warnings about a band that holds no heights as it is, and what a file that GDAL refuses may be."""
+"""Warnings about a band that may not hold heights, and a guess at a file that GDAL refuses."""
 
 from pathlib import Path
 
@@ -14,7 +14,8 @@ CONTENTS = (
     (b"GIF8", "GIF"), (b"RIFF", "WebP"), (b"8BPS", "Photoshop"), (b"DDS ", "DDS"),
 )  # fmt: skip
 BOM = b"\xef\xbb\xbf"
-OWN_KINDS = {"GTiff": ("TIFF", "BigTIFF"), "PNG": ("PNG",)}
+DRIVER_KINDS = {"GTiff": ("TIFF", "BigTIFF"), "PNG": ("PNG",)}
+WHOLE_FILE = "a whole file of that kind"
 
 
 def band_notes(dataset, band: int, driver: str) -> list[str]:
@@ -27,9 +28,7 @@ def band_notes(dataset, band: int, driver: str) -> list[str]:
         what = f"The PNG has {dataset.count} channels" if is_picture else f"The file has {dataset.count} bands"
         notes.append(f"{what}; band {band} is taken as the height. If another one is, give its number (--band).")
     if len(others) >= 2 and all(kind == "uint8" for kind in dataset.dtypes[:3]):
-        notes[-1] += (
-            " Heights that are packed into colours (Terrarium, Terrain-RGB) are not read: unpack them into a GeoTIFF."
-        )
+        notes[-1] += " Heights packed into colours (Terrarium, Terrain-RGB) are not read: unpack them into a GeoTIFF."
     if dataset.colorinterp[band - 1] == ColorInterp.palette:
         notes.append("The file's samples are numbers of colours in a palette, not heights: save it as grey values.")
     if dataset.dtypes[band - 1] in ("uint8", "int8"):
@@ -38,8 +37,7 @@ def band_notes(dataset, band: int, driver: str) -> list[str]:
 
 
 def float_alpha(dataset, band: int) -> int:
-    """Return the number of an alpha band that GDAL makes no mask of, because it holds other numbers than those of 8 and
-    16 bits; 0 if there is none."""
+    """Return the number of an alpha band that GDAL ignores because its type is neither uint8 nor uint16; 0 if none."""
     from rasterio.enums import ColorInterp
 
     for n, (kind, stored) in enumerate(zip(dataset.colorinterp, dataset.dtypes, strict=True), 1):
@@ -48,21 +46,20 @@ def float_alpha(dataset, band: int) -> int:
     return 0
 
 
-def content_hint(path: Path, driver: str) -> str:
-    """Return what is expected of a file that cannot be read, with what it seems to be."""
+def content_hint(path: Path, driver: str) -> dict[str, str]:
+    """Return the fields `expected` and `fix` of the error about a file that GDAL refuses, by its first bytes."""
     try:
         with open_regular(path, links=True) as file:
             head = file.read(16)
     except OSError:
         head = b""
     kind = next((name for start, name in CONTENTS if head.startswith(start)), "")
-    if kind and kind not in OWN_KINDS.get(driver, ()):
-        return f"a file of that kind, and by its content it is {kind}: give it that suffix, or convert it to GeoTIFF"
+    if kind and kind not in DRIVER_KINDS.get(driver, ()):
+        expected = f"a file of that kind, and by its content it is {kind}"
+        return {"expected": expected, "fix": "give it that suffix, or convert it to GeoTIFF"}
     if head.startswith(BOM):
-        return "a text without a byte order mark, which this one begins with: save it as plain text (UTF-8 without BOM)"
+        expected = "a text that does not begin with a byte order mark"
+        return {"expected": expected, "fix": "save it as plain text (UTF-8 without BOM)"}
     if driver == "SRTMHGT":
-        return (
-            "a name like N36W085.hgt and as many samples as GDAL knows of such files (1201 x 1201 or 3601 x 3601 of 2 "
-            "bytes)"
-        )
-    return "a whole file of that kind"
+        return {"expected": "a name like N36W085.hgt and 1201 x 1201 or 3601 x 3601 samples of 2 bytes"}
+    return {"expected": WHOLE_FILE}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Import a source into a store: the work, which import_process.py does in a process of its own."""
+"""Import of a source into a store, within the calling process."""
 
 import dataclasses
 import hashlib
@@ -24,12 +24,10 @@ from .rounding import half_step, rounding_warnings
 from .sidecars import sidecars
 from .sources import check_file, open_source
 
-READING = "Reading"  # the part of an import in which files from outside are read
-# Rows are read and written in blocks of about this many samples.
-BLOCK_SAMPLES = 1 << 20
-# Changed when the same source would give a different store: the island's shape, the hierarchy.
-METHOD = 2
-DOUBT = ", or check that the file's header tells its true size"
+READING = "Reading"  # message while files from outside are read
+BLOCK_SAMPLES = 1 << 20  # read and written at a time, about
+METHOD = 2  # increased when the same source gives a different store
+DOUBT = ", or check the size in the file's header"
 
 
 def run_import(
@@ -40,8 +38,12 @@ def run_import(
 ) -> dict:
     """Import in this process and return the report; the store at `path` changes at the very end or not at all.
 
-    folder: name of the folder for the new arrays, if the caller wants to know it. Raises TerrainError. What comes from
-    outside is safe only in a process of its own (import_process.py): this one gives nothing up before it opens a file.
+    This process keeps its rights, so import untrusted files with import_process.py.
+
+    Args:
+        folder: name of the folder for the new arrays; None for a random one.
+
+    Raises TerrainError.
     """
     started = time.monotonic()
     store_folder.check_target(path)
@@ -49,7 +51,7 @@ def run_import(
     path = Path(path)
     try:
         digest = source_digest(settings, raster.sources)
-        # What a file of files is made of is known only now; of others, the caller has already asked this.
+        # The sources of a mosaic are known only now. For all other files the caller has checked this already.
         report = finished_before(path, digest) if raster.sources else None
         if report is not None:
             return report
@@ -71,11 +73,11 @@ def run_import(
 def _build(
     settings: ImportSettings, raster: Raster, place: Georeference, draft: store.Draft, shape: tuple, on_progress
 ) -> tuple[HeightField, ValueCheck]:
-    """Build the height field of a raster in the arrays of a draft; returns it and what was found in its values."""
+    """Build the height field of a raster in the arrays of a draft. Return it and the check of its values."""
     steps = codes.steps_of(np.dtype(raster.stored), *_scaling(raster, settings))
     heights = draft.allocate("samples" if steps is None else "raster", shape, np.dtype(np.float32))
     check, begin = ValueCheck(np.dtype(raster.stored)), 0.0
-    if raster.original is not None:  # marks of missing samples are mixed with heights where it was resampled
+    if raster.original is not None:  # resampling mixes marks of missing samples with heights
         begin = 0.1
         for share, rows in _blocks(raster.original):
             check.add(rows)
@@ -104,22 +106,24 @@ def _build(
 
 
 def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = ()) -> str:
-    """Hex digest of the settings and of the files' paths, sizes and times of change: of the source, what belongs to it,
-    and `sources`, the files that it names. Raises TerrainError if it is missing."""
+    """Return a hex digest of the settings and of the paths, sizes and modification times of the source's files.
+
+    sources: files that the source names. Raises TerrainError for a missing source.
+    """
     settings.check()
     parts = [METHOD, store.VERSION, dataclasses.asdict(settings)]
     if settings.source not in LANDS:
         source = Path(settings.source)
         check_file(source)
         for file in [source, *sidecars(source), *sources]:
-            if os.path.isfile(file):  # unlike Path.is_file, never an error: with a suffix a name may be too long
+            if os.path.isfile(file):  # Path.is_file raises if the suffix makes a name too long
                 stat = file.stat()
                 parts.append((str(file.resolve()), stat.st_size, stat.st_mtime_ns))
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
 def finished_before(path: str | os.PathLike, digest: str) -> dict | None:
-    """The report of an earlier import of the same source with the same settings, if the store is whole."""
+    """Return the report of an earlier import with the same digest, None if there is none or the store is damaged."""
     try:
         content = store.read_json(Path(path))
         if content["digest"] != digest:
@@ -131,11 +135,11 @@ def finished_before(path: str | os.PathLike, digest: str) -> dict | None:
 
 
 def describe(path: str | os.PathLike) -> dict:
-    """What a store holds, as a flat dict of numbers and texts with units in their names. Raises TerrainError."""
+    """Return a summary of a store: a flat dict of numbers and texts with units in their names. Raises TerrainError."""
     content = store.read_json(Path(path))
     field = store.open_store(path)
-    kept = sum(array.nbytes for array in (field.samples, field.error, field.ranges))
-    # A parent's error is not below its children's, so the largest is in the group of the coarsest.
+    num_bytes = sum(array.nbytes for array in (field.samples, field.error, field.ranges))
+    # A parent's error is at least its children's, so the coarsest group holds the largest.
     group = field.lattice.group(1)
     errors = field.error[codes.parts(field.lattice, len(field.error))[group]]
     return {
@@ -144,21 +148,22 @@ def describe(path: str | os.PathLike) -> dict:
         **content["report"],
         "origin": content["origin"],
         "largest_error_m": float(field.table[group][errors.max()]),
-        "bytes_per_sample": round(kept / field.samples.size, 2),
+        "bytes_per_sample": round(num_bytes / field.samples.size, 2),
         "key": field.key,
     }
 
 
 def _place(settings: ImportSettings, raster: Raster) -> Georeference:
-    """The raster's georeference, or 1 m a sample, with the distances of the extent if one is given."""
+    """Return the raster's georeference, or 1 m a sample, with the steps of the extent if one is given."""
     place = raster.georeference or Georeference(first_row_south=settings.first_row_south)
     width, height = _size(raster, place)
     if settings.extent is None:
         extent = place.step_x * max(width - 1, 1), place.step_y * max(height - 1, 1)
         if not all(SMALLEST_EXTENT < e < LARGEST_EXTENT for e in extent):
             raise TerrainError(
-                f"{settings.source} is {extent[0]:g} x {extent[1]:g} m large by its georeference: expected lengths "
-                f"between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} m; give the extent in metres."
+                f"{settings.source} is {extent[0]:g} x {extent[1]:g} m large by its georeference",
+                expected=f"lengths between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} m",
+                fix="give the extent in metres",
             )
         return place
     step_x, step_y = settings.extent[0] / max(width - 1, 1), settings.extent[1] / max(height - 1, 1)
@@ -171,12 +176,12 @@ def _size(raster: Raster, georeference: Georeference) -> tuple[int, int]:
 
 
 def _scaling(raster: Raster, settings: ImportSettings) -> tuple[float, float]:
-    """What a source's values are multiplied by and what is then added, metres."""
+    """Return the scale and the offset, metres, from a source's values to heights."""
     return raster.scale * settings.height_scale, raster.offset * settings.height_scale + settings.height_offset
 
 
 def _keep_steps(field: HeightField, draft: store.Draft, steps: codes.Steps) -> None:
-    """Keep the samples as the source's own numbers, if these say the same to the last bit."""
+    """Store the samples as the source's whole numbers, if these give the same heights to the last bit."""
     numbers = draft.allocate("samples", field.samples.shape, np.dtype(np.uint16))
     if codes.number(field.samples, steps, numbers):
         field.samples, field.steps = numbers, steps
@@ -202,8 +207,11 @@ def _read_heights(
     check: ValueCheck,
     on_progress,
 ) -> tuple[int, float]:
-    """Fill `heights` (row 0 south) from the raster; returns the number of missing ones and the metres by which the
-    source's own rounding may have moved the others. `check` gets all values of a raster that was not resampled."""
+    """Fill `heights` (row 0 south) from the raster.
+
+    Return the number of missing samples and the largest rounding error of the others, metres. `check` gets all values
+    of a raster that was not resampled.
+    """
     scale, offset = _scaling(raster, settings)
     first, missing, largest, converted = 0, 0, 0.0, 0.0
     in_file_order = place.in_file_order(heights)
@@ -236,26 +244,24 @@ def _implausible(
     if settings.no_data is not None and np.isnan(settings.no_data):  # every value is a height
         return []
     found = check.warnings()
-    if found or place.size_warnings:  # these may be why heights are too large for the extent
+    if found or place.size_warnings:  # possible causes of heights that are too large for the extent
         return found
     is_sized = settings.extent is not None or raster.is_sized
     return relief_warning(report["lowest_m"], report["highest_m"], report["extent_m"], is_sized)
 
 
 def _source_step(raster: Raster, settings: ImportSettings, largest: float) -> float:
-    """Return half a step of the stored values in metres, of floats at the largest: what the source itself leaves open.
-
-    largest: metres, the largest height that was read.
-    """
+    """Return half a step of the stored values in metres. largest: metres, the largest height that was read."""
     scaling = _scaling(raster, settings)
     return half_step(tuple(rounding.scaled(*scaling) for rounding in raster.roundings), largest)
 
 
 def _report(field: HeightField, raster: Raster, place: Georeference) -> dict:
+    """Return the report of an import."""
     warnings = [*raster.warnings, *place.warnings, *place.size_warnings]
     largest = max(abs(field.min_height), abs(field.max_height))
     warnings += rounding_warnings(raster.roundings, largest, field.source_max)
-    against = ""  # the file's own raster
+    against = ""  # the file's raster
     if raster.projected_from:
         against = f"the raster as reprojected from {raster.projected_from} to {place.crs or 'a straight one'}, bilinear"
     return {

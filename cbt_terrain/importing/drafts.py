@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A store while it is written, whatever it is made from: room for it, errors of the disk in one sentence, and what a
-report says of any terrain."""
+"""Drafts of stores with room on the disk, and the part of a report that all terrains have."""
 
 import shutil
 from collections.abc import Iterator
@@ -22,12 +21,15 @@ def drafted(
     elsewhere: str = "choose another folder",
     doubt: str = "",
 ) -> Iterator[store.Draft]:
-    """A new version of the store at `path`, which is taken away again unless the block publishes it.
+    """Create a draft of the store at `path` for the block, and remove it afterwards unless the block publishes it.
 
-    folder: name of the folder for the new arrays, if the caller wants to know it. layers: how many there will be.
-    elsewhere: what to do where no room can be made. doubt: what else to, where that much is unlikely.
-    Raises TerrainError where the disk cannot hold it, before a byte is written where that is known, and for any OSError
-    of the block.
+    Args:
+        folder: name of the folder for the new arrays; None for a random one.
+        layers: number of layers that will be written.
+        elsewhere: remedy if no room can be made, in errors.
+        doubt: further remedy if the store is implausibly large, in errors.
+
+    Raises TerrainError for a disk with too little room, before a byte is written, and for any OSError of the block.
     """
     draft = None
     try:
@@ -35,28 +37,34 @@ def drafted(
         draft = store.Draft(path, folder)
         yield draft
     except OSError as reason:
-        raise TerrainError(
-            f"The store {path} cannot be written ({reason.strerror or reason}): make room or {elsewhere}."
-        ) from reason
+        raise unwritable(path, reason, elsewhere) from reason
     finally:
         if draft is not None:
             draft.discard_unless_published()
 
 
 def room_for(lattice: Lattice, layers: int) -> int:
-    """Bytes that a store takes."""
+    """Return the bytes that a store takes."""
     return (6 + 4 * layers) * lattice.width * lattice.height + 5 * lattice.node_count + 4 * lattice.range_count
 
 
+def unwritable(path: Path, reason: OSError, elsewhere: str = "choose another folder") -> TerrainError:
+    """Return the error for a store that the system does not write."""
+    return TerrainError(
+        f"The store {path} cannot be written ({reason.strerror or reason})", fix=f"make room or {elsewhere}"
+    )
+
+
 def _check_room(path: Path, lattice: Lattice, layers: int, elsewhere: str) -> None:
-    """Refuse what the disk cannot hold before a byte is written."""
+    """Refuse a store that is larger than the free room of its disk. Raises TerrainError."""
     needed = room_for(lattice, layers)
     existing = next((p for p in (path, *path.absolute().parents) if p.exists()), Path("."))
     free = shutil.disk_usage(existing).free
     if needed > free:
         raise TerrainError(
             f"A terrain of {lattice.width} x {lattice.height} samples needs {_size(needed)} in {path}, where "
-            f"{_size(free)} are free: make room or {elsewhere}."
+            f"{_size(free)} are free",
+            fix=f"make room or {elsewhere}",
         )
 
 
@@ -65,7 +73,7 @@ def _size(count: int) -> str:
 
 
 def figures(field: HeightField) -> dict:
-    """What a report says of any terrain."""
+    """Return the entries of a report that all terrains have."""
     lattice = field.lattice
     return {
         "samples": [lattice.width, lattice.height],

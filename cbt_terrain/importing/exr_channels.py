@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Channel of an OpenEXR file that holds the height: the one that is named, or the one with the likeliest name."""
+"""Choice of the OpenEXR channel that holds heights: by a given name, or the one with the likeliest name."""
 
 import re
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ HEIGHT = re.compile(
 DEPTH = re.compile(r"depth")
 VECTOR = re.compile(r"normal|vector|position|motion|velocity|tangent|(?<![a-z])(uv|n|p|st)(?![a-z])")
 OTHER = re.compile(r"mask|alpha|crypto|matte|variance|noise|sample|(?<![a-z])(a|id|index)(?![a-z])")
-COMPONENTS = ("z", "y", "v", "r", "red", "x")  # in this order within a layer; others come first
+COMPONENTS = ("z", "y", "v", "r", "red", "x")  # preferred in this order within a layer, after all others
 
 
 @dataclass(frozen=True)
@@ -32,15 +32,18 @@ class ExrChannel:
 
     @property
     def full_name(self) -> str:
-        """Return PART.CHANNEL, or the channel's name where that begins with the part's or there is but one part."""
+        """Return PART.CHANNEL, or the channel's name if that begins with the part's or there is only one part."""
         if not self.part_name or self.name.startswith(self.part_name + "."):
             return self.name
         return f"{self.part_name}.{self.name}"
 
 
 def named(channels: list[ExrChannel], name: str) -> list[ExrChannel]:
-    """Return the channels that a user may mean by CHANNEL, LAYER.CHANNEL, PART.CHANNEL, LAYER or PART, in any case of
-    its letters where it has no other meaning, the likeliest first; of a layer or a part, the likeliest alone."""
+    """Return the channels that a user may mean by a name, the likeliest first.
+
+    name: CHANNEL, LAYER.CHANNEL, PART.CHANNEL, LAYER or PART. Upper and lower case count only if that finds a channel.
+    A layer or a part stands for its likeliest channel.
+    """
     for fold in (str, str.casefold):
         sought = fold(name)
         found = [

@@ -13,10 +13,10 @@ from .exr_channels import ExrChannel, likeliest, named
 from .raster import ImportSettings, Raster, blank, cause
 from .rounding import SourceRounding
 
-# Times that EXR's methods can pack pixels at most (zlib: 1,030), with a margin for the others.
-MOST_PACKED = 20_000
+# Largest compression ratio of EXR's methods (zlib: 1,030), with a margin for the others.
+MAX_RATIO = 20_000
 PXR24_BITS = 16  # significant bits that this method leaves of a float32
-# Channels that the methods DWAA and DWAB pack with loss, by the last part of their names; others they keep.
+# Channels that the methods DWAA and DWAB pack with loss, by the last part of their names.
 DWA_CHANNELS = ("r", "g", "b", "y", "ry", "by", "red", "grn", "green", "blu", "blue")
 
 
@@ -34,20 +34,20 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
         ]
         sizes = [_size(header) for header in headers]
     except Exception as reason:
-        raise TerrainError(f"{path} cannot be read as OpenEXR ({cause(reason)}): get the file again.") from reason
+        raise TerrainError(f"{path} cannot be read as OpenEXR ({cause(reason)})", fix="get the file again") from reason
     channel, also_named = _choose(path, channels, settings.channel)
     width, height = sizes[channel.part]
     pixels = sum(int(sizes[c.part][0] * sizes[c.part][1]) for c in channels)
-    if min(map(min, sizes)) < 1 or 4 * pixels > min(physical_memory() // 4, MOST_PACKED * path.stat().st_size):
+    if min(map(min, sizes)) < 1 or 4 * pixels > min(physical_memory() // 4, MAX_RATIO * path.stat().st_size):
         raise TerrainError(
-            f"{path} says that it holds {width} x {height} pixels in {len(channels)} channels, {4e-9 * pixels:.1f} GB: "
-            "more than a quarter of this machine's memory or than such a file can hold, so it is damaged or must be "
-            "cut into tiles."
+            f"{path} has a header of {width} x {height} pixels in {len(channels)} channels, {4e-9 * pixels:.1f} GB",
+            expected="at most a quarter of this machine's memory, and no more than a file of this size can hold",
+            fix="get the file again, or cut it into tiles",
         )
     pixels = _pixels(path, channel)
     if pixels.shape != (height, width):
         raise TerrainError(
-            f"{path} holds {pixels.shape} pixels, its header says {(height, width)}: get the file again."
+            f"{path} holds {pixels.shape} pixels", expected=f"{(height, width)} by its header", fix="get the file again"
         )
     rounding = _rounding(str(pixels.dtype), channel, headers[channel.part]["compression"].name)
     notes = []
@@ -81,18 +81,21 @@ def _size(header: dict) -> tuple[int, int]:
 
 
 def _choose(path: Path, channels: list[ExrChannel], name: str) -> tuple[ExrChannel, list[ExrChannel]]:
-    """Return the channel that is named, or the likeliest, and others that the name may mean. Raises TerrainError if
-    there is none."""
+    """Return the channel with the given name, or the likeliest one, and others that the name may mean.
+
+    Raises TerrainError if there is none.
+    """
     if not channels:
-        raise TerrainError(f"{path} has no channels: expected one of heights; get the file again.")
+        raise TerrainError(f"{path} has no channels", expected="a channel of heights", fix="get the file again")
     found = named(channels, name) if name else [likeliest(channels, channels)]
     if not found:
         known = ", ".join(c.full_name for c in channels)
-        raise TerrainError(f"{path} has no channel {shown(name)!r}: choose one of {shown(known, 500)}.")
+        raise TerrainError(f"{path} has no channel {shown(name)!r}", fix=f"choose one of {shown(known, 500)}")
     channel, *others = found
     if channel.sampling != (1, 1):
         raise TerrainError(
-            f"{path} stores channel {shown(channel.full_name)!r} at a fraction of the resolution: expected every pixel."
+            f"{path} stores channel {shown(channel.full_name)!r} at a fraction of the resolution",
+            expected="every pixel",
         )
     return channel, others
 
@@ -107,11 +110,11 @@ def _pixels(path: Path, channel: ExrChannel):
             raise ValueError("its pixels cannot be decoded")
         return parts[channel.part].channels[channel.name].pixels
     except Exception as reason:
-        raise TerrainError(f"{path} is damaged or incomplete ({cause(reason)}): get the file again.") from reason
+        raise TerrainError(f"{path} is damaged or incomplete ({cause(reason)})", fix="get the file again") from reason
 
 
 def _rounding(stored: str, channel: ExrChannel, compression: str) -> SourceRounding:
-    """Return the rounding of a channel that a method of compression has packed."""
+    """Return the rounding of a compressed channel."""
     method = compression.removesuffix("_COMPRESSION")
     bits = PXR24_BITS if method == "PXR24" and stored == "float32" else 0
     lossy = (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The grid of a GDAL dataset: its coordinate system and its geotransform, where the file has them."""
+"""The grid of a GDAL dataset: its coordinate system and its geotransform, if the file has them."""
 
 import json
 import math
@@ -11,14 +11,19 @@ from ..ask.linear import lengths, product
 from ..field.georeference import Transform, degree_lengths, ellipsoid_of, is_sheared, without_dust
 from .units import plane_metres
 
-# Cells by which ground control points may lie beside a straight grid that is taken in their place.
+# Largest distance, cells, of ground control points from the straight grid that replaces them.
 MAX_GCP_CELLS = 0.05
 
 
 class FileGrid(NamedTuple):
-    """crs: a rasterio CRS or None. transform: takes columns and rows of cells' corners to x and y; None where the file
-    does not place its samples. problem: why it is None, "" where the file has no georeference at all; tool: what places
-    the raster."""
+    """Coordinate system and geotransform of a file.
+
+    Attributes:
+        crs: a rasterio CRS or None.
+        transform: from columns and rows of cells' corners to x and y; None if the file does not place its samples.
+        problem: why `transform` is None; "" for a file without any georeference.
+        tool: GDAL command that places the raster.
+    """
 
     crs: object = None
     transform: Transform | None = None
@@ -39,7 +44,7 @@ class FileGrid(NamedTuple):
 def grid_of(dataset) -> FileGrid:
     """Return the grid of a rasterio dataset. Raises TerrainError for a geotransform without an area.
 
-    An identity is what GDAL answers where there is no geotransform.
+    GDAL returns the identity for a file without a geotransform.
     """
     if not dataset.transform.is_identity:
         return FileGrid(dataset.crs, without_dust(tuple(dataset.transform)[:6]))
@@ -72,7 +77,7 @@ def _from_control_points(points: list, crs) -> FileGrid:
 
 
 def unit_of(crs) -> dict:
-    """Return what `from_transform` has to know of a coordinate system: its unit, and the ellipsoid of degrees."""
+    """Return the arguments of `from_transform` for a coordinate system: its unit, and the ellipsoid of degrees."""
     if crs is not None and crs.is_geographic:
         return {"degrees": math.degrees(crs.units_factor[1]), "ellipsoid": ellipsoid_of(crs.to_wkt())}
     return {"metres": plane_metres(crs)} if crs is not None else {}

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rasters through rasterio (GDAL): GeoTIFF, BigTIFF, COG, SRTM .hgt, PNG, ASCII grid, raw with an ESRI header, VRT.
 
-rasterio is imported inside functions only, which run in the import's child process: its libraries must not meet those
-of Blender. The child first calls `keep_only_drivers`.
+Functions import rasterio, because its libraries must not meet those of Blender. They run in the import's child process,
+which first calls `keep_only_drivers`.
 """
 
 import dataclasses
@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..field.georeference import Georeference, from_transform
 from ..run.named_file import open_regular
-from .band_notes import band_notes, content_hint, float_alpha
+from .band_notes import WHOLE_FILE, band_notes, content_hint, float_alpha
 from .file_grid import FileGrid, grid_of, has_shear, unit_of
 from .header_files import HEADER_DRIVER, HEADER_SUFFIXES, check_header, check_length
 from .length_scale import length_warnings, mirror_warnings
@@ -29,17 +29,16 @@ from .vrt_rounding import mosaic_roundings
 from .vrt_source import read_mosaic
 from .vrt_units import dataset_scales, mosaic_notes
 
-# What a VRT may name, and what is needed for it.
+# Suffixes of files that a VRT may name, and their drivers.
 MOSAIC_DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".hgt": "SRTMHGT", ".png": "PNG", ".asc": "AAIGrid", ".vrt": "VRT"}
-# GDAL may try no other driver on a file than the one of its suffix.
+# GDAL may try only the driver of a file's suffix.
 DRIVERS = MOSAIC_DRIVERS | dict.fromkeys(HEADER_SUFFIXES, HEADER_DRIVER)
-# More bands than any height map has; where they lie together, all are read.
-MAX_BANDS = 1024
-# Bytes of the smallest piece of a file that can be read: a tile, a strip, in all its bands where they lie together.
+MAX_BANDS = 1024  # more than any height map has; interleaved bands are all read
+# Bytes of the smallest piece of a file that can be read: a tile or strip, with all its bands if they are interleaved.
 LARGEST_BLOCK = 256 << 20
-CACHE_BYTES = 256 << 20  # rasterio takes bytes, where GDAL's own variable takes megabytes
-# No network, no code out of a file, a bounded cache. PAM is GDAL's name for reading and writing .aux.xml files. It is
-# switched on only where there is one to read: GDAL writes none for a dataset that it only reads.
+CACHE_BYTES = 256 << 20  # rasterio takes bytes, GDAL's environment variable megabytes
+# No network, no code from a file, a bounded cache. PAM is GDAL's name for reading and writing .aux.xml files. It is
+# switched on only for a file that was checked; GDAL writes none for a dataset that it only reads.
 OPTIONS = {
     "GDAL_CACHEMAX": CACHE_BYTES,
     "GDAL_PAM_ENABLED": "NO",
@@ -50,8 +49,10 @@ OPTIONS = {
 
 
 def keep_only_drivers(suffix: str) -> list[str]:
-    """Take from GDAL, in this process and for good, all drivers but those that a file of this suffix needs; returns
-    those that are left. Raises TerrainError if others are left, because files could then ask for them."""
+    """Remove all GDAL drivers that a file with `suffix` does not need from this process, and return the others.
+
+    Raises TerrainError if more drivers remain, because files could use them.
+    """
     import rasterio
     from rasterio import _env
 
@@ -65,8 +66,9 @@ def keep_only_drivers(suffix: str) -> list[str]:
         left = sorted(env.drivers())
     if set(left) != wanted:
         raise TerrainError(
-            f"GDAL {rasterio.__gdal_version__} has the drivers {shown(', '.join(left))}, expected only "
-            f"{', '.join(sorted(wanted))}: it cannot be held to them, so no file is opened; install rasterio 1.4."
+            f"GDAL {rasterio.__gdal_version__} keeps the drivers {shown(', '.join(left))}, so no file is opened",
+            expected=f"only {', '.join(sorted(wanted))}",
+            fix="install rasterio 1.4",
         )
     return left
 
@@ -80,7 +82,7 @@ def open_raster(path: Path, settings: ImportSettings) -> Raster:
         raise
     except Exception as reason:  # GDAL has many classes of errors, and odd tags raise late
         raise TerrainError(
-            f"{shown(path)} cannot be read as {driver} ({cause(reason)}): expected {content_hint(path, driver)}."
+            f"{shown(path)} cannot be read as {driver} ({cause(reason)})", **content_hint(path, driver)
         ) from reason
 
 
@@ -88,17 +90,17 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
     import rasterio
     from rasterio.enums import MaskFlags
 
-    rasterio.Env(**OPTIONS).__enter__()  # for as long as this process reads
+    rasterio.Env(**OPTIONS).__enter__()  # for the rest of this process
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a raster without a georeference is told about in the report
+        warnings.simplefilter("ignore")  # the report warns about a raster without a georeference
         notes = [] if driver == "VRT" else allow_aux_file(path)
         opened = _open_vrt(path) if driver == "VRT" else (_open_file(path, driver), [], None, {}, {})
     dataset, texts, mosaic, roundings, scales = opened
     band = settings.band
     if not 1 <= band <= dataset.count:
-        raise TerrainError(f"{path} has {dataset.count} band(s), band {band} was asked for: choose one that it has.")
+        raise TerrainError(f"{path} has {dataset.count} band(s), but not band {band}", fix="choose another band")
     if dataset.dtypes[band - 1].startswith("complex"):
-        raise TerrainError(f"{path} holds {dataset.dtypes[band - 1]} values: expected real numbers.")
+        raise TerrainError(f"{path} holds {dataset.dtypes[band - 1]} values", expected="real numbers")
     stored = np.dtype(dataset.dtypes[band - 1])
     grid = _grid_of(dataset, settings)
     if grid.transform is not None and grid.crs is None and driver != "VRT":
@@ -118,7 +120,7 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
     flags, no_data = dataset.mask_flag_enums[band - 1], settings.no_data
     masked = no_data is None and MaskFlags.all_valid not in flags
     alpha = float_alpha(dataset, band) if no_data is None else 0
-    own = Raster(
+    raster = Raster(
         width=dataset.width,
         height=dataset.height,
         read=_reader(path, dataset, band, masked, no_data, alpha),
@@ -137,7 +139,7 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
             notes.append("The file's rows and columns are not perpendicular: it was resampled onto a straight grid.")
         if float_alpha(dataset, band):
             notes.append("The file's alpha band is not of 8 or 16 bits, so it masks nothing in a reprojected raster.")
-    placed = own if view is None else _resampled(path, own, view, band)
+    placed = raster if view is None else _resampled(path, raster, view, band)
     georeference = _georeference(grid, placed.width, placed.height, settings)
     is_sized = georeference is not None
     if georeference is None and driver == "GTiff":
@@ -159,7 +161,7 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
 
 
 def _resampled(path: Path, original: Raster, view, band: int) -> Raster:
-    """Return a raster that is read from a resampled view of another, in which missing samples are NaN."""
+    """Return the raster of a resampled view of `original`, in which missing samples are NaN."""
     return dataclasses.replace(
         original,
         width=view.width,
@@ -171,7 +173,7 @@ def _resampled(path: Path, original: Raster, view, band: int) -> Raster:
 
 
 def _open_file(path: Path, driver: str):
-    """Open the dataset of one file, whose smallest readable piece fits into memory."""
+    """Open the dataset of one file. Raises TerrainError if its smallest readable piece is too large."""
     import rasterio
 
     if driver == "PNG":
@@ -186,16 +188,19 @@ def _open_file(path: Path, driver: str):
 
 
 def _check_png(path: Path) -> None:
-    """Refuse a PNG that is not whole: GDAL reads one that was cut off without a word where it is asked for all rows."""
+    """Refuse a truncated PNG, which GDAL reads without an error. Raises TerrainError."""
     with open_regular(path, links=True) as file:
         damage = png_damage(file)
     if damage:
-        raise TerrainError(f"{shown(path)} is damaged ({damage}): expected a whole PNG; get the file again.")
+        raise TerrainError(f"{shown(path)} is damaged ({damage})", expected="a whole PNG", fix="get the file again")
 
 
 def _open_vrt(path: Path) -> tuple:
-    """Return a dataset of a VRT, given to GDAL as `read_mosaic` wrote it anew; the texts of VRTs, which GDAL has as
-    long as they are kept; the mosaic; and the rounding and the scale of each band of each file, by path and number."""
+    """Open a VRT as `read_mosaic` rewrites it.
+
+    Return the dataset; its texts, which must live as long; the mosaic; and the rounding and the scale of each band of
+    each file, by path and number.
+    """
     import rasterio
     from rasterio.env import setenv
 
@@ -204,7 +209,7 @@ def _open_vrt(path: Path) -> tuple:
         driver = DRIVERS[source.suffix.lower()]
         if driver == "VRT":
             continue
-        allow_aux_file(source)  # GDAL takes nothing of it into the mosaic
+        allow_aux_file(source)  # the mosaic gets nothing of it
         try:
             with _open_file(source, driver) as opened:
                 roundings |= {(source, n): band_rounding(opened, n) for n in range(1, opened.count + 1)}
@@ -213,8 +218,8 @@ def _open_vrt(path: Path) -> tuple:
             raise
         except Exception as reason:
             raise TerrainError(
-                f"{shown(source)}, a source of {shown(path)}, cannot be read as {driver} ({cause(reason)}): expected "
-                "a whole file of that kind."
+                f"{shown(source)}, a source of {shown(path)}, cannot be read as {driver} ({cause(reason)})",
+                expected=WHOLE_FILE,
             ) from reason
         finally:
             setenv(GDAL_PAM_ENABLED="NO")
@@ -229,7 +234,7 @@ def _open_vrt(path: Path) -> tuple:
 
 
 def _reader(path: Path, dataset, band: int, masked: bool, no_data: float | None, alpha: int):
-    """Return the function `read` of a Raster. alpha: number of a band that is 0 where samples are missing; 0: none."""
+    """Return the function `read` of a Raster. alpha: number of a band that is 0 at missing samples; 0 for none."""
     from rasterio.windows import Window
 
     def read(first: int, count: int) -> np.ndarray:
@@ -240,8 +245,8 @@ def _reader(path: Path, dataset, band: int, masked: bool, no_data: float | None,
             mask = dataset.read(alpha, window=window) if alpha else mask
         except Exception as reason:
             raise TerrainError(
-                f"{shown(path)} is damaged or incomplete in rows {first} to {first + count - 1} ({cause(reason)}): "
-                "get the file again."
+                f"{shown(path)} is damaged or incomplete in rows {first} to {first + count - 1} ({cause(reason)})",
+                fix="get the file again",
             ) from reason
         if mask is not None:
             rows = rows.astype(np.float64 if rows.itemsize > 2 and rows.dtype != np.float32 else np.float32)
@@ -253,7 +258,7 @@ def _reader(path: Path, dataset, band: int, masked: bool, no_data: float | None,
 
 
 def _grid_of(dataset, settings: ImportSettings) -> FileGrid:
-    """Return the grid of a dataset; none for an invalid geotransform if the user has given an extent instead."""
+    """Return the grid of a dataset, an empty one for an invalid geotransform if the user gives an extent."""
     try:
         return grid_of(dataset)
     except TerrainError:
@@ -280,13 +285,15 @@ def _georeference(grid: FileGrid, width: int, height: int, settings: ImportSetti
 
 
 def _check_blocks(path: Path, dataset) -> None:
-    """Refuse too many bands, and too large a smallest readable piece, before GDAL reads one; have room for two."""
+    """Refuse a dataset with too many bands or with too large pieces, and let GDAL's cache hold two pieces."""
     from rasterio.enums import Interleaving
     from rasterio.env import setenv
 
     if not 1 <= dataset.count <= MAX_BANDS:
         raise TerrainError(
-            f"{shown(path)} has {dataset.count} bands, expected 1 to {MAX_BANDS}: write the one of heights alone."
+            f"{shown(path)} has {dataset.count} bands",
+            expected=f"1 to {MAX_BANDS}",
+            fix="write a file with the band of heights alone",
         )
     rows, columns = dataset.block_shapes[0]
     size = rows * columns * max(16 if "complex" in kind else np.dtype(kind).itemsize for kind in dataset.dtypes)
@@ -294,8 +301,9 @@ def _check_blocks(path: Path, dataset) -> None:
         size *= dataset.count
     if size > LARGEST_BLOCK:
         raise TerrainError(
-            f"{shown(path)} is stored in pieces of {size / 1e9:.1f} GB, expected {LARGEST_BLOCK / 1e9:.1f} GB at most: "
-            "write it again with smaller tiles or strips."
+            f"{shown(path)} is stored in pieces of {size / 1e9:.1f} GB",
+            expected=f"{LARGEST_BLOCK / 1e9:.1f} GB at most",
+            fix="write it again with smaller tiles or strips",
         )
-    if 2 * size > CACHE_BYTES:  # else one that is read in parts is unpacked for each of them
+    if 2 * size > CACHE_BYTES:  # otherwise each part of a piece unpacks the whole piece again
         setenv(GDAL_CACHEMAX=2 * LARGEST_BLOCK)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a child process does before it opens a height map: load what it needs, then give up what it does not.
+"""Preparation of a child process before it opens a height map: load libraries and kernels, then drop rights.
 
-Loading comes first, because it may write: Warp its kernels, Python its compiled modules.
+Loading comes first, because Warp writes kernels and Python writes compiled modules.
 """
 
 import tempfile
@@ -9,28 +9,28 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ...kernels import remove_temporary_cache
-from ..errors import TerrainError
 from ..field import store_folder
 from ..run.memory import physical_memory
 from ..run.owned_files import open_folder
 from . import sandbox
+from .drafts import unwritable
 from .gdal_source import DRIVERS, keep_only_drivers
 from .raster import ImportSettings
 
-# The child's environment: no network for PROJ, no other threads (they would keep what this one gives up).
+# The child's environment: no network for PROJ, and no other threads, which would keep their rights.
 VARIABLES = {"PROJ_NETWORK": "OFF", "GDAL_DRIVER_PATH": "disable", "OPENBLAS_NUM_THREADS": "1"}
 
 
 def guard(suffix: str, folder: Path | None) -> dict[str, str]:
-    """Drop this process's rights before a file of that suffix is opened; returns the report of `sandbox.enter`.
+    """Drop this process's rights before a file with `suffix` is opened, and return the report of `sandbox.enter`.
 
-    folder: where this process may still write. Raises TerrainError if GDAL keeps other drivers than the needed ones.
+    folder: where this process may still write. Raises TerrainError if GDAL keeps drivers that the file does not need.
     """
     if suffix in DRIVERS:
         keep_only_drivers(suffix)
     elif suffix == ".exr":
         import OpenEXR  # noqa: F401
-    remove_temporary_cache()  # later this process may not
+    remove_temporary_cache()  # not possible later
     return {**sandbox.enter(folder), "memory": sandbox.limit_memory(physical_memory() // 2)}
 
 
@@ -51,15 +51,13 @@ def guard_import(settings: ImportSettings, path: Path) -> None:
         with open_folder(path, make=True):
             pass
     except OSError as reason:
-        raise TerrainError(
-            f"The store {path} cannot be written ({reason.strerror or reason}): make room or choose another folder."
-        ) from reason
+        raise unwritable(path, reason) from reason
     guard(Path(settings.source).suffix.lower(), path)
 
 
 @contextmanager
 def _removed_scratch():
-    """Remove temporary files of the block, such as Warp's precompiled headers: later this process may not."""
+    """Remove temporary files of the block, such as Warp's precompiled headers, which is not possible later."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:
         tempfile.tempdir = scratch
         try:

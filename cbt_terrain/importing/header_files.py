@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Raw samples with an ESRI header beside them: .bil, .bip, .bsq, .flt and GTOPO30's .dem with a .hdr of that name."""
+"""Raw samples with an ESRI header: .bil, .bip, .bsq, .flt and GTOPO30's .dem, each with a .hdr of the same name."""
 
 import re
 from pathlib import Path
+
+import numpy as np
 
 from ..errors import TerrainError, shown
 from ..run.named_file import open_regular
 
 HEADER_DRIVER = "EHdr"
 RAW_WITHOUT_HEADER = (".bil", ".bip", ".bsq", ".flt")
-HEADER_SUFFIXES = (*RAW_WITHOUT_HEADER, ".dem")  # a .dem without one is most often a text of the USGS
+HEADER_SUFFIXES = (*RAW_WITHOUT_HEADER, ".dem")  # a .dem without a header is most often a text of the USGS
 MAX_HEADER_BYTES = 1 << 20
 
 
@@ -23,7 +25,7 @@ def header_of(path: Path) -> Path | None:
 
 
 def is_plain_raw(path: Path) -> bool:
-    """Return whether a file holds raw samples by its suffix and has no header beside it."""
+    """Return whether a file has a suffix of raw samples and no header."""
     return path.suffix.lower() in RAW_WITHOUT_HEADER and header_of(path) is None
 
 
@@ -36,37 +38,33 @@ def headless_warning(path: Path) -> str:
 
 
 def check_header(path: Path) -> None:
-    """Refuse a missing header, and one that GDAL does not read. Raises TerrainError."""
+    """Refuse a missing header and an ENVI header, which GDAL does not read here. Raises TerrainError."""
     header = header_of(path)
     if header is None:
         raise TerrainError(
-            f"{shown(path)} has no header {shown(path.with_suffix('.hdr').name)} beside it: put it there, or convert "
-            "another kind of file to GeoTIFF (gdal_translate)."
+            f"{shown(path)} has no header {shown(path.with_suffix('.hdr').name)} beside it",
+            fix="put it there, or convert another kind of file to GeoTIFF (gdal_translate)",
         )
     with open_regular(header, links=True) as file:
         if file.read(4) == b"ENVI":
             raise TerrainError(
-                f"{shown(path)} has a header of ENVI's kind, expected one of ESRI's: write it as a GeoTIFF "
-                "(gdal_translate)."
+                f"{shown(path)} has an ENVI header",
+                expected="an ESRI header",
+                fix="write it as a GeoTIFF (gdal_translate)",
             )
 
 
 def check_length(path: Path, dataset) -> None:
-    """Refuse a file that is shorter than its header says, since GDAL reads zeros there. Raises TerrainError."""
+    """Refuse a file that is shorter than its header requires, since GDAL would read zeros. Raises TerrainError."""
     with open_regular(header_of(path), links=True) as file:
         text = file.read(MAX_HEADER_BYTES).decode("latin-1")
     skipped = re.search(r"(?im)^\s*skipbytes\s+(\d{1,18})", text)
-    bits = int(dataset.tags(1, ns="IMAGE_STRUCTURE").get("NBITS", 0)) or 8 * _item_size(dataset)
+    bits = int(dataset.tags(1, ns="IMAGE_STRUCTURE").get("NBITS", 0)) or 8 * np.dtype(dataset.dtypes[0]).itemsize
     needed = dataset.width * dataset.height * dataset.count * bits // 8 + (int(skipped[1]) if skipped else 0)
     size = path.stat().st_size
     if size < needed:
         raise TerrainError(
-            f"{shown(path)} has {size:,} bytes, expected {needed:,} by its header: it is damaged or the header is of "
-            "another file; get both again."
+            f"{shown(path)} has {size:,} bytes, so it is damaged or its header belongs to another file",
+            expected=f"{needed:,} bytes by its header",
+            fix="get both again",
         )
-
-
-def _item_size(dataset) -> int:
-    import numpy as np
-
-    return np.dtype(dataset.dtypes[0]).itemsize

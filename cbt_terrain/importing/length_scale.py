@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Warnings where a projected coordinate system differs from the ground: in lengths, as Web Mercator, or mirrored."""
+"""Warnings about projected coordinate systems with wrong lengths, such as Web Mercator, or mirrored axes."""
 
 import math
 
@@ -9,16 +9,15 @@ from ..ask.linear import length, lengths
 from ..field.georeference import Georeference, degree_lengths, ellipsoid_of
 from .file_grid import FileGrid, base_crs
 
-MAX_SCALE_ERROR = 0.01  # part of a length
-MIN_STEP = 1e-4  # metres; coordinates on Earth have too few digits to measure shorter ones
+MAX_SCALE_ERROR = 0.01  # fraction of a length
+MIN_STEP = 1e-4  # metres; coordinates on Earth have too few digits to measure shorter steps
 BORDER_POINTS = 9  # along each side
 
 
 def length_warnings(grid: FileGrid, width: int, height: int, place: Georeference) -> list[str]:
     """Return a warning if steps of `place` are off by more than MAX_SCALE_ERROR at the raster's middle or border.
 
-    The steps on the ground are those of the ellipsoid: differences of longitude and latitude over a cell, times the
-    length of a degree there.
+    True steps are differences of longitude and latitude over a cell, times the length of a degree on the ellipsoid.
     """
     if grid.crs is None or not grid.crs.is_projected or min(place.step_x, place.step_y) < MIN_STEP:
         return []
@@ -37,10 +36,7 @@ def length_warnings(grid: FileGrid, width: int, height: int, place: Georeference
 
 
 def mirror_warnings(grid: FileGrid, width: int, height: int) -> list[str]:
-    """Return a warning if x and y of a system, at the raster's middle, turn the other way round than east and north.
-
-    A raster is laid out with x to the right and y up, so that the ground would be seen from below.
-    """
+    """Return a warning if x and y of a system are left-handed at the raster's middle, so the ground is mirrored."""
     if grid.crs is None or not grid.crs.is_projected:
         return []
     a, b, _, d, e, _ = grid.transform
@@ -65,14 +61,14 @@ def mirror_warnings(grid: FileGrid, width: int, height: int) -> list[str]:
 
 
 def _passes_edge(grid: FileGrid, width: int, height: int) -> bool:
-    """Return whether corners of a raster are not found again from their longitudes and latitudes."""
+    """Return whether corners of a raster do not survive the way to longitudes and latitudes and back."""
     from rasterio.warp import transform
 
     x, y = grid.positions(np.array([0.02, 0.98, 0.02, 0.98]) * width, np.array([0.02, 0.02, 0.98, 0.98]) * height)
     base = base_crs(grid.crs)
     try:
         back = np.array(transform(base, grid.crs, *transform(grid.crs, base, x, y)[:2])[:2])
-    except Exception:  # beyond what PROJ can transform
+    except Exception:  # PROJ cannot transform these points
         return True
     a, b, _, d, e, _ = grid.transform
     return not lengths(back - np.stack([x, y])).max() <= max(length((a, d)), length((b, e)))
@@ -86,7 +82,7 @@ def _direction(east: float, north: float) -> str:
 
 
 def _remedy(name: str, latitude: float) -> str:
-    """Return what to do about wrong lengths at a latitude, degrees."""
+    """Return the remedy for wrong lengths at a latitude, degrees."""
     utm = f"EPSG:{32600 if latitude >= 0.0 else 32700}"[:-2]
     if not -80.0 <= latitude <= 84.0:
         polar = "EPSG:32661" if latitude > 0.0 else "EPSG:32761"
@@ -100,8 +96,10 @@ def _remedy(name: str, latitude: float) -> str:
 
 
 def _factors(grid: FileGrid, width: int, height: int, place: Georeference) -> tuple[np.ndarray, float]:
-    """Return how many times too large steps along x and y are, float64 [n, 2], the raster's middle first, and the
-    latitude of that, degrees; no rows where the system has no place on the ground."""
+    """Return the ratios of steps along x and y to true steps, float64 [n, 2], the raster's middle first.
+
+    Also return the middle's latitude, degrees. There are no rows if PROJ cannot transform the middle.
+    """
     along = np.linspace(0.0, 1.0, BORDER_POINTS)
     ends = np.zeros_like(along), np.ones_like(along)
     columns = np.concatenate([[0.5], along, along, *ends]) * width
@@ -130,8 +128,10 @@ def _factors(grid: FileGrid, width: int, height: int, place: Georeference) -> tu
 
 
 def _degrees(crs, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, tuple[float, float]] | None:
-    """Return longitudes and latitudes of positions in the system below a projected one, degrees [2, n], and its
-    ellipsoid; None where there is no geographic system, or PROJ does not know the way."""
+    """Return longitudes and latitudes of positions, degrees [2, n], and the ellipsoid of a projected system's base.
+
+    Return None if there is no geographic base or PROJ cannot transform to it.
+    """
     from rasterio.warp import transform
 
     try:

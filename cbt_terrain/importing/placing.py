@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where a store's terrain lies in its coordinate system: between coordinates of that and metres from its middle."""
+"""Conversion between a store's coordinate system and metres from the terrain's middle."""
 
 import os
 from pathlib import Path
@@ -17,12 +17,16 @@ MODULE = "cbt_terrain.importing.placing"
 
 
 class Placing(NamedTuple):
-    """The terrain's middle has the coordinates (x, y), and a unit of the coordinate system is `metres_x` and `metres_y`
-    long.
+    """Position of a terrain in its coordinate system.
 
-    crs: its name; "" where coordinates are metres from the middle: there is none, the user has given the extent in
-    metres, or the raster is rotated against it. period: of x, 360 degrees in units of a geographic system, else 0:
-    longitudes that differ by it are the same.
+    Attributes:
+        x: coordinate of the terrain's middle.
+        y: coordinate of the terrain's middle.
+        metres_x: metres in a unit of x.
+        metres_y: metres in a unit of y.
+        crs: name of the system; "" if coordinates are metres from the middle, because there is no system, the user has
+            given the extent in metres, or the raster is rotated.
+        period: 360 degrees in units of a geographic system, else 0; longitudes that differ by it are equal.
     """
 
     x: float = 0.0
@@ -33,27 +37,28 @@ class Placing(NamedTuple):
     period: float = 0.0
 
     def to_terrain(self, coordinates: np.ndarray) -> np.ndarray:
-        """Return positions in the terrain's own space, float64 [n, 2] metres, of coordinates [n, 2]."""
+        """Return positions in the terrain's space, float64 [n, 2] metres, of coordinates [n, 2]."""
         offsets = coordinates - (self.x, self.y)
         if self.period:
             offsets[:, 0] -= self.period * np.round(offsets[:, 0] / self.period)
         return offsets * (self.metres_x, self.metres_y)
 
     def from_terrain(self, positions: np.ndarray) -> np.ndarray:
-        """Return coordinates, float64 [n, 2], of positions in the terrain's own space."""
+        """Return coordinates, float64 [n, 2], of positions in the terrain's space, metres."""
         return positions / (self.metres_x, self.metres_y) + (self.x, self.y)
 
 
 def is_placed(field: HeightField, store: str | os.PathLike) -> bool:
-    """Return whether the origin and the steps of a store's field are those of its coordinate system, with or without a
-    name."""
+    """Return whether the origin and the steps of a store's field are those of its coordinate system, named or not."""
     sized = field.provenance.get("settings", {}).get("extent") is not None
     return not sized and rotation_of(store) == 0.0
 
 
 def rotation_of(store: str | os.PathLike) -> float | None:
-    """Return degrees by which the terrain of a store is rotated against its coordinate system; None if it is by an
-    angle that an older version has not written."""
+    """Return the rotation, degrees, of a store's terrain in its coordinate system.
+
+    Return None for a rotated terrain whose angle an older version did not write.
+    """
     report = stores.read_json(Path(store))["report"]
     return report.get("rotation_deg", None if ROTATED in report.get("warnings", ()) else 0.0)
 
@@ -83,7 +88,7 @@ def placing_of(store: str | os.PathLike) -> Placing:
 
 
 def child_main() -> None:
-    """Answer one request."""
+    """Answer the request on stdin."""
     serve(lambda request, *_: _units(request["store"]), lambda request: f"Reading {request['store']}")
 
 

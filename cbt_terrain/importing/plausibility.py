@@ -1,31 +1,31 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Warnings about values that are probably no heights: undeclared no-data, and heights in another unit than metres."""
+"""Warnings about implausible values: undeclared no-data, and heights in another unit than metres."""
 
 import math
 
 import numpy as np
 
-# Numbers that files use for missing samples: ends of 16-bit types, also read with the wrong sign; nines; eights.
+# Numbers that files use for missing samples: limits of 16-bit types, also with the wrong sign; nines; eights.
 MARKS = {-32768.0, -32767.0, 32767.0, 32768.0, 65535.0, 65504.0, 55537.0, -8888.0, -88888.0}
 MARKS |= {sign * (10.0**digits - 1.0) for digits in range(3, 11) for sign in (-1.0, 1.0)}
-HUGE = 1e5  # no ground on Earth, in any unit of length that is used for heights
-# How far a mark must be from all other values, as a part of their range; what is closer is a height like others.
+HUGE = 1e5  # beyond all heights on Earth in the units that files use
+# Minimum distance of a mark from all other values, as a fraction of their range. Closer values count as heights.
 APART, ZERO_APART = 0.1, 0.2
-STEEP = 5.0  # times the extent; a relief beyond that is hardly in the extent's unit
+STEEP = 5.0  # ratio of relief to extent beyond which their units probably differ
 MAX_MARKS, MAX_WARNINGS = 8, 3
 
 
 class ValueCheck:
-    """Search of a raster's stored values, block by block, for marks of missing samples at both ends of their range."""
+    """Search of a raster's values, block by block, for marks of missing samples at both ends of their range."""
 
     def __init__(self, stored: np.dtype):
         limits = np.iinfo(stored) if stored.kind in "iu" and stored.itemsize > 1 else None
         self._ends = {float(limits.max), float(limits.min or limits.max)} if limits else set()
-        self.marks: dict[float, int] = {}  # how often each occurs
-        self.low, self.high = math.inf, -math.inf  # of all other values
+        self.marks: dict[float, int] = {}  # number of samples by mark
+        self.low, self.high = math.inf, -math.inf  # range of all other values
 
     def add(self, rows: np.ndarray) -> None:
-        """Look at a block of values; NaN and infinities do not count."""
+        """Search a block of values; NaN and infinities do not count."""
         values = rows[np.isfinite(rows)] if rows.dtype.kind == "f" else rows.ravel()
         for end in (np.min, np.max):
             while values.size and self._is_mark(value := float(end(values))):
@@ -38,12 +38,12 @@ class ValueCheck:
     def _is_mark(self, value: float) -> bool:
         if value == 0.0 or value in MARKS or value in self._ends or value in self.marks:
             return True
-        return abs(value) >= HUGE and len(self.marks) < MAX_MARKS  # heights in mm are huge, too, but not few
+        return abs(value) >= HUGE and len(self.marks) < MAX_MARKS  # heights in mm are huge, too, but many
 
     def warnings(self) -> list[str]:
         """Return a warning for each mark that stands apart from all other values."""
         spread = self.high - self.low
-        if not spread >= 0.0:  # there are no others
+        if not spread >= 0.0:  # all values are marks
             return []
         found = []
         for value, count in self.marks.items():
@@ -62,7 +62,7 @@ class ValueCheck:
 def relief_warning(lowest: float, highest: float, extent: tuple[float, float], is_sized: bool) -> list[str]:
     """Return a warning, if any, about heights (metres) that are too large for the extent (metres).
 
-    is_sized: whether the file or the user gives the extent; else a sample is taken as 1 m.
+    is_sized: whether the file or the user defines the extent; otherwise a sample is 1 m.
     """
     times = (highest - lowest) / max(extent)
     if times <= STEEP:

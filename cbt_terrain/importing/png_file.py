@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether a PNG is whole: some readers take one that was cut off, and give black for what is missing."""
+"""Check of PNG files, because some readers accept a truncated one and return black for its missing rows."""
 
 import struct
 import zlib
@@ -11,7 +11,7 @@ PIECE = 1 << 20
 
 
 def png_damage(file: BinaryIO) -> str:
-    """What is wrong with a file that begins as a PNG: "" if nothing is, or if it is no PNG at all."""
+    """Return the damage of a PNG file as a clause, "" for a whole PNG and for any other file."""
     if file.read(len(SIGNATURE)) != SIGNATURE:
         return ""
     while True:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What an import is asked for, and what it gets: settings, and a raster that is read by rows."""
+"""Settings of an import, and the raster that it reads by rows."""
 
 import math
 import re
@@ -19,7 +19,7 @@ from .rounding import SourceRounding
 
 ISLAND = "island"
 RAW_SUFFIXES = (".raw", ".r16", ".r32", ".bin")
-# Of files that can say where on Earth they are.
+# Suffixes of files that can have a coordinate system.
 PLACED_SUFFIXES = (".tif", ".tiff", ".hgt", ".png", ".asc", ".vrt", *HEADER_SUFFIXES)
 EXR_SUFFIX = ".exr"
 _PROJECT = re.compile(r"(utm|epsg:\d{1,7})?", re.IGNORECASE)
@@ -28,16 +28,24 @@ RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float16", "
 
 @dataclass(frozen=True)
 class ImportSettings:
-    """What to import and how.
+    """Source of an import, and the properties that its file does not define.
 
-    source: path of a file, or name of a built-in land. raw_size (columns, rows; None: a square), raw_dtype (one of
-    RAW_TYPES) and raw_little_endian describe a RAW file. extent: metres from the first to the last sample in x and y,
-    instead of what the file says. A height is `value * height_scale + height_offset` metres. no_data: the value that
-    stands for missing samples, instead of the file's own; NaN: no value does. holes: cut them out instead of filling
-    them. size, seed: samples a side and seed of a built-in land. band: number of the band, from 1. channel: name of an
-    EXR channel, "" for the first that looks like a height. first_row_south: for files that do not say where north is;
-    pictures begin in the north. project: the coordinate system to bring the raster into, "utm" or "EPSG:n"; "": as it
-    is.
+    Attributes:
+        source: path of a file, or name of a built-in terrain.
+        raw_size: columns and rows of a RAW file; None for a square.
+        raw_dtype: type of its samples, one of RAW_TYPES.
+        raw_little_endian: order of their bytes.
+        extent: metres from the first to the last sample in x and y, instead of the file's.
+        height_scale: a height is value * height_scale + height_offset, metres.
+        height_offset: see height_scale.
+        no_data: value of missing samples, instead of the file's; NaN for none.
+        holes: whether missing samples are cut out instead of filled.
+        size: samples a side of a built-in terrain.
+        seed: its random seed.
+        band: number of the band, from 1.
+        channel: name of an EXR channel; "" for the likeliest one.
+        first_row_south: row order of files that do not define it; pictures begin in the north.
+        project: coordinate system to reproject to, "utm" or "EPSG:n"; "" for none.
     """
 
     source: str
@@ -60,43 +68,54 @@ class ImportSettings:
         keep_plain_numbers(self, "The import's")
 
     def check(self) -> None:
-        """Raise TerrainError for settings that cannot mean anything."""
+        """Raise TerrainError for settings that cannot be used."""
         if self.extent is not None and not all(SMALLEST_EXTENT < e < LARGEST_EXTENT for e in self.extent):
             raise TerrainError(
-                f"The extent {tuple(self.extent)} m cannot be used: expected positive lengths, between "
-                f"{SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} m."
+                f"The extent {tuple(self.extent)} m cannot be used",
+                expected=f"lengths between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} m",
             )
         if not (math.isfinite(self.height_scale) and math.isfinite(self.height_offset)) or self.height_scale == 0.0:
             raise TerrainError(
-                f"Height scale {self.height_scale} and offset {self.height_offset} m cannot be used: expected finite "
-                "numbers and a scale other than 0."
+                f"Height scale {self.height_scale} and offset {self.height_offset} m cannot be used",
+                expected="finite numbers and a scale other than 0",
             )
         if self.raw_dtype not in RAW_TYPES:
-            raise TerrainError(f"RAW type {self.raw_dtype!r} is not known: choose one of {', '.join(RAW_TYPES)}.")
+            raise TerrainError(f"RAW type {self.raw_dtype!r} is not known", fix=f"choose one of {', '.join(RAW_TYPES)}")
         if self.raw_size is not None and min(self.raw_size) < 1:
-            raise TerrainError(f"A RAW size of {tuple(self.raw_size)} samples: expected two positive counts.")
+            raise TerrainError(f"The RAW size is {tuple(self.raw_size)} samples", expected="two positive counts")
         if self.source in LANDS and not 2 <= self.size <= 1 << 16:
-            raise TerrainError(f"A built-in {self.source} of {self.size} samples a side: expected 2 to 65536.")
+            raise TerrainError(f"The built-in {self.source} has {self.size} samples a side", expected="2 to 65536")
         if not _PROJECT.fullmatch(self.project):
             raise TerrainError(
-                f"The coordinate system {shown(self.project)!r} to reproject to: expected utm or EPSG:n, as EPSG:32632."
+                f"The raster cannot be reprojected to {shown(self.project)!r}", expected="utm or EPSG:n, as EPSG:32632"
             )
         if self.project and (self.source in LANDS or Path(self.source).suffix.lower() not in PLACED_SUFFIXES):
             raise TerrainError(
-                f"{shown(self.source)} has no coordinate system, so it cannot be reprojected: import it as it is."
+                f"{shown(self.source)} has no coordinate system, so it cannot be reprojected", fix="import it as it is"
             )
 
 
 @dataclass
 class Raster:
-    """An opened source: `read(first, count)` gives `count` rows from row `first` on, NaN where a sample is missing.
+    """An opened source.
 
-    `block_rows`: rows that are best read together. A height is the value * scale + offset metres, before the settings'
-    own scale and offset. `roundings`: of the files that hold the samples, before scale and offset; without any, that of
-    the type `stored`. `georeference` is None where the file does not say how large it is, where, and which way round.
-    `is_sized`: whether the file gives its size. `projected_from`: the coordinate system that it was reprojected
-    from, if it was. `original`: the raster it was resampled from, if it was. `sources`: other files that it is made
-    of.
+    Attributes:
+        width: columns.
+        height: rows.
+        read: read(first, count) returns `count` rows from row `first` on, NaN for missing samples.
+        stored: name of the samples' type in the file.
+        format: name of the file's format.
+        georeference: size, position and orientation; None if the file does not define them.
+        is_sized: whether the file defines its size.
+        block_rows: number of rows that are best read together.
+        scale: a height is value * scale + offset metres, before the scale and offset of the settings.
+        offset: see scale.
+        projected_from: coordinate system before reprojection; "" if there was none.
+        original: raster before resampling; None if there was none.
+        roundings: of the files that hold the samples, before scale and offset; by default that of `stored`.
+        warnings: sentences for the report.
+        sources: other files that hold the samples.
+        close: closes the files.
     """
 
     width: int
@@ -121,7 +140,7 @@ class Raster:
 
 
 def stands_for_missing(no_data: float | None, kind: np.dtype) -> bool:
-    """Whether a value of type `kind` can be the number `no_data`, so that it stands for a missing sample."""
+    """Return whether a sample of type `kind` can equal `no_data` and hence be a missing one."""
     if no_data is None or math.isnan(no_data):
         return False
     with np.errstate(over="ignore", invalid="ignore"):
@@ -129,7 +148,7 @@ def stands_for_missing(no_data: float | None, kind: np.dtype) -> bool:
 
 
 def blank(rows: np.ndarray, no_data: float | None) -> np.ndarray:
-    """Rows with the value `no_data` made NaN; as they are if it is None or cannot occur in their type."""
+    """Return rows with NaN for `no_data`, unchanged if it is None or cannot occur in their type."""
     if not stands_for_missing(no_data, rows.dtype):
         return rows
     with np.errstate(over="ignore", invalid="ignore"):
@@ -141,5 +160,5 @@ def blank(rows: np.ndarray, no_data: float | None) -> np.ndarray:
 
 
 def cause(reason: BaseException) -> str:
-    """A library's message as part of a sentence: GDAL's own is behind rasterio's."""
+    """Return a library's message as part of a sentence; rasterio's errors wrap GDAL's."""
     return shown(reason.__cause__ or reason, 300).rstrip(".")

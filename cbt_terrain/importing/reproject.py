@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A raster in another coordinate system, resampled while it is read.
+"""Reprojection of a raster to another coordinate system, resampled while it is read.
 
-Bilinear, because the reference surface between samples is bilinear too: new samples lie on the raster's own surface,
-never above or below it, and each is a mean of stored values with weights from 0 to 1, so that their rounding grows by
-nothing. Cubic weights are negative in places: they overshoot at cliffs and would let it grow by half.
+Resampling is bilinear like the reference surface, so new samples are on the raster's surface. Each is a mean of stored
+values with weights from 0 to 1, so rounding errors do not grow. Cubic weights are partly negative: they overshoot at
+cliffs and would increase rounding errors by half.
 """
 
 import math
@@ -17,12 +17,12 @@ from ..errors import TerrainError, shown
 from .file_grid import FileGrid
 from .raster import ImportSettings, stands_for_missing
 
-# Samples of the raster by which GDAL may be off where it interpolates positions: 3 cm in a raster of 30 m.
+# Largest error, samples, of positions that GDAL interpolates: 3 cm in a raster of 30 m.
 TOLERANCE = 0.001
-BORDER_SAMPLES = 1024  # of each side, by which the new raster's extent is found
-MAX_GROWTH = 4.0  # times as many samples as before
-INNER_SAMPLES = 33  # along each axis, that must be found again from the new system
-UNNAMED = 'LOCAL_CS["unnamed",UNIT["metre",1]]'  # in place of none, for a raster that is straightened in its own system
+BORDER_SAMPLES = 1024  # points of each side that define the new raster's extent
+MAX_GROWTH = 4.0  # largest ratio of new to old samples
+INNER_SAMPLES = 33  # points along each axis that must survive the way to the new system and back
+UNNAMED = 'LOCAL_CS["unnamed",UNIT["metre",1]]'  # for a sheared raster without a coordinate system
 _MERIDIAN = re.compile(r'PRIMEM\["[^"]*",\s*([-+.\deE]+)(?:,AUTHORITY\["[^"]*","[^"]*"\])?\]')
 _CODE = re.compile(r',AUTHORITY\["[^"]*","[^"]*"\]\]$')
 
@@ -30,9 +30,14 @@ _CODE = re.compile(r',AUTHORITY\["[^"]*","[^"]*"\]\]$')
 def reprojected(path: Path, dataset, grid: FileGrid, stored: np.dtype, settings: ImportSettings) -> tuple:
     """Return a resampled view of a rasterio dataset, and its grid.
 
-    The view is float64, NaN where there is none, north up, with about as many samples a metre along each axis. grid: of
-    the dataset, whose values are `stored`. The new one is in the coordinate system `settings.project`, or in the old
-    one if that is empty. Raises TerrainError.
+    The view is float64 with NaN for missing samples, north up, and about as dense along each axis as the dataset.
+
+    Args:
+        grid: grid of the dataset.
+        stored: type of its values.
+        settings: `project` names the new coordinate system; if empty, the system stays.
+
+    Raises TerrainError.
     """
     from rasterio.crs import CRS
     from rasterio.enums import Resampling
@@ -41,12 +46,13 @@ def reprojected(path: Path, dataset, grid: FileGrid, stored: np.dtype, settings:
 
     if grid.problem:
         raise TerrainError(
-            f"{shown(path)} cannot be reprojected, because it {grid.problem}: place the raster first ({grid.tool})."
+            f"{shown(path)} cannot be reprojected, because it {grid.problem}",
+            fix=f"place the raster first ({grid.tool})",
         )
     if settings.project and grid.crs is None:
         raise TerrainError(
-            f"{shown(path)} names no coordinate system, so it cannot be reprojected: give it one (gdal_edit -a_srs), "
-            "or import it as it is."
+            f"{shown(path)} names no coordinate system, so it cannot be reprojected",
+            fix="give it one (gdal_edit -a_srs), or import it as it is",
         )
     source = _centred(grid, dataset) if grid.crs is not None else grid._replace(crs=CRS.from_wkt(UNNAMED))
     crs = _target(path, dataset, source, settings.project) if settings.project else source.crs
@@ -76,9 +82,9 @@ def reprojected(path: Path, dataset, grid: FileGrid, stored: np.dtype, settings:
 
 
 def _centred(grid: FileGrid, dataset) -> FileGrid:
-    """Return a grid in degrees whose longitudes pass 180 degrees with its prime meridian moved to its middle.
+    """Return a grid with its prime meridian moved to its middle if its longitudes pass 180 degrees.
 
-    PROJ answers longitudes within 180 degrees of the prime meridian, so samples beyond would not be found.
+    PROJ returns longitudes within 180 degrees of the prime meridian, so it would miss samples beyond.
     """
     from rasterio.crs import CRS
 
@@ -98,7 +104,7 @@ def _centred(grid: FileGrid, dataset) -> FileGrid:
 
 
 def _target(path: Path, dataset, source: FileGrid, name: str):
-    """Return the coordinate system that `name` (ImportSettings.project) stands for."""
+    """Return the coordinate system of a name in ImportSettings.project. Raises TerrainError."""
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
 
@@ -107,9 +113,11 @@ def _target(path: Path, dataset, source: FileGrid, name: str):
     try:
         crs = CRS.from_epsg(int(name.partition(":")[2]))
     except (CRSError, ValueError) as reason:
-        raise TerrainError(f"{name} is no coordinate system that PROJ knows: give another, as EPSG:32632.") from reason
+        what = f"{name} is no coordinate system that PROJ knows"
+        raise TerrainError(what, fix="give another, as EPSG:32632") from reason
     if not crs.is_projected:
-        raise TerrainError(f"{name} does not measure in metres or feet: expected a projected system, as EPSG:32632.")
+        what = f"{name} does not measure in metres or feet"
+        raise TerrainError(what, expected="a projected system, as EPSG:32632")
     return crs
 
 
@@ -122,16 +130,16 @@ def _utm_zone(path: Path, dataset, source: FileGrid) -> str:
     longitude, latitude = float(x[0]), float(y[0])
     if not -80.0 <= latitude <= 84.0:
         raise TerrainError(
-            f"{shown(path)} has its middle at latitude {latitude:.4g} degrees, and UTM ends at -80 and 84: give a "
-            "polar system, as EPSG:3413 or EPSG:3031."
+            f"{shown(path)} has its middle at latitude {latitude:.4g} degrees, and UTM ends at -80 and 84",
+            fix="give a polar system, as EPSG:3413 or EPSG:3031",
         )
     zone = int((longitude + 180.0) // 6.0) % 60 + 1
     return f"EPSG:{(32600 if latitude >= 0.0 else 32700) + zone}"
 
 
 def _grid(path: Path, dataset, source: FileGrid, crs) -> tuple:
-    """Return the new raster's transform, width and height: over the old samples, as dense as they are at its middle."""
-    right, bottom = dataset.width - 0.5, dataset.height - 0.5  # samples lie in the middle of cells
+    """Return the new raster's transform, width and height: it covers the old samples and is as dense at its middle."""
+    right, bottom = dataset.width - 0.5, dataset.height - 0.5  # samples are in the middle of cells
     sides = np.linspace([0.5, 0.5], [right, bottom], BORDER_SAMPLES)
     columns, rows = sides.T
     columns = np.concatenate([columns, columns, np.full_like(rows, 0.5), np.full_like(rows, right)])
@@ -146,7 +154,8 @@ def _grid(path: Path, dataset, source: FileGrid, crs) -> tuple:
     if width * height > MAX_GROWTH * dataset.width * dataset.height + 1e4:
         raise TerrainError(
             f"{shown(path)} would have {width} x {height} samples in {name}, in place of {dataset.width} x "
-            f"{dataset.height}: it is oblique there or too far from that system's area; choose another system."
+            f"{dataset.height}, because it is oblique there or too far from that system's area",
+            fix="choose another system",
         )
     _check_way_back(path, dataset, source, crs)
     return (step_x, 0.0, x.min() - step_x / 2, 0.0, -step_y, y.max() + step_y / 2), width, height
@@ -165,9 +174,9 @@ def _steps(column_x: float, row_x: float, column_y: float, row_y: float) -> tupl
 
 
 def _check_way_back(path: Path, dataset, source: FileGrid, crs) -> None:
-    """Refuse a raster whose samples are not found again from where they lie in the new system.
+    """Refuse a raster whose points do not survive the way to the new system and back.
 
-    A projected raster may pass the edge of its own system, as one in Web Mercator that passes 180 degrees.
+    A projected raster may pass the edge of its system, for example 180 degrees in Web Mercator.
     """
     inner = np.linspace(0.02, 0.98, INNER_SAMPLES)
     columns, rows = (grid.ravel() for grid in np.meshgrid(inner * dataset.width, inner * dataset.height))
@@ -177,22 +186,21 @@ def _check_way_back(path: Path, dataset, source: FileGrid, crs) -> None:
     if lengths(np.stack([back_x - x, back_y - y])).max() > cell:
         raise TerrainError(
             f"{shown(path)} passes the edge of its coordinate system {source.crs.to_string()[:80]}, so parts of it are "
-            "not found in another one: cut it there (gdalwarp -te), or import it as it is."
+            "not found in another one",
+            fix="cut it there (gdalwarp -te), or import it as it is",
         )
 
 
 def _transformed(path: Path, source, target, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions in another coordinate system, float64 [n] each."""
+    """Return positions in another coordinate system, float64 [n] each. Raises TerrainError."""
     from rasterio.warp import transform
 
     try:
         moved = np.array(transform(source, target, x, y)[:2])
     except Exception as reason:
-        raise TerrainError(
-            f"{shown(path)} cannot be brought into {target.to_string()} ({shown(reason)}): choose another system."
-        ) from reason
+        what = f"{shown(path)} cannot be brought into {target.to_string()} ({shown(reason)})"
+        raise TerrainError(what, fix="choose another system") from reason
     if not np.isfinite(moved).all():
-        raise TerrainError(
-            f"{shown(path)} reaches to where {target.to_string()} is not defined: choose another system."
-        )
+        what = f"{shown(path)} extends beyond the area of {target.to_string()}"
+        raise TerrainError(what, fix="choose another system")
     return moved[0], moved[1]

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rounding of stored samples: how far the number that a file holds may be from the one that was rounded."""
+"""Rounding of stored samples: the largest difference between a file's number and the number before rounding."""
 
 import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-# Significant bits of the floats that GDAL calls float32, by the bits that a TIFF stores of each.
+# Significant bits of GDAL's float32, by the bits that a TIFF stores.
 HALF_BITS, FLOAT32_BITS = 11, 24
 TIFF_FLOAT_BITS = {"16": HALF_BITS, "24": 17}
 LOSSY = ("JPEG", "YCbCr JPEG", "JXL", "WEBP")
@@ -16,10 +16,15 @@ LOSSY = ("JPEG", "YCbCr JPEG", "JXL", "WEBP")
 class SourceRounding:
     """Rounding of the values of one file.
 
-    stored: name of their type. bits: significant bits of a float, 0 for all of its type. error: what a lossy method of
-    compression adds, in the values' unit. scale, offset: a height field's value is value * scale + offset. before:
-    rounding of other values, from which these ones were made. is_cut: whether digits may have been cut off instead of
-    rounded, so that a value is off by a whole step. lossy: the method of compression, if its error is not known.
+    Attributes:
+        stored: name of their type.
+        bits: significant bits of a float; 0 for all of its type.
+        error: largest error of a lossy compression, in the values' unit.
+        scale: a height is value * scale + offset.
+        offset: see scale.
+        before: rounding of the values from which these were computed.
+        is_cut: whether digits may have been truncated instead of rounded, so that an error may be a whole step.
+        lossy: method of compression, if its error is not known.
     """
 
     stored: str
@@ -48,7 +53,7 @@ class SourceRounding:
             return scale * (0.5 + error)
         limits = np.finfo(kind)
         value = min(value, float(limits.max))
-        lowest = int(limits.minexp) + 1  # below, floats are as far apart as there
+        lowest = int(limits.minexp) + 1  # smaller floats have the same spacing
         exponent = max(math.frexp(value)[1], lowest) if value else lowest
         return scale * (math.ldexp(1.0 if self.is_cut else 0.5, exponent - self.significant) + error)
 

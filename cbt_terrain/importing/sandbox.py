@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The rights that a process drops before it opens a file from outside. docs/trust.md lists them and what remains.
+"""The rights that a process drops before it opens a file from outside. docs/trust.md lists them and the rest.
 
-On Linux a seccomp filter leaves only the system calls that an import needs (system_calls.py), and a Landlock ruleset
-refuses to write outside one folder. Neither needs a privilege, and neither can be undone. Where the system lacks them
-the process works without: `enter` reports each. Constants are those of linux/landlock.h and linux/capability.h.
+On Linux a seccomp filter allows only the system calls that an import needs (system_calls.py), and a Landlock ruleset
+refuses to write outside one folder. Neither needs a privilege, and neither can be undone. The process also works on a
+system without them: `enter` reports each. Constants are those of linux/landlock.h and linux/capability.h.
 """
 
 import ctypes
@@ -26,22 +26,22 @@ IN_STORE = READ_FILE | WRITE_FILE | REMOVE_DIR | REMOVE_FILE | MAKE_DIR | MAKE_R
 READABLE_DEVICES = [Path("/dev", name) for name in ("null", "random", "urandom", "shm")]
 BIND_AND_CONNECT_TCP, ABSTRACT_SOCKETS_AND_SIGNALS = 3, 3
 CAPABILITIES_VERSION = 0x20080522
-# What root keeps: files of other users stay readable, and a store can be written into another user's folder.
-KEPT_CAPABILITIES = 1 << 1 | 1 << 2  # CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH
-KEPT = "kept"  # prefix of the report on a right that was not dropped
+# Root may still read other users' files and write a store into another user's folder.
+FILE_CAPABILITIES = 1 << 1 | 1 << 2  # CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH
+REMAINS = "kept"  # prefix of the report on a right that was not dropped
 
 
 def enter(folder: Path | None) -> dict[str, str]:
-    """Drop rights of this process for good. Returns for each "dropped", or "kept: " and why.
+    """Drop rights of this process for good, and return for each "dropped", or "kept: " and the reason.
 
-    Landlock and capabilities hold for the calling thread and those that it starts later, so call this first of all.
+    Landlock and capabilities hold for the calling thread and those that it starts later, so call this before others.
 
     Args:
         folder: existing folder in which files may still be written; None for no folder.
     """
     names = ("network", "programs", "processes", "writes")
     if sys.platform != "linux" or sys.maxsize < 2**32:
-        return dict.fromkeys(names, f"{KEPT}: only 64-bit Linux can drop it")
+        return dict.fromkeys(names, f"{REMAINS}: only 64-bit Linux can drop it")
     libc = ctypes.CDLL(None, use_errno=True)
     libc.prctl(PR_SET_NO_NEW_PRIVS, *map(ctypes.c_ulong, (1, 0, 0, 0)))
     _die_first()
@@ -51,16 +51,16 @@ def enter(folder: Path | None) -> dict[str, str]:
 
 
 def limit_memory(max_bytes: int) -> str:
-    """Limit the memory that this process allocates, for good; mapped files do not count. Returns the limit as text."""
+    """Limit this process's allocated memory for good, without mapped files, and return the limit as text."""
     if sys.platform != "linux":
-        return f"{KEPT}: only Linux can limit it"
+        return f"{REMAINS}: only Linux can limit it"
     import resource
 
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     limit = max_bytes if hard == resource.RLIM_INFINITY else min(max_bytes, hard)
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
     if platform.machine() in MACHINES:
-        with suppress(OSError):  # without seccomp the hard limit holds for all but root
+        with suppress(OSError):  # without seccomp only root can raise the limit
             keep_limits(ctypes.CDLL(None, use_errno=True))
     return f"{limit / 1e9:.1f} GB at most"
 
@@ -69,7 +69,7 @@ def _outcome(drop, *arguments) -> str:
     try:
         return drop(*arguments)
     except OSError as reason:
-        return f"{KEPT}: this kernel refuses ({reason.strerror})"
+        return f"{REMAINS}: this kernel refuses ({reason.strerror})"
 
 
 def _die_first() -> None:
@@ -83,34 +83,34 @@ def _die_first() -> None:
 
 def _drop_calls(libc) -> str:
     if platform.machine() not in MACHINES:
-        return f"{KEPT}: not known how on {platform.machine()}"
+        return f"{REMAINS}: not known how on {platform.machine()}"
     _drop_capabilities(libc)
     allow_only_listed(libc)
     return "dropped"
 
 
 def _drop_capabilities(libc) -> None:
-    """Keep none of root's rights but those to read and write files."""
+    """Drop all of root's rights except those to read and write files."""
     header, sets = struct.pack("Ii", CAPABILITIES_VERSION, 0), ctypes.create_string_buffer(24)
     if libc.capget(header, sets) < 0:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
     effective, permitted, *_ = struct.unpack("6I", sets)
-    kept = struct.pack("6I", effective & KEPT_CAPABILITIES, permitted & KEPT_CAPABILITIES, 0, 0, 0, 0)
-    if libc.capset(header, kept) < 0:
+    reduced = struct.pack("6I", effective & FILE_CAPABILITIES, permitted & FILE_CAPABILITIES, 0, 0, 0, 0)
+    if libc.capset(header, reduced) < 0:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
 
 
 def _drop_writes(libc, folder: Path | None) -> str:
     version = call(libc, LANDLOCK_CREATE_RULESET, None, ctypes.c_size_t(0), 1)
     if version < 2:  # version 1 refuses every rename into another folder, which a store needs
-        return f"{KEPT}: this kernel's Landlock is too old"
+        return f"{REMAINS}: this kernel's Landlock is too old"
     files = READ_FILE | ALL_WRITES | (TRUNCATE if version >= 3 else 0) | (IOCTL_DEV if version >= 5 else 0)
     network, scopes = [BIND_AND_CONNECT_TCP] * (version >= 4), [ABSTRACT_SOCKETS_AND_SIGNALS] * (version >= 6)
     attributes = struct.pack(f"{1 + len(network + scopes)}Q", files, *network, *scopes)
     ruleset = call(libc, LANDLOCK_CREATE_RULESET, attributes, ctypes.c_size_t(len(attributes)), 0)
     try:
         for path in _readable():
-            with suppress(OSError):  # it cannot be read then
+            with suppress(OSError):  # such a path stays unreadable
                 _allow(libc, ruleset, path, READ_FILE)
         if folder is not None:
             _allow(libc, ruleset, folder, IN_STORE & files)
@@ -118,11 +118,11 @@ def _drop_writes(libc, folder: Path | None) -> str:
     finally:
         os.close(ruleset)
     threads = len(os.listdir("/proc/self/task"))
-    return "dropped" if threads == 1 else f"{KEPT}: by {threads - 1} threads that were started before"
+    return "dropped" if threads == 1 else f"{REMAINS}: by {threads - 1} threads that were started before"
 
 
 def _readable() -> list[Path]:
-    """Return the paths below which files may be read: all but devices, such as terminals, cameras and memory."""
+    """Return the folders of readable files: all but devices such as terminals, cameras and memory."""
     return [*(Path("/", name) for name in os.listdir("/") if name != "dev"), *READABLE_DEVICES]
 
 

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files that belong to a raster and lie beside it: world files, .prj, and GDAL's .aux.xml.
+"""Files beside a raster that belong to it: world files, .prj, and GDAL's .aux.xml.
 
-GDAL reads an .aux.xml with its own parser. It is looked at here first, and GDAL may read it only where nothing in it
-names another file.
+This module checks an .aux.xml before GDAL parses it. GDAL may read it only if it names no other file.
 """
 
 import contextlib
@@ -20,7 +19,7 @@ SUFFIXES = (
     *(".hdr", ".stx", ".clr", ".ovr", ".msk"),
 )
 MAX_BYTES, MAX_DEPTH = 16 << 20, 64
-# A code or WKT: what else GDAL takes for a coordinate system may name a file.
+# A code or WKT. GDAL's other notations for a coordinate system may name a file.
 _SYSTEM = re.compile(r"(?:[A-Z_]+:\w{1,16}|[A-Z_]+\s*\[.*)?", re.DOTALL)
 
 
@@ -36,19 +35,18 @@ def sidecars(path: Path) -> list[Path]:
 
 
 def aux_file(path: Path) -> Path | None:
-    """Return the .aux.xml of a raster, if there is one: that of exactly its name rather than one in other letters."""
+    """Return the .aux.xml of a raster, None if there is none; exactly its name is preferred to other letter cases."""
     named = path.name + AUX
     found = [file for file in sidecars(path) if file.name.lower() == named.lower()]
     return min(found, key=lambda file: file.name != named, default=None)
 
 
 def read_aux(file: Path) -> str:
-    """Return the coordinate system that an .aux.xml names, "" if it names none. Raises TerrainError for what GDAL is
-    not to read."""
+    """Return the coordinate system that an .aux.xml names, "" if none. Raises TerrainError if GDAL must not read it."""
     depth, texts, in_system = 0, [], False
 
     def refuse(problem: str) -> None:
-        raise TerrainError(f"{shown(file)} is not read, because it {problem}: write it again with GDAL.")
+        raise TerrainError(f"{shown(file)} is not read, because it {problem}", fix="write it again with GDAL")
 
     def start(name: str, attributes: dict[str, str]) -> None:
         nonlocal depth, in_system
@@ -58,7 +56,7 @@ def read_aux(file: Path) -> str:
         if "OVERVIEW_FILE" in attributes.values():
             refuse("names another file")
         if not _SYSTEM.fullmatch(attributes.get("Projection", "").strip()):
-            refuse("names no coordinate system where one is expected")
+            refuse("names no coordinate system in the place of one")
 
     def end(_name: str) -> None:
         nonlocal depth, in_system
@@ -74,12 +72,12 @@ def read_aux(file: Path) -> str:
         refuse(f"is no well-formed XML ({reason})")
     system = "".join(texts).strip()
     if not _SYSTEM.fullmatch(system):
-        refuse("names no coordinate system where one is expected")
+        refuse("names no coordinate system in the place of one")
     return system
 
 
 def allow_aux_file(path: Path) -> list[str]:
-    """Let GDAL read the .aux.xml beside a raster, if there is one and it is harmless; return a warning if it is not."""
+    """Let GDAL read the .aux.xml beside a raster if it is harmless; return a warning if it is not."""
     from rasterio.env import setenv
 
     file = aux_file(path)
@@ -88,8 +86,8 @@ def allow_aux_file(path: Path) -> list[str]:
     try:
         read_aux(file)
     except TerrainError as reason:
-        return [f"{reason} What it says of the raster is missing."]
-    if file.name != path.name + AUX:  # GDAL finds no other, and one that it finds was not looked at
+        return [f"{reason} Its position, no-data, scale, offset and unit are not used."]
+    if file.name != path.name + AUX:  # GDAL may find only the file that was checked
         return [
             f"{shown(file)} is named otherwise than {shown(path.name)} in upper or lower case, so only its coordinate "
             f"system is read, not its position, no-data, scale, offset and unit: rename it to {shown(path.name)}{AUX}."
@@ -101,8 +99,10 @@ def allow_aux_file(path: Path) -> list[str]:
 def named_crs(path: Path, notes: list[str]):
     """Return the coordinate system in the files beside a raster that names none itself; None if there is none.
 
-    GDAL reads a .prj only of ASCII grids, and the system in an .aux.xml not of those. notes: gets a warning about a
-    .prj that cannot be read.
+    GDAL reads a .prj only beside ASCII grids, and the system in an .aux.xml only beside other rasters.
+
+    Args:
+        notes: gets a warning about a .prj that cannot be read.
     """
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
@@ -121,13 +121,14 @@ def named_crs(path: Path, notes: list[str]):
 
 
 def _content(file: Path) -> bytes:
-    """Return what a sidecar holds. Raises TerrainError for one that is too large or cannot be read."""
+    """Return the bytes of a sidecar. Raises TerrainError if it is too large or cannot be read."""
     try:
         with open_regular(file, links=True) as opened:
             content = opened.read(MAX_BYTES + 1)
     except OSError as reason:
-        cause = reason.strerror or reason
-        raise TerrainError(f"{shown(file)} is not read, because {cause}: change its permissions.") from reason
+        what = f"{shown(file)} cannot be read ({reason.strerror or reason})"
+        raise TerrainError(what, fix="change its permissions") from reason
     if len(content) > MAX_BYTES:
-        raise TerrainError(f"{shown(file)} is not read, because it has more than {MAX_BYTES >> 20} MB: write it again.")
+        what = f"{shown(file)} is not read, because it has more than {MAX_BYTES >> 20} MB"
+        raise TerrainError(what, fix="write it again")
     return content

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a height map's header says, and what is installed: both asked of a child process, as an import is."""
+"""Summary of a height map's header, and versions of the libraries; a child process reads both."""
 
 import dataclasses
 import platform
@@ -15,7 +15,7 @@ from .store_job import ask, serve
 
 
 def describe_source(settings: ImportSettings) -> dict:
-    """What a height map holds by its header, as a flat dict. Raises TerrainError for one that cannot be imported."""
+    """Return a flat dict of a height map's header. Raises TerrainError for a file that cannot be imported."""
     settings.check()
     if settings.source not in LANDS:
         check_file(Path(settings.source))
@@ -23,13 +23,13 @@ def describe_source(settings: ImportSettings) -> dict:
 
 
 def versions() -> dict:
-    """Versions of what reads and makes a terrain, and what the process that reads height maps gives up here."""
+    """Return the versions of all libraries, and the rights that the process reading height maps drops here."""
     from ... import __version__
 
     installed = {name: _version(name) for name in ("numpy", "warp-lang", "rasterio", "OpenEXR", "bpy")}
     system = f"{platform.system()} {platform.release()} {platform.machine()}"
-    own = {"adaptive-terrain": __version__, "Python": platform.python_version(), "system": system}
-    return own | installed | _ask({"settings": None}, "the versions of GDAL and PROJ")
+    program = {"adaptive-terrain": __version__, "Python": platform.python_version(), "system": system}
+    return program | installed | _ask({"settings": None}, "the versions of GDAL and PROJ")
 
 
 def _version(name: str) -> str:
@@ -45,19 +45,15 @@ def _ask(request: dict, what: str) -> dict:
 
 def child_main() -> None:
     """Answer one request."""
-    serve(_answer, lambda asked: f"Reading {asked['settings']['source']}")
+    serve(_answer, lambda request: f"Reading {request['settings']['source']}")
 
 
-def _answer(asked: dict, *_) -> dict:
-    settings = asked["settings"]
-    if settings is None:
-        return _of_this_process()
-    for name in ("raw_size", "extent"):
-        settings[name] = tuple(settings[name]) if settings[name] is not None else None
-    return _of_source(ImportSettings(**settings))
+def _answer(request: dict, *_) -> dict:
+    settings = request["settings"]
+    return _gdal_versions() if settings is None else _describe(ImportSettings(**settings))
 
 
-def _of_source(settings: ImportSettings) -> dict:
+def _describe(settings: ImportSettings) -> dict:
     guard(Path(settings.source).suffix.lower(), None)
     child.end_with_parent()
     raster = open_source(settings)
@@ -74,12 +70,12 @@ def _of_source(settings: ImportSettings) -> dict:
         raster.close()
 
 
-def _of_this_process() -> dict:
-    """What only a process can say that has loaded GDAL: its version, its drivers, and what it has given up."""
+def _gdal_versions() -> dict:
+    """Return GDAL's version, its drivers and the rights that this process has dropped."""
     import rasterio
     from rasterio import _env
 
-    given_up = guard(".vrt", None)
+    rights = guard(".vrt", None)
     with rasterio.Env() as env:
         drivers = sorted(env.drivers())
-    return {"GDAL": _env.gdal_version(), "GDAL drivers": drivers, "reading height maps": given_up}
+    return {"GDAL": _env.gdal_version(), "GDAL drivers": drivers, "reading height maps": rights}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where heights come from: a file, or a built-in land, opened as a raster."""
+"""Sources of heights, files and built-in terrains, opened as rasters."""
 
 import math
 import os
@@ -16,12 +16,12 @@ from .gdal_source import DRIVERS, open_raster
 from .header_files import headless_warning, is_plain_raw
 from .raster import EXR_SUFFIX, RAW_SUFFIXES, ImportSettings, Raster, blank
 
-ORDER_ROWS = 256  # that are looked at for the order of bytes
-SMOOTHER = 4.0  # times: then the other order is likelier
+ORDER_ROWS = 256  # rows that are compared in both byte orders
+SMOOTHER = 4.0  # ratio of roughness beyond which the other byte order is likelier
 
 
 def open_source(settings: ImportSettings) -> Raster:
-    """Open what the settings name. Raises TerrainError; to be called in the import's child process."""
+    """Open the source that the settings name, in the import's child process. Raises TerrainError."""
     settings.check()
     if settings.source in LANDS:
         return _open_land(settings)
@@ -38,34 +38,38 @@ def open_source(settings: ImportSettings) -> Raster:
         if suffix in DRIVERS:
             return open_raster(path, settings)
     except OSError as reason:
-        raise TerrainError(f"{path} cannot be read ({reason.strerror or reason}): check the file.") from reason
+        raise TerrainError(f"{path} cannot be read ({reason.strerror or reason})", fix="check the file") from reason
     known = ", ".join((*DRIVERS, EXR_SUFFIX, ".npy", *RAW_SUFFIXES))
     raise TerrainError(
-        f"{path} is of no known kind of height map: expected one of {known}; unpack an archive, and convert other "
-        "kinds to GeoTIFF (gdal_translate)."
+        f"{path} is of no known kind of height map",
+        expected=f"one of {known}",
+        fix="unpack an archive, and convert other kinds to GeoTIFF (gdal_translate)",
     )
 
 
 def check_file(path: Path, kind: str = "height map") -> None:
-    """Raise TerrainError if there is no readable, non-empty file. kind: of what it is to be."""
+    """Raise TerrainError unless `path` is a readable, non-empty file. kind: what the file is for, in errors."""
+    expected = f"the file of a {kind}"
     try:
         what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
         regular = path.is_file()
     except (OSError, ValueError) as reason:
-        said = getattr(reason, "strerror", None) or reason
-        raise TerrainError(f"{shown(path)} cannot be read ({said}): expected the file of a {kind}.") from reason
+        message = getattr(reason, "strerror", None) or reason
+        raise TerrainError(f"{shown(path)} cannot be read ({message})", expected=expected) from reason
     if not regular:
-        raise TerrainError(f"{shown(path)} {what}: expected the file of a {kind}.")
+        raise TerrainError(f"{shown(path)} {what}", expected=expected)
     if not os.access(path, os.R_OK):
-        raise TerrainError(f"{path} may not be read by this user: change its permissions.")
+        raise TerrainError(f"{path} may not be read by this user", fix="change its permissions")
     if path.stat().st_size == 0:
-        raise TerrainError(f"{path} is empty: expected the file of a {kind}.")
+        raise TerrainError(f"{path} is empty", expected=expected)
     check_neighbours(path)
 
 
 def check_neighbours(path: Path) -> None:
-    """Raise TerrainError for a pipe, a socket or a device beside a file, with a name that begins as the file's: GDAL
-    would open it as a part of the file (.tfw, .aux.xml, .msk, ...) and wait."""
+    """Raise TerrainError for a pipe, socket or device beside a file whose name begins like the file's.
+
+    GDAL would open it as a part of the file (.tfw, .aux.xml, .msk, ...) and wait.
+    """
     stem = path.stem.casefold()
     parts = f"{stem}.", f"{stem}_"
     try:
@@ -75,8 +79,9 @@ def check_neighbours(path: Path) -> None:
         return
     if found is not None:
         raise TerrainError(
-            f"{shown(found.path)}, beside {shown(path.name)}, is a pipe, a socket or a device; expected a file: remove "
-            "or rename it."
+            f"{shown(found.path)}, beside {shown(path.name)}, is a pipe, a socket or a device",
+            expected="a file",
+            fix="remove or rename it",
         )
 
 
@@ -96,18 +101,19 @@ def _open_land(settings: ImportSettings) -> Raster:
 def _open_raw(path: Path, settings: ImportSettings) -> Raster:
     if settings.project:
         raise TerrainError(
-            f"{shown(path)} has no header beside it, so no coordinate system, and cannot be reprojected: put its "
-            "header there, or import it as it is."
+            f"{shown(path)} has no header beside it, so no coordinate system, and cannot be reprojected",
+            fix="put its header there, or import it as it is",
         )
     kind = np.dtype(settings.raw_dtype).newbyteorder("<" if settings.raw_little_endian else ">")
     size = path.stat().st_size
     samples, rest = divmod(size, kind.itemsize)
     width, height = settings.raw_size or (math.isqrt(samples), math.isqrt(samples))
     if width * height * kind.itemsize != size or rest:
-        asked = f"{width} x {height} samples of {settings.raw_dtype} need {width * height * kind.itemsize}"
+        needed = f"{width} x {height} samples of {settings.raw_dtype} need {width * height * kind.itemsize}"
+        hint = f", or put its header {shown(path.with_suffix('.hdr').name)} beside it" if is_plain_raw(path) else ""
         raise TerrainError(
-            f"{path} has {size} bytes, but {asked}: give its size and type as they are (on the command line "
-            f"--raw-size WxH and --raw-type){_header_hint(path)}."
+            f"{path} has {size} bytes, but {needed}",
+            fix=f"give its true size and type (on the command line --raw-size WxH and --raw-type){hint}",
         )
     values = np.memmap(path, kind, "r", shape=(height, width))
     raster = _from_array(values, settings, "RAW")
@@ -115,11 +121,6 @@ def _open_raw(path: Path, settings: ImportSettings) -> Raster:
         raster.warnings.append(headless_warning(path))
     raster.warnings += _byte_order_warnings(values)
     return raster
-
-
-def _header_hint(path: Path) -> str:
-    """Return what else helps a file whose header is missing."""
-    return f", or put its header {shown(path.with_suffix('.hdr').name)} beside it" if is_plain_raw(path) else ""
 
 
 def _byte_order_warnings(values: np.ndarray) -> list[str]:
@@ -142,11 +143,12 @@ def _byte_order_warnings(values: np.ndarray) -> list[str]:
 def _open_npy(path: Path, settings: ImportSettings) -> Raster:
     try:
         values = np.lib.format.open_memmap(path, mode="r")  # np.load would also open zips and pickles
-    except Exception as reason:  # whatever the parser of a damaged header raises
-        said = shown(reason).rstrip(".") or type(reason).__name__
-        raise TerrainError(f"{path} is not a whole .npy file of numbers ({said}): get the file again.") from reason
+    except Exception as reason:  # the parser of headers raises errors of many classes
+        message = shown(reason).rstrip(".") or type(reason).__name__
+        what = f"{path} is not a whole .npy file of numbers ({message})"
+        raise TerrainError(what, fix="get the file again") from reason
     if values.ndim != 2 or values.dtype.kind not in "fiu" or values.size == 0:
-        raise TerrainError(f"{path} holds {values.dtype} {values.shape}: expected a 2-D array of real numbers.")
+        raise TerrainError(f"{path} holds {values.dtype} {values.shape}", expected="a 2-D array of real numbers")
     return _from_array(values, settings, "NumPy")
 
 

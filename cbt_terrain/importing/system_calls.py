@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Seccomp filters: the system calls that a process may still make, and the arguments that some of them may have.
+"""Seccomp filters that limit the system calls of a process and the arguments of some calls.
 
-`ALLOWED` is what imports of every format were seen to call, with the variants that other C libraries use. The kernel
-refuses every other call with EPERM. Calls that were added to Linux later than `FIRST_NEW` do not exist for the process
-(ENOSYS), so that a C library falls back to an older one: clone3, whose flags a filter cannot read, to clone. Numbers
-and constants are those of the kernel's headers (asm/unistd.h, linux/audit.h, linux/filter.h, linux/seccomp.h).
+`ALLOWED` lists the calls that imports of every format were seen to make, with the variants that other C libraries use.
+The kernel refuses every other call with EPERM. Calls from the number `FIRST_NEW` on fail with ENOSYS, so that a C
+library falls back to an older call: from clone3, whose flags a filter cannot read, to clone. Numbers and constants are
+those of the kernel's headers (asm/unistd.h, linux/audit.h, linux/filter.h, linux/seccomp.h).
 """
 
 import ctypes
@@ -13,10 +13,10 @@ import os
 import platform
 import struct
 
-# By machine: its AUDIT_ARCH, and its column in the tables of calls.
+# By machine: its AUDIT_ARCH, and its column in the table of calls.
 MACHINES = {"x86_64": (0xC000003E, 0), "aarch64": (0xC00000B7, 1)}
 SECCOMP = (317, 277)
-FIRST_NEW = 424  # from here on the numbers of both machines are the same
+FIRST_NEW = 424  # from here on both machines have the same numbers
 X32 = 0x40000000  # calls of x86_64's second numbering begin here
 # By name: the numbers on x86_64 and aarch64, None where the machine lacks the call.
 ALLOWED = {
@@ -53,15 +53,16 @@ IOCTL = (0x5401, 0x5413, 0x541B, 0x5421, 0x5450, 0x5451)  # TCGETS, TIOCGWINSZ, 
 PRCTL = (15, 16)  # name a thread
 
 # Of classic BPF: load a word of `struct seccomp_data`, mask it, compare it, return.
-LOAD, AND, JUMP_EQUAL, JUMP_AT_LEAST, RETURN = 0x20, 0x54, 0x15, 0x35, 0x06
+LOAD, AND, JUMP_EQUAL, JUMP_NOT_BELOW, RETURN = 0x20, 0x54, 0x15, 0x35, 0x06
 NUMBER_AT, ARCH_AT, ARGUMENTS_AT, WORD = 0, 4, 16, 0xFFFFFFFF
 ALLOW, REFUSE, UNKNOWN = 0x7FFF0000, 0x00050000 | errno.EPERM, 0x00050000 | errno.ENOSYS
 
-Test = tuple[int, int, tuple[int, ...]]  # of a call's arguments: a 32-bit word, a mask, and the values that may be left
+# Test of a call's arguments: index of a 32-bit word, a mask, and the allowed values of the masked word.
+Test = tuple[int, int, tuple[int, ...]]
 
 
 def tested_arguments() -> dict[str, list[Test]]:
-    """Return the tests that the arguments of some allowed calls must pass. Word 2 i is the low half of argument i."""
+    """Return the tests of arguments by call. Word 2 i is the low half of argument i."""
     opened = (0, 1, 2, 3, O_TRUNC | 1, O_TRUNC | 2, O_TRUNC | 3)  # Landlock refuses to cut files short from version 3
     return {
         "open": [(2, O_ACCMODE | O_TRUNC, opened)],
@@ -73,7 +74,7 @@ def tested_arguments() -> dict[str, list[Test]]:
         "fcntl": [(2, WORD, FCNTL)],
         "ioctl": [(2, WORD, IOCTL)],
         "prctl": [(0, WORD, PRCTL)],
-        "seccomp": [(0, WORD, (1,))],  # filters can be added
+        "seccomp": [(0, WORD, (1,))],  # may add filters
     }
 
 
@@ -94,8 +95,10 @@ def keep_limits(libc) -> None:
 
 
 def _allow(number: int, tests: list[Test]) -> list[tuple]:
-    """Return instructions that allow a call whose arguments pass the tests, refuse it otherwise, and skip others. They
-    expect the number of the call in the accumulator."""
+    """Return instructions that allow a call if its arguments pass the tests, refuse it otherwise, and skip other calls.
+
+    They expect the call's number in the accumulator.
+    """
     inside = []
     for word, mask, values in tests:
         inside += [(LOAD, 0, 0, ARGUMENTS_AT + 4 * word), (AND, 0, 0, mask)]
@@ -109,8 +112,8 @@ def _install(libc, lines: list[tuple]) -> None:
     audit_arch, column = MACHINES[platform.machine()]
     program = [
         *((LOAD, 0, 0, ARCH_AT), (JUMP_EQUAL, 1, 0, audit_arch), (RETURN, 0, 0, REFUSE)),
-        *((LOAD, 0, 0, NUMBER_AT), (JUMP_AT_LEAST, 0, 1, X32), (RETURN, 0, 0, REFUSE)),
-        *((JUMP_AT_LEAST, 0, 1, FIRST_NEW), (RETURN, 0, 0, UNKNOWN)),
+        *((LOAD, 0, 0, NUMBER_AT), (JUMP_NOT_BELOW, 0, 1, X32), (RETURN, 0, 0, REFUSE)),
+        *((JUMP_NOT_BELOW, 0, 1, FIRST_NEW), (RETURN, 0, 0, UNKNOWN)),
         *lines,
     ]
     code = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *line) for line in program))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The TIFF tag Orientation (274), which GDAL does not report: where the first row and column of a picture lie."""
+"""The TIFF tag Orientation (274), the position of a picture's first row and column, which GDAL does not report."""
 
 import os
 import struct
@@ -11,18 +11,18 @@ from ..field.georeference import Georeference
 from ..run.named_file import open_regular
 
 ORIENTATION, SHORT = 274, 3
-MAX_TAGS = 4096  # of a file's first directory that are looked at
+MAX_TAGS = 4096  # tags of a file's first directory that are searched
 
 
 def orientation_of(path: Path) -> int:
-    """Return the orientation of a TIFF's first picture, 1 to 8; 1 where the file does not tell."""
+    """Return the orientation of a TIFF's first picture, 1 to 8; 1 if the file has no such tag."""
     with open_regular(path, links=True) as file:
         head = file.read(16)
         order = {b"II": "<", b"MM": ">"}.get(head[:2])
         if order is None or len(head) < 16:
             return 1
         (version,) = struct.unpack_from(order + "H", head, 2)
-        # Of BigTIFF, offsets and counts have 8 bytes: a directory's count, an entry's count and its value.
+        # In BigTIFF, a directory's count, an entry's count and its value have 8 bytes.
         start, count, entry, value = (8, "Q", 20, 12) if version == 43 else (4, "I", 12, 8)
         (offset,) = struct.unpack_from(order + count, head, start)
         kind = "Q" if version == 43 else "H"
@@ -43,7 +43,7 @@ def orientation_of(path: Path) -> int:
 
 
 def orientation_notes(paths: Iterable[Path]) -> list[str]:
-    """Return a warning about those files of a mosaic without a georeference that are to be seen turned or mirrored."""
+    """Return a warning about files of a mosaic whose tag Orientation turns or mirrors them."""
     turned = [path for path in paths if path.suffix.lower() in (".tif", ".tiff") and orientation_of(path) != 1]
     if not turned:
         return []
@@ -55,7 +55,7 @@ def orientation_notes(paths: Iterable[Path]) -> list[str]:
 
 
 def oriented(orientation: int) -> Georeference | None:
-    """Return the directions of rows and columns for a picture that is not placed; None for the usual ones."""
+    """Return the directions of rows and columns for a picture without a georeference; None for the usual ones."""
     if orientation == 1:
         return None
     return Georeference(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Units of length: the names that GDAL, EPSG and PROJ give them, and those in a coordinate system."""
+"""Units of length: their names in GDAL, EPSG and PROJ, and the units of a coordinate system."""
 
 import re
 
@@ -15,7 +15,7 @@ METRES = {
 PREFIXES = {"kilo": 1e3, "hecto": 1e2, "deca": 10.0, "deka": 10.0, "deci": 0.1, "centi": 0.01, "milli": 1e-3}
 PREFIXES |= {"micro": 1e-6}
 METRES |= {prefix + name: size for prefix, size in PREFIXES.items() for name in ("metre", "meter")}
-# Metres of a foot, by what is left of a unit's name without the word of FEET.
+# Metres in a foot, by the rest of a unit's name without its word in FEET.
 FOOT = {
     **dict.fromkeys(("", "i", "int", "imperial", "statute"), 0.3048),
     **dict.fromkeys(("ussurvey", "us", "survey", "surveyus", "ussurv", "uss", "usstatute"), 1200.0 / 3937.0),
@@ -42,9 +42,8 @@ FEET = {
     **dict.fromkeys(("mile", "mi"), 5280.0),
     **dict.fromkeys(("fathom", "fath", "ftm"), 6.0),
 }
-# Parts by which two units differ, from where on they are not the same (a US foot is 2e-6 longer than the other).
-SAME_UNIT = 1e-7
-MAX_SYMBOL = 3  # letters of a symbol in METRES, which is one word
+SAME_UNIT = 1e-7  # largest relative difference of equal units (a US foot is 2e-6 longer than a foot)
+MAX_SYMBOL = 3  # letters of a symbol in METRES
 _NO_LENGTH = re.compile(r"[/%‰°*^·×÷|]|[\s_.,;-]s$")  # in names of rates, products, angles and shares
 _AXIS = r'AXIS\["[^"]*",\s*(?:{})\s*(?:,\s*ORDER\[\d+\])?\s*,\s*LENGTHUNIT\["([^"]*)",\s*([-+\d.eE]+)'
 _VERTICAL = re.compile(_AXIS.format("(up|down)"))
@@ -52,7 +51,7 @@ _PLANE = re.compile(_AXIS.format("(north|south|east|west|northEast|northWest|sou
 
 
 def metres_of(name: str) -> float | None:
-    """Return the metres in a unit of length, or None if its name is not known."""
+    """Return the metres in a unit of length, None for an unknown name."""
     name = name.strip().casefold()
     if name in METRES:
         return METRES[name]
@@ -71,12 +70,12 @@ def metres_of(name: str) -> float | None:
 
 
 def plane_metres(crs) -> float:
-    """Return the metres in the unit of a coordinate system that is not in degrees (a rasterio CRS)."""
+    """Return the metres in the unit of a coordinate system (a rasterio CRS) that is not in degrees."""
     return _plane_unit(crs)[1]
 
 
 def _plane_unit(crs) -> tuple[str, float]:
-    """Return the name and the metres of that unit; PROJ knows it of projected systems only."""
+    """Return the name and the metres of a system's horizontal unit; PROJ returns it for projected systems only."""
     if crs.is_projected:
         return crs.linear_units_factor
     found = _PLANE.search(_wkt(crs))
@@ -84,17 +83,20 @@ def _plane_unit(crs) -> tuple[str, float]:
 
 
 def vertical_unit(crs) -> tuple[str, float, bool] | None:
-    """Return the name and the metres of the unit of a system's vertical axis, and whether that points down; None if
-    there is none. crs: a rasterio CRS or None."""
+    """Return the name and the metres of the unit of a system's vertical axis, and whether the axis points down.
+
+    Return None if there is none. crs: a rasterio CRS or None.
+    """
     found = _VERTICAL.search(_wkt(crs)) if crs is not None else None
     return (found[2], float(found[3]), found[1] == "down") if found else None
 
 
 def height_unit(band_unit: str, crs) -> tuple[float, list[str]]:
-    """Return the metres in a unit of the values of a band, and warnings.
+    """Return the metres in a unit of a band's values, and warnings.
 
-    band_unit: the unit that the file gives the band, "" if none. crs: a rasterio CRS or None; its vertical axis counts
-    where the band has no unit or an unknown one.
+    Args:
+        band_unit: the band's unit in the file, "" if none.
+        crs: a rasterio CRS or None; its vertical axis defines the unit if the band has none or an unknown one.
     """
     vertical = vertical_unit(crs)
     known, warnings = metres_of(band_unit) if band_unit else None, []
@@ -131,7 +133,7 @@ def height_unit(band_unit: str, crs) -> tuple[float, list[str]]:
 
 
 def _wkt(crs) -> str:
-    """Return the WKT 2 of a rasterio CRS, which names each axis with its unit; "" if there is none."""
+    """Return the WKT 2 of a rasterio CRS, which names each axis with its unit; "" if it has none."""
     from rasterio.errors import CRSError
 
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rounding of a mosaic's samples: that of its sources, by the scale at which a VRT takes each."""
+"""Rounding of a mosaic's samples, from its sources and the scale that the VRT applies to each."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,7 +18,9 @@ def mosaic_roundings(
 ) -> tuple[SourceRounding, ...]:
     """Return the different roundings of the sources of one band of a mosaic.
 
-    stored: type of the band's values. rounding_of(path, band): of a source that is no VRT; None if it is unknown.
+    Args:
+        stored: type of the band's values.
+        rounding_of: rounding_of(path, band) returns the rounding of a file, None if it is unknown.
     """
     found = _roundings(mosaic, len(mosaic.texts) - 1, band, rounding_of)
     is_exact = [np.can_cast(rounding.stored, stored) and rounding.scale == 1.0 for rounding in found]
@@ -29,7 +31,7 @@ def mosaic_roundings(
 
 
 def _roundings(mosaic: Mosaic, number: int, band: int, rounding_of) -> dict[SourceRounding, None]:
-    """Return those of band `band` of text `number`, in order and once."""
+    """Return the roundings of the sources of band `band` of text `number`, in order and once."""
     found: dict[SourceRounding, None] = {}
     for source, source_band, scaling in sources_of(mosaic, number, band):
         if isinstance(source, int):
@@ -41,14 +43,16 @@ def _roundings(mosaic: Mosaic, number: int, band: int, rounding_of) -> dict[Sour
 
 
 def band_element(mosaic: Mosaic, number: int, band: int) -> ElementTree.Element | None:
-    """Return the element of band `band` of text `number`, if there is one."""
+    """Return the element of band `band` of text `number`, None if there is none."""
     bands = ElementTree.fromstring(mosaic.texts[number]).findall("VRTRasterBand")
     return next((e for n, e in enumerate(bands, 1) if int(e.get("band", n)) == band), None)
 
 
 def sources_of(mosaic: Mosaic, number: int, band: int) -> Iterator[tuple[Path | int, int, tuple[float, float]]]:
-    """Yield the sources of band `band` of text `number`, in order and once: a file or the number of a text, its band,
-    and the scale and the offset by which its values are taken."""
+    """Yield the sources of band `band` of text `number`, in order and once.
+
+    Each is a file or the number of a text, its band, and the scale and the offset of its values.
+    """
     element = band_element(mosaic, number, band)
     numbers = {f"/vsimem/{mosaic.folder}/{n}.vrt": n for n in range(len(mosaic.texts))}
     seen = set()
@@ -64,7 +68,7 @@ def sources_of(mosaic: Mosaic, number: int, band: int) -> Iterator[tuple[Path | 
 
 
 def _scaling(source: ElementTree.Element) -> tuple[float, float]:
-    """Return a scale and an offset that a source's values have at most: of a table, its steepest part."""
+    """Return the largest scale and offset of a source's values: for a lookup table, those of its steepest segment."""
     pairs = [tuple(map(float, pair.split(":"))) for pair in source.findtext("LUT", "").split(",") if pair.strip()]
     if not pairs:
         return float(source.findtext("ScaleRatio", "1")), float(source.findtext("ScaleOffset", "0"))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""GDAL's virtual rasters (.vrt), read by an allow-list before GDAL sees them.
+"""Rewriting of GDAL's virtual rasters (.vrt) by an allow-list before GDAL reads them.
 
-A VRT is XML that names other files. GDAL lets it also name network services, raw bytes of any file, pixel functions and
-caches to be written. So GDAL never gets the file: it gets a text written anew from the elements below, in which every
-source is the whole path of a regular file that was looked at, or another VRT that went the same way.
+A VRT is XML that names other files. GDAL also lets it name network services, raw bytes of any file, pixel functions and
+caches to write. So GDAL never gets the file, but a text with only the elements below, in which every source is the
+absolute path of a regular file that was checked, or another rewritten VRT.
 """
 
 import math
@@ -21,7 +21,7 @@ from ..run.owned_files import real_path
 MAX_BYTES = 64 << 20  # of XML, in one file; 26,000 sources take 20 MB
 MAX_ELEMENTS, MAX_DEPTH, MAX_TEXT = 1_000_000, 16, 1 << 16
 MAX_NESTED = 3  # VRTs inside of VRTs
-LARGEST_NUMBER = 2.0**31  # of pixels, in a window
+LARGEST_NUMBER = 2.0**31  # pixels, in a window
 FLOAT32_MAX = (2.0 - 2.0**-23) * 2.0**127
 
 _SOURCE = {"SourceFilename", "SourceBand", "SourceProperties", "SrcRect", "DstRect"}
@@ -29,7 +29,7 @@ _COMPLEX = _SOURCE | {"ScaleOffset", "ScaleRatio", "NODATA", "LUT", "UseMaskBand
 _BAND = {"NoDataValue", "HideNoDataValue", "UnitType", "Offset", "Scale", "ColorInterp", "MaskBand"}
 _POINT = ("Pixel", "Line", "X", "Y", "Z")
 _RECTANGLE = {"xOff", "yOff", "xSize", "ySize"}
-# Element: its attributes and the elements in it.
+# By element: its attributes and its child elements.
 ALLOWED = {
     "VRTDataset": ({"rasterXSize", "rasterYSize"}, {"SRS", "GeoTransform", "GCPList", "VRTRasterBand", "MaskBand"}),
     "GCPList": ({"Projection", "dataAxisToSRSAxisMapping"}, {"GCP"}),
@@ -48,12 +48,12 @@ ALLOWED = {
     "SrcRect": (_RECTANGLE, set()),
     "DstRect": (_RECTANGLE, set()),
 }
-# What says nothing of a height; left out with all that is in it.
+# Elements without influence on heights, left out with all their children.
 IGNORED = {"CategoryNames", "ColorTable", "Description", "Histograms", "Metadata"}
 IGNORED |= {"Overview", "OverviewList"}
-# Attributes that say what holds anyway.
+# Attributes that repeat the default.
 PLAIN = {("subClass", "VRTSourcedRasterBand"), ("subClass", "VRTDataset")}
-# What the text of an element, or an attribute, must be; by its name.
+# By element or attribute: pattern of its text.
 _NUMBER = r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?"
 _COUNT, _NAME = r"\d{1,10}", r"[\w :/²°.-]{0,64}"
 TEXTS = {
@@ -77,10 +77,13 @@ _PATTERNS = {name: re.compile(pattern, re.DOTALL) for name, pattern in TEXTS.ite
 
 @dataclass
 class Mosaic:
-    """A VRT and those inside it.
+    """A VRT with its nested VRTs.
 
-    texts: the XML for GDAL, the outermost last; text n is to be the file /vsimem/FOLDER/n.vrt. sources: every file that
-    is named, in order and once. numbers: of the texts, by the files that they were.
+    Attributes:
+        folder: name of a folder in GDAL's memory.
+        texts: XML for GDAL, the outermost last; text n becomes the file /vsimem/FOLDER/n.vrt.
+        sources: all files that the VRTs name, in order and once.
+        numbers: index of the text of each VRT, by its path.
     """
 
     folder: str = field(default_factory=lambda: uuid.uuid4().hex)
@@ -90,20 +93,20 @@ class Mosaic:
 
 
 def read_mosaic(path: Path, suffixes: set[str]) -> Mosaic:
-    """Read a VRT and all VRTs that it names. suffixes: of files that may be sources. Raises TerrainError."""
+    """Read a VRT and all nested VRTs. suffixes: those that sources may have. Raises TerrainError."""
     mosaic = Mosaic()
     _add(path.absolute(), suffixes, (), mosaic)
     return mosaic
 
 
 def _add(path: Path, suffixes: set[str], outer: tuple[Path, ...], mosaic: Mosaic) -> int:
-    """Read one VRT and those inside it into `mosaic`; returns its number. outer: those that it is in."""
+    """Read a VRT and its nested VRTs into `mosaic`, and return its number. outer: VRTs that contain it."""
     real = real_path(path)
     if real in outer:
-        raise TerrainError(f"{shown(path)} is a VRT that contains itself: expected sources that hold samples.")
+        raise TerrainError(f"{shown(path)} is a VRT that contains itself", expected="sources that hold samples")
     if len(outer) > MAX_NESTED:
         raise TerrainError(
-            f"{shown(outer[0])} holds VRTs inside of VRTs, more than {MAX_NESTED} deep: merge them into one file first."
+            f"{shown(outer[0])} nests VRTs more than {MAX_NESTED} deep", fix="merge them into one file first"
         )
     if real not in mosaic.numbers:
         tree = _parse(path)
@@ -122,43 +125,44 @@ def _add(path: Path, suffixes: set[str], outer: tuple[Path, ...], mosaic: Mosaic
 
 
 def _within_float32(text: str) -> str:
-    """Return a no-data value; the largest float32 for one that was rounded up from it, which GDAL holds for none."""
+    """Return a no-data value, clamped to the largest float32 if rounding took it beyond, which GDAL would ignore."""
     value = float(text)
     return repr(math.copysign(FLOAT32_MAX, value)) if FLOAT32_MAX < abs(value) < 1.0001 * FLOAT32_MAX else text
 
 
 def _source_path(path: Path, name: ElementTree.Element, suffixes: set[str]) -> Path:
-    """The file that a SourceFilename names: regular, of a kind that we read, and what its suffix says."""
+    """Return the file that a SourceFilename names. Raises TerrainError unless it is a regular file of a known kind."""
     text = (name.text or "").strip()
     source = path.parent / text if name.get("relativeToVRT") == "1" else Path(text)
     source = source if source.is_absolute() else path.parent / source
-    said = f"{shown(path)} names the source {shown(text)!r}"
+    what = f"{shown(path)} names the source {shown(text)!r}"
     try:
         regular = "\0" not in text and _is_local(source, path) and source.is_file()
     except (OSError, ValueError):
         regular = False
     if not regular or "<" in str(source) or str(source).startswith("/vsi"):
-        raise TerrainError(f"{said}, which is no regular file here: expected the file of a height map.")
+        raise TerrainError(f"{what}, which is no regular file here", expected="the file of a height map")
     if source.suffix.lower() not in suffixes:
-        raise TerrainError(f"{said}: expected one of {', '.join(sorted(suffixes))}.")
+        raise TerrainError(what, expected=f"one of {', '.join(sorted(suffixes))}")
     if source.suffix.lower() != ".vrt":
         with open_regular(source, links=True) as file:
             if file.read(4096).lstrip().startswith(b"<"):
-                raise TerrainError(f"{said}, which holds XML: expected samples, as its suffix says.")
+                raise TerrainError(f"{what}, which holds XML", expected="samples by its suffix")
     return source
 
 
 def _is_local(source: Path, path: Path) -> bool:
-    r"""Whether a path leads to no other computer but that of the VRT itself (on Windows, \\server\share is a drive)."""
+    r"""Return whether a path stays on the VRT's computer (on Windows, \\server\share is a drive)."""
     return not source.drive.startswith(("\\\\", "//")) or source.drive == path.drive
 
 
 def _parse(path: Path) -> ElementTree.Element:
-    """The elements of a VRT that GDAL may see. Raises TerrainError for anything that is not on the list."""
+    """Return the allowed elements of a VRT. Raises TerrainError for elements on neither list."""
     with open_regular(path, links=True) as file:
         content = file.read(MAX_BYTES + 1)
     if len(content) > MAX_BYTES:
-        raise TerrainError(f"{shown(path)} holds more than {MAX_BYTES >> 20} MB of XML: cut it into several VRTs.")
+        what = f"{shown(path)} holds more than {MAX_BYTES >> 20} MB of XML"
+        raise TerrainError(what, fix="cut it into several VRTs")
     reader = _Reader(path)
     parser = expat.ParserCreate()
     parser.buffer_text = True
@@ -167,16 +171,16 @@ def _parse(path: Path) -> ElementTree.Element:
     try:
         parser.Parse(content, True)
     except (expat.ExpatError, ValueError, LookupError) as reason:
-        raise TerrainError(f"{shown(path)} is no well-formed XML ({reason}): get the file again.") from reason
+        raise TerrainError(f"{shown(path)} is no well-formed XML ({reason})", fix="get the file again") from reason
     return reader.builder.close()
 
 
 class _Reader:
-    """What expat calls: builds the tree of what is allowed, leaves out what is ignored, raises at all else."""
+    """Handlers for expat that build a tree of allowed elements, skip ignored ones and raise TerrainError at others."""
 
     def __init__(self, path: Path):
         self.path, self.builder = path, ElementTree.TreeBuilder()
-        self.open, self.pieces = [], []  # names of the elements that are open; texts of the innermost
+        self.open, self.pieces = [], []  # names of the open elements, and texts of the innermost
         self.count = self.ignored = self.length = 0
 
     def start(self, name: str, attributes: dict[str, str]) -> None:
@@ -224,7 +228,7 @@ class _Reader:
         self._refuse("a document type, which may define entities")
 
     def _check(self, element: str, name: str, value: str) -> None:
-        """Refuse a value that is not what its name says."""
+        """Refuse a value that does not match the pattern of its name."""
         pattern = _PATTERNS.get(name)
         good = pattern is None or pattern.fullmatch(value) is not None
         if good and name in _RECTANGLE:
@@ -234,6 +238,7 @@ class _Reader:
 
     def _refuse(self, what: str) -> None:
         raise TerrainError(
-            f"{shown(self.path)} holds {what}: of a VRT, plain mosaics of files are read; write it as a GeoTIFF "
-            "(gdal_translate) where you trust it."
+            f"{shown(self.path)} holds {what}",
+            expected="a plain mosaic of files",
+            fix="write it as a GeoTIFF (gdal_translate) if you trust it",
         )

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A warning about units, scales and offsets of a mosaic's files that the VRT itself does not repeat: GDAL passes none
-of them on."""
+"""Warning about units, scales and offsets of a mosaic's files that the VRT lacks, because GDAL ignores them."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +15,14 @@ _DEFAULTS = (("UnitType", ""), ("Scale", "1"), ("Offset", "0"))
 
 
 class HeightScale(NamedTuple):
-    """How a band gives heights: value * scale + offset, in a unit of `metres` (None: unknown); unit "": none named."""
+    """Conversion of a band's values to heights.
+
+    Attributes:
+        unit: name of the unit of value * scale + offset; "" if none.
+        metres: metres in that unit; None for an unknown unit.
+        scale: see unit.
+        offset: see unit.
+    """
 
     unit: str = ""
     metres: float | None = 1.0
@@ -24,7 +30,7 @@ class HeightScale(NamedTuple):
     offset: float = 0.0
 
     def over(self, inner: "HeightScale") -> "HeightScale":
-        """Return this one, with what it leaves open taken from that of a source."""
+        """Return this conversion with a missing unit or scale replaced by those of a source."""
         unit = self if self.unit else inner
         scale = self if self.is_scaled else inner
         return HeightScale(unit.unit, unit.metres, scale.scale, scale.offset)
@@ -41,8 +47,12 @@ class HeightScale(NamedTuple):
 
 
 def height_scale(band_unit: str, crs, scale: float, offset: float) -> HeightScale:
-    """Return how a band gives heights. band_unit: "" if none; crs: a rasterio CRS, whose vertical axis counts where the
-    band has no unit or an unknown one, or None."""
+    """Return the conversion of a band's values to heights.
+
+    Args:
+        band_unit: the band's unit in the file, "" if none.
+        crs: a rasterio CRS or None; its vertical axis defines the unit if the band has none or an unknown one.
+    """
     vertical = vertical_unit(crs)
     known = metres_of(band_unit)
     if known is None and vertical:
@@ -51,7 +61,7 @@ def height_scale(band_unit: str, crs, scale: float, offset: float) -> HeightScal
 
 
 def dataset_scales(dataset) -> list[HeightScale]:
-    """Return how each band of a rasterio dataset gives heights."""
+    """Return the conversion to heights of each band of a rasterio dataset."""
     crs = dataset.crs or dataset.gcps[1]
     return [
         height_scale((unit or "").strip(), crs, scale, offset)
@@ -60,13 +70,13 @@ def dataset_scales(dataset) -> list[HeightScale]:
 
 
 def mosaic_notes(mosaic: Mosaic, band: int, scale_of: Callable[[Path, int], HeightScale | None]) -> list[str]:
-    """Return a warning, if any, about what the files of one band of a mosaic tell of heights, and the VRT does not.
+    """Return a warning, if any, about conversions of one band's files that the VRT lacks.
 
-    scale_of(path, band): of a source that is no VRT; None if it is unknown.
+    scale_of: scale_of(path, band) returns the conversion of a file, None if it is unknown.
     """
     number = len(mosaic.texts) - 1
-    own = _own_scale(mosaic, number, band)
-    # What differs in metres differs; a unit's other name does not.
+    vrt_scale = _vrt_scale(mosaic, number, band)
+    # Equal units may have different names, so compare metres.
     found = {(s.metres and f"{s.metres:.7g}", s.scale, s.offset): s for s in _scales(mosaic, number, band, scale_of)}
     if len(found) > 1:
         texts = ", ".join(scale.text for scale in list(found.values())[:3])
@@ -75,15 +85,15 @@ def mosaic_notes(mosaic: Mosaic, band: int, scale_of: Callable[[Path, int], Heig
             "as they are: convert them to metres first, each file by itself."
         ]
     for scale in found.values():
-        has_unit = not own.unit and (scale.metres is None or abs(scale.metres - 1.0) > SAME_UNIT)
-        has_scale = scale.is_scaled and not own.is_scaled
+        has_unit = not vrt_scale.unit and (scale.metres is None or abs(scale.metres - 1.0) > SAME_UNIT)
+        has_scale = scale.is_scaled and not vrt_scale.is_scaled
         if has_unit or has_scale:
             return [_note(scale, has_unit, has_scale)]
     return []
 
 
 def _note(scale: HeightScale, has_unit: bool, has_scale: bool) -> str:
-    """Return the warning that a unit, or a scale and an offset, is missing in a VRT."""
+    """Return the warning that a VRT lacks a unit, or a scale and an offset."""
     missing = HeightScale(
         scale.unit if has_unit else "",
         scale.metres,
@@ -100,8 +110,8 @@ def _note(scale: HeightScale, has_unit: bool, has_scale: bool) -> str:
     return f"{start} give --height-scale {factor:.10g}{offset}."
 
 
-def _own_scale(mosaic: Mosaic, number: int, band: int) -> HeightScale:
-    """Return what text `number` of a mosaic itself tells of the heights of a band."""
+def _vrt_scale(mosaic: Mosaic, number: int, band: int) -> HeightScale:
+    """Return the conversion to heights that text `number` of a mosaic defines for a band."""
     element = band_element(mosaic, number, band)
     if element is None:
         return HeightScale()
@@ -110,7 +120,7 @@ def _own_scale(mosaic: Mosaic, number: int, band: int) -> HeightScale:
 
 
 def _crs(text: str):
-    """Return the coordinate system of a VRT, None if it names none that PROJ knows."""
+    """Return the coordinate system of a VRT, None if PROJ knows none of its name."""
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
 
@@ -121,14 +131,14 @@ def _crs(text: str):
 
 
 def _scales(mosaic: Mosaic, number: int, band: int, scale_of) -> set[HeightScale]:
-    """Return how the sources of band `band` of text `number` give heights, each with what the VRTs around it tell.
+    """Return the conversions to heights of the sources of band `band` of text `number`, completed by the VRTs.
 
-    Sources whose values the VRT itself scales are left out: it may have converted them.
+    Sources that the VRT scales are left out, because it may have converted them.
     """
-    own, found = _own_scale(mosaic, number, band), set()
+    vrt_scale, found = _vrt_scale(mosaic, number, band), set()
     for source, source_band, scaling in sources_of(mosaic, number, band):
         if scaling == (1.0, 0.0):
             is_vrt = isinstance(source, int)
             inner = _scales(mosaic, source, source_band, scale_of) if is_vrt else {scale_of(source, source_band)}
-            found |= {own.over(scale) for scale in inner if scale is not None}
+            found |= {vrt_scale.over(scale) for scale in inner if scale is not None}
     return found

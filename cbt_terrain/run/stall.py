@@ -1,29 +1,35 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A child process that opens a file from outside may hang inside a library; its parent notices that it is silent."""
+"""Detection of a child process that hangs inside a library while it reads a file from outside."""
 
 import time
+
+from ..errors import TerrainError
 
 STALL_SECONDS = 180.0
 
 
 class Stall:
-    """How long a process that is asked about again and again has said nothing new."""
+    """Time for which a polled process has sent no message."""
 
     def __init__(self):
-        self._news, self._silent_s, self._asked = -1, 0.0, time.monotonic()
+        self._num_messages, self._silent_s, self._polled = -1, 0.0, time.monotonic()
 
-    def is_over(self, news: int) -> bool:
-        """Whether it has been silent for too long; `news` counts what it has said. Between two calls a second counts at
-        most: for longer it may have been this process that stood still."""
+    def is_over(self, num_messages: int) -> bool:
+        """Return whether the process has been silent for too long. num_messages: all that it has sent so far.
+
+        Between two calls at most one second counts: for longer, this process may have been suspended.
+        """
         now = time.monotonic()
-        self._silent_s = self._silent_s + min(now - self._asked, 1.0) if news == self._news else 0.0
-        self._news, self._asked = news, now
+        is_silent = num_messages == self._num_messages
+        self._silent_s = self._silent_s + min(now - self._polled, 1.0) if is_silent else 0.0
+        self._num_messages, self._polled = num_messages, now
         return self._silent_s > STALL_SECONDS
 
 
-def stalled_text(source: str) -> str:
-    """What the user is told of it."""
-    return (
-        f"Reading {source} made no progress for {STALL_SECONDS:g} s and was stopped: the file is damaged, or packed so "
-        "that it takes too long; write it again as a plain GeoTIFF."
+def stall_error(source: str) -> TerrainError:
+    """Return the error about a process that was stopped while it read `source`."""
+    return TerrainError(
+        f"Reading {source} made no progress for {STALL_SECONDS:g} s and was stopped",
+        expected="a file that is whole and quick to unpack",
+        fix="write it again as a plain GeoTIFF",
     )

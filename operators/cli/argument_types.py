@@ -78,9 +78,9 @@ def path_text(text: str) -> str:
     """Check a path, or a name that may stand in its place, and return it as it is."""
     if not text.strip():
         raise argparse.ArgumentTypeError("the name is empty")
-    reason = path_fault(text)
-    if reason:
-        raise argparse.ArgumentTypeError(f"{shown(text)} {reason}")
+    fault = path_fault(shown(text), text)
+    if fault is not None:
+        raise argparse.ArgumentTypeError(str(fault))
     return text
 
 

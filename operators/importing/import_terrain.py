@@ -149,10 +149,10 @@ class _Import:
             return {"PASS_THROUGH"}
         self._end(context)
         if job.cancelled:
-            self.report({"INFO"}, progress.error)
+            self.report({"INFO"}, str(progress.error))
             return {"CANCELLED"}
         if progress.error:
-            return self._failed(obj, progress.error)
+            return self._failed(obj, str(progress.error))
         return self._take(context, obj, progress.report, self.folder)
 
     def execute(self, context):

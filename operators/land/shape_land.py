@@ -120,10 +120,10 @@ class ShapeLand(bpy.types.Operator):
             return {"PASS_THROUGH"}
         self._end(context)
         if self.work.job.cancelled:
-            self.report({"INFO"}, progress.error)
+            self.report({"INFO"}, str(progress.error))
             return {"CANCELLED"}
         if progress.error:
-            return self._failed(obj, progress.error)
+            return self._failed(obj, str(progress.error))
         derived_store.finish(self.land, self.wanted)
         return self._take(obj)
 

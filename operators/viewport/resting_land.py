@@ -191,7 +191,7 @@ def _poll(making: _Making) -> bool:
     if not progress.done:
         return False
     if progress.error:
-        raise TerrainError(progress.error)
+        raise progress.error
     derived_store.finish(making.land, making.wanted)
     _end(making)
     return True

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Small disks, and what a store or a folder of exports holds, byte by byte."""
+"""Small disks, digests of stores and exports, and verbs in child processes."""
 
 import hashlib
 import subprocess
@@ -16,7 +16,7 @@ GUARD_S = 300
 
 @pytest.fixture
 def small_disk(tmp_path):
-    """Makes a file system of its own of so many bytes at tmp_path / "disk"."""
+    """Return a function that mounts a file system of a given size at tmp_path / "disk"."""
     mounted = []
 
     def mount(size: int) -> Path:
@@ -37,7 +37,7 @@ def small_disk(tmp_path):
 
 @pytest.fixture
 def run_command():
-    """Runs a verb of the command line in a process of its own; returns what subprocess.run does."""
+    """Return a function that runs a verb of the command line in a child process, as subprocess.run."""
 
     def run(*arguments, **options):
         command = [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line", *map(str, arguments)]
@@ -48,7 +48,7 @@ def run_command():
 
 @pytest.fixture
 def contents():
-    """Digests of all files of a folder by name."""
+    """Return a function for the digests of all files of a folder by name."""
 
     def read(folder: Path) -> dict[str, str]:
         files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
@@ -59,13 +59,13 @@ def contents():
 
 @pytest.fixture(scope="session")
 def flight(tmp_path_factory):
-    """A small store, a flight over it, and the arguments of its export but for --out."""
+    """Return a small store, a flight over it, and the arguments of its export without --out."""
     return hills_flight(tmp_path_factory.mktemp("flight"))
 
 
 @pytest.fixture(scope="session")
 def undisturbed(flight, tmp_path_factory):
-    """The bytes of every mesh of an export that nothing disturbs, by name."""
+    """Return the bytes of every mesh of an undisturbed export, by name."""
     out = tmp_path_factory.mktemp("undisturbed")
     assert command_line.main([*flight, "--out", str(out)]) == 0
     return {path.name: path.read_bytes() for path in out.glob("*.npz")}

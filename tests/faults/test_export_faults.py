@@ -31,7 +31,7 @@ sys.exit(main(sys.argv[3:]))
 
 
 def standing(out):
-    """Every mesh under a final name, read to its end."""
+    """Return every mesh that has its final name, read to its end."""
     paths = [path for path in out.glob("*.npz") if not path.name.startswith(".")]
     for path in paths:
         assert read_npz(path)["info"]["frame"] == int(path.stem[-4:])
@@ -84,7 +84,7 @@ def test_blender_runs_out_of_disk(flight, small_disk, run_command, tmp_path, for
     done = run_command(*arguments, "--out", out)
     assert not [path.name for path in out.glob(f"*.{form}")], done.stderr
     assert not list(out.glob("frame_*.json"))
-    said = done.stderr.strip().splitlines()[-1]  # the glTF exporter prints a traceback of its own before it
+    said = done.stderr.strip().splitlines()[-1]  # after a traceback that the glTF exporter prints
     assert done.returncode == 1 and f"_0001.{form} cannot be written (" in said and "Location" not in said
     assert form == "blend" or "No space left on device" in said
 

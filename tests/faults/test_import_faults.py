@@ -29,7 +29,7 @@ def wait_for(job, fraction):
 
 
 def assert_works(store):
-    """The store opens, and a mesh of it keeps the invariants."""
+    """Assert that the store opens and a mesh of it keeps the invariants."""
     field = open_store(store)
     assert_invariants(Terrain(field, 1).update(Criterion(error_px=0, error_m=20.0)).surface, field.lattice)
 
@@ -167,7 +167,7 @@ def test_the_file_vanishes_while_it_is_imported(tmp_path, contents, name, how):
     if progress.error is None:  # all of it had been read, or an open file stays whole
         assert open_store(store).max_height > 700.0
     else:
-        assert name in progress.error and "\n" not in progress.error
+        assert name in str(progress.error) and "\n" not in str(progress.error)
         assert contents(store) == before
     assert len(list(store.glob("data-*"))) == 1
     assert_works(store)

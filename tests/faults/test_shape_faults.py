@@ -26,14 +26,14 @@ def island(tmp_path_factory):
     return store
 
 
-def own(contents, store):
-    """All of a store but its tiles, which a run may leave for the next."""
+def without_tiles(contents, store):
+    """Return all files of a store without its tiles, which a run may leave for the next."""
     return {name: digest for name, digest in contents(store).items() if not name.startswith("tiles/")}
 
 
-def test_a_child_that_is_killed_at_any_time_leaves_the_store_as_it_was(island, tmp_path, contents):
+def test_a_killed_child_leaves_the_store_as_it_was(island, tmp_path, contents):
     run_shape(island, Stack((Entry("relief", seed=9),)), tmp_path / "out")
-    before, killed = own(contents, tmp_path / "out"), 0
+    before, killed = without_tiles(contents, tmp_path / "out"), 0
     for fraction in (0.0, 0.1, 0.4, 0.7, 0.81, 0.95):
         job = ShapeJob(island, RELIEF, tmp_path / "out")
         while job.poll().fraction < fraction and not job.poll().done:
@@ -45,7 +45,7 @@ def test_a_child_that_is_killed_at_any_time_leaves_the_store_as_it_was(island, t
         if job.poll().error is None:
             break  # it was quicker
         killed += 1
-        assert "SIGKILL" in job.poll().error and own(contents, tmp_path / "out") == before
+        assert "SIGKILL" in job.poll().error.what and without_tiles(contents, tmp_path / "out") == before
     assert killed >= 3
     report = shape_store(island, RELIEF, tmp_path / "out")
     assert "known before" in " ".join(report["levels"]) or "unchanged" in report
@@ -65,7 +65,7 @@ def test_a_cancelled_first_run_leaves_tiles_alone(island, tmp_path):
     assert shape_store(island, RELIEF, tmp_path / "out")["samples"] == [1200, 1200]
 
 
-def test_finishing_early_publishes_what_is_done_and_the_next_run_the_rest(island, tmp_path):
+def test_finishing_early_publishes_the_finished_levels(island, tmp_path):
     job = ShapeJob(island, RELIEF, tmp_path / "out")
     while job.poll().message == "Starting":
         time.sleep(0.002)
@@ -83,7 +83,7 @@ def test_a_disk_that_fills_up_is_one_sentence(small_disk, contents):
     disk = small_disk(48 << 20)
     run_import(ImportSettings("island", size=700), disk / "island")
     run_shape(disk / "island", Stack(), disk / "out")
-    before = own(contents, disk / "out")
+    before = without_tiles(contents, disk / "out")
 
     def fill(fraction, _message):
         if fraction > 0.5 and not (disk / "ballast").exists():
@@ -91,6 +91,6 @@ def test_a_disk_that_fills_up_is_one_sentence(small_disk, contents):
 
     with pytest.raises(TerrainError, match="make room"):
         run_shape(disk / "island", RELIEF, disk / "out", on_progress=fill)
-    assert own(contents, disk / "out") == before
+    assert without_tiles(contents, disk / "out") == before
     (disk / "ballast").unlink()
     assert run_shape(disk / "island", RELIEF, disk / "out")["samples"] == [700, 700]

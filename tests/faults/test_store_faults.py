@@ -28,7 +28,7 @@ ASKED = Criterion(error_px=0, error_m=20.0, meshlet=1)
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A store of 129 x 129 samples that has its errors for meshlets, too."""
+    """Write a store of 129 x 129 samples with its errors for meshlets."""
     path = tmp_path_factory.mktemp("whole") / "store"
     run_import(ImportSettings(source="island", size=129), path)
     Terrain(open_store(path), 1).update(ASKED)
@@ -37,7 +37,7 @@ def whole(tmp_path_factory):
 
 @pytest.fixture
 def store(whole, tmp_path):
-    """A copy of it."""
+    """Copy the whole store."""
     return shutil.copytree(whole, tmp_path / "store")
 
 
@@ -291,7 +291,7 @@ def test_three_processes_import_into_one_store(tmp_path, there_before):
     if there_before:
         run_import(ImportSettings(source="island", size=65), store)
     children = begin_imports(store, (1, 2, 3))
-    if there_before:  # whoever reads meanwhile finds a whole store
+    if there_before:  # readers find a whole store meanwhile
         while any(child.poll() is None for child in children):
             field = open_store(store)
             assert field.samples.shape in ((65, 65), (257, 257))
@@ -302,7 +302,7 @@ def test_three_processes_import_into_one_store(tmp_path, there_before):
     assert mesh(field) == expected[field.provenance["settings"]["seed"]]
     content = json.loads((store / "store.json").read_text())
     assert (store / content["data"]).is_dir()
-    # what the losers of a race have left goes with a later import, when it is a day old
+    # a later import removes the folders of the losers of a race once they are a day old
     for folder in store.glob("data-*"):
         if folder.name != content["data"]:
             os.utime(folder, (0, 0))

@@ -71,7 +71,7 @@ def test_speed_is_continuous_and_straight_lines_stay_straight():
     ("data", "message"),
     [
         ("not json", "cannot be read"),
-        ('{"keyframes": [], "fov": 50, "fov": 60}', "cannot be read ('fov' stands twice in one object)"),
+        ('{"keyframes": [], "fov": 50, "fov": 60}', "cannot be read ('fov' occurs twice in one object)"),
         ({"keyframes": []}, "has no keyframes"),
         ([1], "has no keyframes"),
         ({"keyframes": [3]}, "keyframe 1 is 3"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bands that hold no heights as they are, masks, and what is said of a file that GDAL refuses."""
+"""Warnings about bands that may not hold heights, masks, and errors about files that GDAL refuses."""
 
 import warnings
 
@@ -54,7 +54,7 @@ def test_alpha_bands_mask_samples(tmp_path, kind, most):
 
 
 def test_a_mask_file_counts_after_a_mosaic(tmp_path):
-    """In one process: a mosaic forbids GDAL to look for files beside its sources."""
+    """Both run in one process, and a mosaic forbids GDAL to look for files beside its sources."""
     write_raster(tmp_path / "a.tif", hills())
     (tmp_path / "a.vrt").write_text(
         '<VRTDataset rasterXSize="40" rasterYSize="30"><VRTRasterBand dataType="Float32" band="1"><SimpleSource>'

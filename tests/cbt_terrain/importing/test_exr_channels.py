@@ -49,7 +49,7 @@ def test_height_and_depth_names_are_preferred(names, expected):
 
 
 def write_parts(path, **parts):
-    """Parts of one channel each, by PART=(channel, pixels)."""
+    """Write a file with parts of one channel each, by PART=(channel, pixels)."""
     head = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION}
     OpenEXR.File([OpenEXR.Part(head | {"name": part}, {c: v}) for part, (c, v) in parts.items()]).write(str(path))
     return path

@@ -26,7 +26,7 @@ PARAMETER["false_easting",500000],PARAMETER["false_northing",0],UNIT["metre",1]]
 
 
 def plane(x, y):
-    """Heights in metres that grow by 3 m to the east and 2 m to the north for each 10 m."""
+    """Return heights in metres that rise by 3 m to the east and 2 m to the north for each 10 m."""
     return 500.0 + 0.3 * (x - X) + 0.2 * (y - Y)
 
 
@@ -42,14 +42,14 @@ def written(tmp_path, transform, crs=UTM, width=WIDTH, height=HEIGHT, **options)
 
 
 def placing_in(field, tmp_path):
-    """As placing_of, in this process."""
+    """Call `placing_of` in this process."""
     if not field.crs or not is_placed(field, tmp_path / "store"):
         return Placing()
     return Placing(*(float(c) for c in field.origin[:2]), *unit_lengths(field), field.crs)
 
 
 def slopes(field):
-    """Metres by which the ground rises over 10 m along x and y, in the terrain's middle."""
+    """Return the rise of the ground, metres, over 10 m along x and y in the terrain's middle."""
     low, east, north = ground_at(field, np.array([(0.0, 0.0), (10.0, 0.0), (0.0, 10.0)])).heights
     return east - low, north - low
 
@@ -176,7 +176,7 @@ def test_a_rotation_in_degrees_is_a_shear_on_the_ground(tmp_path):
 
 
 def control_points(tmp_path, transform, places, off=0.0, crs=UTM):
-    """A raster whose only georeference are ground control points, the last of which is off by some metres."""
+    """Write a raster with only ground control points, the last of which is off by `off` metres."""
     import rasterio
 
     points = [GroundControlPoint(row, column, *(transform @ (column, row))) for row, column in places]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The process that reads height maps: what it loads before it gives things up, and what `info` asks of it."""
+"""The process that reads height maps: loading, dropping rights, and the answers to `info`."""
 
+import json
 import os
 import struct
 import subprocess
@@ -62,7 +63,7 @@ def test_info_of_an_exr(tmp_path):
 
 
 def bad_names(tmp_path):
-    """Files that were tracebacks once, with what is said of them now."""
+    """Yield files that once gave tracebacks, and a part of their errors now."""
     np.savez(tmp_path / "zip.npz", a=np.zeros((3, 3)))
     (tmp_path / "zip.npz").rename(tmp_path / "zip.npy")
     yield str(tmp_path / "zip.npy"), "not a whole .npy file"
@@ -96,7 +97,7 @@ def test_gdal_keeps_what_it_has_unpacked(tmp_path):
 
 
 def gdal_cache():
-    """Bytes that GDAL's cache may hold, asked of GDAL itself."""
+    """Return the size of GDAL's cache in bytes, from GDAL itself."""
     import ctypes
 
     from rasterio import _env
@@ -111,7 +112,7 @@ def test_an_exr_cannot_claim_more_than_it_can_hold(tmp_path):
     at = content.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
     content[at : at + 16] = struct.pack("<4i", 0, 0, 9_999, 9_999)
     (tmp_path / "a.exr").write_bytes(content)
-    with pytest.raises(TerrainError, match="0.4 GB: more than .* such a file can hold"):
+    with pytest.raises(TerrainError, match="0.4 GB; expected .* no more than a file of this size can hold"):
         open_source(ImportSettings(str(tmp_path / "a.exr")))
 
 
@@ -138,7 +139,9 @@ def test_names_are_shown_short_and_on_one_line():
         (b'{"fraction": NaN, "message": ""}', {}),
         (b'{"fraction": {}, "message": ""}', {}),
         (b'{"fraction": 1}', {}),
-        (b'{"error": "a\\nopenjd_fail: b"}', {"error": "a openjd_fail: b"}),
+        (b'{"error": "a"}', {}),
+        (b'{"error": {"fix": "a"}}', {}),
+        (b'{"error": {"what": 1}}', {}),
         (b'{"report": {"a": 1}}', {"report": {"a": 1}}),
         (b'{"report": 1}', {}),
         (b"5", {}),
@@ -149,6 +152,12 @@ def test_names_are_shown_short_and_on_one_line():
 )
 def test_odd_lines_of_a_child_are_harmless(line, kept):
     assert store_job._parse_line(line) == kept
+
+
+def test_errors_of_a_child_have_short_fields_and_no_code():
+    fields = {"what": "a\nopenjd_fail: b", "where": "c" * 5000, "fix": "\x1b[2J", "code": "store.changed", "more": "d"}
+    error = store_job._parse_line(json.dumps({"error": fields}).encode())["error"]
+    assert error.to_json() == {"what": "a openjd_fail: b", "where": "c" * 4000 + "...", "fix": "?[2J"}
 
 
 def test_temporary_files_of_the_compiler_are_removed(tmp_path, monkeypatch):

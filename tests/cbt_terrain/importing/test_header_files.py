@@ -28,7 +28,7 @@ GRID_FLOAT = "ncols {columns}\nnrows {rows}\nxllcorner 500000\nyllcorner 4000000
 
 
 def write_header_file(path, heights, header=HEADER, crs="EPSG:4326", order="<"):
-    """A file of `heights` with its header and .prj."""
+    """Write a file of `heights` with its header and .prj."""
     heights.astype(heights.dtype.newbyteorder(order)).tofile(path)
     rows, columns = heights.shape
     text = header.format(rows=rows, columns=columns, order="I" if order == "<" else "M")
@@ -83,7 +83,7 @@ def test_without_a_header_samples_are_raw_with_a_warning(tmp_path):
 def test_files_that_differ_from_their_header_are_refused(tmp_path):
     source = write_header_file(tmp_path / "a.bil", hills().astype(np.int16))
     source.write_bytes(source.read_bytes()[:-100])
-    with pytest.raises(TerrainError, match="has 2,300 bytes, expected 2,400 by its header"):
+    with pytest.raises(TerrainError, match="has 2,300 bytes.*; expected 2,400 bytes by its header"):
         imported(tmp_path, source)
     source.with_suffix(".hdr").write_text("ENVI\nsamples = 40\nlines = 30\nbands = 1\ndata type = 2\n")
     with pytest.raises(TerrainError, match="a header of ENVI's kind, expected one of ESRI's"):
@@ -103,7 +103,7 @@ def test_mosaics_name_none_of_them(tmp_path):
         '<VRTDataset rasterXSize="40" rasterYSize="30"><VRTRasterBand dataType="Int16" band="1"><SimpleSource>'
         '<SourceFilename relativeToVRT="1">a.bil</SourceFilename></SimpleSource></VRTRasterBand></VRTDataset>'
     )
-    with pytest.raises(TerrainError, match="names the source 'a.bil': expected one of .asc, .hgt"):
+    with pytest.raises(TerrainError, match="names the source 'a.bil'; expected one of .asc, .hgt"):
         imported(tmp_path, tmp_path / "a.vrt")
 
 

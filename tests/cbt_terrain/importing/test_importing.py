@@ -21,13 +21,13 @@ LONG = ImportSettings(source="island", size=4097)  # seconds of work
 
 
 def snapshot(path):
-    """Everything below a folder and when it was written."""
+    """Return the bytes and the modification time of everything in a folder."""
     return {p: p.stat().st_mtime_ns for p in path.rglob("*") if p.is_file()}
 
 
 @pytest.fixture
 def previous(tmp_path):
-    """A store that must survive."""
+    """Write a store that must survive."""
     path = tmp_path / "store"
     run_import(ImportSettings(source="island", size=65), path)
     return path
@@ -54,7 +54,7 @@ def test_an_import_reports_progress_and_a_rerun_does_nothing(tmp_path):
     assert again == report | {"unchanged": True} and snapshot(store) == before
 
 
-def test_a_digest_follows_the_settings_the_file_and_what_belongs_to_it(tmp_path):
+def test_a_digest_follows_the_settings_and_all_files(tmp_path):
     source = write_raster(tmp_path / "a.tif", hills())
     named = write_raster(tmp_path / "b.tif", hills())
     settings = ImportSettings(source=str(source))
@@ -95,7 +95,7 @@ def test_cancelling_leaves_the_previous_store(previous):
     assert len(list(previous.glob("data-*"))) == 2
     job.cancel()
     progress = job.poll()
-    assert progress.done and "was cancelled" in progress.error and progress.report is None
+    assert progress.done and "was cancelled" in progress.error.what and progress.report is None
     assert snapshot(previous) == before and len(list(previous.glob("data-*"))) == 1
     job.cancel()  # nothing to do
     assert job.poll() == progress
@@ -124,15 +124,16 @@ def test_a_killed_import_is_an_error_that_names_the_signal(previous):
     os.kill(job._process.pid, signal.SIGKILL)
     while not job.poll().done:
         time.sleep(0.01)
-    assert "signal SIGKILL" in job.poll().error and "the store is as it was before" in job.poll().error
+    error = job.poll().error
+    assert "signal SIGKILL" in error.what and "the store is as it was before" in error.what and "memory" in error.fix
     assert snapshot(previous) == before and len(list(previous.glob("data-*"))) == 1
 
 
-def test_a_child_killed_just_after_it_published_has_done_its_work(previous):
+def test_a_child_killed_after_publishing_has_done_its_work(previous):
     job = ImportJob(ImportSettings(source="island", size=129), previous)
     job._process.wait()
     job._reader.join()
-    del job._told["report"]  # as if it had not come to that
+    del job._messages["report"]  # as if the child had not sent it
     assert job.poll().error is None and job.poll().report["samples"] == [129, 129]
     assert open_store(previous).samples.shape == (129, 129)
 
@@ -162,7 +163,7 @@ def environment():
 
 
 def running(pid):
-    """Whether a process that is not ours to wait for is alive (a zombie that nobody reaps is not)."""
+    """Return whether another's child process is alive (an unreaped zombie is not)."""
     try:
         with open(f"/proc/{pid}/stat") as stat:
             return stat.read().rpartition(")")[2].split()[0] != "Z"
@@ -184,7 +185,7 @@ def test_errors_of_the_child_come_through_as_one_sentence(previous):
     before = snapshot(previous)
     source = previous.parent / "a.tif"
     source.write_bytes(b"II*\0" + bytes(range(200)))
-    with pytest.raises(TerrainError, match="a.tif cannot be read as GTiff .*: expected a whole file of that kind.$"):
+    with pytest.raises(TerrainError, match="a.tif cannot be read as GTiff .*; expected a whole file of that kind.$"):
         import_source(ImportSettings(source=str(source)), previous)
     assert snapshot(previous) == before
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Warnings about systems in which lengths are not those on the ground, against formulas of our own."""
+"""Warnings about lengths that differ from those on the ground, against independent formulas."""
 
 import math
 import re
@@ -23,7 +23,7 @@ WARNING = re.compile(
 
 
 def radii(latitude):
-    """Metres in a radian of longitude and of latitude on WGS 84."""
+    """Return the metres in a radian of longitude and of latitude on WGS 84."""
     sine = math.sin(math.radians(latitude))
     prime = A / math.sqrt(1.0 - E2 * sine**2)
     return prime * math.cos(math.radians(latitude)), prime * (1.0 - E2) / (1.0 - E2 * sine**2)

@@ -16,7 +16,7 @@ STEP, WIDTH, HEIGHT = 1.0 / 120, 60, 36
 
 
 def ground(longitude, latitude, middle):
-    """A plane over degrees, of a raster whose middle longitude is `middle`."""
+    """Return a plane over degrees, of a raster with the middle longitude `middle`."""
     return 500.0 + 400.0 * (longitude - middle) + 900.0 * (latitude - 60.0)
 
 

@@ -39,7 +39,7 @@ def test_marks_at_both_ends_and_several_at_one_warn():
 
 
 def ordinary():
-    """Rasters without missing samples, some of which reach the ends of their type."""
+    """Yield rasters without missing samples, some of which reach the limits of their type."""
     rng, y = np.random.default_rng(3), np.linspace(0.0, 1.0, 64)
     yield "all 16-bit values", np.arange(65536, dtype=np.uint16).reshape(256, 256)
     ramp = np.round(65535.0 * np.clip(1.4 * np.outer(y, y) - 0.2, 0.0, 1.0)).astype(np.uint16)

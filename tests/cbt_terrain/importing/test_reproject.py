@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rasters brought into another coordinate system at import, against formulas of our own."""
+"""Reprojection at import, against independent formulas."""
 
 import math
 
@@ -143,7 +143,7 @@ def test_the_error_at_the_rim_of_degrees_is_said(tmp_path):
 
 
 def test_project_on_the_command_line(tmp_path, capsys):
-    """PROJ finds its database in the process that has given up the network, and `info` says what an import would do."""
+    """PROJ finds its database in the sandbox, and `info` describes the result of an import."""
     source = degrees(tmp_path, hills(WIDTH, HEIGHT))
     assert command_line.main(["info", str(source), "--project", "utm"]) == 0
     said = capsys.readouterr().out

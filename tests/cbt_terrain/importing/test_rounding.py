@@ -83,7 +83,7 @@ def test_jpeg_in_a_tiff_warns(tmp_path):
 
 
 def mosaic(path, source, kind, scaling="", inner=""):
-    """A VRT of 40 x 30 samples; with `inner`, the source's file is a VRT of the same kind."""
+    """Write a VRT of 40 x 30 samples; with `inner`, the source is a VRT of the same kind."""
     path.write_text(
         f'<VRTDataset rasterXSize="40" rasterYSize="30"><VRTRasterBand dataType="{kind}" band="1"><ComplexSource>'
         f'<SourceFilename relativeToVRT="1">{source}</SourceFilename><SourceBand>1</SourceBand>{scaling}'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sandbox of an import: what a process that has entered it can still do. docs/trust.md states the same."""
+"""The sandbox of an import: the rights that remain, and the report of those that were dropped."""
 
 import json
 import os

@@ -32,7 +32,7 @@ def ascii_grid(path):
 
 
 def bare(tmp_path, name):
-    """A raster that says nothing of its place, or an ASCII grid without a coordinate system."""
+    """Write a raster without a position, or an ASCII grid without a coordinate system."""
     path = tmp_path / name
     return ascii_grid(path) if path.suffix == ".asc" else write_raster(path, heights_16_bit())
 
@@ -98,7 +98,7 @@ def test_a_harmful_aux_file_is_not_read_but_warned_about(tmp_path, name):
     (tmp_path / "a.tif.aux.xml").write_text(content)
     warnings = imported(tmp_path, source)[1]["warnings"]
     [warning] = [warning for warning in warnings if not warning.startswith("The relief, ")]
-    assert problem in warning and "a.tif.aux.xml is not read" in warning and warning.endswith("is missing.")
+    assert problem in warning and "a.tif.aux.xml is not read" in warning and warning.endswith("are not used.")
 
 
 def test_a_system_of_an_aux_file_names_no_file(tmp_path):

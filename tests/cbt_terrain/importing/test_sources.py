@@ -24,7 +24,7 @@ def heights_16_bit():
 
 
 def imported(tmp_path, source, **settings):
-    """The field and the report of an import in this process."""
+    """Import in this process and return the field and the report."""
     report = run_import(ImportSettings(source=str(source), **settings), tmp_path / "store")
     json.dumps(report)
     return open_store(tmp_path / "store"), report
@@ -100,7 +100,7 @@ def test_a_rotated_raster_keeps_its_cells_lengths_and_warns(tmp_path):
     assert any("rotated" in warning for warning in report["warnings"])
 
 
-def test_without_a_georeference_a_sample_is_a_metre_or_the_extent_counts(tmp_path):
+def test_the_extent_or_one_metre_replaces_a_georeference(tmp_path):
     source = write_raster(tmp_path / "a.png", heights_16_bit().astype(np.uint16))
     assert imported(tmp_path, source)[1]["step_m"] == [1.0, 1.0]
     assert imported(tmp_path, source, extent=(6400.0, 1600.0))[1]["step_m"] == [100.0, 50.0]
@@ -295,7 +295,7 @@ def test_places_that_have_no_size_are_refused():
         from_transform((math.nan, 0.0, 0.0, 0.0, -1.0, 0.0), 10, 10)
 
 
-def test_a_real_elevation_model_is_the_same_terrain_from_every_file(tmp_path):
+def test_every_file_format_gives_the_same_terrain(tmp_path):
     heights = jacksboro()
     rows, columns = heights.shape
     padded = np.full((1201, 1201), -32768, ">i2")

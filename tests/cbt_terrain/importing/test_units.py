@@ -22,7 +22,7 @@ ENGINEERING = (
 
 
 def proj_units():
-    """Names and metres of PROJ's units of length; its entry of the decimetre, 0.01, is wrong."""
+    """Return names and metres of PROJ's units of length; its entry of the decimetre, 0.01, is wrong."""
     table = os.path.join(os.path.dirname(rasterio.__file__), "proj_data", "proj.db")
     columns = "name, proj_short_name, conv_factor FROM unit_of_measure WHERE type = 'length' AND deprecated = 0"
     with sqlite3.connect(table) as database:
@@ -88,7 +88,7 @@ def test_an_unknown_unit_warns(tmp_path):
 
 
 def test_the_vertical_axis_of_a_system_counts(tmp_path):
-    for name in ("a.tif", "a.vrt"):  # a VRT's band has no unit of its own
+    for name in ("a.tif", "a.vrt"):  # a VRT's band has no unit
         source = write_raster(
             tmp_path / "a.tif", hills(), crs="EPSG:26918+6360", transform=from_origin(5e5, 4e6, 10, 10)
         )

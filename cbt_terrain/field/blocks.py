@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pyramids of blocks: the most, or the least, of 2 x 2 values, of 2 x 2 of those, and so on to one of all."""
+"""Pyramids of blocks: the maximum or minimum of 2 x 2 values, of 2 x 2 of those, and so on to a single one."""
 
 import numpy as np
 
 
 def over_cells(samples: np.ndarray, side: int, reduce: np.ufunc, around: int = 0) -> np.ndarray:
-    """`reduce` (np.maximum, np.minimum) of the samples [rows, columns] of every `side` x `side` cells, those on their
-    border and `around` more on each side; a last block that is cut off has what there is."""
+    """Apply `reduce` (np.maximum, np.minimum) to the samples [rows, columns] of every `side` x `side` cells.
+
+    A block includes its border samples and `around` more on each side. A last block is cut off at the raster's end.
+    """
     for axis in (0, 1):
         last = samples.shape[axis] - 1
         first = np.arange(0, last, side)
@@ -18,8 +20,10 @@ def over_cells(samples: np.ndarray, side: int, reduce: np.ufunc, around: int = 0
 
 
 def halvings(finest: np.ndarray, reduce: np.ufunc) -> list[np.ndarray]:
-    """`finest`, [rows, columns, ...], and level after level `reduce` (np.maximum, np.minimum) of each 2 x 2; a last odd
-    row or column stands alone."""
+    """Return `finest`, [rows, columns, ...], and the levels above it, each `reduce` (np.maximum, np.minimum) of 2 x 2.
+
+    A last odd row or column is copied.
+    """
     levels = [finest]
     while levels[-1].shape[:2] != (1, 1):
         level = levels[-1]
@@ -33,8 +37,10 @@ def halvings(finest: np.ndarray, reduce: np.ufunc) -> list[np.ndarray]:
 
 
 def stacked(levels: list[np.ndarray], below: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The levels one after the other, flat, as rays skip by them; the first block of each level and how many are in its
-    rows, int32 [below + levels]: `below` more levels before these have no blocks."""
+    """Return the levels concatenated and flat, with the first block of each level and its blocks a row.
+
+    These are int32 [below + levels]; the first `below` levels have no blocks. Rays skip blocks with them.
+    """
     first = np.cumsum([0] * (below + 1) + [level.shape[0] * level.shape[1] for level in levels[:-1]], dtype=np.int32)
     wide = np.array([0] * below + [level.shape[1] for level in levels], np.int32)
     return np.concatenate([level.ravel() for level in levels]), first, wide

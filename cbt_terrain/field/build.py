@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is done to a raster once: missing samples are filled, errors and ranges of heights are found."""
+"""Construction of a height field from a raster: filled samples, error hierarchy and height ranges."""
 
 import hashlib
 from collections.abc import Callable
@@ -21,7 +21,7 @@ def _in_memory(_name: str, shape: tuple, dtype) -> np.ndarray:
 
 
 def content_key(samples: np.ndarray, lattice: Lattice, source_max: float, valid: np.ndarray | None) -> str:
-    """Hex digest of what determines a terrain's shape and its bounds."""
+    """Return a hex digest of everything that determines a terrain's shape and its bounds."""
     digest = hashlib.blake2b(digest_size=16)
     numbers = (lattice.step_x, lattice.step_y, lattice.levels, source_max)
     digest.update(repr((samples.shape, *numbers)).encode())
@@ -33,12 +33,13 @@ def content_key(samples: np.ndarray, lattice: Lattice, source_max: float, valid:
 
 
 def lattice_for(width: int, height: int, step_x: float, step_y: float, name: str = "The raster") -> Lattice:
-    """As `fit`; raises TerrainError for a raster that is too large. name: what the error calls it."""
+    """Call `fit`. Raises TerrainError for a raster that is too large. name: of the raster, in the error."""
     lattice = fit(width, height, step_x, step_y)
     if not lattice.can_be_numbered:
         raise TerrainError(
-            f"{name} has {width} x {height} samples, more than an index of 31 bits can number (about 31,000 x "
-            "31,000): cut it into tiles or reduce it first."
+            f"{name} has {width} x {height} samples, more than an index of 31 bits can number",
+            expected="about 31,000 x 31,000 at most",
+            fix="cut it into tiles or reduce it first",
         )
     return lattice
 
@@ -56,25 +57,31 @@ def build(
     threads: int | None = None,
     on_progress: Callable[[float], None] = lambda _fraction: None,
 ) -> HeightField:
-    """Everything that is done to a raster once: fill, error hierarchy, ranges.
+    """Build a height field: fill missing samples, and compute the error hierarchy and the ranges.
 
-    samples: float32 [rows, columns] metres, row 0 south, at least 2 x 2, NaN where missing (`missing` of them); is
-    filled in place. step_x, step_y: metres between samples. holes: cut out what is missing. source_max: as in
-    HeightField. allocate(name, shape, dtype) provides the other arrays, of which "errors" has no use afterwards. name:
-    what errors call the raster. Raises TerrainError.
+    Args:
+        samples: float32 [rows, columns] metres, row 0 south, at least 2 x 2, NaN where missing; filled in place.
+        step_x, step_y: metres between samples.
+        missing: number of missing samples.
+        holes: whether missing samples are cut out.
+        source_max: see HeightField.
+        name: of the raster, in errors.
+        allocate: allocate(name, shape, dtype) returns the other arrays; "errors" is not needed afterwards.
+
+    Raises TerrainError.
     """
     threads = threads or launch.default_threads()
     lattice = lattice_for(*samples.shape[::-1], step_x, step_y, name)
     if missing == samples.size:
-        raise TerrainError(f"{name} has only missing samples (no-data or not a number): there is no terrain in it.")
+        raise TerrainError(f"{name} has only missing samples (no-data or not a number)", expected="at least one height")
     valid = measured = None
     if missing and holes:
         valid = allocate("valid", samples.shape, np.dtype(np.uint8))
         np.isfinite(samples, out=valid.view(bool))
         if not holes_leave_ground(valid.view(bool)):
             raise TerrainError(
-                f"{name} has no cell whose four samples are all known, so nothing would be left of it: import it "
-                "without cutting holes."
+                f"{name} has no cell with four known samples, so nothing would be left of it",
+                fix="import it without cutting holes",
             )
         measured = samples.copy()
     if missing:
@@ -123,20 +130,23 @@ def from_array(
     crs: str = "",
     provenance: dict | None = None,
 ) -> HeightField:
-    """A height field in memory from a 2-D array of heights in metres, row 0 south.
+    """Return a height field in memory of a 2-D array of heights in metres, row 0 south.
 
-    Samples are `step_x`, `step_y` metres apart (step_y defaults to step_x); those that are not finite are filled, or
-    with `holes` cut out. `source_max`: metres by which they may be rounded. `threads` limits the threads used.
-    `origin`, `crs`, `provenance`: see HeightField.
+    Args:
+        step_x, step_y: metres between samples (step_y defaults to step_x).
+        source_max: largest rounding error of the samples, metres.
+        holes: whether samples that are not finite are cut out instead of filled.
+        threads: largest number of threads.
+        origin, crs, provenance: see HeightField.
     """
     step_y = step_x if step_y is None else step_y
     samples = np.asarray(samples)
     if samples.ndim != 2 or samples.dtype.kind not in "fiub":
-        raise TerrainError(f"Heights came as {samples.dtype} {samples.shape}: expected a 2-D array of real numbers.")
+        raise TerrainError(f"Heights came as {samples.dtype} {samples.shape}", expected="a 2-D array of real numbers")
     if not (np.isfinite(step_x) and np.isfinite(step_y) and step_x > 0.0 and step_y > 0.0):
-        raise TerrainError(f"Samples are {step_x} x {step_y} m apart: expected positive distances.")
+        raise TerrainError(f"Samples are {step_x} x {step_y} m apart", expected="positive distances")
     raster, missing = cleaning.clean_rows(cleaning.widen(samples))
-    asked = {"missing": missing, "source_max": source_max, "threads": threads, "holes": holes}
-    built = build(np.ascontiguousarray(raster), step_x, step_y, **asked)
+    options = {"missing": missing, "source_max": source_max, "threads": threads, "holes": holes}
+    built = build(np.ascontiguousarray(raster), step_x, step_y, **options)
     built.origin, built.crs, built.provenance = np.asarray(origin, np.float64), crs, provenance or {}
     return built

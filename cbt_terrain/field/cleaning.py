@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a raster goes through once, before its hierarchy: heights in float32, and missing samples filled."""
+"""Preparation of a raster's samples: heights in float32, and missing samples filled."""
 
 import numpy as np
 import warp as wp
@@ -10,12 +10,12 @@ from ..run import launch
 from ..run.buffers import flat
 
 COLUMN_BLOCK = 64
-# Distances between heights beyond this leave float32; an undeclared no-data value is the usual cause.
+# Differences of larger heights overflow float32; an undeclared no-data value is the usual cause.
 LARGEST_HEIGHT = 1e30
 
 
 def clean_rows(rows: np.ndarray, name: str = "The raster") -> tuple[np.ndarray, int]:
-    """Rows as float32 with every missing sample NaN and zeros positive, and the count of missing samples."""
+    """Return rows as float32 with NaN for missing samples and no negative zeros, and the number of missing samples."""
     with np.errstate(over="ignore"):
         rows = rows.astype(np.float32) + np.float32(0.0)
     missing = ~np.isfinite(rows)
@@ -25,14 +25,15 @@ def clean_rows(rows: np.ndarray, name: str = "The raster") -> tuple[np.ndarray, 
     if count < rows.size and np.nanmax(np.abs(rows)) > LARGEST_HEIGHT:
         height = float(rows.flat[np.nanargmax(np.abs(rows))])
         raise TerrainError(
-            f"{name} holds a height of {height:.8g} m, beyond +-1e30 m: if that stands for missing data, give it "
-            "as the no-data value."
+            f"{name} holds a height of {height:.8g} m",
+            expected="at most 1e30 m above or below 0",
+            fix="if it marks missing data, give it as the no-data value",
         )
     return rows, count
 
 
 def fill_missing(samples: np.ndarray, threads: int) -> None:
-    """Give every NaN in `samples` (float32, in place) the height of the nearest valid sample, counted in samples."""
+    """Replace every NaN in `samples` (float32, in place) by the nearest valid sample, counted in samples."""
     height, width = samples.shape
     nearest = wp.empty(height * width, dtype=wp.int32, device=launch.DEVICE)
     h = flat(samples, wp.float32)
@@ -49,8 +50,8 @@ def fill_missing(samples: np.ndarray, threads: int) -> None:
 
 
 def widen(samples: np.ndarray) -> np.ndarray:
-    """A raster one sample wide or high becomes two wide or high, constant across: one row is a legitimate profile."""
+    """Repeat the samples of a raster that is one sample wide or high, because one row is a legitimate profile."""
     height, width = samples.shape
     if height == 0 or width == 0:
-        raise TerrainError(f"The raster has {width} x {height} samples: a terrain needs at least one.")
+        raise TerrainError(f"The raster has {width} x {height} samples", expected="at least one")
     return np.repeat(np.repeat(samples, 2 if height == 1 else 1, axis=0), 2 if width == 1 else 1, axis=1)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Details with masks: coats of a terrain, each a detail times how much of it lies where. They are added up.
+"""Displacement layers of a terrain: sums of details, each multiplied by an optional mask.
 
-A mask has a byte for every sample of the raster, 255 for all, and is bilinear in between.
+A mask has a byte for every sample of the raster, where 255 is all of the detail, and is bilinear in between.
 """
 
 import hashlib
@@ -17,18 +17,17 @@ from ..errors import TerrainError
 from ..run.buffers import flat
 from .blocks import halvings
 from .detail import Detail
-from .detail_bounds import Part, masked, tables
+from .detail_bounds import DetailTerm, masked, tables
 from .lattice import Lattice
 from .tiled import Tiled
 
-# All, in the bytes of a mask.
-ALL = 255
-ROUNDING = np.float32(1.0 + 2.0**-19)  # above what a sum of a dozen float32 rounds
+ALL = 255  # byte of a mask where the detail has its full height
+ROUNDING = np.float32(1.0 + 2.0**-19)  # exceeds the rounding of a sum of a dozen float32
 
 
 @dataclass(frozen=True, eq=True)
 class Mask:
-    """`values`: uint8 [height, width], one for each sample; `digest`: equal for equal ones."""
+    """Weight of a displacement layer. `values`: uint8 [height, width], one a sample; `digest`: identifies them."""
 
     values: np.ndarray = field(compare=False, repr=False)
     digest: str = ""
@@ -41,8 +40,7 @@ class Mask:
 
     @cached_property
     def most(self) -> np.ndarray:
-        """uint8 [n]: the most of each cell, and of 2 x 2 of those, and so on to one of all; row by row, level by level,
-        as `mask_levels` has them."""
+        """Return the maximum of each cell, of 2 x 2 cells, and so on, uint8 [n], in the order of `mask_levels`."""
         v = self.values
         cells = np.maximum(np.maximum(v[1:, 1:], v[1:, :-1]), np.maximum(v[:-1, 1:], v[:-1, :-1]))
         return np.concatenate([level.reshape(-1) for level in halvings(cells, np.maximum)])
@@ -50,7 +48,7 @@ class Mask:
 
 @dataclass(frozen=True)
 class Coat:
-    """A detail, all over the terrain or where its mask is."""
+    """A displacement layer: a detail, everywhere or weighted by a mask."""
 
     detail: Detail | Tiled
     mask: Mask | None = None
@@ -58,18 +56,18 @@ class Coat:
 
 @dataclass(frozen=True)
 class Coats:
-    """Details that are added up; those with a mask last."""
+    """The sum of displacement layers; those with a mask come last."""
 
     coats: tuple[Coat, ...]
 
     @property
     def amplitude(self) -> float:
-        """Metres that they rise or fall together, at most."""
+        """Return the largest magnitude of the sum, metres."""
         return add_up(coat.detail.amplitude for coat in self.coats)
 
     @property
     def key(self) -> str:
-        """Equal for equal coats."""
+        """Return a text that identifies the layers."""
         text = repr([(coat.detail.key, coat.mask and coat.mask.digest) for coat in self.coats])
         return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
@@ -78,18 +76,18 @@ Ground = Detail | Tiled | Coats
 
 
 def coats_of(ground: Ground | None) -> tuple[Coat, ...]:
-    """The coats, those without a mask first."""
+    """Return the displacement layers, those without a mask first."""
     coats = ground.coats if isinstance(ground, Coats) else (Coat(ground),) if ground else ()
     return tuple(sorted(coats, key=lambda coat: coat.mask is not None))
 
 
-def parts_of(ground: Ground | None, finest: float, lattice: Lattice) -> list[Part]:
-    """All that bounds are taken of; `finest`: metres of the shortest edges."""
+def parts_of(ground: Ground | None, finest: float, lattice: Lattice) -> list[DetailTerm]:
+    """Return the summands for bounds. `finest`: metres of the shortest edges."""
     return [part for group in _groups(ground, finest, lattice) for part in group]
 
 
-def _groups(ground: Ground | None, finest: float, lattice: Lattice) -> list[list[Part]]:
-    """Of all coats without a mask together, and of each with one."""
+def _groups(ground: Ground | None, finest: float, lattice: Lattice) -> list[list[DetailTerm]]:
+    """Return the summands of all layers without a mask, then those of each layer with one."""
     coats = coats_of(ground)
     everywhere = [part for coat in coats if coat.mask is None for part in coat.detail.parts(finest)]
     steps = lattice.step_x, lattice.step_y
@@ -97,8 +95,10 @@ def _groups(ground: Ground | None, finest: float, lattice: Lattice) -> list[list
 
 
 def coat_tables(ground: Ground | None, finest: float, lattice: Lattice, meshlet: int) -> np.ndarray:
-    """float32 [1 + masks, 64, 2] metres: `tables` of what has no mask, and those of each with a mask for one of its
-    255 parts; but what edges climb, which is all in the first."""
+    """Return `tables` of the layers without a mask, and of each layer with one for 1 of 255.
+
+    The result is float32 [1 + masks, 64, 2] metres. The first table holds the climbs of all layers.
+    """
     steps, cell = (lattice.step_x, lattice.step_y), 2 * lattice.levels + 1
     first, *others = _groups(ground, finest, lattice)
     found = [tables(first, steps, lattice.levels, meshlet)]
@@ -112,7 +112,7 @@ def coat_tables(ground: Ground | None, finest: float, lattice: Lattice, meshlet:
 
 
 def mask_levels(lattice: Lattice) -> np.ndarray:
-    """int64 [levels + 1]: where each level of `Mask.most` begins, and their number of entries."""
+    """Return the first entry of each level of `Mask.most`, and the number of entries, int64 [levels + 1]."""
     columns, rows, first = lattice.width - 1, lattice.height - 1, [0]
     while True:
         first.append(first[-1] + columns * rows)
@@ -122,13 +122,13 @@ def mask_levels(lattice: Lattice) -> np.ndarray:
 
 
 def most_of_masks(ground: Ground | None) -> np.ndarray:
-    """uint8 [masks * entries]: `Mask.most` of each coat with a mask, in the order of `coat_tables`."""
+    """Return `Mask.most` of each layer with a mask, in the order of `coat_tables`, uint8 [masks * entries]."""
     most = [coat.mask.most for coat in coats_of(ground) if coat.mask is not None]
     return most[0] if len(most) == 1 else np.concatenate([np.empty(0, np.uint8), *most])
 
 
 def packed(ground: Ground | None, finest: float, lattice: Lattice) -> kernels.Coats:
-    """As the kernels read them. Raises TerrainError for a mask of another raster."""
+    """Return the layers as kernels read them. Raises TerrainError for a mask of another raster."""
     coats, heights, masks, c = [], [], [], kernels.Coats()
     pixels = bytes_ = 0
     for coat in coats_of(ground):
@@ -143,7 +143,8 @@ def packed(ground: Ground | None, finest: float, lattice: Lattice) -> kernels.Co
             expected = lattice.height, lattice.width
             if coat.mask.values.shape != expected:
                 raise TerrainError(
-                    f"A mask of detail has the shape {coat.mask.values.shape}; expected {expected}, as the height map."
+                    f"A mask of displacement has the shape {coat.mask.values.shape}",
+                    expected=f"{expected}, the shape of the height map",
                 )
             d.mask, bytes_ = bytes_, bytes_ + coat.mask.values.size
             masks.append(coat.mask.values.reshape(-1))

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Errors as bytes and heights as the source's own 16-bit numbers: what a height field keeps of its floats.
+"""Compact storage of a height field: errors as bytes, heights as 16-bit numbers of the source.
 
-A byte stands for an entry of a table, 0 for 0. Errors are rounded up, so bounds hold. A mesh has no cracks if they are
-nested after rounding, too, also below the raster's cells, where an error is a quarter (of a bicubic surface a half) of
-another cell's. Rounding never changes the order of two errors; and it commutes with halving where twice an entry
-is an entry. So no octave of the table has fewer entries than the one below: the seven under the largest error, where
-meshes are decided, have 28 each, which round an error up by 1.2 % in the mean; the 26 below those, which only a spike
-calls for, have ever fewer.
+A byte is the index of an entry in a table; entry 0 is 0. Errors are rounded up, so bounds hold. A mesh has no cracks
+only if the rounded errors are nested, too, also below the raster's cells, where an error is a quarter (for a bicubic
+surface half) of another cell's. Rounding keeps the order of two errors, and it commutes with halving if twice an entry
+is an entry. So no octave of the table has fewer entries than the octave below. The seven octaves under the largest
+error decide most meshes and have 28 entries each, which round an error up by 1.2 % in the mean. The 26 octaves below,
+which only a spike needs, have fewer and fewer.
 
-Each group of depths (lattice.py) has its own power of two by which its table is multiplied, the least that holds its
-largest error. A coarser group's is never smaller, so its entries are entries of the finer groups' tables, and a parent
-stays at or above its children.
+Each group of depths (lattice.py) multiplies its table by a power of two, the smallest that covers its largest error. A
+coarser group's power is never smaller, so its entries are also in the finer groups' tables, and a parent's error stays
+at or above its children's.
 """
 
 from dataclasses import dataclass
@@ -24,19 +24,16 @@ from ..run import launch
 from ..run.buffers import flat
 from .lattice import Lattice
 
-# Entries in each octave, upwards; with 0 and the largest they are 256.
+# Entries of each octave, upwards; with 0 and the largest they are 256.
 PER_OCTAVE = (1,) * 18 + (2,) * 6 + (14,) * 2 + (28,) * 7
-# Exponents of the tables: all entries are between the least normal float32 and the largest.
-LEAST_EXPONENT, MOST_EXPONENT = -93, 112
+# Exponents of the tables keep all entries between the smallest normal float32 and the largest.
+MIN_EXPONENT, MAX_EXPONENT = -93, 112
 BLOCK = 1 << 14
-
-
-# Rows of heights that are looked at together.
-ROWS = 256
+ROWS = 256  # rows of heights that are numbered together
 
 
 def _shape() -> np.ndarray:
-    """float32 [256]: the table of a largest error of 1."""
+    """Return the table of a largest error of 1, float32 [256]."""
     entries = [0.0]
     for octave, count in enumerate(PER_OCTAVE):
         above = np.nextafter((2.0 ** (np.arange(1, count) / count)).astype(np.float32), np.float32(2.0))
@@ -48,36 +45,36 @@ SHAPE = _shape()
 
 
 def tables(exponents) -> np.ndarray:
-    """float32 [len(exponents), 256] metres: what each code stands for, by group."""
+    """Return the values of all codes in metres, by group, float32 [len(exponents), 256]."""
     return np.ldexp(SHAPE, np.asarray(exponents)[:, None]).astype(np.float32)
 
 
 def exponent_of(largest: float) -> int:
-    """The least power of two, as an exponent of tables, that is not below an error in metres."""
+    """Return the exponent of the smallest power of two, within limits, that is not below an error in metres."""
     part, exponent = np.frexp(largest)
-    return int(np.clip(exponent - (part == 0.5), LEAST_EXPONENT, MOST_EXPONENT))
+    return int(np.clip(exponent - (part == 0.5), MIN_EXPONENT, MAX_EXPONENT))
 
 
 def parts(lattice: Lattice, count: int) -> list[slice]:
-    """Where the arrays hold each group, the cells, and behind those the bends of a bicubic surface."""
+    """Return the slices of the arrays for each group, the cells, and then the curvatures of a bicubic surface."""
     ends = lattice.layout()[0].tolist()
     ends += [count] if count > ends[-1] else []
     return [slice(first, end) for first, end in pairwise(ends)]
 
 
 def encode(lattice: Lattice, errors: np.ndarray, codes: np.ndarray, threads: int) -> list[int]:
-    """Fill `codes` (uint8, zeroed) with `errors` (float32, as long, nested, metres); returns the exponents by group."""
-    own = [exponent_of(float(errors[part].max())) for part in parts(lattice, len(errors))]
-    cells, bends = lattice.groups, own[lattice.groups + 1 :]
-    finer = bends[0] - 1 if bends else LEAST_EXPONENT
+    """Fill `codes` (uint8, zeroed) with `errors` (float32, nested, metres); return the exponents by group."""
+    exponents = [exponent_of(float(errors[part].max())) for part in parts(lattice, len(errors))]
+    cells, curvatures = lattice.groups, exponents[lattice.groups + 1 :]
+    finer = curvatures[0] - 1 if curvatures else MIN_EXPONENT
     for group in (cells, *range(cells)):  # from fine to coarse
-        own[group] = finer = max(own[group], finer)
-    put(lattice, errors, tables(own), codes, threads)
-    return own
+        exponents[group] = finer = max(exponents[group], finer)
+    put(lattice, errors, tables(exponents), codes, threads)
+    return exponents
 
 
 def put(lattice: Lattice, errors: np.ndarray, table: np.ndarray, codes: np.ndarray, threads: int) -> None:
-    """Fill `codes` (uint8, zeroed) with the least entries of `table` that are not below `errors`."""
+    """Fill `codes` (uint8, zeroed) with the smallest entries of `table` that are not below `errors`."""
     arrays = [flat(table, wp.float32), flat(errors, wp.float32), flat(codes, wp.uint8)]
     for group, part in enumerate(parts(lattice, len(errors))):
         blocks = -(-(part.stop - part.start) // BLOCK)
@@ -86,7 +83,7 @@ def put(lattice: Lattice, errors: np.ndarray, table: np.ndarray, codes: np.ndarr
 
 
 def decode(lattice: Lattice, codes: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """float32 [len(codes)] metres: what codes stand for."""
+    """Return the values of codes, float32 [len(codes)] metres."""
     errors = np.empty(len(codes), np.float32)
     for values, part in zip(table, parts(lattice, len(codes)), strict=True):
         translate(codes[part], values, errors[part])
@@ -94,44 +91,44 @@ def decode(lattice: Lattice, codes: np.ndarray, table: np.ndarray) -> np.ndarray
 
 
 def translate(codes: np.ndarray, values: np.ndarray, out: np.ndarray) -> None:
-    """Fill `out` with values[codes]; numpy's own makes indices of 64 bits of all codes at once."""
+    """Fill `out` with values[codes], in blocks, because numpy converts all indices to 64 bits first."""
     for first in range(0, len(codes), BLOCK):
         out[first : first + BLOCK] = values[codes[first : first + BLOCK]]
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Heights as a source has stored them: (number + first) * scale + offset metres, of numbers uint16, in float64."""
+    """Conversion of a source's numbers, uint16, to heights: (number + first) * scale + offset metres, in float64."""
 
     first: int
     scale: float
     offset: float
 
     def heights(self, numbers: np.ndarray) -> np.ndarray:
-        """float32: the bits that an import of floats would hold."""
+        """Return heights, float32: the same bits as an import of floats."""
         return ((numbers.astype(np.float64) + self.first) * self.scale + self.offset).astype(np.float32)
 
 
 def packed(samples: np.ndarray, steps: Steps | None) -> kernels.Samples:
-    """The samples of a height field as kernels read them; memory is shared."""
-    made, coded = kernels.Samples(), steps is not None
-    made.rows, made.columns = samples.shape
-    made.coded = int(coded)
-    made.first, made.scale, made.offset = (steps.first, steps.scale, steps.offset) if coded else (0, 1.0, 0.0)
-    made.floats = flat(np.zeros(1, np.float32) if coded else samples, wp.float32)
-    made.numbers = flat(samples if coded else np.zeros(1, np.uint16), wp.uint16)
-    return made
+    """Return the samples of a height field as kernels read them; memory is shared."""
+    s, coded = kernels.Samples(), steps is not None
+    s.rows, s.columns = samples.shape
+    s.coded = int(coded)
+    s.first, s.scale, s.offset = (steps.first, steps.scale, steps.offset) if coded else (0, 1.0, 0.0)
+    s.floats = flat(np.zeros(1, np.float32) if coded else samples, wp.float32)
+    s.numbers = flat(samples if coded else np.zeros(1, np.uint16), wp.uint16)
+    return s
 
 
 def steps_of(stored: np.dtype, scale: float, offset: float) -> Steps | None:
-    """How a source of integers of 16 bits or fewer stores heights; None of any other."""
+    """Return the conversion of a source of integers with 16 bits or fewer; None for any other source."""
     if stored.kind not in "iu" or stored.itemsize > 2 or not np.isfinite([scale, offset]).all() or scale == 0.0:
         return None
     return Steps(int(np.iinfo(stored).min), float(scale), float(offset))
 
 
 def number(heights: np.ndarray, steps: Steps, numbers: np.ndarray) -> bool:
-    """Fill `numbers` (uint16) with those that stand for `heights`; False if there is one that none stands for."""
+    """Fill `numbers` (uint16) with those of `heights`. Return False if a height has no number."""
     for row in range(0, len(heights), ROWS):
         block = heights[row : row + ROWS]
         with np.errstate(over="ignore"):  # infinity is out of range, too

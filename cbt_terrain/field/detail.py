@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A height below the raster's cells, and how far a triangle can be from it.
+"""Displacement below the raster's cells: octaves of noise.
 
-Octave k (0 ..) is quintic value noise n of the amplitude a = a_0 roughness^k and the wavelength l = l_0 2^-k, so metres
-of height a n(x / l); amplitudes add up to that of the detail. It is between -a and a and twice differentiable, also
-where lattice cells meet: its second derivative is at most a c / l^2 in any direction. detail_bounds.py says what a
-triangle misses of it.
+Octave k (0 ..) is quintic value noise n with the amplitude a = a_0 roughness^k and the wavelength l = l_0 2^-k, so the
+height a n(x / l) metres; the amplitudes add up to that of the detail. It is between -a and a and twice differentiable,
+also where lattice cells meet: its second derivative is at most a c / l^2 in any direction. detail_bounds.py bounds its
+distance from a triangle.
 
-The constant c. Between lattice values in [-1, 1] n is linear in each of them, so is its second derivative in a given
-direction, which is therefore largest where all four are 1 or -1. With the fade f(u) = 6 u^5 - 15 u^4 + 10 u^3 the
+The constant c. Between lattice values in [-1, 1], n is linear in each value, and so is its second derivative in a given
+direction. It is therefore largest if all four values are 1 or -1. With the fade f(u) = 6 u^5 - 15 u^4 + 10 u^3 the
 largest is that of the checkerboard F(u) F(v), F = 1 - 2 f, in a cell's middle along a diagonal: 4 f'(1/2)^2 =
-4 (15/8)^2 = 225/16; and the largest slope in any direction is 2 f'(1/2) = 15/4. tests/cbt_terrain/field/test_detail.py
+4 (15/8)^2 = 225/16. The largest slope in any direction is 2 f'(1/2) = 15/4. tests/cbt_terrain/field/test_detail.py
 proves c <= 14.1 and slopes <= 3.8 for all cells by interval arithmetic.
 """
 
@@ -22,21 +22,23 @@ from ...kernels.field import detail as kernels
 from ..ask.linear import add_up
 from ..errors import check_number, check_seed
 from ..plain_numbers import keep_plain_numbers
-from .detail_bounds import Part, Way
+from .detail_bounds import DetailTerm, Split
 
-MOST_OCTAVES = 9
-# Largest second derivative and slope of the noise, see above: what the proof shows is a little more than the truth.
-BEND, SLOPE = 14.1, 3.8
-# The shortest wave has so many of the finest leaf's edges: what remains of it is 0.11 of its amplitude.
+MAX_OCTAVES = 9
+# Upper bounds of the second derivative and the slope of the noise, see above.
+CURVATURE, SLOPE = 14.1, 3.8
+# Edges of the finest leaf in the shortest wave; the mesh then misses 0.11 of its amplitude.
 EDGES_A_WAVE = 4
 LARGEST = 1e6
 
 
 @dataclass(frozen=True)
 class Detail:
-    """Octaves of noise, together at most `amplitude` metres above or below the surface. The longest waves have
-    `wavelength` metres; each octave half as long has `roughness` (0 .. 1) of the amplitude of the one before. `seed`
-    gives another pattern."""
+    """Octaves of noise, together at most `amplitude` metres above or below the surface.
+
+    The longest waves have `wavelength` metres. Each octave has half the wavelength and `roughness` (0 .. 1) times the
+    amplitude of the one before. `seed` selects the pattern.
+    """
 
     amplitude: float
     wavelength: float = 4.0
@@ -52,28 +54,28 @@ class Detail:
 
     @property
     def key(self) -> str:
-        """Equal for equal details."""
+        """Return a text that identifies the detail."""
         text = repr((float(self.amplitude), float(self.wavelength), float(self.roughness), self.seed))
         return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
     def waves(self, finest: float) -> list[tuple[float, float]]:
-        """Amplitude and wavelength, metres, of the octaves that leaves with edges of `finest` metres can show."""
-        lengths = [self.wavelength * 0.5**k for k in range(MOST_OCTAVES)]
+        """Return amplitude and wavelength, metres, of the octaves that leaves with edges of `finest` metres show."""
+        lengths = [self.wavelength * 0.5**k for k in range(MAX_OCTAVES)]
         shown = [length for k, length in enumerate(lengths) if k == 0 or length >= EDGES_A_WAVE * finest]
         parts = list(accumulate([1.0] + [self.roughness] * (len(shown) - 1), operator.mul))
         share = self.amplitude / add_up(parts)
         return [(share * part, length) for part, length in zip(parts, shown, strict=True) if share * part > 0.0]
 
-    def parts(self, finest: float) -> list[Part]:
-        """The same, as bounds are taken of them."""
+    def parts(self, finest: float) -> list[DetailTerm]:
+        """Return the octaves of `waves` as summands for bounds."""
         return [
-            Part(a, s, length, (Way(0.0, BEND * a / (length * length), s, a), Way(2 * a, 0.0, 0.0, 0.0)))
+            DetailTerm(a, s, length, (Split(0.0, CURVATURE * a / (length * length), s, a), Split(2 * a, 0.0, 0.0, 0.0)))
             for a, length in self.waves(finest)
             for s in (SLOPE * a / length,)
         ]
 
     def packed(self, finest: float) -> kernels.Detail:
-        """As the kernels read it."""
+        """Return the detail as kernels read it."""
         d = kernels.Detail()
         waves = self.waves(finest)
         d.octaves, d.seed = len(waves), self.seed

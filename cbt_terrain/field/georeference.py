@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From a raster's georeference to metres: how far apart its samples are, and where its middle lies."""
+"""Conversion of a raster's georeference to metres: steps between samples and the position of its middle."""
 
 import math
 import re
@@ -12,18 +12,18 @@ from ..errors import TerrainError
 
 # Semi-major axis in metres and inverse flattening.
 WGS84 = (6378137.0, 298.257223563)
-# Metres; a surface's coordinates are float32, which holds a terrain between these with all its digits.
+# Limits of an extent, metres, within which float32 coordinates have full precision.
 SMALLEST_EXTENT, LARGEST_EXTENT = 1e-30, 1e30
-# A part of a length by which degrees are said to be off, from here on.
-SHOWN_RIM_ERROR = 1e-3
+# Smallest relative error of lengths at the border that is worth a warning.
+MIN_SHOWN_ERROR = 1e-3
 Transform = tuple[float, float, float, float, float, float]
 _EPSG = re.compile(r"EPSG:\d{1,7}")
 _ELLIPSOID = re.compile(r'(?:SPHEROID|ELLIPSOID)\["[^"]*",\s*([\d.eE+]+),\s*([\d.eE+]+)')
 
-# Skew per cell, in cells, below which rows count as parallel to an axis or perpendicular to columns: rounding.
+# Skew per cell, in cells, that counts as rounding.
 MAX_SKEW = 1e-6
 
-# Stores written before `rotation_deg` stood in their report have this warning instead.
+# Warning of older stores, whose report has no `rotation_deg`.
 ROTATED = "The raster is rotated against its coordinate system; it is laid out along its own rows."
 
 
@@ -31,10 +31,11 @@ ROTATED = "The raster is rotated against its coordinate system; it is laid out a
 class Georeference:
     """Spacing of samples in metres, and the position of the raster's middle (x, y) in units of its CRS.
 
-    first_row_south, first_column_east: whether the file's first sample lies in the south, in the east. transposed:
-    whether the file's rows run along y, its columns along x; `step_x` and `middle` are always those of x. rotation_deg:
-    degrees from x of the CRS to x of the terrain, counterclockwise. size_warnings: warnings that do not apply once the
-    user has given an extent in metres.
+    Attributes:
+        first_row_south, first_column_east: whether the file's first sample is in the south, in the east.
+        transposed: whether the file's rows run along y and its columns along x.
+        rotation_deg: degrees from x of the CRS to x of the terrain, counterclockwise.
+        size_warnings: warnings that do not apply if the user gives an extent in metres.
     """
 
     step_x: float = 1.0
@@ -56,34 +57,36 @@ class Georeference:
 
 
 def ellipsoid_of(wkt: str) -> tuple[float, float]:
-    """Semi-major axis (metres) and inverse flattening (0: a sphere) named in a CRS's WKT; WGS 84 if there is none."""
+    """Return semi-major axis (metres) and inverse flattening (0: a sphere) from a CRS's WKT; WGS 84 if it has none."""
     found = _ELLIPSOID.search(wkt)
     return (float(found[1]), float(found[2])) if found else WGS84
 
 
 def degree_lengths(latitude: float, ellipsoid: tuple[float, float] = WGS84) -> tuple[float, float]:
-    """Metres in a degree of longitude and in a degree of latitude at `latitude` (degrees).
+    """Return the metres in a degree of longitude and in a degree of latitude at `latitude` (degrees).
 
-    The radii of curvature of the ellipsoid in the prime vertical and in the meridian.
+    They follow from the ellipsoid's radii of curvature in the prime vertical and in the meridian.
     """
     semi_major, inverse_flattening = ellipsoid
     flattening = 1.0 / inverse_flattening if inverse_flattening else 0.0
     squared = flattening * (2.0 - flattening)
     sine = math.sin(math.radians(latitude))
-    bend = 1.0 - squared * sine * sine
-    prime_vertical = semi_major / math.sqrt(bend)
-    meridian = semi_major * (1.0 - squared) / bend**1.5
+    factor = 1.0 - squared * sine * sine
+    prime_vertical = semi_major / math.sqrt(factor)
+    meridian = semi_major * (1.0 - squared) / factor**1.5
     return math.radians(prime_vertical * math.cos(math.radians(latitude))), math.radians(meridian)
 
 
-def rim_error(latitude: float, rims: list[float], ellipsoid: tuple[float, float] = WGS84) -> float:
-    """How far off lengths are at the latitudes `rims` (degrees) at most, as a part of the true ones, where a degree is
-    taken to be as long as at `latitude`; infinite at a pole."""
-    taken = degree_lengths(latitude, ellipsoid)
-    true = [degree_lengths(rim, ellipsoid) for rim in rims if abs(rim) < 90.0]
-    if len(true) < len(rims):
+def border_error(latitude: float, borders: list[float], ellipsoid: tuple[float, float] = WGS84) -> float:
+    """Return the largest relative error of lengths at the latitudes `borders` if degrees are as long as at `latitude`.
+
+    It is infinite at a pole. Latitudes are in degrees.
+    """
+    used = degree_lengths(latitude, ellipsoid)
+    true = [degree_lengths(border, ellipsoid) for border in borders if abs(border) < 90.0]
+    if len(true) < len(borders):
         return math.inf
-    return max(abs(taken[axis] / lengths[axis] - 1.0) for lengths in true for axis in (0, 1))
+    return max(abs(used[axis] / lengths[axis] - 1.0) for lengths in true for axis in (0, 1))
 
 
 def without_dust(transform: Transform) -> Transform:
@@ -95,7 +98,7 @@ def without_dust(transform: Transform) -> Transform:
     area, lengths = abs(a * e - b * d), length((a, d)) * length((b, e))
     if not math.isfinite(lengths) or area <= MAX_SKEW * lengths:
         raise TerrainError(
-            f"The raster's georeference {tuple(transform)} gives its cells no size: give the extent in metres."
+            f"The raster's georeference {tuple(transform)} gives its cells no size", fix="give the extent in metres"
         )
     if abs(b) < MAX_SKEW * abs(a) and abs(d) < MAX_SKEW * abs(e):
         b = d = 0.0
@@ -105,7 +108,7 @@ def without_dust(transform: Transform) -> Transform:
 
 
 def is_sheared(transform: Transform, metres_x: float, metres_y: float) -> bool:
-    """Return whether rows and columns are not perpendicular on the ground; metres: of a unit along x and y."""
+    """Return whether rows and columns are not perpendicular on the ground. metres_x, metres_y: in a unit of x and y."""
     a, b, _, d, e, _ = transform
     column, row = (a * metres_x, d * metres_y), (b * metres_x, e * metres_y)
     return abs(column[0] * row[0] + column[1] * row[1]) > MAX_SKEW * length(column) * length(row)
@@ -123,21 +126,27 @@ def from_transform(
 ) -> Georeference:
     """Return the georeference of a raster of `width` x `height` samples.
 
-    transform: (a, b, c, d, e, f) takes column and row of a cell's *corner* to x = a col + b row + c and
-    y = d col + e row + f. Samples lie in the middle of cells: of a pixel-is-area raster by definition, of a
-    pixel-is-point raster because GDAL has moved its corner by half a cell, so that both differ by half a cell, exactly.
-    degrees: degrees in the CRS's unit if that is an angle, else 0. metres: metres in the CRS's unit if it is a length.
+    Samples are in the middle of cells: of a pixel-is-area raster by definition, of a pixel-is-point raster because GDAL
+    moves its corner by exactly half a cell.
+
+    Args:
+        transform: (a, b, c, d, e, f) maps column and row of a cell's *corner* to x = a col + b row + c and
+            y = d col + e row + f.
+        degrees: degrees in the CRS's unit if that is an angle, else 0.
+        metres: metres in the CRS's unit if it is a length.
     """
     a, b, c, d, e, f = without_dust(transform)
     x, y = a * width / 2 + b * height / 2 + c, d * width / 2 + e * height / 2 + f
     if not (math.isfinite(x) and math.isfinite(y)):
-        raise TerrainError(f"The raster's middle is at ({x}, {y}): expected finite numbers; give the extent in metres.")
+        raise TerrainError(
+            f"The raster's middle is at ({x}, {y})", expected="finite numbers", fix="give the extent in metres"
+        )
     size_warnings = []
     metres_x = metres_y = metres
     if degrees:
         metres_x, metres_y = _metres_of_degrees(y, degrees, ellipsoid)
-        rims = [degrees * (d * column + e * row + f) for column in (0, width) for row in (0, height)]
-        size_warnings += _rim_warnings(y * degrees, rims, ellipsoid)
+        borders = [degrees * (d * column + e * row + f) for column in (0, width) for row in (0, height)]
+        size_warnings += _border_warnings(y * degrees, borders, ellipsoid)
     elif not crs and max(map(abs, (a, b, d, e))) < 0.1 and abs(x) <= 180.0 and abs(y) <= 90.0:
         size_warnings.append(
             f"The file names no coordinate system and its cells measure {length((a, d)):.6g}: taken as metres. If "
@@ -149,7 +158,7 @@ def from_transform(
         return Georeference(down, along, first_row_south=d > 0.0, first_column_east=b < 0.0, transposed=True, **place)
     if b == d == 0.0:
         return Georeference(along, down, first_row_south=e > 0.0, first_column_east=a < 0.0, **place)
-    # Rows and columns that turn counterclockwise from one to the other would be mirrored with the first row north.
+    # A counterclockwise turn from rows to columns means that the first row is south.
     rotation = math.degrees(math.atan2(d * metres_y, a * metres_x))
     warning = _rotation_warning(rotation, crs, bool(degrees))
     return Georeference(along, down, first_row_south=a * e > b * d, rotation_deg=rotation, warnings=(warning,), **place)
@@ -160,27 +169,27 @@ def _metres_of_degrees(y: float, degrees: float, ellipsoid: tuple[float, float])
     latitude = y * degrees
     if abs(latitude) > 89.9:
         raise TerrainError(
-            f"The raster's middle is at latitude {latitude:.6g} degrees, where a degree of longitude has no "
-            "length: project it first, or give the extent in metres."
+            f"The raster's middle is at latitude {latitude:.6g} degrees, where a degree of longitude has no length",
+            fix="project it first, or give the extent in metres",
         )
     along_x, along_y = degree_lengths(latitude, ellipsoid)
     return degrees * along_x, degrees * along_y
 
 
-def _rim_warnings(latitude: float, rims: list[float], ellipsoid: tuple[float, float]) -> list[str]:
-    """Return a warning if lengths at the latitudes `rims` differ too much from those at the raster's middle."""
-    error = rim_error(latitude, rims, ellipsoid)
-    if error < SHOWN_RIM_ERROR:
+def _border_warnings(latitude: float, borders: list[float], ellipsoid: tuple[float, float]) -> list[str]:
+    """Return a warning if lengths at the latitudes `borders` differ too much from those at the raster's middle."""
+    error = border_error(latitude, borders, ellipsoid)
+    if error < MIN_SHOWN_ERROR:
         return []
     off = f"by up to {100.0 * error:.2g} %" if error < 10.0 else "many times over, since a pole is near"
     return [
-        f"The raster is in degrees, whose length at its middle latitude is taken everywhere: at its rim, "
+        f"The raster is in degrees, and their length at its middle latitude is used everywhere: at its border, "
         f"lengths are off {off}. To have them right, import it with a projection (utm, or EPSG:n)."
     ]
 
 
 def _rotation_warning(rotation: float, crs: str, geographic: bool) -> str:
-    """Return the warning about a rotated raster, with what straightens it."""
+    """Return the warning about a rotated raster, with the remedy."""
     straighten = f"import it with --project {crs if _EPSG.fullmatch(crs) and not geographic else 'utm'}"
     if not crs:
         straighten = "write its coordinate system into the file and import it with --project"

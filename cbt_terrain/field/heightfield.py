@@ -13,44 +13,43 @@ from ..errors import TerrainError
 from ..run.locks import caching
 from . import codes
 from .coats import Ground, packed, parts_of
-from .detail_bounds import Part, highest
+from .detail_bounds import DetailTerm, highest
 from .lattice import Lattice
 
 INTERPOLATIONS = ("bilinear", "bicubic")
-# Plane coordinates are float32 in the mesh: no lattice line finer than 2^-23 of the longer side.
+# Plane coordinates are float32 in the mesh, so lattice lines are at least 2^-23 of the longer side apart.
 PLANE_BITS = 23
-# What the key of a bicubic surface has more than that of its samples.
-BICUBIC_KEY = "-bicubic"
-# ... and what that of a surface with detail begins its own with.
-DETAIL_KEY = "-detail-"
-# Surfaces with detail that a field keeps: several objects of a scene may share its raster.
-MOST_DETAILED = 8
+BICUBIC_KEY = "-bicubic"  # is appended to the samples' key for a bicubic surface
+DETAIL_KEY = "-detail-"  # separates the surface's key from the detail's
+# Cached surfaces with detail, since several objects of a scene may share a raster.
+MAX_DETAILED = 8
 
 
 @dataclass(eq=False)
 class HeightField:
     """A terrain ready for refinement; arrays may be memory-mapped and are never written.
 
-    samples: [height, width], row 0 south, column 0 west: float32 metres, or uint16 numbers of `steps` (codes.py).
-    interpolation: of INTERPOLATIONS, what the reference surface is between the samples; `interpolated` gives another.
-    detail: None or what is added to that surface (detail.py, tiled.py, coats.py); `error`, `ranges` and slopes are
-    without it.
-    error: uint8 [lattice.node_count], a code of the saturated error of each diamond (see hierarchy.py; the order is
-    that of lattice.py); of a bicubic surface with bends behind them (see bicubic.py).
-    exponents: by which the table of codes is multiplied for each group of depths (codes.py).
-    ranges: uint16 [lattice.range_count, 2], diamonds of 4 x 4 cells and more; a height is range_base + q * range_step
-    metres. Of a bicubic surface those of the raster's cells follow.
-    min_height, max_height: metres between which the surface lies.
-    steepest_x, steepest_y: metres of height per metre along each axis, the most of the surface.
-    source_max: metres by which the source's own rounding may have moved the surface, at most; 0 of exact samples.
-    filled: how many missing samples were filled. origin: float64 [3], CRS coordinates of the local origin.
-    valid: None or, where holes are to be cut out, uint8 [height, width]: 0 where a sample was missing; the cells that
-    have such a corner are holes (see holes.py).
-    layers: what effects that have shaped the heights (land/) have left, by name: float32 [height, width], row 0 south.
-    key: identifies the content: equal keys, equal terrains.
-    prefiltered: empty, or the coarser levels of the heights' pyramid (effects/pyramid.py), whatever lies between them.
-    found: what was looked for once in the heights, for light and for what hides what (effects/occluder.py,
-    effects/sky_layer.py, refine/horizon.py).
+    Attributes:
+        samples: [height, width], row 0 south, column 0 west: float32 metres, or uint16 numbers of `steps` (codes.py).
+        interpolation: reference surface between the samples, one of INTERPOLATIONS; `interpolated` returns another.
+        detail: displacement of that surface (detail.py, tiled.py, coats.py) or None; `error`, `ranges` and slopes do
+            not include it.
+        error: uint8 [lattice.node_count], codes of the saturated errors of all diamonds (hierarchy.py) in the order of
+            lattice.py; curvatures of a bicubic surface follow (bicubic.py).
+        exponents: powers of two that multiply the table of codes for each group of depths (codes.py).
+        ranges: uint16 [lattice.range_count, 2] of diamonds of 4 x 4 cells and more: heights from range_base +
+            q * range_step metres; for a bicubic surface those of the raster's cells follow.
+        min_height, max_height: limits of the surface, metres.
+        steepest_x, steepest_y: largest slopes of the surface along each axis.
+        source_max: largest distance, metres, by which the rounding of the source has moved the surface.
+        filled: number of missing samples that were filled.
+        valid: None or, if holes are cut out, uint8 [height, width], 0 at missing samples; cells with such a corner are
+            holes (holes.py).
+        layers: by-products of height operators (land/), by name: float32 [height, width], row 0 south.
+        origin: float64 [3], CRS coordinates of the local origin.
+        key: identifies the content: terrains with equal keys are equal.
+        prefiltered: coarser levels of the heights' pyramid (effects/pyramid.py), if computed.
+        found: cached results for light and occlusion (effects/occluder.py, effects/sky_layer.py, refine/horizon.py).
     """
 
     samples: np.ndarray
@@ -89,69 +88,71 @@ class HeightField:
 
     @property
     def raster_key(self) -> str:
-        """The key of the samples, whatever surface lies between them."""
+        """Return the key of the samples, whatever surface is between them."""
         return self.key.partition(DETAIL_KEY)[0].removesuffix(BICUBIC_KEY)
 
     @property
     def finest_edge(self) -> float:
-        """Metres of the shortest edge that float32 plane coordinates of the mesh can hold."""
+        """Return the shortest edge, metres, that float32 plane coordinates of the mesh can hold."""
         lattice = self.lattice
         bits = PLANE_BITS - (max(lattice.columns, lattice.rows) - 1).bit_length() - lattice.levels
         return min(lattice.step_x, lattice.step_y) * 2.0**-bits
 
     @cached_property
     def packed_detail(self) -> "Coats | None":
-        """The detail as kernels read it; None without one."""
+        """Return the detail as kernels read it; None without one."""
         return packed(self.detail, self.finest_edge, self.lattice) if self.detail else None
 
     @property
-    def parts(self) -> list[Part]:
-        """What bounds are taken of: the summands of the detail; none without one."""
+    def parts(self) -> list[DetailTerm]:
+        """Return the summands of the detail for bounds; none without a detail."""
         return parts_of(self.detail, self.finest_edge, self.lattice)
 
     @property
     def table(self) -> np.ndarray:
-        """float32 [groups, 256] metres: what the codes of errors stand for."""
+        """Return the metres of the error codes, float32 [groups, 256]."""
         return codes.tables(self.exponents)
 
     def heights(self, *index) -> np.ndarray:
-        """float32 metres: samples[index], or all of them."""
+        """Return samples[index], or all of them, in float32 metres."""
         samples = self.samples[index]
         return samples if self.steps is None else self.steps.heights(samples)
 
     def damage(self, what: str) -> TerrainError:
-        """The error of a field whose arrays cannot be what an import has written."""
-        where = f"The store {self.path}" if self.path else "The height field"
-        return TerrainError(f"{where} is damaged: {what}; import it again.")
+        """Return the error for arrays that no import has written. what: clause about the fault."""
+        name = f"The store {self.path}" if self.path else "The height field"
+        return TerrainError(f"{name} is damaged ({what})", fix="import it again")
 
     def check_samples(self) -> None:
-        """Raise TerrainError if a sample is not finite: for what reads all of them, and takes longer than this."""
+        """Raise TerrainError if a sample is not finite. This reads all samples, so only slower code should call it."""
         finite = (np.isfinite(self.samples[row : row + 256]).all() for row in range(0, len(self.samples), 256))
         if self.steps is None and not all(finite):
             raise self.damage("it has heights that are not finite")
 
 
 def as_heights(field: HeightField, samples: np.ndarray, key: str, lattice: Lattice | None = None) -> HeightField:
-    """Other numbers over a field's raster as the samples of a field: float32 [lattice.height, lattice.width], row 0
-    south. So they have a pyramid, and nothing of what was found in the heights; they have no errors and no ranges."""
+    """Return a field with other samples over a field's raster, without its caches, errors and ranges.
+
+    samples: float32 [lattice.height, lattice.width], row 0 south.
+    """
     fresh = {"prefiltered": [], "expanded": {}, "surfaces": {}, "detailed": {}, "found": {}, "layers": {}}
-    own = {"samples": samples, "steps": None, "valid": None, "path": None, "detail": None, "key": key}
-    return replace(field, **own, **fresh, lattice=lattice or field.lattice)
+    content = {"samples": samples, "steps": None, "valid": None, "path": None, "detail": None, "key": key}
+    return replace(field, **content, **fresh, lattice=lattice or field.lattice)
 
 
 def with_detail(field: HeightField, detail: Ground | None) -> HeightField:
-    """The same surface with another detail on it, or with none. Arrays are shared, nothing is read.
+    """Return the same surface with another detail or none. Arrays are shared, nothing is read.
 
-    Without amplitude there is no detail. The last few that were asked for are the same objects again.
+    A detail without amplitude counts as none. The last few results are cached.
     """
     plain = field.surfaces["plain"] if field.detail else field
     if detail is None or not detail.amplitude:
         return plain
     with caching:
-        kept = plain.detailed.pop(detail, None)
-        if kept is None:
+        surface = plain.detailed.pop(detail, None)
+        if surface is None:
             more = highest(parts_of(detail, plain.finest_edge, plain.lattice))
-            kept = replace(
+            surface = replace(
                 plain,
                 detail=detail,
                 min_height=plain.min_height - more,
@@ -160,7 +161,7 @@ def with_detail(field: HeightField, detail: Ground | None) -> HeightField:
                 surfaces={"plain": plain},
                 detailed={},
             )
-        plain.detailed[detail] = kept
-        while len(plain.detailed) > MOST_DETAILED:
+        plain.detailed[detail] = surface
+        while len(plain.detailed) > MAX_DETAILED:
             del plain.detailed[next(iter(plain.detailed))]
-        return kept
+        return surface

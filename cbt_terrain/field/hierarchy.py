@@ -2,16 +2,17 @@
 """The error hierarchy and the ranges of heights of a raster, one entry for each diamond of its lattice.
 
 The reference surface is bilinear between the samples. The error of a diamond is the largest vertical distance between
-the surface and the planes of its two triangles over everything that they cover: at all samples, and along the diagonals
-of cells on the triangles' borders, where the surface is a parabola (nowhere else has it an extremum against a plane).
-It is then saturated, that is raised to the largest error of its children, so that a parent's error is never less: the
-nested criterion of which the refinement lives. Where a raster does not fill its lattice, only what is inside the rim
-counts: rim lines are lines of samples, and above the cells they cut triangles at samples or along diagonals of cells.
+the surface and the planes of its two triangles over their area. It is found at the samples, and along the diagonals of
+cells on the triangles' borders, where the surface is a parabola (elsewhere it has no extremum relative to a plane). The
+error is then saturated, that is raised to the largest error of its children, so that a parent's error is never smaller,
+as the nested criterion of the refinement requires. If a raster does not fill its lattice, only the area inside its
+border counts. Border lines are lines of samples, and above the cells they cut triangles at samples or along diagonals
+of cells.
 
-In one cell of the raster the surface is a saddle with the twist T = |h00 + h11 - h10 - h01|: its centre's diamond has
-the error T/4, and each two bisections divide it by four. A side's diamond reaches into the next cell, so twists are
-saturated too: T is at least a quarter of that of the four neighbours, hence T(a) = max over b of T(b) 4^-|a - b|, with
-the distance in steps from neighbour to neighbour.
+In one cell of the raster the surface is a saddle with the twist T = |h00 + h11 - h10 - h01|. The diamond at its centre
+has the error T/4, and each two bisections divide it by four. A side's diamond covers a part of the next cell, so twists
+are saturated too: T is at least a quarter of that of the four neighbours, hence T(a) = max over b of T(b) 4^-|a - b|,
+with the distance in steps from neighbour to neighbour.
 
 Saturated errors after Lindstrom and Pascucci (2002), "Terrain simplification simplified", sections 3 and 4.
 """
@@ -35,44 +36,44 @@ COLUMN_BLOCK = 64
 
 
 def stored_at(lattice: Lattice, depth: int) -> Depth:
-    """Where the errors hold the diamonds of one depth (1 .. cell_depth)."""
+    """Return the layout of the errors of one depth (1 .. cell_depth)."""
     return _place(lattice.extent(depth), *lattice.layout(), lattice.cell_depth - depth)
 
 
 def ranges_at(lattice: Lattice, depth: int) -> Depth:
-    """Where the ranges do (1 .. range_depth, and cell_depth)."""
+    """Return the layout of the ranges of one depth (1 .. range_depth, and cell_depth)."""
     finer = lattice.range_depth + 1 - depth if depth < lattice.cell_depth else 0
     return _place(lattice.extent(depth), *lattice.range_layout(), finer)
 
 
 def _place(extent: tuple[int, int], base: np.ndarray, pages: np.ndarray, finer: int) -> Depth:
-    """Where images hold the diamonds `finer` bisections above the raster's cells."""
+    """Return the layout of diamonds `finer` bisections above the raster's cells."""
     group = (finer - 1) // 4 if finer else len(pages) - 1
     place = Depth()
     (place.columns, place.rows), place.sides = extent, int(finer % 2)
     place.base, place.pages, place.first, place.step = int(base[group]), int(pages[group]), 0, 1
     if finer:
-        # Vertices of the group from a corner to the middle of a side: one, or two in the coarser half of the group.
+        # Vertices from a corner to the middle of a side: one, or two in the coarser half of the group.
         half = 1 << (finer - 1) // 2 % 2
         place.first, place.step = (0, half) if finer % 2 else (half, 2 * half)
     return place
 
 
 def upward(finest: int, place_of: Callable[[int], Depth]) -> Iterator[tuple[int, Depth, Depth, int]]:
-    """Every depth above `finest`, the deepest first: its number, what is below it, itself, and the items of a launch.
+    """Yield every depth above `finest`, the deepest first: its number, the layout below it, its layout, and its items.
 
-    place_of(depth): where the arrays hold a depth.
+    place_of(depth): layout of a depth.
     """
     finer = place_of(finest)
     for depth in range(finest - 1, 0, -1):
-        own = place_of(depth)
-        yield depth, finer, own, items(own)
-        finer = own
+        coarser = place_of(depth)
+        yield depth, finer, coarser, items(coarser)
+        finer = coarser
 
 
-def items(own: Depth) -> int:
-    """Items of a launch over the diamonds of a depth."""
-    return (own.columns // 2 + 1) * (own.rows + 1) if own.sides else own.columns * own.rows
+def items(place: Depth) -> int:
+    """Return the number of items of a launch over the diamonds of a depth."""
+    return (place.columns // 2 + 1) * (place.rows + 1) if place.sides else place.columns * place.rows
 
 
 def build_errors(
@@ -85,7 +86,7 @@ def build_errors(
 ) -> None:
     """Fill `errors` (float32 [lattice.node_count], zeroed, metres) for `samples` (float32 [height, width], metres).
 
-    measured: the samples that count, NaN elsewhere; all by default.
+    measured: samples with NaN where they do not count; all count by default.
     """
     out = flat(errors, wp.float32)
     raster, counted = packed(samples, None), packed(samples if measured is None else measured, None)
@@ -96,18 +97,18 @@ def build_errors(
     cells = stored_at(lattice, lattice.cell_depth)
     spread(kernels.twists, lattice.cells_y, [counted, cells], 0.4 * lattice.cells_x)
     saturate_cells(cells, 0.25, out, "error hierarchy", threads)
-    for depth, finer, own, count in upward(lattice.cell_depth, partial(stored_at, lattice)):
+    for depth, finer, coarser, count in upward(lattice.cell_depth, partial(stored_at, lattice)):
         side = 1 << (lattice.levels - (depth - 1) // 2)
         cost = 1.0 + 0.05 * side * side
-        if own.sides:
-            spread(kernels.side_errors, count, [raster, counted, side // 2, finer, own], 2 * cost)
+        if coarser.sides:
+            spread(kernels.side_errors, count, [raster, counted, side // 2, finer, coarser], 2 * cost)
         else:
-            spread(kernels.centre_errors, count, [raster, counted, side, int(depth == 1), finer, own], 4 * cost)
+            spread(kernels.centre_errors, count, [raster, counted, side, int(depth == 1), finer, coarser], 4 * cost)
         on_progress(1.0 - (depth - 1) / (2 * lattice.levels))
 
 
 def saturate_cells(cells: Depth, part: float, out: wp.array, step: str, threads: int) -> None:
-    """Raise what is stored of each cell to `part` of its four neighbours'."""
+    """Raise the stored value of each cell to `part` of its four neighbours'."""
     about = {"step": step, "threads": threads}
     inputs = [wp.float32(part), cells, out]
     launch.spread(kernels.saturate_rows, cells.rows, inputs, cost=0.2 * cells.columns, **about)
@@ -118,8 +119,8 @@ def saturate_cells(cells: Depth, part: float, out: wp.array, step: str, threads:
 def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: int) -> None:
     """Turn `errors` in place into those of leaves that are drawn `2 * meshlet` bisections finer than they are.
 
-    Each pass gives a diamond the largest error of its children, which keeps parents above children. `errors` may have
-    bends behind them, as bicubic.py makes them.
+    Each pass gives a diamond the largest error of its children, which keeps parents above children. Curvatures of a
+    bicubic surface may follow the errors (bicubic.py).
     """
     bicubic = len(errors) > lattice.node_count
     out = flat(errors, wp.float32)
@@ -131,10 +132,10 @@ def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: i
 
     for step in range(2 * meshlet):
         for depth in range(1, lattice.cell_depth):  # from coarse to fine: a child is read before it changes
-            own = stored_at(lattice, depth)
-            spread(expand_kernels.raise_errors, items(own), [stored_at(lattice, depth + 1), own])
-        # Of a bilinear surface a cell's diamond and the side diamonds one bisection below it have the same error, so
-        # cells move in every other pass, by two bisections at once. Bends halve with each.
+            place = stored_at(lattice, depth)
+            spread(expand_kernels.raise_errors, items(place), [stored_at(lattice, depth + 1), place])
+        # On a bilinear surface a cell's diamond and the side diamonds one bisection below have the same error, so
+        # every other pass moves cells by two bisections. Curvatures halve with each bisection.
         if step % 2 == 0:
             first, part = (lattice.node_count, 0.5) if bicubic else (lattice.cell_base, 0.25)
             old = wp.clone(out[first:])
@@ -146,7 +147,7 @@ def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: i
 
 
 def range_scale(low: float, high: float) -> tuple[float, float]:
-    """Base and step (metres) such that base + q * step covers `low` .. `high` for q in 0 .. 65535."""
+    """Return base and step (metres) such that base + q * step covers `low` .. `high` for q in 0 .. 65535."""
     step = (high - low) / 65535.0
     while low + 65535.0 * step < high:
         step = np.nextafter(step, np.inf)
@@ -154,9 +155,9 @@ def range_scale(low: float, high: float) -> tuple[float, float]:
 
 
 def climbs(samples: np.ndarray) -> tuple[float, float]:
-    """Largest differences in metres, rounded up, between neighbours in a row and in a column of `samples`."""
+    """Return the largest differences, metres, rounded up, between neighbours in a row and in a column of `samples`."""
     x = y = 0.0
-    for first in range(0, samples.shape[0] - 1, 64):  # blocks stay in the cache
+    for first in range(0, samples.shape[0] - 1, 64):  # blocks that fit into the cache
         rows = samples[first : first + 65]
         x = max(x, float(np.abs(np.diff(rows, axis=1)).max()))
         y = max(y, float(np.abs(np.diff(rows, axis=0)).max()))
@@ -168,8 +169,8 @@ def build_ranges(
 ) -> None:
     """Fill `ranges` (uint16 [lattice.range_count, 2], zeroed): base + q * step encloses the surface.
 
-    Those of the two finest depths, three quarters of all, are not stored: a walk takes what their parents have in
-    common, which is nested, and costs one triangle in a thousand.
+    The two finest depths, three quarters of all, are not stored: the walk intersects the ranges of their parents, which
+    is nested, and costs one triangle in a thousand.
     """
     if lattice.range_depth == 0:
         return
@@ -181,7 +182,7 @@ def build_ranges(
 
 
 def unite_ranges(lattice: Lattice, ranges: np.ndarray, threads: int) -> None:
-    """Fill the ranges of what is above the finest that are stored."""
+    """Fill the ranges above the finest stored depth."""
     out = flat(ranges, wp.uint16)
-    for _, finer, own, count in upward(lattice.range_depth, partial(ranges_at, lattice)):
-        launch.spread(range_kernels.unite_children, count, [finer, own, out], step="height ranges", threads=threads)
+    for _, finer, coarser, count in upward(lattice.range_depth, partial(ranges_at, lattice)):
+        launch.spread(range_kernels.unite_children, count, [finer, coarser, out], step="height ranges", threads=threads)

@@ -8,14 +8,13 @@ from ...kernels.field.island import raise_island
 from ..run import launch
 from ..run.buffers import flat
 
-# Metres: the side of the island's square.
-SIDE = 8192.0
+SIDE = 8192.0  # metres of the island's square
 DEFAULT_SIZE = 4097
 DEFAULT_SEED = 7
 
 
 def island(size: int, seed: int = DEFAULT_SEED) -> np.ndarray:
-    """float32 [size, size] heights in metres of the island over a square of SIDE metres, row 0 south."""
+    """Return heights of the island over a square of SIDE metres, float32 [size, size] metres, row 0 south."""
     samples = np.empty((size, size), np.float32)
     inputs = [size, 0, wp.uint32(seed & 0xFFFFFFFF), flat(samples, wp.float32)]
     launch.spread(raise_island, size, inputs, step="island", threads=None, cost=30.0 * size)

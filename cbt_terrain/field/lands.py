@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The built-in lands: terrains at any resolution that need no file. Effects on heights make more of them."""
+"""The built-in terrains, which need no file and have any resolution."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,10 +16,18 @@ from . import island
 
 
 @dataclass(frozen=True, eq=False)
-class Land:
-    """One built-in land. `name`: as a source to import. `label`, `about`: in menus. `side`: metres, of its square.
-    `kernel`: raises its rows. `inputs(size, first_row, seed)`: what the kernel takes between offset and samples.
-    `preset`: of stacks of effects, the one that suits it, "" for none. `cost`: of a sample, in lookups."""
+class BuiltInTerrain:
+    """A built-in terrain.
+
+    Attributes:
+        name: its name as a source to import.
+        label, about: its texts in menus.
+        side: metres of its square.
+        kernel: computes its rows.
+        inputs: inputs(size, first_row, seed) returns the kernel's arguments between offset and samples.
+        preset: name of the stack of effects that suits it, "" for none.
+        cost: cost of a sample, in lookups.
+    """
 
     name: str
     label: str
@@ -33,28 +41,30 @@ class Land:
     def rows(self, size: int, first_row: int, rows: np.ndarray, seed: int, threads: int | None = None) -> None:
         """Fill `rows` (float32 [n, size], metres) with rows first_row .. first_row + n of `size`, row 0 south.
 
-        Heights depend only on the seed and on the place, so that resolutions agree where their samples coincide.
+        Heights depend only on the seed and the position, so resolutions agree where their samples coincide.
         """
         inputs = [*self.inputs(size, first_row, wp.uint32(seed & 0xFFFFFFFF)), flat(rows, wp.float32)]
         launch.spread(self.kernel, len(rows), inputs, step=self.name, threads=threads, cost=self.cost * size)
 
     def heights(self, size: int, seed: int = island.DEFAULT_SEED) -> np.ndarray:
-        """float32 [size, size] heights in metres, row 0 south."""
+        """Return heights, float32 [size, size] metres, row 0 south."""
         samples = np.empty((size, size), np.float32)
         self.rows(size, 0, samples, seed)
         return samples
 
 
-def _of_ranges(name: str, label: str, about: str, side: float, number: int, preset: str) -> Land:
+def _of_ranges(name: str, label: str, about: str, side: float, number: int, preset: str) -> BuiltInTerrain:
     half = wp.float64(0.5 * side)
-    return Land(name, label, about, side, raise_land, lambda size, row, seed: [number, size, row, half, seed], preset)
+    return BuiltInTerrain(
+        name, label, about, side, raise_land, lambda size, row, seed: [number, size, row, half, seed], preset
+    )
 
 
 _DUNES = 8192.0
-LANDS: dict[str, Land] = {
+LANDS: dict[str, BuiltInTerrain] = {
     land.name: land
     for land in (
-        Land(
+        BuiltInTerrain(
             "island",
             "Built-in Island",
             "A volcano, ridges and beaches",
@@ -66,7 +76,7 @@ LANDS: dict[str, Land] = {
         _of_ranges(
             "mountains", "Mountains", "A range with forelands, for rivers to cut", 24_576.0, MOUNTAINS, "great_range"
         ),
-        Land(
+        BuiltInTerrain(
             "dunes",
             "Dunes",
             "Sand in crests across the wind, slip faces to the east",

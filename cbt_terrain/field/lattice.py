@@ -1,29 +1,29 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The lattice: a grid of root squares whose sides are a power of two of raster cells, and the places of its diamonds.
+"""The lattice: a grid of root squares, each a power of two of raster cells wide, and the layout of its diamonds.
 
-A raster seldom fits. One corner of the lattice is the raster's south-western one, and what reaches beyond the raster's
-rim in the east and in the north is padding: a vertex there has the height of the nearest sample of the rim. Diamonds
-whose box (`reach_of` in kernels/refine/stored_errors.py) is wholly beyond the rim are never split, and have no entry.
+Few rasters fill their lattice. They share the south-western corner. The area of the lattice beyond the raster's border
+in the east and north is padding: a vertex there has the height of the nearest border sample. Diamonds whose box
+(`reach_of` in kernels/refine/stored_errors.py) is entirely beyond the border are never split, and have no entry.
 
-A diamond is the pair of triangles that share a longest edge; splitting it makes one vertex, the edge's middle, so one
+A diamond is the pair of triangles that share a longest edge. Splitting it creates one vertex, the edge's middle, so one
 entry per diamond is one entry per vertex. Above the raster's cells that vertex is a sample, and every sample is the
 split vertex of at most one diamond. Inside a square of side 2^k samples depth 2q + 1 (q = 0 .. k - 1) holds the centres
 of cells of side 2^(k-q), depth 2q + 2 the middles of their sides, and depth 2k + 1 the centres of the raster's cells.
 
-A walk goes from a diamond to its children, one or two bisections below and next to it, so what it reads together lies
+The walk visits a diamond and then its children, one or two bisections below and next to it, so their entries are close
 together. Group g holds the four depths with q = k - 1 - 2g and q = k - 2 - 2g: of the samples at multiples of 4^g all
-but those at multiples of 4^(g+1). It is an image of these samples in tiles of 4 x 4 and pages of 8 x 8 tiles: a cache
-line of errors, which are bytes, holds four bisections of four neighbouring places, and of a memory-mapped array as much
-is read as the walk has gone through. Ranges of heights are kept likewise, of every other sample. The centres of the
-raster's cells follow as an image of their own. Entries of no diamond (one in sixteen: the vertices of the next group;
-and what fills the pages at the rim) are 0.
+but those at multiples of 4^(g+1). It is an image of these samples in tiles of 4 x 4 and pages of 8 x 8 tiles. So a
+cache line of errors, which are bytes, holds four bisections of four neighbouring positions, and only visited pages of a
+memory-mapped array are read. Ranges of heights have the same layout for every other sample. The centres of the raster's
+cells follow as a separate image. Entries without a diamond (one in sixteen for the vertices of the next group, and the
+rest of the pages at the border) are 0.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-# Indices of Warp's arrays and coordinates of the lattice are int32; those have at least 5 bits more than samples.
+# Indices of Warp's arrays and coordinates of the lattice are int32; coordinates have at least 5 bits more than samples.
 MAX_ENTRIES, MAX_SIDE = 2**31, 2**25
 # A leaf is drawn as 4**meshlet triangles, 4**MAX_MESHLET at most.
 MAX_MESHLET = 4
@@ -52,26 +52,26 @@ class Lattice:
 
     @property
     def width(self) -> int:
-        """The raster's samples from west to east."""
+        """Return the raster's samples from west to east."""
         return self.cells_x + 1
 
     @property
     def height(self) -> int:
-        """The raster's samples from south to north."""
+        """Return the raster's samples from south to north."""
         return self.cells_y + 1
 
     @property
     def span(self) -> tuple[int, int]:
-        """Cells of the squares from west to east and from south to north, padding included."""
+        """Return the cells of the squares from west to east and from south to north, padding included."""
         return self.columns << self.levels, self.rows << self.levels
 
     @property
     def is_padded(self) -> bool:
-        """Whether the squares reach beyond the raster."""
+        """Return whether the squares extend beyond the raster."""
         return self.span != (self.cells_x, self.cells_y)
 
     def rectangle(self) -> tuple[float, float, float, float]:
-        """West, south, east and north rim of the raster, metres from its middle: as positions of the mesh have it."""
+        """Return the west, south, east and north border of the raster, metres from its middle."""
         x, y = 0.5 * self.cells_x * self.step_x, 0.5 * self.cells_y * self.step_y
         return -x, -y, x, y
 
@@ -81,52 +81,53 @@ class Lattice:
 
     @property
     def square_bits(self) -> int:
-        """Levels of the binary tree above the root squares: ceil(log2(squares))."""
+        """Return the levels of the binary tree above the root squares: ceil(log2(squares))."""
         return (self.squares - 1).bit_length()
 
     @property
     def cell_depth(self) -> int:
-        """Depth, inside a square, of the diamonds whose longest edge is the diagonal of one raster cell."""
+        """Return the depth, inside a square, of the diamonds whose longest edge is the diagonal of a raster cell."""
         return 2 * self.levels + 1
 
     @property
     def groups(self) -> int:
-        """Groups of depths above the raster's cells: two cell sizes each, the last one may have only one."""
+        """Return the groups of depths above the raster's cells: two cell sizes each, in the last one maybe only one."""
         return (self.levels + 1) // 2
 
     def group(self, depth: int) -> int:
-        """The group of a depth (1 .. cell_depth); the raster's cells count as one more, the last."""
+        """Return the group of a depth (1 .. cell_depth); the raster's cells are one more, the last."""
         return self.groups if depth == self.cell_depth else (self.levels - 1 - (depth - 1) // 2) // 2
 
     def extent(self, depth: int) -> tuple[int, int]:
-        """Columns and rows that have entries at a depth (1 .. cell_depth): of the cells whose centres are at that depth
-        or, at an even one, at that of its children.
+        """Return the columns and rows with entries at a depth (1 .. cell_depth).
 
-        Where there is padding, one beyond the rim: the boxes of those further out are beyond it.
+        They are those of the cells whose centres are at that depth or, at an even one, at that of its children. With
+        padding, one column or row is beyond the border; the boxes of further ones are entirely beyond it.
         """
         side = self.levels - depth // 2
-        most = self.columns << depth // 2, self.rows << depth // 2
-        return tuple(min(n, -(-cells >> side) + 1) for n, cells in zip(most, (self.cells_x, self.cells_y), strict=True))
+        whole = self.columns << depth // 2, self.rows << depth // 2
+        cells = self.cells_x, self.cells_y
+        return tuple(min(n, -(-count >> side) + 1) for n, count in zip(whole, cells, strict=True))
 
     def layout(self) -> tuple[np.ndarray, np.ndarray]:
-        """First entries, int64 [groups + 2], and pages in a row, int32 [groups + 1], of the groups and then the cells.
+        """Return first entries, int64 [groups + 2], and pages a row, int32 [groups + 1], of the groups and the cells.
 
-        The last of the first entries is the total. Inside a group the order is that of `kernels/field/layout.py`.
+        The last of the first entries is the total. `kernels/field/layout.py` defines the order inside a group.
         """
         return self._images(self.levels)
 
     def range_layout(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same of the ranges of heights: of every other sample, since the two finest depths have none."""
+        """Return the layout of the ranges: of every other sample, since the two finest depths have none."""
         return self._images(self.levels - 1)
 
     def _images(self, levels: int) -> tuple[np.ndarray, np.ndarray]:
-        """Groups of depths as images of a grid with squares of 2**levels cells, and behind them the raster's cells."""
+        """Return the layout of groups of depths with squares of 2**levels cells, and of the raster's cells."""
         sizes, pages = [0], []
         for group in range((levels + 1) // 2 + 1):
             if group == (levels + 1) // 2:
                 wide, high = self.extent(self.cell_depth)
             else:
-                # The coarsest depth with middles of sides has the entries that are furthest out: see `extent`.
+                # The coarsest depth with middles of sides has the outermost entries: see `extent`.
                 q = max(levels - 2 - 2 * group, 0)
                 side = levels - q - 2 * group
                 wide, high = ((n << side) + 1 for n in self.extent(2 * q + 1))
@@ -136,34 +137,34 @@ class Lattice:
 
     @property
     def can_be_numbered(self) -> bool:
-        """Whether indices of 31 bits can number it."""
+        """Return whether 31 bits can hold all indices."""
         return max(self.span) < MAX_SIDE and self.node_count < MAX_ENTRIES
 
     @property
     def cell_base(self) -> int:
-        """Entries of an error hierarchy above the raster's cells, which follow."""
+        """Return the entries of an error hierarchy above the raster's cells, which follow."""
         return int(self.layout()[0][-2])
 
     @property
     def range_depth(self) -> int:
-        """The deepest bisection whose ranges of heights are stored: a cell of 4 x 4 samples and its sides, if any."""
+        """Return the deepest bisection with stored ranges: a cell of 4 x 4 samples and its sides, if any."""
         return max(2 * self.levels - 2, 0)
 
     @property
     def range_count(self) -> int:
-        """Entries of the ranges of heights, without the raster's cells, which follow for a bicubic surface."""
+        """Return the entries of the ranges without the raster's cells, which follow for a bicubic surface."""
         return int(self.range_layout()[0][-2])
 
     @property
     def node_count(self) -> int:
-        """Entries of an error hierarchy."""
+        """Return the entries of an error hierarchy."""
         return int(self.layout()[0][-1])
 
 
 def fit(width: int, height: int, step_x: float = 1.0, step_y: float = 1.0) -> Lattice:
-    """The lattice for a raster of `width` x `height` samples, each at least 2, that are so many metres apart.
+    """Return the lattice of a raster of `width` x `height` samples, each at least 2, `step_x`, `step_y` metres apart.
 
-    Its squares are the smallest that cover the raster's short side once.
+    Its squares are the smallest ones that cover the raster's shorter side.
     """
     cells_x, cells_y = width - 1, height - 1
     levels = (min(cells_x, cells_y) - 1).bit_length()

@@ -10,9 +10,10 @@ from .heightfield import HeightField
 
 
 def error_for(field: HeightField, meshlet: int) -> np.ndarray:
-    """uint8 [node_count], of the field's table: the error hierarchy for leaves that are drawn as 4**meshlet triangles.
+    """Return the error hierarchy for leaves that are drawn as 4**meshlet triangles.
 
-    Computed once for each `meshlet`, and kept in the store if the field has one.
+    The result is uint8 [node_count], codes of the field's table. It is computed once for each `meshlet`, and cached in
+    the field's store, if it has one.
     """
     if meshlet == 0:
         return field.error
@@ -21,12 +22,12 @@ def error_for(field: HeightField, meshlet: int) -> np.ndarray:
 
 def _load_or_expand(field: HeightField, meshlet: int) -> np.ndarray:
     name = f"error_m{meshlet}" if field.interpolation == "bilinear" else f"error_c_m{meshlet}"
-    kept = store.load_kept(field, name, field.error.shape, np.uint8)
-    if kept is not None:
-        return kept
-    errors, made = codes.decode(field.lattice, field.error, field.table), np.zeros_like(field.error)
+    expanded = store.load_kept(field, name, field.error.shape, np.uint8)
+    if expanded is not None:
+        return expanded
+    errors, expanded = codes.decode(field.lattice, field.error, field.table), np.zeros_like(field.error)
     threads = launch.default_threads()
     hierarchy.expand_errors(field.lattice, errors, meshlet, threads)
-    codes.put(field.lattice, errors, field.table, made, threads)
-    store.keep(field, name, made)
-    return made
+    codes.put(field.lattice, errors, field.table, expanded, threads)
+    store.keep(field, name, expanded)
+    return expanded

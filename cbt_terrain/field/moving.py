@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Move the stores of one folder into another, with the shaped land and the baked maps beside them.
+"""Move of the stores of one folder into another, with the shaped land and the baked maps beside them.
 
 On one file system an entry is renamed. Across file systems it is copied under a private name, compared byte by byte,
-renamed, and removed where it was. So an entry is complete in one of the two folders at any moment, and a move that was
-interrupted goes on when it is started again.
+renamed, and the original removed. So an entry is complete in one of the two folders at any moment, and an interrupted
+move continues when it is started again.
 """
 
 import filecmp
@@ -31,7 +31,7 @@ from ..run.owned_files import (
 from . import store_folder
 
 BESIDE = LAND, MAPS
-MOVED = "_moved"  # ends the name of a store whose own name another store has in the new folder
+MOVED = "_moved"  # suffix of a store whose name is taken in the new folder
 
 
 @dataclass
@@ -43,8 +43,10 @@ class MovedStores:
 
 
 def move_stores(old: Path, new: Path) -> MovedStores:
-    """Move all entries of the folder `old` into the folder `new`, which is made where it is missing. Raises OSError
-    where `old` cannot be read."""
+    """Move all entries of the folder `old` into the folder `new`, which is created if it is missing.
+
+    Raises OSError if `old` cannot be read.
+    """
     moved = MovedStores()
     for folder in (old, new):
         partial_files.remove_abandoned(folder)  # leftovers of a killed move
@@ -61,10 +63,10 @@ def move_stores(old: Path, new: Path) -> MovedStores:
 
 
 def _move_with_folders(entry: Path, new: Path, moved: MovedStores) -> None:
-    """Move a store, under its own name if that is free, and the folders that belong to it."""
+    """Move a store, under its old name if that is free, and the folders that belong to it."""
     ending = next((ending for ending in BESIDE if entry.name.endswith(ending)), "")
     if ending:
-        if not os.path.lexists(entry.with_name(entry.name.removesuffix(ending))):  # else its store could not be moved
+        if not os.path.lexists(entry.with_name(entry.name.removesuffix(ending))):  # its store was moved
             _merge(entry, new / entry.name)
         return
     is_store = (entry / store_folder.JSON_NAME).is_file()
@@ -77,7 +79,7 @@ def _move_with_folders(entry: Path, new: Path, moved: MovedStores) -> None:
 
 
 def _move_to(source: Path, target: Path) -> bool:
-    """Move an entry if the target is free or holds a copy of it, which an interrupted move has left."""
+    """Move an entry, and return True, if the target is free or holds a copy of it from an interrupted move."""
     if not os.path.lexists(target):
         move_entry(source, target)
         return True
@@ -88,8 +90,11 @@ def _move_to(source: Path, target: Path) -> bool:
 
 
 def _merge(source: Path, target: Path) -> None:
-    """Move a folder of shaped land or maps into one that may exist. Of entries with the same name the one in the target
-    stays in use: names stand for content there. Raises NotOursError where one of both is a link."""
+    """Move a folder of shaped land or maps into one that may exist.
+
+    For an entry with a name in both folders the target's one stays, because names stand for content there. Raises
+    NotOursError if either folder is a link.
+    """
     for folder in (source, target):
         check_no_link(folder, "start Blender again")
     if not _move_to(source, target):
@@ -100,16 +105,16 @@ def _merge(source: Path, target: Path) -> None:
 
 
 def names_of(name: str) -> Iterator[str]:
-    """Yield the names that a store may have in the new folder: each where the ones before it were taken."""
+    """Yield the possible names of a store in the new folder, in order of preference."""
     yield name
     yield name + MOVED
     yield from (f"{name}{MOVED}_{number}" for number in itertools.count(2))
 
 
 def find_moved(path: str, new: Path) -> str:
-    """Return the path in the folder `new` of an entry that `path` named in the old folder; "" where there is none.
+    """Return the path in the folder `new` of an entry that `path` named in the old folder; "" if there is none.
 
-    path: as any system writes it. The old folder ends with the same two names as `new`.
+    path: in any system's notation. The last two names of the old folder are those of `new`.
     """
     parts = path.replace("\\", "/").split("/")
     pairs = [index for index in range(2, len(parts)) if tuple(parts[index - 2 : index]) == new.parts[-2:]]
@@ -125,8 +130,10 @@ def find_moved(path: str, new: Path) -> str:
 
 
 def move_entry(source: Path, target: Path) -> None:
-    """Move a file or a folder to a path that is free, of another file system too. Raises OSError or
-    TerrainError; nothing is lost."""
+    """Move a file or a folder to a free path, also on another file system.
+
+    Raises OSError or TerrainError; nothing is lost then.
+    """
     check_no_link(source, "start Blender again")
     if os.lstat(source).st_dev == os.stat(target.parent).st_dev:
         os.rename(source, target)
@@ -136,8 +143,7 @@ def move_entry(source: Path, target: Path) -> None:
 
 
 def copy_entry(source: Path, target: Path) -> None:
-    """Copy a file or a folder to a path that is free, where it appears when it is complete. Raises OSError or
-    TerrainError."""
+    """Copy a file or a folder to a free path, where it appears when it is complete. Raises OSError or TerrainError."""
     with partial_files.private_folder(target.parent) as private:
         copy = private / target.name
         shutil.copytree(source, copy, True, copy_function=_copy_file) if source.is_dir() else _copy_file(source, copy)
@@ -147,7 +153,7 @@ def copy_entry(source: Path, target: Path) -> None:
 
 
 def _copy_file(source: str | Path, target: str | Path) -> None:
-    """Copy a file. Raises TerrainError, which ends `copytree` at once."""
+    """Copy a file. Raises TerrainError, which stops `copytree` at once."""
     try:
         shutil.copy2(source, target)
     except OSError as reason:
@@ -155,7 +161,7 @@ def _copy_file(source: str | Path, target: str | Path) -> None:
 
 
 def are_equal(first: Path, second: Path) -> bool:
-    """Compare two files, links or folders with everything in them."""
+    """Return whether two files, links or folders are equal with all their content."""
     if first.is_symlink() or second.is_symlink():
         return first.is_symlink() and second.is_symlink() and os.readlink(first) == os.readlink(second)
     if first.is_file() and second.is_file():
@@ -166,7 +172,7 @@ def are_equal(first: Path, second: Path) -> bool:
 
 
 def _remove(entry: Path) -> None:
-    """Remove an entry of which a copy exists. It gives up its name first: half of a store is never found under it."""
+    """Rename an entry that was copied, so that no part of a store has its name, and remove it."""
     hidden = entry.with_name(f"{partial_files.PREFIX}{partial_files.new_token()}")
     os.rename(entry, hidden)
     with suppress(OSError, TerrainError):

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Copy a store to another folder, so that there is always a whole one.
+"""Copy of a store to another folder, with at least one complete store at any time.
 
-The arrays go into a folder of another name, are compared byte by byte with those they were copied from, and get their
-name at the end; store.json, which makes a store of them, comes last. On one file system arrays are linked, not copied:
-nothing ever writes into an array of a published store.
+The arrays are copied into a folder with another name, compared byte by byte with their sources, and renamed at the end;
+store.json, which makes the folder a store, comes last. On one file system arrays are linked instead of copied, because
+the arrays of a published store never change.
 """
 
 import filecmp
@@ -29,10 +29,10 @@ class PackingCancelled(TerrainError):
 def copy_store(
     source: str | os.PathLike, target: str | os.PathLike, on_progress: Callable[[float], None] = lambda _fraction: None
 ) -> None:
-    """Make `target` a copy of the store at `source`, which stays as it is. Does nothing if it is one already.
+    """Make `target` a copy of the store at `source`, if it is not one already.
 
-    on_progress(fraction) is called between chunks of some megabytes; what it raises ends the copy. Raises TerrainError
-    if `target` is no place for a store, holds another one, or cannot be written.
+    on_progress(fraction) is called between chunks of some megabytes; an exception from it stops the copy. Raises
+    TerrainError if no store may be written at `target`, if it holds another one, or if it cannot be written.
     """
     source, target = Path(source), Path(target)
     content = stores.read_json(source)
@@ -44,15 +44,15 @@ def copy_store(
         if (there["key"], there["data"]) == (content["key"], name):
             stores.open_store(target)
             return
-        raise TerrainError(f"The folder {target} holds the store of another terrain: choose another folder.")
-    made = store_folder.missing_folders(target)
+        raise TerrainError(f"The folder {target} holds the store of another terrain", fix="choose another folder")
+    new_folders = store_folder.missing_folders(target)
     part = target / store_folder.new_data_name()
     lock = None
     try:
         lock = partial_files.make_folder(part, parents=True)
         store_folder.remove_abandoned(target)
         _copy_arrays(source / name, part, on_progress)
-        store_folder.remove_arrays(target / name)  # what a copy that was killed has left
+        store_folder.remove_arrays(target / name)  # left by a killed copy
         os.rename(part, target / name)
         text = read_regular(source / stores.JSON_NAME, store_folder.MAX_JSON_BYTES, links=False)
         draft = target / name / stores.JSON_NAME
@@ -63,8 +63,8 @@ def copy_store(
         lock = None
     except OSError as reason:
         raise TerrainError(
-            f"The store {source} cannot be copied to {target} ({reason.strerror or reason}): make room or save the "
-            "file elsewhere. The store itself is as it was."
+            f"The store {source} cannot be copied to {target} ({reason.strerror or reason}), and is as it was",
+            fix="make room or save the file elsewhere",
         ) from reason
     finally:
         if lock is not None:
@@ -72,11 +72,11 @@ def copy_store(
         if not (target / stores.JSON_NAME).exists():
             with suppress(OSError, NotOursError):
                 store_folder.remove_arrays(target / name)
-            store_folder.discard(target, part.name, made)
+            store_folder.discard(target, part.name, new_folders)
 
 
 def _copy_arrays(source: Path, target: Path, on_progress: Callable[[float], None]) -> None:
-    """Every array of one folder into another; raises OSError also where a copy is not what it was copied from."""
+    """Copy all arrays of a folder into another. Raises OSError, also for a copy that differs from its source."""
     files = [file for file in sorted(source.iterdir()) if file.suffix == ".npy"]
     for file in files:
         open_regular(file).close()
@@ -95,7 +95,7 @@ def _copy_arrays(source: Path, target: Path, on_progress: Callable[[float], None
 
 
 def _copy(source: Path, target: Path, done: int, total: int, on_progress: Callable[[float], None]) -> int:
-    """Copy one file; returns the bytes done in all."""
+    """Copy one file and return the bytes copied in all."""
     with open_regular(source) as reader, target.open("xb") as writer:
         while chunk := reader.read(CHUNK_BYTES):
             writer.write(chunk)

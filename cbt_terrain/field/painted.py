@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Images as parts of what is asked: hashable, and compared by their content."""
+"""Images as hashable values that are compared by their content."""
 
 import hashlib
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from ..errors import TerrainError
 
 @dataclass(frozen=True)
 class Painted:
-    """An image to read from: float32 [rows, columns], row 0 south; equal if its values are."""
+    """An image: float32 [rows, columns], row 0 south; equal to another one with equal values."""
 
     values: np.ndarray = field(compare=False, repr=False)
     digest: str = ""
@@ -20,8 +20,9 @@ class Painted:
         values = np.ascontiguousarray(self.values, np.float32)
         if values.ndim != 2 or values.size == 0 or not np.isfinite(values).all():
             raise TerrainError(
-                f"A painted image has shape {list(values.shape)} or values that are not finite; expected rows and "
-                "columns of finite numbers: paint it again, or choose another."
+                f"A painted image has shape {list(values.shape)} or values that are not finite",
+                expected="rows and columns of finite numbers",
+                fix="paint it again, or choose another",
             )
         content = repr(values.shape).encode() + values.tobytes()
         object.__setattr__(self, "values", values)

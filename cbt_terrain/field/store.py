@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The store: a folder with one JSON file and, in a folder beside it, the memory-mapped arrays of a height field.
+"""The store: a folder with a JSON file and a folder of the memory-mapped arrays of a height field.
 
-    STORE/store.json            what it holds, and the name of the folder of arrays
-    STORE/data-*/samples.npy    [height, width]: float32, or uint16 where the source has steps that 16 bits can number
+    STORE/store.json            description, and the name of the folder of arrays
+    STORE/data-*/samples.npy    [height, width]: float32, or uint16 if 16 bits can number the source's steps
     STORE/data-*/error.npy      uint8 [lattice.node_count], codes (codes.py) in the order of lattice.py
     STORE/data-*/ranges.npy     uint16 [lattice.range_count, 2]
-    STORE/data-*/valid.npy      uint8 [height, width], where what is missing is cut out
-    STORE/data-*/error_m1.npy   error hierarchies for meshlets, made when first asked for
-    STORE/data-*/*_c.npy        what a bicubic surface has of its own (bicubic.py), made when first asked for;
-                                error_c_m1.npy its error hierarchies for meshlets
-    STORE/data-*/effect_*.npy   what an effect has made of the whole raster (effects/whole.py)
-    STORE/data-*/layer_*.npy    float32 [height, width], what effects on heights have left beside them (land/)
-    STORE/tiles/*.npy           what effects on heights have made of tiles, by content (land/tile_cache.py)
+    STORE/data-*/valid.npy      uint8 [height, width], if missing samples are cut out
+    STORE/data-*/error_m1.npy   error hierarchies for meshlets, computed on first use
+    STORE/data-*/*_c.npy        arrays of the bicubic surface (bicubic.py), computed on first use;
+                                error_c_m1.npy: its error hierarchies for meshlets
+    STORE/data-*/effect_*.npy   attributes of the whole raster (effects/whole.py)
+    STORE/data-*/layer_*.npy    float32 [height, width], by-products of height operators (land/)
+    STORE/tiles/*.npy           tiles that height operators have computed, by content (land/tile_cache.py)
 
-A new version is written into a folder of its own; then store.json is replaced, which is atomic on every platform, also
-while another process has the old arrays mapped. So there is either the old store or the new one, never a mixture.
+A new version is written into a new folder; then store.json is replaced, which is atomic on every platform, also while
+another process has the old arrays mapped. So there is either the old store or the new one, never a mixture.
 """
 
 import hashlib
@@ -60,8 +60,9 @@ from .store_folder import (
 from .store_layers import LayerFiles, layer_name
 
 VERSION = 6
+REMEDY = "import it again"
 
-# What an import needs on its way.
+# Temporary arrays of an import.
 _SCRATCH = ("raster", "errors")
 _NUMBERS = (
     *("range_base", "range_step", "min_height", "max_height", "steepest_x", "steepest_y"),
@@ -70,7 +71,7 @@ _NUMBERS = (
 
 
 def changed_ns(path: str | os.PathLike) -> int:
-    """When what says that a folder is a store was last changed, its rights included; 0 where there is nothing of it."""
+    """Return when a store's JSON file or its permissions last changed, in ns; 0 if there is none."""
     try:
         stat = os.stat(os.path.join(path, JSON_NAME))
     except OSError:
@@ -79,8 +80,10 @@ def changed_ns(path: str | os.PathLike) -> int:
 
 
 def read_json(path: Path, file: Path | None = None) -> dict:
-    """Return the content of a store's JSON file, checked entry by entry. file: another than that of the store `path`.
-    Raises TerrainError."""
+    """Return the content of a store's JSON file, checked entry by entry. Raises TerrainError.
+
+    file: JSON file to read instead of that of the store `path`.
+    """
     file = file or path / JSON_NAME
     owned_files.check_no_link(file, AGAIN)
     try:
@@ -90,31 +93,30 @@ def read_json(path: Path, file: Path | None = None) -> dict:
             raise ValueError(f"it is larger than {MAX_JSON_BYTES} bytes")
         content = json.loads(text.decode("utf-8"))
     except (FileNotFoundError, NotADirectoryError):
-        raise TerrainError(
-            f"There is no terrain store at {path}: expected a folder that `import` has written."
-        ) from None
+        what = f"There is no terrain store at {path}"
+        raise TerrainError(what, expected="a folder that `import` has written") from None
     except (OSError, ValueError, RecursionError) as reason:
-        raise TerrainError(f"The store {file} cannot be read ({cause(reason)}): import it again.") from reason
+        raise TerrainError(f"The store {file} cannot be read ({cause(reason)})", fix=REMEDY) from reason
     if not isinstance(content, dict) or content.get("version") != VERSION:
         found = content.get("version") if isinstance(content, dict) else None
-        raise TerrainError(f"The store {path} has version {found}, expected {VERSION}: import it again.")
+        raise TerrainError(f"The store {path} has version {found}", expected=f"version {VERSION}", fix=REMEDY)
     try:
         check_entries(content)
         if content["sum"] != _sum_of(content):
             raise ValueError("its entries differ from their checksum")
     except ValueError as fault:
-        raise TerrainError(f"The store {file} is damaged: {fault}; import it again.") from None
+        raise TerrainError(f"The store {file} is damaged ({fault})", fix=REMEDY) from None
     return content
 
 
 def _sum_of(content: dict) -> str:
-    """Checksum of all other entries of store.json."""
+    """Return the checksum of all other entries of store.json."""
     others = {name: value for name, value in content.items() if name != "sum"}
     return hashlib.blake2b(json.dumps(others, sort_keys=True).encode(), digest_size=8).hexdigest()
 
 
 def open_store(path: str | os.PathLike) -> HeightField:
-    """Open a store: a HeightField over memory-mapped arrays. Raises TerrainError if it is missing or damaged."""
+    """Open a store as a HeightField of memory-mapped arrays. Raises TerrainError if it is missing or damaged."""
     check_path("The store", path)
     path = Path(path)
     try:
@@ -124,11 +126,11 @@ def open_store(path: str | os.PathLike) -> HeightField:
     try:
         return _open(path, read_json(path))
     except FileNotFoundError as reason:
-        raise TerrainError(f"The store {path} lacks {Path(reason.filename).name}: import it again.") from None
+        raise TerrainError(f"The store {path} lacks {Path(reason.filename).name}", fix=REMEDY) from None
 
 
 def check_version(path: Path, file: Path) -> None:
-    """Raise TerrainError unless the store `path` can be opened once `file` is its JSON file."""
+    """Raise TerrainError unless the store `path` can be opened with `file` as its JSON file."""
     _open(path, read_json(path, file))
 
 
@@ -157,7 +159,7 @@ def _open(path: Path, content: dict) -> HeightField:
 
 
 def is_intact(field: HeightField) -> bool:
-    """Whether the files that a field has mapped are as long as they were."""
+    """Return whether the files that a field has mapped still have their length."""
     surfaces = field, *field.surfaces.values()
     arrays = [getattr(surface, name) for surface in surfaces for name in ("samples", "error", "ranges", "valid")]
     arrays += [array for surface in surfaces for array in surface.expanded.values()]
@@ -166,7 +168,7 @@ def is_intact(field: HeightField) -> bool:
 
 
 def verify(path: str | os.PathLike) -> dict[str, int]:
-    """Check every block of every array of a store; returns how many blocks each file has.
+    """Check every block of every array of a store and return the number of blocks by file.
 
     Raises TerrainError for the first array with a fault.
     """
@@ -178,27 +180,21 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     for name, array in shapes.items():
         if array is not None:
             found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
-    kept = {f"{name}.npy": like for name, like in kept_arrays(field.lattice).items()}
-    kept |= {
-        file.name: (_shape_of(file, shapes_of_effects(field.lattice)), np.float32) for file in _effect_files(folder)
-    }
-    for name, (shape, dtype) in kept.items():
+    derived = {f"{name}.npy": like for name, like in derived_arrays(field.lattice).items()}
+    shapes = shapes_of_effects(field.lattice)
+    for file in sorted(file for file in folder.glob("effect_*.npy") if is_array_file(file)):
+        derived[file.name] = _shape_of(file, shapes), np.float32
+    for name, (shape, dtype) in derived.items():
         if os.path.lexists(folder / name):
             try:
                 found[name] = verify_array(folder / name, shape, dtype)
             except TerrainError as error:
-                cause = str(error).removesuffix("import the terrain again.")
-                raise TerrainError(f"{cause}delete the file, it is made again when it is needed.") from error
+                raise TerrainError(error.what, fix="delete the file; it is computed again on demand") from error
     return found
 
 
-def _effect_files(folder: Path) -> list[Path]:
-    """What effects have kept over a whole raster."""
-    return sorted(file for file in folder.glob("effect_*.npy") if is_array_file(file))
-
-
 def shapes_of_effects(lattice: Lattice) -> list[tuple[int, int]]:
-    """Rows and columns of the results of effects over a whole raster: of its samples, of every other one, and so on."""
+    """Return the possible shapes of effects over a whole raster: of its samples, of every other one, and so on."""
     cells = [(lattice.cells_y, lattice.cells_x)]
     while min(cells[-1]) > 1:
         cells.append(tuple(-(-count // 2) for count in cells[-1]))
@@ -206,24 +202,24 @@ def shapes_of_effects(lattice: Lattice) -> list[tuple[int, int]]:
 
 
 def _shape_of(file: Path, shapes: list[tuple[int, int]]) -> tuple[int, int]:
-    """The one of the shapes that a file of float32 has by its size; the first where it has none's."""
+    """Return the shape among `shapes` that matches the size of a file of float32; the first one if none does."""
     size = os.lstat(file).st_size
     return next((shape for shape in shapes if file_bytes(4 * math.prod(shape)) == size), shapes[0])
 
 
-def kept_arrays(lattice: Lattice) -> dict[str, tuple]:
-    """Names, shapes and dtypes of the arrays that a store may have kept."""
+def derived_arrays(lattice: Lattice) -> dict[str, tuple]:
+    """Return shapes and dtypes, by name, of the arrays that a store caches."""
     plain, cells = lattice.node_count, lattice.node_count - lattice.cell_base
-    # Behind the errors of a bicubic surface are the bends of the raster's cells.
+    # The curvatures of the raster's cells follow the errors of a bicubic surface.
     errors = {"error": plain, "error_c": plain + cells}
-    kept = {f"{name}_m{m}": ((n,), np.uint8) for name, n in errors.items() for m in range(1, MAX_MESHLET + 1)}
-    kept |= {"error_c": ((plain + cells,), np.uint8), "ranges_c": ((lattice.range_count + cells, 2), np.uint16)}
-    # Six numbers, and the exponents of the groups, the cells and the bends.
-    return kept | {"numbers_c": ((6 + lattice.groups + 2,), np.float64)}
+    arrays = {f"{name}_m{m}": ((n,), np.uint8) for name, n in errors.items() for m in range(1, MAX_MESHLET + 1)}
+    arrays |= {"error_c": ((plain + cells,), np.uint8), "ranges_c": ((lattice.range_count + cells, 2), np.uint16)}
+    # Six numbers, and the exponents of the groups, the cells and the curvatures.
+    return arrays | {"numbers_c": ((6 + lattice.groups + 2,), np.float64)}
 
 
 def data_folder(field: HeightField) -> Path | None:
-    """Where a field's arrays lie now, or None for a field in memory or whose store has been replaced."""
+    """Return the folder of a field's arrays; None for a field in memory or whose store was replaced."""
     if field.path is None:
         return None
     try:
@@ -234,7 +230,7 @@ def data_folder(field: HeightField) -> Path | None:
 
 
 def load_kept(field: HeightField, name: str, shape: tuple, dtype) -> np.ndarray | None:
-    """An array that was made of a field and kept as NAME.npy, if there is one."""
+    """Return the array NAME.npy that was derived from a field, None if there is none."""
     folder = data_folder(field)
     if folder is None:
         return None
@@ -245,7 +241,7 @@ def load_kept(field: HeightField, name: str, shape: tuple, dtype) -> np.ndarray 
 
 
 def keep(field: HeightField, name: str, array: np.ndarray) -> None:
-    """Keep an array that was made of a field as NAME.npy; a store that cannot be written is left as it is."""
+    """Write an array that was derived from a field as NAME.npy, if its store is writable."""
     folder = data_folder(field)
     if folder is None:
         return
@@ -255,20 +251,21 @@ def keep(field: HeightField, name: str, array: np.ndarray) -> None:
 
 
 class Draft:
-    """A version of a store while it is written; nothing of it is visible until `publish`."""
+    """A version of a store while it is written; invisible until `publish`."""
 
     def __init__(self, path: Path, name: str | None = None):
         self.path = path
-        self._made = missing_folders(path)
+        self._new_folders = missing_folders(path)
         self.folder = path / (name or new_data_name())
         self._lock = partial_files.make_folder(self.folder, parents=True)
         self.published = False
         self._arrays: dict[str, np.ndarray] = {}
 
     def allocate(self, name: str, shape: tuple, dtype) -> np.ndarray:
-        """A new zeroed array in the file NAME.npy, mapped for writing; its space on disk is taken now.
+        """Return a new zeroed array in the file NAME.npy, mapped for writing.
 
-        Raises OSError (ENOSPC) now if the disk is full: a mapped page that finds no room later would kill the process.
+        Its space on disk is allocated now. Raises OSError (ENOSPC) if the disk is full, because a mapped page without
+        space would kill the process later.
         """
         file = self.folder / f"{name}.npy"
         file.write_bytes(header(shape, dtype))
@@ -283,18 +280,24 @@ class Draft:
         return array
 
     def remove(self, name: str) -> None:
+        """Remove an allocated array and its file."""
         del self._arrays[name]
         owned_files.remove_file(self.folder / f"{name}.npy")
 
     def rename(self, name: str, new: str) -> None:
+        """Rename an allocated array and its file."""
         self._arrays[new] = self._arrays.pop(name)
         os.replace(self.folder / f"{name}.npy", self.folder / f"{new}.npy")
 
     def publish(self, field: HeightField, digest: str, report: dict, layers: Mapping[str, str] | None = None) -> None:
-        """Make this the store's content: `digest` identifies the source and settings, `report` is shown to users;
-        `layers`: the units of those that were allocated, by their names.
+        """Make this version the store's content.
 
-        Raises TerrainError where the result could not be opened; the store is then as it was.
+        Args:
+            digest: identifies the source and settings.
+            report: for the user.
+            layers: units of the allocated layers, by name.
+
+        Raises TerrainError if the result could not be opened; the store is then as it was.
         """
         for name in [name for name in self._arrays if name in _SCRATCH]:
             self.remove(name)
@@ -325,13 +328,13 @@ class Draft:
             store.replace(JSON_NAME, arrays, JSON_NAME)
         self.published = True
         partial_files.end_work(self.folder, self._lock)
-        with suppress(OSError, NotOursError):  # what is not the program's keeps its folder
+        with suppress(OSError, NotOursError):  # a folder with files of the user stays
             if previous is not None:
                 remove_arrays(previous)
         remove_abandoned(self.path)
 
     def _checked_text(self, content: dict) -> str:
-        """Return the JSON of a new version. Raises TerrainError where reading it would fail."""
+        """Return the JSON of a new version. Raises TerrainError if reading it would fail."""
         try:
             content["sum"] = _sum_of(json.loads(json.dumps(content)))
             check_entries(json.loads(json.dumps(content)))
@@ -340,14 +343,14 @@ class Draft:
                 raise ValueError(f"its description has more than {MAX_JSON_BYTES} characters")
         except ValueError as fault:
             raise TerrainError(
-                f"The store {self.path} stays as it was, because the new terrain cannot be stored: {fault}; check its "
-                "heights, height scale and offset, extent and georeference."
+                f"The store {self.path} stays as it was, because the new terrain cannot be stored ({fault})",
+                fix="check its heights, height scale and offset, extent and georeference",
             ) from None
         return text
 
     def discard_unless_published(self) -> None:
-        """Take away what was written for nothing; a store that stood there before is untouched."""
+        """Remove a version that was not published; an earlier store is untouched."""
         if self.published:
             return
         os.close(self._lock)
-        discard(self.path, self.folder.name, self._made)
+        discard(self.path, self.folder.name, self._new_folders)

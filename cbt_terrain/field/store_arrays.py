@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One array of a store as a file: a .npy whose header is a page long, and behind the data a checksum for every block.
+"""Files of a store's arrays: a .npy with a header of one page, followed by a checksum for every block.
 
     a page    the header of a .npy file, always the same bytes for one shape and dtype: it is compared, never parsed
     data      in C order, little endian
-    checksums uint32, crc32 of every BLOCK_BYTES of the data; numpy's own readers do not look at them
+    checksums uint32, crc32 of every BLOCK_BYTES of the data; numpy's readers ignore them
 
-Checksums find what a disk or a copy has damaged. Who writes damage on purpose writes checksums that fit: that nothing
-in a store makes a kernel leave its arrays is seen to in the kernels.
+Checksums detect damage by disks and copies. An attacker can write valid checksums, so kernels stay within their arrays
+for any content.
 """
 
 import mmap
@@ -24,14 +24,14 @@ from ..run.named_file import cause, open_regular
 
 PAGE_BYTES = 4096
 BLOCK_BYTES = 1 << 18
-# Blocks of each array that are checked when it is opened: the first, the last, and evenly between. 4 x 0.1 ms.
+# Blocks of each array that are checked when it is opened, evenly from the first to the last. They take 4 x 0.1 ms.
 SAMPLED = 4
 
 AGAIN = "import or shape the terrain again"
 
 
 def header(shape: tuple[int, ...], dtype) -> bytes:
-    """The header of a .npy file, as long as a page of memory, so that a page of the hierarchy is one (layout.py)."""
+    """Return the header of a .npy file, a page of memory long, so that pages of a hierarchy are aligned (layout.py)."""
     plain = {"descr": np.lib.format.dtype_to_descr(np.dtype(dtype)), "fortran_order": False, "shape": tuple(shape)}
     magic = np.lib.format.magic(1, 0)
     text = repr(plain).encode().ljust(PAGE_BYTES - len(magic) - 3) + b"\n"
@@ -43,12 +43,12 @@ def block_count(nbytes: int) -> int:
 
 
 def file_bytes(nbytes: int) -> int:
-    """Size of the file of an array of so many bytes."""
+    """Return the size of the file of an array of `nbytes` bytes."""
     return PAGE_BYTES + nbytes + 4 * block_count(nbytes)
 
 
 def checksums(array: np.ndarray, blocks, threads: int = 1) -> np.ndarray:
-    """uint32 [len(blocks)]: the checksums of these blocks of a contiguous array."""
+    """Return the checksums of some blocks of a contiguous array, uint32 [len(blocks)]."""
     data, found = memoryview(array.reshape(-1).view(np.uint8)), np.zeros(len(blocks), np.uint32)
 
     def sum_up(first: int) -> None:
@@ -60,13 +60,13 @@ def checksums(array: np.ndarray, blocks, threads: int = 1) -> np.ndarray:
 
 
 def all_checksums(array: np.ndarray) -> bytes:
-    """What stands behind the data."""
+    """Return the bytes that follow the data of a file."""
     threads = launch.default_threads()
     return checksums(array, range(block_count(array.nbytes)), threads).astype("<u4").tobytes()
 
 
 def write_array(file: Path, array: np.ndarray) -> None:
-    """Write a contiguous array as such a file, which stands there when it is complete. Raises OSError."""
+    """Write the file of a contiguous array, which appears when it is complete. Raises OSError."""
     with partial_files.written_beside(file) as partial, partial.open("wb") as handle:
         handle.write(header(array.shape, array.dtype))
         array.tofile(handle)
@@ -74,10 +74,10 @@ def write_array(file: Path, array: np.ndarray) -> None:
 
 
 def map_array(file: Path, shape: tuple[int, ...], dtype) -> np.ndarray:
-    """Map an array copy-on-write: kernels take it as an ordinary array, and nothing can change the file.
+    """Map an array copy-on-write: kernels use it like any other array, and nothing can change the file.
 
-    Some of its blocks are checked. Raises FileNotFoundError, and TerrainError for any other fault. A walk takes single
-    pages: what the system would read ahead of them is ten times as much as it needs.
+    Some of its blocks are checked. Raises FileNotFoundError, and TerrainError for any other fault. The walk reads
+    single pages, so reading ahead is switched off: it would read ten times as much.
     """
     array, sums = _mapped(file, shape, dtype)
     count = len(sums)
@@ -89,20 +89,20 @@ def map_array(file: Path, shape: tuple[int, ...], dtype) -> np.ndarray:
 
 
 def is_cut_off(array: np.ndarray) -> bool:
-    """Whether the file of a mapped array has lost its end since: the system kills who reads there (SIGBUS)."""
+    """Return whether the file of a mapped array was truncated since; reading there would kill the process (SIGBUS)."""
     mapped = getattr(array.base, "_mmap", None)
     return mapped is not None and mapped.size() < PAGE_BYTES + array.nbytes
 
 
 def verify_array(file: Path, shape: tuple[int, ...], dtype) -> int:
-    """Check every block; returns how many there are. Raises as `map_array`."""
+    """Check every block and return their number. Raises as `map_array`."""
     array, sums = _mapped(file, shape, dtype)
     _check(file, array, sums, range(len(sums)))
     return len(sums)
 
 
 def _mapped(file: Path, shape: tuple[int, ...], dtype) -> tuple[np.ndarray, np.ndarray]:
-    """The array and its checksums, uint32, as the file has them."""
+    """Return the array and its checksums, uint32, of a file."""
     dtype = np.dtype(dtype)
     nbytes = int(np.prod(shape, dtype=object)) * dtype.itemsize
     owned_files.check_no_link(file, AGAIN)
@@ -119,12 +119,12 @@ def _mapped(file: Path, shape: tuple[int, ...], dtype) -> tuple[np.ndarray, np.n
     except FileNotFoundError:
         raise
     except (OSError, ValueError) as reason:
-        raise TerrainError(f"{file} is damaged ({cause(reason)}): import the terrain again.") from reason
+        raise TerrainError(f"{file} is damaged ({cause(reason)})", fix="import the terrain again") from reason
     return array.view(np.ndarray), sums
 
 
 def _check(file: Path, array: np.ndarray, sums: np.ndarray, blocks) -> None:
-    """Raise TerrainError unless these blocks of an array are what was written."""
+    """Raise TerrainError if one of these blocks of an array differs from its checksum."""
     threads = launch.default_threads() if len(blocks) > SAMPLED else 1
     wrong = np.flatnonzero(checksums(array, blocks, threads) != sums[list(blocks)])
     if len(wrong):
@@ -134,5 +134,6 @@ def _check(file: Path, array: np.ndarray, sums: np.ndarray, blocks) -> None:
         more = f", and so do {len(wrong) - 1} more" if len(wrong) > 1 else ""
         raise TerrainError(
             f"{file} is damaged (block {block + 1} of {len(sums)}, bytes {first} to {last}, differs from its "
-            f"checksum{more}): import the terrain again."
+            f"checksum{more})",
+            fix="import the terrain again",
         )

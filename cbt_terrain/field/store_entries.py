@@ -1,31 +1,31 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the entries of a store's JSON file may be: each is checked, since the file may have been edited or damaged."""
+"""Checks of the entries of a store's JSON file, which may have been edited or damaged."""
 
 import re
 
 from ..errors import shown
-from .codes import LEAST_EXPONENT, MOST_EXPONENT, exponent_of
+from .codes import MAX_EXPONENT, MIN_EXPONENT, exponent_of
 from .georeference import LARGEST_EXTENT, SMALLEST_EXTENT
 from .lattice import fit
 
 _DATA_NAME = re.compile(r"data-[0-9a-f]{32}")
-# What a raster has by which `fit` finds its lattice.
+# Arguments of `fit` for a raster's lattice.
 LATTICE = ("width", "height", "step_x", "step_y")
-# More cells than any raster that can be imported has; keeps the arithmetic of sizes far from overflow.
+# More cells than an import allows; avoids overflow in the arithmetic of sizes.
 MAX_CELLS = 2**31
 
 
 def is_data_name(name: str) -> bool:
-    """Whether a store's folder of arrays can have this name."""
+    """Return whether a store's folder of arrays can have this name."""
     return _DATA_NAME.fullmatch(name) is not None
 
 
-def _is_number(value, least: float = -1e300, most: float = 1e300) -> bool:
-    return type(value) in (int, float) and least <= value <= most
+def _is_number(value, low: float = -1e300, high: float = 1e300) -> bool:
+    return type(value) in (int, float) and low <= value <= high
 
 
-def _is_count(value, least: int) -> bool:
-    return type(value) is int and least <= value <= MAX_CELLS
+def _is_count(value, low: int) -> bool:
+    return type(value) is int and low <= value <= MAX_CELLS
 
 
 def _is_extent(cells: int, step) -> bool:
@@ -53,7 +53,7 @@ def _is_text(value) -> bool:
 
 
 def _is_figure(value) -> bool:
-    """What a report may hold: a text, a finite number, true or false, or a list of them."""
+    """Return whether a value may be in a report: a text, a finite number, true or false, or a list of them."""
     return all(type(v) in (str, bool) or _is_number(v) for v in (value if isinstance(value, list) else [value]))
 
 
@@ -64,13 +64,13 @@ def _is_report(value) -> bool:
     return isinstance(warnings, list) and all(map(_is_text, warnings))
 
 
-# No error is larger than so many ranges of heights: 1 of a bilinear surface, of bends a few dozen.
+# Limit of errors in ranges of heights: 1 for a bilinear surface, a few dozen for curvatures.
 LARGEST_ERROR = 1000.0
-LARGEST = 1e39  # metres: float32 has no more, and squares and sums of it are far from overflow
+LARGEST = 1e39  # metres: above all float32, and without overflow in squares and sums
 
 
 def _is_exponents(value) -> bool:
-    return isinstance(value, list) and all(type(e) is int and LEAST_EXPONENT <= e <= MOST_EXPONENT for e in value)
+    return isinstance(value, list) and all(type(e) is int and MIN_EXPONENT <= e <= MAX_EXPONENT for e in value)
 
 
 def _is_steps(value) -> bool:
@@ -82,11 +82,11 @@ def _is_steps(value) -> bool:
 
 
 _LAYER = re.compile(r"[a-z][a-z0-9_]{0,40}")
-MOST_LAYERS = 64
+MAX_LAYERS = 64
 
 
 def _is_layers(value) -> bool:
-    if not isinstance(value, dict) or len(value) > MOST_LAYERS:
+    if not isinstance(value, dict) or len(value) > MAX_LAYERS:
         return False
     return all(_LAYER.fullmatch(name) and _is_text(unit) for name, unit in value.items())
 
@@ -102,7 +102,7 @@ _ENTRIES = {
     "crs": (_is_text, "a text"),
     "lattice": (_is_lattice, f"{', '.join(LATTICE)} of a raster"),
     "holes": (lambda value: type(value) is bool, "true or false"),
-    "exponents": (_is_exponents, f"whole numbers between {LEAST_EXPONENT} and {MOST_EXPONENT}"),
+    "exponents": (_is_exponents, f"whole numbers between {MIN_EXPONENT} and {MAX_EXPONENT}"),
     "steps": (_is_steps, "null, or the first number, the scale and the offset of a source's steps, of 1e30 at most"),
     "range_base": _HEIGHT,
     "range_step": _DISTANCE,
@@ -119,12 +119,12 @@ _ENTRIES = {
     "provenance": (_is_provenance, "an object with the settings of the import"),
     "report": (_is_report, "an object with the figures and warnings of the import"),
 }
-# What only some stores have.
-_OPTIONAL = {"layers": (_is_layers, f"an object of at most {MOST_LAYERS} layers and their units")}
+# Entries that only some stores have.
+_OPTIONAL = {"layers": (_is_layers, f"an object of at most {MAX_LAYERS} layers and their units")}
 
 
 def check_entries(content: dict) -> None:
-    """Raise ValueError that names the first entry that is missing or cannot be."""
+    """Raise ValueError that names the first missing or invalid entry."""
     for name, (good, expected) in (_ENTRIES | {k: v for k, v in _OPTIONAL.items() if k in content}).items():
         if name not in content:
             raise ValueError(f"{name!r} is missing, expected {expected}")
@@ -135,6 +135,6 @@ def check_entries(content: dict) -> None:
         raise ValueError(f"its 'min_height' {low} is above its 'max_height' {high}")
     lattice = fit(**content["lattice"])
     extent = lattice.step_x * lattice.width + lattice.step_y * lattice.height
-    most = exponent_of(LARGEST_ERROR * (high - low) + 1e-3 * max(abs(low), abs(high)) + extent)
-    if len(exponents) != lattice.groups + 1 or max(exponents) > most:
-        raise ValueError(f"its 'exponents' are {exponents}, expected {lattice.groups + 1} of {most} at most")
+    limit = exponent_of(LARGEST_ERROR * (high - low) + 1e-3 * max(abs(low), abs(high)) + extent)
+    if len(exponents) != lattice.groups + 1 or max(exponents) > limit:
+        raise ValueError(f"its 'exponents' are {exponents}, expected {lattice.groups + 1} of {limit} at most")

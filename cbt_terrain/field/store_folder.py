@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The folder of a store (store.py): what may lie there, where one may be written, and what of it may be taken away."""
+"""The folder of a store (store.py): its possible contents, where one may be written, and which files may be removed."""
 
 import functools
 import json
@@ -15,11 +15,11 @@ from ..run.owned_files import NotOursError
 from .store_entries import is_data_name
 
 JSON_NAME = "store.json"
-# More than any store's: coordinate systems and warnings are texts of some thousand characters.
+# More than any store needs: coordinate systems and warnings are texts of some thousand characters.
 MAX_JSON_BYTES = 1 << 22
 DATA_PREFIX = "data-"
-TILES = "tiles"  # the folder of kept tiles, which lives as long as the store
-# All that a folder of arrays ever holds; one that holds anything else is the user's own and is left alone.
+TILES = "tiles"  # the folder of cached tiles, which lives as long as the store
+# All files of a folder of arrays; a folder with any other file belongs to the user and is left alone.
 _ARRAY_FILE = re.compile(
     r"(samples|raster|errors?|ranges|valid|(error|ranges|numbers)_c|error(_c)?_m\d+)\.npy"
     r"|effect_[a-z_]+_[0-9a-f]{16}\.npy"
@@ -35,28 +35,26 @@ def check_target(path: str | os.PathLike) -> None:
     folder = Path(path)
     check_path("The store", path)
     if not os.fspath(path) or not folder.parts:
-        raise TerrainError(
-            f"The store's path {os.fspath(path)!r} names no folder: expected the name of a folder of its own."
-        )
+        raise TerrainError(f"The store's path {os.fspath(path)!r} names no folder", expected="the name of a folder")
     try:
         if not owned_files.is_real_file(folder):
             with suppress(FileNotFoundError, NotADirectoryError), owned_files.open_folder(folder):
                 owned_files.check_no_link(folder / JSON_NAME)
         if not os.path.lexists(folder) or (folder / JSON_NAME).exists():
-            folder.exists()  # says here what is wrong with the name
+            folder.exists()  # raises OSError for an impossible name
             return
         if not folder.is_dir():
-            raise TerrainError(f"The store {folder} is a file, not a folder: choose another name.")
+            raise TerrainError(f"The store {folder} is a file, not a folder", fix="choose another name")
         found = [] if is_land(folder) else foreign(folder)  # a user's file beside shaped land stays there
         if found and (folder / JSON_NAME).exists():
-            return  # another process has made a store of it meanwhile
+            return  # another process has written a store meanwhile
     except OSError as reason:
-        why = reason.strerror or reason
-        raise TerrainError(f"The store {shown(path)} cannot be used ({why}): choose another folder.") from reason
+        what = f"The store {shown(path)} cannot be used ({reason.strerror or reason})"
+        raise TerrainError(what, fix="choose another folder") from reason
     if found:
         held = str(found[0].relative_to(folder))
         raise TerrainError(
-            f"The folder {folder} is no terrain store and holds {held!r}: choose a new or an empty folder."
+            f"The folder {folder} is no terrain store and holds {held!r}", fix="choose a new or an empty folder"
         )
 
 
@@ -66,7 +64,7 @@ def is_land(folder: Path) -> bool:
 
 
 def foreign(folder: Path) -> list[Path]:
-    """What lies in the folder of a store, or in one of arrays in it, and was not made by this program."""
+    """Return the entries in the folder of a store, or in its folders of arrays, that this program did not write."""
     found = []
     with suppress(FileNotFoundError):  # another import has just removed it
         for entry in folder.iterdir():
@@ -79,7 +77,7 @@ def foreign(folder: Path) -> list[Path]:
 
 
 def is_array_folder(folder: Path) -> bool:
-    """Whether a folder is one of arrays that this program made: by its name and by every file in it."""
+    """Return whether this program wrote a folder of arrays, by its name and by every file in it."""
     if folder.name == TILES and owned_files.is_real_folder(folder):
         return all(is_tile_name(entry.name) or is_array_file(entry) for entry in folder.iterdir())
     if not is_data_name(folder.name) or not owned_files.is_real_folder(folder):
@@ -91,13 +89,13 @@ def is_array_folder(folder: Path) -> bool:
 
 
 def is_array_file(entry: Path) -> bool:
-    """Return whether something in a folder of arrays is what this program writes there: by its name, and no link."""
+    """Return whether this program wrote an entry of a folder of arrays, by its name and type; links never count."""
     is_folder = owned_files.is_real_folder(entry)
     return is_array_name(entry.name, is_folder) and (is_folder or owned_files.is_real_file(entry))
 
 
 def is_array_name(name: str, is_folder: bool) -> bool:
-    """Return whether this program gives a file, or a folder, in a folder of arrays this name."""
+    """Return whether this program gives this name to files, or to folders, in a folder of arrays."""
     return partial_files.is_partial_name(name) if is_folder else _ARRAY_FILE.fullmatch(name) is not None
 
 
@@ -107,33 +105,40 @@ def is_tile_name(name: str) -> bool:
 
 
 def remove_arrays(folder: Path) -> None:
-    """Remove a folder of arrays; a missing one is no error. Raises NotOursError, before anything is removed, where it
-    or something in it is a link or not the program's, and OSError."""
+    """Remove a folder of arrays, if it exists.
+
+    Raises OSError, and NotOursError, before anything is removed, if the folder or an entry is a link or not of this
+    program.
+    """
     if not is_data_name(folder.name):
-        raise NotOursError(f"{folder} is no folder of arrays; expected a name of data- and 32 hex digits: keep it.")
+        raise NotOursError(
+            f"{folder} is no folder of arrays", expected="a name of data- and 32 hex digits", fix="keep it"
+        )
     owned_files.remove_tree(folder, is_array_name)
 
 
 def missing_folders(path: Path) -> list[Path]:
-    """List the folder of a store and those above it that are missing, the innermost first."""
+    """Return the folder of a store and the folders above it that are missing, the innermost first."""
     path = path.absolute()
     return [folder for folder in (path, *path.parents) if not folder.exists()]
 
 
-def discard(path: Path, folder: str, made: list[Path]) -> None:
-    """Take away the folder of arrays of an unfinished version, and the folders that were made for it. One that has
-    been published stays, whatever has failed since."""
+def discard(path: Path, folder: str, new_folders: list[Path]) -> None:
+    """Remove the folder of arrays of an unfinished version, and the folders that were created for it.
+
+    A published version stays, even if a later step has failed.
+    """
     if named_folder(path) == path / folder:
         return
     with suppress(OSError, NotOursError):
         remove_arrays(path / folder)
-    with suppress(OSError, NotOursError):  # another import has put something there
-        for parent in made:
+    with suppress(OSError, NotOursError):  # another import has written there
+        for parent in new_folders:
             owned_files.remove_empty(parent)
 
 
 def named_folder(path: Path) -> Path | None:
-    """The folder of arrays that store.json names; None without one, or of a damaged store."""
+    """Return the folder of arrays that store.json names; None without one, or for a damaged store."""
     file = path / JSON_NAME
     try:
         name = json.loads(read_regular(file, MAX_JSON_BYTES).decode("utf-8"))["data"]
@@ -147,14 +152,14 @@ def _is_named(path: Path, folder: Path) -> bool:
 
 
 def new_data_name() -> str:
-    """Name of a new folder of arrays."""
+    """Return the name of a new folder of arrays."""
     return f"{DATA_PREFIX}{partial_files.new_token()}"
 
 
 def remove_abandoned(path: Path) -> None:
-    """Take away the folders of arrays that neither a living process nor store.json has use for."""
+    """Remove the folders of arrays that neither a living process nor store.json uses."""
     if os.path.lexists(path / JSON_NAME) and named_folder(path) is None:
-        return  # a damaged store does not say which folder it needs
+        return  # a damaged store does not name the folder that it needs
     for folder in path.glob(f"{DATA_PREFIX}*"):
         with suppress(OSError):
             if is_array_folder(folder):
@@ -164,9 +169,11 @@ def remove_abandoned(path: Path) -> None:
 
 
 def take_away(path: Path) -> None:
-    """Remove a store's JSON file, so that it is no store any more, and its arrays. What another process is writing
-    there stays, and so does what this program did not make. Raises OSError and NotOursError where the JSON file cannot
-    be removed."""
+    """Remove a store's JSON file, so that it is no store any more, and its arrays.
+
+    Work of other processes and files of the user stay. Raises OSError and NotOursError if the JSON file cannot be
+    removed.
+    """
     arrays = named_folder(path)
     owned_files.remove_file(path / JSON_NAME)
     with suppress(OSError, NotOursError):
@@ -177,8 +184,7 @@ def take_away(path: Path) -> None:
 
 
 def remove_tiles(folder: Path) -> None:
-    """Remove the tiles in a folder, and the folder if nothing else is in it. Raises NotOursError for a link, and
-    OSError."""
+    """Remove the tiles in a folder, and the folder if it is empty then. Raises NotOursError for a link, and OSError."""
     owned_files.remove_entries(folder, is_tile_name)
     partial_files.remove_abandoned(folder)
     with suppress(OSError):
@@ -186,7 +192,7 @@ def remove_tiles(folder: Path) -> None:
 
 
 def remove_store(path: Path) -> None:
-    """Remove a store with its tiles, and its folder if nothing else is in it. Raises as `take_away`."""
+    """Remove a store with its tiles, and its folder if it is empty then. Raises as `take_away`."""
     take_away(path)
     remove_tiles(path / TILES)
     with suppress(OSError):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The layers of a store: what effects on heights have left beside them, one array each, opened when it is asked for."""
+"""The layers of a store: one array for each by-product of height operators, opened on first use."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,25 +11,30 @@ from .store_arrays import map_array
 
 
 class LayerFiles(Mapping):
-    """The layers of a store by name, each mapped and checked when it is first asked for. `units`: of each; `opened`:
-    those that are mapped."""
+    """The layers of a store by name, each mapped and checked on first use.
+
+    `units`: their units. `opened`: the mapped ones.
+    """
 
     def __init__(self, folder: Path, units: Mapping[str, str], shape: tuple[int, int]):
         self.units, self._folder, self._shape, self.opened = dict(units), folder, shape, {}
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """float32 [height, width]. Raises KeyError, and TerrainError where the file is missing or damaged."""
+        """Return a layer, float32 [height, width].
+
+        Raises KeyError, and TerrainError if its file is missing or damaged.
+        """
         if name not in self.opened:
             unit = self.units[name]
             file = self._folder / f"{layer_name(name)}.npy"
             try:
                 layer = map_array(file, self._shape, np.float32)
             except FileNotFoundError:
-                raise TerrainError(
-                    f"{file} is missing, the layer {name!r} ({unit}): shape the terrain again."
-                ) from None
+                what = f"{file} is missing, the layer {name!r} ({unit})"
+                raise TerrainError(what, fix="shape the terrain again") from None
             if not all(np.isfinite(layer[row : row + 256]).all() for row in range(0, len(layer), 256)):
-                raise TerrainError(f"{file} is damaged (a value is not a finite number): shape the terrain again.")
+                what = f"{file} is damaged (a value is not a finite number)"
+                raise TerrainError(what, fix="shape the terrain again")
             self.opened[name] = layer
         return self.opened[name]
 
@@ -41,5 +46,5 @@ class LayerFiles(Mapping):
 
 
 def layer_name(name: str) -> str:
-    """Of the array that holds a layer."""
+    """Return the name of the array that holds a layer."""
     return f"layer_{name}"

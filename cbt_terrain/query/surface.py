@@ -56,5 +56,5 @@ def blocks_of(field: HeightField, surface: kernels.Surface) -> crossing.Blocks:
     b.cells, b.bends = first[-2], lattice.node_count
     b.cell_pages, b.bend_group = pages[-1], lattice.groups + 1
     b.table, b.error = flat(field.table, wp.float32), shared(field.error, wp.uint8)
-    b.detail_bend = add_up(part.ways[0].bend for part in field.parts)
+    b.detail_bend = add_up(part.splits[0].curvature for part in field.parts)
     return b

@@ -47,7 +47,7 @@ def test_the_child_is_killed(tmp_path, contents, fraction, killed_by):
     os.kill(job._process.pid, killed_by)
     while not job.poll().done:
         time.sleep(0.005)
-    assert f"signal {killed_by.name}" in job.poll().error and "\n" not in job.poll().error
+    assert f"signal {killed_by.name}" in str(job.poll().error) and "\n" not in str(job.poll().error)
     assert contents(store) == before
     import_source(ImportSettings(source="island", size=129), store)
     assert open_store(store).samples.shape == (129, 129) and len(list(store.glob("data-*"))) == 1

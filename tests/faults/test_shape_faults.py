@@ -60,7 +60,7 @@ def test_a_cancelled_first_run_leaves_tiles_alone(island, tmp_path):
     while job.poll().fraction < 0.2:
         time.sleep(0.002)
     job.cancel()
-    assert job.cancelled and "cancelled" in job.poll().error
+    assert job.cancelled and "cancelled" in job.poll().error.what
     assert [entry.name for entry in (tmp_path / "out").iterdir()] == ["tiles"]
     assert shape_store(island, RELIEF, tmp_path / "out")["samples"] == [1200, 1200]
 

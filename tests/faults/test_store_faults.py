@@ -100,7 +100,7 @@ def test_errors_that_are_anything_give_a_mesh_or_one_sentence(store, monkeypatch
         try:
             update = terrain.update(Criterion(error_px=1.0, max_depth=16, meshlet=meshlet), view)
         except TerrainError as error:
-            assert str(error).startswith(f"The store {store} is damaged: it") and "import" in str(error)
+            assert str(error).startswith(f"The store {store} is damaged (it") and "import" in str(error)
             refused += 1
             continue
         assert_invariants(update.surface, terrain.field.lattice, meshlet)
@@ -197,7 +197,7 @@ def test_an_entry_that_was_changed_is_noticed(store):
     content = json.loads((store / "store.json").read_text())
     content["range_step"] *= 2
     (store / "store.json").write_text(json.dumps(content))
-    with pytest.raises(TerrainError, match="its entries differ from their checksum; import it again"):
+    with pytest.raises(TerrainError, match="its entries differ from their checksum[)]: import it again"):
         open_store(store)
 
 

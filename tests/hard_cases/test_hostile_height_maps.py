@@ -71,7 +71,7 @@ def test_case_63_an_attack_is_one_error_of_import_and_info(tmp_path, asked):
     before = snapshot(tmp_path)
     settings = ImportSettings(source=str(tmp_path / "service.vrt"))
     for read in (lambda: import_source(settings, tmp_path / "store"), lambda: describe_source(settings)):
-        with pytest.raises(TerrainError, match="service.vrt names the source .* no regular file here: expected.*[.]$"):
+        with pytest.raises(TerrainError, match="service.vrt names the source .* no regular file here; expected.*[.]$"):
             read()
     assert snapshot(tmp_path) == before and asked[1] == []
 
@@ -226,7 +226,7 @@ def test_case_63_limits_are_asked_of_the_header(tmp_path):
     (tmp_path / "bands.vrt").write_text(f'<VRTDataset rasterXSize="9" rasterYSize="9">{bands}</VRTDataset>')
     expected = {"bands.tif": "65535 bands", "piece.tif": "1.8 GB", "piece.vrt": "1.8 GB", "bands.vrt": "1999 bands"}
     for name, said in expected.items():
-        with pytest.raises(TerrainError, match=f"{said}, expected .*[.]$"):
+        with pytest.raises(TerrainError, match=f"{said}; expected .*[.]$"):
             open_source(ImportSettings(source=str(tmp_path / name)))
 
 

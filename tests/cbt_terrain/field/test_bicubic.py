@@ -65,7 +65,7 @@ def error_at(field, middle, depth):
 
 @pytest.mark.parametrize("shape", [(5, 9), (3, 3), (2, 4)])
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_triangle_of_any_depth_leaves_its_diamonds_error_and_range(kind, shape):
+def test_all_triangles_are_within_their_errors_and_ranges(kind, shape):
     field = field_of(kind, shape, base=8000.0)
     lattice = field.lattice
     steps, cells = np.array([lattice.step_x, lattice.step_y]), np.array([lattice.width - 1, lattice.height - 1])
@@ -211,7 +211,7 @@ def test_edges_up_a_wall_are_within_their_bound(below):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_lies_between_both_surfaces_is_bounded_and_exact_where_they_bend_one_way(kind):
+def test_the_distance_between_both_surfaces_is_bounded(kind):
     field = field_of(kind, (5, 9))
     bilinear, lattice = interpolated(field, "bilinear"), field.lattice
     if kind == "rough":
@@ -262,7 +262,7 @@ def test_interpolations_are_made_once_and_know_each_other():
 
 def test_what_is_too_large_for_an_index_is_refused(monkeypatch):
     field = rough(17, 17)
-    monkeypatch.setattr(bicubic, "MOST_ENTRIES", 2 * field.lattice.node_count - 1)
+    monkeypatch.setattr(bicubic, "MAX_ENTRIES", 2 * field.lattice.node_count - 1)
     with pytest.raises(TerrainError, match="17 x 17 samples, more than"):
         interpolated(field, "bicubic")
 
@@ -272,7 +272,7 @@ def test_a_fit_is_of_the_bilinear_surface_alone():
         fit(interpolated(rough(17, 17), "bicubic"), 1.0)
 
 
-def test_a_mesh_of_one_surface_is_off_the_other_by_what_the_interpolation_adds():
+def test_a_mesh_is_off_the_other_surface_by_their_distance():
     bilinear, cubic = (interpolated(rough(33, 33), name) for name in INTERPOLATIONS)
     update = Terrain(cubic, 1).update(Criterion(error_px=0, error_m=0.2))
     assert 0.1 < measure(cubic, update.surface, random_points=1000).vertical_max_m <= update.bound_m <= 0.2

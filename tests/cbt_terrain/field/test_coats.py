@@ -82,7 +82,7 @@ def test_no_triangle_misses_more_of_an_image_than_is_said(name):
     assert np.mean(ratios) < 4.0
 
 
-def test_no_triangle_in_a_cell_misses_more_of_a_masked_detail_than_is_said():
+def test_bounds_of_masked_details_hold_inside_cells():
     """Of every cell's own most, at random places in cells."""
     rng, steps = np.random.default_rng(8), (2.0, 3.0)
     lattice = from_array(np.zeros((13, 18), np.float32), *steps).lattice
@@ -194,7 +194,7 @@ def test_vertices_and_normals_are_those_of_the_coats():
     assert len(p) > 1000 and np.abs(slopes - (ahead - behind) / (2 * h)).max() < 1e-3
 
 
-def test_a_mesh_is_the_same_for_any_threads_and_after_any_history():
+def test_a_mesh_depends_on_neither_threads_nor_history():
     field = field_of((27, 40), grounds((27, 40))["three"])
     criterion, view = Criterion(error_px=1.0, max_triangles=20_000), ground_view(field)
     wanted = arrays(Terrain(field, 1).update(criterion, [view]).surface)
@@ -246,7 +246,7 @@ def test_what_cannot_be_is_refused_in_a_sentence():
     with pytest.raises(TerrainError, match="image has 4,196,352 pixels; expected 4,194,304 at most"):
         Tiled(0.1, 1.0, Painted(np.zeros((2049, 2048), np.float32)))
     field = field_of((9, 9), Coats((Coat(Detail(0.1), mask((9, 10))),)))
-    with pytest.raises(TerrainError, match="A mask of detail has the shape"):
+    with pytest.raises(TerrainError, match="A mask of displacement has the shape"):
         Terrain(field, 1).update(Criterion(error_px=0.0, error_m=1.0))
 
 

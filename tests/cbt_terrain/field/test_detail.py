@@ -81,7 +81,7 @@ def test_the_noise_bends_and_climbs_no_more_than_its_constants():
             apart = most(plus(xx, by(-1, yy)))
             bound = 0.5 * most(plus(xx, yy)) + np.sqrt(0.25 * apart**2 + most(xy) ** 2)
             steep = np.hypot(most(times(f1, across)), most(times(g1, up)))
-            open_ = (bound > details.BEND) | (steep > details.SLOPE)
+            open_ = (bound > details.CURVATURE) | (steep > details.SLOPE)
             if not open_.any():
                 break
             low_x, high_x, low_y, high_y = boxes[open_].T
@@ -92,7 +92,7 @@ def test_the_noise_bends_and_climbs_no_more_than_its_constants():
             raise AssertionError(f"{len(boxes)} boxes of {a, b, c, d} may bend or climb more")
         _, slope, _ = fade(np.array(0.5))
         largest = max(largest, abs(a + d - b - c) * slope**2)
-    assert largest == 225 / 16 <= details.BEND < 1.02 * largest
+    assert largest == 225 / 16 <= details.CURVATURE < 1.02 * largest
     assert math.sqrt(largest) <= details.SLOPE < 1.02 * math.sqrt(largest)
 
 
@@ -102,12 +102,12 @@ def test_the_noise_is_seen_to_climb_and_bend_as_much():
     angle = rng.uniform(0, 2 * np.pi, len(x))
     here, ahead, behind = (value_noise(x + k * np.cos(angle), y + k * np.sin(angle), 1) for k in (0.0, h, -h))
     assert 0.8 * details.SLOPE < np.abs(ahead - here).max() / h <= details.SLOPE
-    assert 0.6 * details.BEND < np.abs(ahead - 2 * here + behind).max() / h**2 <= details.BEND
+    assert 0.6 * details.CURVATURE < np.abs(ahead - 2 * here + behind).max() / h**2 <= details.CURVATURE
 
 
 @pytest.mark.parametrize("steps", [(2.0, 2.0), (2.0, 3.0)])
 @pytest.mark.parametrize("name", DETAILS)
-def test_no_triangle_misses_more_than_is_said_and_the_bound_is_near(name, steps):
+def test_bounds_of_details_hold_and_are_tight(name, steps):
     """Triangles of both kinds, of all sizes, where a search finds the detail furthest from them: their distance from
     it against the table's."""
     detail, levels, rng = DETAILS[name], 5, np.random.default_rng(59)
@@ -253,7 +253,7 @@ def test_no_amplitude_is_no_detail():
     assert usual_depth(field) == field.lattice.cell_depth + 8 < usual_depth(detailed) <= depth_limit(detailed)
 
 
-def test_the_same_bytes_after_any_history_and_from_any_number_of_threads(monkeypatch):
+def test_bytes_depend_on_neither_threads_nor_history(monkeypatch):
     monkeypatch.setattr(launch, "SLICE_ITEMS", 500)
     field = field_of("padded", DETAILS["rough"])
     a, b = ground_view(field), ground_view(field, above=2.1, at=(0.11, -0.19))

@@ -53,7 +53,7 @@ def kinds_of(surface, holes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("interpolation", ["bilinear", "bicubic"])
-def test_no_triangle_lies_across_the_border_of_a_hole_once_it_is_seen(interpolation):
+def test_no_visible_triangle_crosses_the_border_of_a_hole(interpolation):
     heights = raster()
     field = interpolated(from_array(heights, STEP, holes=True), interpolation)
     assert field.filled == np.isnan(heights).sum() and np.array_equal(field.valid == 0, np.isnan(heights))
@@ -125,7 +125,7 @@ def test_a_raster_of_which_holes_leave_nothing_is_refused():
     """Every cell has a missing corner, though most samples are there."""
     heights = hills(9, 7).astype(np.float32)
     heights[1::2, 1::2] = np.nan
-    with pytest.raises(TerrainError, match="no cell whose four samples are all known"):
+    with pytest.raises(TerrainError, match="no cell with four known samples"):
         from_array(heights, holes=True)
     heights[1, 1] = 0.0
     assert Terrain(from_array(heights, holes=True), 1).update(Criterion(error_px=0.0, error_m=0.1)).triangles

@@ -21,7 +21,7 @@ def test_rows_and_threads_do_not_matter():
         assert np.array_equal(rows, whole[40:90])
 
 
-def test_the_same_seed_gives_the_same_bits_and_another_seed_another_island():
+def test_equal_seeds_give_equal_islands():
     assert hashlib.sha256(island(65).tobytes()).hexdigest() == (
         "a61b5dd0ceefda7287ca94ea6ba06bb532f93df33a63d9bc0a0f28a096e9e6dd"
     )

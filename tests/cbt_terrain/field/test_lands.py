@@ -64,7 +64,7 @@ def test_dunes_are_gentle_to_windward_and_at_rest_to_lee(seed):
 
 
 @pytest.mark.parametrize("seed", (7, 1, 2))
-def test_the_canyon_is_deep_its_plateau_level_and_its_beds_are_cliffs_at_the_same_heights(seed):
+def test_the_canyon_has_a_level_plateau_and_level_cliffs(seed):
     land = LANDS["canyon"]
     heights = land.heights(513, seed)
     assert heights[0].min() > 1500.0 and heights[-1].min() > 1500.0
@@ -103,5 +103,5 @@ def test_a_land_is_imported_by_its_name(tmp_path):
 
 
 def test_a_land_of_one_sample_is_refused():
-    with pytest.raises(TerrainError, match="A built-in canyon of 1 samples a side: expected 2 to 65536"):
+    with pytest.raises(TerrainError, match="The built-in canyon has 1 samples a side; expected 2 to 65536"):
         ImportSettings("canyon", size=1).check()

@@ -81,7 +81,7 @@ def test_kernels_find_the_same_entries(lattice):
         assert np.array_equal(base[group] + out.numpy(), error_index(lattice, depth, i, j))
 
 
-def test_four_bisections_share_a_cache_line_and_neighbours_a_page():
+def test_four_bisections_share_a_cache_line():
     lattice = Lattice(3, 2, 8)
     for g in range(lattice.groups):
         q = lattice.levels - 1 - 2 * g

@@ -34,7 +34,7 @@ def test_a_bicubic_bound_holds_to_the_rim():
     assert 0.5 < far.max() <= 2.0
 
 
-def test_a_flight_over_the_rim_is_the_same_with_and_without_a_last_frame():
+def test_a_flight_over_the_border_is_independent_of_history():
     field = from_array(raster(130, 90), 10.0)
     kept = Terrain(field, 1)
     for x in np.linspace(300.0, 900.0, 7):

@@ -82,7 +82,7 @@ def imported_from(tmp_path, kind, shape):
 
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("kind", FILES)
-def test_a_bound_holds_for_the_heights_before_the_file_rounded_them(tmp_path, kind, shape):
+def test_a_bound_holds_for_the_heights_before_rounding(tmp_path, kind, shape):
     heights, plane, field = imported_from(tmp_path, kind, shape)
     off = FILES[kind][1]
     assert 0.9 * off <= field.source_max <= off * (1 + 1e-3)
@@ -112,7 +112,7 @@ def test_a_bound_holds_between_samples_and_in_pixels(tmp_path, kind):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_fit_holds_for_the_heights_before_the_file_rounded_them(tmp_path, shape):
+def test_a_fit_holds_for_the_heights_before_rounding(tmp_path, shape):
     heights, plane, field = imported_from(tmp_path, "int16 GeoTIFF", shape)
     needed = []
     for times in (1.3, 5.0, 8.0):
@@ -128,7 +128,7 @@ def test_a_fit_holds_for_the_heights_before_the_file_rounded_them(tmp_path, shap
     assert any(needed), "without the term it would not hold"
 
 
-def test_a_fit_that_the_source_keeps_from_the_error_still_needs_fewer_triangles():
+def test_a_fit_limited_by_rounding_still_saves_triangles():
     heights = 30.0 * np.sin(np.indices((129, 129)) / 9.0).sum(axis=0)
     field = from_array(heights, 10.0, source_max=0.5)
     fitted, plain = fit(field, 0.9), Terrain(field).update(Criterion(error_px=0.0, error_m=0.9))
@@ -148,7 +148,7 @@ def test_an_error_of_twice_the_rounding_and_more_holds_in_full():
     ("high", "source", "limited"),
     [(0.0, 0.5, "source"), (1e7, 0.0, "precision"), (1e7, 0.5, "precision"), (0.0, 0.0, "max_depth")],
 )
-def test_a_depth_limit_is_not_to_blame_for_what_no_depth_would_hold(high, source, limited):
+def test_a_depth_limit_is_not_blamed_for_rounding(high, source, limited):
     asked = 0.1
     field = from_array(high + 30.0 * np.sin(np.indices((65, 65)) / 3.0).sum(axis=0), 10.0, source_max=source)
     update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=asked, max_depth=6))
@@ -156,7 +156,7 @@ def test_a_depth_limit_is_not_to_blame_for_what_no_depth_would_hold(high, source
     assert update.limited == limited
 
 
-def test_rounded_samples_move_a_bicubic_surface_by_more_than_themselves():
+def test_rounded_samples_move_bicubic_surfaces_further():
     signs = np.outer([-1.0, 1.0, 1.0, -1.0], [-1.0, 1.0, 1.0, -1.0])
     for origin in (0, 3, 13):  # beside the border, and in the middle
         heights = np.zeros((17, 17))
@@ -191,7 +191,7 @@ def test_what_is_too_much_on_top_of_what_holds_back():
         assert update.limited == reason and (update.bound_m <= asked) == (reason == "")
 
 
-def test_what_the_source_leaves_open_is_not_refined_away_at_any_price():
+def test_no_triangles_are_spent_below_the_rounding():
     field = from_array(np.round(rough(65, 65).samples), 10.0, source_max=0.5)
     exact = from_array(field.samples, 10.0)
     for asked, bound, reason in (

@@ -81,7 +81,7 @@ def test_a_bicubic_surface_is_kept_in_the_store(island):
 
 
 @pytest.mark.parametrize("how", ["missing", "short", "numbers", "not a number"])
-def test_a_bicubic_surface_that_is_damaged_or_half_there_is_made_again(island, how):
+def test_a_damaged_bicubic_surface_is_computed_again(island, how):
     made = interpolated(store.open_store(island), "bicubic")
     made = replace(made, error=made.error.copy(), ranges=made.ranges.copy())  # its files are about to change
     numbers = next(island.glob("data-*/numbers_c.npy"))
@@ -103,7 +103,7 @@ def test_a_bicubic_surface_that_is_damaged_or_half_there_is_made_again(island, h
     assert len(folders(island)) == 1
 
 
-def test_a_store_that_cannot_be_written_still_gives_meshlet_errors(island, monkeypatch):
+def test_a_readonly_store_still_gives_meshlet_errors(island, monkeypatch):
     def full(*_args):
         raise OSError(28, "No space left on device")
 
@@ -142,7 +142,7 @@ def test_leftovers_of_dead_imports_go(island):
     assert not living.folder.exists()
 
 
-def test_the_current_arrays_of_a_store_stay_though_nobody_holds_them(island):
+def test_the_current_arrays_of_a_store_stay_unlocked(island):
     [current] = folders(island)
     (island / current / "lock").touch()  # killed just after it was published
     store_folder.remove_abandoned(island)
@@ -163,7 +163,7 @@ def test_a_store_is_only_written_into_a_folder_of_its_own(tmp_path, monkeypatch,
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["data-2023", "file", "photos"]
 
 
-def test_an_empty_folder_and_leftovers_of_an_import_become_a_store(tmp_path):
+def test_empty_folders_and_leftovers_become_a_store(tmp_path):
     (tmp_path / f"data-{'0' * 32}").mkdir()
     run_import(ImportSettings(source="island", size=65), tmp_path)
     assert store.open_store(tmp_path).samples.shape == (65, 65)
@@ -268,8 +268,8 @@ def damage(path, how):
 DAMAGES = {
     "no json": "no terrain store",
     "half a json": "cannot be read",
-    "other version": "version 99, expected 6",
-    "no term of the source": "version 3, expected 6: import it again",
+    "other version": "version 99; expected version 6",
+    "no term of the source": "version 3; expected version 6: import it again",
     "no lattice": "damaged",
     "array missing": "lacks error.npy",
     "array a folder": "error.npy is damaged",

@@ -102,5 +102,5 @@ def test_files_of_another_kind_are_named(tmp_path, name, content, said):
 def test_complex_numbers_are_refused(tmp_path):
     for kind in ("complex64", "complex_int16"):
         source = write_bands(tmp_path / "a.tif", hills().astype(np.complex64), dtype=kind)
-        with pytest.raises(TerrainError, match=f"holds {kind} values: expected real numbers"):
+        with pytest.raises(TerrainError, match=f"holds {kind} values; expected real numbers"):
             imported(tmp_path, source)

@@ -86,7 +86,7 @@ def test_files_that_differ_from_their_header_are_refused(tmp_path):
     with pytest.raises(TerrainError, match="has 2,300 bytes.*; expected 2,400 bytes by its header"):
         imported(tmp_path, source)
     source.with_suffix(".hdr").write_text("ENVI\nsamples = 40\nlines = 30\nbands = 1\ndata type = 2\n")
-    with pytest.raises(TerrainError, match="a header of ENVI's kind, expected one of ESRI's"):
+    with pytest.raises(TerrainError, match="has an ENVI header; expected an ESRI header"):
         imported(tmp_path, source)
 
 

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.field.georeference import rim_error
+from adaptive_terrain.cbt_terrain.field.georeference import border_error
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.importing.sources import open_source
 from adaptive_terrain.operators.cli import command_line
@@ -132,7 +132,9 @@ def test_the_error_at_the_rim_of_degrees_is_said(tmp_path):
     [warning] = imported(tmp_path, source)[1]["warnings"]
     assert "off by up to 8.3 %" in warning and "utm" in warning
     sphere = math.cos(math.radians(60.0)) / math.cos(math.radians(62.5)) - 1.0
-    assert rim_error(60.0, [57.5, 62.5]) == pytest.approx(sphere, rel=0.01) and sphere == pytest.approx(0.083, abs=5e-4)
+    assert border_error(60.0, [57.5, 62.5]) == pytest.approx(sphere, rel=0.01) and sphere == pytest.approx(
+        0.083, abs=5e-4
+    )
     assert imported(tmp_path, source, extent=(1e5, 1e5))[1]["warnings"] == []
     assert imported(tmp_path, source, project="utm")[1]["warnings"] == []
     small = {"crs": "EPSG:4326", "transform": from_origin(0.0, 60.0, 0.0001, 0.0001)}

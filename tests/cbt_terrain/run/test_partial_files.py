@@ -128,7 +128,7 @@ def test_users_read_final_names(tmp_path):
 
 
 @posix
-def test_what_a_killed_writer_has_left_in_the_folder_itself_goes_too(tmp_path):
+def test_files_of_killed_writers_beside_the_folder_are_removed(tmp_path):
     token = partial_files.new_token()
     for name in (f".partial-{token}-a.blend", f".partial-{token}-a.blend@", f".partial-{'0' * 32}-b.blend", "a.blend"):
         (tmp_path / name).write_text("half")

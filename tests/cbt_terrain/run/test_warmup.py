@@ -91,7 +91,7 @@ def prepared(tmp_path_factory):
     return first, second, prepare()
 
 
-def test_children_compile_everything_under_the_name_of_their_parent(prepared):
+def test_children_compile_under_the_name_of_their_parent(prepared):
     first, _, _ = prepared
     assert first["compiled_here"] == [] and first["missing"] == []
     assert first["loaded"] == first["modules"] == len(QUICK)

@@ -87,7 +87,7 @@ def test_a_mask_that_is_not_there_is_told_of_as_a_mask(run, tmp_path):
     masked = {"effect": "relief", "mask": {"image": "painted.png"}}
     (tmp_path / "masked.json").write_text(json.dumps({"version": 1, "entries": [masked]}))
     code, said = run(stack="masked.json")
-    assert code == 1 and "painted.png does not exist: expected the file of a mask." in said.err
+    assert code == 1 and "painted.png does not exist; expected the file of a mask." in said.err
 
 
 def test_an_empty_stack_is_told_without_empty_lines(run, tmp_path):

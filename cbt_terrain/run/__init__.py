@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What everything runs on: launches, buffers, child processes, files that are being written, a wish to stop."""
+"""Services for all rooms: launches, buffers, child processes, files while they are written, requests to stop."""

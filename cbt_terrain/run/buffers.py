@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Arrays that live as long as a terrain and only ever grow, so that a warm frame allocates nothing.
 
-Results are lent (`Loans`): their arrays are read-only, and while one of them is in use its memory is not written.
+Results are lent (`Loans`): their arrays are read-only, and their memory is not written while one of them is in use.
 """
 
 import weakref
@@ -22,17 +22,17 @@ _NUMPY = {
 
 
 def shared(array: np.ndarray, dtype) -> wp.array:
-    """A Warp array over the memory of a numpy array of the same layout."""
+    """Return a Warp array over the memory of a numpy array of the same layout."""
     return wp.array(array, dtype=dtype, device="cpu", copy=False)
 
 
 def flat(array: np.ndarray, dtype) -> wp.array:
-    """The same, of one dimension: in C order."""
+    """Return a one-dimensional Warp array over the memory of a numpy array, in C order."""
     return shared(array.reshape(-1), dtype)
 
 
 def bind(struct, **values) -> None:
-    """Set the fields of a Warp struct that are not so already: setting an array costs as much as a launch."""
+    """Set the fields of a Warp struct that differ from `values`, because setting an array costs as much as a launch."""
     for name, value in values.items():
         held = getattr(struct, name)
         if held is not value and not (isinstance(value, int) and held == value):
@@ -40,7 +40,7 @@ def bind(struct, **values) -> None:
 
 
 def _scalar(dtype):
-    """The numpy dtype of a Warp scalar or struct."""
+    """Return the numpy dtype of a Warp scalar or struct."""
     return dtype.numpy_dtype() if hasattr(dtype, "numpy_dtype") else wp.dtype_to_numpy(dtype)
 
 
@@ -52,7 +52,7 @@ class Loans:
 
     def lend(self, memory: np.ndarray, count: int) -> np.ndarray:
         """Return the first `count` items of some memory, read-only."""
-        # Over a memoryview numpy cannot make it writable, and views of it refer to it rather than to the memory.
+        # A memoryview keeps numpy from making it writable, and its views refer to it rather than to the memory.
         lent = np.asarray(memoryview(memory[:count]).toreadonly())
         self._lent.append((memory, weakref.ref(lent)))
         return lent
@@ -146,7 +146,7 @@ class Buffers:
         """Take other memory, spare memory first, in place of memory with an id `in_use`; `copy`: with its contents."""
         for name, (memory, shared_array) in self._arrays.items():
             if id(memory) in in_use:
-                fresh = _taken_from(spare, memory)
+                fresh = _find_spare(spare, memory)
                 if copy:
                     np.copyto(fresh[: len(memory)], memory)
                 self._arrays[name] = fresh, shared(fresh, shared_array.dtype)
@@ -157,8 +157,8 @@ def address_space(memory: Iterable[np.ndarray]) -> int:
     return sum(int(array.nbytes) for array in {id(array): array for array in memory}.values())
 
 
-def _taken_from(spare: list[np.ndarray], memory: np.ndarray) -> np.ndarray:
-    """Take an array like `memory`, or one that is up to a half longer, out of the spare ones, or make one."""
+def _find_spare(spare: list[np.ndarray], memory: np.ndarray) -> np.ndarray:
+    """Remove an array like `memory`, at most a half longer, from the spare ones and return it, or return a new one."""
     for k, array in enumerate(spare):
         alike = array.dtype == memory.dtype and array.shape[1:] == memory.shape[1:]
         if alike and len(memory) <= len(array) <= 1.5 * len(memory):

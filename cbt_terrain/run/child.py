@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Python processes beside this one, which can neither block it nor hurt it."""
+"""Python child processes, which can neither block this process nor crash it."""
 
 import os
 import signal
@@ -13,9 +13,8 @@ from pathlib import Path
 
 from . import stopping
 
-# The child loads the package from its folder and by the name that it has in this process (`bl_ext....` in Blender):
-# Warp's cache knows a kernel by the name of its module. What imports make stays: looking through it for garbage, again
-# and again, takes 0.1 s.
+# The child loads the package from its folder with its name in this process (`bl_ext....` in Blender), because Warp's
+# cache identifies kernels by the names of their modules. Garbage collection would take 0.1 s during the imports.
 BOOTSTRAP = """
 import gc, importlib, importlib.util, sys, types
 gc.disable()
@@ -32,14 +31,20 @@ gc.enable()
 main(*sys.argv[4:])
 """
 PACKAGE = __package__.rsplit(".", 2)[0]
-# A GDAL or PROJ database of the host does not fit the child's own library.
+# The host's GDAL or PROJ database does not match the child's library.
 FOREIGN_VARIABLES = ("GDAL_DATA", "GDAL_DRIVER_PATH", "PROJ_LIB", "PROJ_DATA", "PYTHONHOME", "PYTHONSTARTUP")
 
 
 def start(module: str, *arguments: str, variables: dict[str, str] | None = None, **streams) -> subprocess.Popen:
-    """A process that runs `child_main(*arguments)` of a module of this package ("cbt_terrain.run.warmup"), with
-    `variables` added to its environment and its standard streams as Popen takes them, but for a pipe to its standard
-    input, which lives as long as its parent. Ctrl-C reaches the parent alone. Raises OSError if none can be started."""
+    """Start a process that runs `child_main(*arguments)` of a module of this package ("cbt_terrain.run.warmup").
+
+    Its standard input is a pipe that lives as long as its parent. Only the parent receives Ctrl-C. Raises OSError if no
+    process can be started.
+
+    Args:
+        variables: additions to its environment.
+        streams: its other standard streams, as of Popen.
+    """
     environment = {k: v for k, v in os.environ.items() if k not in FOREIGN_VARIABLES}
     environment["PYTHONPATH"] = os.pathsep.join(p for p in sys.path if p)
     folder = Path(__file__).resolve().parents[2]
@@ -54,17 +59,17 @@ def start(module: str, *arguments: str, variables: dict[str, str] | None = None,
 
 
 def poll(process: subprocess.Popen) -> int | None:
-    """Return a child's exit code, None while it runs. What it has left of its process group ends with it."""
+    """Return a child's exit code, None while it runs. When it has ended, the rest of its process group is killed."""
     if process.returncode is None and hasattr(os, "waitid"):
-        with suppress(ChildProcessError):  # where SIGCHLD is ignored
+        with suppress(ChildProcessError):  # SIGCHLD is ignored
             if os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
                 return None
-            _kill_group(process)  # before the child is reaped: until then no other group can have its number
+            _kill_group(process)  # before the child is reaped, because then another group may get its number
     return process.poll()
 
 
 def kill(process: subprocess.Popen) -> None:
-    """End a child and its process group at once, and wait for its end."""
+    """Kill a child and its process group at once, and wait for its end."""
     if poll(process) is None:
         _kill_group(process)
         process.kill()
@@ -74,13 +79,15 @@ def kill(process: subprocess.Popen) -> None:
 def _kill_group(process: subprocess.Popen) -> None:
     if hasattr(os, "killpg"):
         with suppress(OSError):
-            os.killpg(process.pid, signal.SIGKILL)  # `start` has made it the leader of a session
+            os.killpg(process.pid, signal.SIGKILL)  # the child is the leader of a session: see `start`
 
 
 def end_with_parent(clean_up: Callable[[], None] = lambda: None, heard: Callable[[], None] = lambda: None) -> None:
-    """In the child: from now on, when the parent ends, however it does, `Stopped` is raised where `stopping.check` is
-    called; if that has not ended this process after a while, it cleans up and ends. `heard` is called, on another
-    thread, when the parent writes anything."""
+    """Stop this child process when its parent ends for any reason.
+
+    The next `stopping.check` then raises `Stopped`. If the process still runs after a while, it calls `clean_up` and
+    exits. `heard` is called, on another thread, when the parent writes anything.
+    """
 
     def wait() -> None:
         while os.read(0, 1024):

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Loads kernels from Warp's cache, and compiles those that it lacks or that are damaged.
+"""Loading of kernels from Warp's cache, and compilation of missing or damaged ones.
 
-Warp trusts its cache: a damaged object may crash the process or compute wrong numbers. So each object has a file beside
-it with a checksum; an object without one, or with another content, is compiled anew. LLVM ends the process where a disk
-is full, so room is reserved first. Where the cache cannot be written, as in a read-only home, compiled kernels are kept
-in a temporary folder of this process and its children.
+Warp trusts its cache: a damaged object may crash the process or compute wrong numbers. So each object has a file with
+its checksum beside it, and an object that does not match one is compiled again. LLVM ends the process on a full disk,
+so room is reserved first. If the cache cannot be written, as in a read-only home, compiled kernels are written to a
+temporary folder of this process and its children.
 """
 
 import hashlib
@@ -29,11 +29,11 @@ def load(name: str) -> None:
     """Load the kernels of the Warp module `name`, from one thread at a time. Raises TerrainError."""
     try:
         _load(name)
-    except Exception as reason:  # of the cache or of the compiler: any that Warp raises
+    except Exception as reason:  # Warp raises many kinds for its cache and its compiler
         if has_temporary_cache():
             raise _error(name, reason) from reason
         _leave_cache(reason)
-        wp.get_module(name).mark_modified()  # Warp does not try a module again that has failed
+        wp.get_module(name).mark_modified()  # otherwise Warp does not retry a module that has failed
         try:
             _load(name)
         except Exception as again:
@@ -41,9 +41,9 @@ def load(name: str) -> None:
 
 
 def compiled_file(name: str) -> Path:
-    """Return where the object of a module is kept for this processor; the file appears when it is complete.
+    """Return the path of a module's object for this processor; the file appears when it is complete.
 
-    A cache may serve several machines, as in a shared home: each kind of processor has its own file in the folder.
+    A cache may serve several machines, as in a shared home: each kind of processor has a separate file in the folder.
     """
     identifier = wp.get_module(name).get_module_identifier(CPU_BLOCK)
     processor = wp.get_cpu_kernel_cache_key().rpartition("-")[2]
@@ -51,7 +51,7 @@ def compiled_file(name: str) -> Path:
 
 
 def ensure_writable() -> None:
-    """Use a temporary folder unless compiled kernels can be kept in the cache. Raises TerrainError."""
+    """Use a temporary folder if the cache cannot be written. Raises TerrainError."""
     try:
         with _build_folder():
             pass
@@ -61,18 +61,18 @@ def ensure_writable() -> None:
 
 
 def _leave_cache(reason: Exception) -> None:
-    """Keep compiled kernels in a temporary folder, since the cache fails for `reason`. Raises TerrainError."""
+    """Write compiled kernels to a temporary folder, because the cache fails for `reason`. Raises TerrainError."""
     try:
         use_temporary_cache(shown(reason))
     except OSError as failed:
         text = f"{failed.strerror} ({failed.filename})" if failed.filename else failed.strerror
-        raise TerrainError(f"{text[0].upper()}{text[1:]}.") from failed
+        raise TerrainError(f"{text[0].upper()}{text[1:]}") from failed
 
 
 def _error(name: str, reason: Exception) -> TerrainError:
     return TerrainError(
-        f"The kernels of {name} cannot be compiled in {wp.config.kernel_cache_dir} ({shown(reason)}): make room there, "
-        "or set WARP_CACHE_PATH to a folder that can be written."
+        f"The kernels of {name} cannot be compiled in {wp.config.kernel_cache_dir} ({shown(reason)})",
+        fix="make room there, or set WARP_CACHE_PATH to a folder that can be written",
     )
 
 
@@ -104,7 +104,7 @@ def _build_folder() -> tempfile.TemporaryDirectory:
 
 
 def _publish(built: Path, file: Path) -> None:
-    """Move a compiled module into the cache. Another process may do the same, and others may read. Raises OSError."""
+    """Move a compiled module into the cache, while other processes may do the same or read. Raises OSError."""
     object_file = built / file.name
     object_file.with_suffix(CHECKSUM).write_text(_checksum(object_file))
     try:
@@ -116,7 +116,7 @@ def _publish(built: Path, file: Path) -> None:
 
 
 def _is_whole(file: Path) -> bool:
-    """Return whether an object and its description are those that were compiled."""
+    """Return whether an object and its description match their checksum."""
     try:
         return read_regular(file.with_suffix(CHECKSUM), 100).decode("ascii") == _checksum(file)
     except (OSError, ValueError):

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one place that launches Warp kernels: it slices work over threads and times every step. Between two launches the
-work can be stopped.
+"""The only module that launches Warp kernels: it slices work over threads and times every step.
 
 On the CPU a Warp launch is one serial loop on the calling thread, and ctypes releases the GIL, so two Python threads
-over two slices of one job run side by side. Results do not depend on the number of slices: every kernel writes only
-what belongs to its slice.
+run two slices of a job in parallel. Results do not depend on the number of slices, because every kernel writes only to
+its slice. Work can be stopped between two launches.
 """
 
 import os
@@ -23,7 +22,7 @@ from . import kernel_cache, locks, stopping
 from .buffers import shared
 
 DEVICE = "cpu"
-# Below this many items a second thread costs more than it saves: it needs about 0.3 ms of work.
+# Fewer items are faster on one thread: a second one needs about 0.3 ms of work.
 SLICE_ITEMS = 20_000
 
 _pool: ThreadPoolExecutor | None = None
@@ -32,21 +31,20 @@ _times = threading.local()
 
 
 def default_threads() -> int:
-    """Threads that a job may use: the cores this process may run on, at most eight."""
+    """Return the number of cores that this process may use, at most eight."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(cores, 8)
 
 
 def checked_threads(threads: int | None) -> int:
-    """Return how many threads a job uses: `default_threads` for None, and at least one."""
+    """Return the number of threads of a job: `default_threads` for None, and at least one. Raises TerrainError."""
     threads = plain_number(threads, int | None, "The number of threads")
     return default_threads() if threads is None else max(1, threads)
 
 
 @contextmanager
 def stopwatch():
-    """Collect the time of every step launched on this thread inside the block: yields a dict of step to
-    milliseconds."""
+    """Yield a dict that collects the milliseconds of every step that this thread launches inside the block."""
     outer = getattr(_times, "steps", None)
     _times.steps = steps = {}
     try:
@@ -57,7 +55,7 @@ def stopwatch():
 
 @contextmanager
 def timed(step: str):
-    """Add the elapsed time of the block to `step` of the running stopwatch, if there is one."""
+    """Add the elapsed time of the block to `step` of the current stopwatch, if there is one."""
     start = time.perf_counter()
     try:
         yield
@@ -68,13 +66,12 @@ def timed(step: str):
 
 
 def ranges(count: int, pieces: int) -> list[tuple[int, int]]:
-    """A range of items cut into even pieces: where each begins and ends."""
+    """Return the limits of `pieces` equal ranges of `count` items."""
     return list(pairwise(count * k // pieces for k in range(pieces + 1)))
 
 
 def together(jobs: Sequence[Callable[[], None]]) -> None:
-    """Run the jobs side by side, the first on the calling thread; the first exception is raised after all have
-    ended."""
+    """Run jobs in parallel, the first on the calling thread. Raise the first exception after all jobs have ended."""
     if len(jobs) < 2:
         for job in jobs:
             job()
@@ -98,7 +95,7 @@ def _shared_pool() -> ThreadPoolExecutor:
 
 
 def _forget_pool() -> None:
-    """Start new threads when they are needed: a forked child has none of the pool's."""
+    """Drop the pool in a forked child, which has none of its threads."""
     global _pool
     _pool = None
 
@@ -107,7 +104,7 @@ locks.in_forked_child(_forget_pool)
 
 
 def _wait_for(futures: Sequence[Future]) -> None:
-    """Wait until all have ended, also where Ctrl-C stops the wait: what they write must not be used before."""
+    """Wait until all jobs have ended, even if Ctrl-C interrupts, because their output must not be used before."""
     try:
         wait(futures)
     except BaseException:
@@ -116,15 +113,15 @@ def _wait_for(futures: Sequence[Future]) -> None:
 
 
 def once(kernel, inputs: list, *, step: str, recorded: dict | None = None) -> None:
-    """One launch of one thread: a serial kernel."""
+    """Launch a serial kernel on one thread."""
     slices(kernel, [inputs], step=step, recorded=recorded)
 
 
 def slices(kernel, inputs: Sequence[list], *, step: str, recorded: dict | None = None) -> None:
-    """One launch of one thread for each list of inputs, all side by side.
+    """Launch one thread for each list of inputs, all in parallel.
 
-    `recorded` is where a caller that launches again and again keeps the launches: replaying one takes 2 us instead of
-    15. A struct that is the one of the last launch is read anew, so setting its fields is enough.
+    `recorded` caches launches for a caller that launches again and again: replaying one takes 2 us instead of 15. A
+    struct that is identical to that of the last launch is read again, so setting its fields is enough.
     """
     stopping.check()
     with timed(step):
@@ -134,7 +131,7 @@ def slices(kernel, inputs: Sequence[list], *, step: str, recorded: dict | None =
 
 
 def _command(recorded: dict, kernel, place: tuple[int, int], values: list):
-    """The launch of `kernel` that `recorded` has in this place, a slot and a count of items, with these values."""
+    """Return the recorded launch of `kernel` for a slot and a count of items, with these values."""
     key = kernel, *place
     if key not in recorded:
         launched = wp.launch(kernel, place[1], inputs=values, device=DEVICE, record_cmd=True)
@@ -157,10 +154,10 @@ def spread(
     cost: float = 1.0,
     recorded: dict | None = None,
 ) -> None:
-    """Launch `kernel` over `count` items, cut into even ranges for `threads`; None: `default_threads`.
+    """Launch `kernel` over `count` items, in equal ranges for `threads`; None: `default_threads`.
 
-    The kernel's first parameter is the int32 offset that it adds to `wp.tid()`. `cost` is how many times dearer an item
-    is than a lookup and a few operations (about 15 ns); small jobs stay on one thread. `recorded`: as in `slices`.
+    The kernel's first parameter is the int32 offset that it adds to `wp.tid()`. `cost` is the cost of an item relative
+    to a lookup and a few operations (about 15 ns); small jobs stay on one thread. `recorded`: see `slices`.
     """
     if count <= 0:
         return
@@ -179,9 +176,9 @@ def spread(
 
 
 def sort_pairs(keys: np.ndarray, values: np.ndarray, count: int, *, step: str) -> None:
-    """Sort the first `count` of `keys` (float32, no -0) and `values` (int32) by the keys, equal ones in their order.
+    """Sort the first `count` of `keys` (float32, no -0) and `values` (int32) by the keys; stable.
 
-    Both have room for twice as many, which is scratch.
+    Both arrays have room for twice as many items as scratch.
     """
     stopping.check()
     with timed(step):
@@ -195,7 +192,7 @@ if hasattr(os, "register_at_fork"):  # a fork waits for a module that is being l
 
 
 def _load(kernel) -> None:
-    """Compile or load the kernel's module on one thread: Warp's loader is not safe to enter twice."""
+    """Load the kernel's module, compiled if necessary, on one thread, because Warp's loader is not reentrant."""
     if kernel not in _loaded:
         with _loading:
             kernel_cache.load(kernel.module.name)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Locks for state that several threads share, and their state in a forked child process.
 
-A child has the forking thread alone: a lock that another thread of the parent holds would stay locked for ever, and
-what that thread was changing is half changed.
+A forked child has only the forking thread. A lock that another thread of the parent held would stay locked for ever,
+and the state that it protected may be inconsistent.
 """
 
 import os
@@ -15,9 +15,9 @@ Value = TypeVar("Value")
 
 
 class SharedLock:
-    """A reentrant lock, which no thread holds in a forked child.
+    """A reentrant lock that no thread holds in a forked child.
 
-    `broken`: another thread held it at the fork, so its owner must make its state anew, and then set this to False.
+    `broken`: another thread held it at the fork, so its owner must rebuild its state, and then set this to False.
     """
 
     def __init__(self):
@@ -41,12 +41,12 @@ class SharedLock:
 
 
 _locks: WeakSet[SharedLock] = WeakSet()
-# One lock for whatever is computed once and cached, so that no two threads wait for each other.
+# One lock for everything that is computed once and cached, so that no two threads wait for each other.
 caching = SharedLock()
 
 
 def cached(cache: MutableMapping[Hashable, Value], key: Hashable, make: Callable[[], Value]) -> Value:
-    """Return `cache[key]`. If it is missing, `make` it on this thread, while others that want any such value wait."""
+    """Return `cache[key]`. If it is missing, `make` it on this thread, while other threads wait that need any value."""
     try:
         return cache[key]
     except KeyError:

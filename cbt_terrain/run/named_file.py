@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files that a user, a folder or a scene names: the one place that opens them for reading.
+"""Files that a user, a folder or a scene names: the only module that opens them for reading.
 
-To open a named pipe waits until another process writes into it, perhaps for ever, and so do some devices. Only regular
-files are opened here, without waiting, and no more is read of them than a caller expects.
+Opening a named pipe waits for a writer, perhaps for ever, and so does opening some devices. This module opens only
+regular files, without waiting, and reads no more than a caller expects.
 """
 
 import errno
@@ -15,11 +15,11 @@ from ..errors import TerrainError, shown
 
 BLOCK_BYTES = 1 << 20
 # Descriptors of this process: a shell's `<(command)` and /dev/stdin are pipes that the user connected on purpose.
-OWN_DESCRIPTORS = ("/dev/stdin", "/dev/fd/", "/proc/self/fd/")
+DESCRIPTORS = ("/dev/stdin", "/dev/fd/", "/proc/self/fd/")
 
 
 def open_regular(file: str | os.PathLike, links: bool = False) -> BinaryIO:
-    """Open a regular file for reading, by a link only where `links`. Raises OSError for anything else."""
+    """Open a regular file for reading, through a link only if `links`. Raises OSError for anything else."""
     if not links and os.path.islink(file):
         raise OSError("it is a link, not a regular file")
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOCTTY", 0)
@@ -27,7 +27,7 @@ def open_regular(file: str | os.PathLike, links: bool = False) -> BinaryIO:
     try:
         descriptor = os.open(file, flags)
     except OSError as reason:
-        if reason.errno in (errno.ENXIO, errno.ENODEV, errno.EOPNOTSUPP):  # a socket, or a device that is not there
+        if reason.errno in (errno.ENXIO, errno.ENODEV, errno.EOPNOTSUPP):  # a socket, or a missing device
             raise OSError("it is not a regular file") from None
         raise
     mode = os.fstat(descriptor).st_mode
@@ -46,34 +46,34 @@ def read_regular(file: str | os.PathLike, max_bytes: int, links: bool = True) ->
 
 
 def read_named(
-    file: str | os.PathLike, what: str, expected: str, max_bytes: int, links: bool = True, own: bool = False
+    file: str | os.PathLike, what: str, expected: str, max_bytes: int, links: bool = True, descriptors: bool = False
 ) -> bytes:
     """Return the content of a file that a user or a scene names.
 
     Args:
-        what: the file's role, which begins the error: "The camera path".
-        expected: the content that would do, which ends it: "a JSON file of keyframes".
-        own: also read a descriptor of this process to its end, such as /dev/stdin.
+        what: the file's role, in errors: "The camera path".
+        expected: its content, in errors: "a JSON file of keyframes".
+        descriptors: also read a descriptor of this process to its end, such as /dev/stdin.
 
     Raises:
         TerrainError: the file is missing, larger than `max_bytes`, or not a regular file.
     """
     try:
-        if own and os.fspath(file).startswith(OWN_DESCRIPTORS):
+        if descriptors and os.fspath(file).startswith(DESCRIPTORS):
             with Path(file).open("rb") as handle:
                 return _content(handle, max_bytes)
         return read_regular(file, max_bytes, links)
     except (OSError, ValueError) as reason:
-        raise TerrainError(f"{what} {shown(file)} cannot be read ({cause(reason)}): expected {expected}.") from None
+        raise TerrainError(f"{what} {shown(file)} cannot be read ({cause(reason)})", expected=expected) from None
 
 
 def cause(reason: Exception) -> str:
-    """Return the words of an error for a message in brackets: one line without a full stop."""
+    """Return an error's message for brackets: one line without a full stop."""
     return shown(getattr(reason, "strerror", None) or reason).rstrip(".")
 
 
 def blocks_reader(path: str | os.PathLike) -> bool:
-    """Tell whether a path leads to a pipe, a socket or a device; False for a file, a folder and for nothing at all."""
+    """Return whether a path leads to a pipe, a socket or a device; False for a file, a folder and a missing entry."""
     try:
         mode = os.stat(path).st_mode
     except (OSError, ValueError):

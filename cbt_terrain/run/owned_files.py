@@ -1,24 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Delete this program's files, and open its folders below a project, without ever following a link.
+"""Deletion of this program's files, and access to its folders below a project, without ever following a link.
 
-A project may come from a stranger. A link in it could send a write or a removal into the user's other folders. So this
-module does all deleting of the product, and opens the folders that the program derives from a user's path.
+A project may come from a stranger. A link in it could redirect a write or a removal into the user's other folders. So
+this module does all deleting of the product, and opens the folders that the program derives from a user's path.
 
-Which components of a path may be links: those that the user chose (`/home`, the project folder, the folder of an
-export). Those that the program derives may not (`derived`): `STORE_land` and all below it, `STORE_maps`, `tiles`,
-`masks`, `data-*` and `.partial-*`. A store that is written or removed may not be reached by a link as its last
-component either: it is read and cached through one, never replaced.
+Components of a path that the user chose may be links (`/home`, the project folder, the folder of an export). Those that
+the program derives may not (`derived`): `STORE_land` and everything below it, `STORE_maps`, `tiles`, `masks`, `data-*`
+and `.partial-*`. The last component of a store that is written or removed may not be a link either: a store is read and
+cached through a link, but never replaced.
 
-How: each folder is opened relative to the descriptor of the one above it (`O_NOFOLLOW | O_DIRECTORY`, `dir_fd`), and
-its entries are made, renamed and removed relative to that descriptor. A link that is put in place between a check and a
-use is then refused or has no effect. Windows has no such descriptors. There each derived component is tested for a
-reparse point (symbolic link or junction) right before the use.
+Each folder is opened relative to the descriptor of the one above it (`O_NOFOLLOW | O_DIRECTORY`, `dir_fd`), and its
+entries are created, renamed and removed relative to that descriptor. So a link that appears between a check and a use
+is refused or has no effect. Windows has no such descriptors: each derived component is tested for a reparse point
+(symbolic link or junction) right before the use.
 
-What counts as ours: a regular file, or a real folder, under a name that the program gives and that no user picks by
-chance. Such names are the record: they hold 64 to 128 bits of a hash or of a random token, or stand in a folder with
-such a name, or in the index of a folder of maps. A separate list of files would prove no more: a stranger can
-write one too. Files that lie in a stranger's folder, and are no links, are the stranger's. Anything else in a folder
-makes `remove_tree` refuse the whole folder. A hard link only loses its name: no published file is written in place.
+The program owns a regular file, or a real folder, with a name that it generates and that no user picks by chance. Such
+names hold 64 to 128 bits of a hash or a random token, or are inside a folder with such a name or in the index of a
+folder of maps. A separate list of files would prove no more, because a stranger can write one too. Real files in a
+stranger's folder belong to the stranger. `remove_tree` refuses a folder with any other entry. Removing a hard link
+removes only its name: no published file is written in place.
 """
 
 import errno
@@ -32,9 +32,9 @@ from typing import NamedTuple
 
 from ..errors import TerrainError, shown
 
-LAND = "_land"  # ends the name of the folder beside a store that holds its shaped land
-MAX_DEPTH = 64  # folders inside each other; the program makes three
-MAPS = "_maps"  # ends the name of the folder beside a store that holds its baked maps
+LAND = "_land"  # suffix of the folder of a store's shaped land, beside the store
+MAX_DEPTH = 64  # nested folders; the program creates three
+MAPS = "_maps"  # suffix of the folder of a store's baked maps, beside the store
 _DERIVED = re.compile(r"tiles|masks|data-[0-9a-f]{32}|\.partial-[0-9a-f]{32}|[0-9a-f]{16}(_views)?")
 _BY_DESCRIPTOR = {os.open, os.mkdir, os.unlink, os.rmdir, os.stat, os.rename} <= os.supports_dir_fd
 _FOLDER, _NO_LINK = getattr(os, "O_DIRECTORY", 0), getattr(os, "O_NOFOLLOW", 0)
@@ -43,11 +43,11 @@ _REPARSE_POINT = getattr(stat, "FILE_ATTRIBUTE_REPARSE_POINT", 0x400)
 
 
 class NotOursError(TerrainError):
-    """A link or a user's file stands where this program keeps its own files."""
+    """A link or a user's file has the name of a file of this program."""
 
 
 class OpenFolder(NamedTuple):
-    """A folder that is open. `descriptor`: None on Windows, where `at` names entries by their paths."""
+    """An open folder. `descriptor`: None on Windows, where `at` returns paths of entries."""
 
     path: Path
     descriptor: int | None
@@ -66,7 +66,7 @@ class OpenFolder(NamedTuple):
             return None
 
     def entries(self) -> list[str]:
-        """List the names in the folder. Raises OSError."""
+        """Return the names in the folder, sorted. Raises OSError."""
         if self.descriptor is None:
             return sorted(os.listdir(self.path))
         listing = os.open(".", os.O_RDONLY | _FOLDER, dir_fd=self.descriptor)
@@ -85,8 +85,11 @@ class OpenFolder(NamedTuple):
             _close(inner)
 
     def replace(self, name: str, source: "OpenFolder", source_name: str) -> None:
-        """Move a file of another folder here, over the file of that name. Raises OSError, and NotOursError for a link
-        in a derived folder; in a folder that the user chose the file takes the link's place."""
+        """Move a file of another folder to `name` in this one, replacing a file there.
+
+        Raises OSError, and NotOursError for a link in a derived folder; in a folder that the user chose the link is
+        replaced.
+        """
         found = self.find(name)
         if found is not None and derived(self.path) and (is_link(found) or not stat.S_ISREG(found.st_mode)):
             raise _not_ours(self.path / name, found, "a file")
@@ -95,7 +98,7 @@ class OpenFolder(NamedTuple):
 
 
 def derived(path: Path) -> int:
-    """Count the last components of an absolute path that the program derives from what the user chose."""
+    """Return the number of last components of an absolute path that the program derives."""
     parts, count = path.parts, 0
     while count < len(parts) - 1 and _DERIVED.fullmatch(parts[-1 - count]):
         count += 1
@@ -108,9 +111,11 @@ def derived(path: Path) -> int:
 def open_folder(path: str | os.PathLike, make: bool = False, may_be_link: bool = False) -> Iterator[OpenFolder]:
     """Open a folder for writing or deleting; neither it nor a derived component above it may be a link.
 
-    make: make the folder, and those above it, where they are missing. may_be_link: the folder itself may be a link if
-    the user chose it. Raises NotOursError where a component is a link or no folder, FileNotFoundError where it is
-    missing, and other OSErrors.
+    Args:
+        make: create the folder and those above it if they are missing.
+        may_be_link: allow a link as the folder itself if the user chose it.
+
+    Raises NotOursError if a component is a link or no folder, FileNotFoundError if one is missing, and other OSErrors.
     """
     path = Path(path).absolute()
     count = min(max(derived(path), not may_be_link), len(path.parts) - 1)
@@ -135,10 +140,10 @@ def _close(folder: OpenFolder) -> None:
 
 
 def _open_below(folder: OpenFolder, name: str, make: bool) -> OpenFolder:
-    """Open a real folder in an open one. Raises as `open_folder`."""
+    """Open a real folder inside an open one. Raises as `open_folder`."""
     found = folder.find(name)
     if found is None and make:
-        with suppress(FileExistsError):  # another process has just made it
+        with suppress(FileExistsError):  # another process has just created it
             os.mkdir(**folder.at(name))
         found = folder.find(name)
     if found is None:
@@ -157,45 +162,43 @@ def _open_below(folder: OpenFolder, name: str, make: bool) -> OpenFolder:
 
 
 def is_link(found: os.stat_result) -> bool:
-    """Return whether an `lstat` is that of a symbolic link or of another reparse point of Windows, as a junction."""
+    """Return whether an `lstat` is that of a symbolic link or of a reparse point of Windows, such as a junction."""
     return stat.S_ISLNK(found.st_mode) or bool(getattr(found, "st_file_attributes", 0) & _REPARSE_POINT)
 
 
 def real_path(path: str | os.PathLike) -> Path:
-    """Return an absolute path without links. Links that lead to themselves stay, where `Path.resolve` would raise."""
+    """Return an absolute path without links. Circular links stay, where `Path.resolve` would raise."""
     return Path(os.path.realpath(path))
 
 
 def is_real_folder(path: str | os.PathLike) -> bool:
     """Return whether a path is a folder and no link."""
-    try:
-        found = os.lstat(path)
-    except (OSError, ValueError):
-        return False
-    return stat.S_ISDIR(found.st_mode) and not is_link(found)
+    found = _lstat(path)
+    return found is not None and stat.S_ISDIR(found.st_mode) and not is_link(found)
 
 
 def is_real_file(path: str | os.PathLike) -> bool:
     """Return whether a path is a regular file and no link."""
-    try:
-        found = os.lstat(path)
-    except (OSError, ValueError):
-        return False
-    return stat.S_ISREG(found.st_mode) and not is_link(found)
+    found = _lstat(path)
+    return found is not None and stat.S_ISREG(found.st_mode) and not is_link(found)
 
 
 def check_no_link(path: str | os.PathLike, then: str = "try again") -> None:
     """Raise NotOursError for a link. then: the user's next step once the link is gone."""
-    try:
-        found = os.lstat(path)
-    except (OSError, ValueError):
-        return
-    if is_link(found):
+    found = _lstat(path)
+    if found is not None and is_link(found):
         raise _not_ours(Path(path), found, "a file or a folder", then)
 
 
+def _lstat(path: str | os.PathLike) -> os.stat_result | None:
+    try:
+        return os.lstat(path)
+    except (OSError, ValueError):
+        return None
+
+
 def touch(path: str | os.PathLike) -> None:
-    """Note that a file or a folder was used just now; of a link, the link alone. Raises OSError."""
+    """Set the modification time of a file or a folder, or of a link itself, to now. Raises OSError."""
     os.utime(path, follow_symlinks=os.utime not in os.supports_follow_symlinks)
 
 
@@ -204,14 +207,17 @@ def _not_ours(path: Path, found: os.stat_result, expected: str, then: str = "try
     if not is_link(found) and not stat.S_ISDIR(found.st_mode) and not stat.S_ISREG(found.st_mode):
         what = "a device or a pipe"
     return NotOursError(
-        f"{shown(path, 1000)} is {what}; expected {expected} of Adaptive Terrain, which follows no links there: "
-        f"move it away and {then}."
+        f"{shown(path, 1000)} is {what}",
+        expected=f"{expected} of Adaptive Terrain, which follows no links there",
+        fix=f"move it away and {then}",
     )
 
 
 def check_folder(path: str | os.PathLike, *names: str) -> None:
-    """Raise NotOursError unless a path, and the folders `names` in it, are folders that the program may use, or are
-    missing. Raises TerrainError where that cannot be found out."""
+    """Raise NotOursError if a path, or a folder of `names` in it, exists and is no folder of this program.
+
+    Raises TerrainError if that cannot be determined.
+    """
     try:
         with open_folder(path) as folder:
             for name in names:
@@ -222,16 +228,16 @@ def check_folder(path: str | os.PathLike, *names: str) -> None:
         pass
     except OSError as reason:
         raise TerrainError(
-            f"The folder {shown(path)} cannot be used ({reason.strerror or reason}); expected a folder that can be "
-            "written: change its rights or choose another place."
+            f"The folder {shown(path)} cannot be used ({reason.strerror or reason})",
+            expected="a writable folder",
+            fix="change its permissions or choose another one",
         ) from reason
 
 
 def remove_file(path: str | os.PathLike, may_be_link: bool = False) -> None:
-    """Remove a regular file; a missing one is no error.
+    """Remove a regular file, if it exists.
 
-    may_be_link: of the file's folder, as of `open_folder`. Raises NotOursError for a link or a folder in its place, and
-    OSError.
+    may_be_link: of the file's folder, see `open_folder`. Raises NotOursError for a link or a folder, and OSError.
     """
     path = Path(path)
     try:
@@ -250,11 +256,15 @@ def remove_file(path: str | os.PathLike, may_be_link: bool = False) -> None:
 def remove_tree(
     path: str | os.PathLike, may_remove: Callable[[str, bool], bool] | None = None, may_be_link: bool = False
 ) -> None:
-    """Remove a folder with all that is in it; a missing one is no error.
+    """Remove a folder with its contents, if it exists.
 
-    may_remove: whether this program made an entry, by its name and whether it is a folder. None: all of it is, as in a
-    folder that this process made. may_be_link: of the folder above, as of `open_folder`. Raises NotOursError
-    before anything is removed, where the folder is a link, or an entry is a link or not the program's. Raises OSError.
+    Args:
+        may_remove: returns whether this program created an entry, from its name and whether it is a folder. None: all
+            entries, as in a folder that this process created.
+        may_be_link: of the folder above, see `open_folder`.
+
+    Raises OSError, and NotOursError, before anything is removed, if the folder or an entry is a link or not of this
+    program.
     """
     path = Path(path)
     try:
@@ -272,24 +282,23 @@ def remove_tree(
 
 
 def _check_removable(folder: OpenFolder, name: str, may_remove: Callable[[str, bool], bool]) -> None:
+    """Raise NotOursError for an entry that is a link or that `may_remove` refuses."""
     found = folder.find(name)
     if found is None:
         return
     is_folder = stat.S_ISDIR(found.st_mode)
     if is_link(found) or not (is_folder or stat.S_ISREG(found.st_mode)) or not may_remove(name, is_folder):
-        raise NotOursError(
-            f"{shown(folder.path, 1000)} holds {shown(name)!r}; expected only files that Adaptive Terrain made: "
-            "move it away and try again."
-        )
+        raise _foreign(f"{shown(folder.path, 1000)} holds {shown(name)!r}")
+
+
+def _foreign(what: str) -> NotOursError:
+    return NotOursError(what, expected="only files that Adaptive Terrain made", fix="move them away and try again")
 
 
 def _remove_entry(folder: OpenFolder, name: str, depth: int = 0) -> None:
-    """Remove an entry; of a link, the link alone. What another process removes meanwhile is no error."""
+    """Remove an entry, or a link itself. Entries that another process removes meanwhile are no error."""
     if depth > MAX_DEPTH:
-        raise NotOursError(
-            f"{shown(folder.path, 1000)} is more than {MAX_DEPTH} folders deep; expected only files that Adaptive "
-            "Terrain made: move it away and try again."
-        )
+        raise _foreign(f"{shown(folder.path, 1000)} is more than {MAX_DEPTH} folders deep")
     with suppress(FileNotFoundError):
         found = os.stat(**folder.at(name), follow_symlinks=False)
         if not stat.S_ISDIR(found.st_mode) or is_link(found):
@@ -302,9 +311,9 @@ def _remove_entry(folder: OpenFolder, name: str, depth: int = 0) -> None:
 
 
 def remove_entries(path: str | os.PathLike, may_remove: Callable[[str], bool]) -> None:
-    """Remove the regular files in a folder with names that `may_remove` accepts; all else in it stays.
+    """Remove the regular files in a folder with names that `may_remove` accepts; all other entries stay.
 
-    A missing folder is no error. Raises NotOursError where the folder is a link, and OSError.
+    A missing folder is no error. Raises NotOursError for a link, and OSError.
     """
     try:
         with open_folder(path) as folder:
@@ -318,7 +327,7 @@ def remove_entries(path: str | os.PathLike, may_remove: Callable[[str], bool]) -
 
 
 def remove_empty(path: str | os.PathLike) -> None:
-    """Remove a folder if nothing is in it; else raise OSError. A link is no folder and stays."""
+    """Remove an empty folder; raise OSError for any other. Links stay."""
     path = Path(path)
     with open_folder(path.absolute().parent, may_be_link=True) as above:
         found = above.find(path.name)

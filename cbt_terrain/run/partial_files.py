@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files while they are written: in a private folder beside their place, which its living writer holds by a lock.
+"""Files while they are written: in a private folder beside their destination, locked by its living writer.
 
-A folder that nobody holds is what a killed process has left, and is removed. A process number cannot tell: it is used
-again, and other machines and containers have their own. The lock can, as the system gives it back however its holder
-ends. Some network folders keep locks to one machine. So the folder's name begins with the machine's mark, and a lock
-that is free is trusted on that machine only; of others a folder goes when it is a day old.
+An unlocked folder was left by a killed process, and is removed. A process number would not do: numbers are used again,
+and other machines and containers have the same ones. The system releases a lock however its holder ends. Some network
+folders keep locks to one machine. So the folder's name begins with the machine's mark, and a free lock counts only on
+that machine; folders of other machines are removed when they are a day old.
 
     .partial-MARK.../lock    held by the writer
-    .partial-MARK.../NAME    what will be renamed to ../NAME
-    .partial-MARK...-NAME    the same of a file that names others as seen from its own folder
+    .partial-MARK.../NAME    will be renamed to ../NAME
+    .partial-MARK...-NAME    the same for a file with relative paths to other files
 """
 
 import errno
@@ -35,19 +35,19 @@ from .owned_files import NotOursError, open_folder
 
 PREFIX, LOCK = ".partial-", "lock"
 STALE_SECONDS = 86_400.0
-# Whoever takes abandoned folders away may take one that is just being made; then it is made again.
+# Another process may remove a folder that is just being created; then it is created again.
 ATTEMPTS = 100
-NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # nor wait for what is a pipe
+NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # O_NONBLOCK: do not wait for a pipe
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
 _NAME = re.compile(re.escape(PREFIX) + r"[0-9a-f]{32}")
 
 
 @contextmanager
 def written_beside(path: Path) -> Iterator[Path]:
-    """Yield a path for the new content of `path`; when the block ends well it is renamed to `path`, else it is removed.
+    """Yield a path for the new content of `path`; rename it to `path` when the block ends well, else remove it.
 
-    Nothing half-written ever stands under the final name. The file has that name already, in a folder that only this
-    user may write: exporters choose a format by it, and nobody can put a link in its place.
+    So no incomplete file ever has the final name. The new file has that name already, in a folder that only this user
+    may write: exporters choose a format by it, and it cannot be replaced by a link.
     """
     path = Path(path)
     check_replaceable(path)
@@ -59,8 +59,10 @@ def written_beside(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def written_among(path: Path) -> Iterator[Path]:
-    """Do as `written_beside`, but in the folder of `path` itself, since the file will name others relative to it. The
-    name is unpredictable, so there is no link in its place."""
+    """Do the same as `written_beside`, but inside the folder of `path`, for a file with relative paths to other files.
+
+    The name is unpredictable, so no link can have it.
+    """
     check_replaceable(path)
     with private_folder(path.parent) as folder:
         partial = folder.with_name(f"{folder.name}-{path.name}")
@@ -73,8 +75,7 @@ def written_among(path: Path) -> Iterator[Path]:
 
 
 def check_replaceable(path: Path) -> None:
-    """Raise OSError where something other than a file stands: a rename would put a file in the place of a device or a
-    pipe, as root of /dev/null for the whole machine."""
+    """Raise OSError if `path` is not a file: renaming would replace a device or a pipe, as root even /dev/null."""
     if os.path.isdir(path):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if is_device(path):
@@ -82,14 +83,14 @@ def check_replaceable(path: Path) -> None:
 
 
 def is_device(path: str | os.PathLike) -> bool:
-    """Tell whether something other than a file stands at a path. /dev/stdout is a link, perhaps to a file: a device."""
+    """Return whether a path exists and is not a file. /dev/stdout, a link to any file, counts as a device."""
     is_descriptor = os.path.islink(path) and os.path.abspath(path).startswith(("/dev/", "/proc/"))
     return os.path.exists(path) and (is_descriptor or not os.path.isfile(path))
 
 
 @contextmanager
 def private_folder(parent: Path) -> Iterator[Path]:
-    """A new folder in `parent` for the time of the block."""
+    """Create a folder in `parent` for the time of the block, and yield it."""
     folder = parent / f"{PREFIX}{new_token()}"
     lock = make_folder(folder, 0o700)  # for this user alone
     try:
@@ -105,7 +106,7 @@ def is_partial_name(name: str) -> bool:
 
 
 def final_names(text: str) -> str:
-    """A message without the private folders in its paths: users know a file by its final name."""
+    """Return a message without the private folders in its paths, because users know only final names."""
     return re.sub(_NAME.pattern + r"(-|[/\\]+)", "", text)
 
 
@@ -116,8 +117,10 @@ def new_token() -> str:
 
 @functools.cache
 def _machine() -> str:
-    """Eight hexadecimal digits that all processes of this system have in common, those of containers too, until it is
-    started again: as far as a lock is surely known."""
+    """Return eight hexadecimal digits for this system until it is restarted; its containers share them.
+
+    They mark the range in which locks are certainly known.
+    """
     try:
         known = _BOOT.read_text()
     except OSError:
@@ -126,10 +129,10 @@ def _machine() -> str:
 
 
 def make_folder(folder: Path, mode: int = 0o777, parents: bool = False) -> int:
-    """Make a folder; returns its lock, an open file: until it is closed, the folder is at work.
+    """Create a folder and return its lock, an open file; the folder counts as in use until it is closed.
 
-    parents: make the folders above it too, of which the last may then be no link. Raises OSError, FileExistsError among
-    others, and NotOursError.
+    parents: also create the folders above it; the last of them may then be no link. Raises OSError, among others
+    FileExistsError, and NotOursError.
     """
     for attempt in range(ATTEMPTS):
         try:
@@ -141,12 +144,12 @@ def make_folder(folder: Path, mode: int = 0o777, parents: bool = False) -> int:
             if _take(lock) is not False and _is_there(folder / LOCK, lock):
                 return lock
             os.close(lock)
-        time.sleep(0.001)  # who looks for abandoned folders has it now
+        time.sleep(0.001)  # a process that removes abandoned folders has it now
     raise FileExistsError(f"{folder} is held by another process")
 
 
 def _make_locked(folder: Path, mode: int, parents: bool, may_exist: bool) -> int:
-    """Make a folder and open the lock in it. Raises as `make_folder`."""
+    """Create a folder and open the lock in it. Raises as `make_folder`."""
     with open_folder(folder.absolute().parent, make=parents, may_be_link=not parents) as above:
         try:
             os.mkdir(**above.at(folder.name), mode=mode)
@@ -158,13 +161,13 @@ def _make_locked(folder: Path, mode: int, parents: bool, may_exist: bool) -> int
 
 
 def end_work(folder: Path, lock: int) -> None:
-    """Give back the lock of a folder, which stays."""
+    """Release and remove the lock of a folder, which stays."""
     os.close(lock)
     owned_files.remove_file(folder / LOCK)
 
 
 def remove_abandoned(parent: Path) -> None:
-    """Take away the private folders in `parent` that belong to no living process."""
+    """Remove the private folders in `parent` that belong to no living process."""
     try:
         with os.scandir(parent) as entries:
             found = [Path(entry.path) for entry in entries if is_partial_name(entry.name)]
@@ -180,9 +183,9 @@ def remove_if_abandoned(
     is_needed: Callable[[], bool] = lambda: False,
     may_remove: Callable[[str, bool], bool] | None = None,
 ) -> None:
-    """Remove a folder that `make_folder` made, of a name with this token, if it is no living process's work.
+    """Remove a folder of `make_folder` with a name with this token, if no living process uses it.
 
-    `is_needed` is called when that is known: what has ended may have ended well. may_remove: as of `remove_tree`.
+    `is_needed` is called once that is known, because the process may have ended well. may_remove: see `remove_tree`.
     """
     try:
         if not _is_ours(folder):
@@ -191,9 +194,9 @@ def remove_if_abandoned(
         try:
             free = lock is None or _take(lock)
             if free is False or (lock is not None and not _is_there(folder / LOCK, lock)):
-                return  # what was taken may be the lock of what another has removed, and its maker made again
+                return  # another process may have removed the folder, and its owner created it again
             if is_needed():
-                owned_files.remove_file(folder / LOCK)  # its process had no time to
+                owned_files.remove_file(folder / LOCK)  # its process was killed before this
             elif (free and token.startswith(_machine())) or _age(folder) > STALE_SECONDS:
                 if fcntl is None and lock is not None:  # Windows removes no open file
                     os.close(lock)
@@ -205,11 +208,11 @@ def remove_if_abandoned(
             if lock is not None:
                 os.close(lock)
     except (OSError, NotOursError):
-        return  # its process, or another that looks for abandoned ones, has just renamed or removed it; or a link
+        return  # a link, or another process has just renamed or removed the folder
 
 
 def _take(lock: int) -> bool | None:
-    """Whether a lock could be taken; None where the file system has no locks."""
+    """Return whether a lock could be acquired; None if the file system has no locks."""
     try:
         if fcntl is None:
             msvcrt.locking(lock, msvcrt.LK_NBLCK, 1)
@@ -223,18 +226,16 @@ def _take(lock: int) -> bool | None:
 
 
 def _open_lock(folder: Path) -> int | None:
-    """The file that is a folder's lock; None where its work has ended. Raises OSError where it is gone."""
+    """Return a folder's open lock file; None if its work has ended. Raises OSError if the folder is gone."""
     for _ in range(ATTEMPTS):
         try:
             return os.open(folder / LOCK, os.O_RDWR | NO_LINK)
         except FileNotFoundError:
             found = os.listdir(folder)
             if not found:
-                owned_files.remove_empty(
-                    folder
-                )  # it has just been made, which is then done again, or its maker was killed
+                owned_files.remove_empty(folder)  # left by a killed process, or new: then it is created again
                 raise
-            if LOCK not in found:  # whoever writes into it has one
+            if LOCK not in found:  # a writer would have one
                 return None
     raise FileNotFoundError(folder / LOCK)
 
@@ -247,7 +248,7 @@ def _is_there(path: Path, file: int) -> bool:
 
 
 def _is_ours(folder: Path) -> bool:
-    """A real folder of this user; in what a link or another user's folder leads to nothing is opened."""
+    """Return whether a folder is a real one of this user; nothing in a link or in another user's folder is opened."""
     found = folder.lstat()
     return stat.S_ISDIR(found.st_mode) and (not hasattr(os, "getuid") or found.st_uid == os.getuid())
 

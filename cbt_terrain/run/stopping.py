@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A wish to stop: a signal that is heard at once and obeyed at the next place where work can be left.
+"""Requests to stop: a signal is noted at once, and raises an exception between two steps of the work.
 
-An exception out of a signal handler comes anywhere: between taking a lock and the `try` that gives it back, or inside a
-callback or a `__del__`, where Python drops it. So nothing is raised there. A thread notes the signal, and `check`,
-which is called between steps, raises `Stopped` on the main thread.
+An exception from a signal handler may come anywhere: between taking a lock and the `try` that releases it, or inside a
+callback or a `__del__`, where Python drops it. So handlers raise nothing. A thread notes the signal, and `check`, which
+is called between steps, raises `Stopped` on the main thread.
 """
 
 import ctypes
@@ -15,44 +15,46 @@ import time
 from contextlib import contextmanager
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-# So long may a step take to come to an end, a render in Blender's own code, say; then the process ends where it is.
-# Less than what supervisors wait before they kill (10 s and more).
+# Time for the current step, such as a render in Blender's code, to end before the process exits. Supervisors wait
+# longer before they kill (10 s and more).
 GRACE_SECONDS = 5.0
-# A terminal and a wrapper (timeout, make) both pass one Ctrl-C on; a second one of the user comes later.
+# A terminal and a wrapper (timeout, make) both pass on one Ctrl-C; the user's second one comes later.
 ONE_PRESS_SECONDS = 0.5
 
-_natives: dict[int, int] = {}  # by signal: the address of the handler of a host program that `listening` has replaced
-_asked: int | None = None
+_natives: dict[int, int] = {}  # addresses of a host program's handlers that `listening` has replaced, by signal
+_requested: int | None = None
 _listening = False
 _held = 0
 
 
 class Stopped(KeyboardInterrupt):
-    """The process was asked to stop, and work has been left where it can be."""
+    """The process received a request to stop, and has stopped between two steps."""
 
 
 def ask(number: int) -> None:
-    """Have the next `check` raise; `number`: of the signal. For any thread."""
-    global _asked
-    _asked = number
+    """Let the next `check` raise; for any thread. number: number of the signal."""
+    global _requested
+    _requested = number
 
 
 def check() -> None:
-    """Raise Stopped on the main thread if someone has asked for it and nobody holds it off."""
-    if _asked is not None and not _held and threading.current_thread() is threading.main_thread():
+    """Raise Stopped on the main thread after a request to stop, outside of `held`."""
+    if _requested is not None and not _held and threading.current_thread() is threading.main_thread():
         raise Stopped
 
 
 def answer() -> int | None:
-    """The number of the signal that has asked to stop, which is done with now; None if there is none."""
-    global _asked
-    number, _asked = _asked, None
+    """Return the number of the signal of the request to stop, None without one, and clear the request."""
+    global _requested
+    number, _requested = _requested, None
     return number
 
 
 def end_host_work() -> None:
-    """Have the host program hear the SIGINT whose handler `listening` has replaced: Blender's ends a render, and at its
-    second call Blender. Without such a handler nothing happens."""
+    """Call the host program's handler of SIGINT that `listening` has replaced, if any.
+
+    Blender's handler ends a render, and at its second call Blender.
+    """
     native = _natives.pop(signal.SIGINT, None)
     if native:
         ctypes.CFUNCTYPE(None, ctypes.c_int)(native)(signal.SIGINT)
@@ -60,7 +62,7 @@ def end_host_work() -> None:
 
 @contextmanager
 def held():
-    """Let a stop wait for the end of the block: Blender prints a traceback of what leaves a handler, and goes on."""
+    """Delay a stop until the end of the block: Blender prints exceptions of handlers, and continues."""
     global _held
     _held += 1
     try:
@@ -71,21 +73,20 @@ def held():
 
 @contextmanager
 def listening():
-    """Turn SIGINT and SIGTERM into wishes to stop until the block ends; then they mean what they meant before, and one
-    that nobody has answered is sent again.
+    """Turn SIGINT and SIGTERM into requests to stop until the block ends. Then send an unanswered signal again.
 
-    A second signal, or a step that takes longer than GRACE_SECONDS to end, ends the process at once with the code 128 +
-    the signal's number: what it leaves behind, the next run removes. Inside another such block, and on any thread but
-    the main one, this does nothing.
+    A second signal, or a step that takes longer than GRACE_SECONDS, ends the process at once with the code 128 + the
+    signal's number; the next run removes its leftovers. Inside another such block, and on any thread except the main
+    one, this does nothing.
     """
     global _listening
     if _listening or threading.current_thread() is not threading.main_thread():
         yield
         return
-    # What is ignored (nohup, a job in the background) stays ignored.
+    # Ignored signals (nohup, a job in the background) stay ignored.
     numbers = [number for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
     reader, writer = os.pipe()
-    if hasattr(os, "set_blocking"):  # Windows, which does not ask for it, has it from Python 3.12
+    if hasattr(os, "set_blocking"):  # Windows does not need it
         os.set_blocking(writer, False)
     thread = threading.Thread(target=_listen, args=(reader,), name="adaptive_terrain_signals", daemon=True)
     thread.start()
@@ -109,20 +110,20 @@ def listening():
 
 
 def _replace(number: int):
-    """Have Python hear a signal, and do nothing; returns a function that puts the handler of before back."""
+    """Let Python note a signal and do nothing. Return a function that restores the previous handler."""
     getsig, setsig = ctypes.pythonapi.PyOS_getsig, ctypes.pythonapi.PyOS_setsig
     getsig.argtypes, getsig.restype = (ctypes.c_int,), ctypes.c_void_p
     setsig.argtypes, setsig.restype = (ctypes.c_int, ctypes.c_void_p), ctypes.c_void_p
     native = getsig(number)
     before = signal.signal(number, lambda *_: None)
-    if before is None:  # Blender's own, which Python does not know
+    if before is None:  # Blender's handler, which Python does not know
         _natives[number] = native
         return lambda: (_natives.pop(number, None), setsig(number, native))
     return lambda: signal.signal(number, before)
 
 
 def _listen(reader: int) -> None:
-    """The thread that hears signals; a 0 ends it."""
+    """Note signals, on the thread for them; a 0 ends it."""
     first, end = None, None
     while number := os.read(reader, 1)[0]:
         if first is None:
@@ -138,7 +139,7 @@ def _listen(reader: int) -> None:
 
 
 def _end(number: int) -> None:
-    """End the process where it is. Nothing half-done has a final name, so it may be left."""
+    """End the process at once. This is safe, because no incomplete file has a final name."""
     if sys.stderr is not None:
-        os.write(2, b"adaptive-terrain: stopped at once; the next run removes what is left over\n")
+        os.write(2, b"adaptive-terrain: stopped at once; the next run removes the leftovers\n")
     os._exit(128 + number)

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels are made ready in the background, before anyone asks for them.
+"""Preparation of kernels in the background, before they are needed.
 
-Warp compiles a module of kernels when one of them is first launched: 0.2 - 2.5 s each, about 10 s in all, and where
-that runs in Python it holds up every other thread for up to 50 ms. So child processes fill Warp's cache, and a thread
-of this process loads from it (60 ms in all, other threads are held up for 8 ms at most). With a full cache there is no
-child. The kernels of a frame come first; those of the overlay follow while the first terrain is shown already. Those of
-effects, of a detail, of points that rise, of a scatter and of what ground hides are made ready when a scene first asks
-for them.
+Warp compiles a module of kernels at the first launch of one of them: 0.2 - 2.5 s each, about 10 s in all, and that
+blocks every other thread of Python for up to 50 ms. So child processes fill Warp's cache, and a thread of this process
+loads from it (60 ms in all; it blocks other threads for 8 ms at most). With a full cache there is no child. The kernels
+of a frame come first. Those of the overlay follow while the first terrain is already shown. All others (attributes,
+detail, geomorph, scatter, occlusion) are prepared when a scene first uses them.
 """
 
 import importlib
@@ -47,12 +46,14 @@ MAX_CHILDREN = 4
 HOUSE = field.__name__.removesuffix("field")  # of kernels, in this process
 OTHERS = effects, land, leb, detail, morph, query, scatter, bicubic, fitting
 HORIZON_MAP = f"{refine.__name__}.horizon_map"
-RARE = {HORIZON_MAP, f"{refine.__name__}.split_merge", f"{tree.__name__}.edits"}  # of the rooms of a frame
+RARE = {HORIZON_MAP, f"{refine.__name__}.split_merge", f"{tree.__name__}.edits"}  # in rooms of a frame
 
 
 class _Preparation:
-    """One run over groups of modules, the first of which are wanted first; its thread alone touches the child
-    processes. `fraction`: 0 .. 1 while modules are compiled. `ready`: of each group, that its kernels are."""
+    """One run over groups of modules, in order of priority. Only its thread uses the child processes.
+
+    `fraction`: 0 .. 1 while modules are compiled. `ready`: one event for each group.
+    """
 
     def __init__(self, *groups: list[ModuleType]):
         self.fraction: float | None = None
@@ -73,7 +74,7 @@ class _Preparation:
             for group, ready in zip(self._groups, self.ready, strict=True):
                 self._finish(group, compiled, processes)
                 ready.set()
-        except Exception:  # whoever launches a kernel is told the reason again
+        except Exception:  # the launch of a kernel raises it again
             traceback.print_exc()
         finally:
             for process in processes:
@@ -86,7 +87,7 @@ class _Preparation:
                 ready.set()
 
     def _finish(self, modules: list[ModuleType], compiled: dict[ModuleType, Path], processes: list) -> None:
-        """Wait until the children have compiled `modules`, or have ended; then load them."""
+        """Wait until the children have compiled `modules` or have ended, and load them."""
         files = list(compiled.values())
         while any(process.poll() is None for process in processes):
             self.fraction = sum(int(file.exists()) for file in files) / len(files)
@@ -105,39 +106,39 @@ class _Preparation:
         processes = []
         try:
             for i in range(count):
-                own = [name for group in names for name in group[i::count]]
-                processes.append(child.start("cbt_terrain.run.warmup", *own, variables=cache, **streams))
+                share = [name for group in names for name in group[i::count]]
+                processes.append(child.start("cbt_terrain.run.warmup", *share, variables=cache, **streams))
         except OSError:
-            pass  # loading compiles what is left
+            pass  # loading compiles the rest
         return processes
 
 
-# What every terrain needs, and what the scenes of this process have asked for since.
+# Preparations of the modules that every terrain needs, and of those that scenes of this process have requested.
 _current: _Preparation | None = None
-_asked: _Preparation | None = None
-_tried: set[ModuleType] = set()  # what cannot be loaded is not tried again: who launches it is told why
+_requested: _Preparation | None = None
+_tried: set[ModuleType] = set()  # modules that are not prepared again, even if loading failed
 
 
 def start() -> None:
-    """Begin to make the kernels of a frame and of the overlay ready; does nothing if that was begun."""
+    """Start to prepare the kernels of a frame and of the overlay, if that was not started before."""
     global _current
     if _current is None:
         _current = _Preparation(kernel_modules(), overlay_modules())
 
 
 def ask(modules: Iterable[ModuleType]) -> bool:
-    """Whether these need no preparing; else that begins, unless others are under way, and then ask again."""
-    global _asked
+    """Return whether these modules are prepared. If not, start that, unless others are in progress; then ask again."""
+    global _requested
     missing = [module for module in modules if module not in _tried]
     if missing and not preparing():
-        _asked = _Preparation(missing)
+        _requested = _Preparation(missing)
     return not missing
 
 
 def stop() -> None:
-    """End what `start` and `ask` began, at once; whoever waits gets a TerrainError."""
-    global _current, _asked
-    begun, _current, _asked = [p for p in (_current, _asked) if p is not None], None, None
+    """End the preparations of `start` and `ask` at once; `wait` then raises TerrainError."""
+    global _current, _requested
+    begun, _current, _requested = [p for p in (_current, _requested) if p is not None], None, None
     for preparation in begun:
         preparation.stopping.set()
     for preparation in begun:
@@ -146,66 +147,66 @@ def stop() -> None:
 
 def _forget() -> None:
     """Forget the preparations of the parent process: their threads do not run in a forked child."""
-    global _current, _asked
-    _current = _asked = None
+    global _current, _requested
+    _current = _requested = None
 
 
 locks.in_forked_child(_forget)
 
 
 def preparing() -> bool:
-    """Whether kernels are being made ready, so that an update would have to wait."""
-    return any(p is not None and not p.ready[0].is_set() for p in (_current, _asked))
+    """Return whether kernels are being prepared, so that an update would have to wait."""
+    return any(p is not None and not p.ready[0].is_set() for p in (_current, _requested))
 
 
 def progress() -> float | None:
-    """0 .. 1 while kernels are compiled, those of the overlay too; else None."""
-    fractions = [p.fraction for p in (_current, _asked) if p is not None and p.fraction is not None]
+    """Return 0 .. 1 while kernels are compiled, including those of the overlay; else None."""
+    fractions = [p.fraction for p in (_current, _requested) if p is not None and p.fraction is not None]
     return fractions[-1] if fractions else None
 
 
 def wait(overlay: bool = False) -> None:
-    """Return when the kernels of a frame, or of the overlay, and those that were asked for are ready. Raises
-    TerrainError if that was stopped."""
-    for preparation in (_current, _asked):
+    """Wait until the kernels of a frame, or of the overlay, and those of `ask` are ready.
+
+    Raises TerrainError if `stop` was called.
+    """
+    for preparation in (_current, _requested):
         if preparation is not None:
             ready = preparation.ready[-1 if overlay else 0]
             while not ready.wait(POLL_SECONDS):
                 stopping.check()
             if preparation.stopping.is_set():
                 raise TerrainError(
-                    "The extension was switched off while its kernels were being prepared; switch it on."
+                    "The extension was switched off while its kernels were being prepared", fix="switch it on"
                 )
 
 
 def kernel_modules() -> list[ModuleType]:
-    """Return every module that has kernels for an import or a frame. Other rooms' are needed now and then, and so are
-    those in RARE."""
+    """Return every module with kernels for an import or a frame, except those in RARE."""
     found = [module for room in (field, tree, refine, budget, mesh) for module in modules_of(room)]
     return [module for module in found if module.__name__ not in RARE]
 
 
 def overlay_modules() -> list[ModuleType]:
-    """Those that measure errors, which the overlay shows."""
+    """Return the modules that measure errors for the overlay."""
     return modules_of(accuracy)
 
 
 def other_modules() -> list[ModuleType]:
-    """Return those that are compiled when they are first needed: effects, land, bisection and edits of single nodes, a
-    detail, points that rise, queries, a scatter, the bicubic surface, the fit, what ground hides."""
+    """Return the modules that are compiled on first use."""
     rare = [importlib.import_module(name) for name in sorted(RARE)]
     return [*(module for room in OTHERS for module in modules_of(room)), *rare]
 
 
 def others_named(names: Iterable[str]) -> list[ModuleType]:
-    """Those of `other_modules` that have these names; they are imported, and no other is imported for it."""
+    """Return those of `other_modules` with these names, without importing any other module."""
     inside = tuple(f"{room.__name__}." for room in OTHERS)
     found = [sys.modules[name] for name in sorted(names) if name.startswith(inside) or name == HORIZON_MAP]
     return [module for module in found if _kernels_of(module)]
 
 
 def modules_of(package: ModuleType) -> list[ModuleType]:
-    """The modules of a room that have kernels."""
+    """Return the modules of a room that have kernels."""
     names = [module.name for module in pkgutil.iter_modules(package.__path__)]
     modules = [importlib.import_module(f"{package.__name__}.{name}") for name in names]
     return [module for module in modules if _kernels_of(module)]
@@ -217,7 +218,7 @@ def _kernels_of(module: ModuleType) -> list[wp.Kernel]:
 
 
 def compiled_file(module: ModuleType) -> Path:
-    """Return where the object of a module is kept; the file appears when it is complete."""
+    """Return the path of a module's object; the file appears when it is complete."""
     return kernel_cache.compiled_file(module.__name__)
 
 

@@ -28,7 +28,7 @@ def run(store: Path, points: Path, out: Path | None, as_line: bool) -> None:
     """Write what there is at the points as CSV, into `out` or on stdout; a line about it goes where that does not."""
     if out is not None:
         check_target(out)
-    content = read_named(points, "The points file", "a table as CSV", MAX_BYTES, own=True)
+    content = read_named(points, "The points file", "a table as CSV", MAX_BYTES, descriptors=True)
     field, placing = open_store(store), placing_of(store)
     is_degrees = placing.metres_y > LONGEST_UNIT
     names, rows, coordinates = parse_points(content, str(points), () if as_line else FOUND, placing.crs, is_degrees)

@@ -31,7 +31,7 @@ def field_of(kind, shape, relief=100.0, base=0.0, steps=(2.0, 3.0), seed=1) -> H
 
 
 def dense(field, per_cell=16):
-    """Points [n, 2] of the terrain's own space, `per_cell` to a cell's side."""
+    """Return points [n, 2] of the terrain's space, `per_cell` to a cell's side."""
     lattice = field.lattice
     i, j = (np.arange((n - 1) * per_cell + 1) / per_cell - (n - 1) / 2 for n in (lattice.width, lattice.height))
     return np.stack(np.meshgrid(i * lattice.step_x, j * lattice.step_y), axis=-1).reshape(-1, 2)
@@ -51,7 +51,7 @@ def triangles_of(lattice, deepest):
 
 
 def error_at(field, middle, depth):
-    """What the hierarchy holds for diamonds split at `middle` [n, 2], in cells."""
+    """Return the stored errors of diamonds that are split at `middle` [n, 2], in cells."""
     lattice, errors = field.lattice, errors_of(field)
     if depth < lattice.cell_depth:
         return errors[error_index(lattice, depth, *middle.T.astype(int))]

@@ -30,7 +30,7 @@ AT = [int(np.flatnonzero((WEIGHTS == corner).all(1))[0]) for corner in np.eye(3)
 
 
 def image(rows, columns, rough=0.5, seed=1):
-    """Waves of all directions, the shorter the lower: those of half the length have `rough` of the amplitude."""
+    """Return waves of all directions; waves of half the length have `rough` of the amplitude."""
     rng, z = np.random.default_rng(seed), np.zeros((rows, columns))
     y, x = np.mgrid[:rows, :columns]
     for k in range(1, 6):
@@ -40,7 +40,7 @@ def image(rows, columns, rough=0.5, seed=1):
 
 
 def bricks():
-    """Two heights and nothing in between."""
+    """Return an image of two heights without any in between."""
     z = np.ones((32, 48), np.float32)
     z[::8] = z[:8, ::16] = z[8:16, 8::16] = z[16:24, ::16] = z[24:, 8::16] = 0.0
     return Painted(z)
@@ -56,7 +56,7 @@ IMAGES = {"smooth": image(64, 64), "rough": image(64, 96, 0.9), "odd": image(27,
 
 
 @pytest.mark.parametrize("name", IMAGES)
-def test_no_triangle_misses_more_of_an_image_than_is_said(name):
+def test_bounds_of_images_hold(name):
     """Triangles of both kinds and all sizes, at random and where a search finds the image furthest from them."""
     tiled, steps, levels, rng = Tiled(0.3, 5.0, IMAGES[name]), (2.0, 3.0), 5, np.random.default_rng(7)
     table, ratios = bounds.tables(tiled.parts(1e-4), steps, levels, 0), []
@@ -137,7 +137,7 @@ def field_of(shape, ground, interpolation="bilinear"):
 
 
 def grounds(shape):
-    """Coats of every kind, by name."""
+    """Return displacement layers of every kind, by name."""
     return {
         "an image": Tiled(0.2, 5.0, IMAGES["smooth"]),
         "bricks in places": Coats((Coat(Tiled(0.3, 4.0, IMAGES["bricks"]), mask(shape)),)),

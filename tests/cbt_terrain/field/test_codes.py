@@ -40,7 +40,7 @@ def heights_of(kind: str, shape: tuple[int, int]) -> np.ndarray:
 
 
 def assert_nested(field, meshlet: int) -> None:
-    """No diamond's error is above that of one whose split leads to it, at every depth, those in cells included."""
+    """Assert that no diamond's error is above its parents' at any depth, in cells too."""
     lattice, errors = field.lattice, errors_of(field, meshlet)
     across, up = lattice.span
     dense = np.zeros((up + 1, across + 1))

@@ -224,7 +224,7 @@ def test_vertices_are_on_the_surface_and_normals_are_its_own():
 
 
 def raster_slopes(field, plane):
-    """Slopes of the surface without detail as its mesh has them."""
+    """Return slopes of the surface without detail as its mesh has them."""
     if field.interpolation == "bicubic":
         return bezier(with_detail(field, None), plane)[1]
     h, lattice = field.heights().astype(np.float64), field.lattice

@@ -16,7 +16,7 @@ ROOTS = (((0, 1), (0, 0), (1, 0)), ((1, 0), (1, 1), (0, 1)))
 
 
 def bilinear(samples, x, y):
-    """Heights of the reference surface at arrays of sample coordinates."""
+    """Return heights of the reference surface at arrays of sample coordinates."""
     i = np.clip(np.floor(x).astype(int), 0, samples.shape[1] - 2)
     j = np.clip(np.floor(y).astype(int), 0, samples.shape[0] - 2)
     u, v, h = x - i, y - j, samples.astype(np.float64)
@@ -69,7 +69,7 @@ def triangle_errors(samples, triangle, fine=4):
 
 
 def brute(samples, columns, rows, levels):
-    """By split vertex (in half samples): own error, dense error, lowest, highest; its children; its depth."""
+    """Return dicts by split vertex (in half samples): errors and range, children, depth."""
     side = 2 << levels
     nodes, children, depth_of = {}, {}, {}
 
@@ -119,7 +119,7 @@ def saturate(own, children, cells):
 
 
 def is_beyond(lattice, vertex, depth):
-    """Whether no vertex that can come below a diamond, nor it itself, is inside the raster."""
+    """Return whether a diamond and all vertices below it are outside the raster."""
     side = 2 << (lattice.levels - (depth - 1) // 2)  # half samples: of the cell, or of the side
     reach = 3 * side // 2 if depth % 2 else side
     return vertex[0] - reach >= 2 * lattice.cells_x or vertex[1] - reach >= 2 * lattice.cells_y
@@ -260,7 +260,7 @@ def test_a_hierarchy_of_real_size_is_nested():
 
 
 def level(values, lattice, depth):
-    """The diamonds of one depth: [rows, columns] of cells, or of corners of cells of half the side, NaN between."""
+    """Return the diamonds of a depth: [rows, columns] of cells, or of corners of half cells, NaN between."""
     side = 1 << (lattice.levels - (depth - 1) // 2)
     if depth % 2:
         j, i = np.mgrid[side // 2 : lattice.height - 1 : side, side // 2 : lattice.width - 1 : side]
@@ -273,7 +273,7 @@ def level(values, lattice, depth):
 
 
 def check_nested(values, lattice, depth):
-    """Every diamond of `depth` is not below its children, by array slices."""
+    """Assert, by array slices, that no diamond of `depth` is below its children."""
     own, finer = level(values, lattice, depth), level(values, lattice, depth + 1)
     if depth % 2:
         for child in (finer[:-1:2, 1::2], finer[2::2, 1::2], finer[1::2, :-1:2], finer[1::2, 2::2]):

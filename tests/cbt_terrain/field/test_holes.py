@@ -21,7 +21,7 @@ STEP = 10.0
 
 
 def raster(width: int = 70, height: int = 50) -> np.ndarray:
-    """Hills with a round lake of no data, a single missing sample, and a corner of the raster that is missing."""
+    """Return hills with a round lake without data, a single missing sample, and a missing corner."""
     heights = hills(width, height).astype(np.float32)
     y, x = np.mgrid[:height, :width]
     heights[(x - 30) ** 2 + (y - 20) ** 2 < 80] = np.nan

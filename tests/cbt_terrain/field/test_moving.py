@@ -28,7 +28,7 @@ def contents(path: Path) -> dict[str, bytes]:
 
 @pytest.fixture
 def old(tmp_path):
-    """Two stores, one of them with land and maps, and a file of the user's."""
+    """Write two stores, one of them with land and maps, and a file of the user."""
     folder = tmp_path / "old" / "adaptive_terrain" / "stores"
     make(folder / "hills", 1)
     make(folder / "hills_land" / "0123456789abcdef", 2)
@@ -47,7 +47,7 @@ def new(tmp_path):
 
 @pytest.fixture(params=["one file system", "two file systems"])
 def systems(request, monkeypatch):
-    """The second: `old` seems to be on another device, and a rename from there fails as it then does."""
+    """Run a test on one file system, and with `old` on what seems to be another device."""
     if request.param == "one file system":
         return
     real_lstat, real_rename = os.lstat, os.rename

@@ -63,14 +63,16 @@ FILES = {
 
 
 def most_for(field, asked: float) -> float:
-    """The bound that an update may have: what was asked, where the rounding of the source takes half of it at most; and
-    a quarter more than that where nothing less could be had."""
+    """Return the largest bound that an update may have for a criterion of `asked` metres.
+
+    It is the criterion, or a quarter more than the source's rounding if that is larger than half of it.
+    """
     left = asked - field.source_max if field.source_max <= 0.5 * asked else 0.8 * asked
     return max(left + field.source_max, 1.25 * field.source_max) * (1 + 1e-4)
 
 
 def imported_from(tmp_path, kind, shape):
-    """The heights (row 0 south), where they are [n, 2], and the field of the file that they were rounded into."""
+    """Return heights (row 0 south), their positions [n, 2], and the field of the file with them rounded."""
     heights = unrounded(SHAPES[shape])
     source, settings = FILES[kind][0](tmp_path, heights)
     rows, columns = heights.shape

@@ -29,7 +29,7 @@ def island(tmp_path):
 
 @pytest.fixture(scope="module")
 def tiny(tmp_path_factory):
-    """A store for tests that put it back as it was."""
+    """Write a store for tests that restore it."""
     path = tmp_path_factory.mktemp("tiny") / "store"
     run_import(ImportSettings(source="island", size=129), path)
     return path

@@ -39,7 +39,7 @@ def content(folder: Path) -> dict:
 
 @pytest.fixture
 def precious(tmp_path):
-    """A store of the user, with a note in it."""
+    """Write a store of the user with a note in it."""
     write(tmp_path / "precious")
     (tmp_path / "precious" / "notes.txt").write_text("mine")
     return tmp_path / "precious"

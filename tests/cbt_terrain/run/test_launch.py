@@ -54,7 +54,7 @@ def test_items_of_a_recorded_launch_are_those_of_the_call(recorded, monkeypatch)
 
 @pytest.fixture
 def interruptible():
-    """What a shell starts in the background ignores Ctrl-C."""
+    """Let Ctrl-C work, which a shell disables for processes in the background."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)

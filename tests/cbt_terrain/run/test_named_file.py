@@ -46,7 +46,7 @@ def test_only_regular_files_are_opened(kind, tmp_path):
     with time_limit(10), pytest.raises(TerrainError) as error:
         named_file.read_named(path, "The points file", "CSV", 1000)
     why = {"folder": "Is a directory", "missing": "No such file or directory"}.get(kind, "it is not a regular file")
-    assert str(error.value) == f"The points file {path} cannot be read ({why}): expected CSV."
+    assert str(error.value) == f"The points file {path} cannot be read ({why}); expected CSV."
     assert named_file.blocks_reader(path) == (kind not in ("folder", "missing"))
 
 
@@ -62,7 +62,7 @@ def test_a_file_is_read_to_its_limit_and_by_links_where_allowed(tmp_path):
 
 def test_the_standard_input_is_read_to_its_end():
     script = "from adaptive_terrain.cbt_terrain.run.named_file import read_named\n"
-    script += "print(read_named('/dev/stdin', 'The file', 'text', 1 << 24, own=True).decode())"
+    script += "print(read_named('/dev/stdin', 'The file', 'text', 1 << 24, descriptors=True).decode())"
     run = subprocess.run([sys.executable, "-c", script], input="a" * 3_000_000, capture_output=True, text=True)
     assert run.stdout == "a" * 3_000_000 + "\n" and run.stderr == ""
 

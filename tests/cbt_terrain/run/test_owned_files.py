@@ -18,7 +18,7 @@ links = pytest.mark.skipif(os.name != "posix", reason="Windows lets only some us
 
 @pytest.fixture(params=["descriptors", "paths"], autouse=True)
 def system(request, monkeypatch):
-    """The way of POSIX, and that of Windows."""
+    """Run a test in the way of POSIX, and in that of Windows."""
     if request.param == "paths":
         monkeypatch.setattr(owned_files, "_BY_DESCRIPTOR", False)
     return request.param
@@ -26,7 +26,7 @@ def system(request, monkeypatch):
 
 @pytest.fixture
 def precious(tmp_path):
-    """A folder of the user with files that have the program's names."""
+    """Write a folder of the user with files that have the program's names."""
     folder = tmp_path / "precious"
     for name in ("mine.txt", "store.json", f"{DATA}/samples.npy", f"{LAND}/store.json", "tiles/a.npy"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

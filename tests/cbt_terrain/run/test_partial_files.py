@@ -26,7 +26,7 @@ posix = pytest.mark.skipif(os.name != "posix", reason="signals and modes are tho
 
 @pytest.fixture
 def writer(tmp_path):
-    """A process in the middle of writing tmp_path / "a.txt"; what it writes stands in `partial`."""
+    """Start a process in the middle of writing tmp_path / "a.txt" to the path in `partial`."""
     command = [sys.executable, "-c", WRITE, str(tmp_path / "a.txt")]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     process.partial = tmp_path / process.stdout.readline().rstrip("\n")

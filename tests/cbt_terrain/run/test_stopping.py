@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of
 
 @pytest.fixture(autouse=True)
 def interruptible():
-    """A run in the background may have been started with interruptions ignored."""
+    """Let interruptions work, which may be ignored for runs in the background."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)

@@ -74,7 +74,7 @@ print(json.dumps({
 
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory):
-    """What starts say: with an empty cache, with what that left, and with what another kind of processor left."""
+    """Return the output of starts with an empty cache, with a full one, and with one of another kind of processor."""
     cache = tmp_path_factory.mktemp("kernels")
     environment = {**child.os.environ, "WARP_CACHE_PATH": str(cache)}
 
@@ -117,7 +117,7 @@ def test_what_another_processor_left_is_compiled_by_children_too(prepared):
 
 @pytest.fixture
 def no_modules(monkeypatch):
-    """A preparation that compiles in children that only sleep."""
+    """Start a preparation whose children only sleep."""
     sleeping = []
 
     def start(module, *arguments, variables, **streams):
@@ -128,7 +128,7 @@ def no_modules(monkeypatch):
     monkeypatch.setattr(launch, "default_threads", lambda: 4)
     monkeypatch.setattr(warmup, "compiled_file", lambda module: Path("/nowhere"))
     monkeypatch.setattr(warmup, "_current", None)
-    monkeypatch.setattr(warmup, "_asked", None)
+    monkeypatch.setattr(warmup, "_requested", None)
     yield sleeping
     warmup.stop()
 
@@ -190,7 +190,7 @@ def test_what_a_scene_asks_for_is_prepared_once_with_a_bar(no_modules, monkeypat
 
 def test_what_cannot_be_compiled_is_tried_once(monkeypatch, capfd):
     monkeypatch.setattr(warmup, "_tried", set())
-    monkeypatch.setattr(warmup, "_asked", None)
+    monkeypatch.setattr(warmup, "_requested", None)
     monkeypatch.setattr(warmup, "compiled_file", lambda module: Path("/"))
     monkeypatch.setattr(warmup, "load", lambda module: 1 / 0)
     wanted = warmup.other_modules()[:1]

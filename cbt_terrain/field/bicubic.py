@@ -162,7 +162,7 @@ def _fill_errors(field: HeightField, errors: np.ndarray, threads: int) -> np.nda
     out, apart, plain = (flat(array, wp.float32) for array in (errors, off, known))
     cells, curvatures = stored_at(lattice, lattice.cell_depth), stored_at(lattice, lattice.cell_depth)
     curvatures.base = lattice.node_count
-    inputs = [codes.packed(field.heights(), None), cells, cells, curvatures, apart, out]
+    inputs = [codes.packed(field.heights(), None), cells, curvatures, apart, out]
     _launch(kernels.patch_errors, lattice.cells_y, inputs, threads, 20.0 * lattice.cells_x)
     hierarchy.saturate_cells(curvatures, 0.5, out, "bicubic hierarchy", threads)
     _launch(expand_kernels.cover_sides, items(cells), [curvatures, cells, out], threads)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels of the bicubic surface; compiled when a terrain is first interpolated so."""
+"""Kernels of the bicubic surface, compiled on first use."""

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The C1 bicubic surface as Bezier patches, one a cell of the raster: how far it bends, leans and rises.
+"""The C1 bicubic surface as Bezier patches, one a cell of the raster: bounds of heights, slopes and curvature.
 
-A patch and its derivatives are weighted means of their control values, so the largest of these bounds them. All of them
-are differences of samples, in each direction those of four samples p0 .. p3 in a row of which the patch lies between p1
-and p2. field/bicubic.py says what follows from them. Heights are read as floats; beyond the border h(-1) = 2 h(0) -
-h(1). What is an exact difference of float32 samples stays one: a planar map bends by exactly zero.
+A patch and its derivatives are weighted means of their control values, so the largest control value bounds them.
+Control values are differences of samples, in each direction of four samples p0 .. p3 in a row; the patch is between p1
+and p2. field/bicubic.py uses these bounds. Heights are read as floats; beyond the border h(-1) = 2 h(0) - h(1). Exact
+differences of float32 samples stay exact: a planar map has a curvature of exactly zero.
 """
 
 import warp as wp
@@ -14,7 +14,7 @@ from ..field.hierarchy import round_up
 from ..field.layout import Depth, entry
 from ..field.ranges import quantise_down, quantise_up
 
-# Far more than float64 rounds off the sums below.
+# Far more than the rounding of the sums below.
 OUTWARD = wp.constant(wp.float64(1.0 + 1e-12))
 vec12d = wp.types.vector(length=12, dtype=wp.float64)
 mat24d = wp.types.matrix(shape=(2, 4), dtype=wp.float64)
@@ -22,21 +22,21 @@ mat24d = wp.types.matrix(shape=(2, 4), dtype=wp.float64)
 
 @wp.func
 def controls(p: wp.vec4d) -> wp.vec4d:
-    """Control heights of the cubic."""
+    """Return the control heights of the cubic."""
     sixth = wp.float64(1.0) / wp.float64(6.0)
     return wp.vec4d(p[1], p[1] + (p[2] - p[0]) * sixth, p[2] - (p[3] - p[1]) * sixth, p[2])
 
 
 @wp.func
 def chord(p: wp.vec4d) -> wp.vec4d:
-    """The straight line from p1 to p2 as a cubic."""
+    """Return the straight line from p1 to p2 as a cubic."""
     third = (p[2] - p[1]) / wp.float64(3.0)
     return wp.vec4d(p[1], p[1] + third, p[2] - third, p[2])
 
 
 @wp.func
 def off_chord(p: wp.vec4d) -> wp.vec2d:
-    """Control heights of the cubic less that line; the outer two are 0."""
+    """Return the two inner control heights of the cubic less that line; the outer two are 0."""
     two = wp.float64(2.0)
     sixth = wp.float64(1.0) / wp.float64(6.0)
     return wp.vec2d((two * p[1] - p[0] - p[2]) * sixth, (two * p[2] - p[1] - p[3]) * sixth)
@@ -44,15 +44,15 @@ def off_chord(p: wp.vec4d) -> wp.vec2d:
 
 @wp.func
 def slopes(p: wp.vec4d) -> wp.vec3d:
-    """Control values of the first derivative, metres a cell."""
+    """Return the control values of the first derivative, metres a cell."""
     half = wp.float64(0.5)
     middle = wp.float64(2.0) * (p[2] - p[1]) - half * (p[1] - p[0]) - half * (p[3] - p[2])
     return wp.vec3d(half * (p[2] - p[0]), middle, half * (p[3] - p[1]))
 
 
 @wp.func
-def bends(p: wp.vec4d) -> wp.vec2d:
-    """Control values of the second derivative, metres a square cell."""
+def second_derivatives(p: wp.vec4d) -> wp.vec2d:
+    """Return the control values of the second derivative, metres a square cell."""
     near = (p[1] - p[0]) - (p[2] - p[1])
     far = (p[2] - p[1]) - (p[3] - p[2])
     two = wp.float64(2.0)
@@ -61,7 +61,7 @@ def bends(p: wp.vec4d) -> wp.vec2d:
 
 @wp.func
 def rows_of(raster: Samples, x: int, cy: int) -> wp.vec4d:
-    """Samples of column x (inside the raster) in the four rows about row `cy` of cells."""
+    """Return the samples of column x (inside the raster) in the four rows around row `cy` of cells."""
     h = raster.floats
     width = raster.columns
     p1 = wp.float64(h[cy * width + x])
@@ -77,7 +77,10 @@ def rows_of(raster: Samples, x: int, cy: int) -> wp.vec4d:
 
 @wp.func
 def column(raster: Samples, x: int, cy: int):
-    """Of column x, -1 .. columns: control heights (4), slopes (3), bends (2), heights off the chord (2)."""
+    """Return four vectors of column x, -1 .. columns, one after the other.
+
+    They are control heights (4), slopes (3), second derivatives (2), and heights off the chord (2).
+    """
     p = wp.vec4d()
     if x < 0:
         p = wp.float64(2.0) * rows_of(raster, 0, cy) - rows_of(raster, 1, cy)
@@ -87,31 +90,32 @@ def column(raster: Samples, x: int, cy: int):
         p = rows_of(raster, x, cy)
     b = controls(p)
     d = slopes(p)
-    c = bends(p)
+    c = second_derivatives(p)
     o = off_chord(p)
     return vec12d(b[0], b[1], b[2], b[3], d[0], d[1], d[2], c[0], c[1], o[0], o[1], wp.float64(0.0))
 
 
 @wp.func
-def most(known: wp.float64, v: wp.vec4d) -> wp.float64:
-    """The largest magnitude."""
+def max_of_4(known: wp.float64, v: wp.vec4d) -> wp.float64:
+    """Return the largest magnitude of `known` and four values."""
     return wp.max(known, wp.max(wp.max(wp.abs(v[0]), wp.abs(v[1])), wp.max(wp.abs(v[2]), wp.abs(v[3]))))
 
 
 @wp.func
-def most_of_3(known: wp.float64, v: wp.vec3d) -> wp.float64:
+def max_of_3(known: wp.float64, v: wp.vec3d) -> wp.float64:
+    """Return the largest magnitude of `known` and three values."""
     return wp.max(known, wp.max(wp.abs(v[0]), wp.max(wp.abs(v[1]), wp.abs(v[2]))))
 
 
 @wp.func
 def across(a: vec12d, b: vec12d, c: vec12d, d: vec12d, k: int) -> wp.vec4d:
-    """One value of four columns."""
+    """Return value `k` of four columns."""
     return wp.vec4d(a[k], b[k], c[k], d[k])
 
 
 @wp.func
 def heights(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.vec2d:
-    """Lowest and highest control height of a patch."""
+    """Return the lowest and highest control height of a patch."""
     low = wp.float64(wp.inf)
     high = -wp.float64(wp.inf)
     for k in range(4):
@@ -123,7 +127,10 @@ def heights(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.vec2d:
 
 @wp.kernel
 def extents(offset: int, raster: Samples, found: wp.array(dtype=wp.vec4d)):
-    """Of row `offset + tid` of cells: lowest and highest control height, steepest slope east and north (a cell)."""
+    """Compute limits of row `offset + tid` of cells.
+
+    They are the lowest and highest control height, and the steepest slopes east and north, metres a cell.
+    """
     cy = offset + wp.tid()
     low = wp.float64(wp.inf)
     high = -wp.float64(wp.inf)
@@ -138,9 +145,9 @@ def extents(offset: int, raster: Samples, found: wp.array(dtype=wp.vec4d)):
         low = wp.min(low, z[0])
         high = wp.max(high, z[1])
         for k in range(4):
-            steep_x = most_of_3(steep_x, slopes(across(a, b, c, d, k)))
+            steep_x = max_of_3(steep_x, slopes(across(a, b, c, d, k)))
         for k in range(4, 7):
-            steep_y = most(steep_y, controls(across(a, b, c, d, k)))
+            steep_y = max_of_4(steep_y, controls(across(a, b, c, d, k)))
         a = b
         b = c
         c = d
@@ -148,10 +155,10 @@ def extents(offset: int, raster: Samples, found: wp.array(dtype=wp.vec4d)):
 
 
 @wp.func
-def bend_of(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
-    """A quarter of the largest norm of the second derivatives of a patch, metres.
+def curvature_of(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
+    """Return a quarter of the largest norm of the second derivatives of a patch, metres.
 
-    All three are raised to the degree 3 x 3: of their values at the same control point the norm is convex.
+    All three are raised to the degree 3 x 3, because the norm of their values at one control point is convex.
     """
     third = wp.float64(1.0) / wp.float64(3.0)
     half = wp.float64(0.5)
@@ -163,7 +170,7 @@ def bend_of(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
     xy2 = raised(slopes(across(a, b, c, d, 6)))
     largest = wp.float64(0.0)
     for k in range(4):
-        ends = bends(across(a, b, c, d, k))
+        ends = second_derivatives(across(a, b, c, d, k))
         step = (ends[1] - ends[0]) * third
         xx = wp.vec4d(ends[0], ends[0] + step, ends[1] - step, ends[1])
         yy = yy0 + (yy1 - yy0) * (third * wp.float64(k))
@@ -183,7 +190,7 @@ def bend_of(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
 
 @wp.func
 def raised(q: wp.vec3d) -> wp.vec4d:
-    """Control values of a quadratic as those of a cubic."""
+    """Return the control values of a quadratic as those of a cubic."""
     two = wp.float64(2.0)
     third = wp.float64(1.0) / wp.float64(3.0)
     return wp.vec4d(q[0], (q[0] + two * q[1]) * third, (two * q[1] + q[2]) * third, q[2])
@@ -191,16 +198,16 @@ def raised(q: wp.vec3d) -> wp.vec4d:
 
 @wp.func
 def off_bilinear(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
-    """How far the patch is from the bilinear one, at most."""
+    """Return a bound of the distance between the patch and the bilinear one."""
     zero = wp.float64(0.0)
-    # Control heights of the difference: what is off along the rows, along the columns, and both where they meet.
+    # Control heights of the difference: off the chord along the rows, along the columns, and both where they meet.
     east = zero
     north = zero
     both = zero
     lines = mat24d()
     for k in range(2):
         v = chord(across(a, b, c, d, 9 + k))
-        north = most(north, v)
+        north = max_of_4(north, v)
         for i in range(4):
             lines[k, i] = v[i]
     for k in range(4):
@@ -218,25 +225,25 @@ def patch_errors(
     offset: int,
     raster: Samples,
     cells: Depth,
-    own: Depth,
-    below: Depth,
+    curvatures: Depth,
     off: wp.array(dtype=wp.float32),
     errors: wp.array(dtype=wp.float32),
 ):
-    """Row `offset + tid` of cells: `off` the bilinear patch (at `cells`), own errors, and bends (at `below`)."""
+    """Compute row `offset + tid` of cells: distances to the bilinear patch, errors, and curvatures."""
     cy = offset + wp.tid()
     a = column(raster, -1, cy)
     b = column(raster, 0, cy)
     c = column(raster, 1, cy)
     for cx in range(raster.columns - 1):
         d = column(raster, cx + 2, cy)
-        bend = round_up(bend_of(a, b, c, d) * OUTWARD)
+        curvature = round_up(curvature_of(a, b, c, d) * OUTWARD)
         apart = round_up(off_bilinear(a, b, c, d) * OUTWARD)
         twist = wp.abs((b[0] - c[0]) + (c[3] - b[3]))
-        off[entry(cells, cx, cy)] = apart
+        at = entry(cells, cx, cy)
+        off[at] = apart
         exact = round_up((twist * wp.float64(0.25) + wp.float64(apart)) * OUTWARD)
-        errors[entry(own, cx, cy)] = wp.min(exact, bend)
-        errors[entry(below, cx, cy)] = bend
+        errors[at] = wp.min(exact, curvature)
+        errors[entry(curvatures, cx, cy)] = curvature
         a = b
         b = c
         c = d
@@ -248,10 +255,10 @@ def patch_ranges(
     raster: Samples,
     base: wp.float64,
     step: wp.float64,
-    own: Depth,
+    cells: Depth,
     ranges: wp.array(dtype=wp.uint16),
 ):
-    """Row `offset + tid` of cells: lowest and highest control height."""
+    """Compute the lowest and highest control height of row `offset + tid` of cells."""
     cy = offset + wp.tid()
     per_step = wp.float64(1.0) / step
     a = column(raster, -1, cy)
@@ -260,7 +267,7 @@ def patch_ranges(
     for cx in range(raster.columns - 1):
         d = column(raster, cx + 2, cy)
         z = heights(a, b, c, d)
-        at = wp.int64(2) * entry(own, cx, cy)
+        at = wp.int64(2) * entry(cells, cx, cy)
         ranges[at] = quantise_down(z[0], base, step, per_step)
         ranges[at + wp.int64(1)] = quantise_up(z[1], base, step, per_step)
         a = b

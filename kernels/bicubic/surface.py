@@ -2,7 +2,7 @@
 """Height and gradient of the C1 bicubic surface through the samples.
 
 In each direction it is the cubic convolution of Keys (1981), "Cubic convolution interpolation for digital image
-processing", with a = -1/2: at a sample its slope is the central difference. Beyond the border heights go on straight,
+processing", with a = -1/2: at a sample its slope is the central difference. Beyond the border heights are extrapolated,
 h(-1) = 2 h(0) - h(1), which makes that slope the one-sided difference there.
 """
 
@@ -13,7 +13,7 @@ from ..field.codes import Samples, sample_at
 
 @wp.func
 def weights(s: wp.float64) -> wp.vec4d:
-    """What the samples -1, 0, 1 and 2 weigh at s between samples 0 and 1."""
+    """Return the weights of the samples -1, 0, 1 and 2 at s between samples 0 and 1."""
     half = wp.float64(0.5)
     one = wp.float64(1.0)
     three = wp.float64(3.0)
@@ -28,7 +28,7 @@ def weights(s: wp.float64) -> wp.vec4d:
 
 @wp.func
 def slopes(s: wp.float64) -> wp.vec4d:
-    """Derivatives of the weights."""
+    """Return the derivatives of the weights."""
     half = wp.float64(0.5)
     one = wp.float64(1.0)
     three = wp.float64(3.0)
@@ -43,7 +43,7 @@ def slopes(s: wp.float64) -> wp.vec4d:
 
 @wp.func
 def inside(w: wp.vec4d, at: wp.int32, count: wp.int32) -> wp.vec4d:
-    """The same weights for cell `at` of a row of `count` samples: those beyond its ends go to the two next to them."""
+    """Return the weights for cell `at` of a row of `count` samples, with extrapolation beyond its ends."""
     zero = wp.float64(0.0)
     two = wp.float64(2.0)
     if at == 0:
@@ -55,7 +55,7 @@ def inside(w: wp.vec4d, at: wp.int32, count: wp.int32) -> wp.vec4d:
 
 @wp.func
 def in_patch(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64):
-    """Height and gradient (metres a cell) inside cell (i, j), s cells east and t cells north of its corner."""
+    """Return height and gradient (metres a cell) in cell (i, j), s cells east and t cells north of its corner."""
     wx = inside(weights(s), i, samples.columns)
     wy = inside(weights(t), j, samples.rows)
     dx = inside(slopes(s), i, samples.columns)
@@ -65,7 +65,7 @@ def in_patch(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.fl
     here = wp.int64(i)
     east = wp.int64(i + 1)
     far = wp.int64(wp.min(i + 2, samples.columns - 1))
-    # About a height of the cell: a constant map stays one to the last bit.
+    # Relative to a height of the cell, so a constant map stays constant to the last bit.
     base = wp.float64(sample_at(samples, wp.int64(j) * row + here))
     found = wp.vec3d(base, wp.float64(0.0), wp.float64(0.0))
     for b in range(4):

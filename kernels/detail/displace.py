@@ -11,9 +11,9 @@ from ..unchecked import item_at
 
 @wp.func
 def with_detail(domain: Domain, coats: Coats, p: wp.vec2i, g: wp.vec3d) -> wp.vec3d:
-    """Height and gradient (metres a cell) at a lattice point, that of the detail added to `g`."""
+    """Add the detail's height and gradient (metres a cell) at a lattice point to `g`."""
     units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
-    level_x = wp.where(p[0] > domain.east, wp.float64(0.0), wp.float64(1.0))  # beyond the rim it goes on level
+    level_x = wp.where(p[0] > domain.east, wp.float64(0.0), wp.float64(1.0))  # padding is level
     level_y = wp.where(p[1] > domain.north, wp.float64(0.0), wp.float64(1.0))
     x = domain.west + wp.float64(wp.min(p[0], domain.east)) * domain.unit_x
     y = domain.south + wp.float64(wp.min(p[1], domain.north)) * domain.unit_y
@@ -32,7 +32,7 @@ def displace_detail(
     points: Points,
     coats: Coats,
 ):
-    """As `displace` in kernels/mesh/displace.py, on the surface with detail; normals are those of all coats."""
+    """Do the same as `displace` in kernels/mesh/displace.py on the surface with all displacement layers."""
     last = point_base + wp.int64(end - 1)
     run, run_end = runs_of(points, slot)
     v = first

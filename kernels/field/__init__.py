@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is computed of a raster once, and the surface between its samples."""
+"""Kernels of a raster's errors and ranges, and the surface between its samples."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a store holds in place of floats: heights as a source's own 16-bit numbers, errors as bytes of a table."""
+"""Compact storage of heights as a source's 16-bit numbers, and of errors as bytes of a table."""
 
 import warp as wp
 
@@ -10,7 +10,7 @@ from ..unchecked import item_at, prefetch
 class Samples:
     """The raster's heights in rows, metres: floats, or if `coded` numbers, each (number + first) * scale + offset."""
 
-    floats: wp.array(dtype=wp.float32)  # one entry of the two has no use
+    floats: wp.array(dtype=wp.float32)  # this array or `numbers` is unused, with one entry
     numbers: wp.array(dtype=wp.uint16)
     coded: wp.int32
     first: wp.int32
@@ -22,7 +22,7 @@ class Samples:
 
 @wp.func
 def sample_at(s: Samples, i: wp.int64) -> wp.float32:
-    """Sample `i`, metres: a frame's kernels read none in another way."""
+    """Return sample `i`, metres. All kernels of a frame read samples with this function."""
     h = wp.float32(0.0)
     if s.coded == 0:
         h = item_at(s.floats, i)
@@ -33,13 +33,13 @@ def sample_at(s: Samples, i: wp.int64) -> wp.float32:
 
 @wp.func
 def height(s: Samples, i: wp.int64) -> wp.float64:
-    """Sample `i`, metres."""
+    """Return sample `i`, metres, as float64."""
     return wp.float64(sample_at(s, i))
 
 
 @wp.func
 def corners_of(s: Samples, i: wp.int32, j: wp.int32) -> wp.vec4d:
-    """Metres at the corners of cell (i, j): south-west, south-east, north-west, north-east."""
+    """Return the heights, metres, at the corners of cell (i, j): south-west, south-east, north-west, north-east."""
     south = wp.int64(j) * wp.int64(s.columns) + wp.int64(i)
     north = south + wp.int64(s.columns)
     one = wp.int64(1)
@@ -48,13 +48,13 @@ def corners_of(s: Samples, i: wp.int32, j: wp.int32) -> wp.vec4d:
 
 @wp.func
 def twist_of(corners: wp.vec4d) -> wp.float64:
-    """Return how far the bilinear patch with such corners is from a plane: |h00 + h11 - h10 - h01|, metres."""
+    """Return the twist of the bilinear patch with these corners: |h00 + h11 - h10 - h01|, metres."""
     return wp.abs((corners[0] - corners[1]) + (corners[3] - corners[2]))
 
 
 @wp.func
 def bilinear(corners: wp.vec4d, s: wp.float64, t: wp.float64) -> wp.float64:
-    """Height of the bilinear patch with such corners, s cells east and t cells north of the first."""
+    """Return the height of the bilinear patch with these corners, s cells east and t cells north of the first."""
     one = wp.float64(1.0)
     south = corners[0] * (one - s) + corners[1] * s
     north = corners[2] * (one - s) + corners[3] * s
@@ -63,7 +63,7 @@ def bilinear(corners: wp.vec4d, s: wp.float64, t: wp.float64) -> wp.float64:
 
 @wp.func
 def prefetch_sample(s: Samples, i: wp.int64):
-    """Bring sample `i` into the cache; nothing is read."""
+    """Prefetch sample `i` into the processor's cache."""
     if s.coded == 0:
         prefetch(s.floats, i)
     else:
@@ -74,7 +74,7 @@ def prefetch_sample(s: Samples, i: wp.int64):
 def error_of(
     table: wp.array(dtype=wp.float32), group: wp.int32, codes: wp.array(dtype=wp.uint8), i: wp.int64
 ) -> wp.float32:
-    """Metres that code `i` of a group of depths stands for."""
+    """Return the metres of code `i` of a group of depths."""
     return item_at(table, wp.int64((group << 8) + wp.int32(item_at(codes, i))))
 
 
@@ -89,9 +89,9 @@ def encode_errors(
     errors: wp.array(dtype=wp.float32),
     codes: wp.array(dtype=wp.uint8),
 ):
-    """Block `offset + tid` of the entries `first` .. `end`: the first code, from `row` of `table` on, that is no less.
+    """Encode block `offset + tid` of the entries `first` .. `end`: the first code not below the error.
 
-    Zeros are not written: `codes` are zero, and where they are holes of a file they stay so.
+    row: first entry of the group in `table`. Zeros are not written: `codes` are zero, and holes of a sparse file stay.
     """
     begin = first + wp.int64(offset + wp.tid()) * wp.int64(block)
     for k in range(wp.int32(wp.min(wp.int64(block), end - begin))):

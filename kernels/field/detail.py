@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A height below the raster's cells: octaves of noise or an image, as the displacement adds them to the surface.
+"""Displacement below the raster's cells: octaves of noise or an image.
 
-Places are metres from the terrain's middle in float64, so what is far away is as exact as what is near.
+Positions are metres from the terrain's middle in float64, so precision does not depend on the distance.
 kernels/accuracy/detail.py evaluates the same surface with other arithmetic.
 """
 
@@ -9,7 +9,7 @@ import warp as wp
 
 from .noise import value_noise
 
-# Octaves have hashes of their own, lie at other places and are turned by the angle of (3, 4, 5): no lattice shows.
+# Octaves have different hashes and offsets and are turned by the angle of (3, 4, 5), so that no lattice shows.
 SHIFT_X = wp.constant(wp.float64(0.37109375))
 SHIFT_Y = wp.constant(wp.float64(0.71484375))
 SIXTH = wp.constant(wp.float64(1.0 / 6.0))
@@ -18,29 +18,32 @@ BYTE = wp.constant(wp.float64(1.0 / 255.0))
 
 @wp.struct
 class Detail:
-    """Noise: octave k has the amplitude `amplitude * gain^k` and `frequency * 2^k` lattice points a metre. Or, where
-    there are columns, an image: `frequency` control heights a metre, of an amplitude of 1."""
+    """One displacement layer.
+
+    Noise: octave k has the amplitude `amplitude * gain^k` and `frequency * 2^k` lattice points a metre. An image, if
+    there are columns: `frequency` control heights a metre, for an amplitude of 1.
+    """
 
     octaves: wp.int32
     seed: wp.uint32
     amplitude: wp.float64  # metres
     gain: wp.float64
     frequency: wp.float64  # 1 / metre
-    columns: wp.int32  # of an image; 0: there is none
+    columns: wp.int32  # of an image; 0 without one
     rows: wp.int32
-    pixel: wp.int64  # the first of its control heights
-    masked: wp.int32  # 1: it lies where its mask says
-    mask: wp.int64  # the first byte of that
+    pixel: wp.int64  # first of its control heights
+    masked: wp.int32  # 1 with a mask
+    mask: wp.int64  # first byte of the mask
 
 
 @wp.struct
 class Coats:
-    """Details that are added up, and what they read."""
+    """The displacement layers of a surface, which are added, with their images and masks."""
 
     count: wp.int32
     coat: wp.array(dtype=Detail)
     pixels: wp.array(dtype=wp.float32)
-    masks: wp.array(dtype=wp.uint8)  # of each sample of the raster: 255 is all
+    masks: wp.array(dtype=wp.uint8)  # a byte for each sample of the raster; 255 is the full height
     columns: wp.int32  # samples in a row of the raster
     rows: wp.int32
     west: wp.float64  # metres
@@ -51,7 +54,7 @@ class Coats:
 
 @wp.func
 def noise_detail(d: Detail, x: wp.float64, y: wp.float64):
-    """Metres of height of octaves at (x, y) metres, and its slopes: (height, metres a metre along x, along y)."""
+    """Return the height of the octaves at (x, y) metres, and its slopes: (metres, metres a metre along x, along y)."""
     found = wp.vec3d()
     a = d.amplitude
     c = d.frequency
@@ -70,7 +73,7 @@ def noise_detail(d: Detail, x: wp.float64, y: wp.float64):
 
 @wp.func
 def basis(t: wp.float64) -> wp.vec4d:
-    """Uniform cubic B-splines: weights of four control heights, t from the second to the third."""
+    """Return the uniform cubic B-spline weights of four control heights; t is from the second to the third."""
     one = wp.float64(1.0)
     r = one - t
     second = SIXTH * (wp.float64(4.0) + t * t * (wp.float64(3.0) * t - wp.float64(6.0)))
@@ -80,7 +83,7 @@ def basis(t: wp.float64) -> wp.vec4d:
 
 @wp.func
 def slope_basis(t: wp.float64) -> wp.vec4d:
-    """Their derivatives."""
+    """Return the derivatives of the B-spline weights."""
     half = wp.float64(0.5)
     r = wp.float64(1.0) - t
     second = t * (wp.float64(1.5) * t - wp.float64(2.0))
@@ -90,7 +93,7 @@ def slope_basis(t: wp.float64) -> wp.vec4d:
 
 @wp.func
 def image_detail(c: Coats, d: Detail, x: wp.float64, y: wp.float64):
-    """As `noise_detail`, of an image that repeats."""
+    """Return the height of a periodic image and its slopes, as `noise_detail` does."""
     u = x * d.frequency
     v = y * d.frequency
     fu = wp.floor(u)
@@ -117,7 +120,7 @@ def image_detail(c: Coats, d: Detail, x: wp.float64, y: wp.float64):
 
 @wp.func
 def mask_at(c: Coats, first: wp.int64, x: wp.float64, y: wp.float64):
-    """How much of a coat lies at (x, y) metres, 0 .. 1, and how that changes a metre along x and y."""
+    """Return the weight of a layer at (x, y) metres, 0 .. 1, and its derivatives along x and y, 1 / metre."""
     s = wp.clamp((x - c.west) * c.per_x, wp.float64(0.0), wp.float64(c.columns - 1))
     t = wp.clamp((y - c.south) * c.per_y, wp.float64(0.0), wp.float64(c.rows - 1))
     i = wp.min(wp.int32(s), c.columns - 2)
@@ -137,7 +140,7 @@ def mask_at(c: Coats, first: wp.int64, x: wp.float64, y: wp.float64):
 
 @wp.func
 def detail_at(c: Coats, x: wp.float64, y: wp.float64):
-    """Metres of height of all coats at (x, y) metres, and their slopes: (height, metres a metre along x, along y)."""
+    """Return the height of all layers at (x, y) metres, and its slopes: (metres, metres a metre along x, along y)."""
     found = wp.vec3d()
     for k in range(c.count):
         d = c.coat[k]
@@ -145,10 +148,10 @@ def detail_at(c: Coats, x: wp.float64, y: wp.float64):
         if d.masked == 1:
             m = mask_at(c, d.mask, x, y)
         if m[0] > wp.float64(0.0):
-            own = wp.vec3d()
+            h = wp.vec3d()
             if d.columns > 0:
-                own = image_detail(c, d, x, y)
+                h = image_detail(c, d, x, y)
             else:
-                own = noise_detail(d, x, y)
-            found += wp.vec3d(m[0] * own[0], m[0] * own[1] + m[1] * own[0], m[0] * own[2] + m[2] * own[0])
+                h = noise_detail(d, x, y)
+            found += wp.vec3d(m[0] * h[0], m[0] * h[1] + m[1] * h[0], m[0] * h[2] + m[2] * h[0])
     return found

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels that give each missing (NaN) sample the height of the nearest valid one: exact Euclidean distance in samples.
+"""Kernels that fill each missing (NaN) sample with the nearest valid one, by exact Euclidean distance in samples.
 
 Two passes after Felzenszwalb and Huttenlocher (2012), "Distance transforms of sampled functions": the nearest valid row
-in each column, then in each row the lower envelope of the parabolas that those distances stand for.
+in each column, then in each row the lower envelope of the parabolas of these distances.
 """
 
 import warp as wp
@@ -17,7 +17,7 @@ def nearest_in_columns(
     block: int,
     nearest: wp.array(dtype=wp.int32),
 ):
-    """Block `offset + tid` of columns: the row of the nearest valid sample in each sample's column, -1 for none."""
+    """Find the row of the nearest valid sample in each column, -1 for none, for block `offset + tid` of columns."""
     x0 = (offset + wp.tid()) * block
     x1 = wp.min(x0 + block, width)
     for y in range(height):

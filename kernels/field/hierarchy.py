@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels of the error hierarchy and of the height ranges of a raster; the method is in cbt_terrain/field.
+"""Kernels of the error hierarchy of a raster; cbt_terrain/field describes the method.
 
-Heights are read as floats, row 0 south. Errors are one array in the order of
-`cbt_terrain/field/lattice.py`; kernels work on one depth of it at a time.
-All arithmetic on heights is float64: planes through float32 samples at power-of-two distances are then exact, so that a
-flat or planar map has an error of exactly zero.
+Heights are read as floats, row 0 south. Errors are one array in the order of `cbt_terrain/field/lattice.py`; a kernel
+processes one depth of it. All arithmetic on heights is float64, so planes through float32 samples at power-of-two
+distances are exact, and a flat or planar map has an error of exactly zero.
 """
 
 import warp as wp
@@ -16,7 +15,7 @@ from .layout import Depth, child, diamond, entry, holds
 
 @wp.func
 def round_up(value: wp.float64):
-    """The smallest float32 that is not below a non-negative float64."""
+    """Return the smallest float32 that is not below a non-negative float64."""
     single = wp.float32(value)
     if wp.float64(single) < value:
         single = wp.cast(wp.cast(single, wp.int32) + 1, wp.float32)
@@ -27,7 +26,7 @@ def round_up(value: wp.float64):
 def row_error(
     h: wp.array(dtype=wp.float32), first: int, count: int, plane: wp.float64, slope: wp.float64
 ) -> wp.float64:
-    """Largest distance between `count` samples of a row from index `first` on and the plane along that row."""
+    """Return the largest distance of `count` samples of a row, from index `first` on, from the plane along that row."""
     largest = wp.float64(0.0)
     for i in range(count):
         distance = wp.abs(wp.float64(item_at(h, first + i)) - (plane + slope * wp.float64(i)))
@@ -37,13 +36,13 @@ def row_error(
 
 @wp.func
 def corner(raster: Samples, x: int, y: int) -> wp.float64:
-    """Height of a vertex: beyond the rim that of the nearest sample."""
+    """Return the height of a vertex; beyond the border that of the nearest sample."""
     return wp.float64(raster.floats[wp.min(y, raster.rows - 1) * raster.columns + wp.min(x, raster.columns - 1)])
 
 
 @wp.func
 def row_inside(raster: Samples, x: int, y: int, count: int, plane: wp.float64, slope: wp.float64) -> wp.float64:
-    """Largest distance of `count` samples from (x, y) on from the plane; beyond the rim none is."""
+    """Return the largest distance from the plane of those of `count` samples from (x, y) on that are in the raster."""
     inside = wp.min(count, raster.columns - x)
     largest = wp.float64(0.0)
     if inside > 0 and y < raster.rows:
@@ -55,10 +54,10 @@ def row_inside(raster: Samples, x: int, y: int, count: int, plane: wp.float64, s
 def diagonal_inside(
     raster: Samples, x: int, y: int, right: int, up: int, cells: int, plane: wp.float64, slope: wp.float64
 ) -> wp.float64:
-    """Largest distance of the bilinear surface over `cells` cells, inside of each along its diagonal, from the plane.
+    """Return the largest distance of the bilinear surface from the plane along the diagonals of `cells` cells.
 
-    The diagonals start at (x, y) and go east (`right` 1) or west (-1), north (`up` 1) or south (-1); those beyond the
-    rim are none. Along a diagonal the distance is e(t) = e0 (1-t) + e1 t - c t (1-t), c the cell's twist.
+    The diagonals start at (x, y) and run east (`right` 1) or west (-1), north (`up` 1) or south (-1). Those beyond the
+    border do not count. Along one the distance is e(t) = e0 (1-t) + e1 t - c t (1-t), c the cell's twist.
     """
     h = raster.floats
     width = raster.columns
@@ -89,11 +88,11 @@ def diagonal_inside(
 
 
 @wp.func
-def largest_below(values: wp.array(dtype=wp.float32), finer: Depth, own: Depth, p: wp.vec2i) -> wp.float32:
-    """Largest value of a diamond's up to four children."""
+def largest_below(values: wp.array(dtype=wp.float32), finer: Depth, coarser: Depth, p: wp.vec2i) -> wp.float32:
+    """Return the largest value of a diamond's up to four children."""
     largest = wp.float32(0.0)
     for k in range(4):
-        c = child(own, p, k)
+        c = child(coarser, p, k)
         if holds(finer, c):
             largest = wp.max(largest, values[entry(finer, c[0], c[1])])
     return largest
@@ -103,10 +102,10 @@ def largest_below(values: wp.array(dtype=wp.float32), finer: Depth, own: Depth, 
 def corner_error(
     raster: Samples, x: int, y: int, right: int, up: int, legs: int, plane: wp.float64, slope: wp.vec2d
 ) -> wp.float64:
-    """Largest distance of the surface over a right triangle from a plane: in its rows of samples, along its diagonal.
+    """Return the largest distance of the surface over a right triangle from a plane, in rows and along the diagonal.
 
-    From its corner (x, y), where the plane has the height `plane`, legs of so many samples go east (`right` 1) or west
-    (-1), and north (`up` 1) or south (-1). slope: metres a sample along x and y.
+    The plane has the height `plane` at the triangle's corner (x, y). From there legs of `legs` samples run east
+    (`right` 1) or west (-1), and north (`up` 1) or south (-1). slope: metres a sample along x and y.
     """
     largest = wp.float64(0.0)
     for j in range(legs):  # the last row is a vertex
@@ -126,20 +125,20 @@ def centre_errors(
     side: int,
     root: int,
     finer: Depth,
-    own: Depth,
+    coarser: Depth,
     errors: wp.array(dtype=wp.float32),
 ):
-    """Diamonds at the centres of cells of `side` samples (at least 2): a triangle at either end of a diagonal.
+    """Compute errors of diamonds at the centres of cells of `side` samples (at least 2), from their two triangles.
 
-    `root` is 1 where these cells are the root squares. `measured`: what of it counts, NaN elsewhere.
+    `root` is 1 if these cells are the root squares. `measured`: samples with NaN where they do not count.
     """
-    p = diamond(own, offset + wp.tid())
-    rises = root == 1 or ((p[0] + p[1]) & 1) == 1  # the diagonal on which the triangles' corners are
+    p = diamond(coarser, offset + wp.tid())
+    is_northeast = root == 1 or ((p[0] + p[1]) & 1) == 1  # direction of the diagonal with the triangles' corners
     n = wp.float64(side)
     largest = wp.float64(0.0)
     for k in range(2):
         right = 1 - 2 * k
-        up = wp.where(rises, right, -right)
+        up = wp.where(is_northeast, right, -right)
         x = (p[0] + k) * side
         y = (p[1] + wp.where(up > 0, 0, 1)) * side
         z = corner(raster, x, y)
@@ -147,7 +146,7 @@ def centre_errors(
         slope_y = wp.float64(up) * (corner(raster, x, y + up * side) - z) / n
         slope = wp.vec2d(slope_x, slope_y)
         largest = wp.max(largest, corner_error(measured, x, y, right, up, side, z, slope))
-    errors[entry(own, p[0], p[1])] = wp.max(round_up(largest), largest_below(errors, finer, own, p))
+    errors[entry(coarser, p[0], p[1])] = wp.max(round_up(largest), largest_below(errors, finer, coarser, p))
 
 
 @wp.kernel
@@ -157,13 +156,16 @@ def side_errors(
     measured: Samples,
     half: int,
     finer: Depth,
-    own: Depth,
+    coarser: Depth,
     errors: wp.array(dtype=wp.float32),
 ):
-    """Diamonds at the middles of cells' sides, `half` samples from the ends of the side; `measured` as before. The
-    triangle on either side of it is two right ones with their corners in the middle."""
-    p = diamond(own, offset + wp.tid())
-    if not holds(own, p):
+    """Compute errors of diamonds at the middles of cells' sides, `half` samples from the ends of the side.
+
+    Each of the two triangles consists of two right ones with their corners in the middle. `measured`: as in
+    `centre_errors`.
+    """
+    p = diamond(coarser, offset + wp.tid())
+    if not holds(coarser, p):
         return
     x = p[0] * half
     y = p[1] * half
@@ -185,17 +187,17 @@ def side_errors(
             up = 1 - (k & 2)
             across = wp.where(flat == 1, up, right)
             apex = wp.vec2i(p[0] + across * along[1], p[1] + across * along[0])
-            if holds(own, apex):
+            if holds(coarser, apex):
                 z = corner(raster, apex[0] * half, apex[1] * half)
                 rise = wp.float64(across) * (z - middle) / n
                 slopes = wp.where(flat == 1, wp.vec2d(slope, rise), wp.vec2d(rise, slope))
                 largest = wp.max(largest, corner_error(measured, x, y, right, up, half, middle, slopes))
-    errors[entry(own, p[0], p[1])] = wp.max(round_up(largest), largest_below(errors, finer, own, p))
+    errors[entry(coarser, p[0], p[1])] = wp.max(round_up(largest), largest_below(errors, finer, coarser, p))
 
 
 @wp.kernel
 def twists(offset: int, measured: Samples, cells: Depth, errors: wp.array(dtype=wp.float32)):
-    """Row `offset + tid` of the raster's cells: a quarter of each twist, 0 where a sample is NaN."""
+    """Compute a quarter of each twist of row `offset + tid` of the raster's cells, 0 if a sample is NaN."""
     h = measured.floats
     width = measured.columns
     cy = offset + wp.tid()
@@ -209,7 +211,7 @@ def twists(offset: int, measured: Samples, cells: Depth, errors: wp.array(dtype=
 
 @wp.kernel
 def saturate_rows(offset: int, part: wp.float32, cells: Depth, errors: wp.array(dtype=wp.float32)):
-    """Row `offset + tid` of cells: each to at least `part` of its western and eastern neighbours."""
+    """Raise each cell of row `offset + tid` to at least `part` of its western and eastern neighbours."""
     cy = offset + wp.tid()
     last = wp.float32(0.0)
     for cx in range(cells.columns):
@@ -224,7 +226,7 @@ def saturate_rows(offset: int, part: wp.float32, cells: Depth, errors: wp.array(
 
 @wp.kernel
 def saturate_columns(offset: int, block: int, part: wp.float32, cells: Depth, errors: wp.array(dtype=wp.float32)):
-    """Block `offset + tid` of columns: each cell to at least `part` of its southern and northern neighbours."""
+    """Raise each cell of block `offset + tid` of columns to at least `part` of its southern and northern neighbours."""
     x0 = (offset + wp.tid()) * block
     x1 = wp.min(x0 + block, cells.columns)
     for i in range(cells.rows - 1):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Errors that make a refinement follow the borders of holes down to the raster's cells; cbt_terrain/field/holes.py.
+"""Errors that refine the borders of holes down to the raster's cells: see cbt_terrain/field/holes.py.
 
-`kinds` are bits of what is below a diamond: GROUND, HOLE or both, in the order of `cbt_terrain/field/lattice.py`; none
-where there is no entry or no raster.
+`kinds` are bits of the cells below a diamond: GROUND, HOLE or both, in the order of `cbt_terrain/field/lattice.py`, and
+0 where there is no entry or no raster.
 """
 
 import warp as wp
@@ -15,7 +15,7 @@ HOLE = wp.constant(wp.uint8(2))
 
 @wp.func
 def is_whole(valid: wp.array(dtype=wp.uint8), columns: wp.int32, i: wp.int32, j: wp.int32) -> wp.bool:
-    """Whether all four samples of cell (i, j) are valid, `columns` samples a row."""
+    """Return whether all four samples of cell (i, j) are valid, with `columns` samples a row."""
     at = wp.int64(j) * wp.int64(columns) + wp.int64(i)
     above = at + wp.int64(columns)
     one = wp.int64(1)
@@ -24,7 +24,7 @@ def is_whole(valid: wp.array(dtype=wp.uint8), columns: wp.int32, i: wp.int32, j:
 
 @wp.kernel
 def cell_kinds(offset: int, valid: wp.array(dtype=wp.uint8), width: int, cells: Depth, kinds: wp.array(dtype=wp.uint8)):
-    """Row `offset + tid` of the raster's cells: those with a sample that is not valid are holes."""
+    """Compute the kinds of row `offset + tid` of the raster's cells: a cell with an invalid sample is a hole."""
     cy = offset + wp.tid()
     for cx in range(width - 1):
         kinds[entry(cells, cx, cy)] = wp.where(is_whole(valid, width, cx, cy), GROUND, HOLE)
@@ -35,19 +35,19 @@ def raise_borders(
     offset: int,
     longest: wp.float32,
     finer: Depth,
-    own: Depth,
+    coarser: Depth,
     kinds: wp.array(dtype=wp.uint8),
     errors: wp.array(dtype=wp.float32),
 ):
-    """The kinds of diamonds, from their children; an error of `longest` metres at least for those that are both."""
-    p = diamond(own, offset + wp.tid())
-    if holds(own, p):
+    """Compute the kinds of diamonds from their children, and raise errors on borders to at least `longest` metres."""
+    p = diamond(coarser, offset + wp.tid())
+    if holds(coarser, p):
         kind = wp.uint8(0)
         for k in range(4):
-            c = child(own, p, k)
+            c = child(coarser, p, k)
             if holds(finer, c):
                 kind = kind | kinds[entry(finer, c[0], c[1])]
-        at = entry(own, p[0], p[1])
+        at = entry(coarser, p[0], p[1])
         kinds[at] = kind
         if kind == GROUND | HOLE:
             errors[at] = wp.max(errors[at], longest)

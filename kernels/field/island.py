@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Kernel of the built-in island: a volcano, eroded ridges, valleys, beaches and a shelf under the sea.
 
-Only additions, multiplications, divisions, square roots and hashes of integers: the same seed gives the same bits
-on every machine, and a point of the plane has the same height at every resolution.
+It uses only additions, multiplications, divisions, square roots and hashes of integers, so the same seed gives the same
+bits on every machine, and a point of the plane has the same height at every resolution.
 """
 
 import warp as wp
@@ -15,7 +15,7 @@ RELIEF_OCTAVES = wp.constant(9)
 
 @wp.func
 def corner(row: wp.uint32, i: int, u: wp.float64, v: wp.float64):
-    """Gradient (x, y) in the lattice point i of a hashed row, and its plane's value at the offset (u, v) from there."""
+    """Return the gradient at lattice point i of a hashed row, and its plane's value at the offset (u, v)."""
     h = scramble(row + wp.uint32(i))
     gx = wp.float64(h & wp.uint32(0xFFFF)) / wp.float64(32767.5) - wp.float64(1.0)
     gy = wp.float64(h >> wp.uint32(16)) / wp.float64(32767.5) - wp.float64(1.0)
@@ -24,7 +24,7 @@ def corner(row: wp.uint32, i: int, u: wp.float64, v: wp.float64):
 
 @wp.func
 def noise(x: wp.float64, y: wp.float64, seed: wp.uint32):
-    """Gradient noise of Perlin: (slope x, slope y, value); the value is mostly within +-0.7."""
+    """Return Perlin's gradient noise: (slope x, slope y, value); the value is mostly within +-0.7."""
     fx = wp.floor(x)
     fy = wp.floor(y)
     i = wp.int32(fx)
@@ -53,10 +53,9 @@ def noise(x: wp.float64, y: wp.float64, seed: wp.uint32):
 
 @wp.func
 def relief(x: wp.float64, y: wp.float64, detail: wp.float64, seed: wp.uint32):
-    """Sum of octaves in which steep places get less of the finer ones: ridges stay sharp and valleys smooth.
+    """Return a sum of octaves in which steep places get less of the finer ones: ridges stay sharp and valleys smooth.
 
-    `detail` (0 .. 1) scales all octaves after the third; they cost most of the time and the sea bed needs none.
-
+    `detail` (0 .. 1) scales all octaves after the third, which cost most of the time and do not show on the sea bed.
     The damping by the summed slope is Quilez' ("more noise", 2008).
     """
     total = wp.float64(0.0)
@@ -83,14 +82,14 @@ def relief(x: wp.float64, y: wp.float64, detail: wp.float64, seed: wp.uint32):
 
 @wp.func
 def smooth(low: wp.float64, high: wp.float64, value: wp.float64):
-    """0 below `low`, 1 above `high`, a cubic between."""
+    """Return 0 below `low`, 1 above `high`, and a cubic between."""
     t = wp.clamp((value - low) / (high - low), wp.float64(0.0), wp.float64(1.0))
     return t * t * (wp.float64(3.0) - wp.float64(2.0) * t)
 
 
 @wp.func
 def gullies(x: wp.float64, y: wp.float64, turns: wp.float64, seed: wp.uint32):
-    """0 on a ridge to 1 in the bed of a valley; valleys run outward from (0, 0), about 6 * turns of them."""
+    """Return 0 on a ridge to 1 in the bed of a valley; about 6 * turns valleys run outward from (0, 0)."""
     away = wp.sqrt(x * x + y * y) + wp.float64(1e-3)
     wander = wp.float64(1.2) * away
     n = noise(x / away * turns + wander, y / away * turns - wander, seed)
@@ -100,13 +99,13 @@ def gullies(x: wp.float64, y: wp.float64, turns: wp.float64, seed: wp.uint32):
 
 @wp.func
 def island_height(x: wp.float64, y: wp.float64, seed: wp.uint32):
-    """Metres above the sea at (x, y), both in -1 .. 1 over the island's square."""
+    """Return metres above the sea at (x, y), both in -1 .. 1 over the island's square."""
     one = wp.float64(1.0)
     half = wp.float64(0.5)
-    bend = noise(x * wp.float64(2.0), y * wp.float64(2.0), seed + wp.uint32(101))
-    bent = noise(x * wp.float64(6.0), y * wp.float64(6.0), seed + wp.uint32(102))
-    wx = x + wp.float64(0.14) * bend[2] + wp.float64(0.04) * bent[2]
-    wy = y + wp.float64(0.07) * bend[0] + wp.float64(0.02) * bent[0]
+    wide = noise(x * wp.float64(2.0), y * wp.float64(2.0), seed + wp.uint32(101))
+    narrow = noise(x * wp.float64(6.0), y * wp.float64(6.0), seed + wp.uint32(102))
+    wx = x + wp.float64(0.14) * wide[2] + wp.float64(0.04) * narrow[2]
+    wy = y + wp.float64(0.07) * wide[0] + wp.float64(0.02) * narrow[0]
     bays = noise(x * wp.float64(3.1), y * wp.float64(3.1), seed + wp.uint32(103))
     reach = wp.sqrt(wx * wx + wp.float64(1.3) * wy * wy)
     inland = wp.float64(0.82) - reach - wp.float64(0.16) * bays[2]
@@ -128,7 +127,7 @@ def island_height(x: wp.float64, y: wp.float64, seed: wp.uint32):
         spread = smooth(wp.float64(0.05), wp.float64(0.3), reach) * wp.min(rise * wp.float64(20.0), one)
         land = land * (one - wp.float64(0.6) * beds * spread)
 
-    # The volcano: a cone that steepens towards its rim, furrowed by its own gullies, and a crater in it.
+    # The volcano: a cone that steepens towards its rim, with gullies and a crater.
     vx = wx - wp.float64(0.16)
     vy = wy - wp.float64(0.10)
     away = wp.sqrt(vx * vx + vy * vy)
@@ -138,7 +137,7 @@ def island_height(x: wp.float64, y: wp.float64, seed: wp.uint32):
         furrow = furrow * cone * (one - cone) * wp.float64(4.0) * smooth(wp.float64(0.05), wp.float64(0.16), away)
         cone = wp.float64(1800.0) * cone * cone * (half + half * cone)
         cone = cone * (one + wp.float64(0.25) * rough) * (one - wp.float64(0.22) * furrow)
-    crater = smooth(wp.float64(0.1), wp.float64(0.03), away + wp.float64(0.01) * bent[2])
+    crater = smooth(wp.float64(0.1), wp.float64(0.03), away + wp.float64(0.01) * narrow[2])
     height = wp.max(land, wp.float64(0.55) * land + cone) - wp.float64(800.0) * crater
 
     # The coast: a shelf that falls off outside, and a strip of beach where land meets the sea.
@@ -152,7 +151,7 @@ def island_height(x: wp.float64, y: wp.float64, seed: wp.uint32):
 
 @wp.kernel
 def raise_island(offset: int, size: int, first_row: int, seed: wp.uint32, samples: wp.array(dtype=wp.float32)):
-    """Row `first_row + offset + tid` of an island of `size` x `size` samples, into row `offset + tid` of `samples`."""
+    """Compute row `first_row + offset + tid` of an island of `size` x `size` samples, at row `offset + tid`."""
     row = offset + wp.tid()
     cells = wp.float64(size - 1)
     y = wp.float64(2 * (first_row + row) - (size - 1)) / cells

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the error hierarchy and the height ranges hold a diamond; `cbt_terrain/field/lattice.py` says why."""
+"""Layout of diamonds in the error hierarchy and the height ranges: see `cbt_terrain/field/lattice.py`."""
 
 import warp as wp
 
 
 @wp.func
 def tile_index(x: wp.int32, y: wp.int32, pages: wp.int32) -> wp.int64:
-    """Entry of the vertex (x, y) of a group, counted from the group's first, where a row of the group has `pages`.
+    """Return the entry of the vertex (x, y) of a group with `pages` a row, from the group's first entry.
 
     Pages of 32 x 32 vertices are row-major in the group, tiles of 4 x 4 row-major in a page, vertices in a tile.
     """
@@ -35,15 +35,15 @@ class Depth:
 
 @wp.func
 def entry(depth: Depth, x: wp.int32, y: wp.int32) -> wp.int64:
-    """Entry of the diamond (x, y) of a depth."""
+    """Return the entry of the diamond (x, y) of a depth."""
     return depth.base + tile_index(depth.first + x * depth.step, depth.first + y * depth.step, depth.pages)
 
 
 @wp.func
 def diamond(depth: Depth, t: wp.int32) -> wp.vec2i:
-    """Number `t` of a depth's diamonds, row by row.
+    """Return diamond number `t` of a depth, row by row.
 
-    A row of sides between cells has one more than a row through centres, where the last number is beyond the east end.
+    A row of sides between cells has one more than a row through centres, whose last number is beyond the east end.
     """
     stride = wp.where(depth.sides == 1, depth.columns / 2 + 1, depth.columns)
     y = t / stride
@@ -55,7 +55,7 @@ def diamond(depth: Depth, t: wp.int32) -> wp.vec2i:
 
 @wp.func
 def holds(depth: Depth, p: wp.vec2i) -> wp.bool:
-    """Whether a depth has the diamond p."""
+    """Return whether a depth has the diamond p."""
     x = wp.uint32(p[0])  # a negative number is a large one
     y = wp.uint32(p[1])
     return x < wp.uint32(depth.columns + depth.sides) and y < wp.uint32(depth.rows + depth.sides)
@@ -63,7 +63,7 @@ def holds(depth: Depth, p: wp.vec2i) -> wp.bool:
 
 @wp.func
 def child(depth: Depth, p: wp.vec2i, k: wp.int32) -> wp.vec2i:
-    """Child k (0 .. 3) of a diamond, if the finer depth holds it: a side's middle; of a side, a cell at its middle."""
+    """Return child k (0 .. 3) of a diamond, if the finer depth holds it: the middle of a side or of a cell."""
     c = wp.vec2i(p[0] - (k & 1), p[1] - (k >> 1))
     if depth.sides == 0:
         ahead = 2 * (k & 1)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Noise of the plane that effects share: value noise on the integers with a quintic fade, twice differentiable.
+"""Noise of the plane: value noise on the integers with a quintic fade, twice differentiable.
 
-Only additions, multiplications and hashes of integers: a place has the same bits on every machine. Seeds of octaves
-are `seed + octave * 0x9E3779B9`.
+It uses only additions, multiplications and hashes of integers, so a position has the same bits on every machine. Seeds
+of octaves are `seed + octave * 0x9E3779B9`.
 """
 
 import warp as wp
@@ -10,7 +10,7 @@ import warp as wp
 
 @wp.func
 def scramble(value: wp.uint32):
-    """Integer hash (lowbias32 of Wellons, "Prospecting for hash functions", 2018)."""
+    """Return an integer hash (lowbias32 of Wellons, "Prospecting for hash functions", 2018)."""
     x = value
     x = (x ^ (x >> wp.uint32(16))) * wp.uint32(0x7FEB352D)
     x = (x ^ (x >> wp.uint32(15))) * wp.uint32(-0x7B935975)  # 0x846CA68B: literals are int32
@@ -19,15 +19,15 @@ def scramble(value: wp.uint32):
 
 @wp.func
 def lattice_value(row: wp.uint32, i: wp.uint32):
-    """Value of the lattice point i of a hashed row: a multiple of 2^-31 in [-1, 1)."""
+    """Return the value of the lattice point i of a hashed row: a multiple of 2^-31 in [-1, 1)."""
     return wp.float64(wp.int32(scramble(row + i))) * wp.float64(4.656612873077393e-10)
 
 
 @wp.func
 def value_noise(x: wp.float64, y: wp.float64, seed: wp.uint32):
-    """Value noise at (x, y), lattice points one apart: (slope x, slope y, value), |value| <= 1.
+    """Return value noise at (x, y), lattice points one apart: (slope x, slope y, value), |value| <= 1.
 
-    Perlin's quintic fade ("Improving noise", 2002) between the hashed values of the four lattice points around.
+    It uses Perlin's quintic fade ("Improving noise", 2002) between the hashed values of the four lattice points around.
     """
     fx = wp.floor(x)
     fy = wp.floor(y)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels of the ranges of heights: for every diamond of cells of 4 x 4 samples and more, two uint16 that enclose it.
+"""Kernels of the ranges of heights: two uint16 that enclose every diamond of cells of 4 x 4 samples and more.
 
 A height is `base + q * step`; the lower number is rounded down and the upper one up, so the range encloses. `ranges`
-are flat: lower and upper of one diamond lie side by side, diamonds in the order of `cbt_terrain/field/lattice.py`.
+are flat: lower and upper of a diamond are adjacent, diamonds in the order of `cbt_terrain/field/lattice.py`.
 """
 
 import warp as wp
@@ -10,13 +10,13 @@ import warp as wp
 from .codes import Samples
 from .layout import Depth, child, diamond, entry, holds
 
-# Samples that the box of a diamond at the middle of a side of 4 x 4 cells reaches from there.
+# Samples from the middle of a side of 4 x 4 cells to the border of its diamond's box.
 REACH = wp.constant(4)
 
 
 @wp.func
 def quantise_down(z: wp.float64, base: wp.float64, step: wp.float64, per_step: wp.float64):
-    """Largest q in 0 .. 65535 with base + q * step <= z; z is not below base."""
+    """Return the largest q in 0 .. 65535 with base + q * step <= z; z is not below base."""
     q = wp.clamp(wp.int32((z - base) * per_step), 0, 65535)
     while q > 0 and base + wp.float64(q) * step > z:
         q = q - 1
@@ -25,7 +25,7 @@ def quantise_down(z: wp.float64, base: wp.float64, step: wp.float64, per_step: w
 
 @wp.func
 def quantise_up(z: wp.float64, base: wp.float64, step: wp.float64, per_step: wp.float64):
-    """A small q in 0 .. 65535 with base + q * step >= z; z is not above base + 65535 * step."""
+    """Return a small q in 0 .. 65535 with base + q * step >= z; z is not above base + 65535 * step."""
     q = wp.clamp(wp.int32((z - base) * per_step), 0, 65535)
     while q < 65535 and base + wp.float64(q) * step < z:
         q = q + 1
@@ -38,12 +38,12 @@ def finest_ranges(
     raster: Samples,
     base: wp.float64,
     step: wp.float64,
-    own: Depth,
+    finest: Depth,
     ranges: wp.array(dtype=wp.uint16),
 ):
-    """Row `2 * (offset + tid)` of samples: diamonds about the middles of sides of 4 x 4 cells.
+    """Compute ranges in row `2 * (offset + tid)` of samples: of diamonds around the middles of sides of 4 x 4 cells.
 
-    From all samples that their boxes hold, or the nearest; so those below, which reach over into the next cell, are in.
+    They cover all samples in the diamonds' boxes, or the nearest, and so the finer diamonds that overlap the next cell.
     """
     y = offset + wp.tid()
     per_step = wp.float64(1.0) / step
@@ -51,7 +51,7 @@ def finest_ranges(
     width = raster.columns
     south = wp.clamp(2 * y - REACH, 0, raster.rows - 1)
     north = wp.min(2 * y + REACH, raster.rows - 1)
-    for x in range(1 - (y & 1), own.columns + 1, 2):
+    for x in range(1 - (y & 1), finest.columns + 1, 2):
         west = wp.clamp(2 * x - REACH, 0, width - 1)
         low = h[south * width + west]
         high = low
@@ -60,42 +60,44 @@ def finest_ranges(
                 z = h[j * width + i]
                 low = wp.where(z < low, z, low)
                 high = wp.where(z > high, z, high)
-        at = wp.int64(2) * entry(own, x, y)
+        at = wp.int64(2) * entry(finest, x, y)
         ranges[at] = quantise_down(wp.float64(low), base, step, per_step)
         ranges[at + wp.int64(1)] = quantise_up(wp.float64(high), base, step, per_step)
 
 
 @wp.func
 def unite(a: wp.vec2us, ranges: wp.array(dtype=wp.uint16), index: wp.int64):
-    """The range `a` widened to that of the diamond at an entry."""
+    """Return the union of the range `a` and that of the diamond at an entry."""
     at = wp.int64(2) * index
     return wp.vec2us(wp.min(a[0], ranges[at]), wp.max(a[1], ranges[at + wp.int64(1)]))
 
 
 @wp.kernel
-def patches_around(offset: int, columns: int, rows: int, cells: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)):
-    """Row `2 * (offset + tid)` of samples: the diamonds of `finest_ranges`, from all cells that their boxes hold."""
+def patches_around(
+    offset: int, columns: int, rows: int, cells: Depth, finest: Depth, ranges: wp.array(dtype=wp.uint16)
+):
+    """Compute the ranges of `finest_ranges` from all cells in the diamonds' boxes."""
     y = offset + wp.tid()
-    for x in range(1 - (y & 1), own.columns + 1, 2):
+    for x in range(1 - (y & 1), finest.columns + 1, 2):
         r = wp.vec2us(wp.uint16(65535), wp.uint16(0))
         for cy in range(wp.max(2 * y - REACH, 0), wp.min(2 * y + REACH, rows)):
             for cx in range(wp.max(2 * x - REACH, 0), wp.min(2 * x + REACH, columns)):
                 r = unite(r, ranges, entry(cells, cx, cy))
-        at = wp.int64(2) * entry(own, x, y)
+        at = wp.int64(2) * entry(finest, x, y)
         ranges[at] = r[0]
         ranges[at + wp.int64(1)] = r[1]
 
 
 @wp.kernel
-def unite_children(offset: int, finer: Depth, own: Depth, ranges: wp.array(dtype=wp.uint16)):
-    """Diamonds get the union of the ranges of their up to four children."""
-    p = diamond(own, offset + wp.tid())
-    if holds(own, p):
+def unite_children(offset: int, finer: Depth, coarser: Depth, ranges: wp.array(dtype=wp.uint16)):
+    """Compute the ranges of diamonds as the union of their up to four children."""
+    p = diamond(coarser, offset + wp.tid())
+    if holds(coarser, p):
         r = wp.vec2us(wp.uint16(65535), wp.uint16(0))
         for k in range(4):
-            c = child(own, p, k)
+            c = child(coarser, p, k)
             if holds(finer, c):
                 r = unite(r, ranges, entry(finer, c[0], c[1]))
-        at = wp.int64(2) * entry(own, p[0], p[1])
+        at = wp.int64(2) * entry(coarser, p[0], p[1])
         ranges[at] = r[0]
         ranges[at + wp.int64(1)] = r[1]

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.field.lands import LANDS, Land
+from adaptive_terrain.cbt_terrain.field.lands import LANDS, BuiltInTerrain
 from adaptive_terrain.cbt_terrain.land.shape import shape
 from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack, read_stack
 from adaptive_terrain.cbt_terrain.land.tiles import whole_land
@@ -158,7 +158,7 @@ def effect_section(effect: LandEffect, parameters: dict) -> str:
     return "\n".join([*lines, ""])
 
 
-def shaped(land: Land, size: int, stack: Stack) -> Shown:
+def shaped(land: BuiltInTerrain, size: int, stack: Stack) -> Shown:
     """A stack over a whole land, in memory."""
     heights, step = land.heights(size), land.side / (size - 1)
     field = from_array(heights, step)

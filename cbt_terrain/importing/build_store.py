@@ -27,7 +27,7 @@ from .sources import check_file, open_source
 READING = "Reading"  # message while files from outside are read
 BLOCK_SAMPLES = 1 << 20  # read and written at a time, about
 METHOD = 2  # increased when the same source gives a different store
-DOUBT = ", or check the size in the file's header"
+DOUBT = ", or check that the file's header has its true size"
 
 
 def run_import(

@@ -18,7 +18,7 @@ from bpy.props import (
 
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.field.island import DEFAULT_SEED
-from ...cbt_terrain.field.lands import LANDS, Land
+from ...cbt_terrain.field.lands import LANDS, BuiltInTerrain
 from ...cbt_terrain.importing.raster import RAW_TYPES
 from . import effect_properties, land_properties, layer_properties
 from .detail_properties import RenderDetail, ViewportDetail, changed
@@ -40,7 +40,7 @@ def land_items() -> list[tuple]:
     return [(name.upper(), land.label, land.about, "NONE", next(numbers)) for name, land in LANDS.items()]
 
 
-def land_of(settings) -> Land | None:
+def land_of(settings) -> BuiltInTerrain | None:
     """The built-in land that is a terrain's source."""
     return LANDS.get(settings.source.lower())
 

@@ -6,7 +6,7 @@ import gc
 
 import bpy
 
-from . import handlers
+from . import handlers, jobs
 from .effects import add_scatter, bake_maps, splat_layers, terrain_material
 from .farm import submit_to_farm
 from .ground import add_collider, drop_to_ground, keep_above, keep_ground, pick_ground, profile_curve, viewshed
@@ -15,7 +15,7 @@ from .land import land_cache, land_list, land_presets, shape_land, water_surface
 from .mesh import freed_memory
 from .output import bake_land, bake_terrain, export_terrain
 from .properties import keep_properties, layer_images, properties
-from .report import measure_accuracy, measuring, sweep_accuracy
+from .report import measure_accuracy, sweep_accuracy
 from .scene import freeze_detail, session, update_terrain
 from .ui import effects_panel, overlay_panel, panels, scatter_panel, status_bar, status_row
 from .viewport import frame_terrain, live
@@ -52,7 +52,6 @@ MODULES = (
     profile_curve,
     viewshed,
     add_collider,
-    measuring,
     measure_accuracy,
     sweep_accuracy,
     effects_panel,
@@ -63,6 +62,7 @@ MODULES = (
     handlers,
     live,
     status_bar,
+    jobs,  # ends what runs before the operators go
 )
 
 

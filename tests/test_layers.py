@@ -44,8 +44,8 @@ ROOMS = {
         *("query", "effects", "evaluate", "scatter", "maps", "importing", "land_effects", "land", "fit", "accuracy"),
     ],
     "operators": [
-        *("text", "mesh", "demand", "properties", "request", "scene", "ground", "viewport", "land", "importing"),
-        *("effects", "output", "report", "farm", "ui"),
+        *("text", "mesh", "demand", "properties", "request", "scene", "jobs", "ground", "viewport"),
+        *("job_operator", "land", "importing", "effects", "output", "report", "farm", "ui"),
         *("handlers", "registration"),
         *("blender", "demo", "cli"),
     ],

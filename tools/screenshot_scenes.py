@@ -113,7 +113,7 @@ def land_scene():
     yield from until(lambda: len(terrain.data.polygons) > 0)
     yield 3.0
     run(bpy.ops.adaptive_terrain.shape, "INVOKE_DEFAULT")
-    jobs, shaped = module("operators.scene.land_jobs"), module("operators.scene.shaped_land")
+    jobs, shaped = module("operators.jobs"), module("operators.scene.shaped_land")
     yield 2.0
     yield from until(lambda: not jobs.running and not shaped.state_of(terrain).wanted)
     run(bpy.ops.screen.screen_full_area)

@@ -22,10 +22,6 @@ from . import store_folder
 CHUNK_BYTES = 1 << 24
 
 
-class PackingCancelled(TerrainError):
-    """The user has stopped the copy; no store was changed."""
-
-
 def copy_store(
     source: str | os.PathLike, target: str | os.PathLike, on_progress: Callable[[float], None] = lambda _fraction: None
 ) -> None:

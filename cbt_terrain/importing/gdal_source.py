@@ -17,22 +17,23 @@ from ..field.georeference import Georeference, from_transform
 from ..run.named_file import open_regular
 from .band_notes import WHOLE_FILE, band_notes, content_hint, float_alpha
 from .file_grid import FileGrid, grid_of, has_shear, unit_of
-from .header_files import HEADER_DRIVER, HEADER_SUFFIXES, check_header, check_length
+from .header_files import check_header, check_length
 from .length_scale import length_warnings, mirror_warnings
 from .png_file import png_damage
 from .raster import ImportSettings, Raster, blank, cause
 from .rounding import band_rounding
 from .sidecars import allow_aux_file, named_crs
+from .source_formats import FORMATS
 from .tiff_orientation import orientation_notes, orientation_of, oriented
 from .units import height_unit
 from .vrt_rounding import mosaic_roundings
 from .vrt_source import read_mosaic
 from .vrt_units import dataset_scales, mosaic_notes
 
-# Suffixes of files that a VRT may name, and their drivers.
-MOSAIC_DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".hgt": "SRTMHGT", ".png": "PNG", ".asc": "AAIGrid", ".vrt": "VRT"}
 # GDAL may try only the driver of a file's suffix.
-DRIVERS = MOSAIC_DRIVERS | dict.fromkeys(HEADER_SUFFIXES, HEADER_DRIVER)
+DRIVERS = {suffix: form.driver for suffix, form in FORMATS.items() if form.driver}
+# The drivers of files that a VRT may name.
+MOSAIC_DRIVERS = {suffix: form.driver for suffix, form in FORMATS.items() if form.in_mosaic}
 MAX_BANDS = 1024  # more than any height map has; interleaved bands are all read
 # Bytes of the smallest piece of a file that can be read: a tile or strip, with all its bands if they are interleaved.
 LARGEST_BLOCK = 256 << 20
@@ -176,13 +177,14 @@ def _open_file(path: Path, driver: str):
     """Open the dataset of one file. Raises TerrainError if its smallest readable piece is too large."""
     import rasterio
 
+    has_header = FORMATS[path.suffix.lower()].has_header
     if driver == "PNG":
         _check_png(path)
-    elif driver == HEADER_DRIVER:
+    elif has_header:
         check_header(path)
     dataset = rasterio.open(path, driver=driver, sharing=False)
     _check_blocks(path, dataset)
-    if driver == HEADER_DRIVER:
+    if has_header:
         check_length(path, dataset)
     return dataset
 

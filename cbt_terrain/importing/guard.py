@@ -14,8 +14,9 @@ from ..run.memory import physical_memory
 from ..run.owned_files import open_folder
 from . import sandbox
 from .drafts import unwritable
-from .gdal_source import DRIVERS, keep_only_drivers
+from .gdal_source import keep_only_drivers
 from .raster import ImportSettings
+from .source_formats import FORMATS
 
 # The child's environment: no network for PROJ, and no other threads, which would keep their rights.
 VARIABLES = {"PROJ_NETWORK": "OFF", "GDAL_DRIVER_PATH": "disable", "OPENBLAS_NUM_THREADS": "1"}
@@ -26,10 +27,10 @@ def guard(suffix: str, folder: Path | None) -> dict[str, str]:
 
     folder: where this process may still write. Raises TerrainError if GDAL keeps drivers that the file does not need.
     """
-    if suffix in DRIVERS:
-        keep_only_drivers(suffix)
-    elif suffix == ".exr":
-        import OpenEXR  # noqa: F401
+    if suffix in FORMATS:
+        FORMATS[suffix].load()
+        if FORMATS[suffix].driver:
+            keep_only_drivers(suffix)
     remove_temporary_cache()  # not possible later
     return {**sandbox.enter(folder), "memory": sandbox.limit_memory(physical_memory() // 2)}
 

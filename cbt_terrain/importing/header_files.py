@@ -8,10 +8,8 @@ import numpy as np
 
 from ..errors import TerrainError, shown
 from ..run.named_file import open_regular
+from .source_formats import FORMATS
 
-HEADER_DRIVER = "EHdr"
-RAW_WITHOUT_HEADER = (".bil", ".bip", ".bsq", ".flt")
-HEADER_SUFFIXES = (*RAW_WITHOUT_HEADER, ".dem")  # a .dem without a header is most often a text of the USGS
 MAX_HEADER_BYTES = 1 << 20
 
 
@@ -21,12 +19,14 @@ def header_of(path: Path) -> Path | None:
         found = [path.with_suffix(suffix) for suffix in (".hdr", ".HDR") if path.with_suffix(suffix).is_file()]
     except (OSError, ValueError):
         return None
-    return found[0] if found and path.suffix.lower() in HEADER_SUFFIXES else None
+    form = FORMATS.get(path.suffix.lower())
+    return found[0] if found and form is not None and form.has_header else None
 
 
 def is_plain_raw(path: Path) -> bool:
-    """Return whether a file has a suffix of raw samples and no header."""
-    return path.suffix.lower() in RAW_WITHOUT_HEADER and header_of(path) is None
+    """Return whether a file holds raw samples by its suffix and has no header beside it."""
+    form = FORMATS.get(path.suffix.lower())
+    return form is not None and form.is_raw_alone and header_of(path) is None
 
 
 def headless_warning(path: Path) -> str:

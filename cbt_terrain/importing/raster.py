@@ -14,14 +14,10 @@ from ..field import island
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.lands import LANDS
 from ..plain_numbers import keep_plain_numbers
-from .header_files import HEADER_SUFFIXES
 from .rounding import SourceRounding
+from .source_formats import BAND, suffixes_with
 
 ISLAND = "island"
-RAW_SUFFIXES = (".raw", ".r16", ".r32", ".bin")
-# Suffixes of files that can have a coordinate system.
-PLACED_SUFFIXES = (".tif", ".tiff", ".hgt", ".png", ".asc", ".vrt", *HEADER_SUFFIXES)
-EXR_SUFFIX = ".exr"
 _PROJECT = re.compile(r"(utm|epsg:\d{1,7})?", re.IGNORECASE)
 RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float16", "float32", "float64")
 
@@ -89,7 +85,7 @@ class ImportSettings:
             raise TerrainError(
                 f"The raster cannot be reprojected to {shown(self.project)!r}", expected="utm or EPSG:n, as EPSG:32632"
             )
-        if self.project and (self.source in LANDS or Path(self.source).suffix.lower() not in PLACED_SUFFIXES):
+        if self.project and (self.source in LANDS or Path(self.source).suffix.lower() not in suffixes_with(BAND)):
             raise TerrainError(
                 f"{shown(self.source)} has no coordinate system, so it cannot be reprojected", fix="import it as it is"
             )

@@ -11,10 +11,9 @@ from ..errors import TerrainError, shown
 from ..field.georeference import Georeference
 from ..field.lands import LANDS
 from ..run.named_file import blocks_reader
-from .exr_source import open_exr
-from .gdal_source import DRIVERS, open_raster
 from .header_files import headless_warning, is_plain_raw
-from .raster import EXR_SUFFIX, RAW_SUFFIXES, ImportSettings, Raster, blank
+from .raster import ImportSettings, Raster, blank
+from .source_formats import FORMATS
 
 ORDER_ROWS = 256  # rows that are compared in both byte orders
 SMOOTHER = 4.0  # ratio of roughness beyond which the other byte order is likelier
@@ -29,20 +28,15 @@ def open_source(settings: ImportSettings) -> Raster:
     check_file(path)
     suffix = path.suffix.lower()
     try:
-        if suffix in RAW_SUFFIXES or is_plain_raw(path):
-            return _open_raw(path, settings)
-        if suffix == ".npy":
-            return _open_npy(path, settings)
-        if suffix == EXR_SUFFIX:
-            return open_exr(path, settings)
-        if suffix in DRIVERS:
-            return open_raster(path, settings)
+        if is_plain_raw(path):
+            return open_raw(path, settings)
+        if suffix in FORMATS:
+            return FORMATS[suffix].load()(path, settings)
     except OSError as reason:
         raise TerrainError(f"{path} cannot be read ({reason.strerror or reason})", fix="check the file") from reason
-    known = ", ".join((*DRIVERS, EXR_SUFFIX, ".npy", *RAW_SUFFIXES))
     raise TerrainError(
         f"{path} is of no known kind of height map",
-        expected=f"one of {known}",
+        expected=f"one of {', '.join(FORMATS)}",
         fix="unpack an archive, and convert other kinds to GeoTIFF (gdal_translate)",
     )
 
@@ -98,7 +92,8 @@ def _open_land(settings: ImportSettings) -> Raster:
     return Raster(size, size, read, "float32", land.name, georeference=place, block_rows=64)
 
 
-def _open_raw(path: Path, settings: ImportSettings) -> Raster:
+def open_raw(path: Path, settings: ImportSettings) -> Raster:
+    """Open samples without a header. Raises TerrainError."""
     if settings.project:
         raise TerrainError(
             f"{shown(path)} has no header beside it, so no coordinate system, and cannot be reprojected",
@@ -140,7 +135,8 @@ def _byte_order_warnings(values: np.ndarray) -> list[str]:
     ]
 
 
-def _open_npy(path: Path, settings: ImportSettings) -> Raster:
+def open_npy(path: Path, settings: ImportSettings) -> Raster:
+    """Open an array of numpy. Raises TerrainError."""
     try:
         values = np.lib.format.open_memmap(path, mode="r")  # np.load would also open zips and pickles
     except Exception as reason:  # the parser of headers raises errors of many classes

@@ -21,7 +21,6 @@ from ..run import child
 from ..run.partial_files import is_device, written_beside
 
 MODULE = "cbt_terrain.land.export"
-TIFF, EXR = (".tif", ".tiff"), (".exr",)
 LINES = 256  # whole blocks of either format
 HEIGHTS = "heights"
 
@@ -42,20 +41,15 @@ def export_raster(
     files = {name: _file_of(file, name) for name in names or known}
     if HEIGHTS in files:
         field.check_samples()
-    if file.suffix.lower() in EXR:
-        for name, path in files.items():
-            _write_exr(field, name, path)
-    else:
-        request = {"store": str(Path(store).absolute()), "files": {name: str(path) for name, path in files.items()}}
-        ask(MODULE, request, f"the store {store}")
+    WRITERS[file.suffix.lower()](field, Path(store), files)
     return list(files.values())
 
 
 def check_export(file: str | os.PathLike) -> Path:
     """The file that a raster is to be written into. Raises TerrainError where that cannot be, before hours of work."""
     file = Path(file)
-    if file.suffix.lower() not in (*TIFF, *EXR):
-        raise TerrainError(f"{file} is of no format that heights are written in; expected {', '.join((*TIFF, *EXR))}.")
+    if file.suffix.lower() not in WRITERS:
+        raise TerrainError(f"{file} is of no format that heights are written in; expected {', '.join(WRITERS)}.")
     if not file.parent.is_dir():
         raise TerrainError(f"{file} cannot be written: there is no folder {file.parent}; make it, or choose another.")
     if is_device(file):
@@ -77,6 +71,11 @@ def _rows(field: HeightField, name: str, first: int) -> np.ndarray:
     return found[::-1]
 
 
+def _write_exrs(field: HeightField, _store: Path, files: dict[str, Path]) -> None:
+    for name, path in files.items():
+        _write_exr(field, name, path)
+
+
 def _write_exr(field: HeightField, name: str, path: Path) -> None:
     lattice = field.lattice
     try:
@@ -96,12 +95,21 @@ def _not_written(path: Path, reason: OSError) -> TerrainError:
     return TerrainError(f"{path} cannot be written ({reason.strerror or reason}): make room or choose another folder.")
 
 
+def _write_tiffs(_field: HeightField, store: Path, files: dict[str, Path]) -> None:
+    request = {"store": str(store.absolute()), "files": {name: str(path) for name, path in files.items()}}
+    ask(MODULE, request, f"the store {store}")
+
+
+# By suffix: a function that writes the rasters of a store into files, by the names of layers.
+WRITERS = {".tif": _write_tiffs, ".tiff": _write_tiffs, ".exr": _write_exrs}
+
+
 def child_main() -> None:
     """Answer one request."""
-    serve(_write_tiffs, lambda asked: f"Reading the store {asked['store']}")
+    serve(_answer, lambda asked: f"Reading the store {asked['store']}")
 
 
-def _write_tiffs(asked: dict, *_) -> list[str]:
+def _answer(asked: dict, *_) -> list[str]:
     child.end_with_parent()
     field = open_store(asked["store"])
     georeference = _georeference(field, asked["store"])

@@ -137,9 +137,11 @@ def build_parser() -> argparse.ArgumentParser:
 def _add_import(subparsers) -> None:
     from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
     from ...cbt_terrain.field.lands import LANDS
+    from ...cbt_terrain.importing.source_formats import FORMATS
 
     verb = _verb(subparsers, "import", "turn a height map into a store", verbs.run_import)
-    source = f"height map (GeoTIFF, VRT, .asc, .hgt, PNG, EXR, RAW, .npy), or a built-in land: {', '.join(LANDS)}"
+    kinds = ", ".join(dict.fromkeys(form.title for form in FORMATS.values()))
+    source = f"height map ({kinds}), or a built-in land: {', '.join(LANDS)}"
     verb.add_argument("source", type=path_text, help=source)
     verb.add_argument("--store", type=path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument(

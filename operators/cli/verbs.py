@@ -22,11 +22,12 @@ def run_import(arguments) -> None:
     from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
     from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.importing.import_process import import_source
-    from ...cbt_terrain.importing.raster import EXR_SUFFIX, PLACED_SUFFIXES, ImportSettings
+    from ...cbt_terrain.importing.raster import ImportSettings
+    from ...cbt_terrain.importing.source_formats import BAND, CHANNEL, suffixes_with
 
     if arguments.source not in LANDS and (arguments.size, arguments.seed) != (None, None):
         raise UsageError(f"--size and --seed are of built-in lands; {arguments.source} is taken as it is")
-    for option, suffixes in (("band", PLACED_SUFFIXES), ("channel", (EXR_SUFFIX,))):
+    for option, suffixes in ((option, suffixes_with(option)) for option in (BAND, CHANNEL)):
         if getattr(arguments, option) is not None and Path(arguments.source).suffix.lower() not in suffixes:
             raise UsageError(f"--{option} is of {', '.join(suffixes)}; {arguments.source} is taken as it is")
     settings = ImportSettings(
@@ -106,12 +107,13 @@ def _raw_settings(arguments) -> dict:
 def run_bake(arguments) -> None:
     from ...cbt_terrain.run.partial_files import remove_abandoned
     from ..output.exporting import check_target, figures, write_piece
-    from ..output.formats import FORMATS, needs_blender
+    from ..output.formats import format_of
     from ..output.frame_sources import baked_piece
 
-    form = arguments.out.suffix[1:].lower()
-    if form not in FORMATS:
-        raise UsageError(f"--out {arguments.out} has no known format; expected one of {', '.join(FORMATS)}")
+    try:
+        form = format_of(arguments.out)
+    except ValueError as error:
+        raise UsageError(f"--out {error}") from None
     check_target(arguments.out)
     remove_abandoned(arguments.out.parent)
     bar = Progress(1.0, "bake", arguments.progress)
@@ -120,7 +122,7 @@ def run_bake(arguments) -> None:
             arguments.store,
             arguments.max_error,
             arguments.budget,
-            needs_blender([form]),
+            form.needs_blender,
             arguments.interpolation,
             _detail(arguments),
             arguments.fit,

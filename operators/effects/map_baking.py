@@ -43,7 +43,7 @@ def carry_out(
     on_progress: Callable[[float], None] = lambda _fraction: None,
     lock: AbstractContextManager | None = None,
 ) -> Baked:
-    """Bake what is asked for of a height field; touches nothing of Blender."""
+    """Bake the requested maps of a height field, without touching Blender."""
     tiling = tiling_of(field.lattice)
     heights = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
     finest = shown = sizing.shown_by(tiling, field, request.asked)
@@ -57,17 +57,17 @@ def carry_out(
 
 
 def known(names: Iterable[str]) -> tuple[str, ...]:
-    """Names of effects, each once. Raises TerrainError for a name that there is not, or none at all."""
+    """Return the names of attributes, sorted, each once. Raises TerrainError for an unknown name, or for none."""
     names = sorted(set(names))
     unknown = [name for name in names if name not in EFFECTS]
     if unknown or not names:
         said = f"There is no map {unknown[0]!r}" if unknown else "No map is asked for"
-        raise TerrainError(f"{said}; expected one or more of {', '.join(sorted(EFFECTS))}.")
+        raise TerrainError(said, expected=f"one or more of {', '.join(sorted(EFFECTS))}")
     return tuple(names)
 
 
 def summary(baked: Baked, name: str) -> str:
-    """One line about a bake."""
+    """Describe a bake in one line."""
     sides = {tile["resolution"] for entry in baked.index["maps"].values() for tile in entry["tiles"]}
     between = " to ".join(str(side) for side in sorted({min(sides), max(sides)}))
     images = "image" if baked.made == 1 else "images"

@@ -27,8 +27,10 @@ _marks: dict[int, str] = {}  # by session_uid
 
 
 def own_folder(obj) -> None:
-    """See that no other terrain keeps its maps where this one does: one of its name, in this file or another. A mark
-    that an Undo has taken is given back: the maps are there."""
+    """Make sure that no other terrain, of the same name in this file or another, has its maps in the same folder.
+
+    A mark that an undo has removed is restored: the maps still exist.
+    """
     maps = obj.adaptive_terrain.maps
     maps.mark = maps.mark or _marks.get(obj.session_uid, "")
     others = {str(map_folder(other)).casefold() for other in all_terrains() if other != obj}
@@ -38,7 +40,7 @@ def own_folder(obj) -> None:
 
 
 def index_of(obj) -> dict | None:
-    """What maps a terrain has, as their folder's maps.json says; None where there are none of its height map."""
+    """Return the maps of a terrain as maps.json of its folder lists them; None if they are not of its height map."""
     settings = obj.adaptive_terrain
     if not settings.store:
         return None
@@ -49,9 +51,9 @@ def index_of(obj) -> dict | None:
 
 
 def map_image(obj, name: str) -> bpy.types.Image | None:
-    """The image of a terrain's map of the effect `name`; None where it is not baked, or its files are gone.
+    """Return the image of a terrain's map `name`; None if it is not baked, or its files are gone.
 
-    It is a tiled image with the source TILED unless the terrain is one tile.
+    The image is tiled (source TILED) unless the terrain is one tile.
     """
     index, folder = index_of(obj), map_folder(obj)
     entry = index and index["maps"].get(name)
@@ -72,7 +74,7 @@ def map_image(obj, name: str) -> bpy.types.Image | None:
 
 
 def reload(folder: Path, files: set[str]) -> None:
-    """Have Blender read images of a folder again of which files (`files`, as its index names them) are new."""
+    """Have Blender read the images of a folder again whose files are among `files`, the new ones."""
     for image in bpy.data.images:
         path = Path(absolute_path(image.filepath)) if image.filepath else None
         if path is not None and path.parent == folder and path.name in files:
@@ -80,7 +82,7 @@ def reload(folder: Path, files: set[str]) -> None:
 
 
 def map_vector(tree, obj) -> bpy.types.NodeSocket:
-    """A node that gives the place in the maps of `obj`, for the Vector of its image textures; its output."""
+    """Add a node that gives the position in the maps of `obj` to image textures; return its output."""
     index = index_of(obj) or {"columns": 1, "rows": 1, "margin": 0.0}
     node = tree.nodes.new("ShaderNodeGroup")
     node.node_tree = _lookup_group(index["columns"], index["rows"])
@@ -88,7 +90,7 @@ def map_vector(tree, obj) -> bpy.types.NodeSocket:
 
 
 def tile_metres(obj) -> float:
-    """Metres of the world across an image of a map of several; 0 where there are no maps."""
+    """Return the metres of the world that an image of a map of several covers; 0 without maps."""
     index = index_of(obj)
     if index is None:
         return 0.0
@@ -102,7 +104,7 @@ def _loaded(path: Path) -> bpy.types.Image | None:
 
 
 def _lookup_group(columns: int, rows: int) -> bpy.types.NodeTree:
-    """Nodes that find, from the mesh's UV, the place in the images: within the tile, clear of its margin."""
+    """Return nodes that turn the mesh's UV into a position in the images: in the tile, clear of its margin."""
     name = f"{GROUP} {columns} x {rows}"
     group = bpy.data.node_groups.get(name)
     if group is not None and group.nodes:

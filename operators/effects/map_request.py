@@ -22,7 +22,7 @@ WITHOUT_VIEW = Criterion(error_px=0.0, error_m=1.0)  # the whole terrain needs n
 
 
 def names_of(obj, depsgraph) -> set[str]:
-    """Effects whose maps the settings of a terrain ask for. Raises TerrainError where nothing is read."""
+    """Return the attributes whose maps the terrain's settings choose. Raises TerrainError if nothing reads a map."""
     settings = obj.adaptive_terrain.maps
     if settings.which == CHOSEN:
         return set(settings.chosen)
@@ -30,13 +30,14 @@ def names_of(obj, depsgraph) -> set[str]:
     read = {item.name for item in asked if item.family == PICTURE} | read_as_images(obj)
     if not read:
         raise TerrainError(
-            f"No material of {obj.name!r} reads an effect or a map; choose the maps, or make a Terrain Material."
+            f"No material of {obj.name!r} reads an attribute or a map",
+            fix="choose the maps, or make a Terrain Material",
         )
     return read
 
 
 def read_as_images(obj) -> set[str]:
-    """Maps of a terrain that its materials show by image textures, baked or not."""
+    """Return the maps of a terrain, baked or not, that its materials show by image textures."""
     folder = map_folder(obj)
     waiting = [slot.material.node_tree for slot in obj.material_slots if slot.material and slot.material.node_tree]
     seen, found = set(), set()
@@ -54,9 +55,10 @@ def read_as_images(obj) -> set[str]:
 
 
 def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[int] | None = None, **look) -> Iterator:
-    """Go through the frames that the settings of a terrain name, or `frames`: the fraction done after each, and at the
-    end the MapRequest. The scene is then at its frame again. `names`: in place of what the settings ask; `look`:
-    further arguments of `request.gather`. Raises TerrainError.
+    """Visit the frames of the terrain's settings, or `frames`; yield the fraction done after each, then the MapRequest.
+
+    The scene is then at its frame again. `names`: maps that replace those of the settings. `look`: further arguments of
+    `request.gather`. Raises TerrainError.
     """
     settings, depsgraph = obj.adaptive_terrain.maps, bpy.context.evaluated_depsgraph_get()
     map_images.own_folder(obj)
@@ -65,8 +67,8 @@ def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[in
     names = known(names_of(obj, depsgraph) if names is None else names)
     if settings.folder.startswith("//") and not bpy.data.filepath:
         raise TerrainError(
-            f"The folder of the maps is {settings.folder!r}, beside a .blend file that was never saved: save it, or "
-            "choose another folder."
+            f"The folder of the maps, {settings.folder!r}, is relative to a .blend file that was never saved",
+            fix="save the file, or choose another folder",
         )
     first = gather(obj, depsgraph, RENDER, criterion=WITHOUT_VIEW, overrides=Overrides(effects=names), **look)
     seen = {"only_seen": frames is not None or settings.frames == SHOT}

@@ -67,10 +67,10 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
         settings.height_scale = size / land.side  # the land keeps its shape
         if self._is_shaped(land):
             bpy.ops.adaptive_terrain.land_preset(filepath=bpy.utils.preset_find(land.preset, PRESETS, ext=".json"))
-        # With a window the import runs beside it and the mesh appears when it is done; without, now.
+        # The import runs beside the window if there is one; else this waits for it.
         try:
             bpy.ops.adaptive_terrain.import_added("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT")
-        except RuntimeError as error:  # what the nested operator reports as an error
+        except RuntimeError as error:  # reported by the nested operator
             mesh = obj.data
             bpy.data.objects.remove(obj)
             bpy.data.meshes.remove(mesh)
@@ -81,7 +81,7 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
         return {"FINISHED"}
 
     def _lock_interface(self, scene):
-        """A viewport that draws a mesh that a render rewrites meanwhile would crash Blender."""
+        """Lock the interface: a viewport that draws a mesh while a render rewrites it would crash Blender."""
         if not scene.render.use_lock_interface:
             scene.render.use_lock_interface = True
             self.report(

@@ -9,46 +9,34 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.importing.header_files import is_plain_raw
-from ...cbt_terrain.importing.import_process import ImportJob, import_source
-from ...cbt_terrain.importing.raster import PLACED_SUFFIXES, RAW_SUFFIXES, ImportSettings
-from ...cbt_terrain.run import warmup
+from ...cbt_terrain.importing.import_process import ImportJob
+from ...cbt_terrain.importing.raster import ImportSettings
+from ...cbt_terrain.importing.source_formats import BAND, RAW, suffixes_with
+from .. import jobs
+from ..job_operator import JobOperator
 from ..properties.properties import land_of
 from ..properties.scene_paths import absolute_path
 from ..request import imported
 from ..scene import session
-from ..scene.polls import on_terrain
 from ..text.numbers import SMALLEST, plain
 from ..viewport import frame_terrain, live
 from .placement_notes import neighbour_notes, picture_note
 from .store_location import elsewhere, store_folder
 
-POLL_S = 0.1
-RESIZED = 2.0  # times the size, or a part of it: what was framed before is not any more
-_jobs: dict[int, ImportJob] = {}  # by the object's session_uid
-_progress: dict[int, tuple[float, str]] = {}  # fraction and message, for the panel
+RESIZED = 2.0  # ratio of sizes from which on the terrain is framed again
 _gone: set[int] = set()  # terrains that were undone or deleted while they were imported
-_added: dict[int, str] = {}  # the stores of those that were imported as they were added
-
-
-def progress_of(obj) -> tuple[float, str] | None:
-    """Fraction done (0 .. 1) and what is being done, or None when nothing is being imported for the object."""
-    return _progress.get(obj.session_uid)
-
-
-def all_progress() -> list[tuple[float, str]]:
-    """The same of every import that runs."""
-    return list(_progress.values())
+_added: dict[int, str] = {}  # stores of terrains that were imported when they were added
 
 
 def settings_of(obj) -> ImportSettings:
-    """What the terrain's properties ask to import."""
+    """Return the import settings of a terrain's properties. Raises TerrainError."""
     settings = obj.adaptive_terrain
     extent = tuple(settings.extent) if settings.use_extent else None
     heights = {"height_scale": settings.height_scale, "height_offset": settings.height_offset}
     if (land := land_of(settings)) is not None:
         return ImportSettings(source=land.name, size=settings.island_size, seed=settings.seed, extent=extent, **heights)
     if not settings.source_path:
-        raise TerrainError("No file is chosen to import; choose a height map on the terrain's panel.")
+        raise TerrainError("No file is chosen to import", fix="choose a height map on the terrain's panel")
     raw = {}
     if is_raw(settings.source_path):
         raw = {
@@ -72,23 +60,16 @@ def settings_of(obj) -> ImportSettings:
 
 def is_raw(path: str) -> bool:
     """Return whether a file holds samples alone, so that the panel must say what they are."""
-    return path.lower().endswith(RAW_SUFFIXES) or is_plain_raw(Path(absolute_path(path)))
+    return path.lower().endswith(suffixes_with(RAW)) or is_plain_raw(Path(absolute_path(path)))
 
 
 def placed(path: str) -> bool:
-    """Whether a file of this kind can say where on Earth it is."""
-    return path.lower().endswith(PLACED_SUFFIXES)
-
-
-def import_now(obj) -> tuple[dict, str]:
-    """Import and wait for the end; returns the report and the store, which is not the terrain's yet."""
-    settings = settings_of(obj)
-    folder = store_folder(obj, settings)
-    return import_source(settings, absolute_path(folder)), folder
+    """Return whether a file of this kind can say where on Earth it is."""
+    return path.lower().endswith(suffixes_with(BAND))
 
 
 def summary(report: dict) -> str:
-    """One line about an import."""
+    """Describe an import in one line."""
     width, height = report["raster"]
     line = f"{width} x {height} samples, {plain(report['lowest_m'], 4)} to {plain(report['highest_m'], 4)} m"
     if report["filled"]:
@@ -101,93 +82,39 @@ def summary(report: dict) -> str:
 
 
 def _size_of(obj) -> float:
-    """Metres from one end of the terrain's height map to the other; 0 without one."""
+    """Return the diagonal of the terrain's height map in metres; 0 without one."""
     found = imported.imported_of(obj.adaptive_terrain)
     return math.hypot(*found.extent_m) if found is not None else 0.0
 
 
-class _Import:
-    """What both operators below do."""
+class _Import(JobOperator):
+    """Base of the operators that import."""
 
     bl_label = "Import"
 
-    @classmethod
-    def poll(cls, context):
-        if not on_terrain(cls, context):
-            return False
-        cls.poll_message_set("A height map is being imported already: wait for it, or cancel that beside its bar")
-        return context.object.session_uid not in _jobs
+    kind = jobs.IMPORT
 
-    def invoke(self, context, event):
-        obj = context.object
-        self.uid = obj.session_uid
-        try:
-            settings = settings_of(obj)
-            self.folder = store_folder(obj, settings)
-            _jobs[self.uid] = ImportJob(settings, absolute_path(self.folder))
-        except TerrainError as error:
-            return self._failed(obj, str(error))
-        _progress[self.uid] = 0.0, "Starting"
-        session.record_of(obj).status.error = ""
-        self.timer = context.window_manager.event_timer_add(POLL_S, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+    def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
+        settings = settings_of(context.object)
+        folder = store_folder(context.object, settings)
+        report = yield from jobs.run_in_child(job, ImportJob(settings, absolute_path(folder)))
+        yield from jobs.wait_for_kernels(job)  # the end of an import may update the mesh
+        return report, folder
 
-    def modal(self, context, event):
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        job = _jobs[self.uid]
-        obj = next((item for item in session.all_terrains() if item.session_uid == self.uid), None)
-        if obj is None:  # undone, or deleted
-            self.cancel(context)
-            _gone.add(self.uid)
-            return {"CANCELLED"}
-        progress = job.poll()
-        _progress[self.uid] = progress.fraction, progress.message
-        live.redraw_panels()
-        if not progress.done or warmup.preparing():  # what follows may update the mesh
-            return {"PASS_THROUGH"}
-        self._end(context)
-        if job.cancelled:
-            self.report({"INFO"}, str(progress.error))
-            return {"CANCELLED"}
-        if progress.error:
-            return self._failed(obj, str(progress.error))
-        return self._take(context, obj, progress.report, self.folder)
+    def abandon(self) -> None:
+        _gone.add(self.job.uid)
 
-    def execute(self, context):
-        obj = context.object
-        try:
-            report, folder = import_now(obj)
-        except TerrainError as error:
-            return self._failed(obj, str(error))
-        return self._take(context, obj, report, folder)
-
-    def cancel(self, context):
-        """The terrain is gone, another file is loaded, or Blender quits."""
-        _jobs[self.uid].cancel()
-        self._end(context)
-
-    def _end(self, context):
-        context.window_manager.event_timer_remove(self.timer)
-        del _jobs[self.uid], _progress[self.uid]
-        live.redraw_panels()
-
-    def _failed(self, obj, message: str):
-        session.record_of(obj).status.error = message
-        self.report({"ERROR"}, message)
-        return {"CANCELLED"}
-
-    def _take(self, context, obj, report: dict, folder: str):
-        """The store is the terrain's from now on. One that is the first, or of another size, is brought into view."""
+    def finish(self, context, obj, result: tuple[dict, str]) -> None:
+        """Give the store to the terrain. Frame a terrain that had none, or one of another size."""
+        report, folder = result
         before = _size_of(obj)
         obj.adaptive_terrain.store, obj.adaptive_terrain.frozen = folder, ""
-        session.record_of(obj).status.error = ""  # that of the heights before, or that there were none
+        session.record_of(obj).status.error = ""  # of the heights before
         imported.tag_object(obj)
         after = _size_of(obj)
         if after and not (before and 1 / RESIZED < after / before < RESIZED):
             self._bring_into_view(context, obj)
-        return self._update(obj, report)
+        self._update(obj, report)
 
     def _bring_into_view(self, context, obj):
         viewports = frame_terrain.shown_viewports(context.window_manager, context.scene)
@@ -199,7 +126,8 @@ class _Import:
         if done:
             self.report({"INFO"}, frame_terrain.said(done))
 
-    def _update(self, obj, report: dict):
+    def _update(self, obj, report: dict) -> None:
+        """Report about an import, and show its heights."""
         notes = [*elsewhere(obj.adaptive_terrain.store), *neighbour_notes(obj, session.all_terrains())]
         for warning in [*report["warnings"], *notes]:
             self.report({"WARNING"}, warning)
@@ -208,12 +136,11 @@ class _Import:
         self.report({"INFO"}, summary(report))
         if obj.adaptive_terrain.live and not bpy.app.background:
             live.mark_dirty()
-            return {"FINISHED"}
+            return
         try:
             session.update_object(obj)
         except TerrainError as error:
             self.report({"WARNING"}, str(error))  # the import itself is done
-        return {"FINISHED"}
 
 
 class ImportTerrain(_Import, bpy.types.Operator):
@@ -231,14 +158,17 @@ class ImportAdded(_Import, bpy.types.Operator):
     # is none, and no step for Undo either: adding is the step, and has no store yet, which is given back after it.
     bl_options = {"INTERNAL"}
 
-    def _take(self, context, obj, report: dict, folder: str):
-        _added[obj.session_uid] = folder
-        return super()._take(context, obj, report, folder)
+    def finish(self, context, obj, result: tuple[dict, str]) -> None:
+        _, _added[obj.session_uid] = result
+        _Import.finish(self, context, obj, result)
 
 
 def begin_again() -> None:
-    """After Undo or Redo: a terrain that is back, and went while it was imported, is imported anew; one whose import
-    ended after the step has its store again."""
+    """Restart imports after an undo or a redo.
+
+    A terrain that is back after it was removed during its import is imported again. One whose import ended after the
+    step gets its store back.
+    """
     if _gone or _added:
         bpy.app.timers.register(_begin_again, first_interval=0.0)  # a handler may begin nothing that runs on
 
@@ -250,12 +180,12 @@ def _begin_again() -> None:
             window = bpy.context.window_manager.windows[0]
             with suppress(RuntimeError), bpy.context.temp_override(window=window, object=obj):  # the panel says why
                 bpy.ops.adaptive_terrain.import_added("INVOKE_DEFAULT")
-        elif obj.session_uid in _added and obj.session_uid not in _jobs and not obj.adaptive_terrain.store:
+        elif obj.session_uid in _added and jobs.find(jobs.IMPORT, obj) is None and not obj.adaptive_terrain.store:
             _give_back(obj)
 
 
 def _give_back(obj) -> None:
-    """The store, and what else the end of the import changed; what a viewport shows is nothing that is undone."""
+    """Restore the store, and what else the end of the import changed. No undo step covers what a viewport shows."""
     obj.adaptive_terrain.store = _added[obj.session_uid]
     imported.tag_object(obj)
     with suppress(TerrainError):  # the panel says why
@@ -264,22 +194,7 @@ def _give_back(obj) -> None:
             session.update_object(obj)
 
 
-class CancelImport(bpy.types.Operator):
-    """Stop the import; the store stays as it was"""
-
-    bl_idname = "adaptive_terrain.cancel_import"
-    bl_label = "Cancel"
-
-    @classmethod
-    def poll(cls, context):
-        return context.object is not None and context.object.session_uid in _jobs
-
-    def execute(self, context):
-        _jobs[context.object.session_uid].cancel()
-        return {"FINISHED"}
-
-
-CLASSES = (ImportTerrain, ImportAdded, CancelImport)
+CLASSES = (ImportTerrain, ImportAdded)
 
 
 def register() -> None:
@@ -288,9 +203,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    for job in _jobs.values():
-        job.cancel()
-    for known in (_jobs, _progress, _gone, _added):
-        known.clear()
+    _gone.clear()
+    _added.clear()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

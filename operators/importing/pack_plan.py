@@ -30,7 +30,7 @@ OnProgress = Callable[[float], None]
 
 @dataclass
 class PackPlan:
-    """Copies that packing makes, by what is copied. `stores`: the folder of each store, its new path, which may be
+    """Copies that packing makes. `stores`: the folder of each store, its new path, which may be
     relative, and the terrains (session_uid) that use it. `lands`, `maps`: folders and their new folders."""
 
     stores: dict[str, tuple[str, list[int]]] = field(default_factory=dict)
@@ -61,7 +61,7 @@ def _copy_maps(source: str, target: str, on_progress: OnProgress) -> None:
     except (OSError, TerrainError) as reason:
         why = getattr(reason, "strerror", None) or reason
         raise TerrainError(
-            f"The maps {source} cannot be copied to {target} ({why}): make room or save the file elsewhere."
+            f"The maps {source} cannot be copied to {target} ({why})", fix="make room or save the file elsewhere"
         ) from reason
 
 
@@ -80,8 +80,8 @@ def plan(objects: list) -> PackPlan:
         folder = real_path(absolute_path(obj.adaptive_terrain.store))
         content = stores.read_json(folder)
         if str(folder) not in planned.stores:
-            taken = {target for target, _ in planned.stores.values()}
-            planned.stores[str(folder)] = _target(obj, folder, content, taken), []
+            targets = {target for target, _ in planned.stores.values()}
+            planned.stores[str(folder)] = _target(obj, folder, content, targets), []
         target, uids = planned.stores[str(folder)]
         uids.append(obj.session_uid)
         if real_path(absolute_path(target)) != folder:
@@ -99,7 +99,7 @@ def _lands_of(obj, target: str) -> dict[str, str]:
         return {}  # a stack that cannot be applied has no land
     beside, found = land_beside(absolute_path(target)), {}
     for folder in (land.folder, land.of_views_alone.folder) if land is not None else ():
-        with suppress(TerrainError):  # what is missing or damaged is shaped again
+        with suppress(TerrainError):  # missing or damaged land is shaped again
             stores.open_store(folder)
             found[folder] = str(beside / Path(folder).name)
     return found
@@ -114,14 +114,14 @@ def _maps_of(obj, target: str) -> dict[str, str]:
     return {str(folder): str(store.with_name(store.name + MAPS) / folder.name)}
 
 
-def _target(obj, folder: Path, content: dict, taken: set[str]) -> str:
+def _target(obj, folder: Path, content: dict, targets: set[str]) -> str:
     """Return the new path of the store in `folder`: a relative path of the same folder if it is beside the file."""
     if folder.is_relative_to(real_path(bpy.data.filepath).parent):
         return bpy.path.relpath(str(folder))
-    return _free_folder(folder_beside(obj, source_name(obj)), content, taken)
+    return _free_folder(folder_beside(obj, source_name(obj)), content, targets)
 
 
-def _free_folder(wanted: str, content: dict, taken: set[str]) -> str:
+def _free_folder(wanted: str, content: dict, targets: set[str]) -> str:
     """Return `wanted`, or with a number the next that holds no other store."""
     number = 1
     while True:
@@ -131,7 +131,7 @@ def _free_folder(wanted: str, content: dict, taken: set[str]) -> str:
             same = (there["key"], there["data"]) == (content["key"], content["data"])
         except TerrainError:
             same = not Path(absolute_path(folder), stores.JSON_NAME).exists()
-        if same and folder not in taken:
+        if same and folder not in targets:
             return folder
         number += 1
 

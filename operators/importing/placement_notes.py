@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Notes after an import: how the terrain stands beside others, and how a picture of the same raster fits on it."""
+"""Notes after an import: the distance to neighbouring terrains, and how a picture of the same raster fits on it."""
 
 import math
 from pathlib import Path
@@ -17,7 +17,7 @@ MAX_GAP_ERROR = 0.25
 def neighbour_notes(obj, others) -> list[str]:
     """Return notes about other terrains of the same coordinate system: a wrong distance, an open cell between both.
 
-    Every terrain is imported to its object's place, so two neighbouring rasters stand on each other at first.
+    Every terrain is imported to its object's place, so two neighbouring rasters overlap at first.
     """
     notes, on_other = [], False
     for other in others:

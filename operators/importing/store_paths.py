@@ -14,7 +14,7 @@ from .store_location import RELATIVE, data_folder, deleted_folder
 
 FOUND = "found"  # a topic
 notices: dict[str, str] = {}  # by topic, about moved stores, for the panel
-_paths_before: dict[int, str] = {}  # by session_uid: what a save elsewhere has made relative to another folder
+_paths_before: dict[int, str] = {}  # by session_uid: paths before a save to another folder
 
 
 @persistent
@@ -56,8 +56,10 @@ def _restore_paths() -> None:
 
 @persistent
 def on_append(imported, _unused=None) -> None:
-    """The path of a terrain that is appended goes from the folder of the file that it comes from; unless that is of a
-    copy (Ctrl C), which Blender keeps elsewhere with paths as they were."""
+    """Make the path of an appended terrain start from the folder of the file that it comes from.
+
+    A file made by copying (Ctrl C) is the exception: Blender keeps it elsewhere, with paths as they were.
+    """
     for item in imported.import_items:
         if (
             item.id_type != "OBJECT"

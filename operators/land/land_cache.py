@@ -12,16 +12,19 @@ from ...cbt_terrain.field import store_folder
 from ...cbt_terrain.land.derived_store import is_in_use
 from ...cbt_terrain.land.land_folder import bytes_in, folder_beside, remove, shaped_stores
 from ...cbt_terrain.run.owned_files import check_folder
+from .. import jobs
 from ..properties.scene_paths import absolute_path
-from ..scene import land_jobs, session
+from ..scene import session
 from ..scene.polls import on_terrain
 from ..text.numbers import plain
 
 
-def held(store: str) -> list[tuple[str, Path, int]]:
-    """What stacks on a store, and on the one that it was baked from, keep and could make again: what it is, where, and
-    its bytes. Raises TerrainError for a link."""
-    session.all_terrains()  # what is gone shows nothing any more
+def stored_land(store: str) -> list[tuple[str, Path, int]]:
+    """List what stacks on a store, and on the store that it was baked from, keep and could make again.
+
+    Each item is its kind, its folder and its size in bytes. Raises TerrainError for a link.
+    """
+    session.all_terrains()  # forgets removed objects
     found = []
     for source in _sources(store):
         found += [("shown" if is_in_use(f) else "not shown now", f, size) for f, size in shaped_stores(source)]
@@ -32,8 +35,7 @@ def held(store: str) -> list[tuple[str, Path, int]]:
 
 
 def _sources(store: str) -> list[str]:
-    """Return the store, and the one that it was baked from, which no terrain may have any more: where it was, or beside
-    the store, if both were moved."""
+    """Return the store, and the one that it was baked from, if it is at its old path or was moved along."""
     with suppress(TerrainError, OSError, ValueError, KeyError, TypeError):  # a provenance may hold anything
         shaped = stores.read_json(Path(store))["provenance"]["shaped"]
         before = Path(str(shaped["source"]))
@@ -44,13 +46,13 @@ def _sources(store: str) -> list[str]:
 
 
 def lines(store: str) -> list[str]:
-    """What the dialog says: where, and what takes how much."""
-    parts, said = held(store), [str(folder_beside(source)) for source in _sources(store)]
+    """Return the lines of the dialog: the folders, and the size of each kind of data."""
+    parts, messages = stored_land(store), [str(folder_beside(source)) for source in _sources(store)]
     for what, about in (("shown", "Land that is shown, and stays"), ("not shown now", "Land of other settings"),
                         ("tiles", "Tiles, which spare time when settings change a little")):  # fmt: skip
         sizes = [size for kind, _, size in parts if kind == what]
-        said.append(f"{about}: {megabytes(sum(sizes))}" + (f", stores: {len(sizes)}" if what != "tiles" else ""))
-    return said
+        messages.append(f"{about}: {megabytes(sum(sizes))}" + (f", stores: {len(sizes)}" if what != "tiles" else ""))
+    return messages
 
 
 def megabytes(size: float) -> str:
@@ -68,27 +70,27 @@ class ClearLandCache(bpy.types.Operator):
     def poll(cls, context):
         if not on_terrain(cls, context) or not context.object.adaptive_terrain.store:
             return False
-        if land_jobs.running:
+        if jobs.find(jobs.SHAPE):
             cls.poll_message_set("Land is being shaped, which reads its tiles")
             return False
         return True
 
     def invoke(self, context, _event):
         try:
-            self.said = lines(self._store(context))
+            self.messages = lines(self._store(context))
         except TerrainError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         return context.window_manager.invoke_props_dialog(self, width=460, confirm_text="Clear")
 
     def draw(self, _context):
-        for line in self.said:
+        for line in self.messages:
             self.layout.label(text=line)
 
     def execute(self, context):
         freed = 0
         try:
-            for what, folder, size in held(self._store(context)):
+            for what, folder, size in stored_land(self._store(context)):
                 if what == "tiles":
                     store_folder.remove_tiles(folder)
                 elif what != "shown":

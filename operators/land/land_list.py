@@ -8,7 +8,7 @@ from ..properties.land_properties import RULES
 from ..request.land_entries import add_entry, copy_group, free_name
 from ..scene.polls import on_terrain
 
-MOST_ENTRIES = 32
+MAX_ENTRIES = 32
 # Where a new rule begins whose range is open otherwise: ridges; streams; valley floors.
 STARTS = {"mean_curvature": 0.0, "flow": 1e5, "wetness": 8.0}
 
@@ -43,9 +43,9 @@ class _EntryOperator(_StackOperator):
 
 
 def _has_room(operator, land) -> bool:
-    if len(land.entries) < MOST_ENTRIES:
+    if len(land.entries) < MAX_ENTRIES:
         return True
-    operator.report({"ERROR"}, f"The stack has {MOST_ENTRIES} effects, which is the most: remove one first.")
+    operator.report({"ERROR"}, f"The stack has {MAX_ENTRIES} effects, which is the most: remove one first.")
     return False
 
 
@@ -101,7 +101,7 @@ class MoveLandEffect(_EntryOperator, bpy.types.Operator):
     bl_idname = "adaptive_terrain.land_move"
     bl_label = "Move Land Effect"
 
-    by: bpy.props.IntProperty(name="By", default=1, min=-MOST_ENTRIES, max=MOST_ENTRIES)
+    by: bpy.props.IntProperty(name="By", default=1, min=-MAX_ENTRIES, max=MAX_ENTRIES)
 
     def _change(self, land) -> bool:
         to = land.active + self.by
@@ -133,7 +133,7 @@ class AddLandRule(_EntryOperator, bpy.types.Operator):
 
 
 def _place_last(land) -> None:
-    """The last entry goes below the chosen one, and is the chosen one."""
+    """Move the last entry below the chosen one, and choose it."""
     last = len(land.entries) - 1
     to = min(land.active + 1, last)
     land.entries.move(last, to)

@@ -43,11 +43,11 @@ class ApplyLandPreset(bpy.types.Operator):
             return {"CANCELLED"}
         imported = imported_of(context.object.adaptive_terrain)
         if stack.heights is not None and imported is not None:
-            made_for, stack = stack.heights, fitted(stack, *imported.heights_m)
-            if stack.heights != made_for:
-                low, high, *here = (plain(v, 3) for v in (*made_for, *stack.heights))
-                said = f"Made for land from {low} to {high} m: heights and uplift fitted to {here[0]} to {here[1]} m"
-                self.report({"INFO"}, said)
+            designed_for, stack = stack.heights, fitted(stack, *imported.heights_m)
+            if stack.heights != designed_for:
+                low, high, *here = (plain(v, 3) for v in (*designed_for, *stack.heights))
+                note = f"Made for land from {low} to {high} m: heights and uplift fitted to {here[0]} to {here[1]} m"
+                self.report({"INFO"}, note)
         for left_out in land_stack.fill(context.object.adaptive_terrain.land, stack):
             self.report({"WARNING"}, left_out)
         context.object.update_tag()
@@ -67,7 +67,7 @@ class AddLandPreset(AddPresetBase, bpy.types.Operator):
         return on_terrain(cls, context)
 
     def execute(self, context):
-        """As Blender's own, which knows Python and XML files only."""
+        """Load a preset, as Blender's operator does for Python and XML files only."""
         name = self.as_filename(self.name)
         if not name:
             return {"FINISHED"}
@@ -76,14 +76,14 @@ class AddLandPreset(AddPresetBase, bpy.types.Operator):
             if self.remove_name:
                 return self._remove(found)
             if found:
-                raise TerrainError(f"There is a preset {self.name!r} already: choose another name.")
+                raise TerrainError(f"There is a preset {self.name!r} already", fix="choose another name")
             folder = bpy.utils.user_resource("SCRIPTS", path=os.path.join("presets", PRESETS), create=True)
             land = context.object.adaptive_terrain.land
             write_stack(land_stack.preset_of(land), Path(folder, name + SUFFIX))
             for entry in land.entries:
                 if entry.mask.kind == BY_OBJECT:
-                    said = f"{entry.name} is masked by an object, which a preset cannot hold: there it acts everywhere"
-                    self.report({"WARNING"}, said)
+                    note = f"{entry.name} is masked by an object, which a preset cannot hold: there it acts everywhere"
+                    self.report({"WARNING"}, note)
         except (TerrainError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -92,7 +92,7 @@ class AddLandPreset(AddPresetBase, bpy.types.Operator):
     def _remove(self, found: str | None):
         user = bpy.utils.user_resource("SCRIPTS", path="presets")
         if not found or not Path(found).is_relative_to(user):
-            raise TerrainError(f"The preset {self.name!r} is not one of yours, and stays.")
+            raise TerrainError(f"The preset {self.name!r} is not one of yours, and stays")
         remove_file(found, may_be_link=True)
         return {"FINISHED"}
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Add Water Surface: lakes, rivers and the sea of a terrain as an object of their own, with depth and speed."""
+"""Add Water Surface: lakes, rivers and the sea of a terrain as a separate object, with depth and speed."""
 
 from dataclasses import replace
 
@@ -51,7 +51,7 @@ class AddWaterSurface(bpy.types.Operator):
         terrain = context.object
         try:
             surface = _placed(_surface(terrain), terrain.adaptive_terrain)
-            water = _own(terrain) or _added(terrain)
+            water = _existing_water(terrain) or _add_water(terrain)
             write_mesh(water.data, surface)
         except TerrainError as error:
             self.report({"ERROR"}, str(error))
@@ -63,29 +63,31 @@ class AddWaterSurface(bpy.types.Operator):
 def _surface(terrain) -> Surface:
     store, depsgraph = terrain.adaptive_terrain.store, bpy.context.evaluated_depsgraph_get()
     if not store:
-        raise TerrainError(f"The terrain {terrain.name!r} has no height field; import one from its panel.")
+        raise TerrainError(f"The terrain {terrain.name!r} has no height field", fix="import one from its panel")
     land = land_of(terrain, terrain.evaluated_get(depsgraph), depsgraph, waits=True)
     surface = water_of(
         raster_of(absolute_path(store), land, session.open_field, verified=True), launch.default_threads()
     )
     if not len(surface.triangles):
-        raise TerrainError(f"There is no water on {terrain.name!r}: no lake, no sea and no stream of 0.016 m³/s.")
+        raise TerrainError(
+            f"There is no water on {terrain.name!r}", expected="a lake, a sea or a stream of 0.016 m³/s or more"
+        )
     return surface
 
 
 def _placed(surface: Surface, settings) -> Surface:
-    """With the vertical scale and offset of the terrain."""
+    """Apply the vertical scale and offset of the terrain."""
     positions = surface.positions * np.float32([1.0, 1.0, settings.vertical_scale])
     positions[:, 2] += np.float32(settings.vertical_offset)
     return replace(surface, positions=positions)
 
 
-def _own(terrain):
-    """The water that a terrain has already."""
+def _existing_water(terrain):
+    """Return the water that a terrain already has."""
     return next((child for child in terrain.children if child.type == "MESH" and child.get(MARK)), None)
 
 
-def _added(terrain):
+def _add_water(terrain):
     name = f"{terrain.name} Water"
     water = bpy.data.objects.new(name, bpy.data.meshes.new(name))
     water[MARK] = True
@@ -97,7 +99,7 @@ def _added(terrain):
 
 
 def _material() -> bpy.types.Material:
-    """Smooth, clear at the shore and dark where it is deep."""
+    """Return a smooth material, clear at the shore and dark where the water is deep."""
     material = bpy.data.materials.new(MATERIAL)
     tree = tree_of_new(material)
     nodes, links = tree.nodes, tree.links

@@ -9,7 +9,7 @@ from bpy_extras.io_utils import ExportHelper
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.packing import copy_store
 from ...cbt_terrain.land import derived_store
-from ...cbt_terrain.land.export import check_export, export_raster
+from ...cbt_terrain.land.export import WRITERS, check_export, export_raster
 from ..importing.store_location import baked_folder
 from ..land import shape_land
 from ..properties.scene_paths import absolute_path
@@ -17,6 +17,8 @@ from ..request import imported
 from ..request.land_request import land_of
 from ..scene import session
 from ..scene.polls import on_terrain_object
+
+GLOB = ";".join(f"*{suffix}" for suffix in WRITERS)
 
 
 class _LandOperator:
@@ -89,12 +91,12 @@ class ExportHeights(_LandOperator, bpy.types.Operator, ExportHelper):
 
     filename_ext = ".tif"
     check_extension = None  # the suffix that the user types is the format
-    filter_glob: bpy.props.StringProperty(default="*.tif;*.tiff;*.exr", options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default=GLOB, options={"HIDDEN"})
 
     def _carry_out(self, obj, depsgraph):
         store = absolute_path(obj.adaptive_terrain.store)
         if not store:
-            raise TerrainError(f"The terrain {obj.name!r} has no height field; import one from its panel.")
+            raise TerrainError(f"The terrain {obj.name!r} has no height field", fix="import one from its panel")
         check_export(self.filepath)
         land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
         derived_store.raster_of(store, land, session.open_field, verified=True)

@@ -17,10 +17,10 @@ from ..text.shown_bounds import bound_text, limit_text
 
 
 def bake(obj, depsgraph, error_m: float, fitted: bool = False):
-    """A new, ordinary object beside the terrain `obj` whose mesh is nowhere more than `error_m` metres off in height.
+    """Add an ordinary object beside the terrain `obj`, whose mesh is at most `error_m` metres off in height.
 
-    Returns it with the engine's Update. The triangle limit is that of the render settings, and so is the meshlet level
-    unless the mesh is `fitted`: then its vertices leave the surface to save triangles, and each leaf is one.
+    Return it with the engine's Update. The triangle limit is that of the render settings, and so is the meshlet level
+    unless the mesh is `fitted`: then its vertices leave the surface to save triangles, and each leaf is one triangle.
     """
     detail = obj.adaptive_terrain.render
     criterion = Criterion(
@@ -73,17 +73,12 @@ class BakeTerrain(bpy.types.Operator):
         except TerrainError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        said = f"{len(baked.data.polygons):,} triangles, at most {bound_text(update.bound_m, 'm')} off"
+        message = f"{len(baked.data.polygons):,} triangles, at most {bound_text(update.bound_m, 'm')} off"
         if update.limited:
-            self.report({"WARNING"}, f"{said}: held back by {limit_text(update.limited)}")
+            self.report({"WARNING"}, f"{message}: held back by {limit_text(update.limited)}")
         else:
-            self.report({"INFO"}, said)
+            self.report({"INFO"}, message)
         return {"FINISHED"}
 
 
-def register() -> None:
-    bpy.utils.register_class(BakeTerrain)
-
-
-def unregister() -> None:
-    bpy.utils.unregister_class(BakeTerrain)
+register, unregister = bpy.utils.register_classes_factory((BakeTerrain,))

@@ -14,15 +14,16 @@ GLTF_TYPES = ("FLOAT", "FLOAT2", "FLOAT_VECTOR", "FLOAT_COLOR")
 OWN_NAMES = ("position", "custom_normal")
 # Cosine between axes of an object; float32 rounds those of one that is not sheared to less.
 SHEARED = 1e-5
+ONLY = {"export_selected_objects": True, "apply_modifiers": False}
 
 
 @contextmanager
 def only_selected(obj):
-    """Blender's exporters write what is selected; the user's selection comes back afterwards."""
+    """Select the object alone, for Blender's exporters; restore the user's selection afterwards."""
     import bpy
 
     if not obj.visible_get():
-        raise TerrainError(f"The terrain {obj.name!r} is hidden, so Blender cannot export it; show it.")
+        raise TerrainError(f"The terrain {obj.name!r} is hidden, so Blender cannot export it", fix="show it")
     objects = list(bpy.context.view_layer.objects)
     selected = [other.select_get() for other in objects]
     try:
@@ -30,7 +31,7 @@ def only_selected(obj):
             other.select_set(other == obj)
         if not obj.select_get():
             raise TerrainError(
-                f"The terrain {obj.name!r} is barred from selection, so Blender cannot export it; free it."
+                f"The terrain {obj.name!r} cannot be selected, so Blender cannot export it", fix="make it selectable"
             )
         yield
     finally:
@@ -39,7 +40,7 @@ def only_selected(obj):
 
 
 def _enable_gltf() -> None:
-    """The glTF exporter is an add-on of Blender's own; it may be off."""
+    """Enable Blender's glTF add-on, which may be off."""
     import addon_utils
 
     if not addon_utils.check("io_scene_gltf2")[1]:
@@ -47,18 +48,17 @@ def _enable_gltf() -> None:
 
 
 def need_no_shear(obj) -> None:
-    """Raise TerrainError where an object has no place in glTF: a node there has a rotation and a scale, no shear."""
+    """Raise TerrainError for a sheared object: a glTF node has a rotation and a scale only."""
     axes = [axis.normalized() for axis in obj.matrix_world.to_3x3().col]
     if max(abs(axes[k].dot(axes[k - 1])) for k in range(3)) > SHEARED:
         raise TerrainError(
-            f"The terrain {obj.name!r} is sheared by its parent's scale, which a glb cannot hold; apply that scale, or "
-            "choose another format."
+            f"The terrain {obj.name!r} is sheared by its parent's scale, which a glb cannot hold",
+            fix="apply that scale, or choose another format",
         )
 
 
 def turn_faces_over(path: Path, faces: int) -> None:
-    """Turn the winding of all `faces` of a .ply over, which are last in the file. Of a mirrored object Blender's other
-    exporters do so themselves."""
+    """Reverse the winding of all `faces` of a .ply, which come last in the file."""
     face = np.dtype([("count", np.uint8), ("corners", "<u4", 3)])
     with path.open("r+b") as file:
         file.seek(-faces * face.itemsize, os.SEEK_END)
@@ -68,34 +68,54 @@ def turn_faces_over(path: Path, faces: int) -> None:
         file.write(turned.tobytes())
 
 
-def export_selected(name: str, form: str) -> None:
-    """Have Blender's exporter of this format write what is selected to the file `name`."""
+def export_ply(_obj, name: str) -> None:
+    """Write the selected object to a .ply."""
     import bpy
 
-    only = {"filepath": name, "export_selected_objects": True, "apply_modifiers": False}
-    if form == "ply":
-        bpy.ops.wm.ply_export(**only, export_normals=True, export_uv=True)
-    elif form == "obj":
-        bpy.ops.wm.obj_export(**only, export_materials=False)
-    elif form == "stl":
-        bpy.ops.wm.stl_export(**only)
-    else:
-        _enable_gltf()
-        with _gltf_names(obj.data for obj in bpy.context.selected_objects if obj.type == "MESH"):
-            bpy.ops.export_scene.gltf(
-                filepath=name,
-                export_format="GLB",
-                use_selection=True,
-                export_current_frame=True,  # else it goes to frame 0
-                export_animations=False,
-                export_materials="NONE",
-                export_attributes=True,
-            )
+    bpy.ops.wm.ply_export(filepath=name, **ONLY, export_normals=True, export_uv=True)
+
+
+def face_outwards(piece, path: Path) -> None:
+    """Turn the faces of a mirrored object's .ply over; Blender's other exporters do so themselves."""
+    if piece.obj.matrix_world.determinant() < 0:
+        turn_faces_over(path, len(piece.surface.triangles))
+
+
+def export_obj(_obj, name: str) -> None:
+    """Write the selected object to an .obj."""
+    import bpy
+
+    bpy.ops.wm.obj_export(filepath=name, **ONLY, export_materials=False)
+
+
+def export_stl(_obj, name: str) -> None:
+    """Write the selected object to an .stl."""
+    import bpy
+
+    bpy.ops.wm.stl_export(filepath=name, **ONLY)
+
+
+def export_glb(obj, name: str) -> None:
+    """Write the selected object to a .glb. Raises TerrainError for a sheared object."""
+    import bpy
+
+    need_no_shear(obj)
+    _enable_gltf()
+    with _gltf_names([obj.data]):
+        bpy.ops.export_scene.gltf(
+            filepath=name,
+            export_format="GLB",
+            use_selection=True,
+            export_current_frame=True,  # else it goes to frame 0
+            export_animations=False,
+            export_materials="NONE",
+            export_attributes=True,
+        )
 
 
 @contextmanager
 def _gltf_names(meshes):
-    """glTF takes attributes of vertices whose names begin with an underscore: while it is written ours do."""
+    """Prefix the names of point attributes with an underscore while glTF is written: it exports no others."""
     renamed = []
     try:
         for mesh in meshes:

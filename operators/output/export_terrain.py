@@ -10,6 +10,9 @@ from ...cbt_terrain.errors import TerrainError
 from ..request.request import RENDER
 from ..scene import session
 from ..scene.polls import on_terrain_object
+from .formats import FORMATS, format_of
+
+GLOB = ";".join(f"*.{name}" for name, form in FORMATS.items() if not form.is_whole_scene)
 
 
 class ExportTerrain(bpy.types.Operator, ExportHelper):
@@ -20,7 +23,7 @@ class ExportTerrain(bpy.types.Operator, ExportHelper):
 
     filename_ext = ".ply"
     check_extension = None  # the suffix that the user types is the format
-    filter_glob: bpy.props.StringProperty(default="*.ply;*.obj;*.glb;*.stl;*.npz", options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default=GLOB, options={"HIDDEN"})
 
     @classmethod
     def poll(cls, context):
@@ -39,11 +42,12 @@ class ExportTerrain(bpy.types.Operator, ExportHelper):
     def _write(self, context, path: Path):
         from ...cbt_terrain.run.partial_files import remove_abandoned
         from .exporting import check_target, figures, write_piece
-        from .formats import FORMATS
         from .frame_sources import scene_piece
 
-        if path.suffix[1:].lower() not in FORMATS:
-            raise TerrainError(f"The file {path.name!r} has no known suffix; expected one of {', '.join(FORMATS)}.")
+        try:
+            format_of(path)
+        except ValueError as error:
+            raise TerrainError(f"The file {error}") from None
         check_target(path)
         remove_abandoned(path.parent)
         piece = scene_piece(context.object, context.evaluated_depsgraph_get(), context.scene.frame_current)
@@ -55,7 +59,7 @@ class ExportTerrain(bpy.types.Operator, ExportHelper):
             self.report({"WARNING"}, f"{path.name}: nothing is left of the terrain; check its clean-up, and its holes")
 
     def _restore_viewport(self, obj):
-        """The viewport gets its own detail back, also when the export failed."""
+        """Give the viewport its detail back, also after a failed export."""
         if session.record_of(obj).status.mode != RENDER:
             return
         try:
@@ -64,9 +68,4 @@ class ExportTerrain(bpy.types.Operator, ExportHelper):
             self.report({"WARNING"}, str(error))
 
 
-def register() -> None:
-    bpy.utils.register_class(ExportTerrain)
-
-
-def unregister() -> None:
-    bpy.utils.unregister_class(ExportTerrain)
+register, unregister = bpy.utils.register_classes_factory((ExportTerrain,))

@@ -22,7 +22,8 @@ from ...cbt_terrain.run.partial_files import (
 )
 from ..scene.pauses import paused
 from ..text.console import quiet
-from .blender_exporters import export_selected, need_no_shear, only_selected, turn_faces_over
+from .blender_exporters import only_selected
+from .formats import FORMATS, format_of
 from .frame_sources import Piece, bounds_of
 from .read_back import count_triangles
 from .summaries import (
@@ -93,7 +94,7 @@ def write_frames(
         if complete is not None and resume:
             on_frame(frame, complete, True)
             continue
-        if complete is None:  # else it says of the files to come what it says of those that stand
+        if complete is None:  # it would describe the old files
             _remove_summary(summary_path)
         summary = {"frame": frame, "settings": settings, "inputs": digests, **write(frame)}
         summary = closed_summary(summary, out)
@@ -108,8 +109,9 @@ def _remove_summary(path: Path) -> None:
         remove_file(path, may_be_link=True)
     except OSError as error:
         raise TerrainError(
-            f"{path} cannot be replaced ({error.strerror}); expected a folder with files that can be changed: choose "
-            "another."
+            f"{path} cannot be replaced ({error.strerror})",
+            expected="a folder with files that can be changed",
+            fix="choose another",
         ) from None
 
 
@@ -122,27 +124,33 @@ def _replace_special(path: Path) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """The folder and those above it, as far as they are missing; what killed processes have left in it goes. Raises
-    TerrainError where it cannot be made."""
+    """Make the folder and its missing parents, and remove what killed processes have left in it.
+
+    Raises TerrainError.
+    """
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
-        raise TerrainError(f"{path} is, or is inside, a file; expected a folder: choose another place.") from None
+        raise TerrainError(f"{path} is, or is inside, a file", expected="a folder", fix="choose another path") from None
     except OSError as error:
-        raise TerrainError(f"The folder {path} cannot be made ({error.strerror}); choose another place.") from None
+        raise TerrainError(f"The folder {path} cannot be made ({error.strerror})", fix="choose another path") from None
     remove_abandoned(path)
 
 
 def check_target(path: Path) -> None:
     """Raise TerrainError where a file cannot be written to `path` because of what stands, or does not stand, there."""
     if path.parent.is_file():
-        raise TerrainError(f"{path.parent} is a file; expected a folder to write {path.name} into: choose another.")
+        raise TerrainError(
+            f"{path.parent} is a file", expected=f"a folder to write {path.name} into", fix="choose another"
+        )
     if not os.path.isdir(path.parent):
-        raise TerrainError(f"There is no folder {path.parent} to write {path.name} into; make it, or choose another.")
+        raise TerrainError(
+            f"There is no folder {path.parent} to write {path.name} into", fix="make it, or choose another"
+        )
     if os.path.isdir(path):  # which raises for no name
-        raise TerrainError(f"{path} is a folder; expected a file to write: choose another name.")
+        raise TerrainError(f"{path} is a folder", expected="a file to write", fix="choose another name")
     if is_device(path):
-        raise TerrainError(f"{path} is a device or a pipe; expected a file to write: choose another name.")
+        raise TerrainError(f"{path} is a device or a pipe", expected="a file to write", fix="choose another name")
 
 
 @contextmanager
@@ -159,7 +167,7 @@ def named_failures(path: Path):
     else:
         return
     raise TerrainError(
-        f"{path} cannot be written ({final_names(str(reason))}); check the disk, or choose another place."
+        f"{path} cannot be written ({final_names(str(reason))})", fix="check the disk, or choose another folder"
     )
 
 
@@ -189,15 +197,16 @@ def _export_frame(source, frame: int, formats: Sequence[str], out: Path) -> dict
     files, pieces = [], []
     for piece in source.pieces(frame):
         for form in formats:
-            if form != "blend":
+            if not FORMATS[form].is_whole_scene:
                 files.append(out / f"{piece.name}_{frame:04d}.{form}")
                 write_piece(piece, files[-1])
         if source.with_scatters:
             files += _write_scatters(piece, frame, out)
         pieces.append(piece)
-    if "blend" in formats:
-        files.append(out / f"{source.name}_{frame:04d}.blend")
-        write_blend(pieces, files[-1])
+    for form in formats:
+        if FORMATS[form].is_whole_scene:
+            files.append(out / f"{source.name}_{frame:04d}.{form}")
+            FORMATS[form].call("write", pieces, files[-1])
     elapsed = (time.perf_counter() - start) * 1e3
     return {
         "files": file_sizes(files, out),
@@ -232,21 +241,21 @@ def figures(piece: Piece) -> dict:
 
 def write_piece(piece: Piece, path: Path) -> None:
     """Write one terrain to `path`; the suffix is the format."""
-    form = path.suffix[1:].lower()
-    if form == "npz":
-        with named_failures(path):
-            write_npz(path, piece.surface, piece.origin, piece.info, piece.tree)
-    elif form == "blend":
-        write_blend([piece], path)
-    else:
-        _write_with_blender(piece, path, form)
+    format_of(path).call("write", [piece], path)
+
+
+def write_arrays(pieces: Sequence[Piece], path: Path) -> None:
+    """Write one terrain's arrays to an .npz."""
+    [piece] = pieces
+    with named_failures(path):
+        write_npz(path, piece.surface, piece.origin, piece.info, piece.tree)
 
 
 @contextmanager
 def _written_by_blender(path: Path, written=written_beside):
-    """As `written`; what Blender could not even begin is found out first, as its exporters print tracebacks.
+    """Write a file by Blender's exporters, which print tracebacks: find out first whether it can be written at all.
 
-    No handler of ours runs meanwhile: an exporter may change the frame while it reads the mesh.
+    No handler of this extension runs meanwhile: an exporter may change the frame while it reads the mesh.
     """
     with written(path) as partial, paused():
         partial.touch()
@@ -268,7 +277,7 @@ def _need_all_written(path: Path) -> None:
 
 
 def write_blend(pieces: Sequence[Piece], path: Path) -> None:
-    """Save a copy of the open file; its own path stays what it was.
+    """Save a copy of the open file, which keeps its path.
 
     To read it back takes as long as to write it, so the meshes of `pieces` are counted before Blender copies them.
     """
@@ -282,25 +291,25 @@ def write_blend(pieces: Sequence[Piece], path: Path) -> None:
         _need_all_written(partial)
 
 
-def _write_with_blender(piece: Piece, path: Path, form: str) -> None:
-    """One terrain through Blender's own exporter, in that exporter's usual axes: glb and obj have y up, the rest z.
+def write_with_blender(pieces: Sequence[Piece], path: Path) -> None:
+    """Write one terrain by Blender's own exporter, in that exporter's usual axes: glb and obj have y up, the rest z.
 
-    The file holds the terrain's own mesh, whose bound is known: modifiers are left out. It is read back before it gets
-    its name.
+    The file holds the terrain's own mesh, whose bound is known, without modifiers. It is read back before it gets its
+    name.
     """
-    if form == "glb":
-        need_no_shear(piece.obj)
+    [piece] = pieces
+    form = format_of(path)
     with named_failures(path), _written_by_blender(path) as partial:
-        with only_selected(piece.obj), quiet(1, 2):  # OBJ's writer talks on stderr, what fails is raised too
-            export_selected(str(real_path(partial)), form)
+        with only_selected(piece.obj), quiet(1, 2):  # the OBJ exporter prints on stderr; errors are raised too
+            form.call("export", piece.obj, str(real_path(partial)))
         _need_all_written(partial)
         try:
             found = count_triangles(partial)
         except ValueError as reason:
             raise RuntimeError(str(reason)) from None
         _need_count(piece, path, found)
-        if form == "ply" and piece.obj.matrix_world.determinant() < 0:
-            turn_faces_over(partial, found)
+        if form.finish:
+            form.call("finish", piece, partial)
 
 
 def _need_count(piece: Piece, path: Path, found: int) -> None:
@@ -309,5 +318,6 @@ def _need_count(piece: Piece, path: Path, found: int) -> None:
     if found != expected:
         raise TerrainError(
             f"{path} would hold {found:,} triangles where the terrain {piece.name!r} has {expected:,}, and is not "
-            "written: remove what changes or multiplies its mesh in Blender (instances, handlers of other extensions)."
+            "written",
+            fix="remove what changes or multiplies its mesh in Blender (instances, handlers of other extensions)",
         )

@@ -38,11 +38,11 @@ def redirected_outputs(scene, folder: Path) -> Iterator[None]:
             drive, tail = os.path.splitdrive(_whole(path))
             below = os.path.join(literal(folder / _drive_name(drive)), tail.lstrip("/\\"))
             _set_folder(node, below)
-            _need_kept(node, below, node_folder(node))
+            _check_whole(node, below, node_folder(node))
         for node, (name, items) in names:
             numbered = _numbered_names(node, name, items)
             _set_names(node, *numbered)
-            _need_kept(node, numbered, _names_of(node))
+            _check_whole(node, numbered, _names_of(node))
         yield
     finally:
         for node, path in zip(nodes, before, strict=True):
@@ -114,12 +114,13 @@ def _set_folder(node, path: str) -> None:
     setattr(node, next(name for name in FOLDER_PROPERTIES if hasattr(node, name)), path)
 
 
-def _need_kept(node, wanted, kept) -> None:
+def _check_whole(node, wanted, actual) -> None:
     """Raise TerrainError where Blender has cut a name short, as it does without a word."""
-    if kept != wanted:
+    if actual != wanted:
         raise TerrainError(
             f"The path or a name of the File Output node {shown(node.name)!r} is too long for Blender with the frame's "
-            f"own folder and number; it kept {shown(kept, 100)}: shorten it, or choose another --out."
+            f"folder and number; it was cut to {shown(actual, 100)}",
+            fix="shorten it, or choose another --out",
         )
 
 
@@ -133,8 +134,9 @@ def _need_names_below(node) -> None:
     wrong = next((name for name in names if ".." in name.replace("\\", "/").split("/")), None)
     if wrong is not None:
         raise TerrainError(
-            f"The File Output node {shown(node.name)!r} has the name {shown(wrong)!r}, which leads out of its folder; "
-            "expected a name below it: put the folder into the node's path."
+            f"The File Output node {shown(node.name)!r} has the name {shown(wrong)!r}, which leads out of its folder",
+            expected="a name below it",
+            fix="put the folder into the node's path",
         )
 
 

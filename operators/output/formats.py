@@ -1,18 +1,58 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which files an export writes, and of which frames, as they are asked for in words. Imports none of the engine."""
+"""Formats of exported meshes, and requests for formats and frames as text, without Blender and the engine."""
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
 
-FORMATS = ("npz", "ply", "obj", "glb", "stl", "blend")
+
+@dataclass(frozen=True)
+class ExportFormat:
+    """A format of exported meshes. A function is named "module.function" of this package, to be imported when it is
+    first called.
+
+    Attributes:
+        write: write(pieces, path) writes one Piece, or all Pieces of a frame if `is_whole_scene`.
+        export: export(obj, name) writes the selected object by Blender's own exporter.
+        count: count(file, size) returns the number of triangles in what `export` wrote.
+        finish: finish(piece, path) completes what `export` wrote, "" if nothing is left to do.
+        needs_blender: whether Blender is needed to write it.
+        is_whole_scene: whether one file holds all terrains of a frame.
+    """
+
+    write: str = "exporting.write_with_blender"
+    export: str = ""
+    count: str = ""
+    finish: str = ""
+    needs_blender: bool = True
+    is_whole_scene: bool = False
+
+    def call(self, name: str, *arguments):
+        """Call the function of one attribute."""
+        module, function = getattr(self, name).split(".")
+        return getattr(import_module(f".{module}", __package__), function)(*arguments)
+
+
+FORMATS = {
+    "npz": ExportFormat("exporting.write_arrays", needs_blender=False),
+    "ply": ExportFormat(
+        export="blender_exporters.export_ply", count="read_back.count_in_ply", finish="blender_exporters.face_outwards"
+    ),
+    "obj": ExportFormat(export="blender_exporters.export_obj", count="read_back.count_in_obj"),
+    "glb": ExportFormat(export="blender_exporters.export_glb", count="read_back.count_in_glb"),
+    "stl": ExportFormat(export="blender_exporters.export_stl", count="read_back.count_in_stl"),
+    "blend": ExportFormat("exporting.write_blend", is_whole_scene=True),
+}
 MAX_FRAMES = 1_000_000
 MAX_FRAME = 1_048_574  # what Blender holds
 
 
 def parse_frames(text: str) -> tuple[int, ...]:
-    """`7`, `1-24`, `1-24:2` or several of them, as `1,3,7-20:2`: ends included, in the order given, each frame once.
+    """Parse `7`, `1-24`, `1-24:2` or several of them, such as `1,3,7-20:2`. Raises ValueError.
 
-    So `1-240:24,1-240` begins with a first look at the whole and then fills it in, as render farms have it.
+    Ends are included. A frame comes once, where it is first named, so `1-240:24,1-240` begins with every 24th frame.
     """
     parts = [_frame_range(part.strip()) for part in text.split(",")]
     if sum(map(len, parts)) > MAX_FRAMES:
@@ -21,7 +61,7 @@ def parse_frames(text: str) -> tuple[int, ...]:
 
 
 def _frame_range(part: str) -> range:
-    """One part of a list of frames."""
+    """Parse one part of a list of frames."""
     match = re.fullmatch(r"(-?\d{1,9})(?:-(-?\d{1,9})(?::(\d{1,9}))?)?", part)
     if not match:
         raise ValueError(f"frames {_short(part)} are not A, A-B or A-B:S")
@@ -38,7 +78,7 @@ def _short(text: str) -> str:
 
 
 def parse_formats(text: str) -> tuple[str, ...]:
-    """`npz,ply` as a tuple without repetition, in the order given."""
+    """Parse `npz,ply` into a tuple without repetition, in the given order. Raises ValueError."""
     formats = tuple(dict.fromkeys(part.strip().lower() for part in text.split(",")))
     unknown = [part for part in formats if part not in FORMATS]
     if unknown:
@@ -46,5 +86,14 @@ def parse_formats(text: str) -> tuple[str, ...]:
     return formats
 
 
+def format_of(path: Path) -> ExportFormat:
+    """Return the format that a file's suffix names. Raises ValueError."""
+    found = FORMATS.get(path.suffix[1:].lower())
+    if found is None:
+        raise ValueError(f"{path.name!r} has no known format; expected one of {', '.join(FORMATS)}")
+    return found
+
+
 def needs_blender(formats: Sequence[str]) -> bool:
-    return any(part != "npz" for part in formats)
+    """Return whether one of the formats needs Blender."""
+    return any(FORMATS[name].needs_blender for name in formats)

@@ -34,12 +34,16 @@ MAX_NAME_BYTES = 180  # of 255 that file systems allow; frame, kind and suffix t
 
 @dataclass(frozen=True)
 class Piece:
-    """One terrain at one frame. `origin` float64 [3], metres: what the positions are about. `info`: see `describe`.
+    """One terrain at one frame.
 
-    `obj` is the Blender object that shows it, None where Blender was not asked for. The surface of a scene's terrain is
-    the piece's own: in Blender anything may update a terrain. A store's engine is known to its StoreFrames alone, so
-    that surface may stay the engine's, until the next frame is asked for. `tree`: saved, see `Terrain.restore`; b"" of
-    a baked mesh. `scatters`: points and where they stand (float64 [4, 4]) by the name of their file.
+    Attributes:
+        surface: arrays of the mesh. Those of a scene's terrain are copies, because anything in Blender may update a
+            terrain; those of a store's terrain are valid until the next frame is refined.
+        origin: float64 [3], metres, of which the positions are relative.
+        info: see `describe`.
+        obj: the Blender object that shows it, None without Blender.
+        tree: the saved tree for `Terrain.restore`; b"" of a baked mesh.
+        scatters: points and their placement (float64 [4, 4]) by the name of their file.
     """
 
     name: str
@@ -68,7 +72,7 @@ class StoreFrames:
         effects: Sequence[str] = (),
         detail: Detail | None = None,
     ):
-        """`effects`: names of those whose attributes the mesh gets, at one scale: the raster's."""
+        """Open a store and a camera path; `effects`: attributes that the mesh gets, at the raster's scale."""
         self.files = [Path(store), Path(path)]
         self.path = read_camera_path(path)
         self.criterion, self.resolution = criterion, resolution
@@ -89,13 +93,13 @@ class StoreFrames:
         return self.files
 
     def pieces(self, frame: int) -> Iterator[Piece]:
-        """The terrain as the path's camera sees it at `frame`."""
+        """Yield the terrain as the path's camera sees it at `frame`."""
         view = self.path.view(frame, self.resolution)
         update = self.terrain.update(self.criterion, [view])
         tree, how = self.terrain.saved()
         request = EffectRequest(self.effects, update.surface)
-        made = evaluate(self.field, request, self.terrain.history, self.terrain.threads)
-        surface = update.surface.with_attributes(made.attributes)
+        evaluated = evaluate(self.field, request, self.terrain.history, self.terrain.threads)
+        surface = update.surface.with_attributes(evaluated.attributes)
         info = describe(update, self.criterion, [view], self.field) | {"frame": frame, "tree": how}
         if self.obj is not None:
             from ..mesh.writer import write_mesh
@@ -108,8 +112,8 @@ class SceneFrames:
     """The terrains of a .blend file, each with its render settings, refined for the file's camera at each frame.
 
     `camera` names another camera; `pixel_error` (pixels), `budget` (triangles), `meshlet`, `interpolation`,
-    `shading_floor`, `morph` (Smooth Transitions), `effects` (names) and `detail` replace what the objects say; None
-    keeps it. `with_scatters`: their points are written too.
+    `shading_floor`, `morph` (Smooth Transitions), `effects` (names) and `detail` replace the objects' settings; None
+    keeps them. `with_scatters`: write the points of scatters too.
     """
 
     def __init__(
@@ -141,11 +145,13 @@ class SceneFrames:
             _need_distinct_names([scatter for obj in self.objects for scatter in scatters_of(obj)])
         self.camera = None
         if camera is not None:
-            own = (obj for obj in self.scene.objects if obj.name == camera and obj.library is None)
-            self.camera = next(own, self.scene.objects.get(camera))  # a library's may have the same name
+            local = (obj for obj in self.scene.objects if obj.name == camera and obj.library is None)
+            self.camera = next(local, self.scene.objects.get(camera))  # a library's may have the same name
             if self.camera is None or self.camera.type != "CAMERA":
                 cameras = ", ".join(sorted(o.name for o in self.scene.objects if o.type == "CAMERA")) or "none"
-                raise TerrainError(f"The scene {self.scene.name!r} has no camera {camera!r}; it has {cameras}.")
+                raise TerrainError(
+                    f"The scene {self.scene.name!r} has no camera {camera!r}; it has {cameras}", fix="choose one"
+                )
         asked = {"camera": camera, "resolution": resolution, "scatters": with_scatters, **asdict(self.overrides)}
         stores = {obj.name: obj.adaptive_terrain.store for obj in self.objects}
         fields = {name: field_identity(open_store(absolute_path(path))) for name, path in stores.items() if path}
@@ -159,7 +165,7 @@ class SceneFrames:
         return [*self.files, *color_config(), *scene_files([frame])]
 
     def pieces(self, frame: int) -> Iterator[Piece]:
-        """Every terrain of the scene at `frame`; its mesh is written first."""
+        """Yield every terrain of the scene at `frame`, with its mesh written."""
         import bpy
 
         with paused():  # an export updates each terrain once, for the render
@@ -171,7 +177,7 @@ class SceneFrames:
 
 
 def scene_piece(obj, depsgraph, frame: int, **asked) -> Piece:
-    """The terrain `obj` at the render's detail, its mesh written. `asked`: further arguments of `request.gather`."""
+    """Write the mesh of the terrain `obj` at the render's detail. `asked`: arguments of `request.gather`."""
     from ..mesh.cleanup import clean_up
     from ..request.request import RENDER, gather
     from ..request.scatters import scatters_of
@@ -203,10 +209,10 @@ def baked_piece(
     fitted: bool,
     on_progress: Callable[[float], None],
 ) -> Piece:
-    """A static mesh that is nowhere further than `max_error_m` metres of height from its store's height field.
+    """Return a static mesh that is at most `max_error_m` metres of height off its store's height field.
 
-    `fitted`: vertices are moved off the surface to save triangles, which `on_progress` follows (0 .. 1); the info then
-    says so, and the measured maximum.
+    `fitted`: vertices leave the surface to save triangles, which `on_progress` follows (0 .. 1); the info then has the
+    measured maximum.
     """
     from ...cbt_terrain.fit.fit import bake, check_interpolation
 
@@ -226,7 +232,7 @@ def baked_piece(
 
 
 def describe(update: Update, criterion: Criterion, views: list[View], field, placement=None) -> dict:
-    """What a piece is, as JSON holds it: a function of the frame alone, so no times."""
+    """Return the info of a piece for JSON: a function of the frame alone, so without times."""
     return {
         "generator": "Adaptive Terrain",
         "units": {"positions": "m", "origin": "those of crs", "error_px": "px", "error_m": "m"},
@@ -244,12 +250,12 @@ def describe(update: Update, criterion: Criterion, views: list[View], field, pla
 
 
 def counts(surface: Surface) -> dict:
-    """What a mesh has of each, as JSON holds it."""
+    """Return the counts of a mesh's elements for JSON."""
     return {"vertices": len(surface.positions), "edges": len(surface.edges), "triangles": len(surface.triangles)}
 
 
 def bounds_of(update: Update) -> dict:
-    """The bounds of an update and what they are made of, as JSON holds them; None where nothing was asked."""
+    """Return the bounds of an update and their terms for JSON; None for a bound that was not requested."""
     return {
         "bound_px": update.bound_px,
         "bound_m": update.bound_m,
@@ -278,7 +284,7 @@ def open_scene(blend: Path) -> tuple:
     from ..scene import session
 
     if not Path(blend).is_file():
-        raise TerrainError(f"There is no scene at {blend}; expected a .blend file.")
+        raise TerrainError(f"There is no scene at {blend}", expected="a .blend file")
     try:
         with quiet():
             bpy.ops.wm.open_mainfile(filepath=str(real_path(blend)), load_ui=False)
@@ -288,7 +294,9 @@ def open_scene(blend: Path) -> tuple:
     scene = bpy.context.scene
     objects = session.terrains_of(scene)
     if not objects:
-        raise TerrainError(f"The scene {scene.name!r} in {blend} has no adaptive terrain; add one and save it.")
+        raise TerrainError(
+            f"The scene {scene.name!r} in {blend} has no adaptive terrain", fix="add one and save the file"
+        )
     return scene, objects
 
 
@@ -303,26 +311,28 @@ def check_named_files(blend: Path) -> None:
         waiting = next(filter(blocks_reader, [path, *numbered_files(path, "TILED")]), None)
         if waiting is not None:
             raise TerrainError(
-                f"The scene {shown(blend)} names {shown(waiting)}, a pipe, a socket or a device; expected a file: "
-                "choose another in Blender."
+                f"The scene {shown(blend)} names {shown(waiting)}, a pipe, a socket or a device",
+                expected="a file",
+                fix="choose another in Blender",
             )
 
 
 def import_bpy(what: str):
-    """The bpy module; raises TerrainError that says who needs it."""
+    """Return the bpy module. Raises TerrainError if it is missing; `what`: names what needs it."""
     try:
         with quiet():
             import bpy
     except ImportError:
         raise TerrainError(
-            f"{what} needs Blender's Python module; `pip install bpy` (the version that is made for this Python), "
-            "or run `blender --command adaptive_terrain` instead."
+            f"{what} needs Blender's Python module",
+            fix="run `pip install bpy` (the version that is made for this Python), or `blender --command "
+            "adaptive_terrain`",
         ) from None
     return bpy
 
 
 def new_object(name: str):
-    """A mesh object in an otherwise empty Blender file."""
+    """Add a mesh object to an otherwise empty Blender file."""
     bpy = import_bpy("This format")
     open_empty_file()
     obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
@@ -331,20 +341,22 @@ def new_object(name: str):
 
 
 def open_empty_file() -> None:
-    """A file with nothing in it. Preferences stay: factory settings would switch this extension off, and Blender then
-    deletes the wheels that it lives on."""
+    """Open an empty file, and keep the preferences.
+
+    Factory settings would disable this extension, and Blender would delete its wheels.
+    """
     import bpy
 
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
 
 
 def field_identity(field) -> list:
-    """What an export takes from a height field; the key covers heights and spacing."""
+    """Return what an export depends on in a height field; the key covers heights and spacing."""
     return [field.key, field.origin.tolist(), field.crs]
 
 
 def file_name(obj) -> str:
-    """The object's name, without what a file name cannot hold, nor more of it."""
+    """Return the object's name, shortened and without characters that a file name cannot hold."""
     import bpy
 
     return bpy.path.clean_name(obj.name).encode()[:MAX_NAME_BYTES].decode(errors="ignore")
@@ -357,6 +369,6 @@ def _need_distinct_names(objects) -> None:
         other = seen.setdefault(file_name(obj).casefold(), obj)
         if other != obj:
             raise TerrainError(
-                f"The objects {other.name!r} and {obj.name!r} would both be written to {file_name(obj)!r} files; "
-                "rename one of them."
+                f"The objects {other.name!r} and {obj.name!r} would both be written to {file_name(obj)!r} files",
+                fix="rename one of them",
             )

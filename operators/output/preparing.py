@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the frames of a scene need beside its file, made once ahead of them: no two workers then make it at once."""
+"""Make the stores, land and maps of a scene once ahead of its frames, so that no two workers make them at once."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -29,9 +29,9 @@ To = Callable[[float], None]  # part of a terrain that is done, 0 .. 1
 
 
 def store_of(obj) -> Path:
-    """The folder that a terrain's settings name; raises TerrainError where they name none."""
+    """Return the folder that a terrain's settings name. Raises TerrainError if they name none."""
     if not obj.adaptive_terrain.store:
-        raise TerrainError(f"The terrain {obj.name!r} has no height field; import one from its panel.")
+        raise TerrainError(f"The terrain {obj.name!r} has no height field", fix="import one from its panel")
     return Path(absolute_path(obj.adaptive_terrain.store))
 
 

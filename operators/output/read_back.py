@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How many triangles a mesh file holds, as cheaply as its format allows: what an exporter wrote is counted again."""
+"""Counts of the triangles in mesh files, as cheap as each format allows. They check what exporters wrote."""
 
 import json
 import os
@@ -7,6 +7,7 @@ import struct
 from pathlib import Path
 
 from ...cbt_terrain.run.named_file import open_regular
+from .formats import format_of
 
 PLY_BYTES = {"char": 1, "uchar": 1, "short": 2, "ushort": 2, "int": 4, "uint": 4, "float": 4, "double": 8}
 GLB_HEAD = 20  # magic, version, length of the file; length and kind of the first chunk
@@ -15,12 +16,11 @@ BLOCK = 1 << 22
 
 
 def count_triangles(path: Path) -> int:
-    """Triangles in the .ply, .obj, .stl or .glb at `path`; raises ValueError where it is not whole."""
-    count = {".ply": _in_ply, ".obj": _in_obj, ".stl": _in_stl, ".glb": _in_glb}[path.suffix.lower()]
+    """Count the triangles in a file that one of Blender's exporters wrote. Raises ValueError if it is not whole."""
     try:
         with open_regular(path, links=True) as file:
-            return count(file, os.fstat(file.fileno()).st_size)
-    except (struct.error, KeyError, IndexError, TypeError) as error:  # what a damaged head makes of the reading
+            return format_of(path).call("count", file, os.fstat(file.fileno()).st_size)
+    except (struct.error, KeyError, IndexError, TypeError) as error:  # from a damaged head
         raise ValueError(f"its head cannot be read back: {error!r}") from None
 
 
@@ -29,8 +29,8 @@ def _need_size(size: int, expected: int) -> None:
         raise ValueError(f"it has {size:,} bytes where its own head says {expected:,}")
 
 
-def _in_ply(file, size: int) -> int:
-    """The header's count; all faces are triangles if the size agrees."""
+def count_in_ply(file, size: int) -> int:
+    """Return the header's count; all faces are triangles if the size agrees."""
     stride, counts, element = 0, {}, ""
     for line in iter(lambda: file.readline(256).split(), [b"end_header"]):
         if not line:
@@ -43,24 +43,25 @@ def _in_ply(file, size: int) -> int:
     return counts.get("face", 0)
 
 
-def _in_obj(file, size: int) -> int:
-    """Lines of faces, each of which is a triangle in what is exported here."""
+def count_in_obj(file, size: int) -> int:
+    """Count the lines of faces: every exported face is a triangle."""
     count, last = 0, b"\n"
     while block := file.read(BLOCK):
         block = last + block
         count += block.count(b"\nf ")
-        last = block[-2:]  # shorter than what is counted, so that nothing is counted twice
+        last = block[-2:]  # shorter than the pattern, so that no face is counted twice
     return count
 
 
-def _in_stl(file, size: int) -> int:
+def count_in_stl(file, size: int) -> int:
+    """Return the header's count if the size agrees."""
     [count] = struct.unpack("<I", file.read(STL_HEAD)[-4:])
     _need_size(size, STL_HEAD + count * STL_TRIANGLE)
     return count
 
 
-def _in_glb(file, size: int) -> int:
-    """Indices of every mesh, once for each node that shows it, by the JSON at the head."""
+def count_in_glb(file, size: int) -> int:
+    """Count by the JSON header: the indices of each mesh once for every node that shows it."""
     magic, _version, length, json_length, _kind = struct.unpack("<4s4I", file.read(GLB_HEAD))
     if magic != b"glTF":
         raise ValueError("it does not begin with glTF")

@@ -44,8 +44,9 @@ def render_frames(
     render = source.scene.render
     if render.is_movie_format:
         raise TerrainError(
-            f"The scene {source.scene.name!r} is rendered into a movie ({render.image_settings.file_format}); expected "
-            "a picture a frame: choose an image format under Output."
+            f"The scene {source.scene.name!r} is rendered into a movie ({render.image_settings.file_format})",
+            expected="a picture a frame",
+            fix="choose an image format under Output",
         )
     settings = source.settings | {"picture": [bpy.app.version_string, render.engine]}
     write = partial(_render, source, out)
@@ -78,13 +79,15 @@ def _render(source: SceneFrames, out: Path, frame: int) -> dict:
         for picture in pictures:
             os.replace(picture, out / picture.name)
     if not pictures:
-        raise TerrainError(f"Blender wrote no picture of frame {frame} into {out}; check the disk and its messages.")
+        raise TerrainError(
+            f"Blender wrote no picture of frame {frame} into {out}", fix="check the disk and Blender's messages"
+        )
     sizes = file_sizes([*(out / picture.name for picture in pictures), *files], out)
     return {"files": sizes, "terrains": terrains, "elapsed_ms": round((time.perf_counter() - start) * 1e3, 3)}
 
 
 def _check_land(objects: list, frame: int) -> None:
-    """Raise TerrainError where a link stands in place of a terrain's land: before a picture is begun, which may take
+    """Raise TerrainError if a link replaces a terrain's land: before a picture is begun, which may take
     long."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     for obj in objects:

@@ -27,7 +27,8 @@ def write_points_csv(path, points: Points, placement: np.ndarray) -> None:
     if not np.abs(product(turn, turn.T) - np.eye(3)).max() < SAME:
         raise TerrainError(
             f"{path} cannot be written: the scatter, or its terrain, is mirrored or not scaled alike along all axes, "
-            "which a rotation and a scale cannot say; apply its scale."
+            "which a rotation and a scale cannot express",
+            fix="apply its scale",
         )
     positions = product(points.positions, linear.T) + placement[:3, 3]
     normals, rotation = product(points.normals, turn.T), _turned(tuple(Matrix(turn).to_quaternion()), points.rotation)

@@ -54,8 +54,9 @@ def _files_in(folder: str) -> list[str]:
     files = list(islice(walked, MAX_CACHE_FILES + 1))
     if len(files) > MAX_CACHE_FILES:
         raise TerrainError(
-            f"The cache folder {shown(folder)} of this scene holds more than {MAX_CACHE_FILES:,} files; expected files "
-            "of one cache: choose a folder for it alone, and bake it again."
+            f"The cache folder {shown(folder)} of this scene holds more than {MAX_CACHE_FILES:,} files",
+            expected="files of one cache",
+            fix="choose a folder for it alone, and bake it again",
         )
     return sorted(files)
 

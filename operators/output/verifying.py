@@ -36,7 +36,7 @@ def verify_frames(out: Path, frames: Sequence[int]) -> tuple[list[dict], int]:
     if faults:
         more = f"; {len(faults) - MAX_NAMED_FAULTS:,} more" if len(faults) > MAX_NAMED_FAULTS else ""
         raise TerrainError(
-            f"{out} is not complete: {'; '.join(faults[:MAX_NAMED_FAULTS])}{more}. Make those frames again."
+            f"{out} is not complete: {'; '.join(faults[:MAX_NAMED_FAULTS])}{more}", fix="make those frames again"
         )
     names = {name for summary in summaries for name in summary["inputs"]}
     return summaries, sum(not Path(file_named(name, out)).exists() for name in names)
@@ -56,9 +56,9 @@ def _stale_frames(summaries: list[dict], out: Path) -> list[str]:
 
 def _frames_of_another_scene(summaries: list[dict]) -> list[str]:
     """Describe the frames with any settings but the most frequent ones."""
-    made = Counter(summary["settings"] for summary in summaries)
-    if len(made) < 2:
+    counts = Counter(summary["settings"] for summary in summaries)
+    if len(counts) < 2:
         return []
-    [(most, _)] = made.most_common(1)
-    odd = [summary["frame"] for summary in summaries if summary["settings"] != most]
+    [(usual, _)] = counts.most_common(1)
+    odd = [summary["frame"] for summary in summaries if summary["settings"] != usual]
     return [f"frame {frame} was made of another scene, or by another version" for frame in odd]

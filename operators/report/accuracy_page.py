@@ -100,7 +100,7 @@ WORDS = [
 
 
 def files(subjects, machine: dict[str, str]) -> dict[str, str | bytes]:
-    """Every file of a report by its name. `subjects`: accuracy_subject.Subject, measured."""
+    """Return every file of a report by its name. `subjects`: measured accuracy_subject.Subject."""
     title, blocks = title_of(subjects), page(subjects, machine)
     return pictures(blocks) | {
         "accuracy.csv": as_csv(subjects),
@@ -111,7 +111,7 @@ def files(subjects, machine: dict[str, str]) -> dict[str, str | bytes]:
 
 
 def pictures(blocks: list) -> dict[str, str | bytes]:
-    """The files that a page's Markdown shows, by name."""
+    """Return the files that a page's Markdown shows, by name."""
     drawn = {block.name: block.svg for block in blocks if isinstance(block, Plot)}
     return drawn | {p.name: p.png for block in blocks if isinstance(block, Strip) for p in block.pictures}
 
@@ -121,7 +121,7 @@ def title_of(subjects) -> str:
 
 
 def as_csv(subjects) -> str:
-    """One line a row; empty where nothing was measured."""
+    """Return a table with a line for each row; a field is empty where nothing was measured."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     lines = [{"terrain": subject.name} | row.figures() for subject in subjects for row in subject.rows]
@@ -149,8 +149,10 @@ def as_json(subjects, machine: dict[str, str]) -> str:
 
 
 def page(subjects, machine: dict[str, str], prefix: str = "") -> list:
-    """The page as blocks: first what an artist asks for, then tables, definitions last. `prefix` begins the names of
-    its plots and pictures."""
+    """Return the page as blocks: first the figures for artists, then tables, definitions last.
+
+    `prefix` begins the names of its plots and pictures.
+    """
     several, blocks = len(subjects) > 1, []
     for subject in subjects:
         blocks += [Heading(subject.title)] if several else []
@@ -184,7 +186,7 @@ def front(subject, prefix: str) -> list:
 
 
 def figures(row: Row) -> list[tuple[str, str]]:
-    """The five that matter, of one setting."""
+    """Return the five main figures of one setting."""
     unit = row.setting.unit
     return [
         (f"{row.triangles:,}", "triangles"),
@@ -196,7 +198,7 @@ def figures(row: Row) -> list[tuple[str, str]]:
 
 
 def strip(subject, prefix: str) -> list[Strip]:
-    """The same part of the picture at several errors, with what each costs; none where nothing was drawn."""
+    """Return the same part of the picture at several errors, with the cost of each; [] if nothing was drawn."""
     costs = {row.setting.error: row for row in strip_rows(subject)}
     shown = [
         Picture(
@@ -208,26 +210,26 @@ def strip(subject, prefix: str) -> list[Strip]:
         for crop in subject.crops
     ]
     where = f"frame {subject.numbers[0]}" if subject.numbers else "the picture"
-    said = (
+    text = (
         f"The part of {where} in which these errors differ most, pixel by pixel. The edges of the triangles are drawn "
         f"in its lower left half.{' Triangles and times are medians of all frames.' if subject.numbers[1:] else ''}"
     )
-    return [Strip(shown), Text(said)] if shown else []
+    return [Strip(shown), Text(text)] if shown else []
 
 
 def strip_rows(subject) -> list[Row]:
-    """The rows that the strip has pictures of, the coarsest first."""
+    """Return the rows that the strip has pictures of, the coarsest first."""
     plain = {row.setting: row for row in subject.rows if row.setting.plain}
     settings = [Setting("px", error, interpolation=subject.heights.interpolation) for error in STRIP_PX]
     return [plain[setting] for setting in settings if setting in plain]
 
 
 def tables(subject, of: str, prefix: str) -> list:
-    """Every figure of one terrain. `of`: its name in headings, where there are others. `prefix`: as of `page`."""
+    """Return every figure of one terrain. `of`: its name in headings if there are others. `prefix`: see `page`."""
     heights, rows = subject.heights, subject.rows
     relief = heights.max_height - heights.min_height
-    made = heights.provenance
-    source = f" (from {made['format']}, {made['stored']})" if {"format", "stored"} <= set(made) else ""
+    origin = heights.provenance
+    source = f" (from {origin['format']}, {origin['stored']})" if {"format", "stored"} <= set(origin) else ""
     several = (
         " Of several frames errors are the largest, triangles and times the median." if subject.numbers[1:] else ""
     )
@@ -251,19 +253,19 @@ def tables(subject, of: str, prefix: str) -> list:
 
 
 def other_interpolation(heights) -> str:
-    """The one that only some rows have."""
+    """Return the interpolation that only some rows have."""
     return next(name for name in INTERPOLATIONS if name != heights.interpolation)
 
 
 def imported_text(heights) -> str:
-    """What the source had rounded, if it did."""
+    """Describe the rounding of the source, "" if there is none."""
     if not heights.source_max:
         return ""
     return f" The source's own rounding may have moved the surface by up to {heights.source_max:.2g} m."
 
 
 def curves(subject) -> list:
-    """The cost curve of each unit of which two errors at least were not held back, and whose runs agree."""
+    """Return the cost curve of each unit with at least two errors within all limits, if its runs agree."""
     of_unit = [rows for rows in by_unit(subject.rows).values() if unsteady_row(rows) is None]
     return [curve_of(rows) for rows in of_unit if len({row.setting.error for row in curve_rows(rows)}) > 1]
 
@@ -284,25 +286,25 @@ def timing_notes(subject) -> list[str]:
 
 
 def sentences(subject) -> list[str]:
-    """What half and twice the error cost, at the current setting or else in the middle of the sweep."""
-    said = []
+    """Describe the cost of half and twice the error, at the current setting or in the middle of the sweep."""
+    text = []
     for curve in curves(subject):
         unit, error = curve.unit, curve.error[len(curve.error) // 2]
         if subject.current is not None and subject.current.unit == unit:
             error = subject.current.error
         (less, faster), (triangles, ms), (more, slower) = (curve.at(error * factor) for factor in (2, 1, 0.5))
-        said.append(
+        text.append(
             f"Halving the error from {error:g} {unit} to {error / 2:g} {unit} costs "
             f"{time_text(slower - ms, ms)} of CPU and {more - triangles:,.0f} triangles; doubling it "
             f"to {error * 2:g} {unit} saves {time_text(ms - faster, ms)} of CPU and {triangles - less:,.0f} triangles."
         )
         if not curve.error[-1] <= error / 2 < error * 2 <= curve.error[0]:
-            said[-1] += " Part of that is extrapolated: it lies beyond what was measured."
-    return said
+            text[-1] += " Part of that is extrapolated: it lies beyond what was measured."
+    return text
 
 
 def time_text(difference_ms: float, whole_ms: float) -> str:
-    """A difference of times; one within the noise of a measurement is not given as a figure."""
+    """Describe a difference of times; one within the noise of a measurement gets no figure."""
     return f"{difference_ms:.3g} ms" if difference_ms > NOISE * whole_ms else "no time that could be measured"
 
 
@@ -317,15 +319,15 @@ def overview(rows: list[Row], current: Setting | None) -> Table:
     lines = []
     for row in rows:
         unit, name = row.setting.unit, label(row.setting) + (" (current)" if row.setting == current else "")
-        least = ", ".join(cost for cost, kept in fronts.items() if row.setting in kept)
+        fronts_text = ", ".join(cost for cost, settings in fronts.items() if row.setting in settings)
         numbers = [bound_text(row.bound, unit), f"{number(row.error)} {unit}", f"{row.error / row.setting.error:.2f}"]
         numbers += [f"{row.triangles:,}", number(row.whole_ms), number(row.surface_mb), number(row.buffers_mb)]
-        lines.append([name, *numbers, limit_text(row.limited), least])
+        lines.append([name, *numbers, limit_text(row.limited), fronts_text])
     return Table([*head, "held back by", "Pareto front"], lines)
 
 
 def error_tables(rows: list[Row]) -> list[Table]:
-    """Parts of the bound; then everything that was measured: height, screen, silhouette, popping, normals, rounding."""
+    """Return the terms of the bound, then all measurements: height, screen, silhouette, popping, normals, rounding."""
     blocks = [bound_table(rows)]
     on_screen = [row for row in rows if row.measured.screen_px is not None]
     if on_screen:
@@ -349,7 +351,7 @@ def error_tables(rows: list[Row]) -> list[Table]:
 
 
 def bound_table(rows: list[Row]) -> Table:
-    """What the bound is made of at the leaf that decides it."""
+    """Return the terms of the bound at the leaf that decides it."""
     head = ["parts of the bound", "in all", *TERMS, "measured, of the bound"]
     lines = []
     for row in rows:
@@ -370,7 +372,7 @@ def steps_table(rows: list[Row]) -> Table:
 
 
 def row_line(row: Row) -> str:
-    """One row as the terminal shows it."""
+    """Return one row as a line for the terminal."""
     unit = row.setting.unit
     return (
         f"{label(row.setting)}: bound {bound_text(row.bound, unit)}, measured {row.error:.3g} {unit}, "

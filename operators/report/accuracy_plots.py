@@ -31,8 +31,10 @@ def plots(subject, unit: str, current: Row | None, prefix: str) -> list[Plot]:
 
 
 def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
-    """What a plot shows of rows of one unit; `cost` is "ms" or "triangles". The first row has the interpolation that
-    most have."""
+    """Return the curves of a plot of rows of one unit; `cost` is "ms" or "triangles".
+
+    The first row has the interpolation that most rows have.
+    """
 
     def points(kept: list[Row], error) -> list[tuple[float, float]]:
         coarse_first = sorted(kept, key=lambda row: -row.setting.error)
@@ -66,15 +68,17 @@ def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
 
 
 def spreads(rows: list[Row], cost: str) -> list[tuple[float, float]]:
-    """The fastest and the slowest time of each row, in the order of its curve; none for triangles."""
+    """Return the fastest and the slowest time of each row, in the order of its curve; [] for triangles."""
     coarse_first = sorted(rows, key=lambda row: -row.setting.error)
     return [row.spread_ms or (row.cost_ms, row.cost_ms) for row in coarse_first] if cost == "ms" else []
 
 
 def pareto_rows(rows: list[Row], cost: str) -> list[Row]:
-    """The rows of one unit that no other of their interpolation beats in error and cost: each interpolation is another
-    surface, whose errors do not compare. A fit is made once, so its time is no cost of a frame. Rows with the other
-    transitions take no part: what those are for is no error."""
+    """Return the rows of one unit that no other row of their interpolation beats in error and cost.
+
+    Each interpolation is another surface, whose errors do not compare. A fit is made once, so its time is no cost of a
+    frame. Rows with the other transitions are left out: their purpose is no smaller error.
+    """
     found, rows = [], [row for row in rows if row.setting.morph is None]
     for name in dict.fromkeys(row.setting.interpolation for row in rows):
         kept = [r for r in rows if r.setting.interpolation == name and (cost == "triangles" or not r.setting.fitted)]
@@ -87,7 +91,7 @@ def cost_of(row: Row, cost: str) -> float:
 
 
 def label(setting: Setting) -> str:
-    """`1 px, depth 15` or `4 m, fitted`."""
+    """Return `1 px, depth 15` or `4 m, fitted`."""
     parts = [f"{setting.error:g} {setting.unit}"]
     parts += [f"depth {setting.max_depth}"] if setting.max_depth else []
     parts += [f"meshlet {setting.meshlet}"] if setting.meshlet else []

@@ -36,7 +36,7 @@ def write(subjects: Sequence[Subject], out: Path) -> None:
 
 
 def draw(subject: Subject) -> None:
-    """Draw what the errors that a page shows side by side look like."""
+    """Draw the pictures of errors that a page shows side by side."""
     errors = [row.setting.error for row in accuracy_page.strip_rows(subject)]
     subject.crops = crops(Terrain(subject.heights), subject.frames[0], errors, subject.base)
 
@@ -47,15 +47,16 @@ def check_bounds(subjects: Sequence[Subject]) -> None:
         subject, row = broken[0]
         raise TerrainError(
             f"The bound does not hold in {len(broken)} row{'s' * (len(broken) > 1)}, first of {subject.name} at "
-            f"{label(row.setting)}: bounded by {row.bound:.9g} {row.setting.unit}, measured "
-            f"{row.error:.9g}; please report it with accuracy.json."
+            f"{label(row.setting)}: bounded by {row.bound:.9g} {row.setting.unit}, measured {row.error:.9g}",
+            fix="report it with accuracy.json",
         )
 
 
 def ingest_ms(surface) -> float:
-    """Milliseconds that writing a surface into a Blender mesh takes: into the same one each time, until `ingest_end`.
+    """Measure the milliseconds that writing a surface into a Blender mesh takes.
 
-    As a terrain's own mesh it has memory from before; a million triangles take a new one twice as long.
+    The same mesh is written until `ingest_end`, so it has memory already, as a terrain's mesh has. A million triangles
+    take twice as long in a new mesh.
     """
     import bpy
 
@@ -71,7 +72,7 @@ def ingest_ms(surface) -> float:
 
 
 def ingest_end() -> None:
-    """Remove what was written into, also what an undo has brought back."""
+    """Remove the meshes that were written, also those that an undo has restored."""
     bpy = sys.modules.get("bpy")
     if bpy is not None:
         for mesh in list(_scratch_meshes()):
@@ -79,7 +80,7 @@ def ingest_end() -> None:
 
 
 def _scratch_meshes():
-    """Meshes that were made here; looked up each time, because an undo replaces them. One that is used is a user's."""
+    """Yield the meshes that this module made. They are looked up each time, as an undo replaces them."""
     import bpy
 
     return (mesh for mesh in bpy.data.meshes if mesh.users == 0 and SCRATCH in mesh)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What accuracy is measured of: terrains of a store or a scene, and from where they are seen."""
+"""The terrains of a store or a scene whose accuracy is measured, and their views."""
 
 import math
 import re
@@ -23,7 +23,7 @@ from ...cbt_terrain.field.store import open_store
 from ..output.frame_sources import SceneFrames, file_name
 from ..scene.pauses import paused
 
-# Frames of a camera path that are measured where none are named: so many, evenly spread.
+# Number of frames of a camera path that are measured if none are named.
 SPREAD = 4
 # The view where none is given: from the south-west, a third of a right angle above the horizon.
 LOOK_FROM, FOV_DEG = (-0.6, -0.65, 0.47), 50.0
@@ -31,10 +31,17 @@ LOOK_FROM, FOV_DEG = (-0.6, -0.65, 0.47), 50.0
 
 @dataclass
 class Subject:
-    """One terrain that is measured. `numbers`: of the frames. `seen`: from where, in words. `current`: the setting that
-    the scene (or an export) uses, None where it asks for no error. `base`: where guard band and culling come from.
-    `crops`: what some of the errors look like. `called`: the object's name, where there is one. `effects`: those that
-    the scene reads."""
+    """One terrain that is measured.
+
+    Attributes:
+        numbers: numbers of the frames.
+        seen: the camera, in words.
+        current: the setting that the scene (or an export) uses, None if it has no error.
+        base: the criterion that gives guard band and culling.
+        crops: pictures of some of the errors.
+        called: the object's name, "" for a store.
+        effects: the attributes that the scene reads.
+    """
 
     name: str
     heights: HeightField
@@ -51,19 +58,19 @@ class Subject:
 
     @property
     def title(self) -> str:
-        """The file that the heights are from, as its owner knows it; and the object, where it has a name of its own."""
+        """The name of the source file, and that of the object if it differs."""
         file = Path(self.heights.provenance.get("settings", {}).get("source", "")).name or self.name
         return file if slug(self.called or Path(file).stem) == slug(Path(file).stem) else f"{file}: {self.called}"
 
     @property
     def settings(self) -> list[Setting]:
-        """A whole sweep, and the current setting if that is none of it."""
+        """The settings of a whole sweep, after the current one if the sweep lacks it."""
         settings = settings_for(self.heights, self.frames[0], self.base.morph)
         return settings if self.current is None or self.current in settings else [self.current, *settings]
 
 
 def store_subject(store: Path, path: Path | None, frames: Sequence[int] | None, resolution: tuple[int, int]) -> Subject:
-    """A store as seen along a camera path, or from a place from which all of it is in the picture."""
+    """Return a store seen along a camera path, or from a position that shows all of it."""
     heights = open_store(store)
     name, current = slug(Path(store).stem), Setting("px", Criterion().error_px)
     size = f"{resolution[0]} x {resolution[1]} pixels"
@@ -84,22 +91,22 @@ def store_subject(store: Path, path: Path | None, frames: Sequence[int] | None, 
 def scene_subjects(
     blend: Path, camera: str | None, frames: Sequence[int] | None, resolution: tuple[int, int] | None
 ) -> list[Subject]:
-    """The terrains of a .blend file at the detail of the render; without `frames`, at the file's current frame.
+    """Return the terrains of a .blend file at the detail of the render; without `frames`, at the file's current frame.
 
-    What a clean-up cuts away is measured too: it changes no error of what is left.
+    Triangles that a clean-up cuts away are measured too: they change no error of the others.
     """
     source = SceneFrames(blend, camera, resolution)
     import bpy
 
     numbers = list(frames or [source.scene.frame_current])
     look = {"camera": source.camera, "resolution": resolution}
-    looks = looks_at(source.scene, bpy.context.view_layer, source.objects, numbers, **look)
-    return [looked.subject(f"the camera of {Path(blend).name}") for looked in looks]
+    found = look_at(source.scene, bpy.context.view_layer, source.objects, numbers, **look)
+    return [shown.subject(f"the camera of {Path(blend).name}") for shown in found]
 
 
 @dataclass(frozen=True)
 class Look:
-    """What is asked of a terrain at the first of some frames, and what each frame shows of it."""
+    """The request of a terrain at the first of some frames, and the terrain as each frame shows it."""
 
     name: str
     request: object
@@ -107,7 +114,7 @@ class Look:
     numbers: list[int]
 
     def subject(self, through: str) -> Subject:
-        """The terrain, opened, seen `through` a camera (in words); touches nothing of Blender."""
+        """Open the terrain, seen `through` a camera (in words), without touching Blender."""
         from ..scene import session
 
         size = " x ".join(f"{pixels:g}" for pixels in self.frames[0].views[0].resolution)
@@ -119,9 +126,11 @@ class Look:
         return found
 
 
-def looks_at(scene, view_layer, objects, numbers: Sequence[int], **look) -> list[Look]:
-    """What `scene` shows of the terrains `objects` at its frames `numbers`, which it goes through; `look` as of
-    `request.gather`. Each frame is followed by the next one, if the scene has one."""
+def look_at(scene, view_layer, objects, numbers: Sequence[int], **look) -> list[Look]:
+    """Return the view of the terrains `objects` at the frames `numbers` of `scene`, which are visited.
+
+    `look`: further arguments of `request.gather`. Each frame is followed by the next one, if the scene has one.
+    """
     from ..request.request import RENDER, gather
 
     requests, shown = {}, {}
@@ -130,7 +139,7 @@ def looks_at(scene, view_layer, objects, numbers: Sequence[int], **look) -> list
             scene.frame_set(number)
             for obj in objects:
                 request = gather(obj, view_layer.depsgraph, RENDER, **look)
-                # A view shows errors also where only metres are asked, which need none.
+                # A criterion in metres needs no view, but its errors are measured on screen too.
                 views = request.views or gather(obj, view_layer.depsgraph, RENDER, criterion=Criterion(), **look).views
                 requests[obj.name, number] = request
                 shown[obj.name, number] = Frame(
@@ -148,7 +157,7 @@ def looks_at(scene, view_layer, objects, numbers: Sequence[int], **look) -> list
 
 
 def current_setting(request) -> Setting | None:
-    """What of a request a sweep can vary: its error in pixels, else the one in metres, limits and interpolation."""
+    """Return the part of a request that a sweep varies: its error in pixels or metres, limits, interpolation."""
     criterion = request.criterion
     unit = unit_asked(criterion)
     if not unit:
@@ -158,7 +167,7 @@ def current_setting(request) -> Setting | None:
 
 
 def notes_on(criterion: Criterion) -> list[str]:
-    """What of a criterion is no part of a sweep."""
+    """Describe the parts of a criterion that a sweep leaves out."""
     notes = []
     if not unit_asked(criterion):
         notes.append("The terrain asks for no error, so no setting is marked as the current one.")
@@ -170,7 +179,7 @@ def notes_on(criterion: Criterion) -> list[str]:
 
 
 def overview(heights: HeightField, resolution: tuple[int, int]) -> View:
-    """From three quarters above, so far away that the whole terrain is in the picture."""
+    """Return a view from three quarters above that shows the whole terrain."""
     lattice = heights.lattice
     x, y = (lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y
     radius = 0.5 * math.hypot(x, y, heights.max_height - heights.min_height)
@@ -182,11 +191,11 @@ def overview(heights: HeightField, resolution: tuple[int, int]) -> View:
 
 
 def spread(first: int, last: int) -> list[int]:
-    """At most SPREAD whole frames from first to last, evenly."""
+    """Return at most SPREAD whole frames from first to last, evenly spaced."""
     count = min(SPREAD, max(last, first) - first + 1)
     return sorted({round(n) for n in np.linspace(first, max(last, first), count)})
 
 
 def slug(name: str) -> str:
-    """The name as part of a file's name."""
+    """Return the name in a form that a file's name can hold."""
     return re.sub(r"[^A-Za-z0-9_-]+", "_", name).strip("_").lower() or "terrain"

@@ -11,8 +11,10 @@ HEAD = ["effect", "samples apart, m", "added, m rms", "m at most", "ms"]
 
 
 def land_section(heights: HeightField, of: str) -> list:
-    """Blocks of the page: the effects on heights level by level; none of land that nothing has shaped. `of`: the
-    terrain's name in headings, where there are others."""
+    """Return blocks of the page: the height operators level by level; [] for land that no stack has shaped.
+
+    `of`: the terrain's name in headings if there are others.
+    """
     added = sorted(heights.provenance.get("shaped", {}).get("added", []), key=lambda one: (one["entry"], one["level"]))
     if not added:
         return []
@@ -36,16 +38,16 @@ def land_section(heights: HeightField, of: str) -> list:
 
 
 def _half(added: list[dict]) -> str:
-    """What it would save, and change, to leave the finest level out."""
+    """Describe the savings and the change if the finest level were left out."""
     by_level = [list(group) for _, group in groupby(sorted(added, key=_level), key=_level)]
     if len(by_level) < 2 or not all(one["computed"] for one in added):
         return ""
     finest, time = by_level[0], sum(one["ms"] for one in added)
     part = sum(one["ms"] for one in finest) / time if time else 0.0
-    most = max(finest, key=lambda one: one["rms_m"])
+    largest = max(finest, key=lambda one: one["rms_m"])
     return (
         f"Without the finest level, {finest[0]['spacing_m']:.3g} m, it would have taken {part:.0%} less time, and been "
-        f"off by {most['rms_m']:.2g} m rms and {most['most_m']:.2g} m at most ({most['effect']})."
+        f"off by {largest['rms_m']:.2g} m rms and {largest['most_m']:.2g} m at most ({largest['effect']})."
     )
 
 

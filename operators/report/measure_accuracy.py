@@ -21,7 +21,6 @@ from .measuring import MeasuringOperator
 MAX_TRIANGLES = 1 << 22  # a finer error is left out of the curve: it would take long, and memory that the scene needs
 TRIES = 3  # measurements of an error whose runs differ too much: the window is drawn by this process, too
 DETAIL = {VIEWPORT: "viewport", RENDER: "render"}  # mode -> property group of its settings
-NO_ERROR_ASKED = "Measure Accuracy needs an error to vary: set Screen Error or Vertical Error."
 
 
 @dataclass(frozen=True)
@@ -37,14 +36,14 @@ class Result:
     no_curve: str = ""
 
     def store(self, detail) -> None:
-        """Keep it in a DetailSettings, and with it in the .blend file."""
+        """Write the result into a DetailSettings, which the .blend file keeps."""
         detail.measured = json.dumps({"digest": self.digest, **asdict(self.measured)})
         detail.no_curve = self.no_curve
         detail.curve = "" if self.curve is None else self.curve.to_json()
 
 
 def read_measured(detail) -> dict:
-    """What `Result.store` kept: accuracy.Measured as a dict, and "digest"; {} where there is none, or it is damaged."""
+    """Read what `Result.store` wrote: accuracy.Measured as a dict, and "digest"; {} if it is missing or damaged."""
     try:
         measured = json.loads(detail.measured)
     except (ValueError, RecursionError):
@@ -54,13 +53,13 @@ def read_measured(detail) -> dict:
 
 
 def errors_text(measured: Measured) -> str:
-    """The largest error that was measured: of visible points in pixels, if there is a view, and of heights."""
+    """Describe the largest measured errors: of visible points in pixels, if there is a view, and of heights."""
     seen = "" if measured.screen_px is None else f"{measured.screen_px.max:.3g} px on screen, "
     return f"measured at most {seen}{measured.vertical_max_m:.3g} m of height"
 
 
 def measure_requests(requests: dict[str, Request], on_progress) -> dict[str, Result]:
-    """What each mode's request costs; `on_progress` as of `measure_request`. Touches nothing of Blender."""
+    """Measure each mode's request, without touching Blender; `on_progress`: see `measure_request`."""
     results = {}
     for i, (mode, request) in enumerate(requests.items()):
         with session.engine_lock:
@@ -74,9 +73,9 @@ def measure_requests(requests: dict[str, Request], on_progress) -> dict[str, Res
 
 
 def measure_request(field, request: Request, on_progress) -> Result:
-    """What errors cost with all else as `request` asks, and the errors of the mesh that it gives.
+    """Measure the cost of errors with everything else as in `request`, and the errors of its mesh.
 
-    `on_progress` gets the fraction done and what is being done; it may raise, which ends the measurement.
+    `on_progress` gets the fraction done and a message; what it raises ends the measurement.
     """
     request = replace(request, frozen="")  # what errors cost is of a mesh that follows its camera
     unit = unit_asked(request.criterion)
@@ -85,8 +84,8 @@ def measure_request(field, request: Request, on_progress) -> Result:
     swept = PIXELS if unit == "px" else metre_steps(relief_m)
     errors = sorted({getattr(request.criterion, name), *swept}, reverse=True)
     frame = Frame(request.views, request.placement, request.vertical_scale, request.vertical_offset)
-    looks = frame.views or [None]
-    steps = len(errors) + len(looks)
+    views = frame.views or [None]
+    steps = len(errors) + len(views)
     terrain, points, no_curve = Terrain(field), [], ""
     for i, error in enumerate(errors):
 
@@ -110,14 +109,15 @@ def measure_request(field, request: Request, on_progress) -> Result:
     if len(points) < 2:
         raise TerrainError(
             f"An error of {errors[len(points)]:g} {unit} takes more than {MAX_TRIANGLES:,} triangles with these "
-            "settings, too many to measure; make Meshlet Level, Edge Length or Triangle Area coarser."
+            "settings, too many to measure",
+            fix="make Meshlet Level, Edge Length or Triangle Area coarser",
         )
     curve = None if no_curve else CostCurve.through(unit, points)
     if curve is not None and request.max_ms is not None:  # from now on this curve says which error fits
         request = replace(request, criterion=replace(request.criterion, **{name: curve.error_for_ms(request.max_ms)}))
     surface = terrain.update(request.criterion, frame.views, *frame.heights).surface
     found = []
-    for i, view in enumerate(looks, len(errors)):
+    for i, view in enumerate(views, len(errors)):
 
         def on_part(fraction: float, done: int = i) -> None:
             on_progress((done + fraction) / steps, "errors")
@@ -128,14 +128,14 @@ def measure_request(field, request: Request, on_progress) -> Result:
 
 
 def _requests(obj, depsgraph) -> tuple[dict[str, Request], list[str]]:
-    """What can be measured of the terrain, and why the rest cannot. Raises TerrainError if nothing can."""
+    """Return the requests that can be measured, and why the others cannot. Raises TerrainError if none can."""
     requests, problems = {}, []
     for mode in DETAIL:
         try:
             request = gather(obj, depsgraph, mode)
             unit = unit_asked(request.criterion)
             if not unit:
-                raise TerrainError(NO_ERROR_ASKED)
+                raise TerrainError("Measure Accuracy has no error to vary", fix="set Screen Error or Vertical Error")
             # Without its time budget, whose curve is about to be replaced.
             detail = getattr(obj.evaluated_get(depsgraph).adaptive_terrain, DETAIL[mode])
             error = {f"error_{unit}": getattr(detail, f"error_{unit}")}
@@ -156,13 +156,13 @@ class MeasureAccuracy(MeasuringOperator, bpy.types.Operator):
     bl_label = "Measure Accuracy"
     bl_options = {"REGISTER", "UNDO"}
 
-    def work(self, context):
+    def prepare(self, context):
         requests, problems = _requests(context.object, context.evaluated_depsgraph_get())
         for problem in problems:
             self.report({"WARNING"}, problem)
         return lambda job: measure_requests(requests, job.progress)
 
-    def finish(self, obj, results: dict[str, Result]):
+    def finish(self, _context, obj, results: dict[str, Result]) -> None:
         for mode, result in results.items():
             result.store(getattr(obj.adaptive_terrain, DETAIL[mode]))
             if result.no_curve:

@@ -10,6 +10,7 @@ import bpy
 from ...cbt_terrain.accuracy.sweep import sweep
 from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.errors import TerrainError
+from ..jobs import BackgroundJob
 from ..output.frame_sources import file_name
 from ..properties.scene_paths import absolute_path
 from ..request.request import RENDER, gather
@@ -17,8 +18,8 @@ from ..scene import session
 from ..scene.pauses import paused
 from . import accuracy_report
 from .accuracy_plots import label
-from .accuracy_subject import Look, Subject, looks_at
-from .measuring import Job, MeasuringOperator
+from .accuracy_subject import Look, Subject, look_at
+from .measuring import MeasuringOperator
 
 BESIDE = "//accuracy/"
 NOT_FOLLOWED = (
@@ -28,16 +29,18 @@ NOT_FOLLOWED = (
 
 
 def report_folder(obj) -> Path:
-    """Where the report of a terrain is written: a folder of its own in the one that its settings name."""
+    """Return the terrain's folder for reports, in the folder that its settings name. Raises TerrainError."""
     folder = obj.adaptive_terrain.reports
     if folder.startswith("//") and not bpy.data.filepath:
         raise TerrainError(
-            f"Reports go into {folder!r}, beside the .blend file, which is not saved yet; save the file, or choose "
-            "another folder."
+            f"Reports go into {folder!r}, relative to the .blend file, which is not saved yet",
+            fix="save the file, or choose another folder",
         )
     path = Path(os.path.expanduser(absolute_path(folder)))
     if not path.is_absolute():
-        raise TerrainError(f"Reports go into {folder!r}, which is not a whole path; choose a folder, or {BESIDE!r}.")
+        raise TerrainError(
+            f"Reports go into {folder!r}, which is not a whole path", fix=f"choose a folder, or {BESIDE!r}"
+        )
     return path / file_name(obj)
 
 
@@ -47,15 +50,17 @@ def need_folder_of_its_own(obj) -> None:
     for other in session.all_terrains():
         if other != obj and (other.adaptive_terrain.reports, file_name(other).casefold()) == place:
             raise TerrainError(
-                f"The reports of {obj.name!r} and {other.name!r} would both be written to {file_name(obj)!r}; rename "
-                "one of the terrains, or choose another folder."
+                f"The reports of {obj.name!r} and {other.name!r} would both be written to {file_name(obj)!r}",
+                fix="rename one of the terrains, or choose another folder",
             )
 
 
 @contextmanager
 def beside(scene, view_layer):
-    """A copy of the scene, and its view layer, that may go to other frames: the scene's own stays at its frame, with
-    what was moved there without a keyframe."""
+    """Yield a copy of the scene, and its view layer, that may go to other frames.
+
+    The scene itself stays at its frame, with changes that have no keyframe.
+    """
     copy = scene.copy()
     try:
         yield copy, copy.view_layers[view_layer.name]
@@ -66,13 +71,14 @@ def beside(scene, view_layer):
 
 
 def readers_of(scene) -> list[str]:
-    """Names of what looks at the scene itself, as some drivers do: in a copy they see the frame of the original."""
+    """Return the names of data that reads the scene itself, as some drivers do: in a copy they see the original's
+    frame."""
     users = bpy.data.user_map(subset=[scene])[scene]
     return sorted(user.name for user in users if user.id_type not in ("WINDOWMANAGER", "SCREEN", "WORKSPACE"))
 
 
-def measured(look: Look, through: str, job: Job) -> Subject:
-    """The terrain with every row of a whole sweep; only the writing of meshes is done on the main thread."""
+def measured(look: Look, through: str, job: BackgroundJob) -> Subject:
+    """Return the terrain with every row of a whole sweep; only meshes are written on the main thread."""
     with session.engine_lock:
         subject = look.subject(through)
     settings = subject.settings
@@ -87,7 +93,7 @@ def measured(look: Look, through: str, job: Job) -> Subject:
         subject.frames,
         base=subject.base,
         effects=subject.effects,
-        write=lambda surface: job.on_main(lambda: accuracy_report.ingest_ms(surface)),
+        write=lambda surface: job.call_on_main(lambda: accuracy_report.ingest_ms(surface)),
         on_progress=on_progress,
     )
     accuracy_report.draw(subject)
@@ -102,19 +108,19 @@ class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
     bl_label = "Write Accuracy Report"
     bl_options = {"REGISTER"}
 
-    def work(self, context):
+    def prepare(self, context):
         obj, scene = context.object, context.scene
         folder = report_folder(obj)
         need_folder_of_its_own(obj)
-        # Says what is wrong while it can name this scene.
+        # Raises errors that name this scene, not its copy.
         gather(obj, context.evaluated_depsgraph_get(), RENDER, criterion=Criterion())
         with beside(scene, context.view_layer) as (copy, view_layer):
-            [look] = looks_at(copy, view_layer, [obj], [scene.frame_current])
+            [look] = look_at(copy, view_layer, [obj], [scene.frame_current])
         accuracy_report.prepare(folder)
         readers = readers_of(scene)
         through = f"the camera of {Path(bpy.data.filepath).name or 'the scene'}"
 
-        def carry_out(job: Job) -> tuple[Path, Subject]:
+        def carry_out(job: BackgroundJob) -> tuple[Path, Subject]:
             subject = measured(look, through, job)
             if readers:
                 subject.notes.append(f"{' and '.join(readers)} may follow {NOT_FOLLOWED}")
@@ -128,15 +134,9 @@ class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
     def clean_up(self):
         accuracy_report.ingest_end()
 
-    def finish(self, obj, result: tuple[Path, Subject]):
+    def finish(self, _context, _obj, result: tuple[Path, Subject]) -> None:
         folder, subject = result
         self.report({"INFO"}, f"{folder / accuracy_report.PAGE}: {len(subject.rows)} settings measured")
 
 
-def register() -> None:
-    bpy.utils.register_class(SweepAccuracy)
-
-
-def unregister() -> None:
-    bpy.utils.unregister_class(SweepAccuracy)
-    accuracy_report.ingest_end()  # of a sweep that is under way
+register, unregister = bpy.utils.register_classes_factory((SweepAccuracy,))

@@ -24,8 +24,10 @@ HEAD = [
 
 
 def transitions_section(rows: list[Row], of: str, plot: str) -> list:
-    """Blocks of the page; none where no frame follows another. `of`: the terrain's name in headings, where there are
-    others. `plot`: the name of the plot's file."""
+    """Return blocks of the page; [] if no frame follows another.
+
+    `of`: the terrain's name in headings if there are others. `plot`: the name of the plot's file.
+    """
     pairs = both_ways(rows)
     if not pairs:
         return []
@@ -56,7 +58,7 @@ def transitions_section(rows: list[Row], of: str, plot: str) -> list:
 
 
 def both_ways(rows: list[Row]) -> list[tuple[Row, Row]]:
-    """Rows of the same error without Smooth Transitions and with them, where popping was measured."""
+    """Pair rows of the same error without and with Smooth Transitions, where popping was measured."""
     by_setting = {row.setting: row for row in rows if row.popping_px is not None}
     pairs = []
     for row in by_setting.values():

@@ -9,12 +9,12 @@ import bpy
 
 from ...cbt_terrain.effects.catalogue import EFFECTS
 from ...cbt_terrain.evaluate.evaluate import MAX_BYTES
+from .. import jobs
 from ..properties.effect_properties import is_number
 from ..properties.map_properties import label
 from ..scene import session
 from ..text.effect_lines import cost_text, readers_text
 from ..text.numbers import plain, time_text, unit_text
-from ..viewport import live
 from .panel_parts import TerrainSubpanel, figures, fixed_lines
 
 NAME_WIDTH, COST_WIDTH = 0.58, 0.65  # parts of a row, and of what is left of it
@@ -97,7 +97,7 @@ class ShowEffect(bpy.types.Operator):
             self.report({"ERROR"}, f"There is no effect {self.name!r}; expected one of {', '.join(EFFECTS)}.")
             return {"CANCELLED"}
         _shown = self.name
-        live.redraw_panels()
+        jobs.redraw_panels()
         return {"FINISHED"}
 
 

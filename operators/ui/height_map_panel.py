@@ -4,6 +4,8 @@
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.importing.source_formats import CHANNEL, suffixes_with
+from .. import jobs
 from ..importing import import_terrain, store_paths
 from ..importing.placement_notes import picture_note
 from ..properties.properties import FILE
@@ -29,11 +31,9 @@ class SourcePanel(TerrainSubpanel, bpy.types.Panel):
         switched(column, settings, "use_extent", "extent")
         column.prop(settings, "height_scale")
         column.prop(settings, "height_offset")
-        progress = import_terrain.progress_of(obj)
-        if progress is not None:
-            row = column.row(align=True)
-            row.progress(factor=progress[0], text=progress[1])
-            row.operator("adaptive_terrain.cancel_import", text="", icon="CANCEL")
+        job = jobs.find(jobs.IMPORT, obj)
+        if job is not None:
+            jobs.draw_progress(column, job)
             return
         again = is_stale(obj)
         text = "Import Again: settings changed" if again else "Import"
@@ -55,7 +55,7 @@ def _draw_file(column, settings) -> None:
         column.prop(settings, "raw_size")
         column.prop(settings, "raw_dtype")
         column.prop(settings, "raw_little_endian")
-    elif settings.source_path.lower().endswith(".exr"):
+    elif settings.source_path.lower().endswith(suffixes_with(CHANNEL)):
         column.prop(settings, "channel")
     else:
         column.prop(settings, "band")

@@ -8,10 +8,11 @@ import bpy
 from bl_ui.utils import PresetPanel
 
 from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from .. import jobs
 from ..land.land_presets import PRESET_PANEL, PRESETS
 from ..properties.land_properties import BY_IMAGE, BY_OBJECT, BY_RULE, RULES
 from ..request import land_stack
-from ..scene import land_jobs, session, shaped_land
+from ..scene import session, shaped_land
 from ..text.numbers import length_text, time_text, unit_text
 from .panel_parts import LIMITS, TerrainSubpanel, draw_band, figures, fixed_lines
 
@@ -92,16 +93,15 @@ class LandPanel(TerrainSubpanel, bpy.types.Panel):
 
 
 def _draw_shaping(row, obj, state) -> None:
-    """One row: the button, or how far it is with what ends it."""
-    progress = land_jobs.progress_of(obj)
-    if progress is None:
+    """Draw one row: the button, or the progress of shaping with the buttons that end it."""
+    job = jobs.find(jobs.SHAPE, obj)
+    if job is None:
         row.enabled = wanted = state.wanted or state.active and bool(session.record_of(obj).status.error)
         text = "Shape Now" if wanted else "Shaped" if state.active else "Nothing to Shape"
         row.operator("adaptive_terrain.shape", text=text, icon="RNDCURVE" if wanted else "CHECKMARK")
         return
-    row.progress(factor=progress[0], text=progress[1])
+    row = jobs.draw_progress(row, job)
     row.operator("adaptive_terrain.shape_finish", text="", icon="CHECKMARK")
-    row.operator("adaptive_terrain.shape_cancel", text="", icon="CANCEL")
 
 
 def status_lines(state) -> list[tuple[str, str]]:

@@ -3,7 +3,7 @@
 
 import bpy
 
-from ..effects import bake_maps
+from .. import jobs
 from ..properties.map_properties import CHOSEN
 from .panel_parts import TerrainSubpanel, switched
 
@@ -26,10 +26,8 @@ class MapsPanel(TerrainSubpanel, bpy.types.Panel):
         switched(column, settings, "use_budget", "budget_mb")
         column.row().prop(settings, "form", expand=True)
         column.prop(settings, "folder")
-        row = column.row(align=True)
-        under_way = bake_maps.progress()
-        if under_way is None:
-            row.operator("adaptive_terrain.bake_maps", icon="RENDER_STILL")
+        job = jobs.find(jobs.BAKE)
+        if job is None:
+            column.operator("adaptive_terrain.bake_maps", icon="RENDER_STILL")
         else:
-            row.progress(factor=under_way[0], text=under_way[1])
-            row.operator("adaptive_terrain.cancel_maps", text="", icon="CANCEL")
+            jobs.draw_progress(column, job)

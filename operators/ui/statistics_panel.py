@@ -8,7 +8,8 @@ import bpy
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.ask.criterion import LARGEST, unit_asked
 from ...cbt_terrain.errors import TerrainError, shown
-from ..report import measure_accuracy, measuring, sweep_accuracy
+from .. import jobs
+from ..report import measure_accuracy, sweep_accuracy
 from ..report.accuracy_report import PAGE
 from ..scene import session
 from ..text.numbers import SMALLEST, plain
@@ -43,7 +44,7 @@ class StatisticsPanel(TerrainSubpanel, bpy.types.Panel):
         if status.mode:
             detail = getattr(obj.adaptive_terrain, measure_accuracy.DETAIL[status.mode])
             self._draw_measured(column, status, detail)
-        _draw_measuring(column, obj, "adaptive_terrain.measure_accuracy", "DRIVER_DISTANCE")
+        _draw_measuring(column, "adaptive_terrain.measure_accuracy", "DRIVER_DISTANCE")
 
     def _draw_measured(self, column, status, detail):
         measured = measure_accuracy.read_measured(detail)
@@ -75,7 +76,7 @@ class AccuracyReportPanel(TerrainSubpanel, bpy.types.Panel):
         column = self._columns()
         obj = context.object
         column.prop(obj.adaptive_terrain, "reports")
-        _draw_measuring(column, obj, "adaptive_terrain.sweep_accuracy", "GRAPH")
+        _draw_measuring(column, "adaptive_terrain.sweep_accuracy", "GRAPH")
         try:
             page = sweep_accuracy.report_folder(obj) / PAGE
         except TerrainError as error:
@@ -85,15 +86,13 @@ class AccuracyReportPanel(TerrainSubpanel, bpy.types.Panel):
             column.operator("wm.path_open", text="Open Report", icon="URL").filepath = str(page)
 
 
-def _draw_measuring(column, obj, operator: str, icon: str) -> None:
-    """The button of an operator that measures; while one does, how far it is and what stops it."""
-    progress = measuring.progress_of(obj)
-    if progress is None:
+def _draw_measuring(column, operator: str, icon: str) -> None:
+    """Draw the button of a measurement, or the progress of the one that runs."""
+    job = jobs.find(jobs.MEASURE)
+    if job is None:
         column.operator(operator, icon=icon)
-        return
-    row = column.row(align=True)
-    row.progress(factor=progress[0], text=progress[1])
-    row.operator("adaptive_terrain.cancel_measure", text="", icon="CANCEL")
+    else:
+        jobs.draw_progress(column, job)
 
 
 def _bounds(status) -> list[tuple[str, float, str, object]]:

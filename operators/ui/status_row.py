@@ -9,7 +9,7 @@ import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
-from ..importing import import_terrain, pack_store
+from .. import jobs
 from ..request import camera as cameras
 from ..request.scatters import is_scatter
 from ..scene import session
@@ -58,14 +58,10 @@ def _draw_progress(row, obj) -> bool:
     if warmup.preparing() and warmup.progress() is not None:
         draw_preparation(row)
         return True
-    imported, packed = import_terrain.progress_of(obj), pack_store.progress()
-    if imported is not None:
-        row.progress(factor=imported[0], text=f"Importing: {imported[1]}")
-        row.operator("adaptive_terrain.cancel_import", text="", icon="CANCEL")
-    elif packed is not None:
-        row.progress(factor=packed, text="Packing")
-        row.operator("adaptive_terrain.cancel_pack", text="", icon="CANCEL")
-    return imported is not None or packed is not None
+    job = jobs.find(jobs.IMPORT, obj) or jobs.find(jobs.PACK)
+    if job is not None:
+        jobs.draw_progress(row, job, job.text)
+    return job is not None
 
 
 def sight_notice(context, obj) -> tuple[str, str, str]:

@@ -19,11 +19,12 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.land import derived_store
 from ...cbt_terrain.run import warmup
+from .. import jobs
 from ..demand.screens import screens_key
 from ..ground import keep_ground
 from ..request.kernels_asked import kernels_for
 from ..request.request import RENDER, VIEWPORT, Request, corrected, follows_viewport, gather, record_time
-from ..scene import land_jobs, session
+from ..scene import session
 from . import previews, resting_land
 
 IDLE_S, BUSY_S, RENDERING_S = 0.05, 0.005, 0.25
@@ -95,10 +96,10 @@ def _rest(idle: bool) -> bool:
     """Whether land has been made finer meanwhile."""
     if not resting_land.concerned():
         return False
-    before = land_jobs.all_progress()
+    before = jobs.progress_shown()
     made = resting_land.turn(_shown(), idle)
-    if land_jobs.all_progress() != before:
-        redraw_panels()
+    if jobs.progress_shown() != before:
+        jobs.redraw_panels()
     return made
 
 
@@ -247,23 +248,13 @@ def _finish(job: Job) -> None:
             _report(record, error)
         if not isinstance(error, TerrainError):
             raise
-    redraw_panels()
+    jobs.redraw_panels()
 
 
 def _report(record: session.Record, error: Exception) -> None:
     if record.status.error != session.explain(error):
         record.status.error = session.explain(error)
-        redraw_panels()
-
-
-def redraw_panels() -> None:
-    """Show new figures in the sidebar of every 3D viewport."""
-    for window in _windows():
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                for region in area.regions:
-                    if region.type == "UI":
-                        region.tag_redraw()
+        jobs.redraw_panels()
 
 
 def _on_draw() -> None:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Finer land where one looks: while nothing changes, what a preview leaves out is made in a child process.
+"""Finer land in view while nothing changes: a child process makes the tiles that a preview leaves out.
 
-As a viewport's picture gets better while it rests, so does the land of a terrain with Live Update: only the tiles that
-its views need, at a low priority. Other settings of the land end it at once; another view gets its own tiles when it
-rests in its turn. What *Shape Now* and renders make of it later begins with these tiles.
+This refines the land of terrains with Live Update, at a low priority and only for the tiles that their views need. A
+change of the land's settings ends it at once; another view gets its tiles when it rests in turn. *Shape Now* and
+renders reuse these tiles.
 """
 
 import time
@@ -18,19 +18,19 @@ from ...cbt_terrain.land import derived_store, requested_tiles
 from ...cbt_terrain.land.derived_store import Land
 from ...cbt_terrain.land.land_folder import is_of_views
 from ...cbt_terrain.land.shape_process import ShapeJob
+from .. import jobs
 from ..request.land_request import land_of
 from ..request.request import Request
 from ..scene import session
-from ..scene.land_jobs import Work, running
 
-REST_S = 2.0  # without a change, after which it begins
+REST_S = 2.0  # without a change before it begins
 LOOK_S = 0.5  # between looks at the terrains for one that rests: a scene may have many objects
 CHOOSING = "Choosing tiles"
 
 
 @dataclass
 class _Rest:
-    """A terrain that rests: with which request, since when. `done`: nothing is left to make."""
+    """A terrain that rests with the request `key` since a time in seconds. `done`: no tile is missing."""
 
     key: tuple
     since: float
@@ -39,15 +39,13 @@ class _Rest:
 
 @dataclass
 class _Making:
-    """What is being made of a terrain, as its request `key` had it. `begun` gives the job and its tiles, or None where
-    all tiles are there."""
+    """The land that is being made for a terrain with the request `key`. `begun`: result of `_begin`."""
 
     uid: int
     key: tuple
     land: Land
-    work: Work
+    job: jobs.BackgroundJob
     begun: Future
-    wanted: requested_tiles.Tiles | None = None
 
 
 _rests: dict[int, _Rest] = {}
@@ -58,7 +56,7 @@ _chooser: ThreadPoolExecutor | None = None  # tiles are chosen by all heights: t
 
 
 def concerned() -> bool:
-    """Whether `turn` has anything to do: the terrains of many scenes have no land."""
+    """Return whether `turn` has work: the terrains of many scenes have no land."""
     global _looked
     if _making is not None:
         return True
@@ -76,24 +74,26 @@ def _may_be_finer(uid: int, record: session.Record) -> bool:
 
 
 def turn(shown: Iterable[tuple], idle: bool) -> bool:
-    """Look after what is being made, and begin where there is something to; returns whether meshes are to be updated.
+    """Advance the job that runs, or begin one; return whether meshes have to be updated.
 
-    shown: dependency graph and object of every terrain in a window. idle: nothing else is under way.
+    shown: dependency graph and object of every terrain in a window. idle: no update is under way.
     """
     global _making
     terrains = {obj.session_uid: (depsgraph, obj) for depsgraph, obj in shown}
     if _making is not None:
         return _look_after(terrains.get(_making.uid))
     for uid, (depsgraph, obj) in terrains.items() if idle else ():
-        if uid not in running and _rests_long(obj) and (land := _land(obj, depsgraph)) is not None:
-            work = running[uid] = Work(message=CHOOSING)
-            _making = _Making(uid, _rests[uid].key, land, work, _pool().submit(_begin, land))
+        if jobs.find(jobs.SHAPE, obj) is None and _rests_long(obj) and (land := _land(obj, depsgraph)) is not None:
+            begun = _pool().submit(_begin, land)
+            job = jobs.BackgroundJob(jobs.SHAPE, uid, lambda job, land=land, begun=begun: _steps(job, land, begun))
+            job.message = CHOOSING
+            _making = _Making(uid, _rests[uid].key, land, job, begun)
             break
     return False
 
 
 def stop() -> None:
-    """End what is being made: another file is opened, or the extension goes."""
+    """End the job: another file is opened, or the extension is disabled."""
     global _making
     if _making is not None:
         _end(_making)
@@ -109,7 +109,7 @@ def _pool() -> ThreadPoolExecutor:
 
 
 def _rests_long(obj) -> bool:
-    """Whether what the terrain shows is that of some time ago, and may be made better."""
+    """Return whether the terrain has shown the same for REST_S, and its land may get finer."""
     record, settings = session.record_of(obj), obj.adaptive_terrain
     if not settings.live or settings.frozen or record.status.error or not _may_be_finer(obj.session_uid, record):
         return False
@@ -120,7 +120,7 @@ def _rests_long(obj) -> bool:
 
 
 def _land(obj, depsgraph) -> Land | None:
-    """What is to be made for the views that the terrain was last refined for; None where there is nothing to."""
+    """Return the land to make for the views of the last update; None if there is none."""
     request = session.record_of(obj).status.request
     land = _of_settings(obj, depsgraph)
     if land is None or land.is_shaped and not land.of_views or land.of_views_alone.folder in _left:
@@ -133,7 +133,7 @@ def _of_settings(obj, depsgraph) -> Land | None:
     try:
         return land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=False)
     except TerrainError:
-        return None  # the update says why
+        return None  # the update reports the error
 
 
 def _seen(request: Request) -> requested_tiles.SeenTiles:
@@ -144,31 +144,46 @@ def _seen(request: Request) -> requested_tiles.SeenTiles:
 
 
 def _begin(land: Land) -> tuple[ShapeJob, requested_tiles.Tiles] | None:
-    """For a thread of its own."""
+    """Return a new job and its tiles, None if all tiles exist. Slow: call it on another thread."""
     wanted = derived_store.wanted_tiles(land, session.open_field)
     if derived_store.is_whole(land, session.open_field) and requested_tiles.has(land.folder, wanted):
         return None
     return derived_store.begin_shaping(land, session.open_field, gentle=True)
 
 
+def _steps(job: jobs.BackgroundJob, land: Land, begun: Future) -> jobs.Steps:
+    """Return whether there was land to make."""
+    while not begun.done():
+        yield
+    if begun.result() is None:
+        return False
+    child, wanted = begun.result()
+    yield from jobs.run_in_child(job, child)
+    derived_store.finish(land, wanted)
+    return True
+
+
 def _look_after(terrain: tuple | None) -> bool:
-    making = _making
-    if terrain is None or not terrain[1].adaptive_terrain.live or making.work.stopped or _is_other(terrain):
-        if making.work.stopped:
+    """Advance the job that runs, and return whether its land exists now."""
+    making, job = _making, _making.job
+    if terrain is None or not terrain[1].adaptive_terrain.live or job.stopped or _is_other(terrain):
+        if job.stopped:
             _left.add(making.land.folder)
         _end(making)
         return False
-    try:
-        return _poll(making)
-    except TerrainError as error:
-        _end(making)
-        _left.add(making.land.folder)
-        session.record_of(terrain[1]).status.error = str(error)
+    if not job.advance():
         return False
+    _end(making)
+    if job.error:
+        _left.add(making.land.folder)
+        session.record_of(terrain[1]).status.error = job.error
+    elif not job.result:
+        _rests[making.uid].done = True
+    return bool(job.result)
 
 
 def _is_other(terrain: tuple) -> bool:
-    """Whether the terrain's settings ask for another land by now."""
+    """Return whether the terrain's settings mean another land by now."""
     key = session.record_of(terrain[1]).live_key
     if key == _making.key:
         return False
@@ -176,35 +191,12 @@ def _is_other(terrain: tuple) -> bool:
     return land is None or land.of_views_alone.folder != _making.land.folder
 
 
-def _poll(making: _Making) -> bool:
-    """Whether the store is there now."""
-    if not making.begun.done():
-        return False
-    if making.work.job is None:
-        begun = making.begun.result()
-        if begun is None:
-            _rests[making.uid].done = True
-            _end(making)
-            return False
-        making.work.job, making.wanted = begun
-    progress = making.work.poll()
-    if not progress.done:
-        return False
-    if progress.error:
-        raise progress.error
-    derived_store.finish(making.land, making.wanted)
-    _end(making)
-    return True
-
-
 def _end(making: _Making) -> None:
-    """A job that has just begun is stopped, too."""
+    """End the job, even if its child process has not started yet."""
     global _making
-    running.pop(making.uid, None)
     _making = None
-    making.work.stop()
-    if making.work.job is None:
-        making.begun.add_done_callback(_stop_late)
+    making.job.close()
+    making.begun.add_done_callback(_stop_late)
 
 
 def _stop_late(begun: Future) -> None:

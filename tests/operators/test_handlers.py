@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.operators import handlers
+from adaptive_terrain.operators import handlers, jobs
 from adaptive_terrain.operators.scene import session, stale_renders
 from adaptive_terrain.operators.ui import status_bar
 from adaptive_terrain.operators.viewport import live
@@ -226,7 +226,7 @@ def test_a_result_whose_terrain_is_gone_is_dropped(window, add_terrain):
 
 def test_live_update_begins_when_the_kernels_are_ready(window, add_terrain, preparing, monkeypatch):
     redrawn = []
-    monkeypatch.setattr(live, "redraw_panels", lambda: redrawn.append(1))
+    monkeypatch.setattr(jobs, "redraw_panels", lambda: redrawn.append(1))
     terrain = add_terrain()
     bpy.context.view_layer.update()
     live.mark_dirty()

@@ -1,20 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators that run beside the window, in turns of a timer as Blender gives them."""
 
+import inspect
 import time
 from types import SimpleNamespace
 from unittest.mock import Mock
 
-NAMES = ("work", "finish", "clean_up", "_new_job", "_end", "_finish", "_failed", "modal", "cancel", "invoke")
+
+class RunningOperator(SimpleNamespace):
+    """A stand-in for an operator that Blender runs: it has the methods of `operator_class`."""
+
+    def __getattr__(self, name):
+        value = getattr(self.operator_class, name)
+        return value.__get__(self) if inspect.isfunction(value) else value
 
 
-def running(operator_class, obj, names=NAMES):
-    """The operator, begun on the object."""
+def running(operator_class, obj):
+    """Invoke an operator on an object and return it."""
     import bpy
 
-    operator = SimpleNamespace(report=Mock())
-    for name in names:
-        setattr(operator, name, getattr(operator_class, name).__get__(operator))
+    operator = RunningOperator(operator_class=operator_class, report=Mock())
     operator.context = SimpleNamespace(
         window_manager=Mock(),
         window=None,
@@ -27,12 +32,17 @@ def running(operator_class, obj, names=NAMES):
     return operator
 
 
+def turn(operator, event: str = "TIMER"):
+    """Send one event and return what the operator answers."""
+    return operator.modal(operator.context, SimpleNamespace(type=event, value="PRESS"))
+
+
 def to_the_end(operator):
-    """Turns of the timer until the operator has ended; what it ended with."""
+    """Send timer events until the operator has ended; return what it ended with."""
     for _ in range(4000):
-        ended = operator.modal(operator.context, SimpleNamespace(type="TIMER"))
+        ended = turn(operator)
         if ended != {"PASS_THROUGH"}:
             operator.context.window_manager.event_timer_remove.assert_called_once()
             return ended
         time.sleep(0.01)
-    raise AssertionError("measuring never ended")
+    raise AssertionError("the job never ended")

@@ -27,9 +27,7 @@ def module(name: str):
     return importlib.import_module(f"{PACKAGE}.{name}")
 
 
-session, shaped_land, land_jobs = (
-    module(f"operators.scene.{name}") for name in ("session", "shaped_land", "land_jobs")
-)
+session, shaped_land, jobs = (module(f"operators.{name}") for name in ("scene.session", "scene.shaped_land", "jobs"))
 derived_store, resting_land = module("cbt_terrain.land.derived_store"), module("operators.viewport.resting_land")
 resting_land.REST_S = 1e9  # until it is its turn
 warmup, panels = module("cbt_terrain.run.warmup"), module("operators.ui.panels")
@@ -163,9 +161,9 @@ def shaping_runs_beside_the_window():
     yield from until(lambda: len(session.record_of(terrain()).status.request.land.stack.entries) == 3)
     run(bpy.ops.adaptive_terrain.shape, "INVOKE_DEFAULT")
     yield 0.3
-    result["progress"] = land_jobs.progress_of(terrain()) is not None
-    run(bpy.ops.adaptive_terrain.shape_cancel)
-    yield from until(lambda: land_jobs.progress_of(terrain()) is None)
+    result["progress"] = jobs.find(jobs.SHAPE, terrain()) is not None
+    run(lambda: bpy.ops.adaptive_terrain.cancel_job(kind="SHAPE"))
+    yield from until(lambda: jobs.find(jobs.SHAPE, terrain()) is None)
     result["after_cancel"] = shown()
     start = time.monotonic()
     run(bpy.ops.adaptive_terrain.shape, "INVOKE_DEFAULT")
@@ -224,12 +222,12 @@ def it_gets_finer_while_it_rests():
     view = parts()[1].spaces.active.region_3d
     view.view_distance, view.view_location = 0.06 * SIDE, (0.1 * SIDE, 0.1 * SIDE, 0.02 * SIDE)
     run(bpy.ops.adaptive_terrain.land_add, effect="droplets")
-    yield from until(lambda: any(work.job is not None for work in land_jobs.running.values()))
-    [work] = land_jobs.running.values()
+    yield from until(lambda: any(job.child is not None for job in jobs.running))
+    [child] = [job.child for job in jobs.running]
     terrain().adaptive_terrain.land.entries[-1].on = False
     terrain().adaptive_terrain.land.entries[0].rivers.years = 140e3
-    yield from until(lambda: work.job.poll().done)
-    result["slider_ends_it"] = work.job.cancelled
+    yield from until(lambda: child.poll().done)
+    result["slider_ends_it"] = child.cancelled
     start = time.monotonic()
     result["longest_turn_resting_s"] = yield from turns(lambda: shown() == "Shaped")
     result["finer_s"], result["tiles_of_views"] = time.monotonic() - start, shaped_land.state_of(terrain()).tiles

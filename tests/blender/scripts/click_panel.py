@@ -26,7 +26,7 @@ HUD_S = 30.0  # an interface that is drawn at all is drawn within this
 [timed_runs] = [module for name, module in sys.modules.items() if name.endswith("cbt_terrain.accuracy.timed_runs")]
 [measuring] = [module for name, module in sys.modules.items() if name.endswith("operators.report.measure_accuracy")]
 [session] = [module for name, module in sys.modules.items() if name.endswith("operators.scene.session")]
-[imports] = [module for name, module in sys.modules.items() if name.endswith("operators.importing.import_terrain")]
+[jobs] = [module for name, module in sys.modules.items() if name.endswith("adaptive_terrain.operators.jobs")]
 [sweep] = [module for name, module in sys.modules.items() if name.endswith("cbt_terrain.accuracy.sweep")]
 sweep.MAX_SPREAD = math.inf  # of times that other programs disturb: there is a curve all the same
 settings_for = subjects.settings_for
@@ -158,8 +158,8 @@ def measure_accuracy():
         operators.measure_accuracy("INVOKE_DEFAULT")
     yield 0.5
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
-        result["could_cancel_measuring"] = operators.cancel_measure.poll()
-        operators.cancel_measure()
+        result["could_cancel_measuring"] = operators.cancel_job.poll()
+        operators.cancel_job(kind="MEASURE")
     yield from until(operators.measure_accuracy.poll)
     result["curve_after_cancel"] = settings.viewport.curve
     measuring.PIXELS = errors
@@ -198,7 +198,7 @@ def write_a_report():
     yield 4.0
     (folder / "sweeping").touch()
     yield from until((folder / "sweeping_pictured").exists)
-    operators.cancel_measure()
+    operators.cancel_job(kind="MEASURE")
     yield from until(operators.sweep_accuracy.poll)
     result["report_after_cancel"] = report.exists()
     subjects.settings_for = coarse_settings
@@ -326,12 +326,12 @@ def cancel_an_import():
         bpy.ops.adaptive_terrain.import_source("INVOKE_DEFAULT")
     result["import_started_s"] = time.monotonic() - started
     # Under way, and far from its end; stopped in the same turn, before the window can see it end.
-    yield from until(lambda: (imports.progress_of(terrain()) or (1.0,))[0] > 0.0)
+    yield from until(lambda: not (job := jobs.find(jobs.IMPORT, terrain())) or job.fraction > 0.0)
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
-        result["could_cancel"] = bpy.ops.adaptive_terrain.cancel_import.poll()  # if not, it has failed: see its error
+        result["could_cancel"] = bpy.ops.adaptive_terrain.cancel_job.poll()  # if not, it has failed: see its error
         result["import_error"] = session.record_of(terrain()).status.error
         if result["could_cancel"]:
-            bpy.ops.adaptive_terrain.cancel_import()
+            bpy.ops.adaptive_terrain.cancel_job(kind="IMPORT")
     yield 1.0
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
         result["can_import_again"] = bpy.ops.adaptive_terrain.import_source.poll()

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import bpy
 from bl_ext.user_default.adaptive_terrain.cbt_terrain.run import warmup
-from bl_ext.user_default.adaptive_terrain.operators.importing import import_terrain
+from bl_ext.user_default.adaptive_terrain.operators import jobs
 from bl_ext.user_default.adaptive_terrain.operators.scene import session
 from bl_ext.user_default.adaptive_terrain.operators.viewport import live
 from bpy.app.handlers import persistent
@@ -164,7 +164,7 @@ def quit_importing(step, count):
     obj.adaptive_terrain.island_size = 8193
     with viewport():
         bpy.ops.adaptive_terrain.import_source("INVOKE_DEFAULT")
-    yield from until(lambda: import_terrain.progress_of(terrain())[0] > 0.02)
+    yield from until(lambda: jobs.find(jobs.IMPORT, terrain()).fraction > 0.02)
     bpy.ops.wm.quit_blender()
     yield WAIT_S  # that is done after this turn
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
+from bl_ext.user_default.adaptive_terrain.operators import jobs
 from bl_ext.user_default.adaptive_terrain.operators.importing import import_terrain
 
 [folder] = sys.argv[sys.argv.index("--") + 1 :]
@@ -21,7 +22,7 @@ result = {}
 # An import takes a second, on a busy machine less than a turn of the window: it ends when that is asked for, as after
 # kernels that are still compiled.
 held = [True]
-import_terrain.warmup = SimpleNamespace(preparing=lambda: held[0])
+jobs.warmup = SimpleNamespace(preparing=lambda: held[0], wait=lambda: None)
 
 
 def terrain():
@@ -55,13 +56,13 @@ def press_z(**keys):
 
 def gone_and_back(name: str, go, come_back):
     """The terrain goes while it is imported, and comes back when the import has ended for that."""
-    yield from until(lambda: import_terrain.progress_of(terrain()) is not None)
+    yield from until(lambda: jobs.find(jobs.IMPORT, terrain()) is not None)
     go()
-    yield from until(lambda: terrain() is None and not import_terrain.all_progress())
+    yield from until(lambda: terrain() is None and not jobs.running)
     come_back()
     yield from until(lambda: terrain() is not None)
-    yield from until(lambda: import_terrain.progress_of(terrain()) is not None)
-    result[name] = [terrain().adaptive_terrain.store, len(import_terrain.all_progress())]
+    yield from until(lambda: jobs.find(jobs.IMPORT, terrain()) is not None)
+    result[name] = [terrain().adaptive_terrain.store, len(jobs.running)]
 
 
 def one_step_with_its_import():
@@ -76,7 +77,7 @@ def one_step_with_its_import():
     press_z()
     yield from until(lambda: terrain().location.x == 0.0 and len(terrain().data.polygons) > 0)
     same = terrain().adaptive_terrain.store == store, bpy.context.scene.camera.data.clip_end == end
-    result["one_step"] = [*same, len(import_terrain.all_progress())]
+    result["one_step"] = [*same, len(jobs.running)]
 
 
 def steps():
@@ -90,7 +91,7 @@ def steps():
     yield from until(lambda: len(terrain().data.polygons) > 0)
     result["imported"] = Path(bpy.path.abspath(terrain().adaptive_terrain.store)).is_dir()
     yield from one_step_with_its_import()
-    result["left"] = [len(import_terrain.all_progress()), len(import_terrain._gone)]
+    result["left"] = [len(jobs.running), len(import_terrain._gone)]
 
 
 _steps = steps()

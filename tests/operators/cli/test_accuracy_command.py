@@ -301,7 +301,7 @@ def test_a_bound_that_does_not_hold_is_a_failure(accuracy, monkeypatch):
     too_proud = [dataclasses.replace(first, bound=2.5), *rest]
     monkeypatch.setattr(accuracy_command, "sweep", lambda *arguments, **options: too_proud)
     code, said, folder = accuracy()
-    assert code == 1 and "in 1 row, first of hills at 4 px: bounded by 2.5 px, measured 3;" in said.err
+    assert code == 1 and "in 1 row, first of hills at 4 px: bounded by 2.5 px, measured 3:" in said.err
     assert len(rows_of(folder)) == len(too_proud)
 
 

@@ -143,7 +143,7 @@ def test_one_layer_alone_has_its_colour(ground, layer):
     np.testing.assert_allclose(seen, LAYERS[layer][1], atol=2e-3)
 
 
-def test_two_layers_mix_between_their_colours_and_little_sky_is_dark(ground):
+def test_layers_mix_their_colours_and_little_sky_is_dark(ground):
     dress(ground, Sources(LAYERS[:4], light=("sky",)))
     given = {"splat_1": (0.5, 0.0, 0.0, 0.5), "sky": 1.0}
     light = colour_of(ground, given, Variation=0.0, Occlusion=0.5)

@@ -189,7 +189,7 @@ def test_the_panel_says_how_many_and_what_they_took(terrain, scatter):
     assert lines["Off the mesh"].startswith("moved")
 
 
-def test_the_viewport_refuses_more_points_than_it_draws_and_a_render_does_not(scene, terrain, scatter, monkeypatch):
+def test_only_the_viewport_limits_the_number_of_points(scene, terrain, scatter, monkeypatch):
     monkeypatch.setattr(scatters, "MOST_IN_VIEWPORT", 100)
     with pytest.raises(TerrainError, match=r"has [\d,]+ points in view, expected 100 at most, as many as a viewport"):
         session.update_object(terrain)
@@ -232,7 +232,7 @@ def test_a_scatter_whose_terrain_is_gone_says_so(terrain, scatter):
     assert " ".join(said) == ORPHAN and all(len(line) <= LINE_LENGTH for line in said)
 
 
-def test_a_layer_that_is_renamed_keeps_its_scatters_and_its_masks(terrain, scatter):
+def test_a_renamed_layer_keeps_its_scatters_and_masks(terrain, scatter):
     layers = terrain.adaptive_terrain.layers
     for name in "Rock", "Snow":
         layers.add().name = name
@@ -244,7 +244,7 @@ def test_a_layer_that_is_renamed_keeps_its_scatters_and_its_masks(terrain, scatt
     assert layers["Snow"].mask == scatter.adaptive_scatter.layer == "Basalt", "there is one of that name still"
 
 
-def test_points_that_are_there_are_neither_made_nor_written_again(terrain, scatter, monkeypatch):
+def test_unchanged_points_are_not_made_or_written_again(terrain, scatter, monkeypatch):
     session.update_object(terrain)
     monkeypatch.setattr("adaptive_terrain.operators.request.scatters.write_points", None)
     session.update_object(terrain)

@@ -60,7 +60,7 @@ def test_what_is_read_is_computed_and_nothing_else(worn):
     assert said["aspect"].skipped == "nothing reads it" and said["aspect"].computed == 0
 
 
-def test_unlinking_a_node_skips_its_effect_though_no_triangle_changes(worn):
+def test_unlinking_a_node_skips_its_attribute(worn):
     session.update_object(worn)
     tree = worn.material_slots[0].material.node_tree
     tree.links.remove(next(link for link in tree.links if link.from_node.type == "ATTRIBUTE"))
@@ -72,7 +72,7 @@ def test_unlinking_a_node_skips_its_effect_though_no_triangle_changes(worn):
     assert record.effects_runs["slope"] == runs["slope"]
 
 
-def test_nothing_is_computed_or_written_again_while_nothing_changes(worn):
+def test_nothing_is_computed_again_while_nothing_changes(worn):
     session.update_object(worn)
     record = session.record_of(worn)
     runs, shown = dict(record.effects_runs), record.shown
@@ -81,7 +81,7 @@ def test_nothing_is_computed_or_written_again_while_nothing_changes(worn):
     assert "mesh" not in record.status.ms
 
 
-def test_an_attribute_that_a_user_has_taken_away_is_written_again(worn):
+def test_an_attribute_that_a_user_removed_is_written_again(worn):
     session.update_object(worn)
     before = values(worn, "slope")
     worn.data.attributes["slope"].name = "mine"
@@ -100,7 +100,7 @@ def test_a_frozen_mesh_follows_what_is_read(worn):
     assert made(worn) == set()
 
 
-def test_the_viewport_waits_for_the_kernels_that_its_effects_need(worn, monkeypatch):
+def test_the_viewport_waits_for_the_kernels_of_attributes(worn, monkeypatch):
     """Turn by turn: nothing is made before they are there, and then without another change."""
     asked = []
     monkeypatch.setattr(warmup, "ask", lambda modules: asked.append(modules) or len(asked) > 2)

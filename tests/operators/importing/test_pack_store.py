@@ -63,7 +63,7 @@ def test_shaped_land_is_packed_and_not_made_again(terrain, tmp_path):
 
 
 def folder_of_land(terrain, of_views: bool) -> Path:
-    """Where the land of a terrain's stack is kept; a copy of its store stands in for it."""
+    """Copy a terrain's store to the folder of its shaped land, and return the folder."""
     land = shape_land.wanted_land(terrain, bpy.context.evaluated_depsgraph_get())
     folder = (land.of_views_alone if of_views else land).folder
     shutil.copytree(terrain.adaptive_terrain.store, folder)
@@ -181,7 +181,7 @@ def test_a_missing_store_is_told_and_no_path_changes(scene, add_terrain, tmp_pat
 
 
 def test_saved_elsewhere_the_store_is_still_found(scene, add_terrain, tmp_path):
-    """Save As, a copy, and a reload of both: each file names the same store by a relative path of its own."""
+    """Save As, a copy, and a reload of both: each file names the same store by a different relative path."""
     (tmp_path / "there" / "deep").mkdir(parents=True)
     add_terrain()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"))

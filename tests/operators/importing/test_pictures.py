@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A picture with the raster's own corners lies where it belongs after what the import says to do."""
+"""A picture with the raster's corners fits the terrain after the steps that the import names."""
 
 import re
 from types import SimpleNamespace

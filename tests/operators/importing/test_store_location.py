@@ -30,7 +30,7 @@ def folders(tmp_path, monkeypatch):
 
 
 def test_the_data_folder_survives_an_uninstall():
-    """Blender removes only what is below the folder of extensions."""
+    """Blender removes only files below the folder of extensions."""
     extensions = Path(bpy.utils.user_resource("EXTENSIONS"))
     assert not store_location.data_folder().is_relative_to(extensions)
     assert store_location.data_folder().is_relative_to(Path(bpy.utils.user_resource("DATAFILES")))
@@ -121,7 +121,7 @@ def test_a_read_only_folder_sends_imports_to_the_data_folder(scene, add_terrain,
 @pytest.mark.parametrize("saved", [True, False])
 @pytest.mark.parametrize("place", ["old", "new"])
 def test_baked_land_avoids_the_folder_that_blender_deletes(terrain, folders, tmp_path, monkeypatch, saved, place):
-    """A copy of the store stands in for the shaped land."""
+    """Use a copy of the store as the shaped land."""
     old, new = folders
     add("thermal")
     lent = (old if place == "old" else new) / "hills"

@@ -21,7 +21,7 @@ from land_scenes import add
 
 
 def test_shaped_land_that_was_damaged_is_made_again(terrain, shaped):
-    """Half a file is left of it: what waits for land makes it again, where Clear Land Cache keeps what is shown."""
+    """After half a file is lost, a reader that waits makes the land again; Clear Land Cache keeps land in use."""
     samples = next(shaped.glob("data-*/samples.npy"))
     whole = samples.read_bytes()
     session.clear()
@@ -32,7 +32,7 @@ def test_shaped_land_that_was_damaged_is_made_again(terrain, shaped):
 
 
 def cut_off(store) -> bytes:
-    """Half a file of samples is left, as where a copy was cut off; what the whole one held."""
+    """Cut the file of samples in half, like an interrupted copy; return its whole content."""
     session.clear()
     samples = next(Path(store).glob("data-*/samples.npy"))
     whole = samples.read_bytes()
@@ -78,8 +78,8 @@ def test_damage_that_only_an_update_finds_is_mended_too(terrain, wide_store, tmp
     assert next(Path(folder).glob("data-*/samples.npy")).read_bytes() == whole
 
 
-def test_what_is_the_users_own_is_left_as_it_is_when_it_is_damaged(terrain):
-    """A source, and what was baked: an error that names the file."""
+def test_damaged_data_of_the_user_is_left_alone(terrain):
+    """A source and baked land give an error that names the file."""
     source = terrain.adaptive_terrain.store
     add("thermal")
     cut_off(source)
@@ -109,7 +109,7 @@ def test_damaged_land_is_made_again_beside_a_users_file(terrain, shaped, other):
 
 
 def test_land_that_is_cut_off_while_it_is_open_is_made_again(terrain, shaped):
-    """The system kills who reads a mapped file beyond its end, so nobody does."""
+    """The system kills a process that reads a mapped file beyond its end, so none does."""
     session.update_object(terrain, mode="RENDER")
     [file] = shaped.glob("data-*/samples.npy")
     os.truncate(file, PAGE_BYTES)
@@ -118,7 +118,7 @@ def test_land_that_is_cut_off_while_it_is_open_is_made_again(terrain, shaped):
 
 
 @pytest.mark.parametrize("array", ["error_c", "error_m1"])
-def test_what_a_store_has_kept_and_is_cut_off_while_it_is_open_is_made_again(terrain, array):
+def test_a_store_that_is_cut_off_while_open_is_made_again(terrain, array):
     settings = terrain.adaptive_terrain
     settings.interpolation = "bicubic" if array == "error_c" else "bilinear"
     settings.viewport.meshlet = 1 if array == "error_m1" else 0
@@ -198,7 +198,7 @@ def test_what_blender_is_short_of_is_no_damage(terrain, shaped, monkeypatch):
     assert file.read_text() == text and shaped_land.state_of(terrain).shown == "Shaped"
 
 
-def test_shaped_land_that_was_chosen_as_a_source_is_left_as_it_is(terrain, shaped):
+def test_shaped_land_chosen_as_a_source_is_left_alone(terrain, shaped):
     """No stack of the file makes it again."""
     bpy.ops.adaptive_terrain.land_remove()
     terrain.adaptive_terrain.store = str(shaped)
@@ -211,7 +211,7 @@ def test_shaped_land_that_was_chosen_as_a_source_is_left_as_it_is(terrain, shape
 
 @pytest.mark.parametrize("level", ["[[99999, 0.0]]", "[[1e400, 1.0]]", "[" * 20000])
 def test_a_damaged_note_of_what_was_asked_for_is_not_read(tmp_path, level):
-    """Tiles that there are none of, numbers that are none, brackets without end."""
+    """Unknown tiles, values that are no numbers, and unclosed brackets."""
     folder = str(tmp_path / "land")
     requested_tiles.note(folder, [{3: 0.5}])
     assert requested_tiles.with_known(folder, [{0: 0.25}]) == [{3: 0.5, 0: 0.25}]

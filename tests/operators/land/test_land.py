@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Land as its stack shapes it in Blender: previews, stores, their cache, and what a scene pays for it."""
+"""Land that stacks shape in Blender: previews, stores, their cache, and the cost for a scene."""
 
 import os
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 from unittest.mock import Mock
 
 import bpy
@@ -13,21 +12,19 @@ import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.land import derived_store, land_folder
 from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
-from adaptive_terrain.operators import handlers
+from adaptive_terrain.operators import handlers, jobs
 from adaptive_terrain.operators.land import land_cache, shape_land
 from adaptive_terrain.operators.request import land_stack
 from adaptive_terrain.operators.request.kernels_asked import kernels_for
 from adaptive_terrain.operators.request.request import gather
-from adaptive_terrain.operators.scene import land_jobs, session, shaped_land
+from adaptive_terrain.operators.scene import session, shaped_land
 from adaptive_terrain.operators.ui.land_panel import NOTE_LINES, status_lines, time_text
 from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH, wrapped
 from land_scenes import add
-from modal_runs import running, to_the_end
-
-NAMES = ("invoke", "modal", "cancel", "_turn", "_look", "_start", "_end", "_failed", "_take")
+from modal_runs import running, to_the_end, turn
 
 
-def test_a_file_that_cannot_be_exported_is_told_of_before_the_land_is_shaped(terrain, tmp_path):
+def test_an_unwritable_export_fails_before_land_is_shaped(terrain, tmp_path):
     add("thermal")
     with pytest.raises(RuntimeError, match="there is no folder"):
         bpy.ops.adaptive_terrain.export_heights(filepath=str(tmp_path / "none" / "land.tif"))
@@ -161,7 +158,7 @@ def other_stores(store: str, *names: str) -> list[str]:
     return list(map(str, found))
 
 
-def test_shaped_land_that_nobody_shows_goes_when_there_is_too_much(terrain, add_terrain, monkeypatch):
+def test_unused_shaped_land_is_removed_when_there_is_too_much(terrain, add_terrain, monkeypatch):
     """The one that was not used for longest first; never what another terrain of the scene shows."""
 
     def there() -> set[str]:
@@ -222,7 +219,7 @@ def test_the_cache_keeps_what_a_terrain_shows_by_another_path(terrain, add_terra
         derived_store._in_use.clear()
 
 
-def test_the_cache_gives_up_what_a_terrain_that_is_gone_has_shown(terrain, add_terrain):
+def test_the_cache_drops_the_land_of_a_removed_terrain(terrain, add_terrain):
     add("thermal")
     session.update_object(terrain, mode="RENDER")
     source, folder = terrain.adaptive_terrain.store, shaped_land.store_of(terrain)
@@ -289,17 +286,17 @@ def test_looking_at_frames_can_be_cancelled(terrain, monkeypatch, by):
     terrain.adaptive_terrain.land.where = "SEEN"
     scene.frame_start, scene.frame_end = 1, 500
     scene.frame_set(450)  # further than a turn gets
-    monkeypatch.setattr(shape_land, "TURN_S", 0.02)
-    operator = running(shape_land.ShapeLand, terrain, NAMES)
+    monkeypatch.setattr(jobs, "TURN_S", 0.02)
+    operator = running(shape_land.ShapeLand, terrain)
     assert operator.began == {"RUNNING_MODAL"}
-    assert operator.modal(operator.context, SimpleNamespace(type="TIMER")) == {"PASS_THROUGH"}
-    assert scene.frame_current != 450 and land_jobs.progress_of(terrain)[1] == "Looking at frames"
+    assert turn(operator) == {"PASS_THROUGH"}
+    assert scene.frame_current != 450 and jobs.find(jobs.SHAPE, terrain).text == "Shaping: Looking at frames"
     if by == "ESC":
-        assert operator.modal(operator.context, SimpleNamespace(type="ESC")) == {"PASS_THROUGH"}
+        assert turn(operator, "ESC") == {"RUNNING_MODAL"}
     else:
-        assert bpy.ops.adaptive_terrain.shape_cancel() == {"FINISHED"}
+        assert bpy.ops.adaptive_terrain.cancel_job(kind="SHAPE") == {"FINISHED"}
     assert to_the_end(operator) == {"CANCELLED"}
-    assert scene.frame_current == 450 and not land_jobs.running and derived_store.counts["stores"] == 0
+    assert scene.frame_current == 450 and not jobs.running and derived_store.counts["stores"] == 0
 
 
 @pytest.mark.parametrize("by", ["file", "undo"])
@@ -310,10 +307,10 @@ def test_looking_at_frames_ends_where_the_scene_goes(terrain, tmp_path, monkeypa
     terrain.adaptive_terrain.land.where = "SEEN"
     scene.frame_start, scene.frame_end = 1, 500
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "land.blend"))
-    monkeypatch.setattr(shape_land, "TURN_S", 0.02)
-    operator = running(shape_land.ShapeLand, terrain, NAMES)
-    assert operator.modal(operator.context, SimpleNamespace(type="TIMER")) == {"PASS_THROUGH"}
-    assert bpy.context.scene.frame_current != 1 and land_jobs.running
+    monkeypatch.setattr(jobs, "TURN_S", 0.02)
+    operator = running(shape_land.ShapeLand, terrain)
+    assert turn(operator) == {"PASS_THROUGH"}
+    assert bpy.context.scene.frame_current != 1 and jobs.running
     if by == "file":
         bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "land.blend"))
         operator.cancel(operator.context)
@@ -323,15 +320,15 @@ def test_looking_at_frames_ends_where_the_scene_goes(terrain, tmp_path, monkeypa
         bpy.ops.ed.undo_push(message="after")
         assert bpy.ops.ed.undo() == {"FINISHED"}
         assert to_the_end(operator) == {"CANCELLED"}
-    assert not land_jobs.running and derived_store.counts["stores"] == 0
+    assert not jobs.running and derived_store.counts["stores"] == 0
 
 
 def test_shaping_says_why_it_does_not_begin(terrain):
     add("thermal", scree_angle=0.4)
-    land_jobs.running[terrain.session_uid] = land_jobs.Work()
-    with pytest.raises(RuntimeError, match="This land is being shaped already"):
+    job = jobs.BackgroundJob(jobs.SHAPE, terrain.session_uid, lambda _job: iter(()))
+    with pytest.raises(RuntimeError, match="Shaping is under way: wait for it, or cancel it"):
         bpy.ops.adaptive_terrain.shape()
-    land_jobs.running.clear()
+    jobs.running.remove(job)
     bpy.context.view_layer.objects.active = None
     with pytest.raises(RuntimeError, match="Make a terrain the active object"):
         bpy.ops.adaptive_terrain.shape()
@@ -339,11 +336,15 @@ def test_shaping_says_why_it_does_not_begin(terrain):
 
 def test_shaping_that_fails_unexpectedly_can_begin_again(terrain, monkeypatch):
     add("thermal", scree_angle=0.4)
-    operator = running(shape_land.ShapeLand, terrain, NAMES)
     monkeypatch.setattr(derived_store, "wanted_tiles", Mock(side_effect=OSError("no such device")))
-    with pytest.raises(OSError, match="no such device"):
-        to_the_end(operator)
-    assert land_jobs.running == {}
+    operator = running(shape_land.ShapeLand, terrain)
+    assert operator.began == {"CANCELLED"} and not jobs.running
+    [(kind, message)] = [call.args for call in operator.report.call_args_list]
+    assert kind == {"ERROR"} and message.startswith("Shaping failed unexpectedly (OSError: no such device)")
+    assert session.record_of(terrain).status.error == message
+    monkeypatch.undo()
+    operator = running(shape_land.ShapeLand, terrain)
+    assert operator.began == {"RUNNING_MODAL"} and to_the_end(operator) == {"FINISHED"}
 
 
 def test_a_preview_waits_for_the_kernels_of_its_effects(terrain):

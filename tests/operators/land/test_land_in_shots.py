@@ -12,7 +12,7 @@ from land_scenes import add
 
 
 def test_water_lies_on_the_land_that_the_stack_makes(terrain):
-    """Which is shaped first: a preview is not what it is cut against."""
+    """The land is shaped first, and not cut against a preview."""
     add("water", sea=-10.0)
     session.update_object(terrain)
     assert bpy.ops.adaptive_terrain.water_surface() == {"FINISHED"}
@@ -31,7 +31,7 @@ def look_at(scene, east: float, north: float) -> None:
 
 
 def test_only_what_the_shot_sees_is_fine(scene, terrain, wide_store, tmp_path):
-    """Tiles are counted; another frame adds its own, and what was there before stays."""
+    """Another frame adds its tiles to those of the first."""
     shutil.copytree(wide_store, tmp_path / "wide")
     terrain.adaptive_terrain.store = str(tmp_path / "wide")
     terrain.adaptive_terrain.land.where = "SEEN"
@@ -57,7 +57,7 @@ def test_only_what_the_shot_sees_is_fine(scene, terrain, wide_store, tmp_path):
     assert np.array_equal(again[50:250, 60:300], change[50:250, 60:300])
 
 
-def test_a_frozen_terrain_keeps_its_triangles_and_takes_the_shaped_heights(terrain, wide_store):
+def test_a_frozen_terrain_takes_the_shaped_heights(terrain, wide_store):
     """Also one whose raster is larger than a preview: that one is not shown on it."""
     terrain.adaptive_terrain.store = str(wide_store)
     session.update_object(terrain)

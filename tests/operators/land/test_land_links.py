@@ -73,7 +73,7 @@ def test_a_link_in_place_of_a_land_folder_is_refused(terrain, precious, at, mode
 
 @pytest.mark.parametrize("at", ["store.json", "data", "data/samples.npy", "data/layer_scree.npy", "../tiles/FIRST"])
 def test_a_link_in_shaped_land_is_refused(terrain, shaped, precious, at):
-    """Not repaired: what it leads to is not damaged land."""
+    """It is not repaired: its target is no damaged land."""
     [data] = shaped.glob("data-*")
     if at.endswith("FIRST"):
         path = next((shaped.parent / "tiles").glob("*.npy"))
@@ -138,7 +138,7 @@ def test_the_store_of_another_terrain_is_not_land(terrain):
 
 
 def rewrite(store: Path, change) -> None:
-    """Change what a store records of its shaping, with a checksum that fits, and of a digest that is another."""
+    """Change a store's record of its shaping and its digest, with a valid checksum."""
     content = json.loads((store / "store.json").read_text()) | {"digest": ""}
     change(content["provenance"]["shaped"])
     content["sum"] = stores._sum_of(content)

@@ -116,7 +116,7 @@ def test_a_linked_terrain_says_why_it_cannot_be_changed(terrain, tmp_path):
 
 
 @pytest.mark.parametrize("land", ["CANYON", "DUNES"])
-def test_a_built_in_land_is_added_as_it_is_with_the_stack_that_suits_it(scene, monkeypatch, tmp_path, land):
+def test_a_built_in_land_is_added_with_its_stack(scene, monkeypatch, tmp_path, land):
     """Of dunes there is none, and they get the size that was asked for."""
     given = lands.LANDS[land.lower()]
     monkeypatch.setattr(store_location, "data_folder", lambda: tmp_path)

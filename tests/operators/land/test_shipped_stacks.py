@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The stacks that are shipped as presets: each can be read, and makes of its land what it is named for."""
+"""The shipped presets: each can be read, and shapes its land as its name says."""
 
 from pathlib import Path
 
@@ -52,7 +52,7 @@ def test_all_of_them_are_tested():
     assert {land.preset for land in LANDS.values()} <= {"", *NAMES}
 
 
-def test_every_entry_of_a_preset_has_a_name_and_a_seed_of_its_own():
+def test_entries_of_a_preset_have_different_names_and_seeds():
     for name in NAMES:
         entries = read_stack(FOLDER / f"{name}.json").entries
         assert all(entry.name and entry.on for entry in entries)

@@ -69,7 +69,7 @@ def light_and_camera(size: float) -> None:
 
 
 @pytest.mark.parametrize("tiled", [False, True])
-def test_a_coarse_mesh_with_a_normal_map_is_shaded_as_the_full_one(terrain, tmp_path, request, tiled):
+def test_a_normal_map_shades_a_coarse_mesh_like_the_full_one(terrain, tmp_path, request, tiled):
     if tiled:
         request.getfixturevalue("small_tiles")
     obj = terrain
@@ -143,7 +143,7 @@ def test_maps_of_several_terrains_are_apart(terrain, add_terrain):
     assert map_images.map_image(terrain, "slope") is None
 
 
-def test_terrains_of_one_name_in_two_files_have_folders_of_their_own(terrain, add_terrain, tmp_path):
+def test_terrains_of_one_name_in_two_files_use_two_folders(terrain, add_terrain, tmp_path):
     bake(terrain)
     first, folder = map_images.map_folder(terrain), terrain.adaptive_terrain.maps.folder
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "first.blend"))

@@ -2,35 +2,14 @@
 """Maps as fine as a shot needs: every frame is looked at, beside the window."""
 
 import time
-from types import SimpleNamespace
-from unittest.mock import Mock
 
 import bpy
 import pytest
-from adaptive_terrain.operators.effects import bake_maps, map_images, map_request
+from adaptive_terrain.operators import jobs
+from adaptive_terrain.operators.effects import map_images, map_request
+from adaptive_terrain.operators.effects.bake_maps import BakeMaps
 from map_scenes import bake, keys
-
-
-def running(obj):
-    operator = SimpleNamespace(report=Mock())
-    for name in ("invoke", "modal", "cancel", "_look", "_end", "_finish"):
-        setattr(operator, name, getattr(bake_maps.BakeMaps, name).__get__(operator))
-    operator.context = SimpleNamespace(
-        window_manager=Mock(), window=None, object=obj, scene=bpy.context.scene, view_layer=bpy.context.view_layer
-    )
-    assert operator.invoke(operator.context, None) == {"RUNNING_MODAL"}
-    return operator
-
-
-def turns(operator, event: str = "TIMER"):
-    for _ in range(3000):
-        ended = operator.modal(operator.context, SimpleNamespace(type=event, value="PRESS"))
-        if ended & {"FINISHED", "CANCELLED"}:
-            operator.context.window_manager.event_timer_remove.assert_called_once()
-            return ended
-        event = "TIMER"
-        time.sleep(0.01)
-    raise AssertionError("baking never ended")
+from modal_runs import running, to_the_end, turn
 
 
 def test_a_shot_is_looked_at_beside_the_window(terrain):
@@ -38,9 +17,10 @@ def test_a_shot_is_looked_at_beside_the_window(terrain):
     scene.frame_start, scene.frame_end = 1, 5
     scene.frame_set(3)
     terrain.adaptive_terrain.maps.frames = "SHOT"
-    operator = running(terrain)
-    assert bake_maps.progress() is not None
-    assert turns(operator) == {"FINISHED"} and bake_maps.progress() is None
+    operator = running(BakeMaps, terrain)
+    assert operator.began == {"RUNNING_MODAL"}
+    assert jobs.find(jobs.BAKE) is not None
+    assert to_the_end(operator) == {"FINISHED"} and not jobs.running
     assert scene.frame_current == 3 and len(keys(terrain)) == 1
 
 
@@ -68,13 +48,14 @@ def test_the_whole_terrain_needs_no_camera(terrain):
         bpy.ops.adaptive_terrain.bake_maps()
 
 
-def test_a_terrain_that_is_removed_while_frames_are_looked_at_ends_the_bake(terrain):
+def test_removing_the_terrain_ends_its_bake(terrain):
     bpy.context.scene.frame_end = 100_000
     terrain.adaptive_terrain.maps.frames = "SHOT"
-    operator = running(terrain)
-    operator.modal(operator.context, SimpleNamespace(type="TIMER", value="PRESS"))
+    operator = running(BakeMaps, terrain)
+    assert operator.began == {"RUNNING_MODAL"}
+    turn(operator)
     bpy.data.objects.remove(terrain)
-    assert turns(operator) == {"CANCELLED"} and bake_maps.progress() is None
+    assert to_the_end(operator) == {"CANCELLED"} and not jobs.running
     assert bpy.context.scene.frame_current == 1
 
 
@@ -82,15 +63,16 @@ def test_escape_leaves_the_maps_as_they_were(terrain, monkeypatch):
     bake(terrain)
     before = keys(terrain)
     terrain.adaptive_terrain.maps.chosen = {"detail_normal", "slope", "height"}
-    going_on = bake_maps.Job._progress
+    progress = jobs.BackgroundJob.progress
 
-    def slow(self, fraction):
+    def slow(self, *how_far):
         time.sleep(0.3)
-        going_on(self, fraction)
+        progress(self, *how_far)
 
-    monkeypatch.setattr(bake_maps.Job, "_progress", slow)
-    operator = running(terrain)
-    operator.modal(operator.context, SimpleNamespace(type="TIMER", value=""))
-    assert turns(operator, "ESC") == {"CANCELLED"}
+    monkeypatch.setattr(jobs.BackgroundJob, "progress", slow)
+    operator = running(BakeMaps, terrain)
+    assert operator.began == {"RUNNING_MODAL"}
+    assert turn(operator) == {"PASS_THROUGH"} and turn(operator, "ESC") == {"RUNNING_MODAL"}
+    assert to_the_end(operator) == {"CANCELLED"}
     folder = map_images.map_folder(terrain)
     assert keys(terrain) == before and len(list(folder.iterdir())) == 1 + len(before)

@@ -9,7 +9,7 @@ from adaptive_terrain.cbt_terrain.mesh.archive import write_npz
 from adaptive_terrain.cbt_terrain.mesh.attributes import DOMAINS, TYPES, Attribute
 from adaptive_terrain.operators.mesh.cleanup import Cleanup, clean_up
 from adaptive_terrain.operators.mesh.writer import write_mesh
-from adaptive_terrain.operators.output.blender_exporters import export_selected, only_selected
+from adaptive_terrain.operators.output.blender_exporters import export_glb, export_ply, only_selected
 from mesh_files import read_glb_attributes, read_ply_fields
 
 # Blender's data type -> which property of its elements has the numbers, of those that are not "value".
@@ -79,7 +79,7 @@ def test_a_ply_and_an_npz_carry_attributes(empty, grid_surface, tmp_path):
     empty.collection.objects.link(obj)
     write_mesh(obj.data, surface)
     with only_selected(obj):
-        export_selected(str(tmp_path / "a.ply"), "ply")
+        export_ply(obj, str(tmp_path / "a.ply"))
     vertices = read_ply_fields(tmp_path / "a.ply")
     # Blender may give a vertex of the file for each corner of its own; a place says which vertex it was.
     place = vertices["x"].astype(int) + 5 * vertices["y"].astype(int)
@@ -106,8 +106,8 @@ def test_a_ply_and_a_glb_carry_what_effects_make(empty, grid_surface, tmp_path):
     write_mesh(obj.data, plain.with_attributes(made))
     names = set(obj.data.attributes.keys())
     with only_selected(obj):
-        export_selected(str(tmp_path / "a.ply"), "ply")
-        export_selected(str(tmp_path / "a.glb"), "glb")
+        export_ply(obj, str(tmp_path / "a.ply"))
+        export_glb(obj, str(tmp_path / "a.glb"))
     assert set(obj.data.attributes.keys()) == names, "names are as they were"
     vertices = read_ply_fields(tmp_path / "a.ply")
     place = vertices["x"].astype(int) + 5 * vertices["y"].astype(int)

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What is exported is the piece's own, undisturbed, and counted again before the file gets its name."""
 
+from functools import partial
+
 import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.operators import handlers
-from adaptive_terrain.operators.output import exporting
+from adaptive_terrain.operators.output import blender_exporters
 from adaptive_terrain.operators.output.frame_sources import scene_piece
 from adaptive_terrain.operators.output.read_back import BLOCK, count_triangles
 from adaptive_terrain.operators.scene import session
@@ -42,7 +44,7 @@ def test_a_file_is_counted_as_another_reader_counts_it(terrain, tmp_path, form):
 
 
 @pytest.mark.parametrize("form", ("ply", "obj", "stl"))
-def test_faces_of_a_mirrored_terrain_are_counter_clockwise_from_above(terrain, tmp_path, form):
+def test_faces_of_a_mirrored_terrain_point_up(terrain, tmp_path, form):
     terrain.scale.x = -terrain.scale.x
     bpy.context.view_layer.update()
     path = tmp_path / f"hills.{form}"
@@ -82,14 +84,14 @@ def test_faces_at_the_ends_of_blocks_are_counted_once(tmp_path):
 @pytest.mark.parametrize("form", FORMATS)
 def test_another_mesh_than_the_summary_says_is_an_error(terrain, tmp_path, form, monkeypatch):
     """A handler of another extension rewrites the mesh while Blender exports it."""
-    path, write = tmp_path / f"hills.{form}", exporting.export_selected
+    path, write = tmp_path / f"hills.{form}", getattr(blender_exporters, f"export_{form}")
 
-    def disturbed(name, kind):
+    def disturbed(obj, name):
         terrain.data.clear_geometry()
         terrain.data.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
-        write(name, kind)
+        write(obj, name)
 
-    monkeypatch.setattr(exporting, "export_selected", disturbed)
+    monkeypatch.setattr(blender_exporters, f"export_{form}", disturbed)
     with pytest.raises(RuntimeError, match=f"hills.{form} would hold 1 triangles where the terrain 'Hills' has"):
         export(path)
     assert list(tmp_path.iterdir()) == []
@@ -106,16 +108,17 @@ def test_an_update_leaves_the_surface_of_a_piece_alone(terrain, cut):
 
 
 def test_no_handler_runs_while_blender_exports(terrain, tmp_path, monkeypatch):
-    ran, write = [], exporting.export_selected
+    ran = []
 
-    def to_another_frame(name, kind):
+    def to_another_frame(write, obj, name):
         bpy.context.scene.frame_set(3)
-        write(name, kind)
+        write(obj, name)
         bpy.context.scene.frame_set(7)
 
     monkeypatch.setattr(handlers, "update_all", lambda *_: ran.append(1) or [])
-    monkeypatch.setattr(exporting, "export_selected", to_another_frame)
     for form in FORMATS:
+        name = f"export_{form}"
+        monkeypatch.setattr(blender_exporters, name, partial(to_another_frame, getattr(blender_exporters, name)))
         assert export(tmp_path / f"hills.{form}") == {"FINISHED"}
     assert not ran
     bpy.context.scene.frame_set(4)
@@ -134,6 +137,6 @@ def test_modifiers_are_left_out_of_every_format(terrain, tmp_path, form):
 
 def test_a_terrain_that_cannot_be_selected_is_refused(terrain, tmp_path):
     terrain.hide_select, shown = True, digest_alone(terrain)
-    with pytest.raises(RuntimeError, match="'Hills' is barred from selection"):
+    with pytest.raises(RuntimeError, match="'Hills' cannot be selected, .*: make it selectable"):
         export(tmp_path / "hills.stl")
     assert list(tmp_path.iterdir()) == [] and digest_alone(terrain) == shown, "the viewport gets its mesh back"

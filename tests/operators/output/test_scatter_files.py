@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`export --scatter`: the points of a frame as Blender shows what stands on them."""
+"""`export --scatter`: the points of a frame match the instances that Blender shows."""
 
 import csv
 import json
@@ -30,7 +30,7 @@ def terrain(scene, add_terrain):
 
 @pytest.fixture
 def export(terrain, tmp_path, capsys):
-    """Run `export --scene` of the terrain; returns the exit code, what it said and its folder."""
+    """Run `export --scene` of the terrain; return the exit code, the output and the folder."""
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
 
     def run(*arguments):

@@ -24,7 +24,7 @@ def run(*arguments) -> int:
 
 @pytest.fixture
 def frames(tmp_path):
-    """Write three frames into a folder, made of one image beside it."""
+    """Write three frames, made of one image in the parent folder, into a folder."""
     (tmp_path / "tex.png").write_bytes(b"red")
     out = tmp_path / "out"
     out.mkdir()

@@ -56,7 +56,7 @@ def test_each_interpolation_has_a_pareto_front_of_its_own():
 
 
 @pytest.mark.parametrize(("morph", "name"), [(1.5, "smooth"), (1.0, "not smooth")])
-def test_a_section_compares_popping_with_smooth_transitions_and_without(morph, name):
+def test_a_section_compares_popping_with_and_without_geomorph(morph, name):
     """Whichever way the other rows are; errors of the pair are not mixed up, and it has no part in the fronts."""
     own = dataclasses.replace(known_rows()[0], popping_px=Errors(9, 4.0, 0.0, 3.0, 0.1, 0.2))
     own = dataclasses.replace(own, shading_change=Errors(9, 30.0, 0.0, 3.0, 0.1, 0.2))
@@ -92,7 +92,7 @@ def test_the_table_says_which_rows_are_on_the_pareto_fronts():
     assert table.rows[0][1:6] == ["4 px", "3 px", "0.75", "100", "1"]
 
 
-def test_a_mesh_that_may_reach_the_eye_has_no_bound_in_tables_nor_a_point_in_the_plot():
+def test_an_infinite_bound_is_in_no_table_and_no_plot():
     known = [row for row in known_rows() if row.setting.unit == "px"]
     terms = Terms(0.75 * LARGEST, 0.25 * LARGEST, 0.0)
     rows = [dataclasses.replace(known[0], bound=LARGEST, terms=terms), *known[1:]]
@@ -162,8 +162,8 @@ def test_a_time_curve_of_runs_that_disagree_is_left_out():
     assert accuracy_page.timing_notes(subject) == [] and len(accuracy_plots.plots(subject, "px", None, "")) == 2
 
 
-def test_there_is_no_curve_where_too_many_triangles_held_all_back():
-    """A sweep in metres of a rough raster of 4097 x 4097 samples: what was measured is written all the same."""
+def test_there_is_no_curve_if_the_limit_stopped_all_rows():
+    """A sweep in metres of a rough raster of 4097 x 4097 samples: its measurements are written all the same."""
     rows = [row for row in known_rows() if row.setting.plain]
     held = [dataclasses.replace(row, limited="max_triangles") for row in rows]
     field = from_array(np.zeros((5, 5), np.float32))

@@ -14,7 +14,7 @@ from adaptive_terrain.operators.text.page_blocks import Heading, Table
 from rasters import hills, imported
 
 
-def test_every_level_of_every_effect_has_a_line_of_what_it_added_and_took(tmp_path):
+def test_every_level_of_every_operator_has_its_line(tmp_path):
     np.save(tmp_path / "hills.npy", hills(700, 520))
     source, _ = imported(tmp_path, tmp_path / "hills.npy", extent=(6990.0, 5190.0))
     stack = Stack((Entry("relief"), Entry("thermal", on=False), Entry("relief", seed=2)))

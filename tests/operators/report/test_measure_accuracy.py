@@ -12,8 +12,9 @@ import pytest
 from adaptive_terrain.cbt_terrain.accuracy import sweep
 from adaptive_terrain.cbt_terrain.accuracy.cost_curve import CostCurve
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import PIXELS
-from adaptive_terrain.operators import handlers
-from adaptive_terrain.operators.report import measure_accuracy, measuring
+from adaptive_terrain.operators import handlers, jobs
+from adaptive_terrain.operators.jobs import JobStopped
+from adaptive_terrain.operators.report import measure_accuracy
 from adaptive_terrain.operators.report.measure_accuracy import MeasureAccuracy, read_measured
 from adaptive_terrain.operators.request.request import gather
 from adaptive_terrain.operators.scene import session
@@ -68,7 +69,8 @@ def held(monkeypatch):
     monkeypatch.setattr(measure_accuracy, "measure_request", measure_request)
     yield gate
     gate.go.set()
-    measuring._job = None
+    for job in list(jobs.running):
+        job.close()
 
 
 def some_errors():
@@ -81,7 +83,7 @@ def some_errors():
 MEASURED = some_errors()
 
 
-def test_it_keeps_a_curve_for_each_mode_and_the_errors_of_the_mesh(scene, add_terrain):
+def test_it_keeps_a_curve_and_errors_for_each_mode(scene, add_terrain):
     terrain = add_terrain()
     settings = terrain.adaptive_terrain
     settings.viewport.error_px, settings.render.error_px = 3.0, 1.0
@@ -145,20 +147,20 @@ def test_the_thread_beside_the_window_measures_the_same(terrain, short):
     assert not MeasureAccuracy.poll(SimpleNamespace(object=terrain)), "one at a time"
     assert to_the_end(operator) == {"FINISHED"}
     curve = CostCurve.from_json(terrain.adaptive_terrain.viewport.curve)
-    assert curve.error == (8.0, 2.0, 1.0) and measuring.progress_of(terrain) is None
+    assert curve.error == (8.0, 2.0, 1.0) and not jobs.running
     [viewport, render] = [call.args for call in operator.report.call_args_list]
     largest = read_measured(terrain.adaptive_terrain.viewport)["screen_px"]["max"]
     assert viewport[0] == {"INFO"} and f"Viewport: measured at most {largest:.3g} px" in viewport[1]
     assert render[1].startswith("Render: measured at most ")
 
 
-def test_the_panel_shows_progress_and_cancel_leaves_the_old_curve(terrain, held):
+def test_a_cancelled_measurement_leaves_the_old_curve(terrain, held):
     operator = running(MeasureAccuracy, terrain)
     assert held.reached.wait(20)
     layout = draw(terrain)
     layout.row().progress.assert_called_once_with(factor=0.125, text="Viewport: waiting")
     with bpy.context.temp_override(object=terrain):
-        assert bpy.ops.adaptive_terrain.cancel_measure() == {"FINISHED"}
+        assert bpy.ops.adaptive_terrain.cancel_job(kind="MEASURE") == {"FINISHED"}
     held.go.set()
     assert to_the_end(operator) == {"CANCELLED"}
     assert curves(terrain) == (OLD.to_json(), OLD.to_json()) and session.record_of(terrain).status.error == ""
@@ -181,9 +183,9 @@ def test_cancel_waits_for_one_update_at_most(terrain):
     def on_progress(fraction, message):
         reports.append(message)
         if len(reports) == 3:
-            raise measuring.Stopped
+            raise JobStopped
 
-    with pytest.raises(measuring.Stopped):
+    with pytest.raises(JobStopped):
         measure_accuracy.measure_request(field, request, on_progress)
     assert reports == ["time at 16 px"] * 3
 
@@ -198,11 +200,11 @@ def test_a_terrain_that_is_gone_is_left_alone(terrain, held):
 
 def test_an_opened_file_ends_it(terrain, held):
     operator = running(MeasureAccuracy, terrain)
-    job = measuring._job
+    assert held.reached.wait(20)
+    threading.Timer(0.1, held.go.set).start()
     operator.cancel(operator.context)
-    held.go.set()
-    job.wait()
-    assert job.result is None and measuring._job is None
+    assert operator.job.result is None and not jobs.running
+    assert not [thread for thread in threading.enumerate() if thread.name == "adaptive_terrain_measure"]
 
 
 def test_what_is_wrong_is_told(terrain, store, monkeypatch):
@@ -294,7 +296,7 @@ def labels(layout):
     return [call.kwargs["text"] for call in layout.mock_calls if call[0].endswith("label")]
 
 
-def test_without_a_curve_the_panel_offers_the_button_and_no_number(scene, add_terrain):
+def test_without_a_curve_the_panel_shows_the_button_alone(scene, add_terrain):
     terrain = add_terrain()
     session.update_object(terrain)
     layout = draw(terrain)
@@ -302,7 +304,7 @@ def test_without_a_curve_the_panel_offers_the_button_and_no_number(scene, add_te
     layout.operator.assert_called_once_with("adaptive_terrain.measure_accuracy", icon="DRIVER_DISTANCE")
 
 
-def test_measured_errors_are_shown_for_exactly_the_mesh_that_was_measured(terrain, short):
+def test_measured_errors_are_shown_for_their_mesh_only(terrain, short):
     bpy.ops.adaptive_terrain.measure_accuracy()
     session.update_object(terrain)
     assert {"Measured", "Screen (px)", "Vertical (m)"} <= set(labels(draw(terrain)))
@@ -335,7 +337,7 @@ def status_of(terrain, **changes):
     return status
 
 
-def test_the_curve_is_read_as_it_is_for_the_mesh_that_was_measured(terrain):
+def test_the_curve_is_exact_for_the_measured_mesh(terrain):
     curve = CostCurve("px", (4.0, 1.0, 0.25), (1000.0, 16_000.0, 256_000.0), (2.0, 8.0, 32.0))
     lines = prediction_lines(status_of(terrain, triangles=1), curve, exact=True)
     assert lines == ["0.5 px: ~64,000 triangles, ~16 ms", "2 px: ~4,000 triangles, ~4 ms"]

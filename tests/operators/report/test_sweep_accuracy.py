@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Write Accuracy Report: the panel's whole sweep, beside the window, and what it leaves of the scene."""
+"""Write Accuracy Report: the panel's whole sweep beside the window, which leaves the scene unchanged."""
 
 import csv
 import dataclasses
@@ -11,12 +11,12 @@ from unittest.mock import Mock
 import bpy
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
-from adaptive_terrain.operators import handlers, registration
+from adaptive_terrain.operators import handlers, jobs, registration
 from adaptive_terrain.operators.report import accuracy_report, accuracy_subject, measuring, sweep_accuracy
 from adaptive_terrain.operators.report.sweep_accuracy import SweepAccuracy
 from adaptive_terrain.operators.scene import session
 from adaptive_terrain.operators.ui.statistics_panel import AccuracyReportPanel
-from modal_runs import running, to_the_end
+from modal_runs import running, to_the_end, turn
 
 FEW = [
     Setting("px", 8.0),
@@ -55,7 +55,8 @@ def held(monkeypatch):
     monkeypatch.setattr(sweep_accuracy, "sweep", waiting)
     yield gate
     gate.go.set()
-    measuring._job = None
+    for job in list(jobs.running):
+        job.close()
 
 
 def rows_of(terrain):
@@ -75,7 +76,7 @@ def animate(scene):
     scene.frame_set(4)
 
 
-def test_it_sweeps_every_kind_of_setting_and_writes_page_plots_and_table(terrain, scene):
+def test_it_sweeps_every_setting_and_writes_all_files(terrain, scene):
     animate(scene)
     assert bpy.ops.adaptive_terrain.sweep_accuracy() == {"FINISHED"}
     rows = rows_of(terrain)
@@ -117,7 +118,7 @@ def test_the_scene_stays_as_it_is_also_what_has_no_keyframe(terrain, scene):
     assert handlers.on_frame_change in bpy.app.handlers.frame_change_post
 
 
-def test_beside_the_window_only_meshes_are_written_on_the_main_thread(terrain, monkeypatch):
+def test_only_meshes_are_written_on_the_main_thread(terrain, monkeypatch):
     writers, before = set(), data_blocks()
     write = accuracy_report.ingest_ms
 
@@ -191,18 +192,18 @@ def test_switching_the_extension_off_leaves_no_mesh(terrain):
     before = data_blocks()
     operator = running(SweepAccuracy, terrain)
     while len(bpy.data.meshes) == len(before[1]):
-        operator.modal(operator.context, SimpleNamespace(type="TIMER"))
-    measuring._job.timer = bpy.context.window_manager.event_timer_add(1.0)
+        turn(operator)
+    operator.job.timer = bpy.context.window_manager.event_timer_add(1.0)
     registration.unregister()
     registration.register()
-    assert measuring._job is None and [mesh.name for mesh in bpy.data.meshes] == before[1]
+    assert not jobs.running and [mesh.name for mesh in bpy.data.meshes] == before[1]
 
 
 def test_reports_of_two_terrains_never_share_a_folder(terrain, add_terrain):
     other = add_terrain("a/b")
     terrain.name = "A_b"
     other.adaptive_terrain.reports = terrain.adaptive_terrain.reports
-    with pytest.raises(RuntimeError, match="would both be written to 'a_b'; rename one"):
+    with pytest.raises(RuntimeError, match="would both be written to 'a_b': rename one"):
         bpy.ops.adaptive_terrain.sweep_accuracy()
     other.name = "c"
     assert bpy.ops.adaptive_terrain.sweep_accuracy() == {"FINISHED"}
@@ -228,14 +229,14 @@ def draw(terrain):
     return layout
 
 
-def test_the_panel_shows_progress_and_cancel_leaves_the_last_report(terrain, held):
+def test_a_cancelled_sweep_leaves_the_last_report(terrain, held):
     folder = sweep_accuracy.report_folder(terrain)
     folder.mkdir(parents=True)
     (folder / "accuracy.csv").write_text("the last one")
     operator = running(SweepAccuracy, terrain)
     assert held.reached.wait(20)
     draw(terrain).row().progress.assert_called_once_with(factor=0.25, text="Report: 2 px")
-    assert bpy.ops.adaptive_terrain.cancel_measure() == {"FINISHED"}
+    assert bpy.ops.adaptive_terrain.cancel_job(kind="MEASURE") == {"FINISHED"}
     held.go.set()
     assert to_the_end(operator) == {"CANCELLED"}
     assert [path.name for path in folder.iterdir()] == ["accuracy.csv"]
@@ -247,11 +248,9 @@ def test_cancel_does_not_wait_for_the_main_thread(terrain, monkeypatch):
     before = data_blocks()
     monkeypatch.setattr(accuracy_report, "ingest_ms", lambda surface: pytest.fail("written after it was stopped"))
     operator = running(SweepAccuracy, terrain)
-    job = measuring._job
-    while job._asked.empty():
-        assert not job.done
-    job.stop()
-    job.wait()
+    while operator.job._calls.empty():
+        assert operator.job in jobs.running
+    operator.job.stop()
     assert to_the_end(operator) == {"CANCELLED"}
     assert data_blocks() == before and session.record_of(terrain).status.error == ""
 
@@ -263,10 +262,8 @@ def test_undo_and_an_opened_file_end_it(terrain, held):
     held.go.set()
     assert to_the_end(operator) == {"CANCELLED"}
     operator = running(SweepAccuracy, terrain)
-    job = measuring._job
     operator.cancel(operator.context)
-    job.wait()
-    assert job.result is None and measuring._job is None
+    assert operator.job.result is None and not jobs.running
 
 
 def test_a_terrain_without_a_view_is_told(terrain, scene):
@@ -277,7 +274,7 @@ def test_a_terrain_without_a_view_is_told(terrain, scene):
     assert handlers.on_frame_change in bpy.app.handlers.frame_change_post
 
 
-def test_a_folder_that_cannot_be_written_is_told_before_anything_is_measured(terrain, tmp_path, monkeypatch):
+def test_an_unwritable_folder_is_an_error_before_measuring(terrain, tmp_path, monkeypatch):
     monkeypatch.setattr(sweep_accuracy, "sweep", lambda *arguments, **options: pytest.fail("measured for nothing"))
     terrain.adaptive_terrain.reports = "//accuracy/"
     with pytest.raises(RuntimeError, match="save the file, or choose another folder"):
@@ -296,7 +293,7 @@ def test_a_folder_that_cannot_be_written_is_told_before_anything_is_measured(ter
         bpy.ops.adaptive_terrain.sweep_accuracy()
 
 
-def test_a_bound_that_does_not_hold_is_an_error_and_is_in_the_report(terrain, monkeypatch):
+def test_a_broken_bound_is_an_error_and_in_the_report(terrain, monkeypatch):
     sweep = sweep_accuracy.sweep
 
     def too_proud(*arguments, **options):

@@ -20,6 +20,7 @@ from adaptive_terrain.operators.ui.height_map_panel import ImportedPanel
 from adaptive_terrain.operators.ui.panel_parts import wrapped
 from adaptive_terrain.operators.ui.panels import OutputPanel, TerrainPanel
 from adaptive_terrain.operators.ui.statistics_panel import statistics_lines, summary_lines
+from modal_runs import RunningOperator, running, turn
 
 
 def test_every_figure_has_its_unit(scene, add_terrain):
@@ -98,7 +99,7 @@ def test_export_writes_the_renders_detail_and_the_viewport_keeps_its_own(scene, 
     with np.load(path) as archive:
         assert len(archive["triangles"]) > 2 * viewport
     assert len(terrain.data.polygons) == viewport
-    with pytest.raises(RuntimeError, match="no known suffix"):
+    with pytest.raises(RuntimeError, match="no known format"):
         bpy.ops.adaptive_terrain.export(filepath=str(tmp_path / "terrain.doc"))
 
 
@@ -179,13 +180,9 @@ def test_a_failed_export_is_told_and_the_viewport_keeps_its_detail(scene, add_te
 
 
 def test_an_add_that_fails_leaves_nothing(scene, monkeypatch):
-    from adaptive_terrain.cbt_terrain.errors import TerrainError
     from adaptive_terrain.operators.importing import import_terrain
 
-    def fail(obj):
-        raise TerrainError("The disk is full.")
-
-    monkeypatch.setattr(import_terrain, "import_now", fail)
+    monkeypatch.setattr(import_terrain, "ImportJob", Mock(side_effect=TerrainError("The disk is full")))
     before = len(bpy.data.objects), len(bpy.data.meshes)
     with pytest.raises(RuntimeError, match="The disk is full") as failure:
         bpy.ops.mesh.adaptive_terrain_add()
@@ -249,14 +246,12 @@ def test_a_click_on_update_waits_beside_the_window(scene, add_terrain, preparing
     terrain = add_terrain()
     manager, timer = Mock(), SimpleNamespace(type="TIMER")
     context = SimpleNamespace(window_manager=manager, window=None, object=terrain, mode="OBJECT")
-    running = SimpleNamespace(report=Mock(), poll=UpdateTerrain.poll)
-    running.execute = lambda context: UpdateTerrain.execute(running, context)
-    running.cancel = lambda context: UpdateTerrain.cancel(running, context)
-    assert UpdateTerrain.invoke(running, context, None) == {"RUNNING_MODAL"}
-    assert UpdateTerrain.modal(running, context, timer) == {"PASS_THROUGH"}
+    update = RunningOperator(operator_class=UpdateTerrain, report=Mock())
+    assert update.invoke(context, None) == {"RUNNING_MODAL"}
+    assert update.modal(context, timer) == {"PASS_THROUGH"}
     assert len(terrain.data.polygons) == 0
     preparing.done.set()
-    assert UpdateTerrain.modal(running, context, timer) == {"FINISHED"}
+    assert update.modal(context, timer) == {"FINISHED"}
     manager.event_timer_remove.assert_called_once()
     assert len(terrain.data.polygons) > 100
 
@@ -269,20 +264,15 @@ def test_an_import_that_is_done_waits_for_the_kernels(scene, add_terrain, prepar
     report = {"raster": [5, 4], "lowest_m": 0, "highest_m": 1, "filled": 0, "source_step_m": 0.5}
     report["warnings"] = []
     done = SimpleNamespace(fraction=1.0, message="Done", done=True, error=None, report=report)
-    job = SimpleNamespace(poll=lambda: done, cancelled=False)
-    monkeypatch.setitem(import_terrain._jobs, terrain.session_uid, job)
-    running = SimpleNamespace(
-        uid=terrain.session_uid, folder=terrain.adaptive_terrain.store, report=Mock(), _end=Mock()
-    )
-    running._take = lambda context, obj, report, folder: import_terrain.ImportTerrain._update(running, obj, report)
-    running._bring_into_view = Mock()
-    timer = SimpleNamespace(type="TIMER")
-    assert import_terrain.ImportTerrain.modal(running, bpy.context, timer) == {"PASS_THROUGH"}
+    child = SimpleNamespace(poll=lambda: done, cancel=lambda: None, cancelled=False)
+    monkeypatch.setattr(import_terrain, "ImportJob", lambda settings, folder: child)
+    monkeypatch.setattr(import_terrain, "store_folder", lambda obj, settings: terrain.adaptive_terrain.store)
+    operator = running(import_terrain.ImportTerrain, terrain)
+    assert turn(operator) == {"PASS_THROUGH"}
     assert len(terrain.data.polygons) == 0
     preparing.done.set()
-    assert import_terrain.ImportTerrain.modal(running, bpy.context, timer) == {"FINISHED"}
+    assert turn(operator) == {"FINISHED"}
     assert len(terrain.data.polygons) > 100
-    import_terrain._progress.clear()
 
 
 def test_what_was_wrong_without_heights_is_not_said_of_new_ones(scene, add_terrain):
@@ -294,7 +284,7 @@ def test_what_was_wrong_without_heights_is_not_said_of_new_ones(scene, add_terra
     with pytest.raises(TerrainError, match="has no height field"):
         session.update_object(terrain)
     importing = SimpleNamespace(_bring_into_view=Mock(), _update=Mock())
-    import_terrain._Import._take(importing, bpy.context, terrain, {}, store)
+    import_terrain._Import.finish(importing, bpy.context, terrain, ({}, store))
     assert session.record_of(terrain).status.error == "" and terrain.adaptive_terrain.store == store
 
 

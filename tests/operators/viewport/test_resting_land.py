@@ -13,7 +13,8 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store as stores
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.land import derived_store, land_folder
-from adaptive_terrain.operators.scene import land_jobs, session, shaped_land
+from adaptive_terrain.operators import jobs
+from adaptive_terrain.operators.scene import session, shaped_land
 from adaptive_terrain.operators.viewport import live, resting_land
 from land_scenes import wide_hills
 
@@ -44,7 +45,7 @@ def terrain(scene, add_terrain, hills, tmp_path, monkeypatch):
     until(obj, "Preview")
     yield obj
     resting_land.stop()
-    assert not land_jobs.running
+    assert not jobs.running
 
 
 def until(obj, shown: str) -> None:
@@ -54,13 +55,13 @@ def until(obj, shown: str) -> None:
 def turns(reached, limit_s: float = 60.0) -> None:
     end = time.monotonic() + limit_s
     while not reached():
-        assert time.monotonic() < end, (session.record_of(bpy.context.object).status.error, land_jobs.all_progress())
+        assert time.monotonic() < end, (session.record_of(bpy.context.object).status.error, jobs.progress_shown())
         live.tick()
         time.sleep(0.005)
 
 
 def is_finished(obj) -> bool:
-    return not land_jobs.running and not resting_land.concerned()
+    return not jobs.running and not resting_land.concerned()
 
 
 def test_what_the_view_needs_gets_finer_and_a_render_has_the_rest(terrain):
@@ -150,24 +151,24 @@ def test_a_source_that_was_mended_is_seen_by_the_next_update(terrain, monkeypatc
 
 
 def test_another_slider_ends_it_and_begins_anew(terrain):
-    turns(lambda: any(work.job is not None for work in land_jobs.running.values()))
-    [work] = land_jobs.running.values()
+    turns(lambda: any(job.child is not None for job in jobs.running))
+    [child] = [job.child for job in jobs.running]
     terrain.adaptive_terrain.land.entries[0].relief.wave = 90.0
     bpy.context.view_layer.update()
     live.mark_dirty()
-    turns(lambda: work.job.poll().done)
-    assert work.job.cancelled
+    turns(lambda: child.poll().done)
+    assert child.cancelled
     until(terrain, "Shaped")
     assert [entry.relief.wave for entry in terrain.adaptive_terrain.land.entries] == [90.0]
 
 
 def test_who_cancels_it_is_left_in_peace(terrain):
-    turns(lambda: land_jobs.running)
-    assert bpy.ops.adaptive_terrain.shape_cancel() == {"FINISHED"}
+    turns(lambda: jobs.running)
+    assert bpy.ops.adaptive_terrain.cancel_job(kind="SHAPE") == {"FINISHED"}
     for _ in range(40):
         live.tick()
         time.sleep(0.005)
-    assert not land_jobs.running and shaped_land.state_of(terrain).shown == "Preview"
+    assert not jobs.running and shaped_land.state_of(terrain).shown == "Preview"
     terrain.adaptive_terrain.land.entries[0].relief.wave = 70.0
     bpy.context.view_layer.update()
     live.mark_dirty()
@@ -179,7 +180,7 @@ def test_without_live_update_nothing_is_begun(terrain):
     for _ in range(40):
         live.tick()
         time.sleep(0.005)
-    assert not land_jobs.running and shaped_land.state_of(terrain).shown == "Preview"
+    assert not jobs.running and shaped_land.state_of(terrain).shown == "Preview"
 
 
 def test_land_that_is_damaged_again_and_again_is_left(terrain, monkeypatch, capsys):
@@ -193,9 +194,9 @@ def test_land_that_is_damaged_again_and_again_is_left(terrain, monkeypatch, caps
 
     monkeypatch.setattr(session, "open_store", damaged)
     turns(lambda: "its disk is worn out" in record.status.error)
-    turns(lambda: not land_jobs.running)
+    turns(lambda: not jobs.running)
     for _ in range(60):
         live.tick()
         time.sleep(0.005)
-    assert not land_jobs.running and shaped_land.state_of(terrain).shown == "Preview"
+    assert not jobs.running and shaped_land.state_of(terrain).shown == "Preview"
     assert capsys.readouterr().out.count("is built again from its source") == derived_store.MAX_REBUILDS

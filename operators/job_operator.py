@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The base of operators that run a job (jobs.py)."""
+
+import time
+
+from ..cbt_terrain.run import stopping
+from . import jobs
+from .scene import session
+from .scene.polls import on_terrain
+
+
+class JobOperator:
+    """Base of operators that run a job: beside the window when they are invoked, at once when a script calls them.
+
+    A subclass has `kind`, a JobKind; `steps(context, job)`, which does the work; and `finish(context, obj, result)`,
+    which puts the result into the file. `context` is that of the first step only.
+    """
+
+    poll_s = jobs.POLL_S
+
+    @classmethod
+    def poll(cls, context):
+        if not on_terrain(cls, context):
+            return False
+        cls.poll_message_set(f"{cls.kind.title} is under way: wait for it, or cancel it beside its progress bar")
+        return jobs.find(cls.kind, context.object) is None
+
+    def invoke(self, context, event):
+        self._begin(context)
+        if self.job.advance():
+            return self._end(context)
+        self.shown, self.looked = None, 0.0
+        self.job.timer = context.window_manager.event_timer_add(self.poll_s, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        if event.type == "ESC" and event.value == "PRESS" and self.stops_on_escape():
+            self.job.stop()
+            return {"RUNNING_MODAL"}
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        if time.monotonic() - self.looked >= jobs.POLL_S / 2:
+            self.looked = time.monotonic()
+            self._look_for_terrain()
+        ended = self.job.advance()
+        if self.shown != (shown := jobs.progress_shown()):
+            self.shown = shown
+            jobs.redraw_panels()
+        return self._end(context) if ended else {"PASS_THROUGH"}
+
+    def execute(self, context):
+        self._begin(context)
+        with stopping.listening():
+            try:
+                while not self.job.advance():
+                    stopping.check()
+                    time.sleep(jobs.CALL_S)
+            finally:
+                self.job.close()
+        return self._end(context)
+
+    def cancel(self, context):
+        """End the job because another file is opened or Blender quits."""
+        self.job.close()
+        self._leave(context)
+
+    def stops_on_escape(self) -> bool:
+        """Return whether Escape cancels the job now."""
+        return False
+
+    def abandon(self) -> None:
+        """Leave a job whose terrain is gone."""
+
+    def subject(self, context):
+        """Return the job's terrain, None for a job of the whole file."""
+        return context.object
+
+    def fail(self, obj, message: str):
+        """Report an error, and keep it for the panel of the terrain, if there is one."""
+        if obj is not None:
+            session.record_of(obj).status.error = message
+        self.report({"ERROR"}, message)
+        return {"CANCELLED"}
+
+    def _begin(self, context) -> None:
+        obj = self.subject(context)
+        if obj is not None:
+            session.record_of(obj).status.error = ""
+        uid = None if obj is None else obj.session_uid
+        self.job = jobs.BackgroundJob(self.kind, uid, lambda job: self.steps(context, job))
+
+    def _look_for_terrain(self) -> None:
+        job = self.job
+        if job.uid is not None and not job.is_orphan and job.terrain() is None:
+            job.is_orphan = True
+            job.stop()
+
+    def _leave(self, context) -> None:
+        if self.job.timer is not None:
+            context.window_manager.event_timer_remove(self.job.timer)
+            self.job.timer = None
+        jobs.redraw_panels()
+
+    def _end(self, context):
+        self._leave(context)
+        job = self.job
+        obj = job.terrain()
+        if job.uid is not None and obj is None:
+            self.abandon()
+            return {"CANCELLED"}
+        if job.result is not None:
+            self.finish(context, obj, job.result)
+            return {"FINISHED"}
+        if job.error:
+            return self.fail(obj, job.error)
+        self.report({"INFO"}, f"{self.kind.title} was cancelled; {self.kind.stays}")
+        return {"CANCELLED"}

@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Jobs that run beside the window: their progress, their steps and the operator that cancels them.
+
+A job is a generator of steps. A timer takes the steps on the main thread; long work runs on a thread (`run_on_thread`)
+or in a child process (`run_in_child`) while the steps only wait for it, and the scene's frames are visited a few at a
+time (`visit_frames`).
+"""
+
+import queue
+import threading
+import time
+import traceback
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import Future, wait
+from contextlib import closing
+from dataclasses import dataclass
+
+import bpy
+
+from ..cbt_terrain.errors import TerrainError
+from ..cbt_terrain.importing.store_job import ChildJob
+from ..cbt_terrain.run import warmup
+from .scene import session
+
+POLL_S = 0.1
+CALL_S = 0.02  # between looks for calls that a thread waits for
+TURN_S = 0.05  # for which frames are visited before the window has its turn
+LOOKING = "Looking at frames"
+SHOWN_STEPS = 200  # a progress bar is redrawn when it has grown by one
+Steps = Generator[None, None, object]
+
+
+@dataclass(frozen=True)
+class JobKind:
+    """A kind of job. `stays`: what a cancelled job leaves unchanged. `alone`: only one job of the kind runs at a time,
+    instead of one a terrain."""
+
+    name: str
+    title: str
+    stays: str
+    alone: bool = False
+
+
+IMPORT = JobKind("IMPORT", "Importing", "the store stays as it was")
+SHAPE = JobKind(
+    "SHAPE",
+    "Shaping",
+    "the land stays as it was, and finished tiles are reused. A resting view begins again only after the stack changes",
+)
+PACK = JobKind("PACK", "Packing stores", "every store stays where it was", alone=True)
+BAKE = JobKind("BAKE", "Baking maps", "the maps stay as they were", alone=True)
+MEASURE = JobKind("MEASURE", "Measuring", "earlier measurements are kept", alone=True)  # two would slow each other
+KINDS = {kind.name: kind for kind in (IMPORT, SHAPE, PACK, BAKE, MEASURE)}
+
+
+class JobStopped(Exception):
+    """The job was cancelled."""
+
+
+class BackgroundJob:
+    """Work that runs beside the window.
+
+    Attributes:
+        uid: session_uid of the job's terrain, None for a job of the whole file.
+        fraction: progress, 0 .. 1.
+        message: what the job does now, "" if its kind says enough.
+        result: what the steps have returned, None until they have ended well.
+        error: why the job failed, "" if it did not.
+        child: the child process that the job waits for, None if there is none.
+    """
+
+    def __init__(self, kind: JobKind, uid: int | None, steps: Callable[["BackgroundJob"], Steps]):
+        self.kind, self.uid = kind, uid
+        self.fraction, self.message = 0.0, "Starting"
+        self.result, self.error = None, ""
+        self.stopped = self.is_orphan = False
+        self.child: ChildJob | None = None
+        self.timer = None
+        self._steps = steps(self)
+        self._calls: queue.SimpleQueue[tuple[Future, Callable]] = queue.SimpleQueue()
+        running.append(self)
+
+    @property
+    def text(self) -> str:
+        """What the job does, for places that show jobs of all kinds."""
+        return f"{self.kind.title}: {self.message}" if self.message else self.kind.title
+
+    def terrain(self):
+        """Return the job's object, None if it is gone."""
+        return next((obj for obj in session.all_terrains() if obj.session_uid == self.uid), None)
+
+    def stop(self, error: str = "") -> None:
+        """End the job soon, without a result; `error`: why, if the user did not cancel it."""
+        self.stopped, self.error = True, self.error or error
+        if self.child is not None:
+            self.child.cancel()
+
+    def close(self) -> None:
+        """End the job before this returns."""
+        self.stop()
+        self._steps.close()
+        self._forget()
+
+    def advance(self) -> bool:
+        """Take one step; return whether the job has ended."""
+        try:
+            next(self._steps)
+            return False
+        except StopIteration as end:
+            self.result = end.value
+        except JobStopped:
+            pass
+        except TerrainError as error:
+            self.error = str(error)
+        except Exception as error:
+            traceback.print_exc()
+            reason = f"{type(error).__name__}: {error}"
+            self.error = f"{self.kind.title} failed unexpectedly ({reason}); {self.kind.stays}."
+        self._forget()
+        return True
+
+    def _forget(self) -> None:
+        if self in running:
+            running.remove(self)
+
+    def check(self) -> None:
+        """Raise JobStopped once the job is to end."""
+        if self.stopped:
+            raise JobStopped
+
+    def progress(self, fraction: float, message: str = "") -> None:
+        """Set the progress (0 .. 1), on any thread. Raises JobStopped once the job is to end."""
+        self.check()
+        self.fraction, self.message = fraction, message
+
+    def call_on_main(self, function: Callable):
+        """Return `function()`, called on the main thread while the job's thread waits. Raises JobStopped."""
+        answer = Future()
+        self._calls.put((answer, function))
+        while not wait([answer], timeout=CALL_S).done:
+            if self.stopped:
+                answer.cancel()
+                raise JobStopped
+        return answer.result()
+
+    def answer_calls(self) -> None:
+        """Carry out what `call_on_main` waits for."""
+        while not (self.stopped or self._calls.empty()):
+            answer, function = self._calls.get()
+            if answer.set_running_or_notify_cancel():
+                try:
+                    answer.set_result(function())
+                except Exception as error:
+                    answer.set_exception(error)
+
+
+running: list[BackgroundJob] = []
+
+
+def find(kind: JobKind, obj=None) -> BackgroundJob | None:
+    """Return the running job of a kind: that of `obj`, or any if the kind runs alone or `obj` is None."""
+    anyone = kind.alone or obj is None
+    return next((job for job in running if job.kind is kind and (anyone or job.uid == obj.session_uid)), None)
+
+
+def progress_shown() -> list[tuple[int, str]]:
+    """Return what progress bars show of all running jobs."""
+    return [(round(job.fraction * SHOWN_STEPS), job.text) for job in running]
+
+
+def draw_progress(layout, job: BackgroundJob, text: str = ""):
+    """Draw a row with the progress bar of a job and its cancel button; return the row."""
+    row = layout.row(align=True)
+    row.progress(factor=job.fraction, text=text or job.message or job.kind.title)
+    row.operator(CancelJob.bl_idname, text="", icon="CANCEL").kind = job.kind.name
+    return row
+
+
+def redraw_panels() -> None:
+    """Redraw the sidebar of every 3D viewport."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                for region in area.regions:
+                    if region.type == "UI":
+                        region.tag_redraw()
+
+
+def run_on_thread(job: BackgroundJob, work: Callable[[], object]) -> Steps:
+    """Wait step by step until `work()` has returned on a thread; return its result."""
+    outcome = Future()
+
+    def run() -> None:
+        try:
+            outcome.set_result(work())
+        except BaseException as error:
+            outcome.set_exception(error)
+
+    thread = threading.Thread(target=run, name=f"adaptive_terrain_{job.kind.name.lower()}", daemon=True)
+    thread.start()
+    try:
+        while thread.is_alive():
+            job.answer_calls()
+            yield
+    finally:
+        if thread.is_alive():
+            job.stop()
+            thread.join()
+    return outcome.result()
+
+
+def run_in_child(job: BackgroundJob, child: ChildJob) -> Steps:
+    """Wait step by step until a child process has ended; return its report."""
+    job.child = child
+    try:
+        while not (progress := child.poll()).done:
+            job.fraction, job.message = progress.fraction, progress.message
+            yield
+    finally:
+        child.cancel()
+        job.child = None
+    if child.cancelled:
+        raise JobStopped
+    if progress.error is not None:
+        raise progress.error
+    return progress.report
+
+
+def visit_frames(job: BackgroundJob, visits: Iterator) -> Steps:
+    """Return the last item of `visits`, its result; the others are the fraction done after each frame."""
+    with closing(visits):  # the scene is at its frame again
+        turn_ends = time.monotonic() + TURN_S
+        try:
+            for found in visits:
+                if not isinstance(found, float):
+                    return found
+                job.progress(found, LOOKING)
+                if time.monotonic() >= turn_ends:
+                    yield
+                    job.check()
+                    turn_ends = time.monotonic() + TURN_S
+        except ReferenceError:  # undo has replaced the scene, or the terrain is gone
+            raise JobStopped from None
+
+
+def wait_for_kernels(job: BackgroundJob) -> Steps:
+    """Wait step by step until the kernels of a frame are ready, unless the job's terrain is gone."""
+    while warmup.preparing():
+        if job.is_orphan:
+            raise JobStopped
+        yield
+    warmup.wait()
+
+
+class CancelJob(bpy.types.Operator):
+    """Cancel a job that runs beside the window"""
+
+    bl_idname = "adaptive_terrain.cancel_job"
+    bl_label = "Cancel"
+
+    kind: bpy.props.EnumProperty(items=[(kind.name, kind.title, "") for kind in KINDS.values()])
+
+    @classmethod
+    def description(cls, _context, properties):
+        return f"Cancel; {KINDS[properties.kind].stays}"
+
+    @classmethod
+    def poll(cls, _context):
+        return bool(running)
+
+    def execute(self, context):
+        job = find(KINDS[self.kind], context.object)
+        if job is None:
+            self.report({"INFO"}, f"{KINDS[self.kind].title} has ended already")
+            return {"CANCELLED"}
+        job.stop()
+        return {"FINISHED"}
+
+
+def register() -> None:
+    bpy.utils.register_class(CancelJob)
+
+
+def unregister() -> None:
+    for job in list(running):
+        job.close()
+        if job.timer is not None:
+            bpy.context.window_manager.event_timer_remove(job.timer)
+    bpy.utils.unregister_class(CancelJob)

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bake, pack and measure beside the window: cancelled, finished, and ended by a file and by disabling: FOLDER."""
+
+import json
+import sys
+import threading
+import time
+import traceback
+from pathlib import Path
+
+import bpy
+from bl_ext.user_default.adaptive_terrain.operators import jobs
+
+folder = Path(sys.argv[sys.argv.index("--") + 1])
+result = {}
+operators = bpy.ops.adaptive_terrain
+
+
+def terrain():
+    return next(obj for obj in bpy.data.objects if obj.adaptive_terrain.enabled)
+
+
+def until(condition):
+    end = time.monotonic() + 600.0  # only so that a hang ends
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError("waited in vain")
+        yield 0.05
+
+
+def run(operator, **given):
+    window = bpy.context.window_manager.windows[0]
+    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+    with bpy.context.temp_override(window=window, area=area, region=area.regions[-1], object=terrain()):
+        return list(operator("INVOKE_DEFAULT", **given))
+
+
+def threads():
+    return [thread.name for thread in threading.enumerate() if thread.name.startswith("adaptive_terrain_measure")]
+
+
+def steps():
+    yield 1.0
+    bpy.ops.mesh.adaptive_terrain_add("EXEC_DEFAULT")
+    yield from until(lambda: not jobs.running and len(terrain().data.polygons) > 0)
+    scene, maps = bpy.context.scene, terrain().adaptive_terrain.maps
+    scene.frame_end, scene.frame_current = 100_000, 7
+    maps.folder, maps.frames, maps.which, maps.chosen = str(folder / "maps"), "SHOT", "CHOSEN", {"slope"}
+    result["baking"] = run(operators.bake_maps)
+    yield from until(lambda: scene.frame_current > 10)
+    result["cancel"] = run(operators.cancel_job, kind="BAKE")
+    yield from until(lambda: not jobs.running)
+    result["cancelled"] = [scene.frame_current, [path.name for path in folder.glob("maps/*/*.png")]]
+    maps.frames = "WHOLE"
+    run(operators.bake_maps)
+    yield from until(lambda: not jobs.running)
+    result["maps"] = len(list(folder.glob("maps/*/*.png")))
+    terrain().adaptive_terrain.store = bpy.path.abspath(terrain().adaptive_terrain.store)
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"))
+    run(operators.pack_store)
+    yield from until(lambda: not jobs.running)
+    result["store"] = terrain().adaptive_terrain.store
+    bpy.ops.wm.save_mainfile()
+    run(operators.measure_accuracy)
+    yield from until(threads)
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
+    yield from until(lambda: bpy.data.filepath and bpy.context.window_manager.windows)
+    result["after_opening"] = [len(jobs.running), threads()]
+    yield 1.0
+    run(operators.measure_accuracy)
+    yield from until(threads)
+    bpy.ops.preferences.addon_disable(module="bl_ext.user_default.adaptive_terrain")
+    result["after_disabling"] = [len(jobs.running), threads()]
+
+
+_steps = steps()
+
+
+def turn():
+    try:
+        return next(_steps)
+    except StopIteration:
+        pass
+    except Exception:
+        result["error"] = traceback.format_exc()
+    (folder / "done.json").write_text(json.dumps(result))
+    return None
+
+
+bpy.app.timers.register(turn, first_interval=0.5, persistent=True)

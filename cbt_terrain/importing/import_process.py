@@ -60,7 +60,7 @@ def import_source(
 
 
 def child_main() -> None:
-    """Import what the request on stdin names, and report on stdout."""
+    """Import the source in the request on stdin, and report on stdout."""
     serve(_import, lambda request: _what(request["settings"]["source"]))
 
 

@@ -42,7 +42,7 @@ def open_source(settings: ImportSettings) -> Raster:
 
 
 def check_file(path: Path, kind: str = "height map") -> None:
-    """Raise TerrainError unless `path` is a readable, non-empty file. kind: what the file is for, in errors."""
+    """Raise TerrainError unless `path` is a readable, non-empty file. kind: purpose of the file, in errors."""
     expected = f"the file of a {kind}"
     try:
         what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"

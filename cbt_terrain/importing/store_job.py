@@ -54,7 +54,7 @@ class ChildJob:
         module: name of the module.
         request: content of the JSON that the child reads.
         what: the job in errors: "The import of a.tif".
-        fix: what the user can do if the child ends without a result.
+        fix: remedy in the error about a child that ends without a result.
         reading: name of the file from outside that the child reads while its message is one of `watched`. A child that
             stays silent for too long then is killed.
         variables: environment of the child.

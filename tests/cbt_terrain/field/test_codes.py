@@ -88,7 +88,7 @@ def test_errors_in_bytes_are_nested_at_every_depth(kind, shape):
 
 
 def test_a_plain_geometric_table_would_crack(monkeypatch):
-    """What the check is for: bytes of a table whose entries are no one's double."""
+    """The check fails for a table with entries whose doubles are no entries."""
     table = np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 255)]).astype(np.float32)
     monkeypatch.setattr(codes, "SHAPE", table)
     with pytest.raises(AssertionError):

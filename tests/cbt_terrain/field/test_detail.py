@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A detail below the raster's cells: its bound, its meshes against numpy in float64, and what it leaves as it was."""
+"""Noise below the raster's cells: its bound, its meshes against numpy in float64, and terrains without it."""
 
 import math
 from dataclasses import replace
@@ -277,7 +277,7 @@ def test_a_saved_tree_gives_the_same_mesh_again():
 
 
 def test_the_measurement_sees_what_numpy_sees():
-    """Its own evaluation, at places of its own: never above the bound, and near what dense places here find."""
+    """The measurement uses independent code and points: never above the bound, and near the maximum of dense points."""
     for interpolation in ("bilinear", "bicubic"):
         field = field_of("padded", DETAILS["soft"], interpolation)
         view = replace(ground_view(field, above=5.0), resolution=(240, 135))

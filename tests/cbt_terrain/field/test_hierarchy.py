@@ -25,7 +25,7 @@ def bilinear(samples, x, y):
 
 @cache
 def inside(triangle, width, height, step):
-    """Sample coordinates every `step` that lie in a triangle, and on the raster."""
+    """Return sample coordinates every `step` inside a triangle and the raster."""
     left, apex, right = corners = np.array(triangle) / 2
     lo, hi = np.floor(corners.min(0)), np.ceil(corners.max(0))
     x, y = np.meshgrid(np.arange(lo[0], hi[0] + step / 2, step), np.arange(lo[1], hi[1] + step / 2, step))

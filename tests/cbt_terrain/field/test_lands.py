@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The built-in lands: the same places at every resolution, and what makes each of them what it is called."""
+"""The built-in terrains: equal heights at every resolution, and the features in their names."""
 
 import hashlib
 
@@ -91,7 +91,7 @@ def test_an_archipelago_is_islands_in_a_sea(seed):
     land = heights > 0.0
     assert 0.06 < land.mean() < 0.5 and 500.0 < heights.max() < 2600.0
     crossings = (np.diff(land.astype(int), axis=1) > 0).sum(1).max()
-    assert crossings >= 3  # so many islands lie on one line from west to east
+    assert crossings >= 3  # islands on one line from west to east
 
 
 def test_a_land_is_imported_by_its_name(tmp_path):

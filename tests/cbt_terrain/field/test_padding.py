@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rasters that do not fill their lattice: the bound over all of their own surface, by code that shares nothing."""
+"""Rasters that do not fill their lattice: the bound over their whole surface, by independent code."""
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
@@ -12,7 +12,7 @@ from padded import raster
 
 
 def test_what_is_beyond_the_rim_is_not_refined():
-    """Edges are asked for all over: of a raster that fills a quarter of its square, about a quarter is refined."""
+    """A raster fills a quarter of its square, so a criterion of edges refines about a quarter."""
     field = from_array(np.zeros((34, 34), np.float32), 10.0)
     view = View.look((0.0, 0.0, 5000.0), (0.0, 1.0, 0.0), resolution=(2000, 2000))
     terrain = Terrain(field, 1, whole=True)

@@ -51,7 +51,7 @@ def as_npy(dtype, path, heights):
     return path / "a.npy", {}
 
 
-# How a file is written, and half a step of what it can hold near 900 m.
+# Functions that write a file, and half a step of its values near 900 m.
 FILES = {
     "int16 GeoTIFF": (as_int16, 0.5),
     "scaled int16 GeoTIFF": (as_scaled_int16, 0.15),

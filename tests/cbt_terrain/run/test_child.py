@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Child processes end with all that they have started."""
+"""Child processes end with all processes that they have started."""
 
 import os
 import subprocess
@@ -22,7 +22,7 @@ time.sleep(float(sys.argv[1]))
 
 
 def started(seconds: float) -> tuple[subprocess.Popen, int]:
-    """Start a child that leaves a process; returns it and the number of what it leaves."""
+    """Start a child that leaves a process behind. Return the child and the number of that process."""
     command = [sys.executable, "-c", LEAVES_ONE, str(seconds)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
     return process, int(process.stdout.readline())

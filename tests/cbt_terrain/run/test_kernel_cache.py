@@ -82,7 +82,7 @@ def test_any_damage_of_a_compiled_module_is_noticed(tmp_path):
 
 
 def test_a_module_replaces_what_is_in_the_cache(tmp_path):
-    """Publish over a damaged object, beside that of another processor."""
+    """Publish over a damaged object, next to that of another processor."""
     file = tmp_path / "m" / "m.cpu1.o"
     built(file.parent, b"damaged")
     (file.parent / "m.cpu2.o").write_bytes(b"of another processor")

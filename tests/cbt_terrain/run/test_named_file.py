@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files that a user names are opened in one place, which waits for no pipe, socket or device."""
+"""Only one module opens files that a user names, and it waits for no pipe, socket or device."""
 
 import ast
 import os
@@ -15,7 +15,7 @@ from time_limit import time_limit
 
 ROOT = Path(__file__).resolve().parents[3]
 READS = {"read_text", "read_bytes", "np.load", "np.loadtxt", "np.genfromtxt", "np.fromfile"}
-# Files that no user names: of the system, of the package, and what the same function has just written.
+# Reads of files that no user names: of the system, of the package, or written just before.
 OWN = {
     ("cbt_terrain/field/store.py", "np.load(file, mmap_mode='r+')"),
     ("cbt_terrain/run/partial_files.py", "_BOOT.read_text()"),

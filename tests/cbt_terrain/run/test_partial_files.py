@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is half-written has a private folder, which goes when its writer is no more, however it ended."""
+"""Incomplete files are in a private folder, which is removed after its writer has ended in any way."""
 
 import errno
 import os
@@ -72,7 +72,7 @@ def test_what_another_machine_has_left_goes_after_a_day(writer, tmp_path, monkey
 
 @posix
 def test_no_link_in_a_shared_folder_leads_elsewhere(tmp_path, monkeypatch):
-    """Neither one in the place of what is written, nor one in the place of what is taken away."""
+    """Links neither in the place of new files nor of removed ones are followed."""
     shared, private = tmp_path / "shared", tmp_path / "private"
     shared.mkdir()
     private.mkdir()
@@ -143,7 +143,7 @@ def test_files_of_killed_writers_beside_the_folder_are_removed(tmp_path):
 
 
 def test_writers_and_removers_side_by_side(tmp_path):
-    """Each write ends well however often others look for what is abandoned."""
+    """Each write succeeds while other processes remove abandoned folders."""
     done = threading.Event()
 
     def look():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels are prepared beside this process, under the names that they have here, and nothing waits that need not."""
+"""Kernels are prepared by child processes, under their names in this process, without needless waiting."""
 
 import json
 import subprocess
@@ -23,9 +23,9 @@ OF_A_FRAME = set().union(
 )
 OF_A_FRAME -= {"horizon_map", "split_merge", "edits"}  # occlusion and edits of single nodes are compiled on demand
 OF_THE_OVERLAY = with_kernels(ROOT / "kernels" / "accuracy")
-# Modules that are compiled in a moment: half of a minute is what all would take.
+# Modules that compile quickly; all would take half a minute.
 QUICK = "fill", "holes", "replay", "meshlet", "drawing", "grid"
-# Prepares under the name that an extension has, some modules of every room, and tells what it compiled itself.
+# Prepares some modules of every room under the name of an extension, and prints those that it compiled.
 PREPARE = """
 import importlib.util, json, os, sys, time, types
 root, name = sys.argv[1], "bl_ext.user_default.terrain"
@@ -225,7 +225,7 @@ print(json.dumps([sorted(loaded), sorted(m.__name__ for m in kernels_of(wanted))
 
 @pytest.mark.parametrize("names", [["slope"], ["sky", "sun"], ["splat_1", "wetness"]])
 def test_kernels_that_effects_launch_are_foreseen(names):
-    """In a new process: what it has loaded in the end is what was said, or less."""
+    """A new process loads the predicted kernels, or fewer."""
     done = subprocess.run([sys.executable, "-c", FORESEEN, *names], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     loaded, foreseen = json.loads(done.stdout.splitlines()[-1])

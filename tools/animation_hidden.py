@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far ground that nearer ground hides jumps where it may be coarser, with Smooth Transitions and without."""
+"""How far ground that nearer ground hides jumps where it may be coarser, with geomorph and without."""
 
 from adaptive_terrain.cbt_terrain.accuracy.measure import MeasuredMesh, look
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
@@ -48,7 +48,7 @@ def hidden_section() -> list:
     return [
         Text(
             "Ground that nearer ground hides may be coarser (*Hidden ×*). Nobody sees it jump but in mirrors and by "
-            "its shadows. With *Smooth Transitions* it gets coarser by degrees, the deeper it is hidden. In flights "
+            "its shadows. With *Geomorph* it gets coarser by degrees, the deeper it is hidden. In flights "
             f"{ABOVE:g} m above the island at *Hidden ×* {FACTOR:g}, {FRAMES} frames each, the largest jump of a "
             "hidden point, in pixels as if nothing hid it:"
         ),

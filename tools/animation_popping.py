@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far points of the ground jump from one frame to the next, with Smooth Transitions and without."""
+"""How far points of the ground jump from one frame to the next, with geomorph and without."""
 
 import math
 from dataclasses import dataclass
@@ -157,7 +157,7 @@ def popping_section(folder: Path) -> list:
         Heading("No pop"),
         Text(
             "Where a mesh takes a point it jumps, by up to the error that was asked for: small, but thousands of "
-            "points do it in every frame. With *Smooth Transitions* (on in renders) a point enters where it changes "
+            "points do it in every frame. With *Geomorph* (on in renders) a point enters where it changes "
             "nothing, and rises to its place as the camera comes nearer. How far it has risen depends on the view "
             "alone. So any frame can be rendered alone, in any order. The error that is asked for still holds: the "
             "surface is a mean of meshes of which each holds it ([the proof](method/morph.md))."

@@ -209,7 +209,7 @@ def farm_section(path: Path) -> list:
     return [
         Heading("A farm"),
         Text(
-            "A fly-over of the demo's island, 10 s with trees, *Smooth Transitions* on: its job was written by "
+            "A fly-over of the demo's island, 10 s with trees, *Geomorph* on: its job was written by "
             "`submit` and run by a worker of Open Job Description in Blender 4.3, frames in random order "
             "([jobs, steps and guards](howto/farm.md)). `make fly-over` does it again."
         ),

@@ -68,7 +68,7 @@ ROWS = {
         {ANY_SIZE: 3.0},
     ),
     "morph_flight": RowGoal(
-        "A whole update in a flight with *Smooth Transitions*, on one thread, against one without for the same bound.",
+        "A whole update in a flight with *Geomorph*, on one thread, against one without for the same bound.",
         {ANY_SIZE: 2.5},
         {ANY_SIZE: 5.3},
     ),

@@ -48,7 +48,7 @@ def measure(subjects: list[Subject], show_progress: bool | None = None) -> None:
 
 
 def mesh_writer() -> tuple[Callable | None, str]:
-    """What writes a surface into a Blender mesh, and ""; or None and why, where Blender is missing."""
+    """Return a function that writes a surface into a Blender mesh, and ""; without Blender None, and why."""
     try:
         need_bpy("Writing a mesh")
     except TerrainError as reason:

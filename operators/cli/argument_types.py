@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the command line takes as an argument: each of these gives argparse a value or the reason why not."""
+"""Types of the command line's arguments: each gives argparse a value or the reason for refusing it."""
 
 import argparse
 import math
 from pathlib import Path
 
+from ...cbt_terrain.ask.settings import SETTINGS, CriterionSetting
 from ...cbt_terrain.errors import path_fault, shown
 
 MAX_INT = 2**31 - 1
+METAVARS = {"px": "PX", "px²": "PX2", "m": "METRES", "°": "DEG"}  # by unit
 
 
 def argument(parse):
-    """Let argparse show what a parser's ValueError says."""
+    """Let argparse show the text of a parser's ValueError."""
 
     def checked(text: str):
         try:
@@ -22,8 +24,8 @@ def argument(parse):
     return checked
 
 
-def positive(most: float):
-    """A number above 0, at most `most`."""
+def positive(max_value: float):
+    """Return a parser of numbers above 0, at max_value `max_value`."""
 
     def number(text: str) -> float:
         try:
@@ -32,26 +34,15 @@ def positive(most: float):
             raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
         if not value > 0:
             raise argparse.ArgumentTypeError(f"{text} is not more than 0")
-        if value > most:
-            raise argparse.ArgumentTypeError(f"{text} is more than {most:g}")
+        if value > max_value:
+            raise argparse.ArgumentTypeError(f"{text} is more than {max_value:g}")
         return value
 
     return number
 
 
-def part(text: str) -> float:
-    """A part of a whole."""
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
-    if not 0 <= value <= 1:
-        raise argparse.ArgumentTypeError(f"{text} is not within 0 and 1")
-    return value
-
-
 def count(text: str) -> int:
-    """A number of things that Blender can hold."""
+    """Parse a whole number, 0 or more, that fits into Blender's 32 bits."""
     try:
         value = int(text)
     except ValueError:
@@ -62,7 +53,7 @@ def count(text: str) -> int:
 
 
 def some(text: str) -> int:
-    """A number of things of which there has to be one."""
+    """Parse a whole number, 1 or more."""
     value = count(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text} is not 1 or more")
@@ -75,7 +66,7 @@ def path(text: str) -> Path:
 
 
 def path_text(text: str) -> str:
-    """Check a path, or a name that may stand in its place, and return it as it is."""
+    """Check a path, or a name in place of one, and return it unchanged."""
     if not text.strip():
         raise argparse.ArgumentTypeError("the name is empty")
     fault = path_fault(shown(text), text)
@@ -84,8 +75,8 @@ def path_text(text: str) -> str:
     return text
 
 
-def pair(separator: str, kind, most: float):
-    """Two finite numbers of `kind` above 0, at most `most`, with `separator` between."""
+def pair(separator: str, kind, max_value: float):
+    """Return a parser of two finite numbers of `kind` above 0, at max_value `max_value`, with `separator` between."""
 
     def checked(text: str):
         try:
@@ -94,15 +85,15 @@ def pair(separator: str, kind, most: float):
             raise argparse.ArgumentTypeError(f"{text!r} is not two numbers with {separator!r} between") from None
         if not (first > 0 and second > 0):
             raise argparse.ArgumentTypeError(f"{text!r} is not two numbers above 0")
-        if max(first, second) > most or math.inf in (first, second):
-            raise argparse.ArgumentTypeError(f"{text!r} has a number above {most:g}")
+        if max(first, second) > max_value or math.inf in (first, second):
+            raise argparse.ArgumentTypeError(f"{text!r} has a number above {max_value:g}")
         return first, second
 
     return checked
 
 
 def parse_effects(text: str) -> tuple[str, ...] | None:
-    """Names of effects, each once; () for `none`, None for `auto`."""
+    """Return names of effects, each once; () for `none`, None for `auto`."""
     from ...cbt_terrain.effects.catalogue import EFFECTS
     from ..text.effect_lines import unknown
 
@@ -113,3 +104,43 @@ def parse_effects(text: str) -> tuple[str, ...] | None:
         if name not in EFFECTS:
             raise ValueError(unknown(name))
     return names
+
+
+def add_settings(verb: argparse.ArgumentParser) -> None:
+    """Add an option for each setting of a criterion that has one."""
+    for setting in SETTINGS:
+        if not setting.option:
+            continue
+        default = "off" if setting.is_flag else "no limit" if setting.default is None else f"{setting.default:g}"
+        text = f"{setting.tooltip[0].lower()}{setting.tooltip[1:]} (the scene's, or {default})"
+        about = {"dest": setting.name, "help": text}
+        if setting.is_flag:
+            verb.add_argument(setting.option, action=argparse.BooleanOptionalAction, **about)
+        else:
+            metavar = METAVARS.get(setting.unit, "N" if setting.whole else "F")
+            verb.add_argument(setting.option, type=setting_value(setting), metavar=metavar, **about)
+
+
+def setting_value(setting: CriterionSetting):
+    """Return a parser of numbers that a criterion's setting accepts."""
+
+    def number(text: str) -> float:
+        try:
+            value = int(text) if setting.whole else float(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not {setting.expected}") from None
+        if not setting.accepts(value):
+            raise argparse.ArgumentTypeError(f"{text} is not {setting.expected}")
+        return value
+
+    return number
+
+
+def given_settings(arguments: argparse.Namespace) -> dict[str, float]:
+    """Return the values of a criterion's settings that the command line gives, by the names of the settings."""
+    given = {setting.name: (setting, getattr(arguments, setting.name)) for setting in SETTINGS if setting.option}
+    return {
+        name: value if not setting.is_flag else setting.usual if value else setting.default
+        for name, (setting, value) in given.items()
+        if value is not None
+    }

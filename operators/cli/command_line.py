@@ -2,7 +2,8 @@
 """The command line: `adaptive-terrain VERB`, and the same as `blender --command adaptive_terrain VERB`.
 
 Exit codes: 0 done, 1 failed (one line on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C, 143 by SIGTERM. bpy is
-imported only by what needs it; the engine, whose import takes a moment, only where a stop is told in one line.
+imported only by verbs that need it; the engine, whose import takes a moment, only where an interruption is reported in
+one line.
 """
 
 import argparse
@@ -18,11 +19,22 @@ from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.run import stopping
 from ..text.console import BAR, LONGEST_LINE, OPENJD, open_streams, print_line, unwritten
 from . import farm_verbs, verbs
-from .argument_types import MAX_INT, argument, count, pair, parse_effects, part, path, path_text, positive, some
+from .argument_types import (
+    MAX_INT,
+    add_settings,
+    argument,
+    count,
+    pair,
+    parse_effects,
+    path,
+    path_text,
+    positive,
+    some,
+)
 
 PROGRAM = "adaptive-terrain"
 MAX_PIXELS = 65_536  # a side, as in Blender
-MAX_ERROR_PX, MAX_ERROR_M, MAX_DETAIL_M = 1e6, 1e9, 1e6
+MAX_ERROR_PX, MAX_ERROR_M, MAX_DISPLACEMENT_M = 1e6, 1e9, 1e6
 MAX_BUDGET_MB, MAX_MEMORY_GIB = 1e9, 1e6
 FRAMES = "A,B-C,D-E:STEP"
 CHUNK = 4  # a mesh takes less than Blender's start, so a task makes several
@@ -32,19 +44,17 @@ SHAPE_EXAMPLE = """example: rivers age the land for 300,000 years where it is be
     "mask": {"rules": [{"of": "height", "high": 900, "edge": 50}]}}]}
 
   adaptive-terrain shape --store island.store --stack rivers.json --out old.store --export old.tif"""
-AT_MOST = "triangles at most, but not fewer than two for each root square"
+BUDGET_HELP = "triangles at most, but not fewer than two for each root square"
 BETWEEN = "of the surface between samples"
-# What several verbs take.
+# Options of several verbs.
 SIZE, PIXELS = pair("x", int, MAX_PIXELS), positive(MAX_ERROR_PX)
 PROJECT = {"default": "", "metavar": "utm|EPSG:n", "help": "reproject the raster into this coordinate system"}
-DETAIL = {
-    "type": pair(",", float, MAX_DETAIL_M),
+DISPLACEMENT = {
+    "type": pair(",", float, MAX_DISPLACEMENT_M),
     "metavar": "AMPLITUDE,WAVELENGTH",
-    "help": "metres of height and length of detail below the raster's cells",
+    "help": "metres of height and length of relief below the raster's cells",
 }
 CAMERA = {"metavar": "NAME", "help": "a camera of the scene, instead of its active one"}
-CAMERA_PATH = {"type": path, "metavar": "FILE.json", "help": "camera path for --store (docs/reference/camera-path.md)"}
-RESOLUTION = {"type": SIZE, "metavar": "WxH", "help": "pixels (the scene's, or 1920x1080)"}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -56,11 +66,11 @@ def main(argv: list[str] | None = None) -> int:
             print(f"{PROGRAM}: stopped", file=sys.stderr)
             return 128 + (stopping.answer() or signal.SIGINT)
         finally:
-            stopping.answer()  # one that comes when all is done comes too late
+            stopping.answer()  # an interruption after the work comes too late
 
 
 def program() -> NoReturn:
-    """`main` for a process of its own: before and after the work Ctrl-C just ends it, without Python's traceback."""
+    """Run `main` as a program: before and after the work Ctrl-C ends it without a traceback."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     open_streams()
@@ -78,23 +88,23 @@ def _run(argv: list[str] | None) -> int:
         print_line(f"{PROGRAM} {arguments.verb}: error: {shown(error, LONGEST_LINE)}", file=sys.stderr)
         return 2
     except (TerrainError, OSError) as error:
-        said = unwritten(error) or shown(_sentence(error), LONGEST_LINE)
-        print_line(f"{PROGRAM}: error: {said}", file=sys.stderr)
+        message = unwritten(error) or shown(_sentence(error), LONGEST_LINE)
+        print_line(f"{PROGRAM}: error: {message}", file=sys.stderr)
         if arguments.progress == OPENJD:
-            print_line(said, "openjd_fail")
+            print_line(message, "openjd_fail")
         return 1
     return 0
 
 
 def _sentence(error: TerrainError | OSError) -> object:
-    """Of what the system refuses, and nobody has told better, what and where."""
+    """Return the error; for one of the system, the file and the reason."""
     if isinstance(error, TerrainError) or error.filename is None:
         return error
     return f"{error.filename} cannot be read or written ({error.strerror}); check the disk, or choose another place."
 
 
 def _parser() -> argparse.ArgumentParser:
-    """What it imports stays: looking through it for garbage, again and again, takes 0.1 s."""
+    """Build the parser without garbage collection: its imports stay, and searching them takes 0.1 s."""
     gc.disable()
     try:
         return build_parser()
@@ -150,8 +160,8 @@ def _add_import(subparsers) -> None:
         metavar="XxY",
         help="metres east and north, instead of the file's",
     )
-    verb.add_argument("--height-scale", type=float, default=1.0, metavar="F", help="metres per unit of the file (1)")
-    verb.add_argument("--height-offset", type=float, default=0.0, metavar="METRES", help="added to every height (0)")
+    verb.add_argument("--height-scale", type=float, metavar="F", help="metres per unit of the file (1)")
+    verb.add_argument("--height-offset", type=float, metavar="METRES", help="added to every height (0)")
     verb.add_argument("--no-data", type=float, metavar="VALUE", help="value that means no data, instead of the file's")
     verb.add_argument("--holes", action="store_true", help="cut out samples without data instead of filling them")
     verb.add_argument("--band", type=int, metavar="N", help="band of a file with several, from 1 (1)")
@@ -164,7 +174,7 @@ def _add_import(subparsers) -> None:
 
 
 def _add_info(subparsers) -> None:
-    verb = _verb(subparsers, "info", "say what a store, a height map or an exported .npz holds", verbs.run_info)
+    verb = _verb(subparsers, "info", "describe a store, a height map or an exported .npz", verbs.run_info)
     verb.add_argument("path", type=path, nargs="?")
     verb.add_argument("--versions", action="store_true", help="of all that is used, and what reading a file gives up")
     verb.add_argument("--verify", action="store_true", help="of a store, check every block of every array")
@@ -181,37 +191,28 @@ def _add_bake(subparsers) -> None:
     metres = positive(MAX_ERROR_M)
     verb.add_argument("--max-error", type=metres, required=True, metavar="METRES", help="largest vertical error")
     verb.add_argument("--out", type=path, required=True, metavar="FILE", help=f"format by suffix: {', '.join(FORMATS)}")
-    verb.add_argument("--budget", type=count, metavar="N", help=AT_MOST + "; the error reached is reported")
+    verb.add_argument("--budget", type=count, metavar="N", help=BUDGET_HELP + "; the error reached is reported")
     verb.add_argument("--interpolation", default=INTERPOLATIONS[0], choices=INTERPOLATIONS, help=BETWEEN)
-    verb.add_argument("--detail", **DETAIL)
+    verb.add_argument("--displacement", "--detail", **DISPLACEMENT)
     verb.add_argument("--fit", action="store_true", help="move vertices off the surface: fewer triangles, same error")
 
 
 def _add_export(subparsers) -> None:
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
-    from ..output.formats import FORMATS, parse_formats, parse_frames
+    from ..output.formats import FORMATS, parse_formats
 
     verb = _verb(subparsers, "export", "write the terrain's mesh for each frame", verbs.run_export)
-    _add_source(verb, "a store, seen along --path; npz needs no Blender")
-    verb.add_argument("--frames", type=argument(parse_frames), required=True, metavar=FRAMES)
+    _add_views(verb, "a store, seen along --path; npz needs no Blender", frames_required=True)
     verb.add_argument("--format", type=argument(parse_formats), required=True, metavar="F,F", help=", ".join(FORMATS))
     verb.add_argument("--out", type=path, required=True, metavar="DIR")
-    verb.add_argument("--camera", **CAMERA)
-    verb.add_argument("--path", **CAMERA_PATH)
-    verb.add_argument("--resolution", **RESOLUTION)
-    verb.add_argument("--pixel-error", type=PIXELS, metavar="PX", help="screen error (the scene's, or 1)")
-    smooth = "points rise to their places from frame to frame, instead of popping (as the scene says; of a store off)"
-    verb.add_argument("--morph", action=argparse.BooleanOptionalAction, help=smooth)
-    verb.add_argument("--shading-floor", type=part, metavar="F", help="part of an error that counts from above, 0 to 1")
-    verb.add_argument("--budget", type=count, metavar="N", help=AT_MOST)
-    verb.add_argument("--meshlet", type=int, choices=range(5), metavar="M", help="4^M triangles a leaf, 0 to 4")
+    add_settings(verb)
     verb.add_argument("--interpolation", choices=INTERPOLATIONS, help=BETWEEN)
-    verb.add_argument("--detail", **DETAIL)
+    verb.add_argument("--displacement", "--detail", **DISPLACEMENT)
     verb.add_argument(
         "--effects",
         type=argument(parse_effects),
         metavar="auto|none|F,F",
-        help="attributes to write: what the scene reads (auto; of a store none), none, or these",
+        help="attributes to write: those that the scene reads (auto; of a store none), none, or these",
     )
     verb.add_argument("--scatter", action="store_true", help="also the points of the scene's scatters, each as CSV")
     verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
@@ -219,32 +220,21 @@ def _add_export(subparsers) -> None:
 
 def _add_maps(subparsers) -> None:
     from ...cbt_terrain.maps.coding import FORMS as MAP_FORMS
-    from ..output.formats import parse_frames
 
     verb = _verb(subparsers, "maps", "bake effects into images, as fine as what looks at them needs", verbs.run_maps)
-    _add_source(verb, "a store, seen along --path, or as a whole")
+    _add_views(verb, "a store, seen along --path, or as a whole")
     verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder for the images and maps.json")
     verb.add_argument(
-        "--maps", metavar="NAME,NAME", help=f"which (what the scene's settings say, or {verbs.DEFAULT_MAP})"
+        "--maps", metavar="NAME,NAME", help=f"names (those of the scene's settings, or {verbs.DEFAULT_MAP})"
     )
-    verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path or the scene")
-    verb.add_argument("--camera", **CAMERA)
-    verb.add_argument("--path", **CAMERA_PATH)
-    verb.add_argument("--resolution", **RESOLUTION)
     verb.add_argument("--budget", type=positive(MAX_BUDGET_MB), metavar="MB", help="of all images together, in Blender")
     verb.add_argument("--format", choices=MAP_FORMS, help="png (8 and 16 bits) or exr (floats)")
 
 
 def _add_accuracy(subparsers) -> None:
-    from ..output.formats import parse_frames
-
     verb = _verb(subparsers, "accuracy", "measure errors, and what they cost in time and triangles", verbs.run_accuracy)
-    _add_source(verb, "a store, seen along --path, or as a whole")
+    _add_views(verb, "a store, seen along --path, or as a whole")
     verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder for the page, plots, CSV and JSON")
-    verb.add_argument("--camera", **CAMERA)
-    verb.add_argument("--path", **CAMERA_PATH)
-    verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path or the scene")
-    verb.add_argument("--resolution", **RESOLUTION)
 
 
 def _add_effects(subparsers) -> None:
@@ -252,7 +242,7 @@ def _add_effects(subparsers) -> None:
         subparsers, "effects", "list the effects; what they take on a store, which a scene reads", verbs.run_effects
     )
     source = verb.add_mutually_exclusive_group()
-    source.add_argument("--scene", type=path, metavar="X.blend", help="who reads what, and why the rest is skipped")
+    source.add_argument("--scene", type=path, metavar="X.blend", help="readers of each, and why others are skipped")
     source.add_argument("--store", type=path, metavar="DIR", help="time and memory of each, measured on a mesh of it")
     verb.add_argument("--camera", **CAMERA)
 
@@ -269,13 +259,15 @@ def _add_shape(subparsers) -> None:
     verb.add_argument("--path", type=path, metavar="FILE.json", help="only tiles that this camera sees")
     verb.add_argument("--frames", type=argument(parse_frames), metavar=FRAMES, help="of the path (all)")
     verb.add_argument("--resolution", type=SIZE, metavar="WxH", help="pixels of the camera (1920x1080)")
-    verb.add_argument("--pixel-error", type=PIXELS, metavar="PX", help="what a finer level has to change to count (1)")
+    verb.add_argument(
+        "--pixel-error", type=PIXELS, metavar="PX", help="smallest change for which a finer level is made (1)"
+    )
     verb.add_argument("--whole", action="store_true", help="all tiles, also beyond 4097 x 4097 samples")
     verb.add_argument(
         "--finish-early", type=positive(1e9), metavar="SECONDS", help="then be content with the levels that are done"
     )
     verb.add_argument(
-        "--export", type=path, metavar="FILE", help="heights as .tif or .exr too; layers beside it, FILE_layer.tif"
+        "--export", type=path, metavar="FILE", help="heights as .tif or .exr too, and layers as FILE_layer.tif"
     )
 
 
@@ -284,7 +276,7 @@ def _add_query(subparsers) -> None:
     verb.add_argument("--store", type=path, required=True, metavar="DIR")
     columns = "with columns x and y: in the store's coordinate system, or metres from the terrain's middle"
     verb.add_argument("--points", type=path, required=True, metavar="FILE.csv", help=columns)
-    verb.add_argument("--out", type=path, metavar="FILE.csv", help="its columns and what was found (stdout)")
+    verb.add_argument("--out", type=path, metavar="FILE.csv", help="its columns and the results (stdout)")
     verb.add_argument(
         "--profile", action="store_true", help="along the line through the points, wherever it crosses the raster's"
     )
@@ -360,22 +352,31 @@ def _verb(subparsers, name: str, summary: str, run) -> argparse.ArgumentParser:
     return verb
 
 
-def _add_source(verb: argparse.ArgumentParser, store: str) -> None:
-    """A scene or a store; what is said of the store."""
+def _add_views(verb: argparse.ArgumentParser, store: str, frames_required: bool = False) -> None:
+    """Add the options of a scene or a store, and of the views of it. `store`: help of the second."""
+    from ..output.formats import parse_frames
+
     source = verb.add_mutually_exclusive_group(required=True)
     source.add_argument("--scene", type=path, metavar="X.blend", help="the terrains and the camera of a .blend file")
     source.add_argument("--store", type=path, metavar="DIR", help=store)
+    frames = {"type": argument(parse_frames), "metavar": FRAMES, "help": "of the path or the scene"}
+    verb.add_argument("--frames", required=frames_required, **frames)
+    verb.add_argument("--camera", **CAMERA)
+    camera_path = "camera path for --store (docs/reference/camera-path.md)"
+    verb.add_argument("--path", type=path, metavar="FILE.json", help=camera_path)
+    verb.add_argument("--resolution", type=SIZE, metavar="WxH", help="pixels (the scene's, or 1920x1080)")
 
 
 def _add_raw(verb: argparse.ArgumentParser) -> None:
-    """What a RAW file does not say of itself."""
+    """Add the options that describe a RAW file."""
     from ...cbt_terrain.importing.raster import RAW_TYPES
 
     verb.add_argument(
         "--raw-size", type=pair("x", int, MAX_INT), metavar="WxH", help="samples of a RAW file (a square)"
     )
-    verb.add_argument("--raw-type", choices=RAW_TYPES, default="uint16", help="samples of a RAW file (uint16)")
-    verb.add_argument("--big-endian", action="store_true", help="byte order of a RAW file; little endian otherwise")
+    verb.add_argument("--raw-type", dest="raw_dtype", choices=RAW_TYPES, help="samples of a RAW file (uint16)")
+    big_endian = "byte order of a RAW file; little endian otherwise"
+    verb.add_argument("--big-endian", dest="raw_little_endian", action="store_false", help=big_endian)
 
 
 if __name__ == "__main__":

@@ -19,12 +19,12 @@ FINE_M = 1e-3  # an error that the limit above holds back
 
 
 def catalogue() -> dict:
-    """Every effect with what it is, as fields."""
+    """Return every effect and its description."""
     return {name: effect_lines.about(effect) for name, effect in EFFECTS.items()}
 
 
 def of_store(store: Path) -> list[str]:
-    """Lines: each effect, evaluated alone on a mesh of the whole store, with what it took and what it reads took."""
+    """Return a line for each effect: its cost, evaluated alone on a mesh of the whole store, and that of its inputs."""
     field = open_store(store)
     surface = Terrain(field).update(Criterion(error_px=0, error_m=FINE_M, max_triangles=MEASURED_TRIANGLES), []).surface
     lines = [f"a mesh of {len(surface.triangles):,} triangles, {len(surface.positions):,} vertices"]
@@ -35,15 +35,17 @@ def of_store(store: Path) -> list[str]:
 
 
 def _alone(name: str, field, surface):
-    """What an effect takes with all that it reads, once kernels are compiled and what is kept of a field is there."""
-    asked = plan([Asked(name, ("this command",), GEOMETRY)])
+    """Return the cost of an effect with its inputs, once kernels are compiled and the caches of the field are
+    filled."""
+    planned = plan([Asked(name, ("this command",), GEOMETRY)])
     for _ in range(2):
-        ran = evaluate(field, EffectRequest(asked, surface), FrameHistory(), launch.default_threads()).ran
+        ran = evaluate(field, EffectRequest(planned, surface), FrameHistory(), launch.default_threads()).ran
     return Ran(sum(r.ms for r in ran.values()), sum(r.nbytes for r in ran.values()), ran[name].computed)
 
 
 def of_scene(blend: Path, camera: str | None = None) -> list[str]:
-    """Lines: of each terrain of a .blend file, at its frame and the render's detail, what is read and what not."""
+    """Return lines for each terrain of a .blend file, at its frame and the render's detail: effects that are read, and
+    others."""
     from ..output.frame_sources import SceneFrames
     from ..scene import session
 

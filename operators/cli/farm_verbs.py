@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from ..text.console import Progress, print_line
-from .verbs import frames_told, largest_bound
+from .verbs import frame_reporter, largest_bound
 
 
 def run_prepare(arguments) -> None:
@@ -36,7 +36,7 @@ def run_render(arguments) -> None:
     source = SceneFrames(arguments.scene, None, None)
     for folder in folders_outside(source.scene, Path(arguments.scene).parent, arguments.out):
         print_line(f"note: a File Output node writes outside the scene's folder, to {folder}", file=sys.stderr)
-    with frames_told(arguments, "render") as on_frame:
+    with frame_reporter(arguments, "render") as on_frame:
         render_frames(source, arguments.frames, arguments.out, resume=arguments.resume, on_frame=on_frame)
 
 

@@ -17,7 +17,7 @@ from ..output.frame_sources import SceneFrames, StoreFrames, file_name
 from ..text.console import Progress
 
 READER = "this command"
-MOST_FRAMES = 100_000  # of a path whose frames nobody has named
+MAX_FRAMES = 100_000  # of a path without --frames
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def store_subjects(
     frames: Sequence[int] | None,
     resolution: tuple[int, int],
 ) -> list[Subject]:
-    """The terrain of a store, seen along a camera path at `frames` (all whole ones of the path), or as a whole."""
+    """Return the terrain of a store, seen along a camera path at `frames` (None: all whole frames), or as a whole."""
     views = () if path is None else views_of(path, frames, resolution)
     asked = tuple(Asked(name, (READER,)) for name in known(names))
     request = MapRequest(asked, out, views, only_seen=bool(views))
@@ -62,13 +62,13 @@ def store_subjects(
 
 
 def views_of(path: Path, frames: Sequence[int] | None, resolution: tuple[int, int]) -> tuple[View, ...]:
-    """The views of a camera path at `frames`, or at all whole ones of the path."""
+    """Return the views of a camera path at `frames`; None for all of its whole frames."""
     flight = read_camera_path(path)
     if not frames:
         first, last = math.ceil(flight.frames[0]), math.floor(flight.frames[-1])
         frames = range(first, max(last, first) + 1)
-    if len(frames) > MOST_FRAMES:
-        raise TerrainError(f"The camera path has {len(frames):,} frames; name those that count with --frames.")
+    if len(frames) > MAX_FRAMES:
+        raise TerrainError(f"The camera path has {len(frames):,} frames", fix="name those that count with --frames")
     return tuple(flight.view(frame, resolution) for frame in frames)
 
 
@@ -80,7 +80,7 @@ def scene_subjects(
     resolution: tuple[int, int] | None,
     frames: Sequence[int] | None,
 ) -> list[Subject]:
-    """The terrains of a .blend file, each with its own settings and in a folder of its own."""
+    """Return the terrains of a .blend file, each with its settings and a folder."""
     source = SceneFrames(blend, camera, resolution)
 
     from ...cbt_terrain.land.derived_store import raster_of

@@ -54,17 +54,20 @@ def parse_points(content: bytes, name: str, added: Sequence[str], crs: str, is_d
     doubled = [column for column in added if column in names]
     if doubled:
         raise TerrainError(
-            f"{name} has a column {doubled[0]} already; expected none of what is added ({', '.join(added)}): rename or "
-            "remove it."
+            f"{name} has a column {doubled[0]} already",
+            expected=f"none of the columns that are added ({', '.join(added)})",
+            fix="rename or remove it",
         )
     shift = text is rest
     rows, coordinates = [], np.empty((max(len(lines) - 1, 0), 2))
     for n, (line, row) in enumerate(lines[1:]):
         values = [_number(row[column], delimiter) if column < len(row) else math.nan for column in columns]
         if len(row) != len(names) or not all(map(math.isfinite, values)):
+            numeric = f"{shown(names[columns[0]])} and {shown(names[columns[1]])}"
             raise TerrainError(
-                f"Line {line + shift} of {name} is {shown(', '.join(row))}; expected {len(names)} values, numbers "
-                f"under {shown(names[columns[0]])} and {shown(names[columns[1]])}: correct or remove the line."
+                f"Line {line + shift} of {name} is {shown(', '.join(row))}",
+                expected=f"{len(names)} values, numbers under {numeric}",
+                fix="correct or remove the line",
             )
         coordinates[n] = values
         if delimiter != ",":  # the table that goes out has decimal points
@@ -104,7 +107,7 @@ def _lines(text: str, name: str) -> tuple[list[tuple[int, list[str]]], str]:
     try:
         return [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)], delimiter
     except csv.Error as reason:
-        raise TerrainError(f"Line {reader.line_num} of {name} cannot be read ({reason}): expected CSV.") from None
+        raise TerrainError(f"Line {reader.line_num} of {name} cannot be read ({reason})", expected="CSV") from None
 
 
 def _columns(names: list[str], name: str, crs: str, is_degrees: bool) -> tuple[int, int]:
@@ -117,22 +120,22 @@ def _columns(names: list[str], name: str, crs: str, is_degrees: bool) -> tuple[i
         if max(map(len, found)) > 1:
             several = ", ".join(names[n] for axis in found for n in axis)
             raise TerrainError(
-                f"{name} has the columns {shown(several)}; expected one for each coordinate: rename others."
+                f"{name} has the columns {shown(several)}", expected="one for each coordinate", fix="rename others"
             )
         used = " and ".join(names[axis[0]] for axis in found)
         if pair is not ANY and not crs:
             raise TerrainError(
-                f"{name} has the columns {shown(used)}, but the terrain has no coordinate system that it lies in: "
-                "expected x and y in metres from its middle."
+                f"{name} has the columns {shown(used)}, but the terrain has no coordinate system",
+                expected="x and y in metres from its middle",
             )
         if pair is not ANY and (pair is DEGREES) != is_degrees:
             unit = "degrees" if is_degrees else "lengths, not degrees"
             raise TerrainError(
-                f"{name} has the columns {shown(used)}, but the terrain's coordinates are {unit}, in {shown(crs)}: "
-                "bring the points into that system, and name the columns x and y."
+                f"{name} has the columns {shown(used)}, but the terrain's coordinates are {unit}, in {shown(crs)}",
+                fix="transform the points into that system, and name the columns x and y",
             )
         return found[0][0], found[1][0]
-    raise TerrainError(f"The first line of {name} is {shown(', '.join(names)) or 'empty'}; expected {EXPECTED}.")
+    raise TerrainError(f"The first line of {name} is {shown(', '.join(names)) or 'empty'}", expected=EXPECTED)
 
 
 def _number(text: str, delimiter: str) -> float:

@@ -49,12 +49,12 @@ def run(store: Path, points: Path, out: Path | None, as_line: bool) -> None:
 
 
 def numbers(values: np.ndarray) -> list[str]:
-    """As CSV holds them: the shortest text of each float64; nothing where there is none."""
+    """Return the shortest text of each float64; "" for NaN."""
     return ["" if math.isnan(value) else repr(value) for value in values.tolist()]
 
 
 def write(names: list[str], lines: list[list[str]], out: Path | None) -> None:
-    """CSV into a file, or on stdout."""
+    """Write CSV into a file, or to stdout."""
     if out is None:
         csv.writer(sys.stdout, lineterminator="\n").writerows([names, *lines])
         return
@@ -63,5 +63,5 @@ def write(names: list[str], lines: list[list[str]], out: Path | None) -> None:
             csv.writer(file, lineterminator="\n").writerows([names, *lines])
     except OSError as reason:
         raise TerrainError(
-            f"{out} cannot be written ({reason.strerror or reason}): make room or choose another folder."
+            f"{out} cannot be written ({reason.strerror or reason})", fix="make room or choose another folder"
         ) from None

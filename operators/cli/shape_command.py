@@ -33,15 +33,15 @@ def run(
     finish_early_s: float | None = None,
     show_progress: bool | None = None,
 ) -> dict:
-    """Shape and wait; returns the report. path, frames: of the camera whose tiles alone are wanted, None for all."""
-    wanted, asked = None, read_stack(stack)
+    """Shape and wait; return the report. path, frames: of the camera whose tiles are shaped, None for all tiles."""
+    wanted, given = None, read_stack(stack)
     field = open_store(store)
     if path is not None:
         wanted = tiles_seen(field, views_of(path, frames, resolution), pixel_error=pixel_error)
     elif not whole and field.samples.size > WHOLE_SAMPLES:
         raise TerrainError(
-            f"The store {store} has {field.lattice.width} x {field.lattice.height} samples: say which views count "
-            "(--path FILE.json), or --whole for all of it."
+            f"The store {store} has {field.lattice.width} x {field.lattice.height} samples",
+            fix="say which views count (--path FILE.json), or --whole for all of it",
         )
     started = time.monotonic()
     bar = Progress(1.0, "shape", show_progress)
@@ -49,7 +49,7 @@ def run(
 
     def start() -> ShapeJob:
         nonlocal job
-        job = ShapeJob(store, asked, out, wanted)
+        job = ShapeJob(store, given, out, wanted)
         return job
 
     def on_progress(fraction: float, _message: str) -> None:
@@ -66,5 +66,5 @@ def run(
 
 
 def export(out: Path, file: Path) -> list[Path]:
-    """Heights and layers of the shaped store as rasters."""
+    """Write heights and layers of the shaped store as rasters; return their paths."""
     return export_raster(out, file)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The verbs of the command line: arguments in, work done, lines on stdout."""
 
+import dataclasses
 import os
 import sys
 import time
@@ -19,10 +20,8 @@ class UsageError(Exception):
 
 
 def run_import(arguments) -> None:
-    from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
     from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.importing.import_process import import_source
-    from ...cbt_terrain.importing.raster import ImportSettings
     from ...cbt_terrain.importing.source_formats import BAND, CHANNEL, suffixes_with
 
     if arguments.source not in LANDS and (arguments.size, arguments.seed) != (None, None):
@@ -30,21 +29,7 @@ def run_import(arguments) -> None:
     for option, suffixes in ((option, suffixes_with(option)) for option in (BAND, CHANNEL)):
         if getattr(arguments, option) is not None and Path(arguments.source).suffix.lower() not in suffixes:
             raise UsageError(f"--{option} is of {', '.join(suffixes)}; {arguments.source} is taken as it is")
-    settings = ImportSettings(
-        source=arguments.source,
-        **_raw_settings(arguments),
-        extent=arguments.extent,
-        height_scale=arguments.height_scale,
-        height_offset=arguments.height_offset,
-        no_data=arguments.no_data,
-        holes=arguments.holes,
-        band=1 if arguments.band is None else arguments.band,
-        channel=arguments.channel or "",
-        first_row_south=arguments.first_row_south,
-        project=arguments.project,
-        size=DEFAULT_SIZE if arguments.size is None else arguments.size,
-        seed=DEFAULT_SEED if arguments.seed is None else arguments.seed,
-    )
+    settings = _import_settings(arguments)
     start = time.monotonic()
     bar = Progress(1.0, "import", arguments.progress)
     try:
@@ -76,12 +61,9 @@ def run_info(arguments) -> None:
 
         print_fields(describe(arguments.path))
         return
-    from ...cbt_terrain.importing.raster import ImportSettings
     from ...cbt_terrain.importing.source_info import describe_source
 
-    print_fields(
-        describe_source(ImportSettings(str(arguments.path), **_raw_settings(arguments), project=arguments.project))
-    )
+    print_fields(describe_source(_import_settings(arguments, source=str(arguments.path))))
 
 
 def _verify(path) -> None:
@@ -98,10 +80,13 @@ def _versions() -> dict:
     return versions() | ({"Blender": bpy.app.version_string} if bpy is not None else {})
 
 
-def _raw_settings(arguments) -> dict:
-    """What the arguments say of a RAW file."""
-    little_endian = not arguments.big_endian
-    return {"raw_size": arguments.raw_size, "raw_dtype": arguments.raw_type, "raw_little_endian": little_endian}
+def _import_settings(arguments, **more):
+    """Return the ImportSettings that the arguments give; those of `more` have no argument."""
+    from ...cbt_terrain.importing.raster import ImportSettings
+
+    names = {field.name for field in dataclasses.fields(ImportSettings)}
+    given = {name: value for name, value in vars(arguments).items() if name in names and value is not None}
+    return ImportSettings(**given, **more)
 
 
 def run_bake(arguments) -> None:
@@ -124,7 +109,7 @@ def run_bake(arguments) -> None:
             arguments.budget,
             form.needs_blender,
             arguments.interpolation,
-            _detail(arguments),
+            _displacement(arguments),
             arguments.fit,
             bar.to,
         )
@@ -136,26 +121,26 @@ def run_bake(arguments) -> None:
         print_line("the fit saved no triangles: this is the mesh without it")
 
 
-def _detail(arguments):
-    """What --detail asks for, if it was given."""
+def _displacement(arguments):
+    """Return the displacement of --displacement, None without the option."""
     from ...cbt_terrain.field.detail import Detail
 
-    return Detail(*arguments.detail) if arguments.detail else None
+    return Detail(*arguments.displacement) if arguments.displacement else None
 
 
 def run_export(arguments) -> None:
     from ..output.exporting import export_frames
 
     source = _export_source(arguments)
-    with frames_told(arguments, "export") as on_frame:
+    with frame_reporter(arguments, "export") as on_frame:
         export_frames(
             source, arguments.frames, arguments.format, arguments.out, resume=arguments.resume, on_frame=on_frame
         )
 
 
 @contextmanager
-def frames_told(arguments, label: str):
-    """A function that is told of each frame as it is done, with its summary and whether it was complete before."""
+def frame_reporter(arguments, label: str):
+    """Return a function to call after each frame, with its summary and whether it was complete before."""
     bar = Progress(len(arguments.frames), label, arguments.progress)
     counter = iter(range(1, len(arguments.frames) + 1))
 
@@ -171,46 +156,34 @@ def frames_told(arguments, label: str):
 
 
 def _export_source(arguments):
-    from ...cbt_terrain.ask.criterion import SHADING_FLOOR, Criterion
-    from ...cbt_terrain.ask.morph import SMOOTH
+    from ...cbt_terrain.ask.criterion import Criterion
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
     from ..blender import need_bpy
     from ..output.formats import needs_blender
     from ..output.frame_sources import SceneFrames, StoreFrames
+    from ..request.overrides import Overrides
+    from .argument_types import given_settings
 
     _check_source(arguments)
+    settings, displacement = given_settings(arguments), _displacement(arguments)
     if arguments.scene:
         need_bpy("A .blend file")
-        return SceneFrames(
-            arguments.scene,
-            arguments.camera,
-            arguments.resolution,
-            arguments.pixel_error,
-            arguments.budget,
-            arguments.meshlet,
-            arguments.interpolation,
-            arguments.shading_floor,
-            arguments.morph,
-            arguments.effects,
-            _detail(arguments),
-            arguments.scatter,
-        )
+        overrides = Overrides(settings, arguments.interpolation, arguments.effects, displacement)
+        return SceneFrames(arguments.scene, arguments.camera, arguments.resolution, overrides, arguments.scatter)
     if arguments.scatter:
         raise UsageError("--scatter belongs to --scene: a store has no scatters")
     if not arguments.path:
         raise UsageError("--store needs --path FILE.json, a camera path: see docs/reference/camera-path.md")
-    criterion = Criterion(
-        error_px=1.0 if arguments.pixel_error is None else arguments.pixel_error,
-        max_triangles=arguments.budget,
-        meshlet=arguments.meshlet or 0,
-        shading_floor=SHADING_FLOOR if arguments.shading_floor is None else arguments.shading_floor,
-        morph=SMOOTH if arguments.morph else 1.0,
+    return StoreFrames(
+        arguments.store,
+        arguments.path,
+        Criterion(**settings),
+        arguments.resolution or DEFAULT_RESOLUTION,
+        needs_blender(arguments.format),
+        arguments.interpolation or INTERPOLATIONS[0],
+        arguments.effects or (),
+        displacement,
     )
-    resolution = arguments.resolution or DEFAULT_RESOLUTION
-    interpolation = arguments.interpolation or INTERPOLATIONS[0]
-    in_blender = needs_blender(arguments.format)
-    more = arguments.effects or (), _detail(arguments)
-    return StoreFrames(arguments.store, arguments.path, criterion, resolution, in_blender, interpolation, *more)
 
 
 def run_effects(arguments) -> None:
@@ -311,9 +284,9 @@ def run_accuracy(arguments) -> None:
 
 
 def _check_source(arguments) -> None:
-    """A scene has cameras, a store a camera path."""
+    """Raise UsageError for --path with a scene, and for --camera with a store."""
     if arguments.scene and arguments.path:
-        raise UsageError("--path belongs to --store; a scene has cameras of its own (--camera NAME)")
+        raise UsageError("--path belongs to --store; a scene has its own cameras (--camera NAME)")
     if arguments.store and arguments.camera:
         raise UsageError("--camera belongs to --scene; a store is seen along --path FILE.json")
 
@@ -333,7 +306,8 @@ def run_bench(arguments) -> None:
 
 
 def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = None) -> str:
-    """`frame 12: 184,302 triangles, bound 0.98 px, update 31 ms`; of several terrains the sum, the largest bound."""
+    """Return `frame 12: 184,302 triangles, bound 0.98 px, update 31 ms`; of several terrains the sum and the largest
+    bound."""
     from ..text.shown_bounds import limit_text
 
     parts = [f"{sum(t['triangles'] for t in terrains):,} triangles", f"bound {largest_bound(terrains)}"]
@@ -348,11 +322,11 @@ def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = Non
 
 
 def largest_bound(terrains: list[dict]) -> str:
-    """With its unit: of errors in pixels where some were asked for, else of errors in metres, edges or areas."""
+    """Return the largest bound of the first kind in BOUNDS that there is, with its unit."""
+    from ...cbt_terrain.ask.settings import BOUNDS
     from ..text.shown_bounds import bound_text
 
-    units = {"bound_px": "px", "bound_m": "m", "bound_edge_px": "px an edge", "bound_area_px": "px² a triangle"}
-    for name, unit in units.items():
+    for name, (_, unit) in BOUNDS.items():
         bounds = [t[name] for t in terrains if t[name] is not None]
         if bounds:
             return bound_text(max(bounds), unit)
@@ -360,7 +334,8 @@ def largest_bound(terrains: list[dict]) -> str:
 
 
 def print_fields(fields: dict, indent: str = "") -> None:
-    """One line a field, a dict below its own name; what is empty is left out. The texts may come from outside."""
+    """Print one line for each field, and a dict below its name. Empty fields are omitted. The texts may come from
+    outside."""
     for name, value in fields.items():
         if isinstance(value, dict):
             print_line(f"{indent}{name}:")

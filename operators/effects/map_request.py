@@ -13,7 +13,8 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run.owned_files import check_folder
 from ..properties.map_properties import CHOSEN, FRAME, SHOT, map_folder
 from ..properties.scene_paths import absolute_path
-from ..request.request import RENDER, Overrides, gather
+from ..request.overrides import Overrides
+from ..request.request import RENDER, gather
 from ..scene.shot import frames_of, look_through
 from . import map_images
 from .map_baking import MapRequest, known

@@ -17,7 +17,8 @@ from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.query.ground import ground_at
 from ...cbt_terrain.query.rays import pick
 from ..properties.land_properties import SEEN
-from ..request.request import RENDER, VIEWPORT, Overrides, gather
+from ..request.overrides import Overrides
+from ..request.request import RENDER, VIEWPORT, gather
 from ..scene import session
 
 ANY = Criterion(error_px=0.0, error_m=1.0)  # the triangles do not matter, and no camera is asked for

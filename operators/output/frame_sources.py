@@ -10,6 +10,7 @@ import numpy as np
 
 from ...cbt_terrain.ask.camera_path import read_camera_path
 from ...cbt_terrain.ask.criterion import Criterion
+from ...cbt_terrain.ask.settings import BOUNDS
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.effects.effect import GEOMETRY, Asked
 from ...cbt_terrain.errors import TerrainError, shown
@@ -25,6 +26,7 @@ from ...cbt_terrain.run.owned_files import real_path
 from ...cbt_terrain.scatter.points import Points
 from ...cbt_terrain.terrain import Terrain, Update
 from ..properties.scene_paths import absolute_path
+from ..request.overrides import NO_OVERRIDES, Overrides
 from ..scene.pauses import paused
 from ..text.console import quiet
 from .summaries import content_digest
@@ -111,9 +113,8 @@ class StoreFrames:
 class SceneFrames:
     """The terrains of a .blend file, each with its render settings, refined for the file's camera at each frame.
 
-    `camera` names another camera; `pixel_error` (pixels), `budget` (triangles), `meshlet`, `interpolation`,
-    `shading_floor`, `morph` (Smooth Transitions), `effects` (names) and `detail` replace the objects' settings; None
-    keeps them. `with_scatters`: write the points of scatters too.
+    `camera` names another camera; `overrides` replace settings of all objects. `with_scatters`: their points are
+    written too.
     """
 
     def __init__(
@@ -121,25 +122,16 @@ class SceneFrames:
         blend: Path,
         camera: str | None,
         resolution: tuple[int, int] | None,
-        pixel_error: float | None = None,
-        budget: int | None = None,
-        meshlet: int | None = None,
-        interpolation: str | None = None,
-        shading_floor: float | None = None,
-        morph: bool | None = None,
-        effects: tuple[str, ...] | None = None,
-        detail: Detail | None = None,
+        overrides: Overrides = NO_OVERRIDES,
         with_scatters: bool = False,
     ):
         content = content_digest(blend)  # before Blender reads it: a later change makes the frames stale
         self.scene, self.objects = open_scene(blend)
 
-        from ..request.request import Overrides
         from ..request.scatters import scatters_of
 
         self.name, self.with_scatters = Path(blend).stem, with_scatters
-        self.resolution = resolution
-        self.overrides = Overrides(pixel_error, budget, meshlet, interpolation, shading_floor, morph, effects, detail)
+        self.resolution, self.overrides = resolution, overrides
         _need_distinct_names(self.objects)
         if with_scatters:
             _need_distinct_names([scatter for obj in self.objects for scatter in scatters_of(obj)])
@@ -152,7 +144,7 @@ class SceneFrames:
                 raise TerrainError(
                     f"The scene {self.scene.name!r} has no camera {camera!r}; it has {cameras}", fix="choose one"
                 )
-        asked = {"camera": camera, "resolution": resolution, "scatters": with_scatters, **asdict(self.overrides)}
+        asked = {"camera": camera, "resolution": resolution, "scatters": with_scatters, **overrides.to_json()}
         stores = {obj.name: obj.adaptive_terrain.store for obj in self.objects}
         fields = {name: field_identity(open_store(absolute_path(path))) for name, path in stores.items() if path}
         self.settings = {"scene": content, "height_fields": fields, **asked}
@@ -257,10 +249,7 @@ def counts(surface: Surface) -> dict:
 def bounds_of(update: Update) -> dict:
     """Return the bounds of an update and their terms for JSON; None for a bound that was not requested."""
     return {
-        "bound_px": update.bound_px,
-        "bound_m": update.bound_m,
-        "bound_edge_px": update.bound_edge_px,
-        "bound_area_px": update.bound_area_px,
+        **{name: getattr(update, name) for name in BOUNDS},
         "terms_px": update.terms_px and asdict(update.terms_px),
         "terms_m": update.terms_m and asdict(update.terms_m),
         "relaxed": update.relaxed,

@@ -15,13 +15,13 @@ import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from ...cbt_terrain.ask.settings import BOUNDS
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import JSON_NAME, read_json
 from ...cbt_terrain.run import stopping
 from ...cbt_terrain.run.named_file import BLOCK_BYTES, open_regular, read_regular
 from ..text.shown_bounds import LIMITS
 
-BOUNDS = ("bound_px", "bound_m", "bound_edge_px", "bound_area_px")
 MAX_SUMMARY_BYTES = 1 << 24
 MAX_COUNT = 1 << 62
 # What reading damaged JSON and values of wrong types raises.

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Settings that Blender keeps in its files: what each is called, what it may be, what its tooltip says."""
+"""Settings that Blender saves in its files: identifiers, ranges, labels and tooltips."""

@@ -6,14 +6,14 @@ from bpy.app.handlers import persistent
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, PointerProperty
 
 ON, ABOVE = "ON", "ABOVE"
-_looked: tuple[int, bool] | None = None  # how many objects there were when all were looked at; whether one is kept
+_looked: tuple[int, bool] | None = None  # number of objects at the last look, and whether any was kept
 
 
 def any_kept() -> bool:
-    """Whether any object of the file is kept. All are looked at only after a change: a frame of 10,000 objects would
-    take a third longer."""
+    """Tell whether any object of the file is kept on the ground. Objects are looked at only after a change: a frame of
+    10,000 objects would take a third longer."""
     global _looked
-    count = len(bpy.data.objects)  # others may be appended, and nobody says so
+    count = len(bpy.data.objects)  # others may be appended without a handler's call
     if _looked is None or _looked[0] != count:
         _looked = count, any(obj.adaptive_terrain_keep.keep for obj in bpy.data.objects)
     return _looked[1]
@@ -41,7 +41,7 @@ class KeepSettings(bpy.types.PropertyGroup):
     offset: FloatProperty(name="Offset", description="Metres from the ground up to the origin", unit="LENGTH")
     clearance: FloatProperty(
         name="Clearance",
-        description="Metres that the ground lies below the origin at least, straight down",
+        description="Smallest distance from the origin straight down to the ground, in metres",
         default=2.0, min=0.0, unit="LENGTH",
     )  # fmt: skip
     align: BoolProperty(name="Align to Normal", description="Turn the object's Z axis to the ground's normal")

@@ -27,7 +27,7 @@ from .layer_properties import BANDS, AspectSettings, band
 EVERYWHERE, BY_RULE, BY_IMAGE, BY_OBJECT = "NONE", "RULE", "IMAGE", "OBJECT"
 EVERYWHERE_FINE, SEEN = "WHOLE", "SEEN"
 DEGREES = "degrees"
-# The unit of a declaration -> what Blender calls it; others stand in the label.
+# Blender's name for the unit of a declaration; other units are written into the label.
 UNITS = {
     "m": {"unit": "LENGTH"},
     "m2": {"unit": "AREA"},
@@ -36,29 +36,29 @@ UNITS = {
     DEGREES: {"subtype": "ANGLE"},
 }
 LABEL = 15  # characters of a name that a panel of the usual width shows
-MOST_SEED = 2**31 - 1
+MAX_SEED = 2**31 - 1
 # Nothing here is animated: other numbers are another land, which takes its time.
 STILL = {"update": changed, "options": set()}
 
 
 def number_of(parameter: Parameter, group) -> float:
-    """What a group of settings says of a parameter, in the declaration's unit and within its range. Blender keeps 24
-    bits: where they are the default's, the default itself."""
+    """Return a parameter's number in a property group, in the declaration's unit and within its range. Blender stores
+    24 bits: a number that agrees with the default to 24 bits is the default."""
     value = getattr(group, parameter.name)
     if isinstance(parameter.default, int):
         return min(max(value, int(parameter.least)), int(parameter.most))
-    if np.float32(value) == np.float32(_kept(parameter, parameter.default)) or not math.isfinite(value):
+    if np.float32(value) == np.float32(_stored(parameter, parameter.default)) or not math.isfinite(value):
         return parameter.default
     value = math.degrees(value) if parameter.unit == DEGREES else value
     return min(max(float(f"{value:.7g}"), parameter.least), parameter.most)
 
 
 def set_number(parameter: Parameter, group, value: float) -> None:
-    """The reverse of `number_of`."""
-    setattr(group, parameter.name, value if isinstance(parameter.default, int) else _kept(parameter, value))
+    """Set a parameter's number in a property group, in the declaration's unit."""
+    setattr(group, parameter.name, value if isinstance(parameter.default, int) else _stored(parameter, value))
 
 
-def _kept(parameter: Parameter, value: float) -> float:
+def _stored(parameter: Parameter, value: float) -> float:
     return math.radians(value) if parameter.unit == DEGREES else value
 
 
@@ -69,15 +69,15 @@ def _property(parameter: Parameter):
         unit = unit_text(parameter.unit)
         with_unit = f"{label} ({unit})"
         label, about = (with_unit, about) if len(with_unit) <= LABEL else (label, f"{about}, {unit}")
-    said = {"name": label, "description": about[:1].upper() + about[1:]} | STILL
+    words = {"name": label, "description": about[:1].upper() + about[1:]} | STILL
     if isinstance(parameter.default, int):
-        return IntProperty(**said, default=parameter.default, min=int(parameter.least), max=int(parameter.most))
-    least, most, default = (_kept(parameter, value) for value in (parameter.least, parameter.most, parameter.default))
-    if not parameter.unit and (least, most) == (0.0, 1.0):
+        return IntProperty(**words, default=parameter.default, min=int(parameter.least), max=int(parameter.most))
+    low, high, default = (_stored(parameter, value) for value in (parameter.least, parameter.most, parameter.default))
+    if not parameter.unit and (low, high) == (0.0, 1.0):
         known = {"subtype": "FACTOR"}
     # About as many digits of a default of 2e-6 as of one of 300,000; where it is 0, of all that is usual.
-    digits = min(6, max(0 if default else 3, 3 - math.floor(math.log10(abs(default) or most))))
-    return FloatProperty(**said, default=default, min=least, max=most, precision=digits, **known)
+    digits = min(6, max(0 if default else 3, 3 - math.floor(math.log10(abs(default) or high))))
+    return FloatProperty(**words, default=default, min=low, max=high, precision=digits, **known)
 
 
 def _settings_of(effect: LandEffect) -> type:
@@ -144,7 +144,7 @@ class LandEntry(bpy.types.PropertyGroup):
     name: StringProperty(name="Name", description="As the list shows it")
     effect: StringProperty(name="Effect", description="Which effect on heights it is", **STILL)
     on: BoolProperty(name="Switched On", description="Shape the land with it", default=True, **STILL)
-    seed: IntProperty(name="Seed", description="Another seed is other chance", default=0, min=0, max=MOST_SEED, **STILL)
+    seed: IntProperty(name="Seed", description="Another seed is other chance", default=0, min=0, max=MAX_SEED, **STILL)
     mask: PointerProperty(type=LandMask)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Images as splat layers and decals read them: what is made of their pixels, kept until an image changes."""
+"""Images of splat layers and decals: values computed from their pixels, cached until an image changes."""
 
 import glob
 import io
@@ -19,39 +19,43 @@ from ...cbt_terrain.run.named_file import blocks_reader, open_regular
 from .scene_paths import absolute_path
 
 T = TypeVar("T")
-# By the names of images and what is made of them: what they were made from, and that.
+# By image name and kind of value: the state of the image, and the value.
 _read: dict[tuple[str, type], tuple[tuple, object]] = {}
 
 
 def painted_of(image, whose: str = "of a splat layer") -> Painted:
-    """The red of an image, row 0 south. Raises TerrainError for one without pixels."""
-    return kept_of(image, Painted, whose, _painted)
+    """Return the red of an image, row 0 south. Raises TerrainError for an image without pixels."""
+    return cached_value(image, Painted, whose, _painted)
 
 
 def _painted(_image, pixels: np.ndarray) -> Painted:
     return Painted(np.clip(np.nan_to_num(pixels[..., 0]), 0.0, 1.0))
 
 
-def kept_of(image, kind: type[T], whose: str, make: Callable[[object, np.ndarray], T]) -> T:
-    """What `make` makes of an image and its pixels, float32 [rows, columns, channels], row 0 at the lower edge; kept
-    until the image changes. Raises TerrainError for one without pixels, or whose file is cut off."""
+def cached_value(image, kind: type[T], whose: str, make: Callable[[object, np.ndarray], T]) -> T:
+    """Return `make(image, pixels)`, cached until the image changes.
+
+    pixels: float32 [rows, columns, channels], row 0 at the lower edge. Raises TerrainError for an image without pixels,
+    or with a truncated file.
+    """
     image = image.original
     check_image_files(image, whose)
     mark = *image.size, image.filepath, image.channels, image.colorspace_settings.name, image.alpha_mode
-    kept = _read.get((image.name_full, kind))
-    if kept is None or kept[0] != mark:
+    cached = _read.get((image.name_full, kind))
+    if cached is None or cached[0] != mark:
         _check_whole(image, whose)
         columns, rows = image.size
         if not image.channels or not rows * columns:
             raise TerrainError(
-                f"The image {image.name!r} {whose} has no pixels; expected an image file that can be read: "
-                "find it, or choose another."
+                f"The image {image.name!r} {whose} has no pixels",
+                expected="an image file that can be read",
+                fix="find it, or choose another",
             )
         pixels = np.empty(rows * columns * image.channels, np.float32)
         image.pixels.foreach_get(pixels)
-        kept = mark, make(image, pixels.reshape(rows, columns, image.channels))
-        _read[image.name_full, kind] = kept
-    return kept[1]
+        cached = mark, make(image, pixels.reshape(rows, columns, image.channels))
+        _read[image.name_full, kind] = cached
+    return cached[1]
 
 
 def check_image_files(image, whose: str) -> None:
@@ -62,8 +66,9 @@ def check_image_files(image, whose: str) -> None:
     waiting = next(filter(blocks_reader, [path, *numbered_files(path, image.source)]), None)
     if waiting is not None:
         raise TerrainError(
-            f"The image {image.name!r} {whose} is {shown(waiting)}, a pipe, a socket or a device; expected an image "
-            "file: choose another."
+            f"The image {image.name!r} {whose} is {shown(waiting)}, a pipe, a socket or a device",
+            expected="an image file",
+            fix="choose another",
         )
 
 
@@ -76,26 +81,27 @@ def numbered_files(path: Path, source: str) -> list[Path]:
 
 
 def _check_whole(image, whose: str) -> None:
-    """Blender shows what it can read of a PNG that was cut off, and black for the rest."""
+    """Raise TerrainError for a truncated PNG, of which Blender shows the missing part in black."""
     if image.is_dirty or image.source != "FILE":
-        return  # painted: the file has nothing to say
+        return  # painted: the file does not matter
     path = Path(absolute_path(image.filepath_raw, library=image.library))
     try:
         packed = image.packed_file
         with open_regular(path, links=True) if packed is None else io.BytesIO(packed.data) as file:
             damage = png_damage(file)
     except OSError:
-        return  # what was read once may be gone by now
+        return  # a file that was read once may be gone by now
     if damage:
         raise TerrainError(
-            f"The image {image.name!r} {whose} is damaged ({damage}): expected a whole PNG; get the file again, and "
-            "reload the image."
+            f"The image {image.name!r} {whose} is damaged ({damage})",
+            expected="a whole PNG",
+            fix="get the file again, and reload the image",
         )
 
 
 @persistent
 def forget_changed(_scene, depsgraph) -> None:
-    """Images that have changed are read again, and terrains that read them evaluated again."""
+    """Drop the cached values of images that have changed, and tag the terrains that read them."""
     changed = {update.id.name_full for update in depsgraph.updates if isinstance(update.id, bpy.types.Image)}
     read = [key for key in _read if key[0] in changed]
     if not read:

@@ -19,7 +19,7 @@ from ...cbt_terrain.effects import splat_rules as rules
 from ...cbt_terrain.effects.color import DEFAULT_COLORS
 from ...cbt_terrain.errors import TerrainError
 from .detail_properties import changed
-from .ground_properties import GroundDetail
+from .ground_properties import DisplacementSettings, is_gray
 from .layer_images import painted_of
 
 
@@ -33,19 +33,21 @@ def band(
     decades: bool = False,
     **options,
 ) -> type:
-    """A group with a switch and the limits of one quantity; a limit at the end of the range, `ends`, is open. decades:
-    the edge is in powers of ten, which have no unit."""
-    least, most = ends
+    """Return a property group with a switch and the limits of one quantity.
+
+    ends: the range; a limit at its end is open. decades: the edge is in powers of ten, which have no unit.
+    """
+    lowest, highest = ends
     options = {"update": changed, "precision": 3} | options
     without = {name: value for name, value in options.items() if not (decades and name == "unit")}
     limits = {
         "use": BoolProperty(name=label, description=f"It depends on this: {about}", update=changed),
-        "low": FloatProperty(name="From", description=about, default=low, min=least, max=most, **options),
-        "high": FloatProperty(name="To", description=about, default=high, min=least, max=most, **options),
+        "low": FloatProperty(name="From", description=about, default=low, min=lowest, max=highest, **options),
+        "high": FloatProperty(name="To", description=about, default=high, min=lowest, max=highest, **options),
         "edge": FloatProperty(
             name="Edge",
             description="How wide each limit is, from nothing to all, about its place",
-            default=edge, min=0.0, max=min(most - least, rules.MOST_EDGE), **without,
+            default=edge, min=0.0, max=min(highest - lowest, rules.MOST_EDGE), **without,
         ),
     }  # fmt: skip
     members = {"__annotations__": limits, "__doc__": about}
@@ -53,7 +55,7 @@ def band(
 
 
 _HALF_TURN = math.pi / 2
-MOST_FLOAT = float(np.finfo(np.float32).max)  # panels show it as "inf"
+MAX_FLOAT = float(np.finfo(np.float32).max)  # panels show it as "inf"
 # Kind of rule -> its group. The order is that of the panel.
 BANDS = {
     rules.RELIEF: band("Relief", "height, 0 at the terrain's lowest place and 1 at its highest", 0, 1, 0.1, (0, 1)),
@@ -61,8 +63,8 @@ BANDS = {
     rules.SLOPE: band("Slope", "slope", 0, _HALF_TURN, 0.15, (0, _HALF_TURN), subtype="ANGLE"),
     rules.CURVATURE: band("Curvature", "mean curvature, 1 / m: above 0 on ridges, below in hollows",
                            -10, 10, 0.01, (-10, 10)),
-    rules.FLOW: band("Flow", "land that drains through; the edge in powers of ten", 0, MOST_FLOAT, 1.0,
-                     (0, MOST_FLOAT), decades=True, unit="AREA", step=100),
+    rules.FLOW: band("Flow", "land that drains through; the edge in powers of ten", 0, MAX_FLOAT, 1.0,
+                     (0, MAX_FLOAT), decades=True, unit="AREA", step=100),
     rules.WETNESS: band("Wetness", "topographic wetness, about 3 on slopes and 12 in valleys", -50, 50, 2, (-50, 50)),
     **{
         name: band(label, f"depth of {what}, which effects on heights leave", 0.5, 1e4, 0.5, (0, 1e4), unit="LENGTH")
@@ -99,12 +101,8 @@ class AspectSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
 
 
-def _is_gray(_settings, image) -> bool:
-    return image.source in {"FILE", "GENERATED"}
-
-
 def _renamed(self, context) -> None:
-    """What names the layer follows it: masks of the terrain's other layers, and scatters."""
+    """Give the layer's new name to the masks of other layers and to the scatters that name it."""
     terrain, before = self.id_data, self.last_name
     self.last_name = self.name
     layers = terrain.adaptive_terrain.layers
@@ -119,7 +117,7 @@ def _renamed(self, context) -> None:
 
 
 class LayerSettings(bpy.types.PropertyGroup):
-    """A splat layer: how it looks, and where it lies."""
+    """A splat layer: its colour, and the rules for the ground that it covers."""
 
     name: StringProperty(name="Name", default="Layer", update=_renamed)
     last_name: StringProperty(options={"HIDDEN"})
@@ -154,9 +152,9 @@ class LayerSettings(bpy.types.PropertyGroup):
     image: PointerProperty(
         name="Painted",
         description="An image over the whole terrain, north up: the layer lies where its red is 1",
-        type=bpy.types.Image, poll=_is_gray, update=changed,
+        type=bpy.types.Image, poll=is_gray, update=changed,
     )  # fmt: skip
-    detail: PointerProperty(type=GroundDetail)
+    detail: PointerProperty(type=DisplacementSettings)
 
 
 for _kind, _group in BANDS.items():
@@ -164,7 +162,8 @@ for _kind, _group in BANDS.items():
 
 
 def layers_of(settings) -> tuple[rules.Layer, ...]:
-    """The layers of a terrain's settings for the effects, empty for none. Raises TerrainError where one cannot be."""
+    """Return the layers of a terrain's settings for the effects, empty for none. Raises TerrainError for one that is
+    not valid."""
     found = tuple(_layer(settings.layers, number) for number in range(len(settings.layers)))
     if found:
         rules.check(found)
@@ -172,19 +171,19 @@ def layers_of(settings) -> tuple[rules.Layer, ...]:
 
 
 def layers_given(settings) -> dict[str, object]:
-    """The parameters of the splat effects, those that are not their defaults."""
+    """Return the parameters of the splat effects that differ from their defaults."""
     layers = layers_of(settings)
     return {"layers": layers} if layers else {}
 
 
 def color_given(settings) -> dict[str, object]:
-    """The parameters of the effect "color" that come from the layers, those that are not their defaults."""
+    """Return the parameters of the effect "color" that come from the layers and differ from their defaults."""
     layers = layers_given(settings)
     return layers | {"colors": tuple(color for _, color in colors_of(settings))} if layers else {}
 
 
 def colors_of(settings) -> list[tuple[str, tuple[float, float, float]]]:
-    """Name and linear RGB of the layers that `layers_of` gives, or of those that stand in for none."""
+    """Return name and linear RGB of the layers of `layers_of`, or of the default layers if there are none."""
     if not len(settings.layers):
         return list(zip((layer.name for layer in rules.DEFAULT), DEFAULT_COLORS, strict=True))
     return [(layer.name, tuple(layer.color)) for layer in settings.layers]
@@ -192,14 +191,14 @@ def colors_of(settings) -> list[tuple[str, tuple[float, float, float]]]:
 
 def _layer(layers, number: int) -> rules.Layer:
     settings = layers[number]
-    own = layer_alone(settings)
+    alone = layer_alone(settings)
     if not settings.mask:
-        return own
-    return replace(own, rules=(*own.rules, rules.covering(_number_of(layers, settings.mask, number))))
+        return alone
+    return replace(alone, rules=(*alone.rules, rules.covering(_number_of(layers, settings.mask, number))))
 
 
 def layer_alone(settings) -> rules.Layer:
-    """The layer of a LayerSettings, without what other layers mask of it."""
+    """Return the layer of a LayerSettings without masks by other layers."""
     found = []
     for kind in BANDS:
         band = getattr(settings, kind)
@@ -215,7 +214,7 @@ def layer_alone(settings) -> rules.Layer:
 
 
 def rule_of(kind: str, band) -> rules.Rule:
-    """What a band of BANDS says, whether it is switched on or not."""
+    """Return the rule of a band of BANDS, whether or not it is switched on."""
     limits = band.bl_rna.properties["low"]
     low = -math.inf if band.low <= limits.hard_min else band.low
     high = math.inf if band.high >= limits.hard_max else band.high
@@ -223,7 +222,7 @@ def rule_of(kind: str, band) -> rules.Rule:
 
 
 def barren(layers: tuple[rules.Layer, ...]) -> str:
-    """Which layers cover nothing wherever they are, and why, in words; "" where all may cover something."""
+    """Name the layers that cover nothing anywhere, and why; "" if all may cover something."""
     said = []
     for layer in layers:
         kinds = [rule.of for rule in layer.rules if rules.covers_nothing(rule)]
@@ -237,9 +236,10 @@ def _number_of(layers, name: str, before: int) -> int:
         if layers[number].name == name:
             return number
     raise TerrainError(
-        f"The splat layer {layers[before].name!r} is masked by {name!r}; expected a layer above it in the list: move "
-        "that one up, or choose another."
+        f"The splat layer {layers[before].name!r} is masked by {name!r}",
+        expected="a layer above it in the list",
+        fix="move that one up, or choose another",
     )
 
 
-CLASSES = (*BANDS.values(), AspectSettings, GroundDetail, LayerSettings)
+CLASSES = (*BANDS.values(), AspectSettings, DisplacementSettings, LayerSettings)

@@ -13,12 +13,12 @@ from .scene_paths import absolute_path
 
 FRAME, SHOT, WHOLE = "FRAME", "SHOT", "WHOLE"
 READ, CHOSEN = "READ", "CHOSEN"
-# Paths may begin with "//", the .blend file's folder; Blender 4.5 and later want to be told.
+# Paths may begin with "//", the .blend file's folder; from Blender 4.5 on a property has to declare it.
 PATH_OPTIONS = {"ANIMATABLE"} | ({"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set())
 
 
 def map_folder(obj) -> Path:
-    """Return where the maps of a terrain are kept: in the folder that its settings name, or in one beside its store."""
+    """Return the folder of a terrain's maps: the one that its settings name, or one next to its store."""
     settings = obj.adaptive_terrain
     store = Path(absolute_path(settings.store))
     folder = settings.maps.folder
@@ -27,7 +27,7 @@ def map_folder(obj) -> Path:
 
 
 def label(name: str) -> str:
-    """An effect as a panel calls it."""
+    """Return the label of an effect in a panel."""
     return name.replace("_", " ").title()
 
 
@@ -36,7 +36,7 @@ class MapSettings(bpy.types.PropertyGroup):
 
     frames: EnumProperty(
         name="For",
-        description="What the maps have to be fine enough for",
+        description="The views for which the maps have to be fine enough",
         items=[
             (FRAME, "Frame", "The render's camera where it is now, whichever way it turns"),
             (SHOT, "Shot", "All frames of the scene; ground that is in none of them gets the coarsest images"),

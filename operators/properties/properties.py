@@ -22,14 +22,12 @@ from ...cbt_terrain.field.lands import LANDS, BuiltInTerrain
 from ...cbt_terrain.importing.raster import RAW_TYPES
 from . import effect_properties, land_properties, layer_properties
 from .detail_properties import RenderDetail, ViewportDetail, changed
-from .ground_properties import GroundDetail
+from .ground_properties import DisplacementSettings
 from .layer_properties import LayerSettings
-from .map_properties import MapSettings
+from .map_properties import PATH_OPTIONS, MapSettings
 from .scatter_properties import ScatterSettings
 
 ISLAND, FILE = "ISLAND", "FILE"
-# Paths may begin with "//", the .blend file's folder; Blender 4.5 and later want to be told.
-PATH_OPTIONS = {"ANIMATABLE"} | ({"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set())
 NO_OVERLAY, ERROR_OVERLAY, LEVEL_OVERLAY = "NONE", "ERROR", "LEVEL"
 SCENE_CAMERA, CHOSEN_CAMERA, VIEWPORT_VIEW = "SCENE", "CHOSEN", "VIEW"
 
@@ -41,12 +39,12 @@ def land_items() -> list[tuple]:
 
 
 def land_of(settings) -> BuiltInTerrain | None:
-    """The built-in land that is a terrain's source."""
+    """Return the built-in terrain that is the source; None for a file."""
     return LANDS.get(settings.source.lower())
 
 
 def _source_chosen(self, _context) -> None:
-    """The size that the Add menu gives a land is not that of a file, and keeps the shape of another land."""
+    """Reset the size and the height scale that the Add menu set for the previous land."""
     shapes = [self.extent[0] / land.side for land in LANDS.values()]
     if not self.use_extent or not any(math.isclose(self.height_scale, shape, rel_tol=1e-5) for shape in shapes):
         return
@@ -57,8 +55,7 @@ def _source_chosen(self, _context) -> None:
 
 
 def _overlay_chosen(self, context) -> None:
-    """After the last overlay, viewports that drew its colours would draw those of another attribute: they draw the
-    material's again."""
+    """Let viewports draw the material again after the last overlay: they would draw another attribute's colours."""
     changed(self, context)
     if any(obj.adaptive_terrain.overlay != NO_OVERLAY for obj in bpy.data.objects):
         return
@@ -68,15 +65,15 @@ def _overlay_chosen(self, context) -> None:
 
 
 class CleanupSettings(bpy.types.PropertyGroup):
-    """What is cut away from the finished mesh."""
+    """Parts that are cut away from the finished mesh."""
 
-    use_below: BoolProperty(name="Delete Below", description="Cut away what lies below a height", update=changed)
+    use_below: BoolProperty(name="Delete Below", description="Cut away everything below a height", update=changed)
     below: FloatProperty(
         name="Height", description="In the terrain's own space, in metres", unit="LENGTH", update=changed
     )
     boundary: PointerProperty(
         name="Boundary",
-        description="Cut away what is not above or below a face of this object",
+        description="Keep only the mesh above and below the faces of this object",
         type=bpy.types.Object, poll=lambda self, item: item.type == "MESH" and item != self.id_data, update=changed,
     )  # fmt: skip
 
@@ -146,13 +143,13 @@ class TerrainSettings(bpy.types.PropertyGroup):
     island_size: IntProperty(
         name="Samples", description="Samples on each side of the land", default=1025, min=3, max=16385
     )
-    seed: IntProperty(name="Seed", description="Another seed is another land of the kind", default=DEFAULT_SEED, min=0)
+    seed: IntProperty(name="Seed", description="Random seed", default=DEFAULT_SEED, min=0)
 
     camera_source: EnumProperty(
         name="Seen From",
         items=[(SCENE_CAMERA, "Scene Camera", "Refine for the scene's active camera; without one, for the viewports"),
                (CHOSEN_CAMERA, "Chosen Camera", "Refine for one camera, whatever camera renders"),
-               (VIEWPORT_VIEW, "Viewport", "Refine for what the 3D viewports show; a render uses the scene camera")],
+               (VIEWPORT_VIEW, "Viewport", "Refine for the views of the 3D viewports; a render uses the scene camera")],
         update=changed,
     )  # fmt: skip
     camera: PointerProperty(
@@ -174,7 +171,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
         description="Added to every imported height, in metres; acts at once",
         unit="LENGTH", update=changed,
     )  # fmt: skip
-    ground: PointerProperty(type=GroundDetail)
+    ground: PointerProperty(type=DisplacementSettings)
     viewport: PointerProperty(type=ViewportDetail)
     render: PointerProperty(type=RenderDetail)
     live: BoolProperty(
@@ -222,13 +219,13 @@ class TerrainSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
     reports: StringProperty(
         name="Reports",
-        description="Folder of accuracy reports; each terrain's is in a folder of its own name in it",
+        description="Folder of accuracy reports; each terrain has a subfolder with its name",
         default="//accuracy/", subtype="DIR_PATH", options=PATH_OPTIONS,
     )  # fmt: skip
 
 
 class SceneSettings(bpy.types.PropertyGroup):
-    """What holds for every terrain of a scene."""
+    """Settings of all terrains of a scene."""
 
     stop_stale_renders: BoolProperty(
         name="Stop Renders That Would Be Stale",

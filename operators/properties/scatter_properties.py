@@ -13,7 +13,7 @@ SURFACE, MESH = "SURFACE", "MESH"
 
 
 class ScatterSettings(bpy.types.PropertyGroup):
-    """Points that stand on the terrain that the object is a child of."""
+    """Points on the terrain that is the object's parent."""
 
     enabled: BoolProperty(name="Adaptive Scatter", description="This object's points are written by Adaptive Terrain")
     spacing: FloatProperty(
@@ -65,17 +65,17 @@ class ScatterSettings(bpy.types.PropertyGroup):
         "this off where that matters. Needs a Screen Error of the terrain, roots on the ground, and nothing cut away",
         default=False, update=changed,
     )  # fmt: skip
-    seed: IntProperty(name="Seed", description="Another seed is other points", default=0, min=0, update=changed)
+    seed: IntProperty(name="Seed", description="Random seed", default=0, min=0, update=changed)
 
 
 def scatter_of(settings, terrain_settings) -> Scatter:
-    """The scatter that evaluated settings ask for, on a terrain with those settings. Raises TerrainError."""
+    """Return the scatter of evaluated settings on a terrain with `terrain_settings`. Raises TerrainError."""
     layers, on = (), -1
     if settings.layer:
         layers = layers_of(terrain_settings)
         names = [layer.name for layer in layers]
         if settings.layer not in names:
-            raise TerrainError(f"It stands on the layer {settings.layer!r}, which the terrain has not; choose another.")
+            raise TerrainError(f"Its layer {settings.layer!r} is none of the terrain's", fix="choose another")
         on = names.index(settings.layer)
     numbers = {name: getattr(settings, name) for name in ("spacing", "full_until", "size", "variation", "align")}
     margins = {"margin_deg": settings.margin_deg, "margin_m": settings.margin_m}

@@ -61,7 +61,7 @@ WORDS = [
     ),
     ("depth", "A limit of bisections of a root square."),
     ("meshlet m", "Each leaf is drawn as 4^m triangles."),
-    ("smooth, not smooth", "With Smooth Transitions, or without them, where the other rows are the other way round."),
+    ("smooth, not smooth", "With Geomorph, or without it, where the other rows are the other way round."),
     ("fitted", "Vertices are moved off the surface, within the bound."),
     (
         "geometric, precision, source",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far points pop with Smooth Transitions and without, and what they cost: a part of the page of `accuracy`."""
+"""How far points pop with geomorph and without, and what it costs: a part of the page of `accuracy`."""
 
 from dataclasses import replace
 
@@ -44,13 +44,13 @@ def transitions_section(rows: list[Row], of: str, plot: str) -> list:
         for rough, smooth in pairs
     ]
     return [
-        Heading(f"What Smooth Transitions{of} save and cost"),
+        Heading(f"What Geomorph{of} saves and costs"),
         Text(
             "Pixels by which points of the ground jump from one frame's mesh to the next one's, the largest and what "
             "99.9 % of them stay within; the largest change of a pixel's shading, in 255ths of white ground under the "
             "light that shows it most; the largest error of what is seen; and how many times as many triangles, and "
-            "milliseconds to the finished mesh, smooth ones take. A jump without them is as large as the error. Smooth "
-            "ones move as far as the camera does: half the way a frame, half the jump."
+            "milliseconds to the finished mesh, it takes. A jump without it is as large as the error. With it, points "
+            "move as far as the camera does: half the way a frame, half the jump."
         ),
         Table(HEAD, lines),
         Plot(plot, "How far points pop against the error that is asked, both logarithmic.", _drawing(pairs)),
@@ -58,7 +58,7 @@ def transitions_section(rows: list[Row], of: str, plot: str) -> list:
 
 
 def both_ways(rows: list[Row]) -> list[tuple[Row, Row]]:
-    """Pair rows of the same error without and with Smooth Transitions, where popping was measured."""
+    """Return pairs of rows of the same error, without geomorph and with it, where popping was measured."""
     by_setting = {row.setting: row for row in rows if row.popping_px is not None}
     pairs = []
     for row in by_setting.values():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which effects a terrain is asked for: what its scene reads, what is pinned, less what is switched off."""
+"""The effects that a terrain computes: those that its scene reads or that are pinned, without those switched off."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -36,7 +36,7 @@ class Effects:
 
 @dataclass(frozen=True)
 class EffectStatus:
-    """What the last update made of an effect. `readers`: in words. `skipped`: why it was not computed, or "". `ms`,
+    """State of an effect after the last update. `readers`: in words. `skipped`: why it was not computed, or "". `ms`,
     `nbytes` and `computed`: as of Ran in evaluate/evaluate.py. `note`: what else there is to know."""
 
     readers: tuple[str, ...] = ()
@@ -49,7 +49,7 @@ class EffectStatus:
 
 
 # Parameters that are no numbers of the settings: by effect, made from (evaluated terrain, its placement, dependency
-# graph) where the effect is asked for.
+# graph) if the effect is computed.
 Given = Callable[[object, np.ndarray, object], Mapping[str, object]]
 GIVEN: dict[str, Given] = {"sun": lambda _terrain, placement, depsgraph: {"suns": suns_over(placement, depsgraph)}}
 GIVEN |= dict.fromkeys(NAMES, lambda terrain, _placement, _depsgraph: layers_given(terrain.adaptive_terrain))
@@ -61,7 +61,8 @@ GIVEN["color"] = lambda terrain, placement, depsgraph: (
 
 
 def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, names: Iterable[str] | None) -> Effects:
-    """What the terrain `obj` is asked for. `names`: of the effects that an export asks for, in place of its demand."""
+    """Return the effects of the terrain `obj`. `names`: effects of an export, in place of those that the scene
+    reads."""
     settings = evaluated.adaptive_terrain
     found = _read(obj, depsgraph, mode) if names is None else {n: [Reader("the export", GEOMETRY)] for n in names}
     asked, off = [], []
@@ -81,7 +82,7 @@ def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, 
 
 
 def statuses(effects: Effects, plan: Plan, ran: Mapping[str, Ran], heights: HeightField) -> dict[str, EffectStatus]:
-    """By name, what there is to say of each effect on a terrain."""
+    """Return the status of each effect on a terrain by its name."""
     found = {}
     for step in plan.steps:
         took = ran.get(step.name, Ran(0.0, 0, 0))
@@ -108,7 +109,7 @@ def _switched_off(readers: tuple[str, ...]) -> str:
 
 
 def _read(obj, depsgraph, mode: str) -> dict[str, list[Reader]]:
-    """The scene's demand by name of effect: "everything" and the active colours are resolved."""
+    """Return the readers in the scene by the name of the effect, with "everything" and the active colours resolved."""
     demand = kept.demand_of(obj, depsgraph, mode)
     found = Demand({name: list(readers) for name, readers in demand.items()})
     everything = {name: demand.get(ALL, []) for name in EFFECTS}

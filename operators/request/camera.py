@@ -14,14 +14,15 @@ KINDS = {"PERSP": PERSPECTIVE, "ORTHO": ORTHOGRAPHIC, "PANO": PANORAMIC, "CUSTOM
 
 
 def render_resolution(scene) -> tuple[int, int]:
-    """Pixels across and up of the whole frame; a render border changes what is drawn, not the size of a pixel."""
+    """Return pixels across and up of the whole frame. A render border changes the drawn region, not the size of a
+    pixel."""
     render = scene.render
     percent = render.resolution_percentage
     return max(1, render.resolution_x * percent // 100), max(1, render.resolution_y * percent // 100)
 
 
 def active_camera(scene):
-    """The camera of the current frame: the one that a marker binds, else the scene's; None where there is none.
+    """Return the camera of the current frame: the one that a marker binds, else the scene's; None without a camera.
 
     Blender applies markers before it renders, but only after the handlers of a frame change outside of a render.
     """
@@ -33,18 +34,20 @@ def active_camera(scene):
 
 
 def views_from_scene(scene, camera, depsgraph, resolution: tuple[int, int] | None = None) -> list[View]:
-    """The views that a render of `scene` through `camera` shows: one, or one for each eye or camera of a stereo render.
+    """Return the views of a render of `scene` through `camera`: one, or one for each eye or camera of a stereo render.
 
-    `camera` is the object or None; its evaluated copy is looked up, because the original is stale during a render.
+    `camera` is an object or None; its evaluated copy is looked up, because the original is stale during a render.
     """
     if camera is None:
         raise TerrainError(
-            f"The scene {scene.name!r} has no camera to refine for; add a camera, or choose one on the terrain's panel."
+            f"The scene {scene.name!r} has no camera to refine for",
+            fix="add a camera, or choose one on the terrain's panel",
         )
     if camera.type != "CAMERA":
         raise TerrainError(
-            f"The object {camera.name!r}, which the scene {scene.name!r} is seen through, is not a camera but of type "
-            f"{camera.type}; choose a camera for the scene, or on the terrain's panel."
+            f"The object {camera.name!r}, the camera of the scene {scene.name!r}, is not a camera but of type "
+            f"{camera.type}",
+            fix="choose a camera for the scene, or on the terrain's panel",
         )
     resolution = resolution or render_resolution(scene)
     several = scene.render.use_multiview and scene.render.views_format == "MULTIVIEW"
@@ -56,7 +59,7 @@ def views_from_scene(scene, camera, depsgraph, resolution: tuple[int, int] | Non
 
 
 def view_from_camera(scene, camera, matrix, resolution: tuple[int, int]) -> View:
-    """One view from the evaluated camera object `camera`, at `resolution` pixels across and up; `matrix`: to the
+    """Return the view of the evaluated camera object `camera`, at `resolution` pixels across and up; `matrix`: to the
     world."""
     data = camera.data
     kind = KINDS.get(data.type, PANORAMIC)
@@ -72,7 +75,8 @@ def view_from_camera(scene, camera, matrix, resolution: tuple[int, int]) -> View
             size = f"{data.lens:g} mm of lens on {data.sensor_width:g} x {data.sensor_height:g} mm of sensor"
         raise TerrainError(
             f"The camera {camera.name!r} has {size} and a shift of {data.shift_x:g}, {data.shift_y:g}, which make no "
-            "picture; expected finite numbers above 0."
+            "picture",
+            expected="finite numbers above 0",
         )
     return View(to_camera, projection, resolution, kind, _clip(data))
 
@@ -97,7 +101,7 @@ def _projection(data, resolution: tuple[int, int], aspect: tuple[float, float]) 
 
 
 def view_from_region(space, region, region_3d) -> View:
-    """What one 3D viewport shows now, camera view and its zoom included."""
+    """Return the view of a 3D viewport, camera view and its zoom included."""
     kind = PERSPECTIVE if region_3d.is_perspective else ORTHOGRAPHIC
     projection = np.array(region_3d.window_matrix, np.float64)
     seen_through = space.camera if region_3d.view_perspective == "CAMERA" else None
@@ -120,7 +124,7 @@ def viewports(window_manager) -> list[tuple]:
                 continue
             space = area.spaces.active
             regions = [region for region in area.regions if region.type == "WINDOW"]
-            # A viewport split in four has four window regions and keeps their views in a list of its own.
+            # A viewport split in four has four window regions and keeps their views in a separate list.
             parts = list(space.region_quadviews) or [space.region_3d]
             pairs = zip(regions[-len(parts) :], parts, strict=False)
             found += [(window, area, region, part) for region, part in pairs if min(region.width, region.height) > 1]
@@ -128,12 +132,12 @@ def viewports(window_manager) -> list[tuple]:
 
 
 def views_from_windows(window_manager) -> list[View]:
-    """What every 3D viewport of every window shows now."""
+    """Return the views of all 3D viewports of all windows."""
     return [view_from_region(area.spaces.active, region, part) for _, area, region, part in viewports(window_manager)]
 
 
 def _clip(data) -> tuple[float, float]:
-    """Start and end of what the camera sees, metres; of a range that is upside down, the one that culls nothing."""
+    """Return start and end of the camera's clip range in metres; for a reversed one, the range that culls nothing."""
     start, end = float(data.clip_start), float(data.clip_end)
     return (start, end) if start < end else (0.0, 0.0)
 
@@ -143,28 +147,28 @@ def _world_to_camera(name: str, matrix) -> np.ndarray:
     matrix = np.array(matrix, np.float64)
     if not np.isfinite(matrix).all():
         raise TerrainError(
-            f"The camera {name!r} has a matrix with values that are not finite; check its location and parents."
+            f"The camera {name!r} has a matrix with values that are not finite", fix="check its location and parents"
         )
     scales = lengths(matrix[:3, :3])
     if not (scales > 0).all():
-        raise TerrainError(f"The camera {name!r} has a scale of 0; expected another scale on each axis.")
+        raise TerrainError(f"The camera {name!r} has a scale of 0", expected="another scale on each axis")
     matrix[:3, :3] /= scales
     if abs(determinant(matrix[:3, :3])) < 1e-6:
-        raise TerrainError(f"The camera {name!r} is sheared flat; expected three different axes.")
+        raise TerrainError(f"The camera {name!r} is sheared flat", expected="three different axes")
     return inverse(matrix)
 
 
 def _fit(data, width: float, height: float) -> tuple[float, float]:
-    """Millimetres of the sensor, or the orthographic scale, lie along one side of the picture: they, and that side."""
+    """Return the sensor size in millimetres, or the orthographic scale, and the side of the picture that it spans."""
     horizontal = data.sensor_fit == "HORIZONTAL" or (data.sensor_fit == "AUTO" and width >= height)
     return data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width, width if horizontal else height
 
 
 def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, float]) -> float:
-    """The smallest angle that a pixel of a panorama spans, as Cycles projects; of an unknown lens, half of a full
-    sphere's.
+    """Return the smallest angle that a pixel of a panorama spans, as Cycles projects; for an unknown lens, half of a
+    full sphere's.
 
-    Along meridians: beside the poles of a panorama, and towards the rim of a fisheye, a pixel's other side spans less.
+    Along meridians: near the poles of a panorama, and near the border of a fisheye, a pixel's other side spans less.
     """
     width, height = resolution
     # Panorama settings moved from Cycles to the camera in Blender 5.0.
@@ -199,7 +203,8 @@ def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, f
 
 
 def _multiview_cameras(scene, camera) -> list:
-    """The cameras of a render with one camera a view: those named as the active one, but for the view's suffix."""
+    """Return the cameras of a render with one camera a view: those named as the active one but for the view's
+    suffix."""
     suffixes = [view.camera_suffix for view in scene.render.views if view.use]
     base = next((camera.name[: -len(s)] for s in suffixes if s and camera.name.endswith(s)), camera.name)
     found = [scene.objects.get(base + suffix) for suffix in suffixes]
@@ -207,7 +212,7 @@ def _multiview_cameras(scene, camera) -> list:
 
 
 def _stereo(view: View, stereo) -> list[View]:
-    """The left and the right eye: moved along the camera's x by the interocular distance about the pivot."""
+    """Return the left and the right eye, moved along the camera's x by the interocular distance about the pivot."""
     distance, convergence = stereo.interocular_distance, stereo.convergence_distance
     places = {"LEFT": (0.0, distance), "RIGHT": (-distance, 0.0)}.get(stereo.pivot, (-distance / 2, distance / 2))
     eyes = []

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Decals of a terrain: image empties that are parented to it, as effects take them. Its Z axis projects them.
 
-An image whose colour space is data (Non-Color) is a normal map, any other shows colours. What is higher lies on top.
+An image whose colour space is data (Non-Color) is a normal map, any other shows colours. Higher decals are on top.
 """
 
 import numpy as np
 
 from ...cbt_terrain.ask.linear import inverse, length, product
 from ...cbt_terrain.effects.decals import Decal, Picture, picture
-from ..properties.layer_images import kept_of
+from ..properties.layer_images import cached_value
 from .evaluated import found_in
 
 # IEC 61966-2-1, of each byte.
@@ -16,11 +16,10 @@ LINEAR = np.array([c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 f
 
 
 def decals_given(terrain, placement: np.ndarray, depsgraph, tilts: bool) -> dict[str, object]:
-    """The parameter "decals" of effects, if there are any: normal maps where `tilts`, else colours. `placement`: of the
-    terrain, float64 [4, 4].
+    """Return the parameter "decals" of effects, if there are any: normal maps if `tilts`, else colours.
 
-    Raises TerrainError for an empty that stands upright, for an image without pixels, and for one that is hidden where
-    Blender would have to move it.
+    placement: of the terrain, float64 [4, 4]. Raises TerrainError for an empty that stands upright, for an image
+    without pixels, and for a hidden one that Blender would have to move.
     """
     found = []
     for child in terrain.original.children_recursive:
@@ -35,7 +34,7 @@ def decals_given(terrain, placement: np.ndarray, depsgraph, tilts: bool) -> dict
 def _decal(name: str, empty, matrix: np.ndarray) -> Decal:
     """`matrix`: from the empty's space to the terrain's. The longer side of an image is as long as the empty's size."""
     image = empty.data.original
-    shown = kept_of(image, Picture, f"of the decal {name!r}", _picture)
+    picture = cached_value(image, Picture, f"of the decal {name!r}", _picture)
     sides = np.array(image.size, np.float64) * np.array(image.display_aspect, np.float64)
     sides *= empty.empty_display_size / sides.max()
     along, up = matrix[:2, 0] * sides[0], matrix[:2, 1] * sides[1]
@@ -43,7 +42,7 @@ def _decal(name: str, empty, matrix: np.ndarray) -> Decal:
     up = up * (abs(upwards[2]) > 1e-5 * length(upwards))  # of one that stands upright there are rounding errors left
     corner = matrix[:2, 3] + along * empty.empty_image_offset[0] + up * empty.empty_image_offset[1]
     opacity = empty.color[3] if empty.use_empty_image_alpha else 1.0
-    return Decal(name, shown, *(tuple(v.tolist()) for v in (corner, along, up)), float(opacity))
+    return Decal(name, picture, *(tuple(v.tolist()) for v in (corner, along, up)), float(opacity))
 
 
 def _tilts(image) -> bool | None:
@@ -51,7 +50,7 @@ def _tilts(image) -> bool | None:
 
 
 def _picture(image, pixels: np.ndarray) -> Picture:
-    """`pixels`: float32 [rows, columns, channels], as Blender holds them."""
+    """Return a picture of float32 pixels [rows, columns, channels], as Blender stores them."""
     channels = pixels.shape[2]
     alpha = pixels[..., 3:] if channels == 4 and image.alpha_mode != "NONE" else np.ones_like(pixels[..., :1])
     colors = pixels[..., :3] if channels >= 3 else np.repeat(pixels[..., :1], 3, axis=2)

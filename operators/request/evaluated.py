@@ -13,10 +13,10 @@ RENDER = "RENDER"
 
 
 def found_in(depsgraph, obj, what: str) -> tuple:
-    """The object `obj` with its data as `depsgraph` has them, and its matrix to the world; `what` it is, for errors.
+    """Return the object `obj` with its data as `depsgraph` evaluated them, and its matrix to the world.
 
-    Where Blender has not evaluated it, it is as it was made, if nothing can have moved or changed it since. Raises
-    TerrainError where something can.
+    what: noun for errors. An object that Blender has not evaluated is returned as it was made, if nothing can have
+    moved or changed it since. Raises TerrainError if something can.
     """
     obj = obj.original
     if _is_in(obj, depsgraph):
@@ -61,5 +61,6 @@ def _not_there(obj, depsgraph, what: str, named) -> TerrainError:
     where = "renders" if depsgraph.mode == RENDER else "viewports"
     return TerrainError(
         f"The {what} {named.name!r} is hidden in {where}. There Blender evaluates no animation, constraints or "
-        f"modifiers of it, and {whose} has some: show it, or apply them."
+        f"modifiers of it, and {whose} has some",
+        fix="show it, or apply them",
     )

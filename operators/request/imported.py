@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a terrain's store was imported from, as the panel tells it and as custom properties on the object have it."""
+"""The source of a terrain's store, for the panel and for the object's custom properties."""
 
 import dataclasses
 import functools
@@ -37,7 +37,7 @@ class Imported:
 
 
 def imported_of(settings) -> Imported | None:
-    """What the store of a terrain's settings holds; None where there is none, or it cannot be read."""
+    """Return the contents of the store of a terrain's settings; None without a store that can be read."""
     if not settings.store:
         return None
     folder = Path(absolute_path(settings.store))
@@ -71,14 +71,14 @@ def _read(folder: str, _changed_ns: int) -> Imported | None:
 
 
 def _pair(report: dict, name: str) -> tuple | None:
-    """Two counts or lengths of a report, which nothing has checked."""
+    """Return two counts or lengths of an unchecked report; None if they are not valid."""
     value = report.get(name)
     good = isinstance(value, list) and len(value) == 2
     return tuple(value) if good and all(type(v) in (int, float) and 0 < v < LARGEST_EXTENT for v in value) else None
 
 
 def lines_of(imported: Imported | None) -> list[tuple[str, str]]:
-    """Name and figure of each line, as many as ever: nothing below them moves when a store is written."""
+    """Return names and figures, always the same number: nothing below them moves when a store is written."""
     names = ("From", "CRS", "Origin", "Raster", "Extent", "Spacing")
     if imported is None:
         return [(name, "-") for name in names]
@@ -102,23 +102,23 @@ def _crs_name(crs: str) -> str:
 
 
 def _coordinate(value: float) -> str:
-    """Digits down to about a metre, of degrees too."""
+    """Return a coordinate with digits down to about a metre, also in degrees."""
     return f"{value:.0f}" if abs(value) > 360.0 else f"{value:.5f}"
 
 
 def _both(texts: list[str]) -> str:
-    """`31.9 x 29.9 km`: the unit once, if it is the same."""
+    """Return `31.9 x 29.9 km`: the unit once, if it is the same."""
     (first, unit), (second, other) = (text.rsplit(" ", 1) for text in texts)
     return f"{first} x {second} {unit}" if unit == other else " x ".join(texts)
 
 
-def changed_settings(asked: ImportSettings, imported: Imported | None) -> list[str]:
-    """Names of the import settings that are not those of the store; [] where those are not known."""
+def changed_settings(settings: ImportSettings, imported: Imported | None) -> list[str]:
+    """Return the names of the import settings that differ from those of the store; [] if those are unknown."""
     if imported is None or not imported.settings:
         return []
-    defaults = {item.name: item.default for item in dataclasses.fields(asked)}
+    defaults = {item.name: item.default for item in dataclasses.fields(settings)}
     changed = []
-    for name, value in dataclasses.asdict(asked).items():
+    for name, value in dataclasses.asdict(settings).items():
         before = imported.settings.get(name, defaults[name])
         if name == "source":
             same = _same_file(value, before)
@@ -132,7 +132,8 @@ def changed_settings(asked: ImportSettings, imported: Imported | None) -> list[s
 
 
 def _same_file(path: str, before: object) -> bool:
-    """A file that is no longer where it was imported from may have moved with its .blend file."""
+    """Tell whether two paths name one file. A file that is missing at its old place may have moved with its .blend
+    file."""
     if path == before or not isinstance(before, str):
         return path == before
     return not {path, before} & set(LANDS) and Path(path).name == Path(before).name and not Path(before).exists()

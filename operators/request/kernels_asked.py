@@ -16,7 +16,7 @@ from .request import Request
 
 
 def kernels_for(request: Request) -> list[ModuleType]:
-    """Modules of kernels, for `warmup.ask`. Raises TerrainError for effects that cannot be."""
+    """Return the modules of kernels for `warmup.ask`. Raises TerrainError for effects that are not valid."""
     asked = list(request.effects.asked)
     if isinstance(request.ground, LayeredDetail):
         asked.append(Asked(NAMES[0], ("detail",), parameters=(("layers", request.ground.layers),)))

@@ -9,25 +9,25 @@ PRESETS = "adaptive_terrain/land"  # the folder of stacks among Blender's preset
 
 
 def add_entry(land, effect: str):
-    """A new entry at the end of a stack, with a name that no other has and chance of its own."""
+    """Add an entry at the end of a stack, with a unique name and a seed that no other entry has."""
     label = LAND_EFFECTS[effect].label if effect in LAND_EFFECTS else effect
-    taken, seeds = {entry.name for entry in land.entries}, {entry.seed for entry in land.entries}
+    used, seeds = {entry.name for entry in land.entries}, {entry.seed for entry in land.entries}
     entry = land.entries.add()
-    entry.effect, entry.name = effect, free_name(label, taken)
+    entry.effect, entry.name = effect, free_name(label, used)
     entry.seed = next(seed for seed in range(len(land.entries)) if seed not in seeds)
     return entry
 
 
-def free_name(wanted: str, taken: set[str]) -> str:
-    """`wanted`, or with a number as Blender's own the first that nobody has."""
-    if wanted not in taken:
-        return wanted
-    base = wanted[:-4] if wanted[-4:-3] == "." and wanted[-3:].isdigit() else wanted
-    return next(name for number in range(1, 1000) if (name := f"{base}.{number:03}") not in taken)
+def free_name(name: str, used: set[str]) -> str:
+    """Return `name`, or the first free name with a number after it, as Blender numbers."""
+    if name not in used:
+        return name
+    base = name[:-4] if name[-4:-3] == "." and name[-3:].isdigit() else name
+    return next(other for number in range(1, 1000) if (other := f"{base}.{number:03}") not in used)
 
 
 def copy_group(source, target) -> None:
-    """All that is set in a group of properties, and in those inside it, to another of its kind."""
+    """Copy all properties that are set in a group, and in groups inside it, to another of its kind."""
     for name in dict.fromkeys(source.bl_rna.properties.keys()):
         if name == "rna_type":
             continue

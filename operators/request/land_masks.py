@@ -20,13 +20,14 @@ FINE = 4  # points along a side of each of them, which count alike: its rim is s
 
 
 def of_image(image, folder: Path) -> str:
-    """A file with the red of an image, first row in the north."""
+    """Write the red of an image to a file, first row in the north; return its path."""
     painted = painted_of(image, "of a mask")
     return _written(folder, painted.digest, lambda: painted.values[::-1])
 
 
 def of_shadow(obj, terrain, extent_m: tuple[float, float], depsgraph, folder: Path) -> str:
-    """A file that is 1 below and above the mesh `obj` on the plan of the evaluated `terrain`, and 0 elsewhere.
+    """Write a file that is 1 below and above the mesh `obj` on the plan of the evaluated `terrain`, 0 elsewhere; return
+    its path.
 
     extent_m: metres from west to east and from south to north.
     """
@@ -48,8 +49,8 @@ def _written(folder: Path, digest: str, make) -> str:
             np.save(file, np.ascontiguousarray(make(), np.float32))
     except OSError as reason:
         raise TerrainError(
-            f"The mask {path} cannot be written ({reason.strerror or reason}): make room, or pack the store into a "
-            "folder that can be written."
+            f"The mask {path} cannot be written ({reason.strerror or reason})",
+            fix="make room, or pack the store into a folder that can be written",
         ) from reason
     return str(path)
 

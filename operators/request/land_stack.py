@@ -19,7 +19,7 @@ from .land_entries import add_entry
 
 
 def unknown(effect: str) -> str:
-    """What is said of an entry whose effect this version does not have."""
+    """Return the message for an entry whose effect this version does not have."""
     return (
         f"The effect {effect!r} is not one of this version's: {', '.join(LAND_EFFECTS)}; remove it, switch it off, or "
         "open the file with the version that made it."
@@ -27,7 +27,8 @@ def unknown(effect: str) -> str:
 
 
 def stack_of(terrain, depsgraph, masks: Path) -> Stack:
-    """The stack of the evaluated `terrain`: what is switched on. Raises TerrainError for what cannot be.
+    """Return the stack of the evaluated `terrain`: the entries that are on. Raises TerrainError for one that is not
+    valid.
 
     masks: the folder that images and shadows of objects are written to.
     """
@@ -45,7 +46,7 @@ def _entry(entry, terrain, depsgraph, masks: Path) -> Entry:
 
 
 def _parameters(entry) -> dict[str, float]:
-    """Those that differ from their defaults."""
+    """Return the parameters that differ from their defaults."""
     declared = LAND_EFFECTS[entry.effect].parameters
     numbers = [(parameter, number_of(parameter, getattr(entry, entry.effect))) for parameter in declared]
     return {parameter.name: number for parameter, number in numbers if number != parameter.default}
@@ -59,13 +60,13 @@ def _mask(entry, terrain, depsgraph, masks: Path) -> Mask | None:
     if mask.kind in chosen and chosen[mask.kind] is None:
         what = "image" if mask.kind == BY_IMAGE else "object"
         raise TerrainError(
-            f"The effect {entry.name!r} of {terrain.name!r} is masked by an {what}, and none is chosen: choose one, or "
-            "let the effect act everywhere."
+            f"The effect {entry.name!r} of {terrain.name!r} is masked by an {what}, and none is chosen",
+            fix="choose one, or let the effect act everywhere",
         )
     if mask.kind == BY_OBJECT and mask.object.original == terrain.original:
         raise TerrainError(
-            f"The effect {entry.name!r} of {terrain.name!r} is masked by the terrain itself, which it changes: choose "
-            "another object."
+            f"The effect {entry.name!r} of {terrain.name!r} is masked by the terrain itself, which it changes",
+            fix="choose another object",
         )
     file = ""
     if mask.kind == BY_IMAGE:
@@ -78,7 +79,7 @@ def _mask(entry, terrain, depsgraph, masks: Path) -> Mask | None:
 def _extent_of(terrain) -> tuple[float, float]:
     found = imported_of(terrain.adaptive_terrain)
     if found is None:
-        raise TerrainError(f"The terrain {terrain.name!r} has no height field; import one from its panel.")
+        raise TerrainError(f"The terrain {terrain.name!r} has no height field", fix="import one from its panel")
     return found.extent_m
 
 
@@ -99,12 +100,13 @@ def _rules(mask) -> tuple[GroundRule, ...]:
 
 
 def _slope_degrees(radians: float) -> float:
-    """Blender's right angle, a float32, is more than 90 degrees."""
+    """Return degrees, at most 90: Blender's right angle, a float32, is larger."""
     return min(math.degrees(radians), LIMITS[SLOPE])
 
 
 def preset_of(land) -> Stack:
-    """The whole stack of a terrain's settings, for a file: with what is switched off, without masks by objects."""
+    """Return the whole stack of a terrain's settings for a file: with entries that are off, without masks by
+    objects."""
     found = []
     for entry in land.entries:
         if entry.effect not in LAND_EFFECTS:
@@ -114,8 +116,9 @@ def preset_of(land) -> Stack:
             image = absolute_path(entry.mask.image.filepath)
             if not Path(image).is_file():
                 raise TerrainError(
-                    f"The image {entry.mask.image.name!r}, which masks {entry.name!r}, is in no file of its own, and a "
-                    "preset names files: save it with Image > Save As."
+                    f"The image {entry.mask.image.name!r}, which masks {entry.name!r}, has no file, and a preset names "
+                    "files",
+                    fix="save it with Image > Save As",
                 )
             mask = Mask(image, (), entry.mask.factor)
         elif kind == BY_RULE:
@@ -127,7 +130,7 @@ def preset_of(land) -> Stack:
 
 
 def fill(land, stack: Stack) -> list[str]:
-    """The engine's stack in place of what a terrain's settings have; returns what they cannot hold, in sentences."""
+    """Replace the stack of a terrain's settings by the engine's; return sentences about lost parts."""
     land.entries.clear()
     left_out = []
     for number, given in enumerate(stack.entries, 1):

@@ -4,15 +4,15 @@
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.evaluate.layered_detail import LayeredDetail
 from ...cbt_terrain.field.coats import Ground
-from ..properties.ground_properties import detail_of
+from ..properties.ground_properties import displacement_of
 from ..properties.layer_properties import layers_of
 
 
 def ground_of(settings, name: str) -> Ground | LayeredDetail | None:
-    """The detail of the terrain `name`; None where nothing has an amplitude."""
+    """Return the displacement of the terrain `name`; None if no amplitude is above 0."""
     try:  # a driver or a script may set any number
-        everywhere = detail_of(settings.ground)
-        found = ((number, detail_of(layer.detail)) for number, layer in enumerate(settings.layers))
+        everywhere = displacement_of(settings.ground)
+        found = ((number, displacement_of(layer.detail)) for number, layer in enumerate(settings.layers))
         details = tuple((number, detail) for number, detail in found if detail is not None)
         return LayeredDetail(everywhere, layers_of(settings), details) if details else everywhere
     except TerrainError as error:

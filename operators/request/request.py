@@ -14,7 +14,7 @@ from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.accuracy.time_correction import TimeCorrection
 from ...cbt_terrain.ask.criterion import Criterion, unit_asked
 from ...cbt_terrain.ask.linear import determinant
-from ...cbt_terrain.ask.morph import SMOOTH
+from ...cbt_terrain.ask.settings import SETTINGS
 from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.evaluate.layered_detail import LayeredDetail
@@ -24,6 +24,7 @@ from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.land.derived_store import Land
 from ...cbt_terrain.land.requested_tiles import SeenTiles
 from ..mesh.cleanup import Cleanup, plan_triangles
+from ..properties.detail_properties import value_of
 from ..properties.land_properties import SEEN
 from ..properties.properties import CHOSEN_CAMERA, SCENE_CAMERA, VIEWPORT_VIEW
 from ..properties.scene_paths import absolute_path
@@ -32,41 +33,30 @@ from .asked_effects import Effects, gather_effects
 from .evaluated import found_in
 from .land_request import land_of
 from .layered_ground import ground_of
+from .overrides import NO_OVERRIDES, Overrides
 from .scatters import Scatters, gather_scatters
 
 VIEWPORT, RENDER = "VIEWPORT", "RENDER"
-
-
-@dataclass(frozen=True)
-class Overrides:
-    """What a command asks for in place of what a terrain's settings say, animated or not; None keeps those.
-
-    `error_px`: pixels; it replaces a time budget too. `effects`: names, in place of what the scene reads. Others: as in
-    the settings.
-    """
-
-    error_px: float | None = None
-    max_triangles: int | None = None
-    meshlet: int | None = None
-    interpolation: str | None = None
-    shading_floor: float | None = None
-    smooth_transitions: bool | None = None
-    effects: tuple[str, ...] | None = None
-    ground: Ground | None = None
+ERRORS = "error_px", "error_m"  # varied by a time budget
 
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """What one update needs; it holds nothing of Blender's, so a worker thread may carry it out.
+    """Input of one update, without references to Blender's data, so that a worker thread may use it.
 
-    `interpolation`: of the height field, by its name in heightfield.py. `ground`: the detail on it, or None.
-    `placement` float64 [4, 4]: the terrain's space to the world, metres. `overlay`: which colours the mesh gets.
-    `max_ms`: the time budget that the criterion's error is to follow, None without one. `note`: why it cannot, or "".
-    `curve`: the cost curve that the budget reads, None without one.
-    `frozen`: the triangles to keep whatever the criterion asks, see frozen.py; "" where the mesh follows its camera.
-    `effects`: those whose attributes the mesh gets. `scatters`: objects with points on it that are seen. `store`:
-    folder of the height field, in a viewport that of its shaped land where there is some. `made_ns`: when that was
-    changed, which tells it from one that is made again or mended. `land`: what is to be made of it first, or None.
+    Attributes:
+        store: folder of the height field; in a viewport that of its shaped land, if there is some.
+        made_ns: time of the last change of that folder, which tells it from one that is made again or repaired.
+        land: land to be shaped from it first, or None.
+        interpolation: of the height field, by its name in heightfield.py.
+        ground: displacement on it, or None.
+        placement: float64 [4, 4], the terrain's space to the world, metres.
+        overlay: colours of the mesh.
+        max_ms: time budget of the criterion's error, None without one; `note`: why it has no effect, or "".
+        frozen: triangles to keep whatever the criterion, see frozen.py; "" for a mesh that follows its camera.
+        effects: effects whose attributes the mesh gets.
+        scatters: visible objects with points on the terrain.
+        curve: cost curve of the time budget, None without one.
     """
 
     store: str
@@ -90,13 +80,13 @@ class Request:
     curve: CostCurve | None = None
 
     def key(self) -> tuple:
-        """Equal for equal requests."""
+        """Return a key that is equal for equal requests."""
         shown = self.smooth, self.cleanup.key(), self.overlay, self.note, self.effects, self.scatters.key()
         return self.store, self.made_ns, self.land, self.interpolation, self.ground, *self._shape(), *shown
 
     def digest(self, field_key: str) -> str:
-        """Hex digest of what determines the mesh before clean-up and what its errors are measured from: the key of the
-        height field, the criterion, the views, where the terrain stands."""
+        """Return the hex digest of everything that determines the mesh before clean-up and its errors: the key of the
+        height field, the criterion, the views, the placement."""
         return hashlib.blake2b(repr((field_key, *self._shape())).encode(), digest_size=16).hexdigest()
 
     def _shape(self) -> tuple:
@@ -113,28 +103,29 @@ def gather(
     criterion: Criterion | None = None,
     camera=None,
     resolution: tuple[int, int] | None = None,
-    overrides: Overrides = Overrides(),
+    overrides: Overrides = NO_OVERRIDES,
 ) -> Request:
     """Read the settings of the terrain `obj` and the camera that it is refined for, as `depsgraph` evaluated them.
 
     `mode` picks the settings of the viewport or of the render. `criterion`, `camera` (an object), `resolution` (pixels)
-    and `overrides` replace what the settings and the scene say. Raises TerrainError for what cannot be refined.
+    and `overrides` replace those of the settings and the scene. Raises TerrainError for a terrain that cannot be
+    refined.
     """
     evaluated = obj.evaluated_get(depsgraph)
     settings = evaluated.adaptive_terrain  # the evaluated copy has the values that animation and drivers set
     if not settings.store:
-        raise TerrainError(f"The terrain {obj.name!r} has no height field; import one from its panel.")
+        raise TerrainError(f"The terrain {obj.name!r} has no height field", fix="import one from its panel")
     interpolation = overrides.interpolation or settings.interpolation
     if interpolation not in INTERPOLATIONS:  # a driver or a script may set any number
-        raise TerrainError(f"The terrain {obj.name!r} has an unknown interpolation; choose one on its panel.")
+        raise TerrainError(f"The terrain {obj.name!r} has an unknown interpolation", fix="choose one on its panel")
     placement = _placement(obj.name, evaluated)
     max_ms, note, frozen, curve = None, "", "", None
     if criterion is None:
-        frozen = settings.frozen if replace(overrides, effects=None) == Overrides() else ""
+        frozen = settings.frozen if replace(overrides, effects=None) == NO_OVERRIDES else ""
         detail = settings.render if mode == RENDER else settings.viewport
         with _named(obj):
             criterion = criterion_from(detail, overrides)
-        if overrides.error_px is None:
+        if overrides.criterion.keys().isdisjoint(ERRORS):
             criterion, note = within_time(criterion, detail)
             max_ms = detail.max_ms if detail.limit_time else None
             curve = CostCurve.from_json(detail.curve) if detail.limit_time and not note else None
@@ -150,7 +141,7 @@ def gather(
         elif mode != RENDER:
             store, land = _shown_land(store, land, frozen)
     cleanup = cleanup_from(settings.cleanup, evaluated, depsgraph)
-    if cleanup.active:  # where ground is cut away one sees what it would hide
+    if cleanup.active:  # through the cut one sees ground that it would hide
         criterion = replace(criterion, hidden_factor=1.0)
     return Request(
         store=store,
@@ -178,17 +169,19 @@ def gather(
 
 
 def _placement(name: str, evaluated) -> np.ndarray:
-    """float64 [4, 4]: from the terrain's own space to the world."""
+    """Return float64 [4, 4]: from the terrain's own space to the world. Raises TerrainError."""
     placement = np.array(evaluated.matrix_world, np.float64)
     if not np.isfinite(placement).all():
-        raise TerrainError(f"The terrain {name!r} has a matrix that is not finite; check its transform and parents.")
+        raise TerrainError(
+            f"The terrain {name!r} has a matrix that is not finite", fix="check its transform and parents"
+        )
     if determinant(placement[:3, :3]) == 0.0:
-        raise TerrainError(f"The terrain {name!r} has a scale of 0; expected another scale on each axis.")
+        raise TerrainError(f"The terrain {name!r} has a scale of 0", expected="another scale on each axis")
     return placement
 
 
 def _shown_land(store: str, land: Land, frozen: str) -> tuple[str, Land | None]:
-    """The store that a viewport shows, and the land that is previewed on it."""
+    """Return the store that a viewport shows, and the land that is previewed on it."""
     if shown := land.shown:
         return shown, None
     # A frozen mesh has the triangles of the raster, and a preview has another.
@@ -197,36 +190,24 @@ def _shown_land(store: str, land: Land, frozen: str) -> tuple[str, Land | None]:
 
 @contextmanager
 def _named(obj):
-    """Errors inside say which terrain they are of: a scene may have several."""
+    """Name the terrain in errors: a scene may have several."""
     try:
         yield
     except TerrainError as error:
         raise TerrainError(f"The terrain {obj.name!r} cannot be refined. {error}") from None
 
 
-def criterion_from(detail, overrides: Overrides = Overrides()) -> Criterion:
-    """The criterion that a DetailSettings asks for."""
-    limit = detail.max_triangles if detail.limit_triangles else None
-    smooth = detail.smooth_transitions if overrides.smooth_transitions is None else overrides.smooth_transitions
-    return Criterion(
-        error_px=detail.error_px if overrides.error_px is None else overrides.error_px,
-        edge_px=detail.edge_px,
-        area_px=detail.area_px,
-        error_m=detail.error_m,
-        guard_deg=detail.guard_deg,
-        off_screen_factor=detail.off_screen_factor,
-        hidden_factor=detail.hidden_factor,
-        shading_floor=detail.shading_floor if overrides.shading_floor is None else overrides.shading_floor,
-        max_depth=detail.max_depth if detail.limit_depth else None,
-        max_triangles=limit if overrides.max_triangles is None else overrides.max_triangles,
-        meshlet=detail.meshlet if overrides.meshlet is None else overrides.meshlet,
-        morph=SMOOTH if smooth else 1.0,
-    )
+def criterion_from(detail, overrides: Overrides = NO_OVERRIDES) -> Criterion:
+    """Return the criterion of a DetailSettings."""
+    return Criterion(**{setting.name: value_of(detail, setting) for setting in SETTINGS} | overrides.criterion)
 
 
 def within_time(criterion: Criterion, detail) -> tuple[Criterion, str]:
-    """The criterion with the finest error that fits the time budget of a DetailSettings, which depends on the measured
-    curve and the budget alone; or the criterion as it is, and why."""
+    """Return the criterion with the finest error that fits the time budget of a DetailSettings, and ""; or `criterion`
+    as it is, and why.
+
+    The error depends on the measured curve and the budget alone.
+    """
     if not detail.limit_time:
         return criterion, ""
     unit = unit_asked(criterion)
@@ -261,23 +242,25 @@ def record_time(request: Request, ms: float, correction: TimeCorrection) -> None
 
 
 def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
-    """The clean-up that a CleanupSettings asks for, for the evaluated object `terrain`."""
+    """Return the clean-up of a CleanupSettings for the evaluated object `terrain`."""
     boundary = None
     if settings.boundary is not None:
-        if settings.boundary.original == terrain.original:  # cut by its last mesh: what is gone would never come back
-            raise TerrainError(f"The terrain {terrain.name!r} is its own boundary; choose another object, or none.")
+        if settings.boundary.original == terrain.original:  # cut by its last mesh it would never grow again
+            raise TerrainError(
+                f"The terrain {terrain.name!r} is its own boundary", fix="choose another object, or none"
+            )
         shape, matrix = found_in(depsgraph, settings.boundary, "boundary")
         boundary = plan_triangles(shape, matrix, Matrix(terrain.matrix_world).inverted(), "boundary")
     if settings.use_below and not math.isfinite(settings.below):
         raise TerrainError(
-            f"The terrain {terrain.name!r} has {settings.below} as the height of Delete Below; expected a number."
+            f"The terrain {terrain.name!r} has {settings.below} as the height of Delete Below", expected="a number"
         )
     return Cleanup(settings.below if settings.use_below else None, boundary)
 
 
 def follows_viewport(settings, scene) -> bool:
-    """Whether what the viewport shows is for its own views: where that is asked, and in a window whose scene has no
-    camera. Without a window nobody looks through a viewport, and that there is no camera is an error."""
+    """Tell whether viewports refine for their own views: if the settings say so, and in a window whose scene has no
+    camera. Without a window a missing camera is an error."""
     if settings.camera_source == SCENE_CAMERA and not bpy.app.background:
         return cameras.active_camera(scene) is None
     return settings.camera_source == VIEWPORT_VIEW
@@ -291,6 +274,8 @@ def _views(settings, depsgraph, mode: str, camera, resolution) -> list[View]:
             return views
     if camera is None and settings.camera_source == CHOSEN_CAMERA:
         if settings.camera is None:
-            raise TerrainError("No camera is chosen; choose one on the terrain's panel, or take the scene's camera.")
+            raise TerrainError(
+                "No camera is chosen", fix="choose one on the terrain's panel, or use the scene's camera"
+            )
         camera = settings.camera.original
     return cameras.views_from_scene(scene, camera or cameras.active_camera(scene), depsgraph, resolution)

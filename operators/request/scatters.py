@@ -21,7 +21,7 @@ from ..properties.scatter_properties import MESH, scatter_of
 # Of memory at most, as instances: measured in Blender 5.2, in a viewport and in Cycles.
 POINT_BYTES = 1500
 # A viewport draws them in every frame, and they come with every move of a slider.
-MOST_IN_VIEWPORT = 4_000_000
+MAX_IN_VIEWPORT = 4_000_000
 
 
 @dataclass(frozen=True)
@@ -38,12 +38,12 @@ class AskedScatter:
 
 @dataclass(frozen=True, eq=False)
 class Scatters:
-    """Those of a terrain that somebody sees, and the views that they are for; without a view, everywhere. `most`: as
-    of ScatterRequest, for each."""
+    """Visible scatters of a terrain, and the views that they are for; without a view, everywhere. `max_points`:
+    of each scatter, and what limits it."""
 
     asked: tuple[AskedScatter, ...] = ()
     views: tuple[View, ...] = ()
-    most: tuple[int, str] | None = None
+    max_points: tuple[int, str] | None = None
 
     def key(self) -> tuple:
         return self.asked, tuple(view.key() for view in self.views)
@@ -71,8 +71,8 @@ def scatters_of(terrain) -> list:
 
 
 def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[View]]) -> Scatters:
-    """What the scatters of a terrain ask for that are seen in a render, or in the viewport. `views`: gathers those, and
-    is only called where there is a scatter."""
+    """Return the requests of a terrain's scatters that are visible in a render or in the viewport. `views` is called
+    only if there is one."""
     settings, asked = terrain.evaluated_get(depsgraph).adaptive_terrain, []
     for obj in scatters_of(terrain):
         evaluated = obj.evaluated_get(depsgraph)
@@ -85,28 +85,28 @@ def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[V
             asked.append(AskedScatter(obj.session_uid, obj.name, scatter_of(own, settings), on_mesh, culls))
         except TerrainError as error:
             raise TerrainError(f"The scatter {obj.name!r} cannot be made. {error}") from None
-    return Scatters(tuple(asked), tuple(views()), most_points(render)) if asked else Scatters()
+    return Scatters(tuple(asked), tuple(views()), max_points(render)) if asked else Scatters()
 
 
-def most_points(render: bool) -> tuple[int, str]:
-    """How many points a scatter may have, and why no more: Blender ends where its memory does."""
+def max_points(render: bool) -> tuple[int, str]:
+    """Return how many points a scatter may have, and what limits them: Blender crashes when its memory ends."""
     held = physical_memory() * 3 // 4 // POINT_BYTES
-    if not render and held > MOST_IN_VIEWPORT:
-        return MOST_IN_VIEWPORT, "as many as a viewport draws (hide it there, and renders have them all)"
-    return held, "as many as this machine's memory holds"
+    if not render and held > MAX_IN_VIEWPORT:
+        return MAX_IN_VIEWPORT, "the maximum of a viewport (hide it there, and renders have them all)"
+    return held, "the maximum of this machine's memory"
 
 
 def make_points(
     records: dict[int, ScatterRecord], request, heights: HeightField, terrain, surface, serial: int
 ) -> None:
-    """The points of all scatters of a request, on the `surface` that the terrain has then, which is number `serial`.
+    """Compute the points of all scatters of a request, on the terrain's `surface` with the number `serial`.
 
-    Touches nothing of Blender. What the last request asked already is not made again.
+    Uses nothing of Blender. Points that the last request already had are reused.
     """
     scatters, scale = request.scatters, (request.vertical_scale, request.vertical_offset)
     views = tuple(view.key() for view in scatters.views)
     below, outline = request.cleanup.key()
-    whole = not request.cleanup.active  # where ground is cut away one sees what it would hide
+    whole = not request.cleanup.active  # through the cut one sees ground that it would hide
     horizon = cache(terrain.horizon)  # one for all scatters
     for asked in scatters.asked:
         record = records.setdefault(asked.uid, ScatterRecord())
@@ -127,7 +127,7 @@ def make_points(
         start, record.key = time.perf_counter(), ()
         try:
             boundary, hidden_by = request.cleanup.boundary, horizon() if culls else None
-            placed = scatters.views, request.placement, *scale, boundary, hidden_by, scatters.most
+            placed = scatters.views, request.placement, *scale, boundary, hidden_by, scatters.max_points
             points = place_points(heights, ScatterRequest(asked.scatter, *placed), record.history, terrain.threads)
         except TerrainError as error:
             raise TerrainError(f"The scatter {asked.name!r} cannot be made. {error}") from None

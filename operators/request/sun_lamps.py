@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sun lamps of a scene, as what is lit by them needs them."""
+"""The sun lamps of a scene, in a terrain's own space."""
 
 import math
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ class Sun(NamedTuple):
 
 
 def sun_lamps(depsgraph) -> list[Sun]:
-    """Every sun lamp that shines in the view layer of a dependency graph, as that evaluates it."""
+    """Return every sun lamp that is visible in the evaluated view layer of a dependency graph."""
     found = []
     for lamp in _lamps(depsgraph):
         axis = np.array(lamp.matrix_world.col[2][:3], np.float64)  # it shines along its own -Z
@@ -32,9 +32,10 @@ def sun_lamps(depsgraph) -> list[Sun]:
 
 
 def suns_over(placement: np.ndarray, depsgraph) -> tuple[tuple[float, ...], ...]:
-    """Rows of x, y, z towards a sun in the terrain's own space, its angle and its strength: shadows are the same there.
+    """Return a row for each sun: x, y, z towards it in the terrain's own space, its angle and its strength.
 
-    The angle is the world's: a scale that differs by axis would make an ellipse of the disc.
+    Shadows are the same in that space. The angle is the world's: a scale that differs by axis would make an ellipse of
+    the disc.
     """
     to_local = inverse(placement)[:3, :3]
     rows = []

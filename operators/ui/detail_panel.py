@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panels of how fine a terrain is, in the viewport and in a render."""
+"""The panels of the level of detail, in the viewport and in a render."""
 
 import bpy
 
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.ask.criterion import unit_asked
+from ...cbt_terrain.ask.settings import CRITERIA, LIMITS, MODIFIERS, CriterionSetting
 from ...cbt_terrain.errors import TerrainError
 from ..request.request import criterion_from, within_time
 from ..text.numbers import plain
@@ -15,37 +16,31 @@ BUDGET_LINES = 2
 
 
 def _draw_detail(column, detail) -> None:
-    _criterion(column, detail, "error_px", "Screen Error")
-    _criterion(column, detail, "edge_px", "Edge Length")
-    _criterion(column, detail, "area_px", "Area (px²)")
-    _criterion(column, detail, "error_m", "Vertical Error")
+    for setting in CRITERIA:
+        _draw_criterion(column, detail, setting)
     column.separator()
-    column.prop(detail, "guard_deg", text="Guard (°)")
-    column.prop(detail, "off_screen_factor", text="Off-Screen ×")
-    column.prop(detail, "hidden_factor", text="Hidden ×")
-    column.prop(detail, "shading_floor")
-    column.prop(detail, "smooth_transitions")
-    column.prop(detail, "meshlet")
+    for setting in MODIFIERS:
+        column.prop(detail, setting.switch or setting.name, text=setting.row or setting.label)
     column.separator()
-    switched(column, detail, "limit_depth", "max_depth")
-    switched(column, detail, "limit_triangles", "max_triangles")
+    for setting in LIMITS:
+        switched(column, detail, setting.switch, setting.name)
     switched(column, detail, "limit_time", "max_ms")
     if detail.limit_time:
         fixed_lines(column, _budget(detail), BUDGET_LINES)
 
 
-def _criterion(column, detail, name: str, label: str) -> None:
-    """A switch and a value, which is 0 where it is off."""
-    row = column.row(heading=label, align=True)
-    row.prop(detail, f"ask_{name}", text="")
-    if getattr(detail, name) > 0.0:
-        row.prop(detail, name, text="")
+def _draw_criterion(column, detail, setting: CriterionSetting) -> None:
+    """Draw a switch and a value, which is 0 where it is off."""
+    row = column.row(heading=setting.row or setting.label, align=True)
+    row.prop(detail, f"ask_{setting.name}", text="")
+    if getattr(detail, setting.name) > 0.0:
+        row.prop(detail, setting.name, text="")
     else:
         row.label(text="off")
 
 
 def _budget(detail) -> str:
-    """The error that fits the time, or why none is known."""
+    """Return the error that fits the time, or why none is known."""
     try:
         criterion, note = within_time(criterion_from(detail), detail)
     except TerrainError as error:  # every criterion is off

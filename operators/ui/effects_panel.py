@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panel *Effects*: what is computed for whom, what it takes, and why the rest is not.
+"""The panel *Effects*: which effects are computed, their readers and costs, and why others are not.
 
 Every effect has one row, computed or not, and one of them has its details in as many lines whatever they say: nothing
 moves while someone aims at it.
@@ -17,7 +17,7 @@ from ..text.effect_lines import cost_text, readers_text
 from ..text.numbers import plain, time_text, unit_text
 from .panel_parts import TerrainSubpanel, figures, fixed_lines
 
-NAME_WIDTH, COST_WIDTH = 0.58, 0.65  # parts of a row, and of what is left of it
+NAME_WIDTH, COST_WIDTH = 0.58, 0.65  # fractions of a row, and of its rest
 ABOUT_LINES, READER_LINES = 5, 4
 _shown = next(iter(EFFECTS))
 
@@ -72,7 +72,7 @@ def about_text(name: str) -> str:
 
 
 def summary_lines(statuses, nbytes: int) -> list[tuple[str, str]]:
-    """The lines above the list: as many before the first update. `nbytes`: what is held, see MAX_BYTES."""
+    """Return the three lines above the list. `nbytes`: memory that the effects hold, see MAX_BYTES."""
     made = [status for status in statuses.values() if not status.skipped]
     ms, megabytes = sum(status.ms for status in made), sum(status.nbytes for status in made) / 1e6
     return [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panel *Ground*: objects on the terrain, and what is measured of it. It is there for any object."""
+"""The panel *Ground*: objects on the terrain, and measurements. It is shown for any object."""
 
 import bpy
 
@@ -66,6 +66,6 @@ class GroundPanel(bpy.types.Panel):
 
 
 def notes(obj) -> list[str]:
-    """What there is to say of how an object is kept."""
+    """Return notes on how an object is kept on the ground."""
     text = keep_ground.note_of(obj)
     return [text] if text else []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panels of the height map: what to import and how, what was imported, and how its surface stands in the scene."""
+"""The panels of the height map: the import and its settings, the imported store, and its surface in the scene."""
 
 import bpy
 
@@ -41,7 +41,7 @@ class SourcePanel(TerrainSubpanel, bpy.types.Panel):
 
 
 def is_stale(obj) -> bool:
-    """Whether another import would be another terrain."""
+    """Tell whether another import would give another terrain."""
     imported = imported_of(obj.adaptive_terrain)
     try:
         return imported is not None and bool(changed_settings(import_terrain.settings_of(obj), imported))
@@ -101,11 +101,11 @@ class SurfacePanel(TerrainSubpanel, bpy.types.Panel):
         column.prop(settings, "interpolation")
 
 
-class GroundDetailPanel(TerrainSubpanel, bpy.types.Panel):
-    """What the height map is too coarse for."""
+class DisplacementPanel(TerrainSubpanel, bpy.types.Panel):
+    """Relief finer than the height map."""
 
     bl_idname = "ADAPTIVE_TERRAIN_PT_ground"
-    bl_label = "Detail"
+    bl_label = "Displacement"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_surface"
     bl_options = {"DEFAULT_CLOSED"}
 
@@ -113,4 +113,4 @@ class GroundDetailPanel(TerrainSubpanel, bpy.types.Panel):
         draw_ground(self._columns(), context.object.adaptive_terrain.ground)
 
 
-CLASSES = (SourcePanel, ImportedPanel, SurfacePanel, GroundDetailPanel)
+CLASSES = (SourcePanel, ImportedPanel, SurfacePanel, DisplacementPanel)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panel *Land*: the stack of effects that change heights, what is shown of it, and what it leaves behind.
+"""The panel *Land*: the stack of height operators, its state, and its by-products.
 
-The list and what is below it have as many rows whatever they say: nothing moves while someone aims at it.
+The list and the rows below it have a fixed number: nothing moves while a user aims at it.
 """
 
 import bpy
@@ -22,7 +22,7 @@ ALWAYS = ("height", "slope")  # the rules that are shown though they are switche
 
 
 class LandList(bpy.types.UIList):
-    """An effect a row: whether it is switched on, its name, what it took."""
+    """A row for each effect: a switch, its name, its time."""
 
     bl_idname = "ADAPTIVE_TERRAIN_UL_land"
 
@@ -105,7 +105,7 @@ def _draw_shaping(row, obj, state) -> None:
 
 
 def status_lines(state) -> list[tuple[str, str]]:
-    """As many lines whatever there is to say."""
+    """Return three lines, whatever the state."""
     tiles = f"{state.tiles[0]:,} of {state.tiles[1]:,}" if state.tiles else "-"
     spacing = f", {length_text(state.step_m)} apart" if state.step_m else ""
     return [("Shown", f"{state.shown}{spacing}"), ("Tiles", tiles), ("Time", time_text(state.total_ms))]
@@ -157,7 +157,7 @@ def _draw_mask(column, mask) -> None:
 
 
 class LandLayersPanel(TerrainSubpanel, bpy.types.Panel):
-    """What the stack leaves beside the heights, and who reads it."""
+    """Layers that the stack leaves, and their readers."""
 
     bl_idname = "ADAPTIVE_TERRAIN_PT_land_layers"
     bl_label = "By-Products"
@@ -177,7 +177,7 @@ class LandLayersPanel(TerrainSubpanel, bpy.types.Panel):
 
 
 def _reading(status) -> str:
-    """In a few words; the panel *Effects* says who it is."""
+    """Return how many readers a layer has; the panel *Effects* names them."""
     if status is None:
         return "No update yet"
     count = len(status.readers)

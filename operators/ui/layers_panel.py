@@ -11,7 +11,7 @@ from .panel_parts import LIMITS, TerrainSubpanel, draw_band, draw_ground
 
 
 class LayerList(bpy.types.UIList):
-    """A layer a row: its color, its name, what it depends on."""
+    """A row for each layer: its color, its name, its rules."""
 
     bl_idname = "ADAPTIVE_TERRAIN_UL_layers"
 
@@ -68,12 +68,12 @@ def _draw_layer(column, settings, layer) -> None:
     draw_rules(column, layer)
     column.prop_search(layer, "mask", settings, "layers")
     column.separator()
-    column.label(text="Detail")
+    column.label(text="Displacement")
     draw_ground(column, layer.detail)
 
 
 def draw_rules(column, layer) -> None:
-    """What a layer alone depends on."""
+    """Draw the settings of a layer that depend on no other layer."""
     column.prop(layer, "strength")
     for kind in BANDS:
         band = getattr(layer, kind)

@@ -30,12 +30,12 @@ class OverlayPanel(TerrainSubpanel, bpy.types.Panel):
         legend = overlay.legend if overlay else []
         for text, colour in legend:
             column.label(text=text, icon_value=swatch(colour))
-        for _ in range(LEGEND_LINES + 1 - len(legend)):  # what is below stays where it is
+        for _ in range(LEGEND_LINES + 1 - len(legend)):  # rows below do not move
             column.label(text="")
 
 
 def swatch(colour: tuple[float, float, float]) -> int:
-    """The icon that is filled with an sRGB colour; 0 without a window."""
+    """Return the icon of an sRGB colour; 0 without a window."""
     name = "{:.3f} {:.3f} {:.3f}".format(*colour)
     if name not in _swatches:
         preview = _swatches.new(name)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the panels of the tab "Terrain" share."""
+"""Parts that the panels of the tab "Terrain" share."""
 
 from ..scene import session
 
@@ -25,14 +25,14 @@ class TerrainSubpanel:
 
 
 def switched(column, settings, switch: str, name: str) -> None:
-    """A value and the check box that switches it on."""
+    """Draw a check box, and its value if it is on."""
     column.prop(settings, switch)
     if getattr(settings, switch):
         column.prop(settings, name)
 
 
 def draw_band(column, band, names: tuple[str, ...]) -> None:
-    """A switch, and below it the numbers of what is switched on."""
+    """Draw a switch, and the numbers of `band` below it if it is on."""
     column.row(heading=band.bl_rna.properties["use"].name).prop(band, "use", text="")
     if band.use:
         numbers = column.column(align=True)
@@ -41,7 +41,7 @@ def draw_band(column, band, names: tuple[str, ...]) -> None:
 
 
 def draw_ground(column, ground) -> None:
-    """The settings of a detail: an image's, or those of noise."""
+    """Draw the settings of a displacement: those of an image, or of noise."""
     column.prop(ground, "amplitude")
     column = column.column()
     column.active = ground.amplitude > 0.0
@@ -51,7 +51,7 @@ def draw_ground(column, ground) -> None:
 
 
 def figures(column, lines: list[tuple[str, ...]], factor: float = 0.5) -> None:
-    """Names in the left part, of `factor` of the width, one or more figures in the right."""
+    """Draw names in the left part, `factor` of the width, and one or more figures in the right."""
     for name, *values in lines:
         row = column.split(factor=factor)
         row.label(text=name)
@@ -61,7 +61,7 @@ def figures(column, lines: list[tuple[str, ...]], factor: float = 0.5) -> None:
 
 
 def message(layout, text: str, icon: str) -> None:
-    """A sentence in a box, cut into lines; red if `icon` is "ERROR"."""
+    """Draw a sentence in a box, cut into lines; red if `icon` is "ERROR"."""
     box = layout.box()
     box.alert = icon == "ERROR"
     for number, line in enumerate(wrapped(text, LINE_LENGTH)):
@@ -69,7 +69,7 @@ def message(layout, text: str, icon: str) -> None:
 
 
 def fixed_lines(column, text: str, count: int) -> None:
-    """A sentence in `count` lines, however short it is; one that is longer is cut."""
+    """Draw a sentence in exactly `count` lines; a longer one is cut."""
     lines = wrapped(text, LINE_LENGTH)
     if len(lines) > count:
         lines[count - 1] += " ..."
@@ -78,7 +78,7 @@ def fixed_lines(column, text: str, count: int) -> None:
 
 
 def wrapped(text: str, width: int) -> list[str]:
-    """The text in lines of at most `width` characters, cut between words."""
+    """Return the text in lines of at most `width` characters, cut between words."""
     lines = [""]
     for word in text.split():
         if lines[-1] and len(lines[-1]) + 1 + len(word) > width:

@@ -24,7 +24,7 @@ from .status_row import draw_preparation, draw_status
 
 
 class TerrainPanel(bpy.types.Panel):
-    """What a terrain gives now. It has as many rows whatever they say, so that the settings below never move."""
+    """State of a terrain. The number of rows is fixed, so that the settings below never move."""
 
     bl_idname = "ADAPTIVE_TERRAIN_PT_main"
     bl_label = "Adaptive Terrain"
@@ -53,7 +53,8 @@ class TerrainPanel(bpy.types.Panel):
 
 
 def _waiting_row(layout):
-    """A row for what needs the kernels now: greyed out while they are prepared, because it would hold up the window."""
+    """Return a row for operators that need the kernels. It is greyed out while they are prepared, because they would
+    block the window."""
     row = layout.row()
     row.enabled = not warmup.preparing()
     return row

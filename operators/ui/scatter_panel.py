@@ -13,9 +13,9 @@ from .layers_panel import draw_rules
 from .panel_parts import TerrainSubpanel, figures, message
 from .status_row import draw_failure
 
-ORPHAN = "It stands on no terrain, so its points stay as they are: parent it to one, or delete it."
+ORPHAN = "Its parent is no terrain, so its points stay as they are: parent it to one, or delete it."
 LABELS = {"margin_deg": {"text": "Margin (°)"}}  # of what Blender knows no unit
-STANDING = Matrix()  # where a scatter stands in its terrain's space: points are written in that
+STANDING = Matrix()  # the place of a scatter in its terrain's space, in which its points are written
 
 
 class ScattersPanel(TerrainSubpanel, bpy.types.Panel):
@@ -74,14 +74,14 @@ class ScatterPanel(bpy.types.Panel):
 
 
 def summary(scatter: ScatterRecord | None) -> tuple[str, str]:
-    """How many points there are, and what the last that were made took."""
+    """Return the number of points and the time of the last update of a scatter."""
     if scatter is None or scatter.points is None:
         return "-", "-"
     return f"{len(scatter.points):,}", time_text(sum(scatter.ms.values()))
 
 
 def scatter_lines(settings, scatter: ScatterRecord | None, status) -> list[tuple[str, str]]:
-    """The lines at the panel's top: as many whatever there is."""
+    """Return the four lines at the panel's top."""
     points, took = summary(scatter)
     tested, off = "-", "-"
     if points != "-":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the last update gave and took, how large its errors were measured to be, and what other errors would cost."""
+"""Result and cost of the last update, its measured errors, and the cost of other errors."""
 
 import os
 
@@ -7,6 +7,7 @@ import bpy
 
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.ask.criterion import LARGEST, unit_asked
+from ...cbt_terrain.ask.settings import BOUNDS
 from ...cbt_terrain.errors import TerrainError, shown
 from .. import jobs
 from ..report import measure_accuracy, sweep_accuracy
@@ -96,22 +97,23 @@ def _draw_measuring(column, operator: str, icon: str) -> None:
 
 
 def _bounds(status) -> list[tuple[str, float, str, object]]:
-    """Name, value, unit and parts of every bound that was asked for, the one that counts most first."""
-    bounds = [("Screen error", status.bound_px, "px", status.terms_px)]
-    bounds += [("Vertical error", status.bound_m, "m", status.terms_m)]
-    bounds += [("Longest edge", status.bound_edge_px, "px", None)]
-    bounds += [("Largest triangle", status.bound_area_px, "px²", None)]
-    return [bound for bound in bounds if bound[1] is not None]
+    """Return label, value, unit and terms of every bound of the last update, the most important first."""
+    bounds = []
+    for name, (label, unit) in BOUNDS.items():
+        if (value := getattr(status, name)) is not None:
+            terms = getattr(status, name.replace("bound", "terms"), None)
+            bounds.append((label, value, unit.partition(" ")[0], terms))
+    return bounds
 
 
 def _bound(value: float, unit: str, digits: int) -> str:
-    """A bound that holds as it is shown; 0 where nothing is in view."""
+    """Return the text of a bound, rounded up; 0 if nothing is in view."""
     shown = max(value, SMALLEST) if value else 0.0
     return f"≤ {bound_text(shown, unit, digits)}" if value < LARGEST else NO_BOUND
 
 
 def summary_lines(status) -> list[tuple[str, str]]:
-    """The three lines at the panel's top: as many before the first update."""
+    """Return the three lines at the panel's top, also before the first update."""
     if not status.mode:
         return [("Triangles", "-"), ("Error bound", "-"), ("Update", "-")]
     name, value, unit, _ = (_bounds(status) or [("Error bound", None, "", None)])[0]
@@ -121,7 +123,7 @@ def summary_lines(status) -> list[tuple[str, str]]:
 
 
 def statistics_lines(status) -> list[tuple[str, str]]:
-    """What the panel says of an update: pairs of a name and a figure with its unit."""
+    """Return names and figures of the last update, each figure with its unit."""
     if not status.mode:
         return [("No update yet", "")]
     unit = unit_asked(status.request.criterion)
@@ -141,7 +143,7 @@ def statistics_lines(status) -> list[tuple[str, str]]:
 
 
 def measured_lines(measured: dict) -> list[tuple[str, str, str]]:
-    """The errors that were measured: name and unit, largest (of height: anywhere), what 95 % are below."""
+    """Return the measured errors: name and unit, largest (of height: anywhere), 95 %."""
     distributions = [
         ("Screen (px)", "screen_px"),
         ("Hidden (px)", "hidden_px"),
@@ -160,9 +162,9 @@ def measured_lines(measured: dict) -> list[tuple[str, str, str]]:
 
 
 def prediction_lines(status, curve: CostCurve, exact: bool) -> list[str]:
-    """What half and twice the error of the last update would cost, by the measured curve: a line each.
+    """Return what half and twice the error of the last update would cost, by the measured curve: a line each.
 
-    `exact`: the update is the one that was measured. Any other scales the curve to go through its own point.
+    exact: the update is the measured one. Any other scales the curve to go through its own point.
     """
     error = getattr(status.request.criterion, f"error_{curve.unit}") * status.relaxed
     if not error:
@@ -182,7 +184,7 @@ def prediction_lines(status, curve: CostCurve, exact: bool) -> list[str]:
 
 
 def _rounded(value: float) -> str:
-    """Two digits: a prediction is no better."""
+    """Return a number with two digits: a prediction is no better."""
     return plain(float(f"{value:.2g}"))
 
 

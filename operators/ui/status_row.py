@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one row of the panel that says how the terrain is: work under way, what went wrong, what is out of sight.
+"""The row of the panel with the terrain's state: progress, an error, or why it is out of sight.
 
-It is always one row, so that nothing below it moves while someone aims at it.
+It is always one row, so that nothing below it moves while a user aims at it.
 """
 
 import bpy
@@ -22,7 +22,7 @@ FRAME, CAMERA_TO_VIEW = "adaptive_terrain.frame", "view3d.camera_to_view"
 
 
 def draw_status(layout, context, obj) -> None:
-    """The row: the first of these that there is."""
+    """Draw the first row that applies: progress, failure, state, notice."""
     row = layout.row(align=True)
     status = session.record_of(obj).status
     if _draw_progress(row, obj):
@@ -46,7 +46,7 @@ def draw_status(layout, context, obj) -> None:
 
 
 def draw_preparation(layout) -> None:
-    """A row that shows how far the kernels are, while they are prepared; an empty one otherwise."""
+    """Draw the progress of preparing the kernels; an empty row if they are ready."""
     fraction = warmup.progress()
     if fraction is not None and warmup.preparing():
         layout.progress(factor=fraction, text="Preparing kernels (first use)")
@@ -65,7 +65,7 @@ def _draw_progress(row, obj) -> bool:
 
 
 def sight_notice(context, obj) -> tuple[str, str, str]:
-    """What keeps the terrain out of sight, the operator that mends it, and its button's text; "" where nothing does."""
+    """Return what keeps the terrain out of sight, the operator that fixes it, and its button's text; "" for nothing."""
     try:
         box = sight.box_of(obj)
         if _viewport_cuts(context, box):
@@ -81,13 +81,13 @@ def sight_notice(context, obj) -> tuple[str, str, str]:
         if sight.is_cut_off(box, view):
             return "Camera cuts it off", FRAME, "Frame"
     except TerrainError:
-        pass  # the update says what is wrong
+        pass  # the update reports it
     return "", "", ""
 
 
 def _viewport_cuts(context, box: np.ndarray) -> bool:
-    """Whether the viewport that the panel is beside ends before the terrain; of one in camera view, the camera's end
-    counts, which has a notice of its own."""
+    """Tell whether the viewport beside the panel clips the terrain. False in camera view, where the camera's own clip
+    range has another notice."""
     space = context.space_data
     if space is None or space.type != "VIEW_3D" or space.region_3d.view_perspective == "CAMERA":
         return False
@@ -96,7 +96,7 @@ def _viewport_cuts(context, box: np.ndarray) -> bool:
 
 
 def draw_failure(layout, terrain) -> bool:
-    """The button that opens what went wrong with a terrain's update, if anything has; returns whether it has."""
+    """Draw a button that opens the error of a terrain's last update; return whether there is one."""
     if session.record_of(terrain).status.error:
         row = layout.row(align=True)
         row.alert = True
@@ -106,7 +106,7 @@ def draw_failure(layout, terrain) -> bool:
 
 
 def _concerned(obj):
-    """The terrain that an object is, or that it is a scatter of; None for any other."""
+    """Return the terrain that an object is, or of which it is a scatter; None for any other."""
     terrain = obj.parent if obj is not None and is_scatter(obj) else obj
     return terrain if terrain is not None and session.is_terrain(terrain) else None
 

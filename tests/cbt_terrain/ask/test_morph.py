@@ -248,5 +248,5 @@ def test_what_nearer_ground_hides_gets_coarser_by_degrees():
 
 @pytest.mark.parametrize("wrong", [0.5, -1.0, 4.5, float("nan"), float("inf")])
 def test_what_is_no_morph_is_refused(wrong):
-    with pytest.raises(TerrainError, match=r"The morph is .*; expected a number from 1 \(off\) to 4\."):
+    with pytest.raises(TerrainError, match=r"The criterion's morph is .*; expected a number from 1 to 4\."):
         Criterion(morph=wrong)

@@ -343,5 +343,5 @@ def test_from_above_a_lower_shading_floor_takes_fewer_triangles_and_the_bound_ho
     assert counts[0] > 1.5 * counts[1] > 6 * counts[2] > 6 * counts[3] == 6 * 5
     assert len(beside - {0}) == 1, "where errors show from the side the floor does not count"
     for wrong in (-0.1, 1.1, math.nan):
-        with pytest.raises(TerrainError, match="The shading floor is .*; expected a number from 0 to 1"):
+        with pytest.raises(TerrainError, match="The criterion's shading_floor is .*; expected a number from 0 to 1"):
             Criterion(shading_floor=wrong)

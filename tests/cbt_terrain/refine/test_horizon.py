@@ -197,5 +197,5 @@ def test_counts_of_a_triangle_limit_know_what_is_hidden(monkeypatch):
 
 
 def test_a_factor_below_one_is_an_error():
-    with pytest.raises(TerrainError, match="hidden factor is 0.5; expected 1"):
+    with pytest.raises(TerrainError, match="hidden_factor is 0.5; expected a number, 1 or more"):
         Criterion(hidden_factor=0.5)

@@ -95,12 +95,12 @@ def rows_of(folder):
 
 def test_a_store_is_swept_from_where_all_of_it_is_seen(accuracy, monkeypatch):
     monkeypatch.setattr(sweep, "MAX_SPREAD", math.inf)  # other programs may disturb the times
-    code, said, folder = accuracy("--resolution", "320x180")
-    assert code == 0, said.err
+    code, printed, folder = accuracy("--resolution", "320x180")
+    assert code == 0, printed.err
     rows = rows_of(folder)
     assert [row["asked"] for row in rows if row["unit"] == "px"][:7] == "16.0 8.0 4.0 2.0 1.0 0.5 0.25".split()
     assert {row["meshlet"] for row in rows} == {"0", "1", "2", "3", "4"}
-    assert len(said.out.splitlines()) == len(rows) + 1
+    assert len(printed.out.splitlines()) == len(rows) + 1
     for row in rows:
         assert 0 < float(row["measured"]) <= float(row["bound"])
         geometric, *rounded = (float(row[f"bound_{part}"]) for part in TERMS)
@@ -120,8 +120,8 @@ def test_a_store_is_swept_from_where_all_of_it_is_seen(accuracy, monkeypatch):
 
 
 def test_the_page_needs_nothing_else_and_has_every_row(measured, accuracy):
-    code, said, folder = accuracy()
-    assert code == 0, said.err
+    code, printed, folder = accuracy()
+    assert code == 0, printed.err
     page = (folder / "index.html").read_text()
     assert re.findall(r'(?:src|href)="(?!data:image/png;base64,)', page) == []
     assert "<script" not in page and "@import" not in page
@@ -131,9 +131,9 @@ def test_the_page_needs_nothing_else_and_has_every_row(measured, accuracy):
         name = accuracy_plots.label(row.setting)
         assert f"<td>{name}" in page and f"| {name}" in text
     assert "1 px (current)" in page and "1 px (current)" in text
-    for said in (page, text):
-        assert "Halving the error from 1 px to 0.5 px costs 7.5 ms of CPU and 4,800 triangles" in said
-        assert "doubling it to 2 px saves 3 ms of CPU and 1,200 triangles. Part of" in said
+    for printed in (page, text):
+        assert "Halving the error from 1 px to 0.5 px costs 7.5 ms of CPU and 4,800 triangles" in printed
+        assert "doubling it to 2 px saves 3 ms of CPU and 1,200 triangles. Part of" in printed
     plots = sorted(path.name for path in folder.glob("*.svg"))
     assert plots == [f"hills_{unit}_{cost}.svg" for unit in ("m", "px") for cost in ("ms", "triangles")]
     for name in plots:
@@ -147,8 +147,8 @@ def test_the_page_needs_nothing_else_and_has_every_row(measured, accuracy):
 
 @needs_chromium
 def test_a_browser_shows_the_page_with_every_picture(measured, accuracy, tmp_path):
-    code, said, folder = accuracy("--resolution", "320x180")
-    assert code == 0, said.err
+    code, printed, folder = accuracy("--resolution", "320x180")
+    assert code == 0, printed.err
     seen = opened(folder / "index.html", tmp_path / "chromium")
     assert not seen.errors and seen.wide <= 0
     assert len(seen.pictures) == 3 + 4 and all(there for _, there in seen.pictures)
@@ -157,8 +157,8 @@ def test_a_browser_shows_the_page_with_every_picture(measured, accuracy, tmp_pat
 
 
 def test_the_strip_shows_the_same_part_at_four_errors(measured, accuracy):
-    code, said, folder = accuracy("--resolution", "320x180")
-    assert code == 0, said.err
+    code, printed, folder = accuracy("--resolution", "320x180")
+    assert code == 0, printed.err
     text = (folder / "accuracy.md").read_text()
     shown = [np.asarray(Image.open(folder / f"hills_{px}px.png")).astype(int) for px in (4, 2, 1)]
     assert sorted(path.name for path in folder.glob("*.png")) == ["hills_1px.png", "hills_2px.png", "hills_4px.png"]
@@ -172,8 +172,8 @@ def test_the_strip_shows_the_same_part_at_four_errors(measured, accuracy):
 
 
 def test_a_path_is_measured_at_its_frames_and_between_them(few, accuracy, flight):
-    code, said, folder = accuracy("--path", flight, "--frames", "2-6:2", "--resolution", "320x180")
-    assert code == 0, said.err
+    code, printed, folder = accuracy("--path", flight, "--frames", "2-6:2", "--resolution", "320x180")
+    assert code == 0, printed.err
     on_screen = [row for row in rows_of(folder) if row["unit"] == "px"]
     assert all(float(row["popping_px_max"]) > 0 for row in on_screen)
     content = json.loads((folder / "accuracy.json").read_text())["terrains"][0]
@@ -205,8 +205,8 @@ def test_the_terrains_of_a_scene_with_the_settings_of_its_render(few, scene, add
     far.location.y = 1500
     far.adaptive_terrain.render.error_px, far.adaptive_terrain.render.meshlet = 3.0, 2
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
-    code, said, folder = accuracy("--frames", "1-2", source=("--scene", tmp_path / "scene.blend"))
-    assert code == 0, said.err
+    code, printed, folder = accuracy("--frames", "1-2", source=("--scene", tmp_path / "scene.blend"))
+    assert code == 0, printed.err
     rows = rows_of(folder)
     assert [row["terrain"] for row in rows] == ["Far"] * 5 + ["Near"] * 4
     assert (rows[0]["asked"], rows[0]["meshlet"]) == ("3.0", "2")
@@ -221,7 +221,7 @@ def asking(criterion: Criterion, interpolation: str = "bilinear") -> SimpleNames
     return SimpleNamespace(criterion=criterion, interpolation=interpolation)
 
 
-def test_what_a_sweep_leaves_out_is_said():
+def test_a_sweep_reports_omitted_settings():
     plain = Criterion(error_px=2.0, meshlet=1)
     assert accuracy_subject.current_setting(asking(plain)) == Setting("px", 2.0, meshlet=1)
     smooth = Setting("px", 2.0, meshlet=1, interpolation="bicubic")
@@ -247,8 +247,8 @@ def test_what_a_sweep_leaves_out_is_said():
     ],
 )
 def test_arguments_that_contradict_each_other_are_wrong_usage(accuracy, arguments, message):
-    code, said, folder = accuracy(source=arguments)
-    assert code == 2 and message in said.err
+    code, printed, folder = accuracy(source=arguments)
+    assert code == 2 and message in printed.err
     assert not folder.exists()
 
 
@@ -263,9 +263,9 @@ def test_input_that_cannot_be_used_is_one_sentence(accuracy, hills, tmp_path):
         ({"out": "taken"}, "index.html is a folder"),
         ({"source": ("--scene", tmp_path / "none.blend")}, "There is no scene at"),
     ):
-        code, said, _ = accuracy(**arguments)
-        assert code == 1 and message in said.err, said.err
-        assert len(said.err.splitlines()) == 1 and said.out == ""
+        code, printed, _ = accuracy(**arguments)
+        assert code == 1 and message in printed.err, printed.err
+        assert len(printed.err.splitlines()) == 1 and printed.out == ""
 
 
 def test_an_unknown_camera_and_a_scene_without_one(scene, add_terrain, accuracy, tmp_path):
@@ -273,12 +273,12 @@ def test_an_unknown_camera_and_a_scene_without_one(scene, add_terrain, accuracy,
 
     add_terrain()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
-    code, said, _ = accuracy("--camera", "Nobody", source=("--scene", tmp_path / "scene.blend"))
-    assert code == 1 and "has no camera 'Nobody'; it has Camera" in said.err
+    code, printed, _ = accuracy("--camera", "Nobody", source=("--scene", tmp_path / "scene.blend"))
+    assert code == 1 and "has no camera 'Nobody'; it has Camera" in printed.err
     bpy.context.scene.camera = None
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "blind.blend"))
-    code, said, _ = accuracy(source=("--scene", tmp_path / "blind.blend"))
-    assert code == 1 and "has no camera to refine for" in said.err
+    code, printed, _ = accuracy(source=("--scene", tmp_path / "blind.blend"))
+    assert code == 1 and "has no camera to refine for" in printed.err
 
 
 def test_an_interruption_leaves_the_last_report_as_it_was(measured, accuracy, monkeypatch):
@@ -289,9 +289,9 @@ def test_an_interruption_leaves_the_last_report_as_it_was(measured, accuracy, mo
         raise KeyboardInterrupt
 
     monkeypatch.setattr(accuracy_command, "sweep", interrupted)
-    code, said, folder = accuracy("--progress")
+    code, printed, folder = accuracy("--progress")
     before = {path.name for path in folder.iterdir()}
-    assert code == 130 and said.err.endswith("adaptive-terrain: stopped\n") and " 30%" in said.err
+    assert code == 130 and printed.err.endswith("adaptive-terrain: stopped\n") and " 30%" in printed.err
     assert len(rows_of(folder)) == len(known_rows())
     assert {"index.html", "accuracy.md", "accuracy.json"} <= before and not any(n.startswith(".") for n in before)
 
@@ -300,8 +300,8 @@ def test_a_bound_that_does_not_hold_is_a_failure(accuracy, monkeypatch):
     first, *rest = known_rows()
     too_proud = [dataclasses.replace(first, bound=2.5), *rest]
     monkeypatch.setattr(accuracy_command, "sweep", lambda *arguments, **options: too_proud)
-    code, said, folder = accuracy()
-    assert code == 1 and "in 1 row, first of hills at 4 px: bounded by 2.5 px, measured 3:" in said.err
+    code, printed, folder = accuracy()
+    assert code == 1 and "in 1 row, first of hills at 4 px: bounded by 2.5 px, measured 3:" in printed.err
     assert len(rows_of(folder)) == len(too_proud)
 
 

@@ -17,7 +17,7 @@ from store_exports import bytes_of
 
 
 def test_a_frame_is_arrays_with_what_they_mean(export):
-    code, said, folder = export("--frames", "2", "--format", "npz", "--pixel-error", "2")
+    code, printed, folder = export("--frames", "2", "--format", "npz", "--pixel-error", "2")
     assert code == 0
     mesh = read_npz(folder / "terrain_0002.npz")
     info = mesh.pop("info")
@@ -41,11 +41,11 @@ def test_a_frame_is_arrays_with_what_they_mean(export):
 
 
 def test_a_summary_line_for_each_frame(export):
-    code, said, folder = export("--frames", "1-3:2", "--format", "npz")
-    lines = said.out.splitlines()
+    code, printed, folder = export("--frames", "1-3:2", "--format", "npz")
+    lines = printed.out.splitlines()
     assert [line.split(":")[0] for line in lines] == ["frame 1", "frame 3"]
     assert all(" triangles, bound " in line and " px, " in line and line.endswith(" ms in all") for line in lines)
-    assert said.err == ""
+    assert printed.err == ""
     summary = json.loads((folder / "frame_0003.json").read_text())
     assert summary["files"] == {"terrain_0003.npz": (folder / "terrain_0003.npz").stat().st_size}
     assert summary["terrains"][0]["ms"]["total"] > 0
@@ -65,22 +65,22 @@ def test_resume_leaves_complete_frames(export):
     (folder / "terrain_0002.npz").write_bytes(b"half")
     (folder / "frame_0003.json").unlink()
     kept = [(folder / f"terrain_000{frame}.npz").stat().st_mtime_ns for frame in (1, 4)]
-    code, said, _ = export("--frames", "1-4", "--format", "npz", "--resume")
+    code, printed, _ = export("--frames", "1-4", "--format", "npz", "--resume")
     assert code == 0
-    assert [line.endswith("complete before") for line in said.out.splitlines()] == [True, False, False, True]
+    assert [line.endswith("complete before") for line in printed.out.splitlines()] == [True, False, False, True]
     assert bytes_of(folder) == before
     assert [(folder / f"terrain_000{frame}.npz").stat().st_mtime_ns for frame in (1, 4)] == kept
 
 
 def test_resume_makes_frames_of_other_settings_again(export):
     export("--frames", "1", "--format", "npz", "--pixel-error", "4")
-    _, said, folder = export("--frames", "1", "--format", "npz", "--pixel-error", "1", "--resume")
-    assert "complete before" not in said.out
+    _, printed, folder = export("--frames", "1", "--format", "npz", "--pixel-error", "1", "--resume")
+    assert "complete before" not in printed.out
     assert read_npz(folder / "terrain_0001.npz")["info"]["asked"]["error_px"] == 1
 
 
 def test_budget_and_meshlet(export):
-    _, said, folder = export("--frames", "4", "--format", "npz", "--budget", "3000", "--meshlet", "1")
+    _, printed, folder = export("--frames", "4", "--format", "npz", "--budget", "3000", "--meshlet", "1")
     info = read_npz(folder / "terrain_0004.npz")["info"]
     assert info["triangles"] <= 3000 and info["triangles"] == 4 * info["leaves"]
     assert info["limited"] == "max_triangles" and info["relaxed"] > 1 and info["bound_px"] > 1
@@ -88,7 +88,7 @@ def test_budget_and_meshlet(export):
     assert info["terms_m"] is info["bound_m"] is info["bound_edge_px"] is info["bound_area_px"] is None
     [figures] = json.loads((folder / "frame_0004.json").read_text())["terrains"]
     assert {name: figures[name] for name in ("terms_px", "terms_m")} == {n: info[n] for n in ("terms_px", "terms_m")}
-    assert "held back by the triangle limit" in said.out
+    assert "held back by the triangle limit" in printed.out
 
 
 def test_a_smooth_surface_may_be_asked_for(export):
@@ -189,10 +189,10 @@ sys.exit(main([*common, "--format", "ply"]))
 
 def test_a_file_where_a_folder_is_expected(export, tmp_path, capsys):
     (tmp_path / "out").write_text("something")
-    code, said, _ = export("--frames", "1", "--format", "npz")
-    assert code == 1 and "expected a folder" in said.err and len(said.err.splitlines()) == 1
-    code, said, _ = export("--frames", "1", "--format", "npz", out="out/below")
-    assert code == 1 and "expected a folder" in said.err
+    code, printed, _ = export("--frames", "1", "--format", "npz")
+    assert code == 1 and "expected a folder" in printed.err and len(printed.err.splitlines()) == 1
+    code, printed, _ = export("--frames", "1", "--format", "npz", out="out/below")
+    assert code == 1 and "expected a folder" in printed.err
     pytest.importorskip("bpy")
     assert command_line.main(["demo", "--out", str(tmp_path / "out")]) == 1
     assert "expected a folder" in capsys.readouterr().err

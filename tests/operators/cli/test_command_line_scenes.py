@@ -1,21 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The command line over scenes and Blender's formats."""
 
+import dataclasses
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.operators.cli import command_line
+from adaptive_terrain.operators.request.overrides import Overrides
 
 
 @pytest.mark.parametrize("form", ["ply", "obj", "glb", "stl", "blend"])
 def test_blenders_formats_hold_the_same_mesh(export, form):
     bpy = pytest.importorskip("bpy")
-    code, said, folder = export("--frames", "2", "--format", f"npz,{form}")
-    assert code == 0, said.err
+    code, printed, folder = export("--frames", "2", "--format", f"npz,{form}")
+    assert code == 0, printed.err
     mesh = read_npz(folder / "terrain_0002.npz")
     path = str(folder / f"terrain_0002.{form}")
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -56,23 +59,70 @@ def test_what_a_command_asks_replaces_animated_settings(scene, add_terrain, tmp_
         assert [info["interpolation"] for info in infos] == interpolations
 
 
-@pytest.mark.parametrize("source", ["scene", "store"])
-def test_smooth_transitions_may_be_asked_for_and_refused(source, export, scene, add_terrain, tmp_path, capsys):
-    """A scene has them on in its render settings, a store has none."""
+OPTIONS = {
+    ("--edge", "30"): {"edge_px": 30.0},
+    ("--area", "250"): {"area_px": 250.0},
+    ("--metres", "2"): {"error_m": 2.0},
+    ("--guard", "30"): {"guard_deg": 30.0},
+    ("--off-screen", "2"): {"off_screen_factor": 2.0},
+    ("--occlusion", "8"): {"hidden_factor": 8.0},
+    ("--shading-floor", "0.875"): {"shading_floor": 0.875},
+    ("--pixel-error", "0", "--edge", "30"): {"error_px": 0.0, "edge_px": 30.0},
+    ("--pixel-error", "3", "--budget", "900"): {"error_px": 3.0, "limit_triangles": True, "max_triangles": 900},
+    ("--meshlet", "1", "--no-morph"): {"meshlet": 1, "smooth_transitions": False},
+}
+
+
+def test_an_option_gives_the_mesh_of_its_setting(scene, add_terrain, tmp_path, capsys):
     import bpy
 
-    def morph(*more) -> float:
-        if source == "store":
-            _, _, folder = export("--frames", "2", "--format", "npz", "--pixel-error", "4", *more)
-            return read_npz(folder / "terrain_0002.npz")["info"]["asked"]["morph"]
-        argv = ["export", "--scene", str(tmp_path / "a.blend"), "--frames", "1", "--format", "npz", *more]
-        assert command_line.main([*argv, "--out", str(tmp_path)]) == 0, capsys.readouterr().err
-        return read_npz(tmp_path / "Hills_0001.npz")["info"]["asked"]["morph"]
+    detail = add_terrain("Hills").adaptive_terrain.render
+    detail.error_px = 6.0  # smooth_transitions is on, as in every new terrain's render
+    scene.camera.location.z = 80.0  # from low down, hills hide others
+    before = {name: getattr(detail, name) for values in OPTIONS.values() for name in values}
 
-    if source == "scene":
-        add_terrain("Hills").adaptive_terrain.render.error_px = 4.0
-        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
-    assert [morph(), morph("--morph"), morph("--no-morph")] == [SMOOTH if source == "scene" else 1.0, SMOOTH, 1.0]
+    def exported(name: str, *more) -> dict:
+        argv = ["export", "--scene", str(tmp_path / f"{name}.blend"), "--frames", "1", "--format", "npz"]
+        assert command_line.main([*argv, "--out", str(tmp_path / "out"), *more]) == 0, capsys.readouterr().err
+        return read_npz(tmp_path / "out" / "Hills_0001.npz")
+
+    for number, values in enumerate([{}, *OPTIONS.values()]):
+        for name, value in {**before, **values}.items():
+            setattr(detail, name, value)
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / f"{number}.blend"), copy=True)
+    plain = exported("0")
+    for number, options in enumerate(OPTIONS, 1):
+        given, wanted = exported("0", *options), exported(str(number))
+        assert given["info"] == wanted["info"] and given["info"]["asked"] != plain["info"]["asked"]
+        assert given["info"]["asked"]["morph"] == (1.0 if "--no-morph" in options else SMOOTH)
+        for array in ("positions", "triangles", "normals"):
+            assert given[array].tobytes() == wanted[array].tobytes(), options
+        assert given["positions"].tobytes() != plain["positions"].tobytes(), options
+
+
+def test_options_of_a_store_are_the_criterion(export, store):
+    given = "--edge", "40", "--metres", "3", "--guard", "9", "--off-screen", "4", "--occlusion", "2", "--area", "500"
+    code, printed, folder = export("--frames", "2", "--format", "npz", "--pixel-error", "0", *given)
+    assert code == 0, printed.err
+    asked = read_npz(folder / "terrain_0002.npz")["info"]["asked"]
+    wanted = Criterion(0.0, 40.0, 500.0, 3.0, guard_deg=9.0, off_screen_factor=4.0, hidden_factor=2.0)
+    assert asked == dataclasses.asdict(wanted)
+    for more, morph in ((), 1.0), (("--morph",), SMOOTH), (("--no-morph",), 1.0):
+        _, _, folder = export("--frames", "2", "--format", "npz", "--pixel-error", "4", *more)
+        assert read_npz(folder / "terrain_0002.npz")["info"]["asked"]["morph"] == morph
+    code, printed, _ = export("--frames", "2", "--format", "npz", "--pixel-error", "0")
+    assert code == 1 and "Every criterion is 0: ask for" in printed.err
+
+
+def test_an_error_replaces_a_time_budget(scene, add_terrain):
+    import bpy
+    from adaptive_terrain.operators.request.request import RENDER, gather
+
+    terrain = add_terrain("Hills")
+    terrain.adaptive_terrain.render.limit_time = True
+    for criterion, replaced in (({"error_px": 3.0}, True), ({"error_m": 3.0}, True), ({"edge_px": 9.0}, False)):
+        request = gather(terrain, bpy.context.evaluated_depsgraph_get(), RENDER, overrides=Overrides(criterion))
+        assert (request.max_ms is None, request.note == "") == (replaced, replaced)
 
 
 def test_an_exported_scene_finds_its_pictures(scene, add_terrain, tmp_path, capsys):

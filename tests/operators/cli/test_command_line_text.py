@@ -23,25 +23,29 @@ def test_a_text_from_outside_cannot_command_the_terminal(capsys):
         (["info", "nothing"], 1, "nothing does not exist"),
         (["bake", "--store", "x", "--max-error", "0", "--out", "a.ply"], 2, "0 is not more than 0"),
         (["bake", "--store", "x", "--max-error", "1", "--out", "a.doc"], 2, "no known format"),
-        (["bake", "--store", "x", "--max-error", "1", "--detail", "2", "--out", "a.npz"], 2, "argument --detail"),
-        (["bake", "--store", "x", "--max-error", "1", "--detail", "0,2", "--out", "a.npz"], 2, "argument --detail"),
+        (["bake", "--store", "x", "--max-error", "1", "--displacement", "2", "--out", "a.npz"], 2, "--detail"),
+        (["bake", "--store", "x", "--max-error", "1", "--detail", "0,2", "--out", "a.npz"], 2, "--detail"),
         (["bake", "--store", "x", "--max-error", "1", "--out", "a.npz"], 1, "no terrain store at x"),
         (["export", "--frames", "1", "--format", "npz", "--out", "x"], 2, "--scene --store is required"),
         (["export", "--store", "x", "--frames", "1", "--format", "npz", "--out", "x"], 2, "needs --path"),
         (["export", "--store", "x", "--scatter", "--frames", "1", "--format", "npz", "--out", "x"], 2, "to --scene"),
         (["export", "--store", "x", "--frames", "5-1", "--format", "npz", "--out", "x"], 2, "go backwards"),
         (["export", "--store", "x", "--frames", "1", "--format", "doc", "--out", "x"], 2, "'doc' is not one of"),
-        (["export", "--scene", "x", "--path", "y", "--frames", "1", "--format", "npz", "--out", "x"], 2, "has cameras"),
+        (
+            ["export", "--scene", "x", "--path", "y", "--frames", "1", "--format", "npz", "--out", "x"],
+            2,
+            "its own cameras",
+        ),
         (["export", "--store", "x", "--path", "y", "--frames", "1", "--format", "npz", "--out", "x"], 1, "path y"),
     ],
 )
 def test_exit_codes(argv, code, message, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert command_line.main(argv) == code
-    said = capsys.readouterr()
-    assert message in said.err and said.out == ""
+    printed = capsys.readouterr()
+    assert message in printed.err and printed.out == ""
     if code == 1:
-        assert len(said.err.splitlines()) == 1
+        assert len(printed.err.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
 
 
@@ -79,9 +83,9 @@ def test_progress_shows_the_time_left(capsys, monkeypatch):
     assert bar.left_s() == pytest.approx(60.0)
     bar.say("frame 6")
     bar.close()
-    said = capsys.readouterr()
-    assert said.out == "frame 6\n"
-    assert " 60%  1:00 min left" in said.err and said.err.endswith("\r\x1b[K")
+    printed = capsys.readouterr()
+    assert printed.out == "frame 6\n"
+    assert " 60%  1:00 min left" in printed.err and printed.err.endswith("\r\x1b[K")
 
 
 def test_a_farm_is_told_in_lines(capsys):
@@ -91,9 +95,9 @@ def test_a_farm_is_told_in_lines(capsys):
     bar.say("frame 6")
     bar.to(3)
     bar.close()
-    said = capsys.readouterr()
+    printed = capsys.readouterr()
     told = ["openjd_progress: 0", "openjd_progress: 33", "openjd_status: frame 6", "openjd_progress: 100"]
-    assert said.out.splitlines() == told and said.err == ""
+    assert printed.out.splitlines() == told and printed.err == ""
 
 
 def test_no_bar_where_no_terminal_is(capsys):

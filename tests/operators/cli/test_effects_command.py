@@ -29,12 +29,14 @@ def export(store, tmp_path, capsys):
 
 def test_the_catalogue_names_every_effect_with_its_unit_and_cost(capsys):
     assert command_line.main(["effects"]) == 0
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for name, effect in EFFECTS.items():
-        entry = said.split(f"\n{name}:\n" if not said.startswith(f"{name}:") else f"{name}:\n")[1].split("\n  cost:")[0]
+        entry = printed.split(f"\n{name}:\n" if not printed.startswith(f"{name}:") else f"{name}:\n")[1].split(
+            "\n  cost:"
+        )[0]
         assert effect.about in entry and (not effect.unit or f"unit: {effect.unit}" in entry)
         assert all(f"{p.name}: " in entry for p in effect.parameters)
-    assert said.count("  cost: ") == len(EFFECTS)
+    assert printed.count("  cost: ") == len(EFFECTS)
 
 
 def test_of_a_store_each_is_measured(store, capsys):
@@ -85,7 +87,7 @@ def test_none_and_auto_write_no_effect_of_a_store(export):
 
 
 def test_an_unknown_effect_is_one_line_that_lists_the_known(export):
-    code, said, folder = export("--effects", "slope,erosion")
+    code, printed, folder = export("--effects", "slope,erosion")
     assert code == 2 and not folder.exists()
-    last = said.err.splitlines()[-1]
+    last = printed.err.splitlines()[-1]
     assert "'erosion' is no effect; expected some of" in last and all(name in last for name in EFFECTS)

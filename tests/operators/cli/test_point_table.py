@@ -64,7 +64,7 @@ def test_a_header_alone_is_a_table_without_points():
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
         ("x,y\n1,2\n3,\n", "Line 3 of p.csv is 3,; expected 2 values, numbers under x and y"),
         ("x,y\n\n1,2\n\n3\n", "Line 5 of p.csv is 3; expected 2 values"),
@@ -81,7 +81,7 @@ def test_a_header_alone_is_a_table_without_points():
         (b"\xff\xfe", "The first line of p.csv is empty"),
     ],
 )
-def test_errors_name_the_line(content, said):
+def test_errors_name_the_line(content, message):
     with pytest.raises(TerrainError) as error:
         parsed(content)
-    assert said in str(error.value)
+    assert message in str(error.value)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scatters in Blender: objects whose points follow their terrain, and cost nothing while nobody sees them."""
+"""Scatters in Blender: objects whose points follow their terrain, and cost nothing while they are hidden."""
 
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -189,9 +189,11 @@ def test_the_panel_says_how_many_and_what_they_took(terrain, scatter):
     assert lines["Off the mesh"].startswith("moved")
 
 
-def test_only_the_viewport_limits_the_number_of_points(scene, terrain, scatter, monkeypatch):
-    monkeypatch.setattr(scatters, "MOST_IN_VIEWPORT", 100)
-    with pytest.raises(TerrainError, match=r"has [\d,]+ points in view, expected 100 at most, as many as a viewport"):
+def test_a_viewport_refuses_more_points_than_a_render(scene, terrain, scatter, monkeypatch):
+    monkeypatch.setattr(scatters, "MAX_IN_VIEWPORT", 100)
+    with pytest.raises(
+        TerrainError, match=r"has [\d,]+ points in view, expected 100 at most, the maximum of a viewport"
+    ):
         session.update_object(terrain)
     assert len(scatter.data.vertices) == 0
     session.update_object(terrain, mode="RENDER")
@@ -199,7 +201,7 @@ def test_only_the_viewport_limits_the_number_of_points(scene, terrain, scatter, 
     monkeypatch.setattr(scatters, "physical_memory", lambda: 4 * scatters.POINT_BYTES * 60 // 3)
     for mode in "VIEWPORT", "RENDER":
         scatter.adaptive_scatter.seed += 1
-        with pytest.raises(TerrainError, match="expected 60 at most, as many as this machine's memory holds"):
+        with pytest.raises(TerrainError, match="expected 60 at most, the maximum of this machine's memory"):
             session.update_object(terrain, mode=mode)
 
 
@@ -208,7 +210,7 @@ def test_the_panel_of_a_scatter_opens_what_went_wrong(scene, terrain, scatter):
     bpy.context.view_layer.objects.active = scatter
     assert not draw_failure(shown, terrain) and shown.mock_calls == []
     scatter.adaptive_scatter.layer = "Gone"
-    with pytest.raises(TerrainError, match="stands on the layer 'Gone'"):
+    with pytest.raises(TerrainError, match="Its layer 'Gone' is none of the terrain's: choose another"):
         session.update_object(terrain)
     assert draw_failure(shown, terrain)
     (name,), button = shown.row().operator.call_args

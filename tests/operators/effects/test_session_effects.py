@@ -12,7 +12,8 @@ from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.run import warmup
 from adaptive_terrain.operators.properties.effect_properties import numbers_of
-from adaptive_terrain.operators.request.request import Overrides, gather
+from adaptive_terrain.operators.request.overrides import Overrides
+from adaptive_terrain.operators.request.request import gather
 from adaptive_terrain.operators.request.sun_lamps import sun_lamps, suns_over
 from adaptive_terrain.operators.scene import session
 from adaptive_terrain.operators.viewport import live

@@ -96,7 +96,7 @@ def test_a_preset_says_which_masks_it_cannot_hold(terrain, tmp_path, monkeypatch
     monkeypatch.setattr(bpy.utils, "user_resource", lambda _kind, path="", create=False: str(tmp_path))
     entry = add("relief")
     entry.mask.kind, entry.mask.image = "IMAGE", bpy.data.images.new("Paint", 4, 4)
-    with pytest.raises(RuntimeError, match="'Paint', which masks 'Fine Relief', is in no file of its own"):
+    with pytest.raises(RuntimeError, match="'Paint', which masks 'Fine Relief', has no file"):
         bpy.ops.adaptive_terrain.land_preset_add(name="Painted")
     assert not list(tmp_path.glob("Painted*.json"))
     rules = [{"of": "aspect", "low": -0.5, "high": 0.5}]

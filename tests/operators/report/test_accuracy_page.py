@@ -65,7 +65,7 @@ def test_a_section_compares_popping_with_and_without_geomorph(morph, name):
     other = dataclasses.replace(own, setting=setting, popping_px=jumps, triangles=125, ms={"total": 0.5})
     other = dataclasses.replace(other, shading_change=Errors(9, 2.0, 0.0, 1.0, 0.1, 0.2))
     heading, _, table, plot = transitions_section([own, other, *known_rows()[1:]], " of hills", "a_popping.svg")
-    assert heading.text == "What Smooth Transitions of hills save and cost"
+    assert heading.text == "What Geomorph of hills saves and costs"
     ratios, jumped = (["1.25", "0.50"], ["4", "0.04"]) if morph > 1 else (["0.80", "2.00"], ["0.04", "4"])
     shaded = ["30", "2"] if morph > 1 else ["2", "30"]
     [line] = table.rows

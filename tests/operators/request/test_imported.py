@@ -123,7 +123,7 @@ def test_live_settings_do_not(terrain):
     assert not is_stale(terrain)
 
 
-def test_a_file_that_moved_is_the_same_and_an_unknown_one_is_not_judged(tmp_path):
+def test_a_file_that_moved_is_the_same(tmp_path):
     asked = ImportSettings(source=str(tmp_path / "dem.tif"), extent=(10.0, 20.0), no_data=-9999.0)
     kept = dataclasses.asdict(asked) | {"extent": [10.0, 20.0], "no_data": "-9999.0"}
     store = Imported(kept, "", (0.0, 0.0), (2, 2), (1.0, 1.0), (1.0, 1.0), (0.0, 1.0))
@@ -139,7 +139,7 @@ def test_a_file_that_moved_is_the_same_and_an_unknown_one_is_not_judged(tmp_path
 
 
 @pytest.mark.parametrize("pair", [[10**400, 3], [-5, 3], [1, 1e300], "many"])
-def test_a_store_with_figures_that_cannot_be_is_no_error_of_the_panel(terrain, pair):
+def test_impossible_figures_of_a_store_are_no_error(terrain, pair):
     file = Path(bpy.path.abspath(terrain.adaptive_terrain.store)) / "store.json"
     content = json.loads(file.read_text())
     content["report"] = {"raster": pair, "extent_m": pair}

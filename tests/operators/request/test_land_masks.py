@@ -111,7 +111,7 @@ def test_a_mask_that_was_cut_off_is_told_of(terrain, tmp_path, packed):
     whole = file.read_bytes()
     entry = add("relief")
     for content, said in (
-        (whole[: len(whole) // 2], r"is damaged \(it ends inside a chunk\): expected a whole PNG; get the file"),
+        (whole[: len(whole) // 2], r"is damaged \(it ends inside a chunk\); expected a whole PNG: get the file"),
         (whole[:-12], r"is damaged \(it ends before its last chunk\)"),
         (whole[:200] + b"?" + whole[201:], r"is damaged \(its chunk IDAT differs from its checksum\)"),
     ):

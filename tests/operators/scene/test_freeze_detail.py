@@ -9,7 +9,7 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.operators.output.frame_sources import scene_piece
-from adaptive_terrain.operators.request.request import Overrides
+from adaptive_terrain.operators.request.overrides import Overrides
 from adaptive_terrain.operators.scene import frozen, session
 from adaptive_terrain.operators.ui.statistics_panel import summary_lines
 
@@ -69,7 +69,7 @@ def test_renders_and_exports_keep_them_unless_a_command_asks_for_others(terrain)
     freeze()
     depsgraph = bpy.context.evaluated_depsgraph_get()
     assert len(scene_piece(terrain, depsgraph, 1).surface.triangles) == shown > free
-    asked = scene_piece(terrain, depsgraph, 1, overrides=Overrides(error_px=8.0))
+    asked = scene_piece(terrain, depsgraph, 1, overrides=Overrides({"error_px": 8.0}))
     assert len(asked.surface.triangles) == free
 
 

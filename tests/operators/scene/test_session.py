@@ -58,7 +58,7 @@ def test_another_interpolation_is_another_mesh(scene, add_terrain):
 def test_an_interpolation_that_no_one_knows_is_named(scene, add_terrain):
     terrain = add_terrain("Hills")
     terrain.adaptive_terrain["interpolation"] = 9
-    with pytest.raises(TerrainError, match="'Hills' has an unknown interpolation; choose one on its panel"):
+    with pytest.raises(TerrainError, match="'Hills' has an unknown interpolation: choose one on its panel"):
         session.update_object(terrain)
 
 
@@ -179,7 +179,7 @@ def test_a_clean_up_that_is_no_number_is_refused_and_the_mesh_stays(scene, add_t
     with pytest.raises(TerrainError, match="boundary 'Void' is of type EMPTY"):
         session.update_object(terrain)
     cleanup.boundary = terrain
-    with pytest.raises(TerrainError, match="is its own boundary; choose another object"):
+    with pytest.raises(TerrainError, match="is its own boundary: choose another object"):
         session.update_object(terrain)
     assert positions(terrain) == before
 
@@ -273,8 +273,8 @@ def test_without_a_window_kernels_are_loaded_on_demand(empty):
     assert bpy.app.background and not warmup.preparing() and warmup.progress() is None
 
 
-def test_an_error_in_what_is_asked_names_the_terrain(scene, add_terrain):
+def test_an_error_of_the_criterion_names_the_terrain(scene, add_terrain):
     terrain = add_terrain("Hills")
     terrain.adaptive_terrain.viewport.error_px = 0.0
-    with pytest.raises(TerrainError, match="'Hills' cannot be refined. Every criterion is 0; ask for"):
+    with pytest.raises(TerrainError, match="'Hills' cannot be refined. Every criterion is 0: ask for"):
         session.update_object(terrain)

@@ -16,6 +16,7 @@ from adaptive_terrain.operators.scene import session
 from adaptive_terrain.operators.scene.update_terrain import UpdateTerrain
 from adaptive_terrain.operators.text.shown_bounds import NO_BOUND
 from adaptive_terrain.operators.ui import status_bar
+from adaptive_terrain.operators.ui.detail_panel import RenderPanel, ViewportPanel
 from adaptive_terrain.operators.ui.height_map_panel import ImportedPanel
 from adaptive_terrain.operators.ui.panel_parts import wrapped
 from adaptive_terrain.operators.ui.panels import OutputPanel, TerrainPanel
@@ -89,7 +90,7 @@ def test_import_reports_what_is_wrong(scene, add_terrain):
     assert "/nowhere/dem.tif" in session.record_of(terrain).status.error
 
 
-def test_export_writes_the_renders_detail_and_the_viewport_keeps_its_own(scene, add_terrain, tmp_path):
+def test_an_export_has_the_renders_detail(scene, add_terrain, tmp_path):
     terrain = add_terrain()
     terrain.adaptive_terrain.viewport.error_px = 8.0
     session.update_object(terrain)
@@ -160,7 +161,7 @@ def test_lock_interface_button(scene):
     assert scene.render.use_lock_interface is True
 
 
-def test_a_failed_export_is_told_and_the_viewport_keeps_its_detail(scene, add_terrain, tmp_path, monkeypatch):
+def test_a_failed_export_keeps_the_viewports_detail(scene, add_terrain, tmp_path, monkeypatch):
     from adaptive_terrain.operators.output import exporting
 
     terrain = add_terrain()
@@ -298,7 +299,7 @@ def test_the_size_of_the_added_island_is_not_that_of_a_file(scene, add_terrain):
     assert (settings.use_extent, settings.height_scale) == (True, 3.0), "what the user has set stays"
 
 
-def test_the_first_terrain_locks_the_interface_and_the_second_does_not_insist(scene):
+def test_only_the_first_terrain_locks_the_interface(scene):
     scene.render.use_lock_interface = False
     bpy.ops.mesh.adaptive_terrain_add(size=30.0)
     assert scene.render.use_lock_interface is True
@@ -320,14 +321,7 @@ def test_the_top_has_three_lines_whatever_there_is_to_say(scene, add_terrain):
         assert lines[0][1] == f"{len(terrain.data.polygons):,}" and lines[1][1].startswith("≤ ")
 
 
-def test_viewport_and_render_have_defaults_of_their_own(scene):
-    bpy.ops.mesh.adaptive_terrain_add(size=30.0)
-    settings = bpy.context.object.adaptive_terrain
-    assert (settings.viewport.error_px, settings.render.error_px) == (2.0, 1.0)
-    assert (settings.viewport.smooth_transitions, settings.render.smooth_transitions) == (False, True)
-
-
-def test_smooth_transitions_are_those_of_the_detail_and_another_request(scene, add_terrain):
+def test_geomorph_of_either_detail_is_another_request(scene, add_terrain):
     terrain = add_terrain()
     depsgraph, asked = bpy.context.evaluated_depsgraph_get(), set()
     for mode, detail in (("VIEWPORT", terrain.adaptive_terrain.viewport), ("RENDER", terrain.adaptive_terrain.render)):
@@ -339,6 +333,26 @@ def test_smooth_transitions_are_those_of_the_detail_and_another_request(scene, a
             assert request.criterion.morph == (SMOOTH if smooth else 1.0)
             asked.add((smooth, request.key(), request.digest("")))
     assert len({key for _, key, _ in asked}) == len({digest for _, _, digest in asked}) == 2
+
+
+@pytest.mark.parametrize("panel", [ViewportPanel, RenderPanel])
+def test_a_panel_of_detail_has_a_row_for_each_setting(scene, add_terrain, panel):
+    add_terrain()
+    calls = draw(panel).mock_calls
+    criteria = [call.kwargs["heading"] for call in calls if "heading" in call.kwargs]
+    assert criteria == ["Screen Error", "Edge Length", "Area (px²)", "Vertical Error"]
+    rows = [(call.args[1], call.kwargs.get("text")) for call in calls if call[0] == "prop"]
+    assert rows[:9] == [
+        ("guard_deg", "Guard (°)"),
+        ("off_screen_factor", "Off-Screen ×"),
+        ("hidden_factor", "Hidden ×"),
+        ("shading_floor", "Shading Floor"),
+        ("smooth_transitions", "Geomorph"),
+        ("meshlet", "Meshlet Level"),
+        ("limit_depth", None),
+        ("limit_triangles", None),
+        ("limit_time", None),
+    ]
 
 
 def test_the_switch_of_a_criterion_is_its_value(scene, add_terrain):

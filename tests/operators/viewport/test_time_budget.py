@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy import sweep
 from adaptive_terrain.cbt_terrain.accuracy.cost_curve import CostCurve
-from adaptive_terrain.operators.request.request import RENDER, VIEWPORT, Overrides, gather
+from adaptive_terrain.operators.request.overrides import Overrides
+from adaptive_terrain.operators.request.request import RENDER, VIEWPORT, gather
 from adaptive_terrain.operators.scene import session
 from adaptive_terrain.operators.ui.detail_panel import ViewportPanel
 from adaptive_terrain.operators.viewport import live
@@ -101,8 +102,8 @@ def test_what_is_asked_is_used_and_told_where_the_budget_cannot_be(terrain, curv
 
 def test_an_error_from_the_command_line_comes_before_the_budget(terrain):
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    assert gather(terrain, depsgraph, RENDER, overrides=Overrides(error_px=3.0)).criterion.error_px == 3.0
-    unlike = gather(terrain, depsgraph, RENDER, overrides=Overrides(meshlet=2)).criterion
+    assert gather(terrain, depsgraph, RENDER, overrides=Overrides({"error_px": 3.0})).criterion.error_px == 3.0
+    unlike = gather(terrain, depsgraph, RENDER, overrides=Overrides({"meshlet": 2})).criterion
     assert unlike.meshlet == 2 and unlike.error_px == request_of(terrain, RENDER).criterion.error_px != 3.0
 
 

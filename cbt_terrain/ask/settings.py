@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The table of a criterion's settings.
+
+`Criterion` takes its ranges from it; the saved properties, the rows of the panels, the options of `export` and the
+overrides of a request are made from it. It imports neither bpy nor numpy.
+"""
+
+import math
+import sys
+from dataclasses import dataclass
+
+from ..errors import TerrainError
+from .morph import MOST, SMOOTH
+
+FINITE = sys.float_info.max
+VIEWPORT, RENDER = "viewport", "render"
+
+
+@dataclass(frozen=True)
+class CriterionSetting:
+    """One field of `Criterion`: its range, its words and its place in the user interface.
+
+    Attributes:
+        name: field of `Criterion`; also the identifier of the saved property, except where `is_flag`.
+        label: name of the property.
+        tooltip: sentence without a full stop, of the property and of the option.
+        default: value of `Criterion()`; None is no limit.
+        row: label in the panel, "" for `label`.
+        unit: "px", "px²", "m", "°", "fraction" or "".
+        viewport, render: default of the saved properties where it differs from `default`.
+        min, max: range that a criterion accepts, both included.
+        usual: value that its switch sets: of a criterion, a limit or a flag.
+        switch, switch_label, switch_tooltip: saved property that switches a limit or a flag on.
+        whole: whether values are whole numbers.
+        soft_max, digits: end of the slider, digits after the decimal point.
+        option: option of `export`, "" for none.
+    """
+
+    name: str
+    label: str
+    tooltip: str
+    default: float | None
+    row: str = ""
+    unit: str = ""
+    viewport: float | None = None
+    render: float | None = None
+    min: float = 0.0
+    max: float = FINITE
+    usual: float | None = None
+    switch: str = ""
+    switch_label: str = ""
+    switch_tooltip: str = ""
+    whole: bool = False
+    soft_max: float = math.inf
+    digits: int = 1
+    option: str = ""
+
+    @property
+    def is_flag(self) -> bool:
+        """Tell whether users see a check box alone: on is `usual`, off is `default`."""
+        return bool(self.switch) and self.default is not None
+
+    @property
+    def expected(self) -> str:
+        """Return the range as the end of a sentence: "a number from 0 to 1"."""
+        number = "a whole number" if self.whole else "a finite number" if self.max == FINITE else "a number"
+        if self.max < FINITE:
+            return f"{number} from {self.min:g} to {self.max:,.10g}"
+        return f"{number}, {self.min:g} or more"
+
+    def default_in(self, mode: str) -> float | None:
+        """Return the default in VIEWPORT or RENDER."""
+        return self.default if getattr(self, mode) is None else getattr(self, mode)
+
+    def accepts(self, value: float | None) -> bool:
+        """Tell whether a criterion may have the value."""
+        return self.default is None if value is None else self.min <= value <= self.max
+
+    def check(self, value: float | None) -> None:
+        """Raise TerrainError where a criterion may not have the value."""
+        if not self.accepts(value):
+            raise TerrainError(f"The criterion's {self.name} is {value}", expected=self.expected)
+
+
+# At least one is above 0; 0 switches one off, and those that are on hold together.
+CRITERIA = (
+    CriterionSetting(
+        "error_px", "Screen Error",
+        "Largest geometric error as seen by the camera, in pixels; 0 switches this criterion off",
+        1.0, unit="px", viewport=2.0, usual=2.0, soft_max=20.0, digits=2, option="--pixel-error",
+    ),
+    CriterionSetting(
+        "edge_px", "Edge Length",
+        "Longest edge as seen by the camera, in pixels; 0 switches this criterion off",
+        0.0, unit="px", usual=40.0, soft_max=200.0, option="--edge",
+    ),
+    CriterionSetting(
+        "area_px", "Triangle Area",
+        "Largest triangle as seen by the camera, in square pixels; 0 switches this criterion off",
+        0.0, row="Area (px²)", unit="px²", usual=400.0, soft_max=10_000.0, option="--area",
+    ),
+    CriterionSetting(
+        "error_m", "Vertical Error",
+        "Largest vertical error in metres, whatever the camera sees; 0 switches this criterion off",
+        0.0, unit="m", usual=1.0, soft_max=100.0, digits=3, option="--metres",
+    ),
+)  # fmt: skip
+# Where the criteria count less, how vertices move, and what each leaf becomes.
+MODIFIERS = (
+    CriterionSetting(
+        "guard_deg", "Guard Band",
+        "How far outside the frame full detail is kept, in degrees at a field of view of 50; a lens that sees less has "
+        "it in proportion",
+        2.5, row="Guard (°)", unit="°", soft_max=89.0, option="--guard",
+    ),
+    CriterionSetting(
+        "off_screen_factor", "Off-Screen Factor",
+        "How many times coarser the terrain may be outside the frame, at a field of view of 50 degrees; a lens that "
+        "sees less has it coarser in proportion. 1 keeps full detail everywhere",
+        16.0, row="Off-Screen ×", min=1.0, max=math.inf, soft_max=1000.0, option="--off-screen",
+    ),
+    CriterionSetting(
+        "hidden_factor", "Hidden Factor",
+        "How many times coarser the terrain may be where nearer ground hides it from the camera; 1 keeps full detail. "
+        "Shadows, mirrors and a wide aperture can show hidden ground: keep 1 where they matter",
+        1.0, row="Hidden ×", min=1.0, max=math.inf, soft_max=64.0, option="--occlusion",
+    ),
+    CriterionSetting(
+        "shading_floor", "Shading Floor",
+        "From above, errors of height move no pixel but show in shading and shadows: this part of them counts at "
+        "least. 1 is an error seen from the side, 0 counts only what moves in the picture",
+        0.5, unit="fraction", max=1.0, digits=2, option="--shading-floor",
+    ),
+    CriterionSetting(
+        "morph", "Geomorph",
+        "Points rise to their places as the camera comes nearer, instead of popping. The bound holds as without; it "
+        "takes a third more triangles or so",
+        1.0, render=SMOOTH, min=1.0, max=MOST, usual=SMOOTH, switch="smooth_transitions", option="--morph",
+    ),
+    CriterionSetting(
+        "meshlet", "Meshlet Level",
+        "Every leaf of the tree becomes 4 to this power triangles",
+        0, max=4, whole=True, option="--meshlet",
+    ),
+)  # fmt: skip
+# Where refinement stops whatever the criteria request.
+LIMITS = (
+    CriterionSetting(
+        "max_depth", "Max Depth",
+        "Bisections of a root square",
+        None, min=1, usual=20, switch="limit_depth", switch_label="Limit Depth",
+        switch_tooltip="Stop refining at a depth", whole=True, soft_max=40,
+    ),
+    CriterionSetting(
+        "max_triangles", "Max Triangles",
+        "Triangles at most, but not fewer than two for each root square",
+        None, max=2**31 - 1, usual=1_000_000, switch="limit_triangles", switch_label="Limit Triangles",
+        switch_tooltip="Coarsen the error asked for until the mesh fits a budget", whole=True, option="--budget",
+    ),
+)  # fmt: skip
+SETTINGS = (*CRITERIA, *MODIFIERS, *LIMITS)
+# Bounds of an update by its fields, in the order in which they are shown: label; unit, of an edge or a triangle.
+BOUNDS = {
+    "bound_px": ("Screen error", "px"),
+    "bound_m": ("Vertical error", "m"),
+    "bound_edge_px": ("Longest edge", "px an edge"),
+    "bound_area_px": ("Largest triangle", "px² a triangle"),
+}

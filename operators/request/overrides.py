@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Values that a command uses in place of a terrain's settings, animated or not. It needs no bpy."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+
+from ...cbt_terrain.field.coats import Ground
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """Values in place of a terrain's settings; None keeps the setting.
+
+    Attributes:
+        criterion: fields of `Criterion` by their names. An error in pixels or metres also replaces a time budget.
+        interpolation: of the height field.
+        effects: names of the attributes to compute, in place of those that the scene reads.
+        ground: displacement.
+    """
+
+    criterion: Mapping[str, float | None] = field(default_factory=dict)
+    interpolation: str | None = None
+    effects: tuple[str, ...] | None = None
+    ground: Ground | None = None
+
+    def to_json(self) -> dict:
+        """Return what a frame's digest covers, with the keys that version 0.3 wrote: such frames can be resumed."""
+        others = asdict(self)
+        criterion = dict.fromkeys(("error_px", "max_triangles", "meshlet", "shading_floor", "morph"))
+        criterion |= others.pop("criterion")
+        morph = criterion.pop("morph")
+        return {**criterion, "smooth_transitions": None if morph is None else morph > 1.0, **others}
+
+
+NO_OVERRIDES = Overrides()

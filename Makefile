@@ -12,7 +12,7 @@ SMOKE := $(addprefix tests/cbt_terrain/,field/test_store.py importing/test_impor
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: demo test smoke test-all kernels fuzz hard-cases bench accuracy effects animation fly-over figures docs lint format extension clean help
+.PHONY: demo test smoke test-all kernels fuzz hard-cases bench accuracy effects animation fly-over figures docs lint types format extension release clean help
 
 help:
 	@echo "make demo       the built-in island, 24 frames, pictures and a page in demo/"
@@ -29,8 +29,9 @@ help:
 	@echo "make fly-over   a flight over the demo's island through a farm's job in the real Blender program (Debian, root)"
 	@echo "make figures    the figures of docs/method"
 	@echo "make docs       the site of docs/ in site/; read it with python -m http.server -d site"
-	@echo "make lint       ruff check and format check"
-	@echo "make extension  the extension's zip for this platform in dist/"
+	@echo "make lint       ruff, typos, and mypy on the engine (make types for it alone)"
+	@echo "make extension  the extension's zips for this platform in dist/, one for each Python"
+	@echo "make release    all zips and a static extension repository in dist/repository, and the version's tag"
 
 demo: $(READY)
 	$(PY) -m adaptive_terrain.operators.cli.command_line demo --out demo
@@ -90,9 +91,22 @@ docs: .venv-docs/.ready
 	.venv-docs/bin/python -m pip install --quiet --disable-pip-version-check --requirement tools/site_requirements.txt
 	@touch $@
 
-lint: $(READY)
+lint: $(READY) .venv-lint/.ready
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
+	.venv-lint/bin/typos
+	$(MAKE) --no-print-directory types
+
+# The checkout is the package, whatever its folder is called.
+types: $(READY) .venv-lint/.ready
+	@mkdir -p .cache/types && ln -sfn $(CURDIR) .cache/types/adaptive_terrain
+	cd .cache/types && $(CURDIR)/.venv-lint/bin/python -m mypy --config-file $(CURDIR)/pyproject.toml \
+		--python-executable $(abspath $(PY)) --cache-dir $(CURDIR)/.cache/mypy -p adaptive_terrain.cbt_terrain
+
+.venv-lint/.ready: tools/lint_requirements.txt
+	$(PYTHON) -m venv .venv-lint
+	.venv-lint/bin/python -m pip install --quiet --disable-pip-version-check --requirement tools/lint_requirements.txt
+	@touch $@
 
 format: $(READY)
 	$(PY) -m ruff check --fix .
@@ -100,6 +114,12 @@ format: $(READY)
 
 extension: $(READY)
 	$(PY) tools/build_extension.py
+
+# For another Blender than Debian's (as root): make release BLENDER=blender
+BLENDER = .cache/blender.run blender
+release: $(READY)
+	[ "$(BLENDER)" != ".cache/blender.run blender" ] || tools/get_blender.sh trixie .cache/blender
+	$(PY) tools/release.py --blender $(BLENDER)
 
 $(READY): requirements.lock pyproject.toml tools/check_system.py
 	@$(PYTHON) tools/check_system.py

@@ -11,7 +11,7 @@ import sys
 
 
 def frozen(environment: str) -> tuple[str, dict[str, str]]:
-    """The environment's Python version as `3.11`, and its packages as name to version."""
+    """Return the environment's Python version as `3.11`, and the version of each package by name."""
     python = f"{environment}/bin/python"
     version = subprocess.check_output(
         [python, "-c", "import sys; print('%d.%d' % sys.version_info[:2])"], text=True
@@ -23,6 +23,7 @@ def frozen(environment: str) -> tuple[str, dict[str, str]]:
 
 
 def main() -> None:
+    """Run the command line."""
     environments = dict(frozen(path) for path in sys.argv[1:])
     print("# Written by tools/lock.py: every package of the environment that `make` sets up, for both Pythons of bpy.")
     for name in sorted({name for packages in environments.values() for name in packages}, key=str.lower):

@@ -80,7 +80,7 @@ if TYPE_CHECKING:
     from .cbt_terrain.terrain import Terrain
 
 
-def __getattr__(name: str):
+def __getattr__(name: str) -> object:
     if name not in _FRONT_DOOR:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

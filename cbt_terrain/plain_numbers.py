@@ -8,16 +8,17 @@ import dataclasses
 from collections.abc import Iterator
 from numbers import Integral, Real
 from types import NoneType
-from typing import get_args, get_origin
+from typing import Any, get_args, get_origin
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .errors import TerrainError, shown
 
 EXPECTED = {bool: "True or False", int: "a whole number", float: "a number"}
 
 
-def plain_number(value: object, kind: object, name: str):
+def plain_number(value: Any, kind: Any, name: str) -> Any:
     """Return a value of an annotated `kind` with Python's numbers: bool, int, float, tuples of them, or None.
 
     Whole floats are ints, scalar arrays are numbers, bools are not. Values of any other kind are returned as they are.
@@ -36,13 +37,13 @@ def plain_number(value: object, kind: object, name: str):
             if kind is float:
                 return float(value)
             if kind is int and (isinstance(value, Integral) or float(value).is_integer()):
-                return int(value)
+                return int(value)  # type: ignore[call-overload]  # Real has no __int__ in typeshed
     except OverflowError:  # more than a float holds
         pass
     raise TerrainError(f"{name} is {shown(repr(value))}", expected=EXPECTED[kind])
 
 
-def _of_parts(value: object, kind: object, name: str):
+def _of_parts(value: Any, kind: Any, name: str) -> Any:
     """Return a value of a tuple or of an optional kind with Python's numbers."""
     kinds = get_args(kind)
     if get_origin(kind) is not tuple:
@@ -56,7 +57,7 @@ def _of_parts(value: object, kind: object, name: str):
     return tuple(plain_number(*part, name) for part in zip(parts, kinds, strict=True))
 
 
-def keep_plain_numbers(settings: object, owner: str) -> None:
+def keep_plain_numbers(settings: Any, owner: str) -> None:
     """Replace the numbers of a dataclass by Python's own, as its fields are annotated. `owner`: "The criterion's"."""
     for field in dataclasses.fields(settings):
         value = plain_number(getattr(settings, field.name), field.type, f"{owner} {field.name}")
@@ -68,7 +69,7 @@ def vertical(scale: float, offset: float) -> tuple[float, float]:
     return plain_number(scale, float, "The vertical scale"), plain_number(offset, float, "The vertical offset")
 
 
-def vectors(values, width: int, name: str) -> np.ndarray:
+def vectors(values: ArrayLike, width: int, name: str) -> np.ndarray:
     """Return float64 [n, width], contiguous. Raises TerrainError for another shape or infinite numbers."""
     found = rows(values, width, name)
     finite = np.isfinite(found)
@@ -81,7 +82,7 @@ def vectors(values, width: int, name: str) -> np.ndarray:
     return found
 
 
-def rows(values, width: int, name: str) -> np.ndarray:
+def rows(values: ArrayLike, width: int, name: str) -> np.ndarray:
     """Return float64 [n, width], contiguous; numbers need not be finite. Raises TerrainError for another shape."""
     try:
         values = list(values) if isinstance(values, Iterator) else values

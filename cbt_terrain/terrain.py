@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,7 +25,6 @@ from .mesh.surface import Surface
 from .mesh.welding import TornMesh
 from .plain_numbers import plain_number, rows, vertical
 from .refine.contract import (
-    MARGIN,
     Outcome,
     bound_area_px,
     bound_edge_px,
@@ -38,8 +38,9 @@ from .refine.horizon import RAMP, horizon_of, place_rings
 from .refine.refinement import MAX_TRIANGLES, refine, replay
 from .refine.request import RefinementRequest
 from .refine.saved_leaves import depths_in_squares
-from .refine.terms import Terms, position_rounding, rounding
+from .refine.terms import MARGIN, Terms, position_rounding, rounding
 from .run import launch
+from .tree.concurrent_binary_tree import ConcurrentBinaryTree
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ class _Result:
 
     update: Update
     shape: tuple
-    horizon: tuple | None = None
+    horizon: tuple[Domain, Asked, int, float] | None = None
     pieces: Pieces | None = None
 
 
@@ -115,12 +116,16 @@ class Terrain:
 
     def __repr__(self) -> str:
         lattice = self.field.lattice
-        last = self.history.last.result
+        last = self._last
         mesh = f"{last.update.triangles:,} triangles" if last else "no mesh yet"
         return f"<Terrain: {lattice.width:,} x {lattice.height:,} samples, {mesh}>"
 
     @property
-    def tree(self):
+    def _last(self) -> _Result | None:
+        return cast("_Result | None", self.history.last.result)
+
+    @property
+    def tree(self) -> ConcurrentBinaryTree | None:
         """The concurrent binary tree of the last update."""
         return self.history.tree
 
@@ -157,7 +162,7 @@ class Terrain:
         with self.history.alone():
             meshlet, _, scale, offset, morph = self._need_result().shape
             how = {"meshlet": meshlet, "vertical_scale": scale, "vertical_offset": offset}
-            return self.tree.to_bytes(), how | ({"morph": morph} if morph > 1 else {})
+            return self._need_tree().to_bytes(), how | ({"morph": morph} if morph > 1 else {})
 
     def restore(
         self,
@@ -182,7 +187,7 @@ class Terrain:
         """Return what `make` makes, given where to note milliseconds; or the last update if its key is the same."""
         with self.history.alone():
             if self.history.begin(key):
-                return replace(self.history.last.result.update, changed=False, ms={})
+                return replace(self._need_result().update, changed=False, ms={})
             with launch.stopwatch() as ms, launch.timed("total"):
                 return make(ms)
 
@@ -190,9 +195,17 @@ class Terrain:
         """Build a surface of the next frame's leaves, or keep that of the last frame if nothing has changed."""
         if changed:
             return build_surface(self.field, request, self.history, self.threads)
-        return self.history.last.result.update.surface
+        return self._need_result().update.surface
 
-    def _restore(self, key, tree: bytes, meshlet: int, vertical_scale: float, vertical_offset: float, ms) -> Update:
+    def _restore(
+        self,
+        key: tuple,
+        tree: bytes,
+        meshlet: int,
+        vertical_scale: float,
+        vertical_offset: float,
+        ms: dict[str, float],
+    ) -> Update:
         box_of(self.field, vertical_scale, vertical_offset)
         cell_bits, depths = depths_in_squares(tree, self.field, meshlet)
         depth = int(depths.max())
@@ -222,7 +235,7 @@ class Terrain:
 
     def _is_other(self, shape: tuple) -> bool:
         """Return whether the last frame displaced its leaves otherwise."""
-        last = self.history.last.result
+        last = self._last
         return last is None or last.shape != shape
 
     def triangles_at(self, places: np.ndarray) -> np.ndarray:
@@ -235,11 +248,11 @@ class Terrain:
         with self.history.alone():
             last, lattice = self._need_result(), self.field.lattice
             surface, meshlet = last.update.surface, last.shape[0]
-            found = locate(self.tree, lattice, places, meshlet)
+            found = locate(self._need_tree(), lattice, places, meshlet)
             if not lattice.is_padded and self.field.valid is None:
                 return found
             if last.pieces is None:
-                last.pieces = Pieces.of(surface, locate(self.tree, lattice, middles(surface), meshlet))
+                last.pieces = Pieces.of(surface, locate(self._need_tree(), lattice, middles(surface), meshlet))
             return last.pieces.at(found, places)
 
     def horizon(self) -> "Asked | None":
@@ -250,11 +263,24 @@ class Terrain:
             return horizon_of(self.field, *last.horizon, self.threads) if last.horizon else None
 
     def _need_result(self) -> _Result:
-        if self.history.last.result is None:
+        if self._last is None:
             raise TerrainError("The terrain has no mesh yet; update it first.")
-        return self.history.last.result
+        return self._last
 
-    def _update(self, key, criterion, views, placement, vertical_scale, vertical_offset, ms) -> Update:
+    def _need_tree(self) -> ConcurrentBinaryTree:
+        self._need_result()
+        return cast(ConcurrentBinaryTree, self.tree)
+
+    def _update(
+        self,
+        key: tuple,
+        criterion: Criterion,
+        views: Sequence[View],
+        placement: np.ndarray,
+        vertical_scale: float,
+        vertical_offset: float,
+        ms: dict[str, float],
+    ) -> Update:
         box = box_of(self.field, vertical_scale, vertical_offset)
         _check(criterion, views, placement)
         depth = self._max_depth(criterion)
@@ -266,7 +292,7 @@ class Terrain:
         spans = spans_of(criterion, views if criterion.needs_view else (), placement, plan)
         unsure = domain.rounding + domain.most_lean + domain.source
 
-        def views_within(margins=None) -> list:
+        def views_within(margins: Any = None) -> list:
             seen = zip(spans.views, spans.scales, strict=True)
             return [localise(view, placement, box, criterion, scale, unsure, margins) for view, scale in seen]
 
@@ -286,7 +312,7 @@ class Terrain:
                 surface = None  # or its memory would be in use
                 surface = self._build(SurfaceRequest(domain, criterion.meshlet, rising, self._whole), changed)
                 # The cut at the border makes two of some triangles.
-                over = len(surface.level) - criterion.max_triangles if limited else 0
+                over = len(surface.level) - (criterion.max_triangles or 0) if limited else 0
                 if over <= 0 or leaves.total > most:
                     break
                 most = leaves.total - 1  # the next step: with more triangles to spend a mesh is never coarser
@@ -358,18 +384,18 @@ def _check(criterion: Criterion, views: Sequence[View], placement: np.ndarray) -
         raise TerrainError("The criterion is measured in pixels and there is no camera; add one or ask in metres.")
 
 
-def _described(criterion: Criterion, spans: Spans, outcome: Outcome, **made) -> Update:
+def _described(criterion: Criterion, spans: Spans, outcome: Outcome, **made: Any) -> Update:
     """The update with what holds of its mesh."""
     px, metres = bound_px(criterion, spans, outcome), bound_m(criterion, outcome)
     edge, area = bound_edge_px(criterion, spans, outcome), bound_area_px(criterion, spans, outcome)
     relaxed = factor_of(criterion, outcome, [px, metres, edge, area])
     return Update(
-        bound_px=px and px.value,
-        bound_m=metres and metres.value,
-        bound_edge_px=edge and edge.value,
-        bound_area_px=area and area.value,
-        terms_px=px and px.terms,
-        terms_m=metres and metres.terms,
+        bound_px=px.value if px else None,
+        bound_m=metres.value if metres else None,
+        bound_edge_px=edge.value if edge else None,
+        bound_area_px=area.value if area else None,
+        terms_px=px.terms if px else None,
+        terms_m=metres.terms if metres else None,
         relaxed=relaxed,
         limited=reason_of([px, metres, edge, area], relaxed),
         **made,

@@ -19,7 +19,7 @@ WEST, NORTH, ABOVE = -1500.0, 200.0, 40.0  # where the flights begin, metres; ab
 
 
 def fly(field: HeightField, step: float, criterion: Criterion) -> tuple[float, float]:
-    """The largest jump of a hidden point in the frame, pixels as if nothing hid it; and triangles of a frame."""
+    """Return the largest jump of a hidden point, in pixels as if it were visible, and the triangles of a frame."""
     terrain, before, most, triangles = Terrain(field), None, 0.0, 0
     lattice = field.lattice
     column, row = round(WEST / lattice.step_x + SAMPLES // 2), round(NORTH / lattice.step_y + SAMPLES // 2)
@@ -39,6 +39,7 @@ def fly(field: HeightField, step: float, criterion: Criterion) -> tuple[float, f
 
 
 def hidden_section() -> list:
+    """Return the section about jumps of hidden points."""
     field, rows = from_array(island(SAMPLES), SIDE / (SAMPLES - 1)), []
     for how, morph in (("without", 1.0), ("smooth", SMOOTH)):
         found = [fly(field, step, Criterion(morph=morph, hidden_factor=FACTOR)) for step in STEPS]

@@ -48,6 +48,7 @@ class Ground:
     heading: tuple[float, float, float]
 
     def view(self, flown: float) -> View:
+        """Return the view after `flown` metres."""
         eye = np.add(self.eye, np.multiply(self.heading, flown))
         ahead = np.array([self.heading[0], self.heading[1], -0.18])
         return View.look(eye, eye + 1000.0 * ahead, fov_deg=50, resolution=RESOLUTION, clip=(1.0, 1e6))
@@ -55,8 +56,11 @@ class Ground:
 
 @dataclass(frozen=True)
 class Flight:
-    """What was measured of a flight: per pair of frames the largest jump and what 99.9 % stay within, pixels; the
-    largest change of a pixel's shading and what 99.9 % stay within, 255ths; and the triangles of its frames."""
+    """Measurements of a flight.
+
+    Per pair of frames: the largest jump and its 99.9th percentile in pixels, and the largest change of a pixel's
+    shading and its 99.9th percentile in 255ths. Also the triangles of its frames.
+    """
 
     most: list[float]
     p999: list[float]
@@ -66,6 +70,7 @@ class Flight:
 
 
 def grounds(folder: Path) -> list[Ground]:
+    """Return the island and the real elevation model."""
     model = get_sample_data("jacksboro_fault_dem.npz")
     np.save(folder / "jacksboro.npy", model["elevation"])
     rows, columns = model["elevation"].shape
@@ -88,6 +93,7 @@ def grounds(folder: Path) -> list[Ground]:
 
 
 def fly(ground: Ground, step: float, frames: int, morph: float) -> Flight:
+    """Fly over a ground and measure how far points and shading jump between frames."""
     terrain, before = Terrain(ground.field), None
     most, p999, shading, shading_p999, triangles = [], [], [], [], []
     for number in range(frames):
@@ -108,8 +114,7 @@ def fly(ground: Ground, step: float, frames: int, morph: float) -> Flight:
 
 
 def slope(flights: dict[float, Flight], name: str = "most") -> float:
-    """Return the slope of the largest jump, or of another figure, against the camera's step, both as logarithms, by
-    least squares."""
+    """Return the slope of log jump (or another figure) against log camera step, by least squares."""
     x = np.log([step for step in flights])
     y = np.log([max(getattr(flight, name)) for flight in flights.values()])
     x -= x.mean()
@@ -117,6 +122,7 @@ def slope(flights: dict[float, Flight], name: str = "most") -> float:
 
 
 def popping_section(folder: Path) -> list:
+    """Return the section about points that pop."""
     rows, shades, curves = [], [], []
     for ground in grounds(folder):
         rough, smooth = ({step: fly(ground, step, FRAMES, morph) for step in STEPS} for morph in (1.0, SMOOTH))

@@ -34,6 +34,7 @@ def view(frame: int) -> View:
 
 
 def scatter_section(folder: Path) -> list:
+    """Return the section about scatters that stand still."""
     import_source(ImportSettings(source="island", size=2049), folder / "island.store")
     field = open_store(folder / "island.store")
     counts, moved, sudden, changed = stillness(field)
@@ -62,8 +63,11 @@ def scatter_section(folder: Path) -> list:
 
 
 def stillness(field) -> tuple[float, float, float, float]:
-    """Mean count of points; the part of those in both of two frames that moved; the largest size, of the full one, at
-    which one came or went well inside of both frames; the largest change of size."""
+    """Return four figures of a scatter in a flight.
+
+    The mean number of points; the share of the points in two successive frames that moved; the largest size, relative
+    to full size, of a point that appeared or vanished well inside both frames; and the largest change of size.
+    """
     counts, moved, both_frames, sudden, changed, before = [], 0, 0, 0.0, 0.0, None
     history = FrameHistory()
     for frame in range(FRAMES):
@@ -82,7 +86,7 @@ def stillness(field) -> tuple[float, float, float, float]:
 
 
 def largest_alone(points: Points, shared: np.ndarray, frame: int) -> float:
-    """The largest size of points that are not among `shared` and lie in the middle half of both frames' pictures."""
+    """Return the largest size of points outside `shared` in the middle half of both frames' pictures."""
     alone = np.setdiff1d(np.arange(len(points)), shared)
     size, where = points.size[alone], points.positions[alone].astype(np.float64)
     for number in (frame, frame + 1):

@@ -48,6 +48,7 @@ def missing() -> list[str]:
 
 
 def main() -> int:
+    """Run the command line."""
     if "--packages" in sys.argv:
         print(" ".join(sorted({*LIBRARIES.values(), *ALSO, *TESTS})))
         return 0

@@ -35,6 +35,7 @@ GREENS = ((0.030, 0.060, 0.018, 1.0), (0.045, 0.075, 0.020, 1.0), (0.024, 0.050,
 
 
 def main() -> int:
+    """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--demo", type=Path, default=ROOT / "demo", help="what `make demo` has written")
     parser.add_argument("--blender", default=str(ROOT / ".cache" / "blender.run") + " blender")
@@ -51,7 +52,7 @@ def main() -> int:
 
 
 def build(demo: Path, out: Path, frames: int) -> None:
-    """The scene: the demo's island, its flight over so many frames, trees on its forest; saved as fly_over.blend."""
+    """Build the demo's island with its flight and trees, and save it as fly_over.blend."""
     need_bpy("The fly-over")
     import bpy
     from adaptive_terrain.cbt_terrain.ask.camera_path import read_camera_path
@@ -73,7 +74,7 @@ def build(demo: Path, out: Path, frames: int) -> None:
 
 
 def plant(terrain) -> None:
-    """Trees where the material has its forest."""
+    """Scatter trees where the material has its forest."""
     import bpy
 
     trees = bpy.data.collections.new("Trees")
@@ -143,7 +144,7 @@ def run(out: Path, blender: list[str], frames: int) -> dict:
 
 
 class Worker:
-    """The real program, and openjd's worker, with a user folder of their own in `out`."""
+    """The real program, and openjd's worker, with a private user folder in `out`."""
 
     def __init__(self, out: Path, blender: list[str]):
         self.out, self.command = out, blender
@@ -161,15 +162,17 @@ class Worker:
         self.program.chmod(0o755)
 
     def extension(self) -> Path:
-        subprocess.run(
-            [sys.executable, ROOT / "tools" / "build_extension.py", "--output", self.out / "dist"], check=True, cwd=ROOT
-        )
+        """Build the extension's zip."""
+        command = [sys.executable, ROOT / "tools" / "build_extension.py", "--output", self.out / "dist"]
+        subprocess.run([*command, "--blender", self.program], check=True, env=self.environment, cwd=ROOT)
         return next((self.out / "dist").glob("*.zip"))
 
     def blender(self, *arguments) -> None:
+        """Run the Blender program."""
         subprocess.run([self.program, *map(str, arguments)], check=True, env=self.environment, cwd=ROOT)
 
     def job(self, step: str, *arguments: str) -> None:
+        """Run a step of the farm's job."""
         said = json.loads((self.out / "job" / "parameter_values.yaml").read_text())["parameterValues"]
         values = {item["name"]: str(item["value"]) for item in said} | {
             "Blender": str(self.program),
@@ -193,7 +196,7 @@ def strip(out: Path, frames: int) -> Image.Image:
 
 
 def farm_section(path: Path) -> list:
-    """What docs/animation.md says of the last run."""
+    """Return the section of docs/animation.md about the last run."""
     f = json.loads(path.read_text())
     rows = [
         [

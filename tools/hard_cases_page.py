@@ -4,7 +4,7 @@
     python tools/hard_cases_page.py            run and write
     python tools/hard_cases_page.py --check    only say whether the page lists the tests that there are
 
-A test belongs to a case by its name, `test_case_NN_...`; what it asserts is the first line of its docstring.
+A test belongs to a case by its name, `test_case_NN_...`; the first line of its docstring states the assertion.
 """
 
 import ast
@@ -117,7 +117,7 @@ rows with the tests. A test that makes a mesh also asserts, by one function (`te
 
 @dataclass(frozen=True)
 class Test:
-    """A test of a case: the `file` and `function` that hold it, and what it `asserts`."""
+    """A test of a case: its `file` and `function`, and the statement that it `asserts`."""
 
     case: int
     file: str
@@ -126,7 +126,11 @@ class Test:
 
 
 def find_tests() -> list[Test]:
-    """Every test of tests/hard_cases, by case. Raises ValueError for one without a number or without a docstring."""
+    """Return the tests of tests/hard_cases by case.
+
+    Raises:
+        ValueError: A test has no number or no docstring.
+    """
     found = []
     for path in sorted(TESTS.glob("test_*.py")):
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
@@ -165,7 +169,7 @@ def _outcome(case: ElementTree.Element) -> str:
     if skip is None:
         return "passed"
     said = skip.get("message", "")
-    if said == "collection skipped":  # of a whole module: the reason stands in the text, after the file
+    if said == "collection skipped":  # a whole module: the reason follows the file in the text
         said = (skip.text or "").rpartition("Skipped: ")[2].removesuffix(")")[:-1]
     return f"skipped: {said}"
 
@@ -179,7 +183,7 @@ def _summary(outcomes: list[str]) -> str:
 
 
 def rows(tests: list[Test]) -> list[tuple[str, str, str, str]]:
-    """Number, name, what is asserted and test, as the page has them in its first four columns."""
+    """Number, name, assertion and test: the first four columns of the page."""
     result, last = [], None
     for test in tests:
         first = test.case != last
@@ -194,7 +198,7 @@ def _cell(text: str) -> str:
 
 
 def page(tests: list[Test], results: dict[Test, str]) -> str:
-    """The whole page."""
+    """Return the page."""
     lines = ["| # | Case | What is asserted | Test | Result |", "| --: | --- | --- | --- | --- |"]
     for test, row in zip(tests, rows(tests), strict=True):
         lines.append("| " + " | ".join([*row, _cell(results[test])]) + " |")
@@ -214,17 +218,18 @@ def _about(results: dict[Test, str]) -> str:
 
 
 def listed(text: str) -> list[tuple[str, str, str, str]]:
-    """The first four columns of every row of a page."""
+    """Return the first four columns of each row of a page."""
     cells = [line.strip("| ").split(" | ") for line in text.splitlines() if re.match(r"\| \d", line)]
     return [tuple(cell.strip() for cell in row[:4]) for row in cells]
 
 
 def results_of(text: str) -> list[str]:
-    """The last column of every row of a page."""
+    """Return the last column of each row of a page."""
     return [line.strip("| ").split(" | ")[-1] for line in text.splitlines() if re.match(r"\| \d", line)]
 
 
 def main() -> int:
+    """Run the command line."""
     tests = find_tests()
     if "--check" in sys.argv[1:]:
         return int(listed(PAGE.read_text(encoding="utf-8")) != rows(tests))

@@ -88,8 +88,10 @@ with the preset stack that suits it.
 
 @dataclass(frozen=True)
 class Shown:
-    """An effect or a stack on a land: heights before and after and layers (float32 [rows, columns]), metres between
-    samples, processor seconds."""
+    """An effect or a stack on a land.
+
+    Heights before and after and layers are float32 [rows, columns]; then metres between samples and processor seconds.
+    """
 
     before: np.ndarray
     after: np.ndarray
@@ -99,7 +101,7 @@ class Shown:
 
 
 def land_section() -> tuple[list[str], dict[str, bytes]]:
-    """Lines of the page, and its pictures by file name."""
+    """Return the lines of the page and its pictures by file name."""
     pictures, rows, sections = {}, [], []
     for effect in LAND_EFFECTS.values():
         parameters, part, layer = SHOWN.get(effect.name, ({}, WHOLE, ""))
@@ -134,7 +136,7 @@ def land_section() -> tuple[list[str], dict[str, bytes]]:
 
 
 def effect_section(effect: LandEffect, parameters: dict) -> str:
-    """An effect as its declaration has it, below its picture."""
+    """Return an effect's declaration as text below its picture."""
     drawn = ", ".join(f"{name} {plain(value)}" for name, value in parameters.items())
     lines = [f"### {effect.name}\n", f"![{effect.about}](images/land_{effect.name}.jpg)\n"]
     lines.append(
@@ -159,7 +161,7 @@ def effect_section(effect: LandEffect, parameters: dict) -> str:
 
 
 def shaped(land: BuiltInTerrain, size: int, stack: Stack) -> Shown:
-    """A stack over a whole land, in memory."""
+    """Apply a stack to a whole land in memory."""
     heights, step = land.heights(size), land.side / (size - 1)
     field = from_array(heights, step)
     start = time.process_time()
@@ -169,11 +171,12 @@ def shaped(land: BuiltInTerrain, size: int, stack: Stack) -> Shown:
 
 
 def rms(values: np.ndarray) -> float:
+    """Return the root of the mean square."""
     return math.sqrt(float(np.mean(np.square(values, dtype=np.float64))))
 
 
 def beside(shown: Shown, part: tuple[float, float, float], layer: str, ramp: tuple, sea: bool) -> bytes:
-    """A JPEG file: the ground before and after, in low sun from the north-west, north on top."""
+    """Return a JPEG of the ground before and after, in low sun from the north-west, north at the top."""
     count = shown.before.shape[0]
     west, south, side = (round(p * (count - 1)) for p in part)
     cut = np.s_[south : south + side + 1, west : west + side + 1]

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The scene of a picture of the panel, run in Blender with a window: NAME FOLDER FILE.
 
-Touches FOLDER/NAME.ready when the scene is drawn."""
+Touches FOLDER/NAME.ready when the scene is drawn.
+"""
 
 import importlib
 import sys
@@ -21,10 +22,12 @@ LAND_PANELS = {"main", "land", "land_output", "scatters", "on_ground", "output"}
 
 
 def module(name: str):
+    """Import a module of the installed extension."""
     return importlib.import_module(f"{PACKAGE}.{name}")
 
 
 def until(condition):
+    """Yield until a condition holds."""
     end = time.monotonic() + WAIT_S
     while not condition():
         if time.monotonic() > end:
@@ -33,6 +36,7 @@ def until(condition):
 
 
 def viewport():
+    """Return the first window, its 3D viewport and that viewport's main region and sidebar."""
     window = bpy.context.window_manager.windows[0]
     area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
     regions = {region.type: region for region in area.regions}
@@ -40,6 +44,7 @@ def viewport():
 
 
 def run(operator, *arguments, **options):
+    """Call an operator in the viewport."""
     window, area, region, _ = viewport()
     with bpy.context.temp_override(window=window, area=area, region=region):
         operator(*arguments, **options)
@@ -69,6 +74,7 @@ def settle(terrain):
 
 
 def show_tab():
+    """Open the tab Terrain."""
     viewport()[1].spaces.active.show_region_ui = True
     yield 1.5
     viewport()[3].active_panel_category = "Terrain"
@@ -76,7 +82,7 @@ def show_tab():
 
 
 def look(view_3d, nearer: float) -> None:
-    """Bring the viewport nearer, with the camera at its place and a lens that sees all of it."""
+    """Move the viewport nearer; leave the camera in place with a lens that sees all of it."""
     view_3d.view_distance *= nearer
     run(bpy.ops.view3d.camera_to_view)
     view_3d.view_perspective = "PERSP"
@@ -84,7 +90,7 @@ def look(view_3d, nearer: float) -> None:
 
 
 def import_scene():
-    """Import a model in degrees, reprojected, into a saved file beside it: paths are short, and nothing warns."""
+    """Import a model in degrees, reprojected, into a file in its folder: paths are short, and nothing warns."""
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     bpy.ops.wm.save_as_mainfile(filepath=str(FILE.with_name("valley.blend")))
     open_panels(IMPORT_PANELS)
@@ -125,6 +131,7 @@ def land_scene():
 
 
 def steps():
+    """Yield the seconds to wait before each next step."""
     yield 2.0
     yield from {"first_import": import_scene, "panel": land_scene}[NAME]()
 

@@ -15,17 +15,19 @@ sys.path.insert(0, str(ROOT / "tests" / "support"))
 
 import numpy as np  # noqa: E402
 import program_window  # noqa: E402
-from real_program import Program, lend_kernels  # noqa: E402
+from real_program import Program, lend_kernels, read_dem, write_dem  # noqa: E402
 
 PICTURES = {"first_import": (1200, 800), "panel": (1320, 1300)}
 
 
 def main() -> int:
+    """Run the command line."""
     with tempfile.TemporaryDirectory(prefix="screenshots-", dir="/tmp") as name:
         folder = Path(name)
         program = Program(str(Path(sys.argv[1]).resolve()), folder / "user")
         install(program, folder)
-        model = write_model(folder / "valley.tif")
+        model = folder / "valley.tif"
+        write_dem(model, read_dem()["elevation"].astype(np.float32))
         script = ROOT / "tools" / "screenshot_scenes.py"
         for picture, size in PICTURES.items():
             program_window.SCREEN = size
@@ -39,30 +41,15 @@ def main() -> int:
 
 def install(program: Program, folder: Path) -> None:
     """Build the extension's zip, install and enable it, without a splash screen."""
-    command = [sys.executable, ROOT / "tools" / "build_extension.py", "--output", folder]
-    subprocess.run(command, check=True, cwd=ROOT)
-    [path] = folder.glob("*.zip")
     (folder / "user").mkdir()
+    command = [sys.executable, ROOT / "tools" / "build_extension.py", "--output", folder]
+    command += ["--blender", *program.command()]
+    subprocess.run(command, check=True, cwd=ROOT, env=program.environment())
+    [path] = folder.glob("*.zip")
     program.run("--command", "extension", "install-file", "-r", "user_default", "--enable", path)
     quiet = "import bpy; bpy.context.preferences.view.show_splash = False; bpy.ops.wm.save_userpref()"
     program.run("-b", "--python-expr", quiet)
     lend_kernels(program.kernels)
-
-
-def write_model(file: Path) -> Path:
-    """Write the Jacksboro fault (SRTM at 3 arc seconds, as matplotlib ships it) as a GeoTIFF."""
-    import rasterio
-    from matplotlib import cbook
-    from rasterio.transform import from_bounds
-
-    data = cbook.get_sample_data("jacksboro_fault_dem.npz")
-    heights = np.asarray(data["elevation"], np.float32)
-    bounds = (float(data[key]) for key in ("xmin", "ymin", "xmax", "ymax"))
-    placed = {"crs": "EPSG:4326", "transform": from_bounds(*bounds, heights.shape[1], heights.shape[0])}
-    shape = {"width": heights.shape[1], "height": heights.shape[0], "count": 1, "dtype": "float32"}
-    with rasterio.open(file, "w", driver="GTiff", **placed, **shape) as raster:
-        raster.write(heights[None])
-    return file
 
 
 if __name__ == "__main__":

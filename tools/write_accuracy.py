@@ -47,6 +47,7 @@ INTRODUCTION = (
 
 
 def main() -> int:
+    """Run the command line."""
     try:
         with tempfile.TemporaryDirectory(prefix="adaptive-terrain-accuracy-") as folder:
             subjects = [subject_of(name, settings, Path(folder)) for name, settings in sources(Path(folder)).items()]
@@ -60,7 +61,7 @@ def main() -> int:
 
 
 def sources(folder: Path) -> dict[str, ImportSettings]:
-    """What is measured, by the name of its section."""
+    """Return the rasters to measure by the name of their section."""
     model = get_sample_data("jacksboro_fault_dem.npz")
     np.save(folder / "jacksboro.npy", model["elevation"])
     rows, columns = model["elevation"].shape
@@ -73,6 +74,7 @@ def sources(folder: Path) -> dict[str, ImportSettings]:
 
 
 def subject_of(name: str, settings: ImportSettings, folder: Path) -> Subject:
+    """Import a raster; return it as a subject of the page."""
     bar = Progress(1.0, f"import {name}")
     try:
         import_source(settings, folder / f"{name}.store", on_progress=lambda fraction, message: bar.to(fraction))
@@ -92,6 +94,7 @@ def subject_of(name: str, settings: ImportSettings, folder: Path) -> Subject:
 
 
 def write(subjects: list[Subject]) -> None:
+    """Write the page, its plots and its pictures."""
     blocks = [Text(INTRODUCTION), *accuracy_page.page(subjects, machine(), PLOTS)]
     write_files(DOCS, accuracy_page.pictures(blocks))
     write_text(DOCS / "accuracy.md", as_markdown(accuracy_page.TITLE, blocks))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Write docs/animation.md: how far points pop, whether a scatter stands still, and what a farm was seen to do.
+"""Write docs/animation.md: how far points pop, whether a scatter keeps its points, and the figures of a farm's job.
 
 `make animation` runs it in the environment of the tests; every figure on the page is of that run, but for those of the
 farm, which `make fly-over` writes (it takes the real Blender program).
@@ -27,6 +27,7 @@ INTRODUCTION = (
 
 
 def main() -> int:
+    """Run the command line."""
     try:
         with tempfile.TemporaryDirectory(prefix="adaptive-terrain-animation-") as folder:
             blocks = [Text(INTRODUCTION), *popping_section(Path(folder)), *hidden_section()]

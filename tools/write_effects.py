@@ -84,6 +84,7 @@ test from then on, and the panel, the command line and this page have it.
 
 
 def main() -> int:
+    """Run the command line."""
     try:
         with tempfile.TemporaryDirectory(prefix="adaptive-terrain-effects-") as folder:
             import_source(ImportSettings(source=ISLAND, size=SIZE, seed=ISLAND_SEED), Path(folder) / "source")
@@ -104,13 +105,14 @@ def main() -> int:
 
 
 def jpg(pixels: np.ndarray) -> bytes:
+    """Return pixels as a JPEG file."""
     file = io.BytesIO()
     Image.fromarray(pixels).save(file, "JPEG", quality=88)
     return file.getvalue()
 
 
 def at_a_glance(pictures: dict[str, bytes], worn: set[str]) -> bytes:
-    """The island in its material beside all effects: in colour those of `worn`, in grey those that nothing reads."""
+    """Draw the island in its material next to all effects: those in `worn` in colour, unread ones in grey."""
     island = Image.open(DOCS / "images" / "land_whole.jpg").convert("RGB")
     columns, side, gap = 4, 150, 8
     rows = -(-len(EFFECTS) // columns)
@@ -135,12 +137,13 @@ def at_a_glance(pictures: dict[str, bytes], worn: set[str]) -> bytes:
 
 
 def add_your_own() -> str:
+    """Return the section with the example of an effect."""
     code = (ROOT / "examples" / "06_an_effect.py").read_text(encoding="utf-8")
     return ADD.format(code=code.split("\n", 1)[1])  # without the licence's line
 
 
 def section(effect: Effect, drawn: bool) -> str:
-    """An effect as its declaration has it, below its picture, if there is one: the demo has not so many layers."""
+    """Return an effect's declaration as text below its picture; effects that the demo lacks have no picture."""
     facts = [f"**Unit** {effect.unit or 'none'}"]
     if reads := effect.reads_with(()):
         facts.append(f"**Reads** {', '.join(f'[{name}](#{name})' for name in reads)}")
@@ -159,9 +162,12 @@ def section(effect: Effect, drawn: bool) -> str:
 
 @dataclass(frozen=True)
 class Demo:
-    """A frame of the demo: number, milliseconds and bytes of the effects that its material reads, and of all; vertices
-    of its mesh. `worn`: what the material reads, as attributes and as maps, with what that is made from. `given`: the
-    layers of the ground and their colours, as parameters of effects."""
+    """A frame of the demo.
+
+    `read` and `everything`: number, milliseconds and bytes of the effects that the material reads, and of all effects.
+    `worn`: the effects that the material reads as attributes and as maps, with their inputs. `given`: the layers of the
+    ground and their colours, as parameters of effects.
+    """
 
     read: tuple[int, float, int]
     everything: tuple[int, float, int]
@@ -171,7 +177,7 @@ class Demo:
 
 
 def saving(demo: Demo, field) -> list[str]:
-    """What a frame of the demo takes: what its material reads, and everything; and each effect alone."""
+    """Return the time of the demo's frame for its material and for all effects, and the time of each effect alone."""
     rows = [("nothing reads any", 0, 0.0, 0), ("**what the material reads**", *demo.read)]
     rows.append(("everything", *demo.everything))
     text = (
@@ -196,6 +202,7 @@ def saving(demo: Demo, field) -> list[str]:
 
 
 def of_demo(folder: Path) -> Demo:
+    """Measure the demo's frame."""
     need_bpy("The demo")
     from adaptive_terrain.operators.demo import scene as demo_scene
     from adaptive_terrain.operators.properties.layer_properties import color_given
@@ -208,7 +215,7 @@ def of_demo(folder: Path) -> Demo:
 
     def taken() -> tuple[int, float, int]:
         times = []
-        for _ in range(RUNS + 1):  # the first makes what is kept of a field
+        for _ in range(RUNS + 1):  # the first fills the caches of the field
             session.record_of(obj).terrain = None  # nothing is known from before
             session.update_object(obj)
             made = [status for status in session.record_of(obj).status.effects.values() if not status.skipped]
@@ -225,7 +232,7 @@ def of_demo(folder: Path) -> Demo:
 
 
 def alone(name: str, field, surface, view: View) -> float:
-    """Milliseconds of an effect and what it reads, on one thread."""
+    """Return the milliseconds of an effect and its inputs on one thread."""
     asked, times = plan([Asked(name, ("a material",))]), []
     for _ in range(RUNS + 1):
         start = time.perf_counter()
@@ -235,7 +242,7 @@ def alone(name: str, field, surface, view: View) -> float:
 
 
 def picture(name: str, field, given: dict) -> np.ndarray:
-    """The effect over the whole island as colours in a low sun: uint8 [rows, columns, 3], north on top."""
+    """Draw an effect over the whole island as colours in low sun: uint8 [rows, columns, 3], north at the top."""
     places, rows = _grid(field)
     read: dict = {}
     taken = tuple(item for item in given.items() if item[0] in EFFECTS[name].defaults())
@@ -261,7 +268,7 @@ def _grid(field) -> tuple[Places, int]:
 
 
 def colours(values: np.ndarray) -> np.ndarray:
-    """float [rows, columns, width] -> float [rows, columns, 3]: a scale, a wheel, a direction or layers."""
+    """Float [rows, columns, width] -> float [rows, columns, 3]: a scale, a wheel, a direction or layers."""
     width = values.shape[2]
     if width == 1:
         return _scale(values[:, :, 0])
@@ -275,7 +282,7 @@ def colours(values: np.ndarray) -> np.ndarray:
 
 def _scale(values: np.ndarray) -> np.ndarray:
     low, middle, high = np.percentile(values, (2, 50, 98))
-    high = high if high > low else values.max()  # a layer that lies in few places
+    high = high if high > low else values.max()  # a layer that covers few places
     if low < 0 < high:  # both signs: white is 0
         most = max(-low, high)
         return matplotlib.colormaps["RdBu"](0.5 + 0.5 * values / most)[:, :, :3]

@@ -9,6 +9,7 @@ in fitter.py.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 from ..ask.criterion import Criterion
 from ..errors import TerrainError
@@ -65,7 +66,7 @@ def fit(
     most = MAX_TRIANGLES if max_triangles is None else min(max_triangles, MAX_TRIANGLES)
     with launch.stopwatch() as ms, launch.timed("total"):
         fitter = Fitter(field, vertical_scale, vertical_offset, threads, on_progress)
-        heights = {"vertical_scale": vertical_scale, "vertical_offset": vertical_offset}
+        heights: dict[str, Any] = {"vertical_scale": vertical_scale, "vertical_offset": vertical_offset}
         whole = Terrain(field, threads, whole=True)
         if max_triangles is None:
             plain = whole.update(criterion, **heights)
@@ -73,15 +74,18 @@ def fit(
             ended = Terrain(field, threads).update(criterion, **heights)
             plain = whole.update(replace(criterion, max_triangles=ended.leaves), **heights)
             plain = replace(plain, relaxed=ended.relaxed)
+        assert plain.bound_m is not None  # the criterion has an error in metres
         best = None
         if plain.relaxed > 1.0:
             best = _within(fitter, error_m, plain.relaxed, most, plain.bound_m)
         elif plain.limited != "max_depth":
             best = fitter.run(error_m)
-        more = best is not None and plain.relaxed == 1.0
-        more = more and (best.triangles, best.bound_m) > (plain.triangles, plain.bound_m)
-        more = more or (best is not None and max_triangles is not None and len(fitter.ended(best).triangles) > most)
-        if best is None or more or best.bound_m > max(plain.bound_m, fitter.within(error_m)):
+        if best is not None:
+            more = plain.relaxed == 1.0 and (best.triangles, best.bound_m) > (plain.triangles, plain.bound_m)
+            more = more or (max_triangles is not None and len(fitter.ended(best).triangles) > most)
+            if more or best.bound_m > max(plain.bound_m, fitter.within(error_m)):
+                best = None
+        if best is None:
             best = fitter.interpolated(plain, error_m)
         surface = fitter.ended(best)
     on_progress(1.0)
@@ -119,9 +123,9 @@ def bake(
     that fits. Heights become `height * vertical_scale + vertical_offset` metres. Raises TerrainError if a number cannot
     be used.
     """
-    heights = {"vertical_scale": vertical_scale, "vertical_offset": vertical_offset}
+    heights: dict[str, Any] = {"vertical_scale": vertical_scale, "vertical_offset": vertical_offset}
     if fitted:
-        limits = {"max_triangles": max_triangles, "threads": threads, "on_progress": on_progress}
+        limits: dict[str, Any] = {"max_triangles": max_triangles, "threads": threads, "on_progress": on_progress}
         return fit(field, error_m, **limits, **heights)
     criterion = Criterion(error_px=0.0, error_m=error_m, max_triangles=max_triangles, meshlet=meshlet)
     return Terrain(field, threads).update(criterion, **heights)

@@ -128,6 +128,7 @@ class Fitter:
 
     def interpolated(self, update: Update, error_m: float) -> Mesh:
         """The mesh of an update, measured as a fit is."""
+        assert update.bound_m is not None and update.terms_m is not None  # its criterion has an error in metres
         if not self.scale:
             return Mesh(update.surface, update.bound_m, 0.0, update.terms_m, update.limited, 0, relaxed=update.relaxed)
         buffers, m = Buffers(), self._mesh(error_m)
@@ -239,7 +240,7 @@ class Fitter:
         self.rounds += 1
         self.on_progress(1.0 - 0.8**self.rounds)
 
-    def spread(self, kernel, count: int, inputs: list, cost: float = 1.0) -> None:
+    def spread(self, kernel: wp.Kernel, count: int, inputs: list, cost: float = 1.0) -> None:
         launch.spread(kernel, count, inputs, step=f"fit {kernel.key}", threads=self.threads, cost=cost)
 
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A mesh that is being fitted: sweeps that move its vertices, and splits where that is not enough."""
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 
@@ -22,7 +24,7 @@ MAX_ROUNDS = 64
 class Sweeps:
     """A mesh that is being fitted: its triangles, and the list of those that are looked at."""
 
-    def __init__(self, fitter, m: mesh_kernels.Mesh, buffers: Buffers):
+    def __init__(self, fitter: Any, m: mesh_kernels.Mesh, buffers: Buffers):
         self.fitter, self.m, self.buffers = fitter, m, buffers
         self.triangles = self.vertices = self.count = 0
         self.recorded: dict = {}

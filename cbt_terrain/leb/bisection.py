@@ -67,6 +67,6 @@ def merge_conforming(tree: ConcurrentBinaryTree, lattice: Lattice, ids: np.ndarr
     return whole
 
 
-def _spread(kernel, lattice: Lattice, ids: np.ndarray, inputs: list) -> None:
-    ids = shared(np.ascontiguousarray(ids, np.uint64), wp.uint64)
-    launch.spread(kernel, len(ids), [grid_of(lattice), ids, *inputs], step="leb", cost=NODE_COST)
+def _spread(kernel: wp.Kernel, lattice: Lattice, ids: np.ndarray, inputs: list) -> None:
+    items = shared(np.ascontiguousarray(ids, np.uint64), wp.uint64)
+    launch.spread(kernel, len(ids), [grid_of(lattice), items, *inputs], step="leb", cost=NODE_COST)

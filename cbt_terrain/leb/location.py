@@ -37,8 +37,8 @@ def locate(tree: ConcurrentBinaryTree, lattice: Lattice, places: np.ndarray, mes
     leaf, ids = tree.find(path >> below)
     # A leaf of 2^n cells has 2^n steps of the path in each of its triangles.
     step_bits = (tree.max_depth - depths_of(ids)).astype(np.int64)
-    first = tree.cells_of(ids).astype(np.int64) << below
-    return np.where(inside, (leaf.astype(np.int64) << below) + (path - first >> step_bits), -1)
+    first_step = tree.cells_of(ids).astype(np.int64) << below
+    return np.where(inside, (leaf.astype(np.int64) << below) + (path - first_step >> step_bits), -1)
 
 
 def _path(x: np.ndarray, y: np.ndarray, depth: int) -> np.ndarray:

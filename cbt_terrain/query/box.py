@@ -10,6 +10,7 @@ from ...kernels.query import boxes as kernels
 from ..errors import TerrainError
 from ..field.detail_bounds import highest
 from ..field.heightfield import HeightField
+from ..field.lattice import Lattice
 from ..plain_numbers import plain_number
 from ..run import launch
 from ..run.buffers import shared
@@ -59,12 +60,12 @@ def box_range(
     return least - more, greatest + more
 
 
-def _in_cells(numbers: list[float], lattice) -> tuple[np.ndarray, np.ndarray]:
+def _in_cells(numbers: list[float], lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
     """Corners of the box in cells from the raster's south-western corner, cut at the rim."""
     corner, steps = np.array(lattice.rectangle()[:2]), np.array([lattice.step_x, lattice.step_y])
     low, high = ((np.array(pair) - corner) / steps for pair in (numbers[:2], numbers[2:]))
     return np.maximum(low, 0.0), np.minimum(high, _cells(lattice))
 
 
-def _cells(lattice) -> tuple[int, int]:
+def _cells(lattice: Lattice) -> tuple[int, int]:
     return lattice.cells_x, lattice.cells_y

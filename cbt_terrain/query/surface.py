@@ -37,7 +37,7 @@ def packed(field: HeightField, vertical_scale: float, vertical_offset: float) ->
     s.samples = codes.packed(field.samples, field.steps)
     s.coats = coats.packed(field.detail, field.finest_edge, lattice)
     s.holed = int(field.valid is not None)
-    s.valid = flat(field.valid if s.holed else np.ones(1, np.uint8), wp.uint8)
+    s.valid = flat(np.ones(1, np.uint8) if field.valid is None else field.valid, wp.uint8)
     return s
 
 

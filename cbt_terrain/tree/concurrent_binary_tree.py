@@ -29,7 +29,7 @@ class LeafPart(NamedTuple):
 
     codes: wp.array  # uint16
     first: int  # entry of the first leaf
-    count: int
+    count: int  # type: ignore[assignment]  # hides tuple.count
     end: int  # the cell behind the last one
     same: wp.array | None = None  # SameLeaves: nodes whose leaves are those that the tree has already, ascending
     first_same: int = 0
@@ -122,7 +122,7 @@ class ConcurrentBinaryTree:
         ids = np.ascontiguousarray(heap_ids, np.uint64)
         self.edit(edits.merge_leaves, len(ids), [shared(ids, wp.uint64)])
 
-    def edit(self, kernel, count: int, inputs: list) -> None:
+    def edit(self, kernel: wp.Kernel, count: int, inputs: list) -> None:
         """Run a kernel over `count` items that splits and merges nodes of `bits`, then sum above the changed words.
 
         The kernel is repeated where the pool of pages was full, so what it does must not depend on what it has done.
@@ -219,7 +219,7 @@ class ConcurrentBinaryTree:
     def _pages_used(self) -> int:
         return int(self._state[bitfield.PAGES_USED])
 
-    def _spread(self, kernel, count: int, inputs: list) -> None:
+    def _spread(self, kernel: wp.Kernel, count: int, inputs: list) -> None:
         launch.spread(kernel, count, [self.bits, *inputs], step="tree", threads=self.threads, cost=DECODE_COST)
 
     def _reduce(self) -> None:

@@ -40,12 +40,12 @@ def depth_of(heap_id: int) -> int:
 
 
 def parent(heap_id: int) -> int:
-    """The node that `heap_id` is a half of."""
+    """Return the node that `heap_id` is a half of."""
     return heap_id >> 1
 
 
 def children(heap_id: int) -> tuple[int, int]:
-    """The left and the right half of a node."""
+    """Return the left and the right half of a node."""
     return 2 * heap_id, 2 * heap_id + 1
 
 
@@ -68,7 +68,7 @@ def from_tree_id(lattice: Lattice, tree_id: int) -> Node:
 
 
 def triangle(heap_id: int, exponent: int) -> tuple[Point, Point, Point]:
-    """Vertices (left, apex, right) of a node of depth 1 or more inside its square, in units of 2**-exponent sides."""
+    """Return the vertices (left, apex, right) of a node of depth 1 or more, in units of 2**-exponent sides."""
     depth = depth_of(heap_id)
     _check(depth, exponent, heap_id)
     side = 1 << exponent
@@ -123,9 +123,9 @@ def heap_id_of(vertices: tuple[Point, Point, Point], exponent: int) -> int:
 
 
 def plane_coordinates(heap_ids: np.ndarray, dtype=np.float32) -> np.ndarray:
-    """Vertices of many nodes in the unit square, exact: uint64 [n] to float32 or float64 [n, 3, 2].
+    """Return the exact vertices of nodes in the unit square: uint64 [n] to float32 or float64 [n, 3, 2].
 
-    Every node to depth 48 is exact in float32 and every node in float64. Raises TerrainError where float32 would round.
+    Each node is exact in float32 to depth 48, and in float64. Raises TerrainError where float32 would round.
     """
     exponent = MAX_DEPTH // 2
     exact = triangles(heap_ids, exponent) / float(1 << exponent)
@@ -144,7 +144,7 @@ def plane_coordinates(heap_ids: np.ndarray, dtype=np.float32) -> np.ndarray:
 
 
 def neighbours(lattice: Lattice, node: Node) -> tuple[Node | None, Node | None, Node | None]:
-    """Nodes of the same depth over the edges apex-right ("left"), left-apex ("right") and left-right ("edge").
+    """Return the nodes of equal depth over the edges apex-right ("left"), left-apex ("right") and left-right ("edge").
 
     None over the grid's border. The names and the rule for each bit are those of libleb.
     """
@@ -169,7 +169,7 @@ def neighbours(lattice: Lattice, node: Node) -> tuple[Node | None, Node | None, 
 
 
 def diamond(lattice: Lattice, node: Node) -> tuple[Node, Node | None]:
-    """The node and the one over its longest edge, perhaps in another square: they are split and merged together."""
+    """Return the node and the one over its longest edge, perhaps in another square: both split and merge together."""
     return node, neighbours(lattice, node)[2]
 
 
@@ -187,7 +187,7 @@ def plant(tree: EditedTree, lattice: Lattice) -> None:
 
 
 def split_conforming(tree: EditedTree, lattice: Lattice, node: Node) -> list[Node]:
-    """Split a leaf with the other half of its diamond, coarser neighbours first; return what was split, in order.
+    """Split a leaf with the other half of its diamond, coarser neighbours first; return the split nodes in order.
 
     Forced splits as in ROAM (Duchaineau et al. 1997): a node's longest edge is split on both sides or not at all.
     """
@@ -210,7 +210,7 @@ def split_conforming(tree: EditedTree, lattice: Lattice, node: Node) -> list[Nod
 
 
 def merge_conforming(tree: EditedTree, lattice: Lattice, node: Node) -> list[Node]:
-    """Merge the halves of `node` and of the other triangle of its diamond; return what was merged.
+    """Merge the halves of `node` and of the other triangle of its diamond; return the merged nodes.
 
     A diamond is merged whole or, where one of its four halves is split further, not at all: then the list is empty.
     """

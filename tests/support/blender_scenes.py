@@ -11,7 +11,7 @@ from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 
 
 def make_grid_surface(columns: int, rows: int, height=lambda x, y: 0.1 * x):
-    """Two triangles a cell, 1 m cells, with the arrays of a Surface."""
+    """Return the arrays of a Surface with two triangles per cell and cells of 1 m."""
     y, x = np.mgrid[0 : rows + 1, 0 : columns + 1].astype(np.float32)
     positions = np.stack([x.ravel(), y.ravel(), np.broadcast_to(height(x, y), x.shape).ravel()], 1).astype(np.float32)
     corner = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).ravel()
@@ -41,7 +41,7 @@ def grid_surface():
 
 @pytest.fixture
 def empty():
-    """An empty file, with the extension registered; preferences stay, which no test changes."""
+    """Open an empty file with the extension registered; preferences stay, and no test changes them."""
     import adaptive_terrain
     import bpy
 
@@ -53,7 +53,7 @@ def empty():
 
 @pytest.fixture(scope="session")
 def store(tmp_path_factory):
-    """A small store of rolling hills: 129 x 129 samples, 10 m apart."""
+    """Build a small store of rolling hills: 129 x 129 samples, 10 m apart."""
     from adaptive_terrain.cbt_terrain.field.build import build
     from adaptive_terrain.cbt_terrain.field.store import Draft
 
@@ -68,8 +68,10 @@ def store(tmp_path_factory):
 
 @pytest.fixture
 def scene(empty, monkeypatch):
-    """An empty file with a camera that looks at the middle from the south, 640 x 360 pixels. Kernels are compiled where
-    they are launched: the viewport's timer waits for none."""
+    """Open an empty file with a camera that looks at the middle from the south, 640 x 360 pixels.
+
+    Kernels are compiled at their launch: the viewport's timer does not wait for them.
+    """
     import bpy
     from adaptive_terrain.cbt_terrain.run import warmup
 
@@ -85,7 +87,7 @@ def scene(empty, monkeypatch):
 
 @pytest.fixture
 def add_terrain(store):
-    """Makes a terrain object in the scene that is open; its mesh is still empty."""
+    """Return a function that adds a terrain object with an empty mesh to the open scene."""
     import bpy
 
     def add(name="Terrain"):
@@ -101,7 +103,7 @@ def add_terrain(store):
 
 @pytest.fixture
 def preparing(monkeypatch):
-    """A first start: a quarter of the kernels is compiled; `done.set()` ends it."""
+    """Simulate a first start with a quarter of the kernels compiled; `done.set()` ends it."""
     from adaptive_terrain.cbt_terrain.run import warmup
 
     done = threading.Event()

@@ -62,7 +62,7 @@ def opened(page: Path | str, folder: Path, width: int = 1280) -> Opened:
 
 
 def _complaint(event: dict) -> str:
-    """What an event complains of; "" of one that does not."""
+    """Return the complaint of an event, or ""."""
     method, params = event["method"], event["params"]
     if method == "Runtime.exceptionThrown":
         return params["exceptionDetails"].get("exception", {}).get("description", params["exceptionDetails"]["text"])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Surfaces to be cut, and what holds of any part of one."""
+"""Surfaces to be cut, and checks that hold for any part of one."""
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
@@ -8,7 +8,7 @@ from fields import rough
 
 
 def surface_of(seed: int, error_m: float, meshlet: int, step: float = 10.0):
-    """A surface in arrays of its own."""
+    """Return a surface in new arrays."""
     field = rough(33, 65, seed, step=step)
     return Terrain(field, 1).update(Criterion(error_px=0.0, error_m=error_m, meshlet=meshlet)).surface.copy()
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Damaged stores through updates and through `export`: FOLDER SEED COUNT.
 
-A process of its own, which a read or a write beyond an array ends: a page that may not be touched lies behind each.
+Runs as a separate process, which a read or a write beyond an array ends: an inaccessible page follows each.
 Each mutant gives a mesh with all invariants or one sentence. Prints what came of them as JSON.
 """
 
@@ -75,7 +75,7 @@ def lattice_of(store: Path) -> Lattice:
 
 
 def said(error: TerrainError) -> str:
-    """The sentence, checked to be one, without what differs from store to store."""
+    """Return the error's text; check that it is one sentence."""
     text = str(error)
     assert "\n" not in text and text.endswith(".") and len(text) < 1000, text
     return text

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cases of demand: each makes scenes and yields what is read of the object's mesh, and what should be.
+"""Cases of demand: each builds scenes and yields the attributes that are read of the mesh, and the expected ones.
 
 `demand(obj, mode="RENDER", exports=())` is handed in: the bpy modules and the real program have it by other names.
 """
@@ -188,7 +188,7 @@ def weights_of_zero(demand):
 
 
 def scripts_in_shaders(demand):
-    """Cycles makes a script's sockets when it compiles it; not every build can, so this one is made here."""
+    """Yield a script in a shader. Its sockets are added here: not every build of Cycles compiles scripts."""
     obj, tree, output = worn()
     bpy.context.scene.cycles.shading_system = True
     node = tree.nodes.new("ShaderNodeScript")
@@ -272,7 +272,7 @@ def materials_by_nodes(demand):
 
 
 def instances(demand):
-    """What stands on the terrain's points may read their attributes."""
+    """Yield instances on the terrain's points, which may read its attributes."""
     obj, _, _ = worn()
     tree_object = new_object("Tree")
     material = shows(new_material(), lambda tree: attribute(tree, "tint", "INSTANCER").outputs["Color"])
@@ -307,7 +307,7 @@ def other_objects(demand):
 
 
 def objects_in_collections(demand):
-    """What is instanced in a scene is in it, too."""
+    """Yield objects of a collection; an instance brings them into the scene."""
     obj, _, _ = worn()
     hidden, twin = bpy.data.collections.new("Kit"), bpy.data.objects.new("Twin", obj.data)
     hidden.objects.link(twin)

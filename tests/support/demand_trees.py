@@ -8,7 +8,7 @@ EEVEE = "BLENDER_EEVEE_NEXT" if bpy.app.version < (5, 0) else "BLENDER_EEVEE"
 
 
 def new_object(name="T"):
-    """A square in the scene."""
+    """Add a square to the scene."""
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], [], [(0, 1, 2, 3)])
     obj = bpy.data.objects.new(name, mesh)
@@ -17,7 +17,7 @@ def new_object(name="T"):
 
 
 def new_material(name="M"):
-    """A material whose node tree is an output alone."""
+    """Add a material whose node tree has only an output."""
     material = bpy.data.materials.new(name)
     if not NODES_ALWAYS:
         material.use_nodes = True
@@ -27,7 +27,7 @@ def new_material(name="M"):
 
 
 def worn(engine="CYCLES"):
-    """An empty file with an object that wears a material: object, node tree, its output node."""
+    """Open an empty file with an object that has a material; return the object, the node tree and its output node."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.context.scene.render.engine = engine
     obj, material = new_object(), new_material()
@@ -46,7 +46,7 @@ def colour(tree, name):
 
 
 def emit(tree, socket, output):
-    """The output shows a socket's colour."""
+    """Connect a socket's colour to the output."""
     node = tree.nodes.new("ShaderNodeEmission")
     tree.links.new(socket, node.inputs["Color"])
     tree.links.new(node.outputs[0], output.inputs["Surface"])
@@ -54,14 +54,14 @@ def emit(tree, socket, output):
 
 
 def shows(material, socket_of):
-    """The material shows what `socket_of` makes in its tree."""
+    """Connect the socket that `socket_of` adds to a material's tree to its output."""
     tree = material.node_tree
     emit(tree, socket_of(tree), next(n for n in tree.nodes if n.bl_idname == "ShaderNodeOutputMaterial"))
     return material
 
 
 def mix(tree, factor, first=None, second=None):
-    """A mix of two colours."""
+    """Add a mix of two colours."""
     node = tree.nodes.new("ShaderNodeMix")
     node.data_type, node.inputs[0].default_value = "RGBA", factor
     for socket, source in ((node.inputs[6], first), (node.inputs[7], second)):
@@ -71,7 +71,7 @@ def mix(tree, factor, first=None, second=None):
 
 
 def group(name, kind, inputs=(), outputs=()):
-    """A node group with sockets (name, type): the group, its input and its output node."""
+    """Add a node group with sockets (name, type); return the group, its input and its output node."""
     tree = bpy.data.node_groups.new(name, kind)
     for direction, sockets in (("INPUT", inputs), ("OUTPUT", outputs)):
         for label, socket in sockets:
@@ -96,7 +96,7 @@ class Moved:
         self.modifier.node_group = self.tree
 
     def named(self, name):
-        """A node that reads an attribute."""
+        """Add a node that reads an attribute."""
         node = self.tree.nodes.new("GeometryNodeInputNamedAttribute")
         node.inputs["Name"].default_value = name
         return node

@@ -7,7 +7,7 @@ from fields import extent, project, reference_heights
 
 
 def ground_view(field, kind=PERSPECTIVE, above=2.0, at=(0.1, -0.2)):
-    """A view along the ground from `above` it."""
+    """Return a view along the ground from `above` it."""
     eye = np.array([*(extent(field)[:2] * at), 0.0])
     eye[2] = reference_heights(field, eye[None, :2])[0] + above
     fov = 360.0 if kind == PANORAMIC else 60.0
@@ -27,7 +27,7 @@ def places_in(surface):
 
 
 def check(found, field, views, placement=None, scale=1.0, offset=0.0):
-    """Nothing delivered is further from the surface than is said. Returns the largest part of a bound that was seen."""
+    """Check that each point of the mesh is within its bound of the surface; return the largest fraction of a bound."""
     below = places_in(found.surface)
     truth = below.copy()
     truth[:, 2] = reference_heights(field, below[:, :2]) * scale + offset

@@ -7,14 +7,14 @@ from adaptive_terrain.cbt_terrain.field.tiled import Tiled
 
 
 def scrambled(x):
-    """The integer hash, of uint32: sums and products are modulo 2^32."""
+    """Hash uint32 integers: sums and products are modulo 2^32."""
     x = (x ^ (x >> np.uint32(16))) * np.uint32(0x7FEB352D)
     x = (x ^ (x >> np.uint32(15))) * np.uint32(0x846CA68B)
     return x ^ (x >> np.uint32(16))
 
 
 def lattice_values(i, row):
-    """Values in [-1, 1) of lattice points: columns, and the hashes of their rows."""
+    """Return values in [-1, 1) of lattice points from their columns and the hashes of their rows."""
     return scrambled(row + i).view(np.int32) / 2.0**31
 
 
@@ -32,7 +32,7 @@ def value_noise(x, y, seed):
 
 
 def detail_heights(detail, count, plane):
-    """Metres at points [n, 2] of `count` octaves."""
+    """Return the metres of `count` octaves at points [n, 2]."""
     z, p = np.zeros(len(plane)), np.array(plane, np.float64) / detail.wavelength
     longest = detail.amplitude / sum(detail.roughness**k for k in range(count))
     for k in range(count):
@@ -43,7 +43,7 @@ def detail_heights(detail, count, plane):
 
 
 def image_heights(tiled, plane):
-    """Metres at points [n, 2] of an image: every pixel's bump, a cubic B-spline, of all that repeat."""
+    """Return the metres of a repeated image at points [n, 2]; each pixel is a cubic B-spline."""
     net = 2.0 * tiled.image.values.astype(np.float64) - 1.0
     rows, columns = net.shape
     (i, across), (j, up) = (_bumps(plane[:, axis] * columns / tiled.size) for axis in (0, 1))
@@ -52,14 +52,14 @@ def image_heights(tiled, plane):
 
 
 def _bumps(place):
-    """Numbers [n, 4] of the pixels about places, and how much of their bumps is there."""
+    """Return the numbers [n, 4] of the pixels around points, and the weights of their B-splines."""
     numbers = np.floor(place).astype(np.int64)[:, None] + np.arange(-1, 3)
     off = np.abs(place[:, None] - numbers)
     return numbers, np.where(off < 1, (4 - 6 * off**2 + 3 * off**3) / 6, np.maximum(2 - off, 0) ** 3 / 6)
 
 
 def mask_values(mask, lattice, plane):
-    """How much of a mask is at points [n, 2]."""
+    """Return the value of a mask at points [n, 2]."""
     m = mask.values / 255.0
     s = np.clip(plane[:, 0] / lattice.step_x + (lattice.width - 1) / 2, 0, lattice.width - 1)
     t = np.clip(plane[:, 1] / lattice.step_y + (lattice.height - 1) / 2, 0, lattice.height - 1)
@@ -69,7 +69,7 @@ def mask_values(mask, lattice, plane):
 
 
 def ground_heights(field, plane):
-    """Metres at points [n, 2] of all that is added to a field's surface."""
+    """Return the metres that all layers add to a field's surface at points [n, 2]."""
     ground = field.detail
     if isinstance(ground, Coats):
         whole = np.zeros(len(plane))

@@ -6,7 +6,7 @@ from adaptive_terrain.cbt_terrain.field.lattice import Lattice
 
 
 def error_index(lattice: Lattice, depth: int, i, j) -> np.ndarray:
-    """Entries, int64, of the diamonds of `depth` (1 .. cell_depth) that are split at the samples (i, j).
+    """Return the error entries, int64, of the diamonds of `depth` (1 .. cell_depth) that are split at samples (i, j).
 
     i, j: arrays of columns and rows; at cell_depth those of the raster's cells.
     """
@@ -15,7 +15,7 @@ def error_index(lattice: Lattice, depth: int, i, j) -> np.ndarray:
 
 
 def range_index(lattice: Lattice, depth: int, i, j) -> np.ndarray:
-    """The same in the ranges of heights (depths 1 .. range_depth, and cell_depth)."""
+    """Return the entries in the ranges of heights (depths 1 .. range_depth, and cell_depth)."""
     group = (lattice.levels - 2 - (depth - 1) // 2) // 2
     shift = 1 + 2 * group
     if depth == lattice.cell_depth:
@@ -24,7 +24,7 @@ def range_index(lattice: Lattice, depth: int, i, j) -> np.ndarray:
 
 
 def root_entries(lattice: Lattice) -> np.ndarray:
-    """Entries, int64 [rows, columns], of the root squares' own diamonds: all others are below them."""
+    """Return the entries, int64 [rows, columns], of the diamonds of the root squares; all others are below them."""
     side = 1 << lattice.levels
     i, j = np.arange(lattice.columns) * side + side // 2, np.arange(lattice.rows)[:, None] * side + side // 2
     return error_index(lattice, 1, i, j)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A tree whose leaves are asked for and edited one by one, with checks: what the older tests do with a tree."""
+"""A tree with checked access to single leaves, for the older tests."""
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.errors import TerrainError
@@ -11,7 +11,7 @@ class EditedTree(ConcurrentBinaryTree):
 
     @classmethod
     def of(cls, tree: ConcurrentBinaryTree) -> "EditedTree":
-        """The same tree: what is edited here is edited there."""
+        """Return an editable view that shares the memory of a tree."""
         edited = cls.__new__(cls)
         edited.__dict__ = tree.__dict__
         return edited

@@ -273,7 +273,7 @@ def attempt(do) -> str:
 
 
 def new_folder(folder: Path) -> None:
-    """Make what the attempts aim at."""
+    """Create the targets of the attempts."""
     for name in ("store", "empty"):
         (folder / name).mkdir()
     (folder / "victim.txt").write_text("precious")

@@ -36,7 +36,7 @@ def errors_of(field: HeightField, meshlet: int = 0) -> np.ndarray:
 
 
 def split_points(lattice, depth: int) -> tuple[np.ndarray, np.ndarray]:
-    """Samples (i, j) at which the diamonds of a depth above the raster's cells are split that have entries."""
+    """Return samples (i, j) at the split vertices of the diamonds of a depth that have entries, above the cells."""
     (columns, rows), side = lattice.extent(depth), 1 << (lattice.levels - depth // 2)
     if depth % 2:
         j, i = np.indices((rows, columns)).reshape(2, -1) * side + side // 2
@@ -68,7 +68,7 @@ def ranges_of(field: HeightField) -> tuple[np.ndarray, np.ndarray]:
 
 
 def random_view(rng: np.random.Generator, field: HeightField) -> View:
-    """A view from anywhere in and about the terrain, also from below it and out of its sight."""
+    """Return a random view in, around or below the terrain, perhaps one that does not see it."""
     size = extent(field)
     eye = (rng.random(3) * 2 - 1) * size * 10 ** rng.uniform(-1, 0.7)
     if rng.random() < 0.2:  # on the surface, on a sample
@@ -103,7 +103,7 @@ def sample_position(field: HeightField, i: int, j: int) -> np.ndarray:
 
 
 def reference_heights(field: HeightField, plane: np.ndarray) -> np.ndarray:
-    """The reference surface at points [n, 2] of the terrain's own space."""
+    """Return the heights of the reference surface at points [n, 2] of the terrain's space."""
     if field.detail:
         plain = with_detail(field, None)
         return reference_heights(plain, plane) + ground_heights(field, plane)
@@ -123,9 +123,9 @@ TO_BEZIER = np.array([[0, 1, 0, 0], [-1 / 6, 1, 1 / 6, 0], [0, 1 / 6, 1, -1 / 6]
 
 
 def bezier(field: HeightField, plane: np.ndarray, cell: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """The C1 bicubic surface at points [n, 2], as Bezier patches: heights [n], gradients [n, 2] in metres a metre.
+    """Return heights [n] and gradients [n, 2] (m/m) of the C1 bicubic surface at points [n, 2], as Bezier patches.
 
-    cell: int [n, 2], the columns and rows of the patches to use in place of those in which the points lie.
+    cell: int [n, 2], the columns and rows of the patches to use in place of those that contain the points.
     """
     control, place = _patches(field, plane, cell)
     (u, du), (v, dv) = _bernstein(place[:, 0]), _bernstein(place[:, 1])
@@ -134,13 +134,13 @@ def bezier(field: HeightField, plane: np.ndarray, cell: np.ndarray | None = None
 
 
 def bezier_heights(field: HeightField, plane: np.ndarray) -> np.ndarray:
-    """The heights alone, in a third of the time."""
+    """Return the heights alone, in a third of the time."""
     control, place = _patches(field, plane)
     return _weigh(control, *(_bernstein(place[:, k])[0] for k in (0, 1)))
 
 
 def _patches(field: HeightField, plane: np.ndarray, cell: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """The control heights [n, 4, 4] of the patches of points [n, 2], and where in them these are, [n, 2] cells."""
+    """Return the control heights [n, 4, 4] of the patches of points [n, 2], and the places in them, [n, 2]."""
     lattice = field.lattice
     steps, cells = np.array([lattice.step_x, lattice.step_y]), np.array([lattice.width - 1, lattice.height - 1])
     place = np.clip(plane / steps + cells / 2, 0, cells)
@@ -166,7 +166,7 @@ def _bernstein(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def least_triangles(field: HeightField, meshlet: int) -> int:
-    """Triangles of the coarsest mesh: its root squares', and what a rim makes of them."""
+    """Return the number of triangles of the coarsest mesh: the root squares, cut at the border."""
     return Terrain(field, 1).update(Criterion(error_px=0.0, error_m=1e30, meshlet=meshlet)).triangles
 
 
@@ -197,7 +197,7 @@ def _barycentric(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def project(view: View, points: np.ndarray, placement: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels [n, 2] (or unit directions [n, 3] of a panorama) of points, and whether each is in the frame."""
+    """Return pixels [n, 2] (or unit directions [n, 3] of a panorama) of points, and whether each is in the frame."""
     matrix = view.world_to_camera if placement is None else view.world_to_camera @ placement
     camera = points @ matrix[:3, :3].T + matrix[:3, 3]
     if view.kind == PANORAMIC:
@@ -225,7 +225,7 @@ def screen_error(view: View, field: HeightField, surface: Surface, plane: np.nda
 
 
 def scattered(field: HeightField, count: int, seed: int = 0) -> np.ndarray:
-    """Points [n, 2] of the terrain's own space: as many samples as fit into `count`, the rest at random between."""
+    """Return points [n, 2] of the terrain's space: at most `count` samples, then random points between them."""
     rng = np.random.default_rng(seed)
     lattice, size = field.lattice, extent(field)[:2]
     free = (rng.random((count // 2, 2)) - 0.5) * size

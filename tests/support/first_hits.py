@@ -52,7 +52,7 @@ def first_hits(surface, view: View, placement: np.ndarray, columns: int = 160, r
 
 
 def as_keys(surface, faces: np.ndarray) -> set[bytes]:
-    """Triangles by their corners' positions."""
+    """Return triangles by their corners' positions."""
     corners = surface.positions[surface.triangles[faces]]
     order = np.lexsort((corners[..., 2], corners[..., 1], corners[..., 0]), axis=1)
     rows = np.ascontiguousarray(np.take_along_axis(corners, order[..., None], axis=1)).reshape(len(corners), 9)

@@ -11,7 +11,7 @@ FRAMES = 8
 
 
 def hills_flight(folder: Path) -> list[str]:
-    """Arguments of an export of FRAMES frames but for --out; the store and the path are made in `folder`."""
+    """Build a store and a path in `folder`; return the arguments of an export of FRAMES frames, without --out."""
     y, x = np.mgrid[0:129, 0:129].astype(np.float32)
     np.save(folder / "hills.npy", 20 * np.sin(x / 5) * np.cos(y / 6))
     keys = [

@@ -29,7 +29,7 @@ def _touch_arrays() -> None:
 
 
 def measured(memory) -> dict[str, int]:
-    """Faults before memory is held by `memory` (freed_memory.py), meanwhile and after, and held again."""
+    """Count page faults before `memory` (freed_memory.py) holds memory, meanwhile, after, and when held again."""
     found = {"before": faults()}
     memory.hold()
     found["held"] = faults()

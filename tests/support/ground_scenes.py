@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A terrain that stands askew, and its ground as Blender's own ray casting sees it: on a fine grid of quads."""
+"""A tilted terrain, and its ground for Blender's ray casting: a fine grid of quads."""
 
 import bpy
 import numpy as np
@@ -37,7 +37,7 @@ def hills_store(tmp_path_factory):
 
 @pytest.fixture
 def askew(scene, add_terrain, hills_store):
-    """A terrain that is moved, turned, tilted and scaled, 1.5 times as high and 10 m lifted."""
+    """Return a terrain that is moved, turned, tilted and scaled, 1.5 times as high and 10 m lifted."""
     return place(add_terrain("Askew"), hills_store, ASKEW)
 
 
@@ -49,7 +49,7 @@ def place(terrain, store: str, matrix: Matrix):
 
 
 class Cast:
-    """Straight down onto quads of all terrains' hills, in a scene of their own."""
+    """Ray casts straight down onto quads of all terrains' hills, in a separate scene."""
 
     def __init__(self, *terrains):
         self.scene = bpy.data.scenes.new("cast")
@@ -78,14 +78,14 @@ class Cast:
         return found[0].z if found else float("nan")
 
     def normal(self, place, over: float = 4.0) -> Vector:
-        """Of heights around it: that of `ray_cast` is wrong where an object is scaled unevenly."""
+        """Return the normal of the heights around a place: that of `ray_cast` is wrong for unevenly scaled objects."""
         x, y = place[:2]
         east, north = (self.height((x + i, y + j)) - self.height((x - i, y - j)) for i, j in ((over, 0), (0, over)))
         return Vector((-east, -north, 2 * over)).normalized()
 
 
 def cube(name: str, location, size: float = 2.0, **channels):
-    """A box whose origin is 1 m below its middle, in the scene that is open; selected."""
+    """Add a selected box whose origin is 1 m below its middle to the open scene."""
     mesh = bpy.data.meshes.new(name)
     s = size / 2
     mesh.from_pydata([(x, y, z + 1.0) for x in (-s, s) for y in (-s, s) for z in (-s, s)], [], [(0, 1, 3, 2)])

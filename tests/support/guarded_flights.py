@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Flights in which every buffer of the engine ends where a page begins that may not be touched.
 
-A process of its own, which a read or a write beyond an array ends; tests/cbt_terrain/run/test_buffer_ends.py runs it.
+A separate process, which a read or a write beyond an array ends; tests/cbt_terrain/run/test_buffer_ends.py runs it.
 """
 
 import ctypes
@@ -30,7 +30,7 @@ mprotect.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
 
 
 def guarded(shape, dtype) -> np.ndarray:
-    """As `np.empty`, with a page behind it that may not be touched; what is in it is rubbish."""
+    """Return an uninitialised array, as `np.empty` does, with an inaccessible page behind it."""
     nbytes = int(np.prod(shape)) * np.dtype(dtype).itemsize
     page = mmap.PAGESIZE
     pages = -(-nbytes // page) * page
@@ -49,7 +49,7 @@ def guarded_numpy() -> SimpleNamespace:
 
 
 def fly(field, flights, threads: int) -> None:
-    """One update after the other: each mesh is the one that a new terrain with one thread makes."""
+    """Update a terrain for each view; check that each mesh is the one of a new terrain with one thread."""
     terrain = Terrain(field, threads)
     terrain.history.hints.capacity = 7
     for criterion, views in flights:

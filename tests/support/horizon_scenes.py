@@ -37,7 +37,7 @@ def a_place(rng) -> np.ndarray:
 
 
 def a_view(rng, field, placement: np.ndarray, scale: float, offset: float) -> View:
-    """From low over the ground, mostly; also from below it and from beyond the rim."""
+    """Return a view from low above the ground, below it or beyond the border."""
     size = extent(field) * [1, 1, abs(scale)]
     eye = rng.uniform(-0.5, 0.5, 3) * size
     if rng.random() < 0.2:

@@ -44,7 +44,7 @@ def engines(places: Places, azimuths: np.ndarray, far=1e300, least=0.0, blocks=T
 
 
 def from_cell_to_cell(field: HeightField, scale: float, place, azimuth, far=1e300, least=0.0) -> float:
-    """The same of one ray, in float64."""
+    """Return the horizon of one ray in float64, cell by cell."""
     lattice, h = field.lattice, field.heights()
     west, south, _, _ = lattice.rectangle()
     x0 = min(max((float(place[0]) - west) / lattice.step_x, 0.0), float(lattice.cells_x))
@@ -86,7 +86,7 @@ def _on_surface(h: np.ndarray, scale: float, x: float, y: float) -> float:
 
 
 def places_on(field: HeightField, count: int, seed: int = 0, scale: float = 1.0) -> Places:
-    """A third on samples, a third between, a third on the rim and its corners; heights of no meaning."""
+    """Return places: a third on samples, between them, and on the border and its corners; heights are arbitrary."""
     lattice, rng = field.lattice, np.random.default_rng(seed)
     west, south, _, _ = lattice.rectangle()
     cells = rng.uniform(0, 1, (count, 2)) * (lattice.cells_x, lattice.cells_y)
@@ -102,7 +102,7 @@ def places_on(field: HeightField, count: int, seed: int = 0, scale: float = 1.0)
 
 
 def every_sample(field: HeightField, scale: float = 1.0, threads: int = 1) -> Places:
-    """The samples of a raster, row after row."""
+    """Return the samples of a raster row by row."""
     lattice = field.lattice
     west, south, _, _ = lattice.rectangle()
     x, y = west + np.arange(lattice.width) * lattice.step_x, south + np.arange(lattice.height) * lattice.step_y
@@ -122,7 +122,7 @@ def directions(count: int, seed: int = 0) -> np.ndarray:
 
 
 def coded(field: HeightField, scale: float = 0.25) -> tuple[HeightField, HeightField]:
-    """A field of heights that are multiples of `scale`, as floats and as numbers of 16 bits."""
+    """Return a field of heights that are multiples of `scale`, as floats and as 16-bit numbers."""
     from dataclasses import replace
 
     numbers = np.clip(np.rint(field.samples / scale), -32768, 32767)

@@ -11,7 +11,7 @@ PART = "part.tif"
 
 
 def vrt(inside: str, more: str = "", of_set: str = "") -> str:
-    """A VRT of 65 x 33 samples with one band; `more`, `of_set`: attributes of the band and of the whole."""
+    """Return a VRT of 65 x 33 samples with one band; `more`, `of_set`: attributes of the band and of the file."""
     return (
         f'<VRTDataset rasterXSize="65" rasterYSize="33"{of_set}>'
         f'<VRTRasterBand dataType="Float32" band="1"{more}>{inside}</VRTRasterBand></VRTDataset>'
@@ -30,8 +30,10 @@ def subclass(name: str) -> str:
 
 
 def attacks(folder, port: int) -> dict:
-    """VRTs by name, each with a part of the sentence that refuses it. What gets through writes into `folder` / "out" or
-    asks the server at `port`."""
+    """Return VRTs by name, each with a part of the sentence that refuses it.
+
+    An attack that succeeds writes into `folder` / "out" or requests from the server at `port`.
+    """
     address = f"http://127.0.0.1:{port}/a.tif"
     service = (
         f'<GDAL_WMS><Service name="TMS"><ServerUrl>file://{folder}/served/${{z}}</ServerUrl></Service><DataWindow>'
@@ -117,7 +119,7 @@ def seeds(folder) -> list:
 
 
 def damaged(content: bytes, random: np.random.Generator) -> bytes:
-    """A few bytes changed, taken out, doubled or made extreme numbers, most of them in the header."""
+    """Change, delete, repeat or maximise a few bytes, most of them in the header."""
     data = bytearray(content)
     for _ in range(random.integers(1, 6)):
         end = len(data) if random.random() < 0.4 else min(len(data), 512)

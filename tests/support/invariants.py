@@ -73,14 +73,14 @@ def count_distinct(values: np.ndarray) -> int:
 
 
 def with_arrays(surface: Surface, **arrays) -> Surface:
-    """The same surface with other arrays of some names, topology or attributes; they need not fit together."""
+    """Return the surface with some arrays replaced, topology or attributes; they need not fit together."""
     old = surface.attributes
     attributes = {name: replace(old[name], array=arrays.pop(name)) for name in [*arrays] if name in old}
     return replace(surface, **arrays, attributes=old | attributes)
 
 
 def arrays(surface: Surface) -> dict[str, bytes]:
-    """The bytes of every array, to compare meshes that must be the same."""
+    """Return the bytes of each array, to compare meshes that must be equal."""
     return {name: array.tobytes() for name, array in surface.arrays().items()}
 
 
@@ -93,7 +93,7 @@ def assert_blender_invariants(obj, meshlet: int = 0) -> None:
 
 
 def surface_of(mesh) -> Surface:
-    """The arrays of a Blender mesh of triangles, as Blender has them."""
+    """Return the arrays of a Blender mesh of triangles as Blender has them."""
     vertices, edges, corners = len(mesh.vertices), len(mesh.edges), len(mesh.loops)
 
     def read(collection, name: str, shape, dtype) -> np.ndarray:

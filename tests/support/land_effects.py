@@ -22,7 +22,7 @@ def diffuse(ground, values, coarser):
 
 
 def raise_hill(ground, values, coarser):
-    """A cone about a place, in metres from the raster's south-western sample; what it adds is a layer."""
+    """Raise a cone around a place, in metres from the raster's south-western sample; add a layer of it."""
     rows, columns = (np.arange(n) + first for n, first in zip(ground.heights.shape, ground.first, strict=True))
     north, east = rows * ground.step_y - values["north"], columns * ground.step_x - values["east"]
     away = np.sqrt((north**2)[:, None] + east**2)
@@ -31,7 +31,7 @@ def raise_hill(ground, values, coarser):
 
 
 def level_out(ground, values, coarser):
-    """Towards the mean of all heights; what it reads is handed on, doubled."""
+    """Move heights towards their mean; pass on twice the layer that was read."""
     assert ground.heights.shape == ground.whole
     worn = ground.layers.get("worn", np.zeros_like(ground.heights))
     change = (np.float32(ground.heights.mean()) - ground.heights) * np.float32(values["part"])

@@ -16,7 +16,7 @@ from adaptive_terrain.operators.scene import session, shaped_land
 
 @pytest.fixture
 def terrain(scene, add_terrain, store, tmp_path):
-    """A terrain with a store of its own, of which nothing was shaped."""
+    """Return a terrain with a private copy of the store and no shaped land."""
     own = tmp_path / "hills"
     shutil.copytree(store, own)
     obj = add_terrain()
@@ -28,13 +28,13 @@ def terrain(scene, add_terrain, store, tmp_path):
 
 @pytest.fixture(scope="module")
 def first_shaped(tmp_path_factory):
-    """Where the first test that needs it leaves a copy of all that its stack has made."""
+    """Return the folder where the first test that needs it leaves a copy of the shaped land."""
     return tmp_path_factory.mktemp("shaped") / "land"
 
 
 @pytest.fixture
 def shaped(terrain, first_shaped):
-    """The folder of the land that `terrain` shows, shaped by its stack of one entry."""
+    """Return the folder of the land of `terrain`, shaped by its stack of one entry."""
     add("thermal")
     beside = land_folder.folder_beside(terrain.adaptive_terrain.store)
     if not first_shaped.exists():
@@ -68,12 +68,12 @@ def stack_now(terrain, tmp_path):
 
 @pytest.fixture(scope="module")
 def wide_store(tmp_path_factory):
-    """Three levels, of which the finest goes by tiles."""
+    """Build a store with three levels; the finest is made of tiles."""
     return wide_hills(tmp_path_factory.mktemp("wide") / "hills", 1100, 1500)
 
 
 def wide_hills(path, rows: int, columns: int):
-    """A store at `path` with hills 8 m a column and 10 m a row; returns `path`."""
+    """Build a store at `path` with hills 8 m a column and 10 m a row; return `path`."""
     draft = Draft(path)
     samples = draft.allocate("samples", (rows, columns), np.float32)
     y, x = np.mgrid[0:rows, 0:columns]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A terrain in Blender whose maps are baked into a folder of their own."""
+"""A terrain in Blender whose maps are baked into a separate folder."""
 
 import bpy
 import pytest

@@ -23,7 +23,7 @@ def read_ply(path):
 
 
 def read_ply_fields(path):
-    """All that the file says of its vertices: a structured array [V]."""
+    """Return all vertex fields of the file as a structured array [V]."""
     return _read_ply(path)[0]
 
 
@@ -82,7 +82,7 @@ def read_glb(path):
 
 
 def nodes(scene, indices, above):
-    """Every node with its matrix to the file's space."""
+    """Yield each node with its matrix to the file's space."""
     for node in (scene["nodes"][index] for index in indices):
         x, y, z, w = node.get("rotation", (0, 0, 0, 1))
         turn = np.array(
@@ -106,12 +106,12 @@ def read_npz(path):
 
 
 def z_up(vertices):
-    """Of a file whose y is up."""
+    """Convert points of a file whose y is up."""
     return np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], 1)
 
 
 def read_glb_attributes(path):
-    """What each vertex of the only part of the only mesh has, float32 [n] or [n, width], by glTF's names."""
+    """Return the vertex attributes of the only part of the only mesh, float32 [n] or [n, width], by glTF's names."""
     raw = path.read_bytes()
     [head] = struct.unpack_from("<I", raw, 12)
     scene, binary = json.loads(raw[20 : 20 + head]), raw[28 + head :]

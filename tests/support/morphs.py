@@ -15,7 +15,7 @@ AT_ONCE = 1.0 + 1e-9
 
 
 def weight(ratio, k: float):
-    """The smoothstep of (1 - 1 / ratio) / (1 - 1 / k)."""
+    """Return the smoothstep of (1 - 1 / ratio) / (1 - 1 / k)."""
     u = np.clip((1 - 1 / np.maximum(ratio, 1.0)) / (1 - 1 / k), 0.0, 1.0)
     return u * u * (3 - 2 * u)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Stores with damage: a copy of a store in which one file, or two, is not what an import has written.
+"""Stores with damage: copies of a store in which one or two files differ from those of an import.
 
 It shares nothing with the package, so that it also runs inside the Blender program: what it knows of a store's bytes
 is written down here a second time.
@@ -22,7 +22,7 @@ REPLACEMENTS = "cut", "longer", "header", "fortran", "object", "zip", "empty", "
 
 
 def mutate(store: Path, out: Path, rng: np.random.Generator) -> str:
-    """Make `out` a damaged copy of `store`; says what was done. Most mutants have checksums that fit."""
+    """Write a damaged copy of `store` to `out`; return its description. Most mutants have checksums that fit."""
     shutil.rmtree(out, ignore_errors=True)
     shutil.copytree(store, out)
     content = json.loads((out / "store.json").read_text())
@@ -84,7 +84,7 @@ def _damage(file: Path, rng: np.random.Generator) -> str:
 
 
 def _data_bytes(size: int) -> int:
-    """Bytes of data in a file of an array: the rest is the header and four bytes for every block."""
+    """Return the number of data bytes in an array's file, without its header and the four bytes of each block."""
     behind = size - PAGE
     return behind - 4 * -(-behind // (BLOCK + 4))
 

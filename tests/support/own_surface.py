@@ -37,7 +37,7 @@ def distances(raster, step_x, step_y, positions, corner_verts, parts=4):
 
 
 def bilinear(raster, x, y):
-    """Heights of the surface at arrays of columns and rows."""
+    """Return the heights of the surface at arrays of columns and rows."""
     i = np.clip(x.astype(int), 0, raster.shape[1] - 2)
     j = np.clip(y.astype(int), 0, raster.shape[0] - 2)
     u, v, h = x - i, y - j, raster.astype(np.float64)

@@ -23,8 +23,10 @@ RESTS = "import bpy, time; bpy.app.timers.register(lambda: time.sleep(0.005) or 
 
 @contextmanager
 def window(program, arguments: list, framebuffer: Path, kernels: Path | None = None, place: tuple = HALF):
-    """The program with a window on a screen that is a file, for scripts that simulate events; ends both. `kernels`:
-    where compiled kernels are, if not where the program has its own. `place`: x, y, width and height of the window."""
+    """Start the program with a window on a screen that is a file, for scripts that simulate events; end both.
+
+    `kernels`: folder of compiled kernels instead of the program's. `place`: x, y, width and height of the window.
+    """
     display = f":{os.getpid() % 40000 + 200}"
     environment = {**program.environment(), "DISPLAY": display}
     environment |= {"WARP_CACHE_PATH": str(kernels)} if kernels else {}
@@ -56,7 +58,7 @@ def wait_for(path: Path, process, ended: Path | None = None) -> None:
 
 
 def read_screen(framebuffer: Path) -> Image.Image:
-    """Xvfb's frame buffer: an X window dump, whose header is big-endian and names its own size."""
+    """Read Xvfb's frame buffer: an X window dump with a big-endian header that states its size."""
     data = (framebuffer / "Xvfb_screen0").read_bytes()
     header = struct.unpack(">25I", data[:100])
     header_size, width, height, bytes_per_line, colours = header[0], header[4], header[5], header[12], header[19]

@@ -12,7 +12,7 @@ FACTORS = 0.0, 1.0, 0.0, 1.0, 0.4
 
 
 def square(name="T"):
-    """A grid of SIDE x SIDE points in the scene."""
+    """Add a grid of SIDE x SIDE points to the scene."""
     across = np.linspace(-1, 1, SIDE)
     points = [(x, y, 0.2 * x * y) for y in across for x in across]
     corners = [(j * SIDE + i, j * SIDE + i + 1, (j + 1) * SIDE + i + 1, (j + 1) * SIDE + i)
@@ -40,7 +40,7 @@ def write(mesh, names) -> None:
 
 
 def picture_scene():
-    """A lit square under a camera, for Cycles at 24 x 24 pixels: the object and its material."""
+    """Add a lit square below a camera, for Cycles at 24 x 24 pixels; return the object and its material."""
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.seed = 2, False, 3
@@ -129,7 +129,7 @@ def _shader(tree, source, pool):
 
 
 def _colours(tree, source, names, groups, pool=()):
-    """Sockets with colours; many are never used."""
+    """Return sockets with colours; many are unused."""
     pool = list(pool)
     for _ in range(source.randint(4, 14)):
         node, outputs = _colour(tree, source, names, groups, pool)
@@ -241,7 +241,7 @@ def _usable(sockets):
 
 
 def _fields(tree, source, names, groups, pool, texts):
-    """Sockets with numbers."""
+    """Return sockets with numbers."""
     for _ in range(source.randint(5, 12)):
         made = _field(tree, source, names, groups, pool, texts)
         if made is not None:

@@ -10,7 +10,7 @@ from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 
 
 def jacksboro():
-    """The elevation model that comes with matplotlib: int16 [344, 403] metres, row 0 north, 3 seconds a sample."""
+    """Return matplotlib's elevation model: int16 [344, 403] metres, row 0 north, 3 seconds a sample."""
     from matplotlib.cbook import get_sample_data
 
     return get_sample_data("jacksboro_fault_dem.npz")["elevation"]
@@ -45,6 +45,6 @@ def write_exr(path, **channels):
 
 
 def imported(tmp_path, source, **settings):
-    """The height field and the report of an import in this process, into tmp_path / "store"."""
+    """Import in this process into tmp_path / "store"; return the height field and the report."""
     report = run_import(ImportSettings(source=str(source), **settings), tmp_path / "store")
     return open_store(tmp_path / "store"), report

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The real Blender program with the extension's zip built, installed and enabled in a user folder of its own: once a
+"""The real Blender program with the extension's zip built, installed and enabled in a private user folder: once a
 session, for tests/blender and those hard cases that need it (tests/conftest.py names the fixtures).
 
 `ADAPTIVE_TERRAIN_BLENDER` is the wrapper that tools/get_blender.sh writes; `.ci/run` sets it, and without it these
@@ -42,7 +42,7 @@ class Program:
         return [self.wrapper, "blender", *map(str, arguments)]
 
     def run(self, *arguments: str, timeout: float = 300) -> str:
-        """Run to the end; returns what it printed, fails with it unless the exit code is 0."""
+        """Run to the end; return the output, and fail with it unless the exit code is 0."""
         done = subprocess.run(
             self.command(*arguments), env=self.environment(), cwd=ROOT, capture_output=True, text=True, timeout=timeout
         )
@@ -105,7 +105,7 @@ def bare_program(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def extension_zip(bare_program, tmp_path_factory):
-    """The zip for this platform, validated and packed by the real program."""
+    """Build the zip for this platform and the program's Python; the real program validates and packs it."""
     output = tmp_path_factory.mktemp("extension")
     command = [sys.executable, ROOT / "tools" / "build_extension.py", "--output", output]
     command += ["--blender", *bare_program.command()]
@@ -116,8 +116,10 @@ def extension_zip(bare_program, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def program(bare_program, extension_zip):
-    """The program with the extension installed and enabled, no splash screen, and viewports that are drawn once: eight
-    times for smooth edges, by software, is two thirds of the time of tests with a window."""
+    """Install and enable the extension; show no splash screen and draw viewports once.
+
+    Eight draws for smooth edges, by software, take two thirds of the time of tests with a window.
+    """
     bare_program.run("--command", "extension", "install-file", "-r", "user_default", "--enable", extension_zip)
     quiet = "import bpy; preferences = bpy.context.preferences; preferences.view.show_splash = False; "
     quiet += "preferences.system.viewport_aa = 'OFF'; bpy.ops.wm.save_userpref()"
@@ -126,27 +128,35 @@ def program(bare_program, extension_zip):
     return bare_program
 
 
-@pytest.fixture(scope="session")
-def dem(tmp_path_factory):
-    """A real DEM (Jacksboro fault, SRTM at 3 arc seconds, as matplotlib ships it) as GeoTIFF, also of whole metres,
-    and as EXR."""
-    import OpenEXR
-    import rasterio
+def read_dem():
+    """Return matplotlib's DEM (Jacksboro fault, SRTM at 3 arc seconds): `elevation`, `xmin` and so on."""
     from matplotlib import cbook
+
+    return cbook.get_sample_data("jacksboro_fault_dem.npz")
+
+
+def write_dem(path: Path, heights: np.ndarray) -> None:
+    """Write heights as a GeoTIFF in the place of that DEM."""
+    import rasterio
     from rasterio.transform import from_bounds
 
-    data = cbook.get_sample_data("jacksboro_fault_dem.npz")
-    heights = np.asarray(data["elevation"], np.float32)
     rows, columns = heights.shape
-    folder = tmp_path_factory.mktemp("dem")
-    west, east, south, north = (float(data[key]) for key in ("xmin", "xmax", "ymin", "ymax"))
-    transform = from_bounds(west, south, east, north, columns, rows)
-    profile = {"driver": "GTiff", "width": columns, "height": rows, "count": 1, "dtype": "float32"}
-    with rasterio.open(folder / "dem.tif", "w", crs="EPSG:4326", transform=transform, **profile) as tif:
+    data = read_dem()
+    bounds = (float(data[key]) for key in ("xmin", "ymin", "xmax", "ymax"))
+    placed = {"crs": "EPSG:4326", "transform": from_bounds(*bounds, columns, rows)}
+    shape = {"width": columns, "height": rows, "count": 1, "dtype": heights.dtype}
+    with rasterio.open(path, "w", driver="GTiff", **placed, **shape) as tif:
         tif.write(heights[None])
-    profile["dtype"] = "int16"
-    with rasterio.open(folder / "whole.tif", "w", crs="EPSG:4326", transform=transform, **profile) as tif:
-        tif.write(heights[None].astype(np.int16))
+
+
+@pytest.fixture(scope="session")
+def dem(tmp_path_factory):
+    """Write matplotlib's DEM as GeoTIFF, in whole metres, and as EXR."""
+    import OpenEXR
+
+    heights, folder = np.asarray(read_dem()["elevation"], np.float32), tmp_path_factory.mktemp("dem")
+    write_dem(folder / "dem.tif", heights)
+    write_dem(folder / "whole.tif", heights.astype(np.int16))
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     OpenEXR.File(header, {"Y": heights}).write(str(folder / "dem.exr"))
     return {"tif": folder / "dem.tif", "exr": folder / "dem.exr", "whole": folder / "whole.tif", "heights": heights}
@@ -154,6 +164,6 @@ def dem(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def scene(program, dem, tmp_path_factory):
-    """A .blend with the GeoTIFF as terrain and an animated camera, made by the real program, and what it said."""
+    """Save a .blend with the GeoTIFF as terrain and an animated camera by the real program; return both."""
     path = tmp_path_factory.mktemp("scene") / "scene.blend"
     return path, program.script("import_dem.py", path, dem["tif"])

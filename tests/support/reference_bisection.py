@@ -29,13 +29,13 @@ class ReferenceMesh:
         return set(self.vertices)
 
     def middle(self, leaf: tuple[int, int]) -> Point:
-        """The vertex that splitting the leaf makes."""
+        """Return the vertex that splits the leaf."""
         (lx, ly), _, (rx, ry) = self.vertices[leaf]
         assert (lx + rx) % 2 == 0 and (ly + ry) % 2 == 0, "the exponent is too small for this depth"
         return (lx + rx) // 2, (ly + ry) // 2
 
     def partner(self, leaf: tuple[int, int]) -> tuple[int, int] | None:
-        """The leaf on the other side of the longest edge."""
+        """Return the leaf on the other side of the longest edge."""
         left, _, right = self.vertices[leaf]
         others = self.of_edge[frozenset((left, right))] - {leaf}
         assert len(others) <= 1
@@ -89,13 +89,13 @@ class ReferenceMesh:
 
 
 def edges_of(corners: Triangle) -> list[frozenset]:
-    """The three edges of a triangle, without direction."""
+    """Return the three undirected edges of a triangle."""
     left, apex, right = corners
     return [frozenset((left, apex)), frozenset((apex, right)), frozenset((right, left))]
 
 
 def corners_of(square: int, heap_id: int, columns: int, exponent: int) -> Triangle:
-    """Vertices (left, apex, right) of a node by bisecting from its root, grid coordinates."""
+    """Return the vertices (left, apex, right) of a node by bisection from its root, in grid coordinates."""
     mesh = ReferenceMesh(columns, square // columns + 1, exponent)
     corners = mesh.vertices[square, 2 + (bin(heap_id)[3] == "1")]
     for bit in bin(heap_id)[4:]:
@@ -112,11 +112,11 @@ def forced_split_leaves(
     wants_split: Callable[[int, int, int], bool],
     exponent: int | None = None,
 ) -> set[tuple[int, int]]:
-    """The conforming refinement with forced splits (ROAM): the set of its leaves as (square, in-square id).
+    """Return the leaves of the conforming refinement with forced splits (ROAM) as a set of (square, in-square id).
 
-    `wants_split(x, y, depth)` is asked of each leaf above `max_depth` (bisections inside a square, roots have depth 1)
-    with the vertex that its split would make, in units of the grid: a square's side is 2**exponent, by default the
-    smallest that makes all vertices whole, (max_depth + 1) // 2. x runs east, y north.
+    `wants_split(x, y, depth)` decides each leaf above `max_depth` (bisections inside a square, roots have depth 1) at
+    the split vertex, in units of the grid: a square's side is 2**exponent, by default the smallest that makes all
+    vertices whole, (max_depth + 1) // 2. x runs east, y north.
     """
     mesh = ReferenceMesh(columns, rows, (max_depth + 1) // 2 if exponent is None else exponent)
     waiting = list(mesh.leaves)
@@ -128,12 +128,12 @@ def forced_split_leaves(
 
 
 def depth_of(leaf: tuple[int, int]) -> int:
-    """Bisections of the leaf's square; its two roots have depth 1."""
+    """Return the number of bisections of the leaf's square; its two roots have depth 1."""
     return leaf[1].bit_length() - 1
 
 
 def assert_conforming(leaves: set[tuple[int, int]], columns: int, rows: int, exponent: int) -> None:
-    """No T-junction, no gap: each edge belongs to two leaves, or to one on the border; the areas add up."""
+    """Check that each edge belongs to two leaves, or to one at the border, and that the areas add up."""
     side = 1 << exponent
     uses: Counter = Counter()
     twice_area = 0

@@ -16,7 +16,7 @@ def stored(field, x: float, y: float, depth: int) -> tuple[float, float, float]:
 
 
 def reference_pixels(field, view: View, x: float, y: float, depth: int, rounded: float) -> float:
-    """Pixels of screen-space error at a diamond, written anew from its definition, in plain arithmetic."""
+    """Return the screen-space error in pixels at a diamond, by its definition in plain arithmetic."""
     lattice = field.lattice
     error, low, high = stored(field, x, y, depth)
     error = min(error + rounded, 4 * error)
@@ -59,7 +59,7 @@ def slants_of(view: View) -> tuple[float, float]:
 
 
 def correction(view: View, asked: float) -> float:
-    """An error e seen from distance d can look as long as e / (d - e) in a plane, as asin(e / d) in a panorama."""
+    """Return the correction of an error e at distance d: e / (d - e) in a plane, asin(e / d) in a panorama."""
     if view.kind == PERSPECTIVE:
         ahead = abs(view.world_to_camera[2, 2])
         return 1 + asked * ahead / (view.pixels_per_unit * slants_of(view)[0])

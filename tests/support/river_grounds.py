@@ -9,7 +9,7 @@ from adaptive_terrain.cbt_terrain.land_effects.rivers import RIVERS
 
 
 def rough(rows, columns, seed=2):
-    """Hills of 200 m with pits between, above 20 m, and a sea in one corner."""
+    """Return hills of 200 m with pits between them, above 20 m, and a sea in one corner."""
     rng = np.random.default_rng(seed)
     y, x = np.indices((rows, columns))
     h = 110 + 60 * np.sin(x / 17) * np.cos(y / 23) + 12 * rng.standard_normal((rows, columns))

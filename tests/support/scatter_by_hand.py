@@ -11,7 +11,7 @@ from own_surface import bilinear
 
 
 def places_by_hand(field, scatter):
-    """Ids, float64 ranks (those of seams as they wait) and plan places, float64 [n, 2], of all that could be there."""
+    """Return ids, float64 ranks (before seams are resolved) and plan places, float64 [n, 2], of all candidates."""
     lattice, side = field.lattice, scatter.spacing * math.sqrt(POINTS)
     size = np.array([lattice.cells_x * lattice.step_x, lattice.cells_y * lattice.step_y])
     first = -size / 2 - side * np.array([scatter.seed * 0.7548776662466927 % 1, scatter.seed * 0.5698402909980532 % 1])
@@ -25,22 +25,24 @@ def places_by_hand(field, scatter):
 
 
 def scramble(value):
-    """lowbias32."""
+    """Hash with lowbias32."""
     for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
         value = (value ^ value >> shift) * factor & 0xFFFFFFFF
     return value ^ value >> 16
 
 
 def pattern_by_hand(seed, column, row):
-    """Where a tile has its points, float64 [POINTS, 2] in sides: the pattern turned about by eighths of it."""
+    """Return a tile's points, float64 [POINTS, 2] in sides: the pattern shifted by eighths of a side."""
     drawn = scramble((scramble((row + seed) & 0xFFFFFFFF) + column) & 0xFFFFFFFF) >> 26
     return (tile().place / UNITS + np.array([drawn % 8, drawn // 8]) / 8) % 1
 
 
 def ranks_by_hand(at):
-    """Parts of all density at which points are there, float64 [tiles, POINTS]: those at which two of different tiles
-    may be as near as each is to one of lower rank, a billion where that is more than all. at: places, [tiles, POINTS,
-    2], in sides."""
+    """Return the fractions of full density at which points appear, float64 [tiles, POINTS].
+
+    There, two points of different tiles may be as near as each is to one of lower rank; a billion if that exceeds 1.
+    at: places, [tiles, POINTS, 2], in sides.
+    """
     found = np.tile(np.arange(0.5, POINTS), (len(at), 1))
     low = 0.5
     while low < POINTS:  # octave by octave: those of higher ranks keep less apart
@@ -64,7 +66,7 @@ def heights_by_hand(field, places, vertical_scale=1.0, vertical_offset=0.0):
 
 
 def wanted_by_hand(scatter, points, views, placement):
-    """How much the views want at points [n, 3], and how far inside or outside the nearest frame's rim each is."""
+    """Return the density that the views want at points [n, 3], and the distance from the nearest frame's border."""
     want = np.zeros(len(points)) if views else np.ones(len(points))
     clearance = np.full(len(points), np.inf)
     for view in views:

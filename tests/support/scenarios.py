@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A terrain, a view and what is asked, as plain numbers: what property tests draw and the regression corpus keeps.
+"""Scenarios: a terrain, a view and a criterion as plain numbers, for property tests and the regression corpus.
 
 A scenario is a dict that JSON holds: `field` {"kind", "shape", "seed", "relief", "base", "steps"} and, if it is not
 bilinear, "interpolation", and, if the source has rounded its heights, "rounded_to", metres; `views` a list of {"kind",
@@ -27,7 +27,7 @@ VIEW_KINDS = (PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC)
 
 
 def make_field(asked: dict) -> HeightField:
-    """The height field of a scenario; `relief` metres about `base`."""
+    """Return the height field of a scenario; `relief` metres around `base`."""
     height, width = asked["shape"]
     rng = np.random.default_rng(asked["seed"])
     y, x = np.indices((height, width))
@@ -60,7 +60,7 @@ def make_field(asked: dict) -> HeightField:
 
 
 def make_view(asked: dict, field: HeightField) -> View:
-    """The view of a scenario; its eye is in units of the terrain's extent, or on the sample `on`."""
+    """Return the view of a scenario; its eye is in units of the terrain's extent, or on the sample `on`."""
     size = extent(field)
     middle = np.array([0.0, 0.0, (field.min_height + field.max_height) / 2])
     eye = middle + np.array(asked["eye"]) * size
@@ -140,7 +140,7 @@ def eager_threads():
 
 @contextmanager
 def to_remember(scenario: dict):
-    """A failure inside the block also says how to keep its scenario."""
+    """Add to a failure inside the block how to keep its scenario."""
     try:
         yield
     except Exception as error:

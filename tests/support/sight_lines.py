@@ -14,8 +14,11 @@ def holes_of(field) -> np.ndarray:
 
 
 def pieces(field, origin, direction, end, scale=1.0, offset=0.0, places=3):
-    """Of each piece of a line between two crossings of lines of samples, in order: t [n, places] evenly over it, metres
-    of the line above the surface there [n, places], and whether it is over ground [n]."""
+    """Return the pieces of a line between two crossings of sample lines, in order.
+
+    t [n, places] evenly over each, metres of the line above the surface there [n, places], and whether it is over
+    ground [n].
+    """
     lattice = field.lattice
     steps, cells = np.array([lattice.step_x, lattice.step_y]), np.array([lattice.cells_x, lattice.cells_y])
     start, rate = origin[:2] / steps + cells / 2, direction[:2] / steps
@@ -42,13 +45,13 @@ def pieces(field, origin, direction, end, scale=1.0, offset=0.0, places=3):
 
 
 def parabolas(t, e):
-    """Coefficients a, b, c of e(x), x in 0 .. 1 over each piece, of a bilinear surface."""
+    """Return the coefficients a, b, c of e(x), x in 0 .. 1 over each piece, of a bilinear surface."""
     a = 2 * (e[:, 0] + e[:, 2] - 2 * e[:, 1])
     return a, e[:, 2] - e[:, 0] - a, e[:, 0]
 
 
 def first_contact(field, origin, direction, scale=1.0, offset=0.0) -> float:
-    """The first t at which a line meets a bilinear surface, by the roots of every piece; infinite without one."""
+    """Return the first t at which a line meets a bilinear surface, by the roots of each piece; infinite without one."""
     t, e, ground = pieces(field, origin, direction, np.inf, scale, offset)
     for n in np.flatnonzero(ground):
         a, b, c = (float(v[n]) for v in parabolas(t, e))
@@ -62,8 +65,11 @@ def first_contact(field, origin, direction, scale=1.0, offset=0.0) -> float:
 
 
 def least_clearance(field, start, end, scale=1.0, offset=0.0) -> float:
-    """Metres by which the line between two points is above a bilinear surface where that is least; less than 0 where
-    the surface rises above it. From a start on the surface, by the line's rise over it in the first piece."""
+    """Return the least metres by which the line between two points is above a bilinear surface.
+
+    It is less than 0 where the surface is above the line. From a start on the surface, it is the line's rise in the
+    first piece.
+    """
     t, e, ground = pieces(field, start, end - start, 1.0, scale, offset)
     a, b, c = parabolas(t, e)
     with np.errstate(divide="ignore", invalid="ignore"):

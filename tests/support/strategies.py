@@ -8,7 +8,7 @@ SHAPES = [(2, 2), (3, 3), (5, 9), (9, 9), (17, 17), (17, 33), (33, 17), (9, 25),
 
 
 def magnitudes(low: float, high: float):
-    """Numbers from 10**low to 10**high, spread evenly over the decades."""
+    """Return numbers from 10**low to 10**high, spread evenly over the decades."""
     return st.floats(low, high).map(lambda power: round(10**power, 12))
 
 
@@ -29,7 +29,7 @@ def fields(kinds=KINDS, shapes=SHAPES, interpolations=("bilinear", "bilinear", "
 
 
 def views(kinds=VIEW_KINDS):
-    """One view of a scenario: from anywhere in and about the terrain."""
+    """Return one view of a scenario from a random place in and around the terrain."""
     share = st.floats(-2, 2).map(lambda value: round(value, 6))
     # What measures errors looks at each pixel: one side is spread over the decades, and errors come as near to bounds.
     sides = st.tuples(st.integers(1, 4000), magnitudes(0, 3.602).map(int))

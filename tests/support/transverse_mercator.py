@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""UTM by a formula of our own."""
+"""UTM by an independent formula."""
 
 import math
 

@@ -10,7 +10,7 @@ from adaptive_terrain import kernels
 
 
 def load(name: str, path: Path):
-    """A file as module `name` of the package's kernels."""
+    """Load a file as module `name` of the package's kernels."""
     spec = importlib.util.spec_from_file_location(f"{kernels.__name__}.{name}", path)
     wp.set_module_options({"enable_backward": False}, spec.name)
     sys.modules[spec.name] = module = importlib.util.module_from_spec(spec)

@@ -14,7 +14,7 @@ from ..operators.text.machine import machine
 from .pages import goals, performance_page, report
 from .rig import scenes
 from .rig.baselines import RoamRebuild, build_roam_rebuild
-from .rig.measure import Row
+from .rig.measure import BenchmarkRow
 from .rows import (
     demand_row,
     effects_row,
@@ -35,7 +35,7 @@ from .rows import (
 )
 
 # Measures one row or several, anew on each call.
-Measure = Callable[[], Row | Iterable[Row]]
+Measure = Callable[[], BenchmarkRow | Iterable[BenchmarkRow]]
 
 
 def run(quick: bool, with_cycles: bool, blender: list[str] | None, json_file: Path | None, docs: Path | None) -> None:
@@ -82,20 +82,20 @@ def run(quick: bool, with_cycles: bool, blender: list[str] | None, json_file: Pa
             f"{row.name} at {row.size:,} (ratio {row.ratio:.3g}, at most {goals.max_ratio(row.name, row.size):.3g})"
             for row in failed
         )
-        raise TerrainError(f"Slower than allowed in each of {goals.ATTEMPTS} attempts: {failures}.")
+        raise TerrainError(f"Rows were slower than allowed in each of {goals.ATTEMPTS} attempts: {failures}")
 
 
-def measure_rows(measures: Iterable[Measure], attempts: int) -> list[Row]:
+def measure_rows(measures: Iterable[Measure], attempts: int) -> list[BenchmarkRow]:
     """Measure all rows, print them, and measure those that fail again after the others.
 
     Another program may have disturbed the first attempt. The best attempt of a failed row counts.
     """
-    rows: dict[tuple[str, int], Row] = {}
+    rows: dict[tuple[str, int], BenchmarkRow] = {}
     for attempt in range(1, attempts + 1):
         failed = []
         for measure in measures:
             result = measure()
-            for row in [result] if isinstance(result, Row) else result:
+            for row in [result] if isinstance(result, BenchmarkRow) else result:
                 row.attempts = attempt
                 print(report.line(row), flush=True)
                 best = rows.setdefault((row.name, row.size), row)
@@ -167,13 +167,13 @@ def scratch_folder(stores: int) -> Iterator[Path]:
     try:
         folder = tempfile.TemporaryDirectory(prefix="adaptive-terrain-bench-", ignore_cleanup_errors=True)
     except OSError as reason:
-        raise TerrainError(f"There is no folder for temporary files ({reason}); let TMPDIR name one.") from reason
+        raise TerrainError(f"There is no folder for temporary files ({reason})", fix="let TMPDIR name one") from reason
     with folder as name:
         needed, free = stores * files.STORE_BYTES * scenes.SAMPLES**2, shutil.disk_usage(name).free
         if needed > free:
             raise TerrainError(
-                f"A benchmark needs {needed / 1e9:.1f} GB in {Path(name).parent}, where {free / 1e9:.2g} GB are free; "
-                "let TMPDIR name a folder with more room."
+                f"A benchmark needs {needed / 1e9:.1f} GB in {Path(name).parent}, where {free / 1e9:.2g} GB are free",
+                fix="let TMPDIR name a folder with more room",
             )
         yield Path(name)
 

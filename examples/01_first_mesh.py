@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A height map becomes a store, a camera becomes a mesh: `python examples/01_first_mesh.py [FOLDER]`."""
 
-# One sees what a pixel of error costs: each line asks for half the error of the one before and gets about twice the
-# triangles. The bound is what the mesh guarantees: no visible point of the height map is further from its place.
-# The last lines are the mesh itself, as numpy arrays.
+# Each line halves the requested error and gets about twice the triangles. No visible point of the height map is further
+# from the mesh than the printed bound. The last lines describe the mesh as numpy arrays.
 
 import sys
 from pathlib import Path
@@ -11,7 +10,7 @@ from pathlib import Path
 from adaptive_terrain import Criterion, ImportSettings, Terrain, View, import_source, open_store
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "example")
-# The source may be a GeoTIFF, PNG, EXR, ...; the second time it is the same, nothing is done.
+# The source may also be a GeoTIFF, PNG, EXR, ...; a second import of an unchanged source does nothing.
 import_source(ImportSettings("island", size=513), folder / "island.store")
 
 terrain = Terrain(open_store(folder / "island.store"))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A static mesh within an error in metres: `python examples/03_bake_and_fit.py [FOLDER]`."""
 
-# One sees two meshes that are nowhere more than 2 m of height off. The vertices of the second one may leave the surface
-# within that error, so fewer triangles do. Both are written as .npz, which any numpy reads.
+# Both meshes have an error of at most 2 m of height. The vertices of the second may leave the surface within that
+# error, so it needs fewer triangles. Both are written as .npz files for numpy.
 
 import sys
 from pathlib import Path

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a bound promises, measured by other code: `python examples/04_measure.py [FOLDER]`."""
+"""Bounds, checked by independent measurements: `python examples/04_measure.py [FOLDER]`."""
 
-# One sees that what was measured is never above the bound: in pixels for a camera, by a ray through every pixel, and in
-# metres for a baked mesh, over its whole surface. Then a mesh is spoilt on purpose, and the measurement finds it.
+# Measured errors never exceed the bound: in pixels for a camera, by a ray through every pixel, and in metres for a
+# baked mesh, over its whole surface. The last lines damage a mesh on purpose, and the measurement finds it.
 
 import sys
 from pathlib import Path

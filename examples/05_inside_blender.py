@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A terrain in a scene: `python examples/05_inside_blender.py [FOLDER]`, with Blender's Python module (`bpy`)."""
 
-# One sees the same terrain in three ways: as the camera asks for it; frozen, while the camera goes away (the same
-# triangles); and set free again (fewer, since it is far). The file that is saved opens in any Blender that has the
-# extension. In Blender itself the same lines work from `bpy.ops.mesh.adaptive_terrain_add()` on.
+# The script prints the triangles for the camera, of the frozen terrain after the camera moved away (the same), and of
+# the terrain set free again (fewer, since it is far). Any Blender with the extension can open the saved file. Inside
+# Blender the lines from `bpy.ops.mesh.adaptive_terrain_add()` on work unchanged.
 
 import sys
 from pathlib import Path
@@ -19,7 +19,7 @@ folder.mkdir(parents=True, exist_ok=True)
 bpy.ops.wm.read_homefile(use_factory_startup=True)  # a camera, a light and a cube
 bpy.ops.wm.save_as_mainfile(filepath=str(folder / "island.blend"))  # stores go beside the file
 
-bpy.ops.mesh.adaptive_terrain_add()  # the built-in island; it is the active object then
+bpy.ops.mesh.adaptive_terrain_add()  # adds the built-in island as the active object
 terrain = bpy.context.object
 camera = bpy.context.scene.camera
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An effect of one's own: `python examples/06_an_effect.py [FOLDER]`."""
+"""A custom effect: `python examples/06_an_effect.py [FOLDER]`."""
 
-# One sees a whole effect: a function over arrays, a declaration, an example that proves it, and its value as an
-# attribute of a mesh. The normals that it reads are made because it reads them; nothing else is made.
+# A complete effect consists of a function over arrays, a declaration and an example that tests it. Its values become an
+# attribute of a mesh. The normals that it reads are computed for it; nothing else is computed.
 
 import math
 import sys
@@ -19,21 +19,21 @@ from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
 
 
 def make(places, wanted, read):
-    """How squarely the sun at noon meets the ground."""
+    """Compute the cosine between the ground's normal and the sun at noon."""
     elevation = math.radians(wanted["noon_sun"]["elevation"])
     towards = np.array([0.0, -math.cos(elevation), math.sin(elevation)], np.float32)
     return {"noon_sun": np.maximum((read["detail_normal"] * towards).sum(1), 0.0)}
 
 
 def example(evaluate):
-    """A slope of 45 degrees to the south meets a sun at 45 degrees squarely."""
+    """Test that a slope of 45 degrees to the south faces a sun at 45 degrees."""
     north = np.arange(17, dtype=np.float32)[:, None] * np.ones(17, np.float32)
     assert abs(evaluate("noon_sun", north, step=1.0) - 1.0).max() < 1e-6
 
 
 EFFECTS["noon_sun"] = Effect(
     name="noon_sun",
-    about="How squarely the sun at noon meets the ground: 1 is upright, 0 in the shade of itself",
+    about="Cosine between the ground and the sun at noon: 1 faces the sun, 0 faces away",
     unit="",
     make=make,
     example=example,
@@ -48,9 +48,9 @@ folder = Path(sys.argv[1] if len(sys.argv) > 1 else "example")
 import_source(ImportSettings("island", size=513), folder / "island.store")
 field = open_store(folder / "island.store")
 surface = Terrain(field).update(Criterion(error_m=2.0, error_px=0), []).surface
-asked = plan([Asked("noon_sun", ("example 6",), parameters=(("elevation", 30.0),))])
-made = evaluate(field, EffectRequest(asked, surface), FrameHistory())
-noon = made.attributes["noon_sun"].array
+planned = plan([Asked("noon_sun", ("example 6",), parameters=(("elevation", 30.0),))])
+result = evaluate(field, EffectRequest(planned, surface), FrameHistory())
+noon = result.attributes["noon_sun"].array
 print(f"noon_sun of {len(noon):,} vertices: {noon.min():.2f} to {noon.max():.2f}")
-print(f"made: {', '.join(made.ran)}; left alone: {len(asked.skipped)}")
+print(f"computed: {', '.join(result.ran)}; skipped: {len(planned.skipped)}")
 del EFFECTS["noon_sun"]

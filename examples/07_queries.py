@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a height field answers without a mesh: `python examples/07_queries.py [FOLDER]`."""
+"""Queries of a height field without a mesh: `python examples/07_queries.py [FOLDER]`."""
 
-# One sees that a tower whose foot is put on the ground sees some of the land around it, which a ray from its top finds
-# as well; how high a path climbs; and that all of it speaks of the surface itself, on which the vertices of a mesh lie.
+# The script puts a tower on the ground, computes its viewshed and checks one visible sample by a ray. It prints the
+# climb of a path and the heights in a box. The vertices of a mesh confirm that queries refer to the surface itself.
 
 import math
 import sys

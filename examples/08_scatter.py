@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Points that stand still on a terrain: `python examples/08_scatter.py [FOLDER]`."""
+"""A scatter of points that do not move: `python examples/08_scatter.py [FOLDER]`."""
 
-# One sees how many points three frames of a flight have, that none of them has moved, and how small those are that have
-# just come. The last frame's are written as points.npz: positions, normals, sizes, ids, variants and rotations.
+# The script prints the points of three frames of a flight, their motion (0 m) and the number of new points. It writes
+# positions, normals, sizes, ids, variants and rotations of the last frame to points.npz.
 
 import sys
 from dataclasses import asdict

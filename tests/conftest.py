@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How hypothesis looks for failures, and a clean end of the test run, whatever the bpy module makes of it."""
+"""Settings of hypothesis, and a clean end of the test run in spite of the bpy module."""
 
 import os
 import sys
 
-os.environ["OPENBLAS_NUM_THREADS"] = "1"  # numpy's own threads would spin beside ours; read when numpy is imported
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # numpy's threads would compete with ours; read when numpy is imported
 
 import pytest
 from hypothesis import settings
 from real_program import bare_program, dem, extension_zip, program, scene  # noqa: F401
 
-# The same examples in every run; `make fuzz` asks for thirty times as many.
+# Every run has the same examples; `make fuzz` has thirty times as many.
 EXAMPLES = max(30, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 10)
 settings.register_profile("project", max_examples=EXAMPLES, derandomize=True, deadline=None, database=None)
 settings.load_profile("project")
@@ -27,8 +27,8 @@ def pytest_sessionfinish(exitstatus):
 def pytest_unconfigure():
     """End the process at once if bpy was used.
 
-    The bpy module shuts Blender down when Python frees it. If anything refers to it still (pytest keeps a lot), its
-    C++ destructors run on a live Blender, and the process crashes or waits forever after the last test.
+    The bpy module shuts Blender down when Python frees it. If anything still refers to it, as pytest does, its C++
+    destructors run on a live Blender, and the process crashes or hangs after the last test.
     """
     if "bpy" in sys.modules:
         sys.stdout.flush()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One module deletes files and makes folders below a project: every other one calls it."""
+"""Only one module deletes files and makes folders below a project."""
 
 import ast
 from pathlib import Path
@@ -16,7 +16,7 @@ FILES = sorted(f for house in HOUSES for f in (ROOT / house).rglob("*.py") if f 
 
 
 def is_blender(node: ast.expr) -> bool:
-    """`collection.objects.unlink(...)`: an object is taken out of a collection."""
+    """Return whether a call unlinks an object from a collection: `collection.objects.unlink(...)`."""
     return isinstance(node, ast.Attribute) and node.attr in {"objects", "children"}
 
 

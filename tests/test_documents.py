@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The documents: links and pictures exist, pages are short and name what the code has, figures are their scripts'."""
+"""The documents: links and pictures exist, pages are short and match the code, figures match their scripts."""
 
 import argparse
 import ast
@@ -123,7 +123,7 @@ def test_figures_are_those_that_the_script_draws(monkeypatch):
     assert drawn == kept, "run `make figures`"
 
 
-def test_the_page_of_effects_has_each_of_them_and_the_example_that_runs():
+def test_the_effects_page_has_all_effects_and_the_example():
     from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
     from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What programs import from the package itself, under any name of the package, and what that costs those who do not."""
+"""Imports from the package itself work under any name of the package and load nothing before their use."""
 
 import subprocess
 import sys
@@ -11,7 +11,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.field.build import from_array
 
 ROOT = Path(__file__).resolve().parents[1]
-# As Blender loads an extension: by its folder, as a part of `bl_ext.REPOSITORY`, without bpy here.
+# Load the package as Blender loads an extension: by its folder, inside `bl_ext.REPOSITORY`, here without bpy.
 AS_EXTENSION = """
 import importlib.util, sys, types
 sys.modules["bpy"] = None
@@ -29,7 +29,7 @@ assert "adaptive_terrain" not in {module.split(".")[0] for module in sys.modules
 """
 
 
-def test_names_come_when_they_are_asked_for_also_as_an_extension():
+def test_names_load_on_first_use_also_in_an_extension():
     command = [sys.executable, "-c", AS_EXTENSION, str(ROOT / "__init__.py"), str(ROOT)]
     result = subprocess.run(command, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
@@ -49,7 +49,7 @@ def test_every_name_is_there_documented_and_listed():
 
 
 def test_type_checkers_see_every_name():
-    """The imports that only they read are those of the front door."""
+    """The imports for type checkers are those of the package's public names."""
     text = (ROOT / "__init__.py").read_text(encoding="utf-8")
     block = text.partition("if TYPE_CHECKING:\n")[2].partition("\n\n")[0]
     found = {}

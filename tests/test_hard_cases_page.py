@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every hard case has a test, and docs/hard_cases.md lists the tests that there are."""
+"""Every hard case has a test, and docs/hard_cases.md lists all tests."""
 
 import importlib.util
 import sys
@@ -33,7 +33,7 @@ def test_the_page_lists_the_tests_and_what_they_assert(tool, text):
     assert tool.listed(text) == tool.rows(tool.find_tests()), "run `make hard-cases`"
 
 
-def test_every_test_of_the_page_was_run_and_passed_or_says_why_not(tool, text):
+def test_every_listed_test_passed_or_gives_a_reason(tool, text):
     results = tool.results_of(text)
     assert len(results) == len(tool.find_tests())
     assert all(result.startswith(("passed", "skipped: ")) for result in results)
@@ -45,12 +45,12 @@ def test_a_case_without_number_or_docstring_is_refused(tool, tmp_path, monkeypat
     file = tmp_path / "test_new.py"
     file.write_text('def test_case_07_new():\n    """It is so.\n\n    More."""\n')
     assert tool.rows(tool.find_tests()) == [("7", tool.CASES[7], "It is so.", "`test_new.py::test_case_07_new`")]
-    for wrong, said in (
+    for wrong, message in (
         ("def test_new():\n    '''a'''\n", "no case number"),
         ("def test_case_07_x(): pass", "docstring"),
     ):
         file.write_text(wrong)
-        with pytest.raises(ValueError, match=said):
+        with pytest.raises(ValueError, match=message):
             tool.find_tests()
     file.write_text("def test_case_66_x():\n    '''a'''\n")
     with pytest.raises(ValueError, match="no case number"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Houses and their rooms: who may import whom, no circle anywhere, and the two lower houses live without Blender."""
+"""Imports of houses and rooms: allowed directions, no cycles, and no Blender in the two lower houses."""
 
 import ast
 import subprocess
@@ -12,14 +12,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-# What each house may import of the others; the package's own root is asked for by none of them.
+# The houses that each house may import; none imports the package's root.
 MAY_IMPORT = {
     "kernels": {"kernels"},
     "cbt_terrain": {"cbt_terrain", "kernels"},
     "operators": {"operators", "cbt_terrain", "kernels"},
     "benchmarks": {"benchmarks", "operators", "cbt_terrain", "kernels"},
 }
-# The rooms of each house, and modules that stand beside them: each may import from those before it.
+# The rooms and single modules of each house; each may import from those before it.
 ROOMS = {
     "kernels": [
         "unchecked",
@@ -64,7 +64,7 @@ def tree_of(path: Path) -> ast.Module:
 
 @cache
 def modules_imported(path: Path) -> set[tuple[str, ...]]:
-    """Modules of ours that a file imports, anywhere in it, as the parts of their paths."""
+    """Return the modules of this package that a file imports anywhere, as the parts of their paths."""
     folder, found = path.relative_to(ROOT).parent.parts, set()
     for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.ImportFrom) and node.level:
@@ -77,7 +77,7 @@ def modules_imported(path: Path) -> set[tuple[str, ...]]:
 
 @cache
 def packages_imported(path: Path) -> set[str]:
-    """Packages from outside that a file imports."""
+    """Return the external packages that a file imports."""
     found = set()
     for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What `make` relies on: the lock covers what the project asks for, and a missing library is named."""
+"""Requirements of `make`: the lock covers all dependencies, and a missing library is named."""
 
 import importlib.util
 import re
@@ -31,7 +31,7 @@ def test_the_lock_has_every_dependency_for_both_pythons():
         }
         names = {re.match(r"[A-Za-z0-9_.-]+", requirement)[0].lower() for requirement in asked}
         assert names <= locked, python
-    assert not re.search(r"https?:|--", "\n".join(lock)), "no host stands in the lock"
+    assert not re.search(r"https?:|--", "\n".join(lock)), "the lock names no host"
 
 
 def test_a_missing_library_is_named_by_its_package(check_system, monkeypatch, capsys):

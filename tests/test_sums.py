@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The lower houses use only sums and lengths whose last bits no Python version and no C library chooses.
+"""The lower houses use only sums and lengths whose last bits do not depend on the Python version or the C library.
 
-From 3.12 on the builtin `sum` compensates the rounding of floats: `add_up` of `ask/linear.py` takes its place. `sum` is
-for integers, and its text says so: each term is `int(...)`, `len(...)` or `....nbytes`, or it adds up `map(int, ...)`
-or `map(len, ...)`.
+Since 3.12 the builtin `sum` compensates the rounding of floats; `add_up` of `ask/linear.py` replaces it. `sum` is only
+for integers, with visible types: each term is `int(...)`, `len(...)` or `....nbytes`, or the argument is `map(int,
+...)` or `map(len, ...)`.
 """
 
 import ast

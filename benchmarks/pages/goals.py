@@ -6,7 +6,7 @@ A new row needs an entry in ROWS and a measurement in suite.py.
 
 from dataclasses import dataclass, field
 
-from ..rig.measure import Row
+from ..rig.measure import BenchmarkRow
 
 ANY_SIZE = 0
 SLACK = 1.5
@@ -186,7 +186,7 @@ def max_ratio(name: str, size: int) -> float | None:
     return None if goal is None else SLACK * max(goal, known or 0.0)
 
 
-def excess(row: Row) -> float | None:
+def excess(row: BenchmarkRow) -> float | None:
     """Return by which fraction a row misses its goal (0.3: 30 %), None if it has none or meets it."""
     goal = goal_of(row.name, row.size)
     if goal is None or row.ratio is None or row.ratio <= goal:
@@ -194,7 +194,7 @@ def excess(row: Row) -> float | None:
     return row.ratio / goal - 1
 
 
-def failures(rows: list[Row]) -> list[Row]:
+def failures(rows: list[BenchmarkRow]) -> list[BenchmarkRow]:
     """Return the rows that are worse than allowed."""
     limits = [(row, max_ratio(row.name, row.size)) for row in rows]
     return [row for row, limit in limits if limit is not None and row.ratio is not None and row.ratio > limit]

@@ -4,7 +4,7 @@
 import json
 
 from ...operators.text.numbers import number
-from ..rig.measure import BLOCK_MS, BLOCKS, RUNS, SHORT_BLOCKS, SHORT_MS, Row
+from ..rig.measure import BLOCK_MS, BLOCKS, RUNS, SHORT_BLOCKS, SHORT_MS, BenchmarkRow
 from .goals import ANY_SIZE, ATTEMPTS, ROWS, SLACK, excess, goal_of, known_ratio
 from .plot import write_bars
 from .report import as_json
@@ -22,7 +22,7 @@ HEADLINES = {
 }
 
 
-def documents(rows: list[Row], machine: dict[str, str], notes: list[str]) -> dict[str, str]:
+def documents(rows: list[BenchmarkRow], machine: dict[str, str], notes: list[str]) -> dict[str, str]:
     """Return the text of every file by its name in the folder of pages."""
     content = {"machine": machine, "notes": notes, "rows": [as_json(row) for row in rows]}
     return {
@@ -33,7 +33,7 @@ def documents(rows: list[Row], machine: dict[str, str], notes: list[str]) -> dic
     }
 
 
-def page(rows: list[Row], machine: dict[str, str]) -> str:
+def page(rows: list[BenchmarkRow], machine: dict[str, str]) -> str:
     """Return the page: six rows, the chart of a frame, and every missed goal."""
     parts = [
         "# Performance",
@@ -52,7 +52,7 @@ def page(rows: list[Row], machine: dict[str, str]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def appendix(rows: list[Row], machine: dict[str, str], notes: list[str]) -> str:
+def appendix(rows: list[BenchmarkRow], machine: dict[str, str], notes: list[str]) -> str:
     """Return the appendix: the method, and every row with its goal, its steps and its other figures."""
     parts = [
         "# Performance: every row",
@@ -89,7 +89,7 @@ def machine_line(machine: dict[str, str]) -> str:
     return ", ".join(f"{name} {value}" for name, value in machine.items()) + "."
 
 
-def headlines(rows: list[Row]) -> str:
+def headlines(rows: list[BenchmarkRow]) -> str:
     """Return the table of the six rows, as far as they were measured."""
     lines = ["| | triangles | ms | baseline | ms | ratio | goal |", "| --- | ---: | ---: | --- | ---: | ---: | ---: |"]
     for (name, size), title in HEADLINES.items():
@@ -99,7 +99,7 @@ def headlines(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
-def _cells(row: Row) -> list[str]:
+def _cells(row: BenchmarkRow) -> list[str]:
     """Return time, baseline and its time, ratio and goal."""
     goal = goal_of(row.name, row.size)
     known = row.ratio is not None
@@ -107,7 +107,7 @@ def _cells(row: Row) -> list[str]:
     return [number(row.ms), (row.baseline or "") if known else "", number(row.baseline_ms), ratio, goal_text]
 
 
-def table(rows: list[Row]) -> str:
+def table(rows: list[BenchmarkRow]) -> str:
     """Return the table of all rows."""
     lines = [
         "| row | size | first | ms | baseline | ms | ratio | goal | |",
@@ -121,7 +121,7 @@ def table(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
-def misses(rows: list[Row]) -> str:
+def misses(rows: list[BenchmarkRow]) -> str:
     """Return the table of rows that miss their goals, with the known ratio of those that miss them by far."""
     lines = ["| row | size | ratio | goal | known ratio |", "| --- | ---: | ---: | ---: | ---: |"]
     for row in rows:
@@ -132,7 +132,7 @@ def misses(rows: list[Row]) -> str:
     return "\n".join(lines) if len(lines) > 2 else "None."
 
 
-def pairs_table(rows: list[Row], attribute: str, head: str) -> str:
+def pairs_table(rows: list[BenchmarkRow], attribute: str, head: str) -> str:
     """Return a table of named numbers, a line for each row."""
     lines = [f"| row | size | {head} |", "| --- | ---: | --- |"]
     for row in rows:

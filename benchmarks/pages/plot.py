@@ -2,7 +2,7 @@
 """The chart of docs/performance.md: the steps of a frame."""
 
 from ...operators.text.svg import GOLD, GREEN, LINE, PURPLE, RED, SOFT, TEAL, box, path, picture, text
-from ..rig.measure import Row
+from ..rig.measure import BenchmarkRow
 
 # Steps of a frame in their order; the last is the remainder.
 STEPS = {
@@ -15,7 +15,7 @@ STEPS = {
 }
 
 
-def write_bars(rows: list[Row]) -> str:
+def write_bars(rows: list[BenchmarkRow]) -> str:
     """Return an SVG with a bar for each size of the row `frame`, divided into its steps."""
     frames = [row for row in rows if row.name == "frame" and row.ms]
     width, left, right, top, pitch = 860, 96, 84, 56, 46

@@ -9,11 +9,11 @@ from pathlib import Path
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run.owned_files import remove_file
 from ...operators.text.numbers import number
-from ..rig.measure import Row
+from ..rig.measure import BenchmarkRow
 from .goals import excess, goal_of
 
 
-def line(row: Row) -> str:
+def line(row: BenchmarkRow) -> str:
     """Return the line of a row in the terminal."""
     parts = [f"{row.name:20} {row.size:>11,}", f"{number(row.ms):>9} ms" if row.ms is not None else " " * 12]
     if row.ratio is not None:
@@ -28,7 +28,7 @@ def line(row: Row) -> str:
     return "  ".join(parts).rstrip()
 
 
-def as_json(row: Row) -> dict:
+def as_json(row: BenchmarkRow) -> dict:
     """Return the six keys of every result, the goal, and other measurements."""
     content = {name: getattr(row, name) for name in ("name", "size", "ms", "baseline", "baseline_ms", "ratio")}
     content["goal"] = goal_of(row.name, row.size)
@@ -38,7 +38,7 @@ def as_json(row: Row) -> dict:
     return content | {name: value for name, value in extras.items() if value}
 
 
-def write_json(rows: list[Row], path: Path) -> None:
+def write_json(rows: list[BenchmarkRow], path: Path) -> None:
     """Write rows as JSON."""
     text = json.dumps([as_json(row) for row in rows], indent=1, allow_nan=False)
     write_text(path, text + "\n")

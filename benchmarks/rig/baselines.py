@@ -41,7 +41,7 @@ class RoamRebuild:
                 return float(process.stdout.readline())
             except (OSError, ValueError) as reason:
                 raise TerrainError(
-                    f"The process of {ROAM} has ended with code {process.wait()}; run it again."
+                    f"The process of {ROAM} ended with code {process.wait()}", fix="run it again"
                 ) from reason
 
         return rebuild

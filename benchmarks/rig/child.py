@@ -18,7 +18,7 @@ def run_child(module: str, *arguments, **environment: str) -> dict:
     lines = result.stdout.splitlines()
     if result.returncode != 0 or not lines:
         message = (result.stderr.strip().splitlines() or ["no message"])[-1]
-        raise TerrainError(f"The benchmark's process {module} ended with code {result.returncode} ({message}).")
+        raise TerrainError(f"The benchmark's process {module} ended with code {result.returncode} ({message})")
     return json.loads(lines[-1])
 
 

@@ -22,7 +22,7 @@ BLOCK_MS = 500.0
 
 
 @dataclass
-class Row:
+class BenchmarkRow:
     """Result of one measurement.
 
     Attributes:

@@ -20,7 +20,7 @@ def main(store: str, px: float) -> dict:
     field = open_store(store)
     opened = resident_mb()
     side = (field.lattice.width - 1) * field.lattice.step_x
-    flight = scenes.Flight(field, lambda frame: scenes.over(frame, side), scenes.errors(px))
+    flight = scenes.TimedFlight(field, lambda frame: scenes.over(frame, side), scenes.errors(px))
     first_ms = flight()["total"]
     frames = [flight()["total"] for _ in range(BLOCKS * RUNS)]
     after = resident_mb()

@@ -91,10 +91,10 @@ def pixels_for(field: HeightField, view: View, criterion: Callable[[float], Crit
             return px
         # Triangles are proportional to pixels to a power between -1 and -2. The limits keep every trial cheap.
         px *= min(max((found / triangles) ** 0.6, 0.25), 4.0)
-    raise TerrainError(f"No refinement of about {triangles:,} triangles was found; the last had {found:,}.")
+    raise TerrainError(f"No refinement of about {triangles:,} triangles was found (the last had {found:,})")
 
 
-class Flight:
+class TimedFlight:
     """Terrain seen by a moving camera; each call updates the next frame and returns milliseconds by step."""
 
     def __init__(
@@ -108,5 +108,5 @@ class Flight:
         self.frame += 1
         self.update = self.terrain.update(self.criterion, [self.views(self.frame)])
         if not self.update.changed:
-            raise TerrainError(f"Frame {self.frame} of a benchmark shows the same mesh as the one before.")
+            raise TerrainError(f"Frame {self.frame} of a benchmark has the same mesh as the one before")
         return self.update.ms

@@ -3,14 +3,14 @@
 
 from ...cbt_terrain.field.heightfield import HeightField
 from ..rig import scenes
-from ..rig.measure import Row, alternate, time_ms
+from ..rig.measure import BenchmarkRow, alternate, time_ms
 from ..rig.scenes import MILLION
 from . import engine
 
 NODES = 20
 
 
-def demand_row(rough: HeightField) -> Row:
+def demand_row(rough: HeightField) -> BenchmarkRow:
     """Measure the search through the demo's sky, its sea and one material, against the update of a flight."""
     import bpy
 
@@ -26,10 +26,10 @@ def demand_row(rough: HeightField) -> Row:
     add_sea(scene, rough, water_material(sun_direction()))
     obj.data.materials.append(material(NODES))
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    flight = scenes.Flight(rough, scenes.over, scenes.errors(engine.error_px(rough, MILLION)))
+    flight = scenes.TimedFlight(rough, scenes.over, scenes.errors(engine.error_px(rough, MILLION)))
     timed = alternate(lambda: {"total": time_ms(lambda: demand(obj, depsgraph))}, lambda: flight()["total"])
     baseline = "the engine's update of a flight"
-    return Row("demand", MILLION, timed.ms["total"], baseline, timed.baseline_ms, figures={"nodes": NODES})
+    return BenchmarkRow("demand", MILLION, timed.ms["total"], baseline, timed.baseline_ms, figures={"nodes": NODES})
 
 
 def material(nodes: int):

@@ -13,7 +13,7 @@ from ...cbt_terrain.evaluate.evaluate import EffectRequest, evaluate
 from ...cbt_terrain.evaluate.plan import plan
 from ...cbt_terrain.terrain import Terrain
 from ..rig import scenes
-from ..rig.measure import BLOCKS, Row, count_runs, stopwatch
+from ..rig.measure import BLOCKS, BenchmarkRow, count_runs, stopwatch
 from ..rig.scenes import MILLION
 
 ATTRIBUTES = ("height", "slope", "aspect", "mean_curvature", "profile_curvature", "plan_curvature", "detail_normal")
@@ -27,7 +27,7 @@ def view_at(frame: int) -> View:
     return View.look(EYE + FLIGHT_M * frame * direction, (0, 0, 100.0))
 
 
-def effects_flight_row() -> Row:
+def effects_flight_row() -> BenchmarkRow:
     """Measure attributes and twelve splat layers against the update of the same frames."""
     field = scenes.island_of(scenes.SAMPLES)
     ground(field, 1.0, 0.0, 1)  # computed once for a store
@@ -51,6 +51,6 @@ def effects_flight_row() -> Row:
     for _ in range(BLOCKS * count_runs(max(updates[1], effects[1]))):
         next_frame()
     ms, baseline_ms = (statistics.median(times[2:]) for times in (effects, updates))
-    row = Row("effects_flight", MILLION, ms, "the update of the same frames", baseline_ms, first_ms=effects[0])
+    row = BenchmarkRow("effects_flight", MILLION, ms, "the update of the same frames", baseline_ms, first_ms=effects[0])
     row.figures = {"computed_fraction": statistics.median(computed[2:])}
     return row

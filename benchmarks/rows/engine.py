@@ -11,7 +11,7 @@ from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.terrain import Terrain
 from ..rig import scenes
 from ..rig.baselines import ROAM, RoamRebuild
-from ..rig.measure import Row, alternate, stopwatch
+from ..rig.measure import BenchmarkRow, alternate, stopwatch
 from ..rig.scenes import MILLION
 
 # Row to threads and triangles.
@@ -22,9 +22,9 @@ SURFACE_STEPS = ("weld", "displace")
 MORPH_FRAMES = 0.25  # frames of the usual flight in one frame of `morph_flight`
 
 
-def edge_flight(flat: HeightField, size: int, threads: int | None = None) -> scenes.Flight:
+def edge_flight(flat: HeightField, size: int, threads: int | None = None) -> scenes.TimedFlight:
     """Return a panoramic flight over flat ground for edges of one length on screen."""
-    return scenes.Flight(flat, scenes.around, scenes.edges(_edge_px(flat, size)), threads)
+    return scenes.TimedFlight(flat, scenes.around, scenes.edges(_edge_px(flat, size)), threads)
 
 
 @cache
@@ -32,9 +32,9 @@ def _edge_px(flat: HeightField, size: int) -> float:
     return scenes.pixels_for(flat, scenes.around(0), scenes.edges, size)
 
 
-def error_flight(rough: HeightField, size: int, threads: int | None = None) -> scenes.Flight:
+def error_flight(rough: HeightField, size: int, threads: int | None = None) -> scenes.TimedFlight:
     """Return a flight over rough ground for one error on screen."""
-    return scenes.Flight(rough, scenes.over, scenes.errors(error_px(rough, size)), threads)
+    return scenes.TimedFlight(rough, scenes.over, scenes.errors(error_px(rough, size)), threads)
 
 
 @cache
@@ -48,32 +48,34 @@ def refine_ms(steps: dict[str, float]) -> float:
     return steps["refine"] + steps.get("tree", 0.0)
 
 
-def refine_row(name: str, flat: HeightField, size: int, roam: RoamRebuild | None) -> Row:
+def refine_row(name: str, flat: HeightField, size: int, roam: RoamRebuild | None) -> BenchmarkRow:
     """Measure refinement for edge lengths on the threads that REFINE_SIZES gives for this row."""
     threads, _ = REFINE_SIZES[name]
     return _refinement_row(name, size, edge_flight(flat, size, threads), roam)
 
 
-def refine_error_row(rough: HeightField, roam: RoamRebuild | None) -> Row:
+def refine_error_row(rough: HeightField, roam: RoamRebuild | None) -> BenchmarkRow:
     """Measure refinement for an error on screen, on one thread."""
     return _refinement_row("refine_error", MILLION, error_flight(rough, MILLION, 1), roam)
 
 
-def _refinement_row(name: str, size: int, flight: scenes.Flight, roam: RoamRebuild | None) -> Row:
+def _refinement_row(name: str, size: int, flight: scenes.TimedFlight, roam: RoamRebuild | None) -> BenchmarkRow:
     timed = alternate(flight, roam.timer(size) if roam else None)
-    row = Row(name, size, refine_ms(timed.ms), ROAM, timed.baseline_ms, first_ms=refine_ms(timed.first_ms))
+    row = BenchmarkRow(name, size, refine_ms(timed.ms), ROAM, timed.baseline_ms, first_ms=refine_ms(timed.first_ms))
     row.steps = {step: ms for step, ms in timed.ms.items() if step not in (*SURFACE_STEPS, "total")}
     return row
 
 
-def surface_row(rough: HeightField, roam: RoamRebuild | None) -> Row:
+def surface_row(rough: HeightField, roam: RoamRebuild | None) -> BenchmarkRow:
     """Measure the whole update, from the camera to positions, normals, texture coordinates and topology."""
     timed = alternate(error_flight(rough, MILLION), roam.timer(MILLION) if roam else None)
     first_ms = timed.first_ms["total"]
-    return Row("surface", MILLION, timed.ms["total"], ROAM, timed.baseline_ms, first_ms=first_ms, steps=timed.ms)
+    return BenchmarkRow(
+        "surface", MILLION, timed.ms["total"], ROAM, timed.baseline_ms, first_ms=first_ms, steps=timed.ms
+    )
 
 
-def still_row(rough: HeightField, roam: RoamRebuild | None) -> Row:
+def still_row(rough: HeightField, roam: RoamRebuild | None) -> BenchmarkRow:
     """Measure an update with an unchanged camera, which finds that the mesh is up to date."""
     flight = error_flight(rough, MILLION)
     flight()
@@ -83,17 +85,17 @@ def still_row(rough: HeightField, roam: RoamRebuild | None) -> Row:
         with stopwatch() as elapsed:
             update = flight.terrain.update(flight.criterion, views)
         if update.changed:
-            raise TerrainError("A camera that did not move gave another mesh.")
+            raise TerrainError("A camera that did not move gave another mesh")
         return {"total": elapsed[0]}
 
     timed = alternate(stay, roam.timer(MILLION) if roam else None)
-    return Row("still", MILLION, timed.ms["total"], ROAM, timed.baseline_ms, first_ms=timed.first_ms["total"])
+    return BenchmarkRow("still", MILLION, timed.ms["total"], ROAM, timed.baseline_ms, first_ms=timed.first_ms["total"])
 
 
-def budget_flight_row(rough: HeightField) -> Row:
+def budget_flight_row(rough: HeightField) -> BenchmarkRow:
     """Measure search and refinement under a triangle limit, against refinement for the error that just fits."""
     limited, fitting = budget_criteria(rough)
-    flights = [scenes.Flight(rough, scenes.over, criterion, 1) for criterion in (limited, fitting)]
+    flights = [scenes.TimedFlight(rough, scenes.over, criterion, 1) for criterion in (limited, fitting)]
 
     def search() -> dict[str, float]:
         ms = flights[0]()
@@ -101,7 +103,7 @@ def budget_flight_row(rough: HeightField) -> Row:
 
     timed = alternate(search, lambda: refine_ms(flights[1]()))
     ms = sum(timed.ms.values())
-    return Row("budget_flight", BUDGET_SIZE, ms, "one refinement", timed.baseline_ms, steps=timed.ms)
+    return BenchmarkRow("budget_flight", BUDGET_SIZE, ms, "one refinement", timed.baseline_ms, steps=timed.ms)
 
 
 def budget_criteria(rough: HeightField) -> tuple[Criterion, Criterion]:
@@ -112,13 +114,13 @@ def budget_criteria(rough: HeightField) -> tuple[Criterion, Criterion]:
     return limited, scenes.errors(px * relaxed)
 
 
-def morph_flight_row(rough: HeightField) -> Row:
+def morph_flight_row(rough: HeightField) -> BenchmarkRow:
     """Measure whole updates with geomorphing against updates without it for the same bound."""
     plain = scenes.errors(error_px(rough, MILLION))
     criteria = (replace(plain, morph=SMOOTH), plain)
     morphing, sudden = (
-        scenes.Flight(rough, lambda frame: scenes.over(MORPH_FRAMES * frame), criterion, threads=1)
+        scenes.TimedFlight(rough, lambda frame: scenes.over(MORPH_FRAMES * frame), criterion, threads=1)
         for criterion in criteria
     )
     timed = alternate(morphing, lambda: sudden()["total"])
-    return Row("morph_flight", MILLION, timed.ms["total"], "without", timed.baseline_ms, steps=timed.ms)
+    return BenchmarkRow("morph_flight", MILLION, timed.ms["total"], "without", timed.baseline_ms, steps=timed.ms)

@@ -17,7 +17,7 @@ from ...cbt_terrain.importing.raster import ImportSettings
 from ...cbt_terrain.run.owned_files import remove_file
 from ..rig import scenes
 from ..rig.child import run_child
-from ..rig.measure import Row, time_ms
+from ..rig.measure import BenchmarkRow, time_ms
 from ..rig.scenes import MILLION
 
 IMPORT_LIMIT_MS = 5000.0
@@ -28,16 +28,16 @@ STORE_BYTES = 18
 SMALL = "4097 x 4097"
 
 
-def import_row(tiff: Path, folder: Path) -> Row:
+def import_row(tiff: Path, folder: Path) -> BenchmarkRow:
     """Measure the import of a GeoTIFF into a store, in a child process as in Blender, against a fixed limit."""
     times = [_import_ms(tiff, folder / "imported") for _ in range(IMPORT_RUNS)]
     ms, megabytes = statistics.median(times), tiff.stat().st_size / 1e6
-    row = Row("import", scenes.SAMPLES**2, ms, "5 s", IMPORT_LIMIT_MS, first_ms=times[0])
+    row = BenchmarkRow("import", scenes.SAMPLES**2, ms, "5 s", IMPORT_LIMIT_MS, first_ms=times[0])
     row.figures = {"file_mb": megabytes, "mb_per_s": megabytes / ms * 1e3}
     return row
 
 
-def large_rows(tiff: Path, folder: Path, note: Callable[[str], None]) -> Iterator[Row]:
+def large_rows(tiff: Path, folder: Path, note: Callable[[str], None]) -> Iterator[BenchmarkRow]:
     """Measure import, frames and memory of 16,385 x 16,385 samples against the same of 4,097 x 4,097."""
     needed, free = STORE_BYTES * LARGE_SAMPLES**2, shutil.disk_usage(folder).free
     if needed > free:
@@ -46,7 +46,7 @@ def large_rows(tiff: Path, folder: Path, note: Callable[[str], None]) -> Iterato
     large_tiff, stores = write_large_tiff(folder / "large.tif"), (folder / "large", folder / "small")
     try:
         large_ms, small_ms = (_import_ms(path, store) for path, store in zip((large_tiff, tiff), stores, strict=True))
-        row = Row("import_large", LARGE_SAMPLES**2, large_ms, f"{SMALL}, the same number of samples")
+        row = BenchmarkRow("import_large", LARGE_SAMPLES**2, large_ms, f"{SMALL}, the same number of samples")
         row.baseline_ms = small_ms * (LARGE_SAMPLES / scenes.SAMPLES) ** 2
         row.ratio = large_ms / row.baseline_ms
         row.figures = {"file_mb": large_tiff.stat().st_size / 1e6, "store_mb": _store_mb(stores[0])}
@@ -88,7 +88,7 @@ def _import_ms(tiff: Path, store: Path) -> float:
     return time_ms(lambda: import_source(ImportSettings(source=str(tiff)), store))
 
 
-def _large_frames(store: Path, small_store: Path) -> Iterator[Row]:
+def _large_frames(store: Path, small_store: Path) -> Iterator[BenchmarkRow]:
     """Yield the rows of frames and of memory; `first_ms` starts with no file of the store in the system's cache."""
     results = []
     for path in (store, small_store):
@@ -100,10 +100,10 @@ def _large_frames(store: Path, small_store: Path) -> Iterator[Row]:
         results.append(run_child("rig.resident", path, px))
     large, small = results
     first_ms = large["first_ms"]
-    yield Row("large_frame", MILLION, large["frame_ms"], SMALL, small["frame_ms"], first_ms=first_ms)
+    yield BenchmarkRow("large_frame", MILLION, large["frame_ms"], SMALL, small["frame_ms"], first_ms=first_ms)
     if "own_mb" in large:
         ratio = (large["own_mb"] + large["mapped_mb"]) / (small["own_mb"] + small["mapped_mb"])
-        row = Row("large_memory", MILLION, None, SMALL, ratio=ratio)
+        row = BenchmarkRow("large_memory", MILLION, None, SMALL, ratio=ratio)
         row.figures = {name: large[name] for name in ("open_own_mb", "open_mapped_mb", "own_mb", "mapped_mb")}
         row.figures |= {f"small_{name}": small[name] for name in ("own_mb", "mapped_mb")}
         yield row

@@ -15,7 +15,7 @@ from ...cbt_terrain.field.build import from_array
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.fit.fit import fit
 from ...cbt_terrain.terrain import Terrain
-from ..rig.measure import Row, alternate, time_ms
+from ..rig.measure import BenchmarkRow, alternate, time_ms
 
 ERRORS_M = (5.0, 20.0, 50.0)
 STEP_M = 90.0
@@ -29,7 +29,7 @@ def jacksboro() -> np.ndarray:
     return np.ascontiguousarray(heights[::-1][:321, :385].astype(np.float32))
 
 
-def fit_rows(note: Callable[[str], None]) -> Iterator[Row]:
+def fit_rows(note: Callable[[str], None]) -> Iterator[BenchmarkRow]:
     """Yield a row for each error; its size is the triangles of the fit."""
     try:
         greedy = import_module(GREEDY).Delatin
@@ -45,7 +45,7 @@ def fit_rows(note: Callable[[str], None]) -> Iterator[Row]:
         yield fit_row("fit_jacksboro", field, error_m, greedy)
 
 
-def fit_row(name: str, field: HeightField, error_m: float, greedy=None) -> Row:
+def fit_row(name: str, field: HeightField, error_m: float, greedy=None) -> BenchmarkRow:
     """Measure a fit; its ratio is of triangles."""
     fits, greedy_meshes = [], []
 
@@ -59,7 +59,7 @@ def fit_row(name: str, field: HeightField, error_m: float, greedy=None) -> Row:
     timed = alternate(run_fit, run_greedy if greedy else None)
     triangles = fits[-1].triangles
     plain = Terrain(field).update(Criterion(error_px=0.0, error_m=error_m))
-    row = Row(name, triangles, timed.ms["total"], f"triangles of {GREEDY}", first_ms=timed.first_ms["total"])
+    row = BenchmarkRow(name, triangles, timed.ms["total"], f"triangles of {GREEDY}", first_ms=timed.first_ms["total"])
     row.steps = {step: ms for step, ms in timed.ms.items() if step != "total"}
     row.figures = {"error_m": error_m, "bound_m": fits[-1].bound_m, "plain_triangles": plain.triangles}
     if greedy:

@@ -14,7 +14,7 @@ from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.terrain import Terrain
 from ...operators.demo.demo import FLIGHT, FRAMES
 from ..rig import scenes
-from ..rig.measure import Row
+from ..rig.measure import BenchmarkRow
 
 FACTOR = 8.0
 RESOLUTION = (1920, 1080)
@@ -22,7 +22,7 @@ SHOWN = FRAMES[::3]
 LOW_M, RADIUS_M = 20.0, 1500.0  # height above the ground, and distance from the centre, of the low flight
 
 
-def hidden_row(folder: Path) -> Row:
+def hidden_row(folder: Path) -> BenchmarkRow:
     """Measure triangles at 1 px on all threads."""
     field = scenes.island_of(scenes.SAMPLES)
     file = folder / "flight.json"
@@ -33,7 +33,7 @@ def hidden_row(folder: Path) -> Row:
     low = [_fly(field, lambda frame: _low_view(field, frame), factor)[0] for factor in (FACTOR, 1.0)]
     figures = {"plain_ms": plain_ms, "map_ms": map_ms, "low_ratio": low[0] / low[1]}
     size = plain // len(SHOWN)
-    return Row("hidden", size, ms, "triangles of a factor of 1", ratio=culled / plain, figures=figures)
+    return BenchmarkRow("hidden", size, ms, "triangles of a factor of 1", ratio=culled / plain, figures=figures)
 
 
 def _fly(field: HeightField, view: Callable[[int], View], factor: float) -> tuple[int, float, float]:

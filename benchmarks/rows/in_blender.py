@@ -13,7 +13,7 @@ from ...cbt_terrain.field.store import Draft
 from ...cbt_terrain.terrain import Terrain
 from ..rig import scenes
 from ..rig.baselines import PLAIN, evaluated_triangles, plain_ingest
-from ..rig.measure import RUNS, SHORT_BLOCKS, Row, alternate, stopwatch
+from ..rig.measure import RUNS, SHORT_BLOCKS, BenchmarkRow, alternate, stopwatch
 
 FRAME_SIZES = (50_000, 250_000, scenes.MILLION)
 RESOLUTION = (1920, 1080)
@@ -31,11 +31,11 @@ def write_store(field: HeightField, folder: Path) -> Path:
     return folder
 
 
-def frame_row(rough: HeightField, store: Path, size: int) -> Row:
+def frame_row(rough: HeightField, store: Path, size: int) -> BenchmarkRow:
     """Measure frames of an animated camera against the plain ingest of a mesh of the same size."""
     timed = alternate(*frames(rough, store, size))
     first_ms = timed.first_ms["total"]
-    return Row("frame", size, timed.ms["total"], PLAIN, timed.baseline_ms, first_ms=first_ms, steps=timed.ms)
+    return BenchmarkRow("frame", size, timed.ms["total"], PLAIN, timed.baseline_ms, first_ms=first_ms, steps=timed.ms)
 
 
 def frames(rough: HeightField, store: Path, size: int) -> tuple[Callable, Callable]:
@@ -55,7 +55,7 @@ def frames(rough: HeightField, store: Path, size: int) -> tuple[Callable, Callab
             found = evaluated_triangles(bpy.context, terrain)
         status = session.record_of(terrain).status
         if status.error or found != status.triangles or abs(found - size) > 0.1 * size or "mesh" not in status.ms:
-            raise TerrainError(f"A frame of about {size:,} triangles has {found:,} ({status.error or 'no error'}).")
+            raise TerrainError(f"A frame of about {size:,} triangles has {found:,} ({status.error or 'no error'})")
         steps = {step: ms for step, ms in status.ms.items() if step != "total"}
         steps["blender"] = whole[0] - status.ms["total"] - status.ms["mesh"]
         return steps | {"total": whole[0]}

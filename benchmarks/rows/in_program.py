@@ -15,11 +15,12 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import open_store
 from ...operators.blender import need_bpy
 from ..rig.child import PACKAGE
-from ..rig.measure import Row
+from ..rig.measure import BenchmarkRow
 from ..rig.scenes import MILLION
 from . import in_blender
 
 MARK = "ROW "  # starts the line of the result, since Blender prints lines as well
+NAME_BLENDER = "give --blender the command that starts Blender"
 
 
 def program_version(command: list[str]) -> str:
@@ -27,22 +28,18 @@ def program_version(command: list[str]) -> str:
     lines = _output([*command, "--version"]).splitlines()
     version = next((line.strip() for line in lines if line.startswith("Blender ")), None)
     if version is None:
-        raise TerrainError(
-            f"`{' '.join(command)}` is no Blender program; --blender expects the command that starts one."
-        )
+        raise TerrainError(f"`{' '.join(command)}` is no Blender program", fix=NAME_BLENDER)
     return version
 
 
-def program_frame_row(command: list[str], store: Path) -> Row:
+def program_frame_row(command: list[str], store: Path) -> BenchmarkRow:
     """Run `measure_here` inside the program that the command starts."""
     output = _output([*command, *inside(f"in_program.measure_here({str(store)!r})")])
     results = [line.removeprefix(MARK) for line in output.splitlines() if line.startswith(MARK)]
     if len(results) != 1:
         message = (output.strip().splitlines() or ["no message"])[-1]
-        raise TerrainError(
-            f"`{' '.join(command)}` has measured nothing ({message}); --blender expects a Blender program."
-        )
-    return Row(**json.loads(results[0]))
+        raise TerrainError(f"`{' '.join(command)}` has measured nothing ({message})", fix=NAME_BLENDER)
+    return BenchmarkRow(**json.loads(results[0]))
 
 
 def inside(call: str) -> list[str]:
@@ -63,10 +60,8 @@ def _output(command: list[str]) -> str:
     try:
         result = subprocess.run(command, capture_output=True, text=True, errors="replace")
     except (OSError, ValueError) as reason:
-        raise TerrainError(
-            f"{command[0]} cannot be started ({reason}); --blender expects the command that starts Blender."
-        ) from reason
+        raise TerrainError(f"{command[0]} cannot be started ({reason})", fix=NAME_BLENDER) from reason
     if result.returncode != 0:
         message = (result.stderr.strip().splitlines() or ["no message"])[-1]
-        raise TerrainError(f"The program {command[0]} ended with code {result.returncode} ({message}).")
+        raise TerrainError(f"The program {command[0]} ended with code {result.returncode} ({message})")
     return result.stdout

@@ -13,7 +13,7 @@ from ...cbt_terrain.land_effects.levels import apply_by_levels
 from ...cbt_terrain.land_effects.rivers import RIVERS
 from ...cbt_terrain.land_effects.water import WATER
 from ..rig import plain_scree
-from ..rig.measure import Row, alternate, stopwatch, time_ms
+from ..rig.measure import BenchmarkRow, alternate, stopwatch, time_ms
 
 SAMPLES, WATER_SAMPLES = 1025, 257
 YEARS = 20e3  # of a step of rivers
@@ -27,7 +27,7 @@ def _ground(heights: np.ndarray) -> Ground:
     return Ground(heights, step, step, whole=heights.shape)
 
 
-def rivers_row() -> Row:
+def rivers_row() -> BenchmarkRow:
     """Measure a step of rivers against fastscapelib, without creep and deposition, which that library lacks."""
     import fastscapelib
 
@@ -57,7 +57,7 @@ def rivers_row() -> Row:
     return _row("land_rivers", n, timed.ms["total"], "fastscapelib", timed.baseline_ms)
 
 
-def scree_row() -> Row:
+def scree_row() -> BenchmarkRow:
     """Measure a sweep of scree on slopes twice as steep as the island's, against numpy, which must give equal bytes."""
     ground = _ground(np.maximum(island(SAMPLES), np.float32(0.0)))
     rock = np.full(ground.heights.shape, SOIL_M, np.float32)
@@ -77,11 +77,11 @@ def scree_row() -> Row:
 
     timed = alternate(lambda: {"total": sweep("ours")}, lambda: sweep("numpy"))
     if results["ours"] != results["numpy"]:
-        raise TerrainError("A sweep of scree has other bytes than the same in numpy.")
+        raise TerrainError("A sweep of scree has other bytes than the same in numpy")
     return _row("land_scree", base.size, timed.ms["total"], "numpy", timed.baseline_ms)
 
 
-def water_row() -> Row:
+def water_row() -> BenchmarkRow:
     """Measure maps of steady rain against an hour of rain, marched as shallow water by our own kernels."""
     ground = _ground(island(WATER_SAMPLES))
 
@@ -98,5 +98,5 @@ def water_row() -> Row:
     return _row("land_water", ground.heights.size, timed.ms["total"], "marched", timed.baseline_ms)
 
 
-def _row(name: str, samples: int, ms: float, baseline: str, baseline_ms: float) -> Row:
-    return Row(name, samples, ms, baseline, baseline_ms, figures={"ns_sample": ms * 1e6 / samples})
+def _row(name: str, samples: int, ms: float, baseline: str, baseline_ms: float) -> BenchmarkRow:
+    return BenchmarkRow(name, samples, ms, baseline, baseline_ms, figures={"ns_sample": ms * 1e6 / samples})

@@ -15,13 +15,13 @@ from ...cbt_terrain.field.island import SIDE
 from ...cbt_terrain.run import launch
 from ...cbt_terrain.terrain import Terrain
 from ..rig import scenes
-from ..rig.measure import Row, stopwatch
+from ..rig.measure import BenchmarkRow, stopwatch
 
 SWEPT = 4  # azimuths that are measured; all cost the same
 RUNS = 5
 
 
-def light_preview_row() -> Row:
+def light_preview_row() -> BenchmarkRow:
     """Measure the first request, with only the height pyramid in the cache, for the built-in island at 1 px."""
     field, threads = scenes.island_of(scenes.SAMPLES), launch.default_threads()
     view = View.look(scenes.eye_over(0, SIDE), (0, 0, 0))
@@ -46,4 +46,4 @@ def light_preview_row() -> Row:
     baseline_ms = full_ms()
     ms = median(preview_ms() for _ in range(RUNS))
     figures = {"vertices": len(positions)}
-    return Row("light_preview", update.triangles, ms, "in full", baseline_ms, figures=figures)
+    return BenchmarkRow("light_preview", update.triangles, ms, "in full", baseline_ms, figures=figures)

@@ -10,13 +10,13 @@ import numpy as np
 from ...cbt_terrain.effects.effect import Asked
 from ...cbt_terrain.maps.bake import bake
 from ..rig import scenes
-from ..rig.measure import Row, alternate, stopwatch
+from ..rig.measure import BenchmarkRow, alternate, stopwatch
 
 SAMPLES, TEXELS = 2049, 2048
 REQUEST = (Asked("detail_normal", ("this benchmark",)),)
 
 
-def maps_row() -> Row:
+def maps_row() -> BenchmarkRow:
     """Measure the way from heights to a complete PNG file; the first run computes the height pyramid as well."""
     field = scenes.island_of(SAMPLES)
     heights, step = field.samples, field.lattice.step_x
@@ -36,4 +36,4 @@ def maps_row() -> Row:
 
     timed = alternate(ours, plain)
     figures = {"ns_texel": timed.ms["total"] * 1e6 / TEXELS**2}
-    return Row("maps_normal", TEXELS**2, timed.ms["total"], "numpy", timed.baseline_ms, figures=figures)
+    return BenchmarkRow("maps_normal", TEXELS**2, timed.ms["total"], "numpy", timed.baseline_ms, figures=figures)

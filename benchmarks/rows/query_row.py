@@ -7,12 +7,12 @@ from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.island import SIDE
 from ...cbt_terrain.query.ground import ground_at
 from ..rig import scenes
-from ..rig.measure import Row, alternate, time_ms
+from ..rig.measure import BenchmarkRow, alternate, time_ms
 
 POINTS = 1_000_000
 
 
-def query_heights_row() -> Row:
+def query_heights_row() -> BenchmarkRow:
     """Measure points of the built-in island in rows and, as a figure, in random order; one thread."""
     field = scenes.island_of(scenes.SAMPLES)
     line = np.linspace(-0.1, 0.1, int(POINTS**0.5)) * SIDE
@@ -25,7 +25,7 @@ def query_heights_row() -> Row:
     ms = timed.ms["total"]
     random_ms = min(time_ms(lambda: ground_at(field, mixed, threads=1)) for _ in range(3))
     figures = {"ns_point": 1e6 * ms / len(points), "ns_random": 1e6 * random_ms / len(points)}
-    return Row("query_heights", len(points), ms, "numpy", timed.baseline_ms, figures=figures)
+    return BenchmarkRow("query_heights", len(points), ms, "numpy", timed.baseline_ms, figures=figures)
 
 
 def _bilinear(field: HeightField, points: np.ndarray) -> np.ndarray:

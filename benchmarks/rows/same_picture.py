@@ -19,7 +19,7 @@ from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.importing.import_process import import_source
 from ...cbt_terrain.importing.raster import ISLAND, ImportSettings
 from ..rig import scenes
-from ..rig.measure import Row
+from ..rig.measure import BenchmarkRow
 from . import cycles
 from .cycles import ADAPTIVE, BARE, ERROR, GRID, HIGH, LOW, MAPPED, PIXEL, similarity
 from .files import write_tiff
@@ -35,7 +35,7 @@ TABLE_PX = (1.0, 0.5, 0.25, 0.1, 0.05)
 BASELINE = "cycles dicing"
 
 
-def same_picture_rows(folder: Path) -> Iterator[Row]:
+def same_picture_rows(folder: Path) -> Iterator[BenchmarkRow]:
     """Yield processor time and memory against dicing at 1 px; figures hold the ratios at coarser dicing."""
     render = cache(_island(folder))
     compared = {px: _compare(render, px) for px in DICING_PX}
@@ -49,19 +49,19 @@ def same_picture_rows(folder: Path) -> Iterator[Row]:
         yield memory
 
 
-def _compare(render: Callable, dicing_px: float) -> tuple[Row, Row | None]:
+def _compare(render: Callable, dicing_px: float) -> tuple[BenchmarkRow, BenchmarkRow | None]:
     """Return rows of time and of memory against one dicing rate; None where the system reports no memory."""
     _, whole = render(GRID, PIXEL)
     theirs, picture = render(ADAPTIVE, dicing_px)
     baseline_ssim = similarity(picture, whole)
     error_px, ours, ssim = find_coarsest(render, whole, baseline_ssim - SAME)
-    time = Row("same_picture", ours["triangles"], 1e3 * ours["cpu_s"], BASELINE, 1e3 * theirs["cpu_s"])
+    time = BenchmarkRow("same_picture", ours["triangles"], 1e3 * ours["cpu_s"], BASELINE, 1e3 * theirs["cpu_s"])
     time.figures = {"error_px": error_px, "ssim": ssim, "baseline_ssim": baseline_ssim}
     time.figures |= {"wall_ms": ours["ms"], "baseline_wall_ms": theirs["ms"], "bake_cpu_s": ours["bake_cpu_s"]}
     if ours["peak_mb"] is None:
         return time, None
     base_mb = render(BARE, PIXEL)[0]["peak_mb"]
-    memory = Row("same_picture_memory", ours["triangles"], None, BASELINE)
+    memory = BenchmarkRow("same_picture_memory", ours["triangles"], None, BASELINE)
     memory.ratio = (ours["peak_mb"] - base_mb) / (theirs["peak_mb"] - base_mb)
     memory.figures = {"peak_mb": ours["peak_mb"], "baseline_peak_mb": theirs["peak_mb"], "base_mb": base_mb}
     return time, memory

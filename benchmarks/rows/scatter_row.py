@@ -13,14 +13,14 @@ from ...cbt_terrain.scatter.points import ScatterRequest, place_points
 from ...cbt_terrain.scatter.scatter import Scatter
 from ...cbt_terrain.scatter.tile import FINEST, POINTS, SHIFTS, UNITS, shifts, tile
 from ..rig import scenes
-from ..rig.measure import Row, alternate, stopwatch
+from ..rig.measure import BenchmarkRow, alternate, stopwatch
 
 SCATTER = Scatter(spacing=2.05, full_until=1500.0)
 # Accepted fractions of points that differ by rounding, and of points that are pending where tiles meet.
 ROUNDED, PENDING = 1e-5, 0.01
 
 
-def scatter_flight_row(field: HeightField) -> Row:
+def scatter_flight_row(field: HeightField) -> BenchmarkRow:
     """Measure the next frame of a flight over the rough terrain; every run is another frame."""
     history, frames = FrameHistory(), iter(range(10_000))
     points, frame = None, 0
@@ -41,14 +41,14 @@ def scatter_flight_row(field: HeightField) -> Row:
     check_points(points.id, ids_in_numpy(field, SCATTER, scenes.over(frame)))
     ms = timed.ms["total"]
     figures = {"points": len(points), "tested": points.tested, "ns_point": ms * 1e6 / len(points)}
-    return Row("scatter_flight", len(points), ms, "numpy", timed.baseline_ms, figures=figures)
+    return BenchmarkRow("scatter_flight", len(points), ms, "numpy", timed.baseline_ms, figures=figures)
 
 
 def check_points(ids: np.ndarray, expected: np.ndarray) -> None:
     """Raise TerrainError unless two sets of points agree but for rounding and pending points."""
     agreement = np.isin(ids, expected).mean()
     if agreement < 1 - ROUNDED or not 1 - PENDING < len(ids) / len(expected) < 1 + ROUNDED:
-        raise TerrainError("A scatter has other points than the same in numpy.")
+        raise TerrainError("A scatter has other points than the same in numpy")
 
 
 def ids_in_numpy(field: HeightField, scatter: Scatter, view: View) -> np.ndarray:

@@ -11,7 +11,7 @@ from ...cbt_terrain.refine.split_merge import split_merge
 from ...cbt_terrain.terrain import Terrain
 from ...cbt_terrain.tree.concurrent_binary_tree import ConcurrentBinaryTree
 from ..rig import scenes
-from ..rig.measure import Row, stopwatch
+from ..rig.measure import BenchmarkRow, stopwatch
 from . import engine
 
 SIZE = 500_000
@@ -21,14 +21,14 @@ FRAMES = 5
 
 @dataclass
 class Convergence:
-    """Passes until no leaf changes, with the last one, that finds so; their median and their whole time."""
+    """Passes until no leaf changes, including the last one, with their median and their total time."""
 
     passes: int
     pass_ms: float
     all_ms: float
 
 
-def split_merge_row(rough: HeightField) -> Row:
+def split_merge_row(rough: HeightField) -> BenchmarkRow:
     """Return the median time of a pass in a flight, against that of the walk and its tree, on one thread."""
     criterion = scenes.errors(engine.error_px(rough, SIZE))
     terrain, walks, flights = Terrain(rough, 1), [], []
@@ -41,7 +41,7 @@ def split_merge_row(rough: HeightField) -> Row:
     for frame in range(1, FRAMES + 1):
         walks.append(engine.refine_ms(terrain.update(criterion, [scenes.over(frame)]).ms))
         flights.append(_converge(tree, terrain))
-    row = Row("split_merge", SIZE, statistics.median(flight.pass_ms for flight in flights), "walk")
+    row = BenchmarkRow("split_merge", SIZE, statistics.median(flight.pass_ms for flight in flights), "walk")
     row.baseline_ms = statistics.median(walks)
     row.ratio = row.ms / row.baseline_ms
     row.figures = {"passes_from_roots": root.passes, "passes_after_cut": cut.passes}
@@ -53,12 +53,12 @@ def split_merge_row(rough: HeightField) -> Row:
 
 def _converge(tree: ConcurrentBinaryTree, terrain: Terrain) -> Convergence:
     """Make passes until the tree has the leaves of the terrain's last update."""
-    domain, asked, max_depth, _ = terrain.history.last.result.horizon
+    domain, request, max_depth, _ = terrain.history.last.result.horizon
     times, changes = [], 1
     while changes:
         with stopwatch() as elapsed:
-            changes = split_merge(tree, terrain.field.lattice, domain, asked, max_depth)
+            changes = split_merge(tree, terrain.field.lattice, domain, request, max_depth)
         times.append(elapsed[0])
     if tree.to_bytes() != terrain.tree.to_bytes():
-        raise TerrainError("The passes ended with other leaves than the walk has found.")
+        raise TerrainError("The passes ended with other leaves than the walk")
     return Convergence(len(times), statistics.median(times), sum(times))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Demand: which attributes of an object's mesh a scene reads, and who reads them.
+"""Demand: the attributes of an object's mesh that a scene reads, each with its readers.
 
-`demand.py` gathers it: materials (`materials.py`), modifiers and geometry nodes (`geometry.py`), drivers, open windows.
-What node trees read is found by one walk backwards (`walk.py`) from what is used, through the links of `trees.py`;
-`readers.py` says what each node reads, `inputs.py` which of its inputs count. `kept.py` keeps the result until
-something that it depends on changes. What cannot be known counts as everything, with its reason.
+`demand.py` gathers it from materials (`materials.py`), modifiers and geometry nodes (`geometry.py`), drivers and open
+windows. A walk (`walk.py`) goes backwards through a node tree from its used outputs, along the links in `trees.py`.
+`readers.py` lists the attributes that each node reads, and `inputs.py` the inputs that matter. `kept.py` caches the
+demand until one of its sources changes. An unknown reader counts as reading everything, with the reason.
 """

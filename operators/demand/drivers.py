@@ -12,8 +12,7 @@ NAMED = re.compile(r'attributes\["((?:[^"\\]|\\.)*)"\]')
 
 
 def read_drivers(found: Demand, obj, objects, scene) -> None:
-    """Add what the drivers of a scene's objects, and of all shaders and node groups, read of a terrain's mesh. What an
-    expression's Python reads by itself is not seen."""
+    """Add the attributes of a terrain's mesh that drivers of objects, shaders and node groups read as variables."""
     targets = {obj, obj.data}
     for block in _driven(objects, scene):
         for curve in block.animation_data.drivers:
@@ -26,7 +25,7 @@ def read_drivers(found: Demand, obj, objects, scene) -> None:
 
 
 def _driven(objects, scene):
-    """Data-blocks that have drivers."""
+    """Return the data-blocks that have drivers."""
     shaders = [*bpy.data.materials, *bpy.data.worlds, *bpy.data.lights]
     trees = [block.node_tree for block in shaders if block.node_tree]
     blocks = [*objects, *{o.data for o in objects if o.data}, scene, *shaders, *trees, *bpy.data.node_groups]

@@ -1,23 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a demand is: names of attributes, each with who reads it."""
+"""A demand: names of attributes, each with its readers."""
 
 from typing import NamedTuple
 
-# Names beside those of attributes: every attribute there is; what the mesh has as its active ones.
+# Special names: every attribute; the active ones of the mesh.
 ALL, ACTIVE_COLOR, ACTIVE_UV = "*", "<active color>", "<active uv>"
 VERTEX_GROUP = "vertex group "
 
 
 class Reader(NamedTuple):
-    """Who reads an attribute. `words`: for people, as "material Rock, node Attribute.003". `family`: PICTURE for what
-    pixels show, GEOMETRY for what geometry is made from (cbt_terrain/effects/effect.py)."""
+    """A reader of an attribute.
+
+    Attributes:
+        words: its name for people: "material Rock, node Attribute.003".
+        family: PICTURE if pixels show the attribute, GEOMETRY if geometry is made from it.
+    """
 
     words: str
     family: str
 
 
 class Demand(dict[str, list[Reader]]):
-    """Readers by the name of what they read."""
+    """Readers by attribute name."""
 
     def add(self, name: str, words: str, family: str) -> None:
         readers = self.setdefault(name, [])

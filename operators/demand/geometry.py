@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What modifiers, geometry nodes and particle systems read, and what they take geometry from."""
+"""Attributes that modifiers, geometry nodes and particle systems read, and the objects whose geometry they use."""
 
 from dataclasses import dataclass, field
 from functools import cache
@@ -9,12 +9,12 @@ import bpy
 from ...cbt_terrain.effects.effect import GEOMETRY
 from .found import ACTIVE_UV, VERTEX_GROUP, Demand
 from .trees import Trees, animated_paths, nodes_inside
-from .walk import Walk
+from .walk import NodeWalk
 
 
 @dataclass
-class Taken:
-    """What a modifier takes in: materials that it may set, objects and collections that it takes geometry from."""
+class Sources:
+    """The inputs of a modifier: materials it may set, and objects and collections whose geometry it may use."""
 
     materials: set = field(default_factory=set)
     objects: set = field(default_factory=set)
@@ -25,15 +25,15 @@ class Taken:
 
 
 def is_enabled(modifier, render: bool) -> bool:
-    """Whether it counts in a render, or in a viewport; what is animated counts always."""
+    """Return whether a modifier is on in a render or in a viewport; an animated switch counts as on."""
     shown = "show_render" if render else "show_viewport"
     return getattr(modifier, shown) or shown in "".join(_animated(modifier))
 
 
-def read_modifier(found: Demand, modifier, words: str, trees: Trees, viewers: bool = False) -> Taken:
-    """Add what one modifier reads, and return what it takes in. `viewers`: what they show counts, too."""
+def read_modifier(found: Demand, modifier, words: str, trees: Trees, viewers: bool = False) -> Sources:
+    """Add the attributes that one modifier reads, and return its sources. `viewers`: viewer nodes count, too."""
     if modifier.type == "NODES":
-        return _read_nodes(found, modifier, words, trees, viewers) if modifier.node_group else Taken()
+        return _read_nodes(found, modifier, words, trees, viewers) if modifier.node_group else Sources()
     texts, pointers = _properties(type(modifier))
     for name in texts:
         if value := getattr(modifier, name):
@@ -44,11 +44,11 @@ def read_modifier(found: Demand, modifier, words: str, trees: Trees, viewers: bo
     if by_uv or masks_by_uv:
         found.add(ACTIVE_UV, f"{words}, texture coordinates", GEOMETRY)
     values = (getattr(modifier, name) for name in pointers)
-    return Taken(objects={value for value in values if isinstance(value, bpy.types.Object)})
+    return Sources(objects={value for value in values if isinstance(value, bpy.types.Object)})
 
 
 def modifier_key(modifier) -> tuple:
-    """Changes with whatever `read_modifier` depends on beside node trees."""
+    """Return a key of everything, except node trees, that `read_modifier` depends on."""
     shown = modifier.name, modifier.type, modifier.show_render, modifier.show_viewport
     if modifier.type != "NODES":
         texts, pointers = _properties(type(modifier))
@@ -65,7 +65,7 @@ def sets_material_index(modifier) -> bool:
 
 
 def read_particles(found: Demand, system, words: str) -> None:
-    """Add what a particle system reads of its emitter."""
+    """Add the attributes that a particle system reads of its emitter."""
     words = f"{words}particles {system.name}"
     texts = [p.identifier for p in system.bl_rna.properties if p.type == "STRING"]
     for name in texts:
@@ -77,12 +77,12 @@ def read_particles(found: Demand, system, words: str) -> None:
     found.add(ACTIVE_UV, f"{words} (hair takes the emitter's UV)", GEOMETRY)
 
 
-def _read_nodes(found: Demand, modifier, words: str, trees: Trees, viewers: bool) -> Taken:
+def _read_nodes(found: Demand, modifier, words: str, trees: Trees, viewers: bool) -> Sources:
     values, attributes = _inputs(modifier)
     for label, name in attributes:
         if name:
             found.add(name, f"{words}, input {label}", GEOMETRY)
-    walk = Walk(found, words, GEOMETRY, trees, values)
+    walk = NodeWalk(found, words, GEOMETRY, trees, values)
     for end in modifier.node_group.nodes:
         viewed = viewers and end.bl_idname == "GeometryNodeViewer" and not end.mute
         if viewed or end.bl_idname == "NodeGroupOutput" and end.is_active_output:
@@ -90,7 +90,7 @@ def _read_nodes(found: Demand, modifier, words: str, trees: Trees, viewers: bool
                 walk.visit(end, socket)
     given = {kind: {v for v in values.values() if isinstance(v, kind)} for kind in GIVEN}
     materials, objects, collections = given.values()
-    return Taken(walk.materials | materials, walk.objects | objects, walk.collections | collections)
+    return Sources(walk.materials | materials, walk.objects | objects, walk.collections | collections)
 
 
 GIVEN = bpy.types.Material, bpy.types.Object, bpy.types.Collection
@@ -98,19 +98,18 @@ COORDINATES = "texture_coords", "mask_tex_mapping"
 
 
 def _inputs(modifier) -> tuple[dict, list[tuple[str, str]]]:
-    """Of a geometry-nodes modifier: values by identifier, of those that are not animated, and (label, name) of the
-    attributes that are given in place of values."""
+    """Return a geometry-nodes modifier's constant values by identifier, and (label, name) of its attributes."""
     values, attributes = {}, []
     for item in modifier.node_group.interface.items_tree:
         if item.item_type != "SOCKET" or item.in_out != "INPUT":
             continue
         key = item.identifier
         if hasattr(modifier, "properties"):  # Blender 5.2
-            held = getattr(modifier.properties.inputs, key, None)
-            if getattr(held, "type", "VALUE") == "ATTRIBUTE":
-                attributes.append((item.name, held.attribute_name))
-            elif held is not None:
-                values[key] = getattr(held, "value", None)
+            entry = getattr(modifier.properties.inputs, key, None)
+            if getattr(entry, "type", "VALUE") == "ATTRIBUTE":
+                attributes.append((item.name, entry.attribute_name))
+            elif entry is not None:
+                values[key] = getattr(entry, "value", None)
         elif modifier.get(key + "_use_attribute"):
             attributes.append((item.name, modifier.get(key + "_attribute_name", "")))
         elif key in modifier:
@@ -120,14 +119,14 @@ def _inputs(modifier) -> tuple[dict, list[tuple[str, str]]]:
 
 
 def _animated(modifier) -> list[str]:
-    """Paths of what is animated of a modifier, without the modifier's own."""
+    """Return the animated data paths of a modifier, relative to it."""
     start = f'modifiers["{bpy.utils.escape_identifier(modifier.name)}"]'
     return [path[len(start) :] for path in animated_paths(modifier.id_data) if path.startswith(start)]
 
 
 @cache
 def _properties(kind: type) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of a type of modifier's properties that hold text, and of those that point to something."""
-    own = [p for p in kind.bl_rna.properties if p.identifier not in ("name", "rna_type")]
-    texts = tuple(p.identifier for p in own if p.type == "STRING" and not p.is_readonly)
-    return texts, tuple(p.identifier for p in own if p.type == "POINTER")
+    """Return the names of a modifier type's text properties and of its pointer properties."""
+    properties = [p for p in kind.bl_rna.properties if p.identifier not in ("name", "rna_type")]
+    texts = tuple(p.identifier for p in properties if p.type == "STRING" and not p.is_readonly)
+    return texts, tuple(p.identifier for p in properties if p.type == "POINTER")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which inputs of a node count: those behind a factor or a weight that is the constant 0 or 1 may not."""
+"""The inputs of a node that matter: a constant factor or weight of 0 or 1 hides others."""
 
-# Of the Principled BSDF: a weight, and what counts only where it is not 0.
+# Weights of the Principled BSDF, and the inputs that a weight of 0 hides.
 WEIGHED = {
     "Emission Strength": ("Emission Color",),
     "Coat Weight": ("Coat Roughness", "Coat IOR", "Coat Tint", "Coat Normal"),
@@ -11,10 +11,10 @@ WEIGHED = {
 
 
 def used_inputs(walk, node, context: tuple) -> list:
-    """The inputs of a node that may change its outputs."""
+    """Return the inputs of a node that may change its outputs."""
     if walk.is_altered(node):
         return list(node.inputs)
-    # A mix or a switch keeps links on the sockets of its other data types, which are not enabled.
+    # a mix or a switch keeps links on the disabled sockets of its other data types
     inputs = [socket for socket in node.inputs if socket.enabled]
     choose = CHOOSING.get(node.bl_idname)
     return choose(walk, node, context, inputs) if choose else inputs
@@ -36,7 +36,12 @@ def _mix_colours(walk, node, context, inputs):
 
 
 def _sides(walk, node, context, inputs, replaces: bool, clamped: bool):
-    """Of a factor and two sides. `replaces`: at 1 the second is all there is. `clamped`: beyond 0 .. 1 is 0 or 1."""
+    """Return the used inputs of a factor and two sides.
+
+    Args:
+        replaces: a factor of 1 hides the first side.
+        clamped: factors are clamped to 0 .. 1.
+    """
     if len(inputs) != 3:
         return inputs
     factor, first, second = inputs

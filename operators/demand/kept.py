@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A demand is kept until something that it depends on changes; in memory alone, never in the file.
+"""A cache of demands in memory, valid until one of their sources changes.
 
-Blender says which data-blocks an update has touched. Objects are touched whenever our own mesh is written or something
-moves: whether their modifiers, materials, mesh or drivers are others is told by a key.
+Blender reports the data-blocks of an update. It reports objects whenever they move or our mesh is written, so a key
+tells whether their modifiers, materials, mesh or drivers have changed.
 """
 
 import bpy
@@ -12,30 +12,32 @@ from .found import Demand
 from .geometry import modifier_key
 from .screens import screens_key
 
-# Whatever of these is touched may be read otherwise.
+# Any update of these types may change a demand.
 TYPES = (
     *(bpy.types.Material, bpy.types.NodeTree, bpy.types.World, bpy.types.Light),
     *(bpy.types.ParticleSettings, bpy.types.Collection, bpy.types.Action),
 )
-_kept: dict[tuple[int, int], tuple[tuple, Demand]] = {}  # by session_uid of terrain and scene: its key, the demand
-_objects: dict[int, tuple] = {}  # by session_uid: the key it had when it was last touched
-_driven: dict[int, tuple] = {}  # the same of drivers, of whatever has any
+_cached: dict[tuple[int, int], tuple[tuple, Demand]] = {}  # key and demand by session_uid of terrain and scene
+_objects: dict[int, tuple] = {}  # key at the last update of an object, by session_uid
+_driven: dict[int, tuple] = {}  # key of its drivers at the last update of a data-block, by session_uid
 
 
 def demand_of(obj, depsgraph, mode: str) -> Demand:
-    """The demand of a terrain's scene. A render's is always gathered: scripts that start one may have changed anything
-    since the last update that was told of."""
+    """Return the demand of a terrain's scene.
+
+    A render's demand is never cached: a script may have changed anything since the last reported update.
+    """
     if mode == RENDER:
         return demand(obj, depsgraph, mode)
     scene = depsgraph.scene.original
-    place, key = (obj.session_uid, scene.session_uid), (_scene_key(scene), screens_key())
-    if place not in _kept or _kept[place][0] != key:
-        _kept[place] = key, demand(obj, depsgraph, mode)
-    return _kept[place][1]
+    uids, key = (obj.session_uid, scene.session_uid), (_scene_key(scene), screens_key())
+    if uids not in _cached or _cached[uids][0] != key:
+        _cached[uids] = key, demand(obj, depsgraph, mode)
+    return _cached[uids][1]
 
 
 def note_update(depsgraph) -> None:
-    """Forget what an update of a dependency graph has made stale."""
+    """Drop the demands that an update of a dependency graph has made stale."""
     stale = False
     for update in depsgraph.updates:
         block = update.id.original
@@ -43,21 +45,21 @@ def note_update(depsgraph) -> None:
             stale = True
             continue
         if isinstance(block, bpy.types.Object) and update.is_updated_geometry:
-            stale |= _is_other(_objects, block, _object_key(block))
-        stale |= _is_other(_driven, block, _drivers_key(block), unknown=())
+            stale |= _has_changed(_objects, block, _object_key(block))
+        stale |= _has_changed(_driven, block, _drivers_key(block), unknown=())
     if stale:
-        _kept.clear()
+        _cached.clear()
 
 
 def forget() -> None:
-    """Another file, or undo: nothing is known."""
-    _kept.clear()
+    """Drop everything, after undo or another file."""
+    _cached.clear()
     _objects.clear()
     _driven.clear()
 
 
-def _is_other(keys: dict[int, tuple], block, key: tuple, unknown: tuple | None = None) -> bool:
-    """Whether a data-block has another key than when it was last touched; the key is noted."""
+def _has_changed(keys: dict[int, tuple], block, key: tuple, unknown: tuple | None = None) -> bool:
+    """Store a data-block's key and return whether it differs from the one at the last update."""
     before = keys.get(block.session_uid, unknown)
     if before != key:
         keys[block.session_uid] = key
@@ -81,7 +83,7 @@ def _object_key(obj) -> tuple:
 
 
 def _scene_key(scene) -> tuple:
-    """Of settings, which Blender tells of together with everything else of a scene, and of which objects it has."""
+    """Return a key of the settings and the number of objects of a scene, whose updates Blender reports as one."""
     layers = tuple(
         (layer.name, layer.use, layer.material_override and layer.material_override.session_uid, *layer.aovs.keys())
         for layer in scene.view_layers

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What materials read of the mesh that wears them, and what rays of other shaders read of it."""
+"""Attributes that materials read of their mesh, and that rays of other shaders read of it."""
 
 from dataclasses import dataclass, field
 from itertools import islice
@@ -11,19 +11,25 @@ from ...cbt_terrain.effects.effect import PICTURE
 from .found import ACTIVE_COLOR, ACTIVE_UV, ALL, Demand
 from .readers import HIT
 from .trees import Trees, nodes_inside
-from .walk import Walk
+from .walk import NodeWalk
 
-# Which of a material's outputs an engine takes.
+# The material output that an engine uses.
 ENGINES = {"CYCLES": "CYCLES", "BLENDER_EEVEE": "EEVEE", "BLENDER_EEVEE_NEXT": "EEVEE"}
 WORKBENCH = "BLENDER_WORKBENCH"
-MOST_AOVS = 1000
+MAX_AOVS = 1000
 HAS_RAYS = bpy.app.version >= (5, 1)
 
 
 @dataclass
-class Look:
-    """How materials are shown. `targets`: outputs that are taken. `aovs`: names of those that a view layer has. `osl`:
-    scripts run. `trees`: node trees read so far."""
+class Shading:
+    """How a scene shows materials.
+
+    Attributes:
+        targets: the used outputs.
+        aovs: names of the view layers' AOVs.
+        osl: whether OSL scripts run.
+        trees: node trees read so far.
+    """
 
     targets: set[str]
     aovs: set[str]
@@ -31,35 +37,35 @@ class Look:
     trees: Trees = field(default_factory=Trees)
 
 
-def look_of(scene, layers, preview: bool) -> Look:
-    """How a scene is shown. `preview`: in a viewport, where EEVEE's preview is a click away."""
+def shading_of(scene, layers, preview: bool) -> Shading:
+    """Return how a scene shows materials. `preview`: include EEVEE, which a viewport may show at any time."""
     engine = scene.render.engine
     targets = set() if engine == WORKBENCH else {ENGINES[engine]} if engine in ENGINES else {"ALL", "CYCLES", "EEVEE"}
     if preview:
         targets |= {"EEVEE"}
     osl = engine == "CYCLES" and bool(getattr(getattr(scene, "cycles", None), "shading_system", False))
-    return Look(targets, {aov.name for layer in layers for aov in layer.aovs}, osl)
+    return Shading(targets, {aov.name for layer in layers for aov in layer.aovs}, osl)
 
 
-def read_material(found: Demand, material, look: Look) -> None:
-    """Add what a material reads of the mesh that wears it."""
+def read_material(found: Demand, material, shading: Shading) -> None:
+    """Add the attributes that a material reads of its mesh."""
     tree = material.node_tree
     if tree is None or bpy.app.version < (5, 0) and not material.use_nodes:
         return
-    _read_shader(found, tree, f"material {material.name}", look)
+    _read_shader(found, tree, f"material {material.name}", shading)
 
 
-def read_rays(found: Demand, worn: set, look: Look) -> None:
-    """Add what rays read that hit the mesh: those of any shader but the materials `worn`, which are read anyway."""
+def read_rays(found: Demand, materials: set, shading: Shading) -> None:
+    """Add the attributes that rays of any shader, except the mesh's `materials`, read where they hit the mesh."""
     if not HAS_RAYS:
         return
     blocks = [(block, kind) for kind in ("material", "world", "light") for block in getattr(bpy.data, kind + "s")]
     for block, kind in blocks:
         tree = block.node_tree
-        if tree is None or block in worn or not any(_hits_others(node) for node in nodes_inside(tree)):
+        if tree is None or block in materials or not any(_hits_others(node) for node in nodes_inside(tree)):
             continue
         everything = Demand()
-        _read_shader(everything, tree, f"{kind} {block.name}", look)
+        _read_shader(everything, tree, f"{kind} {block.name}", shading)
         for name, readers in everything.items():
             for reader in readers:
                 if HIT in reader.words:
@@ -67,14 +73,14 @@ def read_rays(found: Demand, worn: set, look: Look) -> None:
 
 
 def read_workbench(found: Demand, shading, words: str) -> None:
-    """Add what Workbench reads for a shading that is solid."""
+    """Add the attribute that Workbench reads for a solid shading."""
     name = {"VERTEX": ACTIVE_COLOR, "TEXTURE": ACTIVE_UV}.get(shading.color_type)
     if name:
         found.add(name, words, PICTURE)
 
 
-def worn_slots(obj) -> set[int]:
-    """Numbers of the material slots that faces use."""
+def used_slots(obj) -> set[int]:
+    """Return the numbers of the material slots that faces use."""
     last = len(obj.material_slots) - 1
     numbers = obj.data.attributes.get("material_index") if hasattr(obj.data, "attributes") else None
     if last < 0 or numbers is None or numbers.domain != "FACE":
@@ -88,11 +94,11 @@ def _hits_others(node) -> bool:
     return node.bl_idname == "ShaderNodeRaycast" and not node.only_local and len(node.sample_attribute_items) > 0
 
 
-def _read_shader(found: Demand, tree, words: str, look: Look) -> None:
-    walk = Walk(found, words, PICTURE, look.trees, osl=look.osl)
-    ends = {end.as_pointer(): (end, ()) for target in look.targets if (end := tree.get_output_node(target))}
-    aovs = list(islice(_aov_ends(tree, look.aovs, ()), MOST_AOVS)) if look.aovs else []
-    if len(aovs) == MOST_AOVS:
+def _read_shader(found: Demand, tree, words: str, shading: Shading) -> None:
+    walk = NodeWalk(found, words, PICTURE, shading.trees, osl=shading.osl)
+    ends = {end.as_pointer(): (end, ()) for target in shading.targets if (end := tree.get_output_node(target))}
+    aovs = list(islice(_aov_ends(tree, shading.aovs, ()), MAX_AOVS)) if shading.aovs else []
+    if len(aovs) == MAX_AOVS:
         found.add(ALL, f"{words} (too many AOV outputs to follow)", PICTURE)
     for end, context in [*ends.values(), *aovs]:
         for socket in end.inputs:
@@ -100,7 +106,7 @@ def _read_shader(found: Demand, tree, words: str, look: Look) -> None:
 
 
 def _aov_ends(tree, names: set[str], context: tuple):
-    """AOV outputs of a tree and of the groups in it, each with its context."""
+    """Yield the AOV outputs of a tree and of its groups, each with its context."""
 
     def is_one(node) -> bool:
         return node.bl_idname == "ShaderNodeOutputAOV" and node.aov_name in names and not node.mute

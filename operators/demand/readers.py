@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What each type of node reads of a mesh, and which materials, objects and collections it takes in."""
+"""Attributes that each node type reads, and the materials, objects and collections that it receives."""
 
 import bpy
 
@@ -13,7 +13,7 @@ POINTERS = {
 
 
 def note_reads(walk, node, output, context: tuple) -> None:
-    """Note what a node reads for one of its outputs."""
+    """Note the attributes that a node reads for one of its outputs."""
     note = NOTING.get(node.bl_idname)
     if note is not None:
         note(walk, node, output, context)
@@ -93,7 +93,7 @@ def _everything(why: str):
 
 
 def _named(walk, node, socket, context, pattern: bool = False) -> None:
-    """The attribute whose name is an input's text."""
+    """Note the attribute that an input names."""
     name = walk.constant(node, socket, context)
     if name is None:
         walk.read(ALL, node, context, f"its {socket.name} is computed")
@@ -104,8 +104,10 @@ def _named(walk, node, socket, context, pattern: bool = False) -> None:
 
 
 def _take_in(walk, node, context) -> None:
-    """Inputs may carry materials, objects and collections anywhere, through switches and menus: those of this node, and
-    where something feeds it those of the groups around it and of the modifier."""
+    """Collect the materials, objects and collections of a node's inputs.
+
+    Links, switches and menus may pass those of the enclosing groups and of the modifier to any input.
+    """
     for name in ("material", "object", "collection"):  # a node that is a value
         if isinstance(value := getattr(node, name, None), bpy.types.ID):
             getattr(walk, name + "s").add(value)

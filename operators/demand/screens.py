@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What open windows read of a mesh: solid viewports coloured by it, and spreadsheets."""
+"""Attributes that open windows read: solid viewports coloured by them, and spreadsheets."""
 
 import bpy
 
@@ -9,14 +9,14 @@ from .materials import read_workbench
 
 
 def screens_key() -> tuple:
-    """Changes with whatever `read_screens` depends on."""
+    """Return a key of everything that `read_screens` depends on."""
     return tuple(
         (area.type, shading.type, shading.color_type) if shading else (area.type,) for area, shading in _areas()
     )
 
 
 def read_screens(found: Demand) -> None:
-    """Add what the windows show of any mesh."""
+    """Add the attributes that windows show of any mesh."""
     for area, shading in _areas():
         if area.type == "SPREADSHEET":
             found.add(ALL, "an open spreadsheet shows every attribute", PICTURE)
@@ -25,7 +25,7 @@ def read_screens(found: Demand) -> None:
 
 
 def _areas() -> list[tuple]:
-    """Areas that show meshes, with the shading of those that have one."""
+    """Return the areas that show meshes, each with its shading or None."""
     manager = bpy.context.window_manager
     windows = manager.windows if manager else ()
     areas = [area for window in windows for area in window.screen.areas if area.type in ("VIEW_3D", "SPREADSHEET")]

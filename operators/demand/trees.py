@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a walk needs of one node tree: which sockets feed which, and what animation may change."""
+"""Links and animation of node trees, as a walk needs them."""
 
 import re
 from dataclasses import dataclass, field
@@ -12,10 +12,12 @@ PATH = re.compile(r'nodes\["((?:[^"\\]|\\.)*)"\](?:\.inputs\[(\d+)\]\.default_va
 
 @dataclass
 class Trees:
-    """Node trees that were read, by the pointers of their parts, which hold while nothing edits them.
+    """Node trees read so far, by pointers of nodes and sockets, which stay valid until an edit.
 
-    `feeding`: of an input, the (node, output) of its links that are valid and not muted. `varied`: inputs whose value
-    is animated or driven. `altered`: nodes of which anything else is, so that nothing of them is known.
+    Attributes:
+        feeding: (node, output) of an input's valid, unmuted links.
+        varied: inputs with an animated or driven value.
+        altered: nodes with any other animated property, of which nothing is known.
     """
 
     read: set[int] = field(default_factory=set)
@@ -43,7 +45,7 @@ class Trees:
 
 
 def animated_paths(block) -> list[str]:
-    """Data paths of a data-block that drivers, its action or its strips change."""
+    """Return the data paths of a data-block that drivers, its action or its strips change."""
     data = block.animation_data
     if not data:
         return []
@@ -56,7 +58,7 @@ def animated_paths(block) -> list[str]:
 
 
 def _curves(action) -> list:
-    """Of every slot: `action.fcurves` of Blender 4.4 and 4.5 has those of the first alone, and 5.0 has none."""
+    """Return the curves of every slot; `action.fcurves` lists only the first in Blender 4.4 and 4.5, none in 5.0."""
     if len(getattr(action, "layers", ())):
         bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
         return [curve for bag in bags for curve in bag.fcurves]
@@ -64,15 +66,14 @@ def _curves(action) -> list:
 
 
 def tree_of_new(block):
-    """The node tree of a material or world that was just made. Before Blender 5.0 there is none until one asks for it;
-    6.0 takes away what asks."""
+    """Return the node tree of a new material or world, which Blender before 5.0 creates only on request."""
     if bpy.app.version < (5, 0):
         block.use_nodes = True
     return block.node_tree
 
 
 def nodes_inside(tree, seen: set[int] | None = None):
-    """Every node of a tree and of the groups in it, each group once."""
+    """Yield every node of a tree and of its groups, each group once."""
     seen = set() if seen is None else seen
     if tree.as_pointer() in seen:
         return

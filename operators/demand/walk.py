@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The walk backwards through node trees, from what is used to what that reads.
+"""A walk backwards through node trees, from used outputs to the attributes they read.
 
-Muted nodes are passed by their internal links; a group is entered by the output that is used and left by the input that
-is used, so a group that is used twice is walked twice, in two contexts: a context is the tuple of group nodes that the
-walk is in, the innermost last.
+The walk passes muted nodes along their internal links. It enters a group by the used output and leaves it by the used
+input, so it walks a group that is used twice in two contexts. A context is the tuple of enclosing group nodes, the
+innermost last.
 """
 
 from dataclasses import dataclass, field
@@ -13,17 +13,25 @@ from .inputs import used_inputs
 from .readers import note_reads
 from .trees import Trees
 
-DEEPEST = 30  # groups in groups
-MOST_STEPS = 10_000  # groups that are used twice in groups that are used twice ... would never end
+MAX_DEPTH = 30  # of nested groups
+MAX_STEPS = 10_000  # nested groups that are each used twice would take exponentially many
 KNOWN = "ShaderNode", "GeometryNode", "FunctionNode", "Node"
 CONSTANTS = int, float, bool, str
 
 
 @dataclass
-class Walk:
-    """One walk. `words`: what is walked. `family`: of its readers. `values`: of the inputs of the outermost tree, by
-    identifier. `osl`: scripts run. `trees`: those read so far, which several walks may share. What geometry nodes take
-    in is collected in `materials`, `objects` and `collections`."""
+class NodeWalk:
+    """One walk.
+
+    Attributes:
+        found: the demand to add to.
+        words: name of the walked object for people.
+        family: family of the readers.
+        trees: node trees read so far, which several walks may share.
+        values: inputs of the outermost tree, by identifier.
+        osl: whether OSL scripts run.
+        materials, objects, collections: those that geometry nodes receive.
+    """
 
     found: Demand
     words: str
@@ -37,40 +45,40 @@ class Walk:
     collections: set = field(default_factory=set)
 
     def visit(self, node, socket, context: tuple = ()) -> None:
-        """Note what everything reads that feeds an input."""
+        """Note the reads of all nodes that feed an input."""
         self.trees.add(node.id_data)
         waiting = [(node, socket, context)]
         while waiting:
             node, socket, context = waiting.pop()
-            if len(self.seen) > MOST_STEPS:
+            if len(self.seen) > MAX_STEPS:
                 self.read(ALL, node, context[:1], "too many groups in groups to follow")
                 return
             for source, output in self.feeding(socket):
                 waiting += self._through(source, output, context)
 
     def feeding(self, socket) -> list[tuple]:
-        """(node, output) of what feeds an input."""
+        """Return the (node, output) pairs that feed an input."""
         return self.trees.feeding.get(socket.as_pointer(), [])
 
     def is_altered(self, node) -> bool:
-        """Whether animation changes more of a node than values of its inputs."""
+        """Return whether animation changes more of a node than the values of its inputs."""
         return node.as_pointer() in self.trees.altered
 
     def constant(self, node, socket, context: tuple):
-        """The value of an input if it has one for good, else None."""
+        """Return the value of an input if it is constant, else None."""
         for _ in range(100):
             links = self.feeding(socket)
             if len(links) > 1:
                 return None
             if not links:
-                return self._own_value(node, socket)
+                return self._unlinked_value(node, socket)
             source, output = links[0]
             if source.bl_idname == "FunctionNodeInputString":
                 return None if source.mute or self.is_altered(source) else source.string
             if source.bl_idname == "NodeGroupInput" and not context:
                 value = self.values.get(output.identifier)
                 return value if isinstance(value, CONSTANTS) else None
-            step = self._passed(source, output, context)
+            step = self._input_passed_to(source, output, context)
             if step is None or self.is_altered(step[0]):
                 return None
             node, socket, context = step
@@ -82,15 +90,15 @@ class Walk:
         words = ", ".join([self.words, *groups, f"node {node.name}"])
         self.found.add(name, f"{words} ({why})" if why else words, self.family)
 
-    def _own_value(self, node, socket):
-        """Of an input that nothing feeds."""
+    def _unlinked_value(self, node, socket):
+        """Return the constant value of an unlinked input, else None."""
         if self.is_altered(node) or socket.as_pointer() in self.trees.varied:
             return None
         value = getattr(socket, "default_value", None)
         return value if isinstance(value, CONSTANTS) else None
 
-    def _passed(self, node, output, context: tuple) -> tuple | None:
-        """The input whose value an output passes on as it is, with its node and context; None if there is none."""
+    def _input_passed_to(self, node, output, context: tuple) -> tuple | None:
+        """Return (node, input, context) of the input that an output passes on unchanged, or None."""
         if node.mute:
             through = [link.from_socket for link in node.internal_links if link.to_socket == output]
             return (node, through[0], context) if through else None
@@ -103,7 +111,7 @@ class Walk:
         return None
 
     def _through(self, node, output, context: tuple) -> list[tuple]:
-        """Note what a node reads for one of its outputs; returns (node, input, context) of what that needs."""
+        """Note the reads of a node for one of its outputs, and return (node, input, context) of the inputs it needs."""
         key = node.as_pointer(), output.identifier, tuple(group.as_pointer() for group in context)
         if key in self.seen:
             return []
@@ -111,19 +119,19 @@ class Walk:
         if node.mute:  # which no animation changes
             return [(node, link.from_socket, context) for link in node.internal_links if link.to_socket == output]
         if node.bl_idname == "NodeGroupInput":
-            step = self._passed(node, output, context)
+            step = self._input_passed_to(node, output, context)
             return [step] if step else []
         if getattr(node, "node_tree", None) is not None:
-            return self._into(node, output, context)
+            return self._group_end(node, output, context)
         note_reads(self, node, output, context)
         if not node.bl_idname.startswith(KNOWN) or node.bl_idname.endswith("NodeCustomGroup"):
             self.read(ALL, node, context, f"an unknown type of node, {node.bl_idname}")
         fed = (socket for socket in used_inputs(self, node, context) if self.feeding(socket))
         return [(node, socket, context) for socket in fed]
 
-    def _into(self, group, output, context: tuple) -> list[tuple]:
-        """The end of a group that makes one of its outputs."""
-        if len(context) >= DEEPEST:
+    def _group_end(self, group, output, context: tuple) -> list[tuple]:
+        """Return (node, input, context) of a group's output node for one of its outputs."""
+        if len(context) >= MAX_DEPTH:
             self.read(ALL, group, context[:1], "groups too deep to follow")
             return []
         self.trees.add(group.node_tree)

@@ -32,12 +32,10 @@ LEVELS_FRAME = 12
 RESOLUTION = (1280, 720)
 PLAN_RESOLUTION = (1000, 1000)
 ERROR_PX = 1.0
-# A triangle should be wide enough to be seen as one.
-LEVELS_ERROR_PX = 6.0
-# How long the steps take, relative to each other, for the time that is left.
+LEVELS_ERROR_PX = 6.0  # makes single triangles visible
+# Relative durations of the steps, for the estimate of the time left.
 WEIGHT = {"import": 8.0, "land": 15.0, "meshes": 10.0, "crops": 5.0, "maps": 14.0, "picture": 16.0, "levels": 8.0}
-# What the page shows side by side.
-CROPS_PX = (4.0, 2.0, 1.0, 0.5)
+CROPS_PX = (4.0, 2.0, 1.0, 0.5)  # shown side by side on the page
 FLIGHT = {
     "fov": 45,
     "clip": [1, 100000],
@@ -62,16 +60,16 @@ def run(out: Path, show_progress: bool | None = None) -> None:
         bar.to(bar.done + weight)
 
     started = time.perf_counter()
-    warmup.start()  # what is compiled now is in no frame's time
+    warmup.start()  # compile before any frame is timed
     try:
         store = out / "store"
         import_source(ImportSettings(source="island", size=SIZE, seed=ISLAND_SEED), out / "source")
         warmup.wait()
         done("Import", f"source: the island, {SIZE} x {SIZE} samples", WEIGHT["import"])
-        # Pixels of the flight are 3 m wide and more: the finest level, 2 m, changes a metre and takes most of the time.
+        # Pixels of the flight cover at least 3 m. The finest level, 2 m, would change 1 m and take most of the time.
         coarse = whole_land(open_store(out / "source").lattice, 1)
-        made = shape_store(out / "source", STACK, store, coarse)
-        tiles = f"{made['tiles_built']} of {made['tiles_there_are']} tiles"
+        report = shape_store(out / "source", STACK, store, coarse)
+        tiles = f"{report['tiles_built']} of {report['tiles_there_are']} tiles"
         done("Land", f"store: {', '.join(entry.name.lower() for entry in STACK.entries)}, {tiles}", WEIGHT["land"])
         summaries, criterion = _export(out, store)
         triangles = [summary["terrains"][0]["triangles"] for summary in summaries]
@@ -113,7 +111,7 @@ def run(out: Path, show_progress: bool | None = None) -> None:
 
 
 def _export(out: Path, store: Path) -> tuple[list[dict], Criterion]:
-    """The flight's meshes as .npz; returns the frames' summaries and what was asked."""
+    """Export the flight's meshes as .npz and return the frames' summaries and the criterion."""
     flight = out / "flight.json"
     write_text(flight, json.dumps(FLIGHT, indent=1) + "\n")
     criterion = Criterion(error_px=ERROR_PX)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What lies on the demo's island: layers by height, slope, and what rivers, frost and snow have left."""
+"""Layers of the demo's island by height, slope, sediment, scree and snow."""
 
 import math
 from dataclasses import dataclass, field
@@ -10,8 +10,13 @@ NARROW = math.radians(7.0)
 
 @dataclass(frozen=True)
 class Cover:
-    """A layer. `color`: linear RGB, of nature. `noise`: metres. `bands`: limits by quantity, (low, high, edge), a limit
-    that is None is open."""
+    """A layer of the ground.
+
+    Attributes:
+        color: linear RGB.
+        noise: size of the noise in metres.
+        bands: limits (low, high, edge) by quantity; None is an open limit.
+    """
 
     name: str
     color: tuple[float, float, float]
@@ -21,7 +26,7 @@ class Cover:
     strength: float = 1.0
 
 
-# From below to above: basalt is grey, grass away from farms is brownish.
+# From the lowest to the highest.
 COVERS = (
     Cover("Grass", (0.085, 0.098, 0.033), 300.0),
     Cover("Heath", (0.098, 0.078, 0.042), 420.0, {"height": (330.0, None, 220.0)}, 1.4, 0.85),
@@ -37,8 +42,8 @@ COVERS = (
 )
 
 
-def lay(settings) -> None:
-    """Make these the layers of a terrain's settings."""
+def set_layers(settings) -> None:
+    """Replace the layers of a terrain's settings by COVERS."""
     settings.layers.clear()
     for number, cover in enumerate(COVERS):
         layer = settings.layers.add()

@@ -9,26 +9,24 @@ from ...cbt_terrain.mesh.attributes import LEVEL
 from ..demand.trees import tree_of_new
 from ..effects.nodes import Nodes
 
-# The sky at the horizon, away from the sun and towards it, and above.
+# The sky at the horizon away from the sun and towards it, and at the zenith.
 AWAY, SUNWARD, ZENITH = (0.40, 0.53, 0.72, 1.0), (1.00, 0.80, 0.60, 1.0), (0.055, 0.15, 0.40, 1.0)
-# Metres over which air takes 63 % of red, green and blue light: short waves are scattered most.
+# Metres of air that absorb 63 % of red, green and blue light.
 AIR_M = (90_000.0, 60_000.0, 34_000.0)
 DEEP, SHALLOW, FOAM = (0.004, 0.020, 0.032, 1.0), (0.050, 0.135, 0.120, 1.0), (0.75, 0.78, 0.80, 1.0)
 # Metres of water that hide the ground to 63 %.
 CLEAR_M = 3.5
 SKY_STRENGTH = 0.8
 WATER_DEPTH = "water_depth"
-# Of a sea in a breeze. What mirrors better than 0.274 leads Cycles' denoiser by what is seen in it, which is speckled.
-SEA_ROUGHNESS = 0.28
-# Metres, of the largest grain, and by how much it changes a colour: of the noise, which is mostly within 0.4 and 0.6.
-GRAIN_M, GRAIN_CONTRAST = 16.0, 2.0
-# Coarse to fine: pale stone to deep blue, and what is finest in orange.
+SEA_ROUGHNESS = 0.28  # below 0.274 Cycles' denoiser follows the speckled reflections
+GRAIN_M, GRAIN_CONTRAST = 16.0, 2.0  # size of the largest grain, and its effect on colours
+# Coarse to fine: pale stone to deep blue, then orange.
 LEVEL_COLOURS = ((0.72, 0.71, 0.64), (0.36, 0.56, 0.47), (0.07, 0.33, 0.38), (0.05, 0.10, 0.28), (0.85, 0.22, 0.03))
 INK = (0.01, 0.015, 0.04, 1.0)
 
 
 class LandNodes(Nodes):
-    """What the demo's materials are made of."""
+    """Node helpers for the demo's materials."""
 
     def ramp(self, value, colours):
         node = self.add("ShaderNodeValToRGB", {"Fac": value})
@@ -43,37 +41,35 @@ class LandNodes(Nodes):
         return self.add("ShaderNodeEmission", {"Color": colour, "Strength": strength}).outputs[0]
 
     def smooth(self, value, low: float, high: float):
-        """0 below `low`, 1 above `high`, a cubic between."""
+        """Return a smoothstep: 0 below `low`, 1 above `high`."""
         limits = {"Value": value, "From Min": low, "From Max": high}
         return self.add("ShaderNodeMapRange", limits, interpolation_type="SMOOTHSTEP").outputs["Result"]
 
     def horizon(self, direction, sun):
-        """The colour of the air in a direction: warm towards the sun (both unit vectors)."""
+        """Return the colour of the air in a direction, warm towards the sun (both unit vectors)."""
         towards = self.vector("DOT_PRODUCT", direction, tuple(sun))
         return self.mix(self.math("POWER", self.smooth(towards, -0.4, 1.0), 2.5), AWAY, SUNWARD)
 
     def hazy(self, surface, sun):
-        """The surface through air, which takes of its light and adds light of the sky, blue at first."""
+        """Add aerial perspective to a surface: air absorbs its light and adds light of the sky."""
         distance = self.add("ShaderNodeCameraData").outputs["View Distance"]
-        taken = [
+        absorbed = [
             self.math("SUBTRACT", 1.0, self.math("POWER", math.e, self.math("DIVIDE", distance, -length)))
             for length in AIR_M
         ]
-        # A mix of shaders has one share: that of green, and the air's colour has what red and blue differ.
-        parts = [self.math("DIVIDE", part, self.math("MAXIMUM", taken[1], 1e-6)) for part in taken]
-        shares = self.add("ShaderNodeCombineXYZ", dict(enumerate(parts))).outputs[0]
+        # A mix of shaders has one factor, that of green; the air's colour holds the ratios of red and blue to it.
+        ratios = [self.math("DIVIDE", part, self.math("MAXIMUM", absorbed[1], 1e-6)) for part in absorbed]
+        tint = self.add("ShaderNodeCombineXYZ", dict(enumerate(ratios))).outputs[0]
         ahead = self.scaled(self.add("ShaderNodeNewGeometry").outputs["Incoming"], -1.0)
-        air = self.vector("MULTIPLY", self.horizon(ahead, sun), shares)
-        return self.add("ShaderNodeMixShader", {0: taken[1], 1: surface, 2: self.emission(air, SKY_STRENGTH)}).outputs[
-            0
-        ]
+        air = self.emission(self.vector("MULTIPLY", self.horizon(ahead, sun), tint), SKY_STRENGTH)
+        return self.add("ShaderNodeMixShader", {0: absorbed[1], 1: surface, 2: air}).outputs[0]
 
     def finish(self, surface) -> None:
         self.add("ShaderNodeOutputMaterial", {"Surface": surface})
 
 
 def plain_material(name: str, colour: tuple[float, float, float, float]) -> bpy.types.Material:
-    """One colour, whatever the light."""
+    """Return a material of one colour that ignores light."""
     material, n = _material(name)
     n.finish(n.emission(colour))
     return material
@@ -87,8 +83,7 @@ def _material(name: str) -> tuple[bpy.types.Material, LandNodes]:
 
 
 def put_grain(material: bpy.types.Material) -> None:
-    """Stones and tufts, smaller than the heights' samples and the texels of maps, in the light on a material and in its
-    colour, hollows the darker; snow has a sheen and hides them, by the effect snow."""
+    """Add stones and tufts finer than samples and texels to a material's colour and shading; snow hides them."""
     n = LandNodes(material.node_tree)
     shader = next(node for node in n.tree.nodes if node.type == "BSDF_PRINCIPLED")
     inputs = {"Vector": n.add("ShaderNodeTexCoord").outputs["Object"], "Scale": 1.0 / GRAIN_M, "Detail": 5.0}
@@ -106,7 +101,7 @@ def put_grain(material: bpy.types.Material) -> None:
 
 
 def put_haze(material: bpy.types.Material, sun) -> None:
-    """Air before the surface of any material."""
+    """Add aerial perspective to any material."""
     n = LandNodes(material.node_tree)
     output = next(node for node in n.tree.nodes if node.type == "OUTPUT_MATERIAL")
     [link] = output.inputs["Surface"].links
@@ -115,8 +110,7 @@ def put_haze(material: bpy.types.Material, sun) -> None:
 
 
 def water_material(sun) -> bpy.types.Material:
-    """Water that is dark where it is deep, by the attribute WATER_DEPTH, with foam along shores, a sky in it that gusts
-    dull here and there, and air before it."""
+    """Return a water material: darker with the attribute WATER_DEPTH, with foam, gusts and aerial perspective."""
     material, n = _material("Water")
     depth = n.add("ShaderNodeAttribute", attribute_name=WATER_DEPTH).outputs["Fac"]
     place = n.add("ShaderNodeNewGeometry").outputs["Position"]
@@ -138,7 +132,7 @@ def water_material(sun) -> bpy.types.Material:
 
 
 def level_material(coarsest: float, finest: float, sun) -> bpy.types.Material:
-    """Each triangle in the colour of its level, shaded a little by the `sun` (unit vector), its edges a pixel wide."""
+    """Return a material that colours triangles by level, with edges and some shading by the `sun` (unit vector)."""
     material, n = _material("Levels")
     level = n.add("ShaderNodeAttribute", attribute_name=LEVEL).outputs["Fac"]
     inputs = {"Value": level, "From Min": coarsest - 0.5, "From Max": finest + 0.5}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The demo's page: one HTML file beside its pictures, with the figures of the run that made it."""
+"""The demo's page: one HTML file with pictures and the figures of its run."""
 
 import statistics
 from collections.abc import Sequence
@@ -31,9 +31,9 @@ mesh = np.load("meshes/terrain_0012.npz")
 mesh["positions"]   # float32 [V, 3], metres about mesh["origin"]
 mesh["triangles"]   # int32 [T, 3]"""
 WORDS = [
-    ("bound", "No visible point of the height field is further than this from its place in the picture."),
-    ("update", "From the camera to the finished mesh, before Blender gets it."),
-    ("level", "How often a triangle was halved: one more level, half the area."),
+    ("bound", "The largest distance in the picture between a visible point of the height field and the mesh."),
+    ("update", "The work from the camera to the finished mesh, before Blender receives it."),
+    ("level", "The number of times a triangle was halved; one more level has half the area."),
 ]
 
 
@@ -51,8 +51,15 @@ def write_page(
     levels: dict,
     steps: dict[str, float],
 ) -> None:
-    """Write the page: `summaries` of the exported frames, `steps` in seconds, `levels` the figures of the drawings,
-    `crops` of that frame, `effects` of the pictures' frames: an EffectStatus by name."""
+    """Write the page.
+
+    Args:
+        summaries: of the exported frames.
+        levels: figures of the drawings by level.
+        crops: of the frame of `levels`.
+        effects: an EffectStatus by name for each pictured frame.
+        steps: seconds by step.
+    """
     frames = [{"frame": summary["frame"], **summary["terrains"][0]} for summary in summaries]
     by_frame = {frame["frame"]: frame for frame in frames}
     (first, first_name), *others = pictures
@@ -60,22 +67,22 @@ def write_page(
     blocks = [
         Lead(
             f"A camera flies over {size * size / 1e6:.1f} million samples. In each of its {len(frames)} frames the "
-            f"mesh is at most {error_px:g} pixel off, and has few triangles for that."
+            f"mesh differs from them by at most {error_px:g} pixel, with few triangles."
         ),
         Picture(first_name, _frame_text(by_frame[first], resolution)),
         Figures(_figures(frames, size, error_px)),
-        Heading("What an error looks like"),
+        Heading("Four error bounds in comparison"),
         Strip([_crop(crop, size) for crop in crops]),
         Text(
-            f"A part of frame {levels['frame']}, pixel by pixel: the one in which these errors differ most. The edges "
-            "of the triangles are drawn in its lower left half."
+            f"The part of frame {levels['frame']} in which these errors differ most, pixel by pixel. Its lower left "
+            "half shows the edges of the triangles."
         ),
         *(Picture(name, _frame_text(by_frame[frame], resolution)) for frame, name in others),
         Heading("Where the triangles are"),
         Text(
-            "Each triangle in the colour of its level, from pale (coarse) through blue to red (fine). They gather on "
-            "what is near, in view and rough. What lies outside the picture stays coarse, and no crack opens where "
-            "levels meet."
+            "Each triangle has the colour of its level, from pale (coarse) through blue to red (fine). Fine triangles "
+            "are near the camera, in view and on rough ground. Ground outside the picture stays coarse, and levels "
+            "meet without cracks."
         ),
         Strip(
             [
@@ -86,25 +93,24 @@ def write_page(
         ),
         Heading("What the material reads"),
         Text(
-            "The colours are layers by rules of height and slope, and of the scree and snow that the island's effects "
-            "have left; rivers and lakes are a mesh of their own. Colours, normals and the sky that each place sees "
-            "are baked maps, as fine as the flight shows them, so shading does not depend on the triangles. Snow's "
-            "depth, for its sheen, is read at the vertices. There nothing reads the others, so none of them is "
-            f"computed: {', '.join(_skipped(effects))}."
+            "The colours are layers by rules of height, slope, scree and snow; rivers and lakes are a separate mesh. "
+            "Colours, normals and sky visibility are baked maps with the resolution of the flight, so shading does "
+            "not depend on the triangles. The material reads the depth of snow at the vertices. It does not read the "
+            f"other attributes there, so they are not computed: {', '.join(_skipped(effects))}."
         ),
         _effects_table(effects),
         Heading("Frame by frame"),
         Plot(
             "frames.svg",
-            "Bars: triangles. Line: milliseconds of the update. Each frame depends on its camera alone, so frames "
-            "rendered in any order, on any machine, are the same.",
+            "Bars: triangles. Line: milliseconds of the update. Each frame depends on its camera alone, so frames are "
+            "the same in any order and on any machine.",
             _chart(frames),
         ),
         _table(frames),
         Heading("The files"),
         Text(
-            "island.blend is the scene: open it with the extension installed, and play. meshes/ has every frame as "
-            "arrays, readable without Blender:"
+            "island.blend is the scene: open it with the extension installed and play it. meshes/ holds the arrays of "
+            "every frame, readable without Blender:"
         ),
         Code(READ),
         Heading("What the words mean"),
@@ -124,7 +130,7 @@ def _figures(frames: list[dict], size: int, error_px: float) -> list[tuple[str, 
     return [
         (f"{statistics.median(triangles):,.0f}", "triangles a frame, the median"),
         (f"{statistics.median(frame['ms']['total'] for frame in frames):.0f} ms", "an update, the median"),
-        (worst, f"the largest bound, for {error_px:g} px asked"),
+        (worst, f"the largest bound, for a criterion of {error_px:g} px"),
         (f"{size * size / 1e6:.1f} M", f"samples, {size:,} x {size:,}"),
         (f"{_share(statistics.median(triangles), size)}", "of the triangles of the whole grid"),
     ]
@@ -148,7 +154,7 @@ def _frame_text(frame: dict, resolution: tuple[int, int]) -> str:
 
 
 def _skipped(effects: dict[int, dict]) -> list[str]:
-    """Names of the effects that no frame has computed."""
+    """Return the names of the effects that no frame has computed."""
     return [name for name in next(iter(effects.values())) if all(frame[name].skipped for frame in effects.values())]
 
 
@@ -175,20 +181,20 @@ def _table(frames: list[dict]) -> Table:
 
 
 def _chart(frames: list[dict]) -> str:
-    """Triangles as bars and milliseconds as a line, each from 0 to its own maximum."""
+    """Draw triangles as bars and milliseconds as a line, each from 0 to its maximum."""
     width, height, left, right, top, bottom = 1040, 240, 72, 72, 16, 28
     wide, high = width - left - right, height - top - bottom
-    most, slowest = max(f["triangles"] for f in frames), max(f["ms"]["total"] for f in frames)
+    max_triangles, max_ms = max(f["triangles"] for f in frames), max(f["ms"]["total"] for f in frames)
     pitch = wide / len(frames)
     parts, line = [], []
     for i, frame in enumerate(frames):
-        x, tall = left + i * pitch, high * frame["triangles"] / most
+        x, tall = left + i * pitch, high * frame["triangles"] / max_triangles
         parts.append(box(x + pitch * 0.14, top + high - tall, pitch * 0.72, tall, TEAL, 'opacity="0.75"'))
         parts.append(text(x + pitch / 2, height - 8, str(frame["frame"]), "middle", "soft small"))
-        line.append((x + pitch / 2, top + high * (1 - frame["ms"]["total"] / slowest)))
+        line.append((x + pitch / 2, top + high * (1 - frame["ms"]["total"] / max_ms)))
     parts.append(path(line, RED, 2))
     for share in (1, 0.5):
         y = top + 4 + high * (1 - share)
-        parts.append(text(left - 8, y, f"{share * most:,.0f}", "end", "soft small"))
-        parts.append(text(width - right + 8, y, f"{share * slowest:.0f} ms", look="small", colour=RED))
+        parts.append(text(left - 8, y, f"{share * max_triangles:,.0f}", "end", "soft small"))
+        parts.append(text(width - right + 8, y, f"{share * max_ms:.0f} ms", look="small", colour=RED))
     return picture(width, height, "Triangles and milliseconds for each frame", parts)

@@ -35,17 +35,15 @@ from .materials import (
 from .water import add_rivers, add_sea
 
 PAPER = (0.93, 0.925, 0.90, 1.0)
-# The azimuth is counted from the east northwards.
-SUN_ELEVATION_DEG, SUN_AZIMUTH_DEG = 21.0, 182.0
-# Waves of clouds to the east, north and up, over the height of the sky that they are in.
+SUN_ELEVATION_DEG, SUN_AZIMUTH_DEG = 21.0, 182.0  # the azimuth is counted from the east northwards
+# Frequency of clouds to the east, north and up.
 CLOUDS = (0.35, 0.9, 0.0)
 SAMPLES = 4
 MAPS, MAPS_MB = ("detail_normal", "sky", "color"), 96.0
 
 
 def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, int], criterion):
-    """A scene with the terrain of `store` and the camera of `path` (a CameraPath), in its material, saved as
-    `out`/island.blend.
+    """Build the scene with the terrain of `store` and the camera of `path` (a CameraPath), and save `out`/island.blend.
 
     Returns the scene and the terrain's object.
     """
@@ -64,7 +62,7 @@ def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, in
         detail.error_px, detail.smooth_transitions = criterion.error_px, criterion.morph > 1.0
     scene.frame_set(frames[0])
     session.update_object(obj, bpy.context.evaluated_depsgraph_get(), RENDER)
-    ground.lay(settings)
+    ground.set_layers(settings)
     bake_island_maps(obj)
     material = dress(obj, sources_of(obj, ()))
     put_grain(material)
@@ -75,14 +73,14 @@ def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, in
     file = str((out / "island.blend").resolve())
     with quiet():
         bpy.ops.wm.save_as_mainfile(filepath=file, compress=True)
-        settings.store = bpy.path.relpath(str(store.resolve()))  # the folder may be moved as a whole
+        settings.store = bpy.path.relpath(str(store.resolve()))  # users may move the whole folder
         bpy.ops.wm.save_as_mainfile(filepath=file, compress=True)
-    remove_file(file + "1", may_be_link=True)  # Blender's backup of the first
+    remove_file(file + "1", may_be_link=True)  # Blender's backup of the first save
     return scene, obj
 
 
 def bake_island_maps(obj) -> None:
-    """Normals and the sky that is seen, as fine as the shot shows them."""
+    """Bake maps of normals, colours and sky visibility with the resolution of the shot."""
     bpy.context.view_layer.objects.active = obj
     maps = obj.adaptive_terrain.maps
     maps.frames, maps.chosen = SHOT, set(MAPS)
@@ -92,7 +90,7 @@ def bake_island_maps(obj) -> None:
 
 
 def _add_camera(scene, path, frames: range):
-    """A camera with a key at every frame, so that the scene flies exactly as the file says."""
+    """Add a camera with a key at every frame of the path."""
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     scene.collection.objects.link(camera)
     camera.data.clip_start, camera.data.clip_end = path.clip
@@ -109,7 +107,7 @@ def _add_camera(scene, path, frames: range):
 
 
 def sun_direction():
-    """Unit vector towards the sun."""
+    """Return the unit vector towards the sun."""
     turn = Matrix.Rotation(math.radians(SUN_AZIMUTH_DEG), 3, "Z") @ Matrix.Rotation(
         math.radians(-SUN_ELEVATION_DEG), 3, "Y"
     )
@@ -117,7 +115,7 @@ def sun_direction():
 
 
 def add_sky(scene) -> None:
-    """A low sun, and a sky from the horizon's air to the zenith."""
+    """Add a low sun and a sky from the horizon to the zenith."""
     world = bpy.data.worlds.new("Sky")
     scene.world = world
     world.cycles.sampling_method = "NONE"  # it is smooth and needs no importance map
@@ -127,7 +125,7 @@ def add_sky(scene) -> None:
     direction = n.add("ShaderNodeTexCoord").outputs["Generated"]
     up = n.math("MAXIMUM", n.add("ShaderNodeSeparateXYZ", {0: direction}).outputs["Z"], 0.0)
     sky = n.mix(n.math("POWER", up, 0.5), n.horizon(direction, sun_direction()), ZENITH)
-    # High thin clouds, drawn out by the wind.
+    # high thin clouds
     high = n.vector("DIVIDE", direction, n.math("ADD", up, 0.12))
     inputs = {
         "Vector": n.vector("MULTIPLY", high, CLOUDS),
@@ -148,7 +146,7 @@ def add_sky(scene) -> None:
 
 
 def set_up_render(scene, resolution: tuple[int, int]) -> None:
-    """Cycles on the CPU, few samples and a denoiser, in the contrast of a photograph."""
+    """Set up Cycles on the CPU with few samples, a denoiser and high contrast."""
     scene.render.engine = "CYCLES"
     scene.render.resolution_x, scene.render.resolution_y = resolution
     scene.render.resolution_percentage = 100
@@ -167,7 +165,7 @@ def set_up_render(scene, resolution: tuple[int, int]) -> None:
 
 
 def render(scene, path: Path) -> None:
-    """Render the current frame to a PNG file; the frame handler brings the terrain up to date, as in any render."""
+    """Render the current frame to a PNG file; the frame handler updates the terrain, as in any render."""
     settings = scene.render.image_settings
     settings.file_format, settings.color_mode = "PNG", "RGB"
     with written_beside(path.resolve()) as partial, quiet():
@@ -176,9 +174,9 @@ def render(scene, path: Path) -> None:
 
 
 def draw_levels(out: Path, scene, obj, frame: int, error_px: float, plan_resolution: tuple[int, int]) -> int:
-    """Draw one frame's triangles by level: `levels.png` from the camera, `plan.png` from above with what it sees.
+    """Draw one frame's triangles by level: `levels.png` from the camera, `plan.png` from above with its view.
 
-    The error is `error_px` pixels here, so that triangles are large enough to be seen. Returns their number.
+    An error of `error_px` pixels makes single triangles visible. Returns their number.
     """
     scene.frame_set(frame)
     camera, settings = scene.camera, obj.adaptive_terrain
@@ -203,7 +201,7 @@ def draw_levels(out: Path, scene, obj, frame: int, error_px: float, plan_resolut
 
 
 def _look_from_above(scene, obj, camera, resolution: tuple[int, int]) -> None:
-    """An orthographic camera over the whole terrain, and a wedge that shows what `camera` sees."""
+    """Add an orthographic camera over the whole terrain, and a wedge that shows the view of `camera`."""
     side, top = max(obj.dimensions.x, obj.dimensions.y), obj.dimensions.z + 5000.0
     above = bpy.data.objects.new("Above", bpy.data.cameras.new("Above"))
     above.data.type, above.data.ortho_scale, above.data.clip_end = "ORTHO", 1.02 * side, 2 * top

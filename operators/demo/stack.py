@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What shapes the demo's island: it is lifted while rivers cut it, then frost, streams and snow work on it."""
+"""The land stack of the demo's island: uplift with rivers, then thermal erosion, relief, streams and snow."""
 
 from ...cbt_terrain.land.mask import GroundRule, Mask
 from ...cbt_terrain.land.stack import Entry, Stack
@@ -22,7 +22,7 @@ STACK = Stack(
             seed=6,
             name="Rivers",
         ),
-        Entry("thermal", {"depth": 20.0, "bed": 60.0}, seed=2, name="Frost"),
+        Entry("thermal", {"depth": 20.0, "bed": 60.0}, seed=2, name="Scree"),
         Entry(
             "relief",
             {"wave": 80.0, "roughness": 0.22, "plains": 0.0, "gain": 0.45, "beds": 40.0, "ledges": 0.6, "dip": 4.0},

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sea about the demo's island, which knows its depth, and the island's lakes and rivers."""
+"""The demo's sea, with its depth as an attribute, and the island's lakes and rivers."""
 
 import bpy
 import numpy as np
@@ -9,19 +9,14 @@ from ...cbt_terrain.field.lattice import Lattice, fit
 from ...cbt_terrain.land.water_surface import NAMES, sea_depth, water_surface
 from ..mesh.writer import write_mesh
 
-# Metres of water that are drawn of rivers, at least: less is a wet bed.
-DRAWN_M = 0.25
-# Metres: how far the open sea reaches, and its depth, of which nothing is seen.
-OPEN_SEA_M, OPEN_DEPTH_M = 200_000.0, 1000.0
-# Metres above it up to which the sea goes on behind its shore: a terrain that is shown coarsely dips below it there.
-BEHIND_M = 4.0
-# Samples along a side, at most.
-SEA_SAMPLES, RIVER_SAMPLES = 513, 2049
+MIN_DEPTH_M = 0.25  # shallower rivers are not drawn
+OPEN_SEA_M, OPEN_DEPTH_M = 200_000.0, 1000.0  # half the side of the open sea, and its depth
+BEHIND_M = 4.0  # the sea continues below ground of this height, since a coarse mesh may dip below it
+SEA_SAMPLES, RIVER_SAMPLES = 513, 2049  # maximum along a side
 
 
 def add_sea(scene, field: HeightField, material: bpy.types.Material):
-    """The sea at height 0 as an object: a grid with the attribute `water_depth`, without what is all land, and four
-    faces for the open sea. One level plane: the shore is where the ground comes out of it."""
+    """Add the sea at height 0: a grid with the attribute `water_depth`, without land, and four faces of open sea."""
     heights, _ = _thinned(field.heights(), field.lattice, SEA_SAMPLES)
     rows, columns = heights.shape
     west, south, east, north = field.lattice.rectangle()
@@ -41,11 +36,11 @@ def add_sea(scene, field: HeightField, material: bpy.types.Material):
 
 
 def add_rivers(scene, field: HeightField, material: bpy.types.Material):
-    """Rivers and lakes as an object of their own. Returns it, or None where there is no water."""
+    """Add rivers and lakes as an object, and return it, or None without water."""
     heights, lattice = _thinned(field.heights(), field.lattice, RIVER_SAMPLES)
     depth, speed = (_thinned(field.layers[name], field.lattice, RIVER_SAMPLES)[0] for name in NAMES[:2])
     depth = np.where(heights > 0.0, depth, np.float32(0.0))
-    surface = water_surface(lattice, heights, depth, speed, least=DRAWN_M)
+    surface = water_surface(lattice, heights, depth, speed, least=MIN_DEPTH_M)
     if not len(surface.positions):
         return None
     mesh = bpy.data.meshes.new("Water")
@@ -53,9 +48,9 @@ def add_rivers(scene, field: HeightField, material: bpy.types.Material):
     return _linked(scene, mesh, material)
 
 
-def _thinned(samples: np.ndarray, lattice: Lattice, most: int) -> tuple[np.ndarray, Lattice]:
-    """Every second sample, or third and so on, at most so many along a side; and their lattice."""
-    every = -(-(max(lattice.width, lattice.height) - 1) // (most - 1))
+def _thinned(samples: np.ndarray, lattice: Lattice, max_side: int) -> tuple[np.ndarray, Lattice]:
+    """Return every n-th sample, at most `max_side` along a side, and their lattice."""
+    every = -(-(max(lattice.width, lattice.height) - 1) // (max_side - 1))
     found = np.ascontiguousarray(samples[::every, ::every])
     return found, fit(found.shape[1], found.shape[0], lattice.step_x * every, lattice.step_y * every)
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A job bundle of Open Job Description, as `deadline bundle submit` and `openjd run` take it, and a job type for
-Flamenco. JSON is YAML, so what is made of values is written as JSON; what is written by hand are files beside this."""
+"""A job bundle of Open Job Description for `deadline bundle submit` and `openjd run`, and a job type for Flamenco.
+
+Generated parts are written as JSON, which is YAML. The other parts are files in this folder.
+"""
 
 import json
 import math
@@ -17,7 +19,7 @@ HERE = Path(__file__).parent
 TEMPLATE, VALUES, ASSETS = "template.yaml", "parameter_values.yaml", "asset_references.yaml"
 OPENJD_VALUES = "openjd_parameters.json"  # the same values as `openjd run` reads them
 GUARD, FLAMENCO, CONTAINER = "guard.py", "adaptive_terrain_render.js", "Containerfile"
-# An extension's platforms by Blender's names, and the same in the words of Open Job Description.
+# Operating system and processor in Open Job Description, by Blender's name of the platform.
 PLATFORMS = {
     "linux-x64": ("linux", "x86_64"),
     "linux-arm64": ("linux", "arm64"),
@@ -26,16 +28,24 @@ PLATFORMS = {
     "macos-x64": ("macos", "x86_64"),
     "macos-arm64": ("macos", "arm64"),
 }
-NO_YAML = "[\x7f-\x9f\u2028\u2029\ufeff]"  # what JSON may hold as it is, and YAML drops or refuses
-MOST_NAME, MOST_TEXT = 64, 1024  # characters of the job's name, and of any other value
+NO_YAML = "[\x7f-\x9f\u2028\u2029\ufeff]"  # characters that JSON allows and YAML drops or refuses
+MAX_NAME, MAX_TEXT = 64, 1024  # characters of the job's name, and of any other value
 
 
 @dataclass(frozen=True)
-class Job:
-    """What a farm is asked for: all paths absolute. `formats`: of the meshes; none for pictures. `zip_path`: of the
-    extension, None where workers have it. `files`, `folders`: that a worker reads; `made`: folders it writes before
-    the frames, which go to `out`. `platforms`: those of the zip, by Blender's names. `min_memory_gib`: memory of a
-    worker, 0 for any."""
+class FarmJob:
+    """A job for a farm. All paths are absolute.
+
+    Attributes:
+        chunk: frames per task.
+        formats: of meshes; empty for pictures.
+        out: folder of the frames.
+        zip_path: the extension's zip, None if workers have the extension.
+        files, folders: inputs of a worker.
+        output_folders: folders that a worker writes before the frames.
+        platforms: platforms of the zip, by Blender's names.
+        min_memory_gib: required memory of a worker, 0 for any.
+    """
 
     name: str
     blend: Path
@@ -47,15 +57,17 @@ class Job:
     zip_path: Path | None
     files: Sequence[Path]
     folders: Sequence[Path]
-    made: Sequence[Path]
+    output_folders: Sequence[Path]
     platforms: Sequence[str] = ()
     min_memory_gib: float = 0.0
 
 
-def write_bundle(job: Job, folder: Path) -> None:
-    """Write the bundle's files; raises TerrainError where that cannot be."""
-    if len(range_text(job.frames)) > MOST_TEXT:
-        raise TerrainError("The frames are in too many pieces for one job; expected ranges: make a job of each part.")
+def write_bundle(job: FarmJob, folder: Path) -> None:
+    """Write the bundle's files, or raise TerrainError."""
+    if len(range_text(job.frames)) > MAX_TEXT:
+        raise TerrainError(
+            "The frames have too many gaps for one job", expected="ranges", fix="make a job of each part"
+        )
     guard = _text("guard.py").replace('VERSION = ""', f'VERSION = "{job.version}"')
     flamenco = _text("flamenco.js").replace('"@GUARD@"', json.dumps(guard))
     values = _values(job)
@@ -65,21 +77,21 @@ def write_bundle(job: Job, folder: Path) -> None:
         write_files(folder, files | {GUARD: guard, FLAMENCO: flamenco, CONTAINER: _text(CONTAINER)})
     except UnicodeEncodeError as reason:
         path = shown(reason.object[max(0, reason.start - 60) : reason.end])
-        raise TerrainError(f"A path of the job is not UTF-8 ({path}); rename the file or its folder.") from None
+        raise TerrainError("A path of the job is not UTF-8", path, fix="rename the file or its folder") from None
 
 
-def template(job: Job, guard: str) -> str:
-    """The job's template: its beginning, and the steps of meshes or of pictures."""
+def template(job: FarmJob, guard: str) -> str:
+    """Return the job's template: its head, and the steps of meshes or of pictures."""
     steps = _text("meshes.yaml" if job.formats else "render.yaml")
     indent = " " * 8
     text = _text("job.yaml").replace("@GUARD@", guard.strip().replace("\n", f"\n{indent}")) + steps
     return text.replace("  @HOST_REQUIREMENTS@\n", host_requirements(job))
 
 
-def host_requirements(job: Job) -> str:
-    """Return the line of each step that says which workers may run it; empty where any may.
+def host_requirements(job: FarmJob) -> str:
+    """Return the line of each step that limits its workers, or "" for any worker.
 
-    A zip holds libraries of its platforms alone, so a worker of another one could not install it.
+    A zip holds libraries of its platforms only, so a worker of another platform cannot install it.
     """
     known = [PLATFORMS[name] for name in job.platforms if name in PLATFORMS]
     names = ("attr.worker.os.family", "attr.worker.cpu.arch")
@@ -100,14 +112,14 @@ def openjd_command(folder: Path) -> str:
 
 
 def range_text(frames: Sequence[int]) -> str:
-    """Frames in rising order as Open Job Description writes a range: `1-24,30-60:2`, none twice."""
+    """Return sorted unique frames as a range of Open Job Description: `1-24,30-60:2`."""
     rest, parts, at = sorted(set(frames)), [], 0
     while at < len(rest):
         step = rest[at + 1] - rest[at] if at + 1 < len(rest) else 1
         count = 1
         while at + count < len(rest) and rest[at + count] - rest[at + count - 1] == step:
             count += 1
-        if count == 2 and step > 1:  # two alone are no row
+        if count == 2 and step > 1:  # two frames are shorter without a step
             count = 1
         first, last = rest[at], rest[at + count - 1]
         parts.append(f"{first}" if count == 1 else f"{first}-{last}" + (f":{step}" if step > 1 else ""))
@@ -115,10 +127,10 @@ def range_text(frames: Sequence[int]) -> str:
     return ",".join(parts)
 
 
-def _values(job: Job) -> dict[str, str]:
+def _values(job: FarmJob) -> dict[str, str]:
     """Return the values of the template's parameters by their names."""
     return {
-        "JobName": shown(job.name)[:MOST_NAME],  # without line breaks, which a name must not have
+        "JobName": shown(job.name)[:MAX_NAME],  # a name must not have line breaks
         "BlenderFile": str(job.blend),
         "Frames": range_text(job.frames),
         "ChunkSize": str(job.chunk),
@@ -128,10 +140,10 @@ def _values(job: Job) -> dict[str, str]:
     }
 
 
-def _assets(job: Job) -> str:
-    """What is brought to a worker and back. Nobody finds the stores by looking into the .blend file."""
+def _assets(job: FarmJob) -> str:
+    """List the files to copy to a worker and back; farms cannot find stores in a .blend file."""
     inputs = {"filenames": _names([job.blend, *job.files]), "directories": _names(job.folders)}
-    outputs = {"directories": _names([job.out, *job.made])}
+    outputs = {"directories": _names([job.out, *job.output_folders])}
     return _json({"assetReferences": {"inputs": inputs, "outputs": outputs, "referencedPaths": []}})
 
 

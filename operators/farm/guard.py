@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ends Blender with exit code 1 where it would render terrains with the mesh that their file was saved with. It runs in
-any Blender, and needs nothing of the extension.
+"""Exit Blender with code 1 if it would render terrains with a stale mesh. The script does not need the extension.
 
     blender -b X.blend --python-exit-code 1 --python guard.py -f 1..4
 
-A job of Open Job Description runs it without a file, and with `-- ZIP FOLDER`: the zip is then installed into a user
-folder of the job's own in FOLDER.
+A job of Open Job Description runs it without a file and with `-- ZIP FOLDER`, which installs the zip into a separate
+user folder in FOLDER.
 """
 
 import os
@@ -17,12 +16,12 @@ import zipfile
 
 import bpy
 
-VERSION = ""  # of the extension that the job was made with; any will do where this is empty
+VERSION = ""  # version of the extension that wrote the job; empty accepts any
 USER_FOLDER = "BLENDER_USER_RESOURCES"
 
 
 def one_line(text):
-    """Return a text as one line without control characters, of which a farm would obey some."""
+    """Return a text as one line without control characters, which a farm might obey."""
     return "".join(c if c.isprintable() else " " if c.isspace() else "?" for c in str(text))
 
 
@@ -32,8 +31,8 @@ def fail(message):
 
 
 def install(zip_path, folder):
-    """The worker's preferences come along: they say which graphics cards Cycles uses."""
-    if not os.path.isfile(zip_path):  # a pipe would be waited for
+    """Install the zip into `folder`, with the worker's preferences, which name the graphics cards for Cycles."""
+    if not os.path.isfile(zip_path):  # reading a pipe would wait
         fail(f"{zip_path} is no file, expected the extension's zip")
     try:
         with zipfile.ZipFile(zip_path) as archive:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files that a job would bring from outside the scene's folder: a stranger's scene may name any file of this user."""
+"""Files that a job would copy from outside the scene's folder: an untrusted scene may name any file of the user."""
 
 import os
 from collections.abc import Sequence
@@ -21,10 +21,10 @@ MAX_NAMED = 10
 def check_outside(
     home: Path, files: Sequence[Path], height_maps: Sequence[Path], folders: Sequence[Path], allowed: bool
 ) -> list[Path]:
-    """Return the files and folders of a job that are outside `home`, the scene's folder, links resolved.
+    """Return the files and folders of a job that are outside `home`, the scene's folder, with links resolved.
 
-    Images, height maps, stores, shaped land and baked maps may be there. Raises TerrainError for anything else, unless
-    all is `allowed`. A file counts by its own suffix, not by the suffix of a link to it.
+    Images, height maps, stores, shaped land and baked maps may be outside. Raises TerrainError for anything else,
+    unless all is `allowed`. The suffix of a link's target counts, not that of the link.
     """
     home = real_path(home)
     known = [real_path(folder) for folder in folders if _is_terrain_folder(folder)]
@@ -41,9 +41,10 @@ def check_outside(
     ]
     if refused and not allowed:
         raise TerrainError(
-            f"The job would bring files from outside the scene's folder {shown(home)} that are neither images, height "
-            f"maps nor stores: {named_some(refused)}; expected them in that folder: move them there, or use "
-            "--allow-outside (Allow Outside)."
+            f"The job would copy files from outside the scene's folder {shown(home)} that are neither images, height "
+            f"maps nor stores: {named_some(refused)}",
+            expected="them in that folder",
+            fix="move them there, or use --allow-outside (Allow Outside)",
         )
     return outside
 
@@ -55,7 +56,7 @@ def named_some(paths: Sequence[Path]) -> str:
 
 
 def _is_terrain_folder(folder: Path) -> bool:
-    """Tell whether a folder is a store, has the shaped land of one, or baked maps."""
+    """Return whether a folder is a store, the shaped land of one, or has baked maps."""
     store = folder.parent / folder.name.removesuffix(LAND)
     return (store / STORE_JSON).is_file() or (folder / MAPS_JSON).is_file()
 

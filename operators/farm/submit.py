@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The job of a scene: what a worker needs beside the .blend file, found in Blender."""
+"""The job of a scene: everything that a worker needs in addition to the .blend file."""
 
 import tomllib
 import zipfile
@@ -22,12 +22,12 @@ from ..output.scene_files import scene_files
 from ..properties.map_properties import map_folder
 from ..properties.properties import land_of
 from ..scene.shot import frames_of
-from .bundle import Job, openjd_command, write_bundle
+from .bundle import FarmJob, openjd_command, write_bundle
 from .outside_files import check_outside, named_some
 
 FRAMES, INSTALLED = "frames", "installed"
 PACKAGE = Path(__file__).resolve().parents[2]
-NOTE = "note: "  # begins a line that tells what is left to do
+NOTE = "note: "  # starts a line about something left to do
 
 
 def submit(
@@ -42,27 +42,33 @@ def submit(
     min_memory_gib: float = 0.0,
     allow_outside: bool = False,
 ) -> list[str]:
-    """Write the job of the saved file that is open into the folder `out`; returns lines that say what to know of it.
+    """Write the job of the open, saved file into the folder `out`, and return lines about it for the user.
 
-    frames: None for the scene's. formats: of meshes; none for pictures. extension: a zip that workers install for the
-    job alone, INSTALLED for the one that runs, None where they have it. min_memory_gib: of a worker, 0 for any.
-    allow_outside: the job may bring any file from outside the scene's folder. Raises TerrainError.
+    Args:
+        frames: None for the scene's.
+        formats: of meshes; empty for pictures.
+        extension: a zip that workers install for this job, INSTALLED for the running one, None if they have it.
+        min_memory_gib: required memory of a worker, 0 for any.
+        allow_outside: allow any file from outside the scene's folder.
+
+    Raises:
+        TerrainError: the scene lacks a file, or one may not be copied.
     """
     from ... import __version__
 
     blend, out = real_path(bpy.data.filepath), real_path(out)
     frames = frames or frames_of(scene)
     files = list(dict.fromkeys(real_path(path) for path in scene_files(frames) if path.is_file()))
-    height_maps, folders, made, notes = [], [], [], []
+    height_maps, folders, outputs, notes = [], [], [], []
     for obj in objects:
-        _add_terrain(obj, height_maps, folders, made)
+        _add_terrain(obj, height_maps, folders, outputs)
         if not real_path(store_of(obj)).is_relative_to(blend.parent):
             notes.append(f"the store of {obj.name} is not beside the file: workers need it at {store_of(obj)}")
     if outside := check_outside(blend.parent, [*files, *height_maps], height_maps, folders, allow_outside):
         notes.append(f"{len(outside):,} from outside the scene's folder go with the job: {named_some(outside)}")
     for folder in [] if formats else output_folders(scene):
         if folder.is_relative_to(blend.parent) or folder.is_relative_to(out):
-            made.append(folder)
+            outputs.append(folder)
         else:
             notes.append(
                 f"a File Output node writes to {shown(folder)}, which farms do not bring back: choose a folder "
@@ -72,7 +78,7 @@ def submit(
     zip_path = None if extension is None else _zip_path(extension, out)
     if zip_path is None:
         notes.append("no zip goes with the job: workers need the extension of this version")
-    job = Job(
+    job = FarmJob(
         name=f"{blend.stem} {'meshes' if formats else 'pictures'}",
         blend=blend,
         frames=frames,
@@ -83,7 +89,7 @@ def submit(
         zip_path=zip_path,
         files=[*files, *height_maps, *([] if zip_path is None else [zip_path])],
         folders=folders,
-        made=made,
+        output_folders=outputs,
         platforms=() if zip_path is None else _platforms(zip_path),
         min_memory_gib=min_memory_gib,
     )
@@ -93,17 +99,17 @@ def submit(
     return lines + [NOTE + note for note in notes]
 
 
-def _add_terrain(obj, height_maps: list[Path], folders: list[Path], made: list[Path]) -> None:
-    """Add the files and folders of one terrain, and the folders that earlier steps of the job make."""
+def _add_terrain(obj, height_maps: list[Path], folders: list[Path], outputs: list[Path]) -> None:
+    """Add the files and folders of one terrain, and the folders that earlier steps of the job write."""
     store = store_of(obj)
     if is_missing(store):
-        made.append(store)
+        outputs.append(store)
         if land_of(obj.adaptive_terrain) is None:
             source = Path(settings_of(obj).source)
             if not source.is_file():
                 raise TerrainError(
-                    f"The terrain {obj.name!r} has neither its store {store} nor its height map {source}; import it "
-                    "again, or choose where they are."
+                    f"The terrain {obj.name!r} has neither its store {store} nor its height map {source}",
+                    fix="import it again, or choose their paths",
                 )
             height_maps += [real_path(path) for path in (source, *sidecars(source))]
     else:
@@ -112,32 +118,32 @@ def _add_terrain(obj, height_maps: list[Path], folders: list[Path], made: list[P
     derived += [map_folder(obj)] if read_as_images(obj) else []
     for folder in derived:
         check_folder(folder)
-    made += derived
+    outputs += derived
     folders += [folder for folder in derived if folder.is_dir()]
 
 
 def _platforms(zip_path: Path) -> list[str]:
-    """Return the platforms that the extension's zip is built for; none where its manifest names none."""
+    """Return the platforms in the manifest of the extension's zip."""
     try:
         with zipfile.ZipFile(zip_path) as archive:
             found = tomllib.loads(archive.read("blender_manifest.toml").decode()).get("platforms", [])
     except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
         raise TerrainError(
-            f"{zip_path} is not the extension's zip ({error}); expected one of `make extension`."
+            f"{zip_path} is not the extension's zip ({error})", expected="one of `make extension`"
         ) from None
     return [name for name in found if isinstance(name, str)] if isinstance(found, list) else []
 
 
 def _zip_path(extension: str, out: Path) -> Path:
-    """Return the zip that goes with the job."""
+    """Return the path of the zip for the job, after packing the running extension for INSTALLED."""
     if extension != INSTALLED:
-        if not (Path(extension).is_file() and zipfile.is_zipfile(extension)):  # a pipe would be waited for
-            raise TerrainError(f"{extension} is no zip; expected the extension's, or {INSTALLED!r}.")
+        if not (Path(extension).is_file() and zipfile.is_zipfile(extension)):  # reading a pipe would wait
+            raise TerrainError(f"{extension} is no zip", expected=f"the extension's, or {INSTALLED!r}")
         return real_path(extension)
     if not (PACKAGE / "wheels").is_dir():
         raise TerrainError(
-            "This extension is not installed from a zip, so there is none to go with the job: name one "
-            "(`make extension` builds it), or leave it to the workers to have it."
+            "This extension is not installed from a zip, so the job cannot include one",
+            fix="name one (`make extension` builds it), or install the extension on the workers",
         )
     path = out / "adaptive_terrain.zip"
     with written_beside(path) as partial, zipfile.ZipFile(partial, "w") as archive:

@@ -67,8 +67,8 @@ class SubmitToFarm(bpy.types.Operator):
         try:
             _check_is_saved()
             if not self.folder.strip():
-                raise TerrainError("The job has no folder; expected one, such as //farm/.")
-            said = submit(
+                raise TerrainError("The job has no folder", expected="one, such as //farm/")
+            lines = submit(
                 context.scene,
                 session.terrains_of(context.scene),
                 Path(absolute_path(self.folder)),
@@ -81,7 +81,7 @@ class SubmitToFarm(bpy.types.Operator):
         except (TerrainError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        for line in said:
+        for line in lines:
             self.report({"WARNING" if line.startswith(NOTE) else "INFO"}, line.removeprefix(NOTE))
         return {"FINISHED"}
 
@@ -91,12 +91,12 @@ class SubmitToFarm(bpy.types.Operator):
         try:
             return parse_frames(self.frames)
         except ValueError as error:
-            raise TerrainError(f"The {error}.") from None
+            raise TerrainError(f"The {error}") from None
 
 
 def _check_is_saved() -> None:
-    if bpy.data.is_dirty and not bpy.app.background:  # where it always says so
-        raise TerrainError("The file has unsaved changes, and a farm renders what is saved: save it first.")
+    if bpy.data.is_dirty and not bpy.app.background:  # `is_dirty` is always set in the background
+        raise TerrainError("The file has unsaved changes, and a farm renders the saved file", fix="save it first")
 
 
 register, unregister = bpy.utils.register_classes_factory((SubmitToFarm,))

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Add Collider: a coarse static mesh of a terrain for physics, with a bound of its own."""
+"""Add Collider: a coarse static mesh of a terrain for physics, with a separate bound."""
 
 import bpy
 
 from ...cbt_terrain.ask.linear import lengths
-from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.fit.fit import bake
 from ...cbt_terrain.run import warmup
 from ..mesh.writer import write_mesh
 from ..scene import session
-from ..scene.polls import on_terrain_object
+from ..scene.polls import cancelled_by_errors, on_terrain_object
 from ..text.numbers import length_text
+from ..text.shown_bounds import limit_text
 from . import world_ground
 
-MARK = "adaptive_terrain_collider"  # a property of the object, by which it is found again; it holds the bound, metres
+MARK = "adaptive_terrain_collider"  # custom property of a collider: its bound in metres
 
 
 class AddCollider(bpy.types.Operator):
@@ -32,42 +32,39 @@ class AddCollider(bpy.types.Operator):
     def poll(cls, context):
         return on_terrain_object(cls, context)
 
+    @cancelled_by_errors
     def execute(self, context):
         terrain = context.object
-        try:
-            update, bound = _baked(terrain, context.evaluated_depsgraph_get())
-            collider = collider_of(terrain) or _added(terrain)
-            write_mesh(collider.data, update.surface, smooth=False)
-        except TerrainError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        update, bound = _baked(terrain, context.evaluated_depsgraph_get())
+        collider = collider_of(terrain) or _add_collider(terrain)
+        write_mesh(collider.data, update.surface, smooth=False)
         collider[MARK] = bound
         if self.rigid_body or context.scene.rigidbody_world is not None:
             _make_passive(context, collider)
-        said = f"{collider.name}: {update.triangles:,} triangles, at most {length_text(bound)} off"
+        message = f"{collider.name}: {update.triangles:,} triangles, error at most {length_text(bound)}"
         if update.limited:
-            self.report({"WARNING"}, f"{said}, more than was asked: held back by {update.limited}")
+            self.report({"WARNING"}, f"{message}, more than Collider Error: held back by {limit_text(update.limited)}")
         else:
-            self.report({"INFO"}, said)
+            self.report({"INFO"}, message)
         return {"FINISHED"}
 
 
 def collider_of(terrain):
-    """The collider that a terrain has already, or None."""
+    """Return the collider of a terrain, or None."""
     return next((child for child in terrain.children if child.type == "MESH" and child.get(MARK) is not None), None)
 
 
 def _baked(terrain, depsgraph):
-    """The engine's Update, and its bound in metres of the world."""
+    """Bake the collider; return the engine's Update and its bound in metres of the world."""
     ground = world_ground.ground_of(terrain, depsgraph)
-    metres = float(lengths(ground.placement[:3, :3])[2])  # of the world, in a metre of height
+    metres = float(lengths(ground.placement[:3, :3])[2])  # of the world per metre of height
     warmup.wait()
     with session.engine_lock:
         update = bake(ground.field, terrain.adaptive_terrain.collider_error_m / metres, **ground.heights)
     return update, update.bound_m * metres
 
 
-def _added(terrain):
+def _add_collider(terrain):
     name = f"{terrain.name} Collider"
     collider = bpy.data.objects.new(name, bpy.data.meshes.new(name))
     collider.parent, collider.hide_render, collider.display_type = terrain, True, "WIRE"
@@ -77,7 +74,7 @@ def _added(terrain):
 
 
 def _make_passive(context, collider) -> None:
-    """Its shape is the mesh itself, which a passive body may have."""
+    """Make a collider a passive rigid body whose shape is its mesh."""
     context.view_layer.update()
     if collider.rigid_body is None:
         with context.temp_override(object=collider, active_object=collider, selected_objects=[collider]):

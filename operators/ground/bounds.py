@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Corners of what stands on the ground: an object with all that is parented to it and all that it instances."""
+"""Bounding-box corners of an object with its children and its instanced collections."""
 
 import numpy as np
 from mathutils import Matrix, Vector
@@ -9,17 +9,20 @@ GEOMETRY = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", 
 
 
 def corners_of(obj, depsgraph) -> np.ndarray:
-    """float64 [n, 3], metres of the world: of the boxes around an object's geometry, that of its children which renders
-    show and of collections that they instance; its origin where there is none."""
+    """Return the corners of the boxes around an object, its rendered children and instanced collections.
+
+    Returns:
+        float64 [n, 3], metres of the world; the object's origin if there is no geometry.
+    """
     shown = [obj, *(child for child in obj.children_recursive if not child.hide_render)]
-    found = [_own_corners(item.evaluated_get(depsgraph)) for item in shown]
+    found = [_object_corners(item.evaluated_get(depsgraph)) for item in shown]
     corners = np.concatenate(found)
     if not len(corners):
         return np.array([obj.evaluated_get(depsgraph).matrix_world.translation], np.float64)
     return corners
 
 
-def _own_corners(evaluated) -> np.ndarray:
+def _object_corners(evaluated) -> np.ndarray:
     found = [NOTHING]
     if evaluated.type in GEOMETRY:
         found.append(_of_box(evaluated, evaluated.matrix_world))

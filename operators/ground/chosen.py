@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What an operator of the ground is about: the terrain that counts, and the objects to move."""
+"""The terrains and objects that an operator of the ground acts on."""
+
+import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
 from ..scene import session
@@ -10,7 +12,7 @@ NO_TERRAIN = "The scene has no terrain; add one"
 
 
 def has_ground(cls, context) -> bool:
-    """For the poll of an operator."""
+    """Poll whether the scene has a terrain and is in Object Mode."""
     if context.mode != "OBJECT":
         cls.poll_message_set(IN_A_MODE)
         return False
@@ -21,29 +23,46 @@ def has_ground(cls, context) -> bool:
 
 
 def active_terrain(context):
-    """The active object if it is a selected terrain: then it alone counts as ground; else None."""
+    """Return the active object if it is a selected terrain, which then is the only ground, else None."""
     obj = context.object
     return obj if obj is not None and session.is_terrain(obj) and obj.select_get() else None
 
 
-def grounds(context, depsgraph) -> list[world_ground.Ground]:
-    """The active terrain if it is selected, else all of the scene. Raises TerrainError."""
+def grounds(context, depsgraph) -> list[world_ground.WorldGround]:
+    """Return the active terrain if it is selected, else all of the scene. Raises TerrainError if there is none."""
     terrain = active_terrain(context)
     if terrain is not None:
         return [world_ground.ground_of(terrain, depsgraph)]
     found = world_ground.grounds_of(context.scene, depsgraph)
     if not found:
-        raise TerrainError(f"The scene {context.scene.name!r} has no terrain with a height field; import one.")
+        raise TerrainError(f"The scene {context.scene.name!r} has no terrain with a height field", fix="import one")
     return found
 
 
+def terrain_at(context, points: np.ndarray, what: str, depsgraph):
+    """Return the active terrain if it is selected, else the one at most points of the world [n, 3], and its ground.
+
+    Raises TerrainError if no terrain is above or below the points of `what`.
+    """
+    terrain = active_terrain(context)
+    if terrain is not None:
+        return terrain, world_ground.ground_of(terrain, depsgraph)
+    found = world_ground.grounds_of(context.scene, depsgraph)
+    which = world_ground.below(found, points).which
+    if not (which >= 0).any():
+        fix = "move it over one, or select the terrain as well"
+        raise TerrainError(f"There is no terrain above or below {what}", fix=fix)
+    ground = found[np.bincount(which[which >= 0]).argmax()]
+    return next(obj for obj in session.terrains_of(context.scene) if obj.session_uid == ground.uid), ground
+
+
 def selected(context) -> list:
-    """The selected objects that are no terrains."""
+    """Return the selected objects that are not terrains."""
     return [obj for obj in context.selected_objects if not obj.adaptive_terrain.enabled]
 
 
 def movers(objects) -> list:
-    """What is moved so that `objects` move: of a mesh on an armature that; nothing whose parent is moved, too."""
+    """Return the objects to move: the armature of a mesh that has one, and nothing whose parent moves, too."""
     tops = []
     for obj in objects:
         up = obj

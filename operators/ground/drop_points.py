@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Each point of a curve to the ground, along the world's Z axis."""
+"""Drop each point of a curve to the ground along the world's Z axis."""
 
 import numpy as np
 from mathutils import Matrix, Vector
@@ -8,8 +8,10 @@ from . import world_ground
 
 
 def drop_points(obj, world: Matrix, ground, offset: float) -> str:
-    """Move the control points of the curve object `obj`, which stands at `world`; handles move with their points, and
-    points without ground stay. Returns why nothing is moved, as the end of a sentence, or ""."""
+    """Move the control points, with their handles, of the curve object `obj` with the matrix `world`.
+
+    Points without ground stay. Returns "", or the end of a sentence that explains why nothing moves.
+    """
     curve = obj.data
     if curve.library is not None or curve.override_library is not None:
         return "has a curve that is linked from a library; make it local"
@@ -28,10 +30,10 @@ def drop_points(obj, world: Matrix, ground, offset: float) -> str:
     heights = world_ground.below(ground, places).heights
     if not np.isfinite(heights).any():
         return "has no ground above or below its points"
-    own = world.to_3x3().inverted() @ Vector((0.0, 0.0, 1.0))
+    up = world.to_3x3().inverted() @ Vector((0.0, 0.0, 1.0))
     for point, place, height in zip(points, places, heights.tolist(), strict=True):
         if np.isfinite(height):
-            _shift(point, own * (height + offset - place[2]))
+            _shift(point, up * (height + offset - place[2]))
     curve.update_tag()
     return ""
 

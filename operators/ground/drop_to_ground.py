@@ -10,6 +10,7 @@ from mathutils import Matrix, Quaternion, Vector
 
 from ...cbt_terrain.errors import TerrainError
 from ..properties.keep_properties import ON
+from ..scene.polls import cancelled_by_errors
 from . import keep_ground, world_ground
 from . import vertical_moves as moves
 from .bounds import corners_of
@@ -17,12 +18,12 @@ from .chosen import active_terrain, grounds, has_ground, movers, selected
 from .drop_points import drop_points
 
 ORIGIN, BOUNDS = "ORIGIN", "BOUNDS"
-HELD = "does not get to the ground: a constraint holds it"
+HELD = "does not reach the ground: a constraint holds it"
 
 
 @dataclass(frozen=True)
-class Laid:
-    """Where an object is to lie: `height` of its origin in the world, and of the `ground` below that; its `turn`."""
+class RestPose:
+    """The pose of an object on the ground: heights of its origin and of the ground below in the world, and its turn."""
 
     height: float
     ground: float
@@ -59,33 +60,30 @@ class DropToGround(bpy.types.Operator):
         cls.poll_message_set("Select what is to be dropped: objects that are no terrains")
         return bool(selected(context))
 
+    @cancelled_by_errors
     def execute(self, context):
-        depsgraph, objects, kept, left = context.evaluated_depsgraph_get(), [], [], {}
-        try:
-            if not math.isfinite(self.offset):
-                raise TerrainError(f"The offset from the ground is {self.offset}; expected a number of metres.")
-            ground = grounds(context, depsgraph)
-            for obj in movers(selected(context)):
-                refused = self._refusal(obj)
-                if refused:
-                    left[obj] = refused
-                    continue
-                if obj.adaptive_terrain_keep.keep:
-                    keep_ground.let_go(obj)
-                    kept.append(obj)
-                objects.append(obj)
-            depsgraph.update()
-            for obj in objects:
-                if refused := self._dropped(obj, ground, depsgraph, active_terrain(context)):
-                    left[obj] = refused
-                    obj.adaptive_terrain_keep.keep = obj in kept
-            depsgraph.update()
-            left |= self._held([obj for obj in objects if obj not in left], ground, depsgraph)
-            if self.keep or kept:
-                keep_ground.settle_now(context.scene, depsgraph)
-        except TerrainError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        depsgraph, objects, keeping, left = context.evaluated_depsgraph_get(), [], [], {}
+        if not math.isfinite(self.offset):
+            raise TerrainError(f"The offset from the ground is {self.offset}", expected="a number of metres")
+        ground = grounds(context, depsgraph)
+        for obj in movers(selected(context)):
+            refused = self._refusal(obj)
+            if refused:
+                left[obj] = refused
+                continue
+            if obj.adaptive_terrain_keep.keep:
+                keep_ground.let_go(obj)
+                keeping.append(obj)
+            objects.append(obj)
+        depsgraph.update()
+        for obj in objects:
+            if refused := self._try_drop(obj, ground, depsgraph, active_terrain(context)):
+                left[obj] = refused
+                obj.adaptive_terrain_keep.keep = obj in keeping
+        depsgraph.update()
+        left |= self._held([obj for obj in objects if obj not in left], ground, depsgraph)
+        if self.keep or keeping:
+            keep_ground.settle_now(context.scene, depsgraph)
         for obj, reason in left.items():
             self.report({"WARNING"}, f"{obj.name!r} {reason}.")
         done = [obj for obj in objects if obj not in left]
@@ -93,7 +91,7 @@ class DropToGround(bpy.types.Operator):
         return {"FINISHED"} if done else {"CANCELLED"}
 
     def _refusal(self, obj) -> str:
-        """Why an object stays where it is, as the end of a sentence that begins with its name, or ""."""
+        """Return why an object must not move, as the end of a sentence that starts with its name, or ""."""
         if self.keep or obj.type == "CURVE":
             return keep_ground.refusal(obj, self.align) if self.keep else moves.untouchable(obj)
         channels = ("location", "rotation") if self.align else ("location",)
@@ -101,56 +99,63 @@ class DropToGround(bpy.types.Operator):
             return "is animated, and the next frame would bring it back; use Keep Every Frame"
         return moves.untouchable(obj) or moves.lock(obj, self.align)
 
-    def _dropped(self, obj, ground, depsgraph, terrain) -> str:
-        """As `_drop`; one object that cannot be moved stops no other."""
+    def _try_drop(self, obj, ground, depsgraph, terrain) -> str:
+        """Drop an object and return "", or why it stays, so that one failure does not stop the others."""
         try:
             return self._drop(obj, ground, depsgraph, terrain)
         except TerrainError as error:
             return f"stays: {str(error).rstrip('.')}"
 
     def _drop(self, obj, ground, depsgraph, terrain) -> str:
-        """Move an object, or have it kept; returns as `_refusal`. Raises TerrainError for one that is flat."""
+        """Move an object or start keeping it; return "", or why it stays. Raises TerrainError for a flat object."""
         evaluated = obj.evaluated_get(depsgraph)
         if not evaluated.is_evaluated:
             return "is hidden; show it first"
         if not np.isfinite(np.array(evaluated.matrix_world)).all():
-            return "has a place, a rotation or a scale that is no number; correct it"
+            return "has a location, a rotation or a scale that is no number; correct it"
         if obj.type == "CURVE" and not self.keep:
             return drop_points(obj, evaluated.matrix_world, ground, self.offset)
         corners = corners_of(obj, depsgraph) if self.anchor == BOUNDS else None
-        laid = laid_down(evaluated, corners, ground, self.align)
-        if laid is None:
+        pose = rest_pose(evaluated, corners, ground, self.align)
+        if pose is None:
             return "has no ground above or below it"
         if self.keep:
             settings = obj.adaptive_terrain_keep
             settings.terrain, settings.align, settings.how, settings.keep = terrain, self.align, ON, True
-            settings.offset = laid.height - laid.ground + self.offset
+            settings.offset = pose.height - pose.ground + self.offset
             return ""
         frame = moves.frame_of(evaluated)
         if self.align:
             location, rotation, scale = obj.matrix_basis.decompose()
-            obj.matrix_basis = Matrix.LocRotScale(location, moves.own_turn(frame, laid.turn) @ rotation, scale)
-        rise = laid.height + self.offset - evaluated.matrix_world.translation.z
-        obj.location = obj.location + moves.own_rise(frame, rise)
+            obj.matrix_basis = Matrix.LocRotScale(location, moves.channel_turn(frame, pose.turn) @ rotation, scale)
+        rise = pose.height + self.offset - evaluated.matrix_world.translation.z
+        obj.location = obj.location + moves.channel_rise(frame, rise)
         return ""
 
     def _held(self, objects, ground, depsgraph) -> dict:
-        """Those that constraints keep from where they were moved to."""
+        """Return the objects that a constraint holds away from their new location, each with HELD."""
         held = {}
         for obj in objects if not self.keep else ():
             if obj.type != "CURVE" and obj.constraints:
                 evaluated = obj.evaluated_get(depsgraph)
                 corners = corners_of(obj, depsgraph) if self.anchor == BOUNDS else None
-                laid = laid_down(evaluated, corners, ground, False)
+                pose = rest_pose(evaluated, corners, ground, False)
                 z = evaluated.matrix_world.translation.z
-                if laid is None or abs(laid.height + self.offset - z) > 1e-3 + moves.rounding(evaluated, z):
+                if pose is None or abs(pose.height + self.offset - z) > 1e-3 + moves.rounding(evaluated, z):
                     held[obj] = HELD
         return held
 
 
-def laid_down(evaluated, corners, ground, align: bool) -> Laid | None:
-    """How an evaluated object has to lie: with the lowest of its `corners`, float64 [n, 3] of the world, on the ground
-    below their middle; without any with its origin. None without ground there."""
+def rest_pose(evaluated, corners, ground, align: bool) -> RestPose | None:
+    """Return the pose that puts an evaluated object's lowest corner on the ground below the corners' middle.
+
+    Args:
+        corners: float64 [n, 3], metres of the world; None to put the origin on the ground.
+        align: turn the object's Z axis to the ground's normal.
+
+    Returns:
+        None without ground.
+    """
     origin, turn = np.array(evaluated.matrix_world.translation, np.float64), Quaternion()
     place = origin if corners is None else _middle(corners)
     under = world_ground.below(ground, place[None])
@@ -163,7 +168,7 @@ def laid_down(evaluated, corners, ground, align: bool) -> Laid | None:
     if not np.isfinite(heights[0]):
         return None
     height = heights[0] if corners is None else origin[2] + heights[0] - corners[:, 2].min()
-    return Laid(float(height), heights[1], turn)
+    return RestPose(float(height), heights[1], turn)
 
 
 def _middle(corners: np.ndarray) -> np.ndarray:

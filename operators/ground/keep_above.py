@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Keep Above Ground: a camera, or any object, never lower than a clearance over the terrain; and the end of keeping."""
+"""Keep Above Ground keeps a camera or object at a clearance over the terrain; Let Go ends it."""
 
 import math
 
@@ -8,6 +8,7 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ..properties.keep_properties import ABOVE
 from ..request import camera as cameras
+from ..scene.polls import cancelled_by_errors
 from . import keep_ground
 from . import vertical_moves as moves
 from .chosen import active_terrain, has_ground, movers, selected
@@ -34,10 +35,10 @@ class KeepAboveGround(bpy.types.Operator):
         cls.poll_message_set("Select an object that is no terrain, or give the scene a camera")
         return bool(_chosen(context))
 
+    @cancelled_by_errors
     def execute(self, context):
         if not math.isfinite(self.clearance):
-            self.report({"ERROR"}, f"The clearance is {self.clearance}; expected a number of metres.")
-            return {"CANCELLED"}
+            raise TerrainError(f"The clearance is {self.clearance}", expected="a number of metres")
         objects = movers(_chosen(context))
         refused = {obj: reason for obj in objects if (reason := keep_ground.refusal(obj))}
         for obj in objects:
@@ -45,16 +46,12 @@ class KeepAboveGround(bpy.types.Operator):
                 settings = obj.adaptive_terrain_keep
                 settings.how, settings.clearance, settings.keep = ABOVE, self.clearance, True
                 settings.terrain, settings.align = active_terrain(context), False
-        try:
-            held = keep_ground.settle_now(context.scene, context.evaluated_depsgraph_get())
-        except TerrainError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        held = keep_ground.settle_now(context.scene, context.evaluated_depsgraph_get())
         for text in (*held, *(f"{obj.name!r} {reason}" for obj, reason in refused.items())):
             self.report({"WARNING"}, f"{text}.")
-        kept = len(objects) - len(refused)
-        self.report({"INFO"}, f"Kept above ground: {kept} of {len(objects)}")
-        return {"FINISHED"} if kept else {"CANCELLED"}
+        count = len(objects) - len(refused)
+        self.report({"INFO"}, f"Kept above ground: {count} of {len(objects)}")
+        return {"FINISHED"} if count else {"CANCELLED"}
 
 
 def _chosen(context) -> list:
@@ -73,10 +70,10 @@ class LetGo(bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         cls.poll_message_set("Select an object that is kept on the ground or above it")
-        return any(_is_kept(obj) for obj in _held(context))
+        return any(_can_let_go(obj) for obj in _held(context))
 
     def execute(self, context):
-        objects = [obj for obj in _held(context) if _is_kept(obj)]
+        objects = [obj for obj in _held(context) if _can_let_go(obj)]
         for obj in objects:
             keep_ground.let_go(obj)
         self.report({"INFO"}, f"Let go: {', '.join(obj.name for obj in objects)}")
@@ -87,7 +84,7 @@ def _held(context) -> list:
     return list({*selected(context), *filter(None, [context.object])})
 
 
-def _is_kept(obj) -> bool:
+def _can_let_go(obj) -> bool:
     return obj.adaptive_terrain_keep.keep and not moves.untouchable(obj)
 
 

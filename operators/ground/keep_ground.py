@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Objects that stay on the ground, or above it, in every frame.
+"""Objects that stay on or above the ground in every frame.
 
-Before a frame is evaluated, their delta transforms are set to 0 (`release`): so each is where its animation, its
-parents and its constraints have it, whatever was before. Afterwards the deltas move it to the ground (`settle`), and
-the frame is evaluated again, before any terrain is refined for a camera among them. So a frame is the same alone and in
-a sequence, and what the user has keyed is never touched.
+`release` sets their delta transforms to 0 before a frame is evaluated, which puts each where its animation, parents and
+constraints place it. `settle` then moves each to the ground by its deltas and evaluates the frame again, before any
+terrain is refined for a camera among them. So a frame is the same alone and in a sequence, and keyed channels never
+change.
 """
 
 import math
@@ -21,85 +21,92 @@ from ..request.request import RENDER, VIEWPORT
 from . import vertical_moves as moves
 from . import world_ground
 
-MOST_MOVES = 3  # of an object: one is enough, but for what float32 rounds
-_settled: dict[int, tuple] = {}  # session_uid of a scene -> what its objects were settled to in the viewport
-_notes: dict[int, str] = {}  # session_uid of an object -> what keeps it from the ground
+MAX_MOVES = 3  # of an object; further ones correct float32 rounding
+_settled: dict[int, tuple] = {}  # session_uid of a scene -> key of its settled state in the viewport
+_notes: dict[int, str] = {}  # session_uid of an object -> why it is not on the ground
 
 
 def note_of(obj) -> str:
-    """Why a kept object is not where it should be, or ""."""
+    """Return why a kept object is not on the ground, or ""."""
     return _notes.get(obj.session_uid, "")
 
 
 def refusal(obj, align: bool = False) -> str:
-    """Why an object cannot be kept, as the end of a sentence that begins with its name, or ""."""
+    """Return why an object cannot be kept, as the end of a sentence that starts with its name, or ""."""
     if refused := moves.untouchable(obj) or moves.lock(obj, align):
         return refused
     if align and obj.rotation_mode == "AXIS_ANGLE":
         return "turns by axis and angle, which has no delta; choose another rotation mode"
     if not obj.adaptive_terrain_keep.keep and (_has_deltas(obj) or moves.is_animated(obj, "delta_")):
-        return "has delta transforms of its own, which keeping needs; apply them first"
+        return "already has delta transforms, which keeping needs; apply them first"
     return ""
 
 
-def kept_of(scene) -> list:
-    """The objects of a scene that are kept, and may be moved."""
+def objects_on_ground(scene) -> list:
+    """Return the movable kept objects of a scene."""
     if not any_kept():
         return []
     return [obj for obj in scene.objects if obj.adaptive_terrain_keep.keep and not moves.untouchable(obj)]
 
 
 def let_go(obj) -> None:
-    """Keep an object no longer: it is where its own channels have it."""
+    """Stop keeping an object, which returns to the location of its channels."""
     obj.adaptive_terrain_keep.keep = False
     _set_free(obj)
     _notes.pop(obj.session_uid, None)
 
 
 def release(scene) -> None:
-    """Put kept objects where they would be without the ground, when they are evaluated next."""
-    for obj in kept_of(scene):
+    """Reset the deltas of kept objects for the next evaluation."""
+    for obj in objects_on_ground(scene):
         _set_free(obj)
 
 
 def settle(scene, depsgraph, mode: str, *, waits: bool, frame_changes: bool) -> list[str]:
-    """Move the released objects of a scene to the ground and evaluate `depsgraph` again; returns why some are not
-    moved. Raises TerrainError where there is no knowing the ground.
+    """Move the released objects of a scene to the ground and evaluate `depsgraph` again.
 
-    `waits`: see `grounds_of`. `frame_changes`: whether the frame was set just now. Then what is animated is evaluated
-    anew, since the dependency graph of a render forgets animated values of what is written.
+    Args:
+        waits: see `grounds_of`.
+        frame_changes: the frame was just set. Animated channels are then evaluated again, since the dependency graph
+            of a render forgets animated values of written objects.
+
+    Returns:
+        Why some objects are not moved.
+
+    Raises:
+        TerrainError: the ground cannot be computed.
     """
-    kept = kept_of(scene)
-    if not kept:
+    objects = objects_on_ground(scene)
+    if not objects:
         return []
     grounds = world_ground.grounds_of(scene, depsgraph, mode, waits)
-    _move_all(kept, grounds, depsgraph, frame_changes)
-    if mode == RENDER and world_ground.is_made_for_views(scene):  # until now for a camera that has not been moved
+    _move_all(objects, grounds, depsgraph, frame_changes)
+    if mode == RENDER and world_ground.depends_on_views(scene):  # the camera may have moved: use its new ground
         grounds = world_ground.grounds_of(scene, depsgraph, mode, waits)
         release(scene)
-        _evaluate(kept, depsgraph, frame_changes)
-        _move_all(kept, grounds, depsgraph, frame_changes)
+        _evaluate(objects, depsgraph, frame_changes)
+        _move_all(objects, grounds, depsgraph, frame_changes)
     if mode == VIEWPORT:
-        _settled[scene.session_uid] = _key(kept, grounds, depsgraph)
-    return [_notes[obj.session_uid] for obj in kept if obj.session_uid in _notes]
+        _settled[scene.session_uid] = _key(objects, grounds, depsgraph)
+    return [_notes[obj.session_uid] for obj in objects if obj.session_uid in _notes]
 
 
-def _move_all(kept: list, grounds: list, depsgraph, frame_changes: bool) -> None:
-    """Move released objects to the ground; those that follow others after these."""
-    for obj in kept:
+def _move_all(objects: list, grounds: list, depsgraph, frame_changes: bool) -> None:
+    """Move released objects to the ground, followers after their leaders."""
+    for obj in objects:
         _notes.pop(obj.session_uid, None)
-    everyone = set(kept)
-    followed, moved, todo = {obj: _leaders(obj) & everyone for obj in kept}, {}, kept
+    everyone = set(objects)
+    followed, moved, todo = {obj: _leaders(obj) & everyone for obj in objects}, {}, objects
     while off := _moves_of(todo, grounds, depsgraph, moved):
         held = [obj for obj in off if obj in moved and abs(off[obj][0]) > 0.5 * abs(moved[obj][0]) > 0.0]
         for obj in held:
             _set_free(obj)
-            _notes[obj.session_uid] = f"{obj.name!r} is not moved: a constraint holds it where it is"
+            _notes[obj.session_uid] = f"{obj.name!r} is not moved: a constraint holds it"
         now = [obj for obj in off if obj not in held and not followed[obj] & off.keys()]
         for obj in now:
             _apply(obj, depsgraph, *off[obj])
             moved.setdefault(obj, []).append(off[obj][0])
-        todo = [obj for obj in todo if obj not in held and len(moved.get(obj, ())) < MOST_MOVES]
+        todo = [obj for obj in todo if obj not in held and len(moved.get(obj, ())) < MAX_MOVES]
         _evaluate([*now, *held], depsgraph, frame_changes)
         if not now:
             break
@@ -112,22 +119,22 @@ def _evaluate(written: list, depsgraph, frame_changes: bool) -> None:
 
 
 def _moves_of(objects: list, grounds: list, depsgraph, moved) -> dict:
-    """By object: metres to rise and the normal to turn to, or None; of those that are not where they should be.
+    """Return, by misplaced object, the metres to rise and the normal to turn to, or None for no turn.
 
-    Those that have been `moved` are not turned again.
+    Objects that have been `moved` are not turned again.
     """
     shown = {obj: obj.evaluated_get(depsgraph) for obj in objects}
     shown = {obj: item for obj, item in shown.items() if item.is_evaluated and all(map(math.isfinite, _place(item)))}
     found = {}
     for only in {obj.adaptive_terrain_keep.terrain for obj in shown}:
         chosen = [obj for obj in shown if obj.adaptive_terrain_keep.terrain == only]
-        own = [item for item in grounds if only is None or item.uid == only.session_uid]
-        for obj in () if own or only is None else chosen:
+        allowed = [item for item in grounds if only is None or item.uid == only.session_uid]
+        for obj in () if allowed or only is None else chosen:
             _notes[obj.session_uid] = f"{obj.name!r} is not moved: its terrain {only.name!r} is not in the scene"
         places = np.array([_place(shown[obj]) for obj in chosen], np.float64)
-        under = world_ground.below(own, places)
+        under = world_ground.below(allowed, places)
         turning = [_turns(obj) and obj not in moved for obj in chosen]
-        normals = world_ground.normals(own, places, under) if any(turning) else places
+        normals = world_ground.normals(allowed, places, under) if any(turning) else places
         for obj, height, normal, turns in zip(chosen, under.heights.tolist(), normals, turning, strict=True):
             rise = _rise_of(obj, shown[obj], height)
             if rise or (turns and math.isfinite(height)):
@@ -144,7 +151,7 @@ def _turns(obj) -> bool:
 
 
 def _rise_of(obj, evaluated, height: float) -> float:
-    """Metres by which an object is to rise over ground of a height; 0 where it is right, or there is no ground."""
+    """Return the metres by which an object must rise over ground of a height; 0 if it is right or has no ground."""
     settings, z = obj.adaptive_terrain_keep, _place(evaluated).z
     if settings.how == ON:
         rise = height + settings.offset - z
@@ -161,16 +168,16 @@ def _apply(obj, depsgraph, rise: float, normal) -> None:
         _notes[obj.session_uid] = str(error)
         return
     if normal is not None:
-        turn = moves.own_turn(frame, moves.turn_to(evaluated, normal))
+        turn = moves.channel_turn(frame, moves.turn_to(evaluated, normal))
         if obj.rotation_mode == "QUATERNION":
             obj.delta_rotation_quaternion = turn
         elif obj.rotation_mode != "AXIS_ANGLE":
             obj.delta_rotation_euler = turn.to_euler(obj.rotation_mode)
-    obj.delta_location = obj.delta_location + moves.own_rise(frame, rise)
+    obj.delta_location = obj.delta_location + moves.channel_rise(frame, rise)
 
 
 def _leaders(obj) -> set:
-    """What an object's place follows: parents and targets of constraints, and what theirs follow."""
+    """Return the objects that an object's location follows: parents and constraint targets, recursively."""
     found, ahead = set(), [obj]
     while ahead:
         item = ahead.pop()
@@ -183,39 +190,41 @@ def _leaders(obj) -> set:
 
 
 def settle_now(scene, depsgraph, waits: bool = True) -> list[str]:
-    """Settle a scene's objects in the viewport at its frame; returns and raises as `settle`."""
+    """Settle a scene's objects in the viewport at its frame. Returns and raises as `settle`."""
     release(scene)
     depsgraph.update()
     return settle(scene, depsgraph, VIEWPORT, waits=waits, frame_changes=False)
 
 
 def settle_shown(scene, depsgraph) -> bool:
-    """The same for the live update, which never waits: only where something has changed, on ground that there is.
-    Returns False if it has to be asked again, since kernels are being prepared."""
-    kept = kept_of(scene)
-    if not kept or depsgraph is None:
+    """Settle changed objects on existing ground, for the live update, which never waits.
+
+    Returns False while kernels are being prepared: call it again.
+    """
+    objects = objects_on_ground(scene)
+    if not objects or depsgraph is None:
         return True
     if not warmup.ask([ground, rays]):
         return False
     try:
         grounds = world_ground.grounds_of(scene, depsgraph, waits=False)
-        if _settled.get(scene.session_uid) != _key(kept, grounds, depsgraph):
+        if _settled.get(scene.session_uid) != _key(objects, grounds, depsgraph):
             settle_now(scene, depsgraph, waits=False)
     except TerrainError:
-        pass  # the terrain says so itself
+        pass  # the terrain's update reports it
     return True
 
 
-def _key(kept: list, grounds: list, depsgraph) -> tuple:
-    """Equal as long as nothing has moved, neither objects nor ground."""
-    objects = []
-    for obj in kept:
+def _key(objects: list, grounds: list, depsgraph) -> tuple:
+    """Return a key that changes when an object or the ground moves."""
+    keys = []
+    for obj in objects:
         settings = obj.adaptive_terrain_keep
         numbers = settings.how, settings.offset, settings.clearance, settings.align
         only = settings.terrain.session_uid if settings.terrain else 0
         matrix = np.array(obj.evaluated_get(depsgraph).matrix_world).tobytes()
-        objects.append((obj.session_uid, matrix, *numbers, only))
-    return tuple(objects), tuple(item.key() for item in grounds)
+        keys.append((obj.session_uid, matrix, *numbers, only))
+    return tuple(keys), tuple(item.key() for item in grounds)
 
 
 def _has_deltas(obj) -> bool:
@@ -224,7 +233,7 @@ def _has_deltas(obj) -> bool:
 
 
 def _set_free(obj) -> None:
-    """Deltas of 0, without telling Blender of a change where there is none."""
+    """Set deltas to 0, without notifying Blender if they are."""
     if not _has_deltas(obj):
         return
     obj.delta_location = obj.delta_rotation_euler = (0.0, 0.0, 0.0)

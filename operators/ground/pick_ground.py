@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pick: the 3D cursor, or the active object, to the ground under the mouse."""
+"""Pick: move the 3D cursor or the active object to the ground under the mouse."""
 
 import math
 
@@ -8,6 +8,7 @@ from bpy_extras import view3d_utils
 
 from ...cbt_terrain.errors import TerrainError
 from ..request import camera as cameras
+from ..scene.polls import cancelled_by_errors
 from ..text.numbers import plain
 from . import vertical_moves as moves
 from . import world_ground
@@ -51,7 +52,7 @@ class PickGround(bpy.types.Operator):
             self.cancel(context)
             return {"CANCELLED"}
         if event.type != "LEFTMOUSE" or event.value != "PRESS":
-            return {"PASS_THROUGH"}  # so that the view can be turned
+            return {"PASS_THROUGH"}  # lets the user turn the view
         ray = _ray_under(context, event)
         self.cancel(context)
         if ray is None:
@@ -64,20 +65,17 @@ class PickGround(bpy.types.Operator):
         context.window.cursor_modal_restore()
         context.workspace.status_text_set(None)
 
+    @cancelled_by_errors
     def execute(self, context):
         depsgraph = context.evaluated_depsgraph_get()
-        try:
-            found = grounds(context, depsgraph)
-            hit = world_ground.first_hit(found, self.origin, self.direction)
-            if hit is None:
-                raise TerrainError("There is no ground under the mouse, or along the ray: aim at the terrain.")
-            if self.moves == OBJECT:
-                _put(context.object, hit[0], depsgraph)
-            else:
-                context.scene.cursor.location = hit[0]
-        except TerrainError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        found = grounds(context, depsgraph)
+        hit = world_ground.first_hit(found, self.origin, self.direction)
+        if hit is None:
+            raise TerrainError("There is no ground under the mouse, or along the ray", fix="aim at the terrain")
+        if self.moves == OBJECT:
+            _put(context.object, hit[0], depsgraph)
+        else:
+            context.scene.cursor.location = hit[0]
         slope = math.degrees(math.acos(min(1.0, found[hit[1]].normals(hit[0][None])[0, 2])))
         place = ", ".join(f"{value:,.2f}" for value in hit[0])
         self.report({"INFO"}, f"Ground at {place} m, slope {plain(slope)}°")
@@ -87,16 +85,16 @@ class PickGround(bpy.types.Operator):
 def _put(obj, point, depsgraph) -> None:
     """Move an object so that its origin is at a point of the world. Raises TerrainError."""
     if obj is None or obj.adaptive_terrain.enabled:
-        raise TerrainError("There is no active object to move, or it is a terrain; make another one active.")
+        raise TerrainError("There is no active object to move, or it is a terrain", fix="make another one active")
     if reason := moves.untouchable(obj) or moves.lock(obj):
-        raise TerrainError(f"The object {obj.name!r} {reason}.")
+        raise TerrainError(f"The object {obj.name!r} {reason}")
     evaluated = obj.evaluated_get(depsgraph)
     by = [goal - now for goal, now in zip(point.tolist(), evaluated.matrix_world.translation, strict=True)]
-    obj.location = obj.location + moves.own_move(moves.frame_of(evaluated), by)
+    obj.location = obj.location + moves.channel_move(moves.frame_of(evaluated), by)
 
 
 def _ray_under(context, event):
-    """Origin and direction of the ray under the mouse, of whichever viewport of the window it is in; or None."""
+    """Return origin and direction of the ray under the mouse in a viewport of the window, or None."""
     for window, _, region, part in cameras.viewports(context.window_manager):
         place = event.mouse_x - region.x, event.mouse_y - region.y
         inside = 0 <= place[0] < region.width and 0 <= place[1] < region.height

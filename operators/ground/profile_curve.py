@@ -11,10 +11,10 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.query.ground import profile
 from ...cbt_terrain.run.partial_files import written_beside
 from ..properties.scene_paths import absolute_path
+from ..scene.polls import cancelled_by_errors
 from ..text import profile_plot
 from ..text.numbers import length_text
-from . import world_ground
-from .chosen import active_terrain, has_ground
+from .chosen import has_ground, terrain_at
 
 SUFFIXES = ".csv", ".svg"
 PATH_OPTIONS = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
@@ -46,22 +46,20 @@ class ProfileCurve(bpy.types.Operator):
         cls.poll_message_set("Select a curve over the terrain")
         return bool(_curves(context))
 
+    @cancelled_by_errors
     def execute(self, context):
         depsgraph = context.evaluated_depsgraph_get()
-        try:
-            for curve in _curves(context):
-                lines = lines_of(curve, depsgraph)
-                ground = _ground_of(context, curve, lines, depsgraph)
-                found = [along_line(ground, line, self.spacing or None) for line in lines]
-                if not any(np.isfinite(points).all(axis=1).any() for _, points in found):
-                    raise TerrainError(
-                        f"There is no ground below the curve {curve.name!r}: it crosses holes or lies beside it."
-                    )
-                files = self._write(curve.name, found) if self.filepath else []
-                obj = _new_curve(context, f"{curve.name} Profile", [points for _, points in found])
-        except TerrainError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        for curve in _curves(context):
+            lines = lines_of(curve, depsgraph)
+            _, ground = terrain_at(context, np.concatenate(lines), f"the curve {curve.name!r}", depsgraph)
+            found = [along_line(ground, line, self.spacing or None) for line in lines]
+            if not any(np.isfinite(points).all(axis=1).any() for _, points in found):
+                raise TerrainError(
+                    f"There is no ground below the curve {curve.name!r}, which crosses holes or is outside",
+                    fix="move it over the terrain",
+                )
+            files = self._write(curve.name, found) if self.filepath else []
+            obj = _new_curve(context, f"{curve.name} Profile", [points for _, points in found])
         heights = np.concatenate([points[:, 2] for _, points in found])
         low, high = (length_text(float(value)) for value in (np.nanmin(heights), np.nanmax(heights)))
         written = f"; written: {', '.join(files)}" if files else ""
@@ -69,39 +67,39 @@ class ProfileCurve(bpy.types.Operator):
         return {"FINISHED"}
 
     def _write(self, name: str, found) -> list[str]:
-        """Of several splines each in files of their own number."""
+        """Write the table and the picture, in numbered files if there are several splines; return the names."""
         base = Path(absolute_path(self.filepath))
         base = base.with_suffix("") if base.suffix.lower() in SUFFIXES else base
         if not base.name:
-            raise TerrainError(f"The file {self.filepath!r} has no name; expected one, such as //profile.csv.")
+            raise TerrainError(f"The file {self.filepath!r} has no name", expected="one, such as //profile.csv")
         files = []
         for number, (along, points) in enumerate(found):
-            own = base if len(found) == 1 else base.with_name(f"{base.name}_{number + 1}")
+            numbered = base if len(found) == 1 else base.with_name(f"{base.name}_{number + 1}")
             texts = table(along, points), profile_plot.draw(along, points[:, 2], name)
             for suffix, content in zip(SUFFIXES, texts, strict=True):
-                path = own.with_name(own.name + suffix)
+                path = numbered.with_name(numbered.name + suffix)
                 try:
                     with written_beside(path) as partial:
                         Path(partial).write_text(content, encoding="utf-8")
                 except OSError as reason:
-                    said = reason.strerror or reason
-                    raise TerrainError(f"{path} cannot be written ({said}): choose another folder.") from None
+                    cause = reason.strerror or reason
+                    raise TerrainError(f"{path} cannot be written ({cause})", fix="choose another folder") from None
                 files.append(path.name)
         return files
 
 
 def _curves(context) -> list:
-    """The active one of the selected curves, or the first."""
+    """Return the active one of the selected curves, or the first."""
     found = [obj for obj in context.selected_objects if obj.type == "CURVE"]
     return [context.object] if context.object in found else found[:1]
 
 
 def lines_of(curve, depsgraph) -> list[np.ndarray]:
-    """The splines of a curve object as lines through the world, float64 [n, 3] each, as fine as the curve draws them.
+    """Return the splines of a curve object, at its resolution, as lines in the world, float64 [n, 3] each.
 
-    Raises TerrainError without one.
+    Raises TerrainError if there is none.
     """
-    plain = curve.data.copy()  # without what makes a surface of it
+    plain = curve.data.copy()  # without bevel and extrusion
     plain.bevel_depth = plain.extrude = 0.0
     plain.bevel_object, plain.bevel_mode, plain.dimensions = None, "ROUND", "3D"
     stand_in = bpy.data.objects.new("Profile", plain)
@@ -116,12 +114,12 @@ def lines_of(curve, depsgraph) -> list[np.ndarray]:
         bpy.data.curves.remove(plain)
     lines = [np.array([points[n] for n in line], np.float64) for line in _chains(pairs)]
     if not lines:
-        raise TerrainError(f"The curve {curve.name!r} has no line; expected a spline of two points at least.")
+        raise TerrainError(f"The curve {curve.name!r} has no line", expected="a spline of at least two points")
     return lines
 
 
 def _chains(pairs) -> list[list[int]]:
-    """Edges as lines of vertices: a spline's edges follow each other; of a cyclic one the last leads to the first."""
+    """Join edges to lines of vertices: a spline's edges are consecutive, and a cyclic one ends at its start."""
     lines = []
     for a, b in sorted(pairs, key=lambda pair: (min(pair), max(pair) - min(pair) != 1)):
         low, high = min(a, b), max(a, b)
@@ -136,23 +134,12 @@ def _chains(pairs) -> list[list[int]]:
     return lines
 
 
-def _ground_of(context, curve, lines, depsgraph) -> world_ground.Ground:
-    """The active terrain if it is selected, else the one below the most points of a curve. Raises TerrainError."""
-    terrain = active_terrain(context)
-    if terrain is not None:
-        return world_ground.ground_of(terrain, depsgraph)
-    found = world_ground.grounds_of(context.scene, depsgraph)
-    which = world_ground.below(found, np.concatenate(lines)).which
-    if not (which >= 0).any():
-        raise TerrainError(f"There is no terrain above or below the curve {curve.name!r}; move it over one.")
-    return found[np.bincount(which[which >= 0]).argmax()]
-
-
 def along_line(ground, line: np.ndarray, spacing: float | None) -> tuple[np.ndarray, np.ndarray]:
-    """Metres of the world's plan from the line's begin, float64 [n], and points of the world, float64 [n, 3]; their
-    heights are NaN without ground."""
-    own = ground.to_own(line)[:, :2]
-    found = profile(ground.field, own, spacing, **ground.heights)
+    """Return horizontal distances from the line's start, float64 [n] metres, and points of the world, float64 [n, 3].
+
+    Heights are NaN without ground.
+    """
+    found = profile(ground.field, ground.to_local(line)[:, :2], spacing, **ground.heights)
     known = np.isfinite(found.heights)
     points = ground.to_world(np.c_[found.places, np.where(known, found.heights, 0.0)])
     points[~known, 2] = np.nan
@@ -161,7 +148,7 @@ def along_line(ground, line: np.ndarray, spacing: float | None) -> tuple[np.ndar
 
 
 def table(along: np.ndarray, points: np.ndarray) -> str:
-    """CSV: metres along the line, and x, y and height in the world; no height where there is no ground."""
+    """Return a CSV of distance, x, y and height in metres of the world, with an empty height without ground."""
     rows = ["distance_m,x_m,y_m,height_m"]
     for distance, (x, y, z) in zip(along.tolist(), points.tolist(), strict=True):
         rows.append(f"{distance:.6g},{x:.9g},{y:.9g},{'' if z != z else f'{z:.9g}'}")
@@ -169,7 +156,7 @@ def table(along: np.ndarray, points: np.ndarray) -> str:
 
 
 def _new_curve(context, name: str, lines: list[np.ndarray]):
-    """A curve object through points of the world, one of which has a height; in parts where others have none."""
+    """Add a curve object through points of the world, split where there is no height."""
     data = bpy.data.curves.new(name, "CURVE")
     data.dimensions = "3D"
     first = next(p for line in lines for p in line if np.isfinite(p).all())

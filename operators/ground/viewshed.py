@@ -1,20 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Viewshed: what of a terrain an object or the camera sees, as an image over it and as an attribute of its mesh."""
+"""Viewshed: the part of a terrain visible from an object or the camera, as an image and an attribute."""
 
 import bpy
 import numpy as np
 
-from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.query.viewshed import viewshed
 from ..mesh.writer import UV_LAYER
 from ..request import camera as cameras
-from ..scene import session
-from . import world_ground
-from .chosen import active_terrain, has_ground, selected
+from ..scene.polls import cancelled_by_errors
+from .chosen import has_ground, selected, terrain_at
 
 NAME = "viewshed"
-MARK = "adaptive_terrain_viewshed"  # a property of the image and of the node group: the name of their terrain
-MOST_PIXELS = 4096  # along a side; Blender keeps 16 bytes a pixel while it is written
+MARK = "adaptive_terrain_viewshed"  # custom property of the image and the node group: the name of their terrain
+MAX_PIXELS = 4096  # along a side; Blender needs 16 bytes per pixel for writing
 
 
 class Viewshed(bpy.types.Operator):
@@ -44,56 +42,40 @@ class Viewshed(bpy.types.Operator):
         cls.poll_message_set("Make the object that looks active, or a terrain to be seen from the scene's camera")
         return _eye(context) is not None
 
+    @cancelled_by_errors
     def execute(self, context):
         depsgraph, eye = context.evaluated_depsgraph_get(), _eye(context)
-        try:
-            point = np.array([eye.evaluated_get(depsgraph).matrix_world.translation], np.float64)
-            terrain, ground = _seen_terrain(context, eye, point, depsgraph)
-            seen = viewshed(
-                ground.field, ground.to_own(point)[0], self.target_height, self.radius or None, **ground.heights
-            )
-            image = _image(terrain, seen)
-            if self.attribute:
-                _add_modifier(terrain, image)
-        except TerrainError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        point = np.array([eye.evaluated_get(depsgraph).matrix_world.translation], np.float64)
+        terrain, ground = terrain_at(context, point, repr(eye.name), depsgraph)
+        seen = viewshed(
+            ground.field, ground.to_local(point)[0], self.target_height, self.radius or None, **ground.heights
+        )
+        image = _image(terrain, seen)
+        if self.attribute:
+            _add_modifier(terrain, image)
         self.report({"INFO"}, f"{eye.name} sees {seen.mean():.1%} of {terrain.name}: image {image.name!r}")
         return {"FINISHED"}
 
 
 def _eye(context):
-    """The active object, or the camera; None where neither can look."""
+    """Return the active object if it is no terrain, else a selected object or the camera, or None."""
     obj = context.object
     if obj is not None and not obj.adaptive_terrain.enabled:
         return obj
     return next(iter(selected(context)), None) or cameras.active_camera(context.scene)
 
 
-def _seen_terrain(context, eye, point: np.ndarray, depsgraph):
-    """The active terrain if it is selected, else the one below the eye. Raises TerrainError."""
-    terrain = active_terrain(context)
-    if terrain is not None:
-        return terrain, world_ground.ground_of(terrain, depsgraph)
-    found = world_ground.grounds_of(context.scene, depsgraph)
-    [which] = world_ground.below(found, point).which
-    if which < 0:
-        raise TerrainError(f"There is no terrain below {eye.name!r}: select the terrain that is to be looked at.")
-    terrains = {obj.session_uid: obj for obj in session.terrains_of(context.scene)}
-    return terrains[found[which].uid], found[which]
-
-
-def _own(items, terrain):
-    """Of images or node groups the one that was made for a terrain. Its name does not tell: Blender cuts long ones."""
+def _find_marked(items, terrain):
+    """Return the image or node group of a terrain, by its mark, since Blender cuts long names."""
     return next((item for item in items if item.get(MARK) == terrain.name and not item.library), None)
 
 
 def _image(terrain, seen: np.ndarray):
-    """White where `seen`, bool [rows, columns], row 0 south: a pixel a sample, or every so manieth."""
-    step = -(-max(seen.shape) // MOST_PIXELS)
+    """Return an image that is white where `seen` (bool [rows, columns], row 0 south), with a pixel per n-th sample."""
+    step = -(-max(seen.shape) // MAX_PIXELS)
     seen = seen[::step, ::step]
     rows, columns = seen.shape
-    image = _own(bpy.data.images, terrain)
+    image = _find_marked(bpy.data.images, terrain)
     if image is None or tuple(image.size) != (columns, rows):
         if image is not None:
             bpy.data.images.remove(image)
@@ -103,20 +85,20 @@ def _image(terrain, seen: np.ndarray):
     pixels[..., :3] = seen[..., None]
     image.pixels.foreach_set(pixels.ravel())
     image.update()
-    image.pack()  # or it would be gone with the session
+    image.pack()  # keeps it in the .blend file
     image.update_tag()
     return image
 
 
 def _add_modifier(terrain, image) -> None:
-    """Geometry nodes that store the image's value at each vertex. A mesh that is made anew runs through them again."""
+    """Add geometry nodes that store the image's value at each vertex of every new mesh."""
     modifier = terrain.modifiers.get(NAME) or terrain.modifiers.new(NAME, "NODES")
-    group = _own(bpy.data.node_groups, terrain) or _group(f"{terrain.name} {NAME}")
+    group = _find_marked(bpy.data.node_groups, terrain) or _group(f"{terrain.name} {NAME}")
     group[MARK] = terrain.name
     modifier.node_group = group
     node = next(node for node in group.nodes if node.bl_idname == "GeometryNodeImageTexture")
     node.inputs["Image"].default_value = image
-    # The first and the last sample lie on the rim, where UV is 0 and 1; pixels lie half a pixel inside.
+    # UV is 0 and 1 at the first and the last sample, but pixels have their centres half a pixel inside.
     size = np.array([*image.size, 1.0])
     scale = next(node for node in group.nodes if node.bl_idname == "ShaderNodeVectorMath")
     scale.inputs[1].default_value = (size - [1.0, 1.0, 0.0]) / size

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A scene's terrains as ground in the world, however they stand in it: what is below a place, what a ray hits first.
+"""A scene's terrains as ground in the world, under any transform: heights below positions and hits of rays.
 
-Heights are those of the height field at full resolution, not of the mesh that a camera has asked for.
+Heights are those of the height field at full resolution, not of a camera's mesh.
 """
 
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ from ..request.overrides import Overrides
 from ..request.request import RENDER, VIEWPORT, gather
 from ..scene import session
 
-ANY = Criterion(error_px=0.0, error_m=1.0)  # the triangles do not matter, and no camera is asked for
-HEADROOM = 0.01  # of the height of a terrain's box: rays down begin so far above it
+ANY = Criterion(error_px=0.0, error_m=1.0)  # needs no camera; the triangles do not matter
+HEADROOM = 0.01  # fraction of a terrain's height: rays down start this far above it
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
-    """One terrain. `placement` float64 [4, 4]: its space to the world; heights become `height * scale + offset`."""
+class WorldGround:
+    """One terrain in the world. `placement` (float64 [4, 4]) maps points with heights `height * scale + offset`."""
 
     uid: int
     field: HeightField
@@ -40,19 +40,19 @@ class Ground:
         return {"vertical_scale": self.scale, "vertical_offset": self.offset}
 
     def key(self) -> tuple:
-        """Equal for equal ground."""
+        """Return a key of the ground."""
         return self.uid, self.field.key, self.placement.tobytes(), self.scale, self.offset
 
-    def to_own(self, points: np.ndarray) -> np.ndarray:
-        """Points of the world, float64 [n, 3], in the terrain's space."""
-        return _moved(inverse(self.placement), points)
+    def to_local(self, points: np.ndarray) -> np.ndarray:
+        """Transform points of the world, float64 [n, 3], to the terrain's space."""
+        return _transform_points(inverse(self.placement), points)
 
     def to_world(self, points: np.ndarray) -> np.ndarray:
-        """Points of the terrain's space, float64 [n, 3], in the world."""
-        return _moved(self.placement, points)
+        """Transform points of the terrain's space, float64 [n, 3], to the world."""
+        return _transform_points(self.placement, points)
 
     def top(self) -> float:
-        """A height of the world that nothing of it reaches."""
+        """Return a height of the world above all of the terrain."""
         west, south, east, north = self.field.lattice.rectangle()
         heights = [h * self.scale + self.offset for h in (self.field.min_height, self.field.max_height)]
         corners = np.array([(x, y, z) for x in (west, east) for y in (south, north) for z in heights])
@@ -60,32 +60,35 @@ class Ground:
         return float(z.max() + HEADROOM * np.ptp(z) + 1.0)
 
     def hits(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """float64 [n, 3] of the world: where rays of the world first meet it; NaN where they do not."""
+        """Return the first hits of rays of the world, float64 [n, 3]; NaN for rays that miss."""
         back = inverse(self.placement)
-        turned = _turned(back[:3, :3], directions)
-        return self.to_world(pick(self.field, _moved(back, origins), turned, **self.heights).points)
+        along = _transform_vectors(back[:3, :3], directions)
+        return self.to_world(pick(self.field, _transform_points(back, origins), along, **self.heights).points)
 
     def normals(self, points: np.ndarray) -> np.ndarray:
-        """float64 [n, 3] of the world, of length 1 and upward, at points of the world on its surface."""
-        own = ground_at(self.field, self.to_own(points)[:, :2], **self.heights).normals
-        normals = _turned(inverse(self.placement)[:3, :3].T, own)
+        """Return upward unit normals in the world, float64 [n, 3], at points of the world on the surface."""
+        local = ground_at(self.field, self.to_local(points)[:, :2], **self.heights).normals
+        normals = _transform_vectors(inverse(self.placement)[:3, :3].T, local)
         normals = normals / np.sqrt((normals * normals).sum(axis=1))[:, None]
         return np.where(normals[:, 2:] < 0.0, -normals, normals)
 
 
 class Below(NamedTuple):
-    """Of n places: `heights` float64 [n], of the world; NaN without ground. `which`: int [n], numbers of the grounds,
-    -1 without."""
+    """Ground below n positions: `heights` in the world, float64 [n], NaN without; `which` ground, int [n], or -1."""
 
     heights: np.ndarray
     which: np.ndarray
 
 
-def grounds_of(scene, depsgraph, mode: str = VIEWPORT, waits: bool = True) -> list[Ground]:
-    """The scene's terrains that renders show, as `depsgraph` has them. A hidden one counts: it is still there.
+def grounds_of(scene, depsgraph, mode: str = VIEWPORT, waits: bool = True) -> list[WorldGround]:
+    """Return the scene's rendered terrains, as `depsgraph` has them, including those hidden in viewports.
 
-    `waits`: make what is not there yet, such as shaped land; else those are left out of which no mesh has been made,
-    and the others are what their meshes show. Raises TerrainError.
+    Args:
+        waits: compute missing data such as shaped land. Otherwise use the fields of the current meshes, and leave out
+            terrains without a mesh.
+
+    Raises:
+        TerrainError: a terrain cannot be computed.
     """
     found = []
     for obj in session.terrains_of(scene):
@@ -97,33 +100,33 @@ def grounds_of(scene, depsgraph, mode: str = VIEWPORT, waits: bool = True) -> li
     return found
 
 
-def is_made_for_views(scene) -> bool:
-    """Whether renders make some of the scene's land fine only where they look, so that cameras have a say in it."""
+def depends_on_views(scene) -> bool:
+    """Return whether renders shape some of the scene's land only in view of the camera."""
     return any(obj.adaptive_terrain.land.where == SEEN for obj in session.terrains_of(scene))
 
 
-def ground_of(obj, depsgraph, mode: str = VIEWPORT) -> Ground:
-    """A terrain as ground, made if it has to be. Raises TerrainError."""
-    asked = None if mode == RENDER and obj.adaptive_terrain.land.where == SEEN else ANY
-    request = gather(obj, depsgraph, mode, criterion=asked, overrides=Overrides(effects=()))
+def ground_of(obj, depsgraph, mode: str = VIEWPORT) -> WorldGround:
+    """Return a terrain as ground, computed if necessary. Raises TerrainError."""
+    criterion = None if mode == RENDER and obj.adaptive_terrain.land.where == SEEN else ANY
+    request = gather(obj, depsgraph, mode, criterion=criterion, overrides=Overrides(effects=()))
     with session.engine_lock:
         field = session.field_of(request)
-    return Ground(obj.session_uid, field, request.placement, request.vertical_scale, request.vertical_offset)
+    return WorldGround(obj.session_uid, field, request.placement, request.vertical_scale, request.vertical_offset)
 
 
-def _as_shown(obj, depsgraph) -> Ground | None:
-    """A terrain as its mesh was made last, but where and as high as it stands now."""
+def _as_shown(obj, depsgraph) -> WorldGround | None:
+    """Return a terrain with the field of its current mesh and its current transform, None without a mesh."""
     field = session.record_of(obj).field
     if field is None:
         return None
     request = gather(obj, depsgraph, criterion=ANY, overrides=Overrides(effects=()))
-    return Ground(obj.session_uid, field, request.placement, request.vertical_scale, request.vertical_offset)
+    return WorldGround(obj.session_uid, field, request.placement, request.vertical_scale, request.vertical_offset)
 
 
-def below(grounds: Sequence[Ground], places: np.ndarray) -> Below:
-    """The highest ground on vertical lines of the world through places, float64 [n, 2] metres or [n, 3].
+def below(grounds: Sequence[WorldGround], places: np.ndarray) -> Below:
+    """Return the highest ground on vertical lines of the world through positions, float64 [n, 2] or [n, 3] metres.
 
-    It does not depend on how high something is there now, so it is the same after any number of drops.
+    The heights of the positions do not matter, so repeated drops give the same result.
     """
     places = np.asarray(places, np.float64)[:, :2]
     heights, which = np.full(len(places), np.nan), np.full(len(places), -1)
@@ -135,25 +138,25 @@ def below(grounds: Sequence[Ground], places: np.ndarray) -> Below:
     return Below(heights, which)
 
 
-def normals(grounds: Sequence[Ground], places: np.ndarray, found: Below) -> np.ndarray:
-    """float64 [n, 3], of length 1: of the ground that `below` has found at places [n, 2 or 3]; upward without any."""
+def normals(grounds: Sequence[WorldGround], places: np.ndarray, found: Below) -> np.ndarray:
+    """Return unit normals, float64 [n, 3], of the ground that `below` found at positions; (0, 0, 1) without ground."""
     points = np.c_[np.asarray(places, np.float64)[:, :2], found.heights]
     result = np.tile([0.0, 0.0, 1.0], (len(points), 1))
     for number, ground in enumerate(grounds):
         chosen = found.which == number
         if chosen.any():
-            own = ground.normals(points[chosen])
-            result[chosen] = np.where(np.isfinite(own), own, [0.0, 0.0, 1.0])
+            known = ground.normals(points[chosen])
+            result[chosen] = np.where(np.isfinite(known), known, [0.0, 0.0, 1.0])
     return result
 
 
-def first_hit(grounds: Sequence[Ground], origin, direction) -> tuple[np.ndarray, int] | None:
-    """Where a ray of the world first meets ground, float64 [3], and the number of that; None where it does not."""
+def first_hit(grounds: Sequence[WorldGround], origin, direction) -> tuple[np.ndarray, int] | None:
+    """Return a ray's first hit in the world, float64 [3], and the number of its ground, or None."""
     origin, direction = (np.asarray(v, np.float64).reshape(1, 3) for v in (origin, direction))
     if not (np.isfinite(origin).all() and np.isfinite(direction).all() and direction.any()):
         raise TerrainError(
-            f"A ray from {origin[0].tolist()} along {direction[0].tolist()} leads nowhere; expected finite numbers and "
-            "a direction that is not 0."
+            f"A ray from {origin[0].tolist()} along {direction[0].tolist()} leads nowhere",
+            expected="finite numbers and a direction that is not 0",
         )
     nearest = None
     for number, ground in enumerate(grounds):
@@ -164,11 +167,11 @@ def first_hit(grounds: Sequence[Ground], origin, direction) -> tuple[np.ndarray,
     return nearest and nearest[1:]
 
 
-def _moved(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points [n, 3] by a matrix [4, 4]."""
-    return _turned(matrix[:3, :3], points) + matrix[:3, 3]
+def _transform_points(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Transform points [n, 3] by a matrix [4, 4]."""
+    return _transform_vectors(matrix[:3, :3], points) + matrix[:3, 3]
 
 
-def _turned(matrix: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Vectors [n, 3] by a matrix [3, 3]."""
+def _transform_vectors(matrix: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Transform vectors [n, 3] by a matrix [3, 3]."""
     return product(vectors, matrix.T)

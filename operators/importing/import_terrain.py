@@ -124,7 +124,7 @@ class _Import(JobOperator):
             self.report({"WARNING"}, str(error))
             return
         if done:
-            self.report({"INFO"}, frame_terrain.said(done))
+            self.report({"INFO"}, frame_terrain.to_sentence(done))
 
     def _update(self, obj, report: dict) -> None:
         """Report about an import, and show its heights."""

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Into Blender's meshes."""
+"""Writing into Blender's meshes."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a user has cut away from a terrain's mesh: what is below a height, what is outside of another object."""
+"""The clean-up of a terrain's mesh: cut away everything below a height or outside of another object."""
 
 from dataclasses import dataclass
 
@@ -14,8 +14,13 @@ from ...cbt_terrain.run import launch
 
 @dataclass(frozen=True)
 class Cleanup:
-    """`below`: what is below this height goes (metres, the terrain's space), None for nothing. `boundary`: what is not
-    above or below one of these triangles goes: float64 [n, 3, 2], x and y in the terrain's space, None for nothing."""
+    """The parts of a mesh to cut away.
+
+    Attributes:
+        below: remove ground below this height (metres, the terrain's space), None for none.
+        boundary: remove ground outside of these triangles in plan (float64 [n, 3, 2], the terrain's space), None for
+            none.
+    """
 
     below: float | None = None
     boundary: np.ndarray | None = None
@@ -29,7 +34,7 @@ class Cleanup:
 
 
 def clean_up(surface: Surface, cleanup: Cleanup) -> Surface:
-    """What `cleanup` leaves of a surface: in new arrays, or the surface itself where nothing is cut away."""
+    """Return the rest of a surface in new arrays, or the surface itself if nothing is cut away."""
     threads = launch.default_threads()
     if cleanup.below is not None:
         surface, _ = cut(surface, [above(2, cleanup.below)], threads=threads)
@@ -40,13 +45,17 @@ def clean_up(surface: Surface, cleanup: Cleanup) -> Surface:
 
 
 def plan_triangles(obj, matrix, terrain_from_world, what: str) -> np.ndarray:
-    """float64 [n, 3, 2]: the triangles of the evaluated mesh object `obj` in plan, in the terrain's space.
+    """Return the triangles of an evaluated mesh object in plan, float64 [n, 3, 2] in the terrain's space.
 
-    matrix: from its space to the world. Raises TerrainError for another object, as a script may choose one, and where
-    one is not finite, that names `what` it is.
+    Args:
+        matrix: from the object's space to the world.
+        what: name of the object's role for errors.
+
+    Raises:
+        TerrainError: the object is no mesh or has coordinates that are not finite.
     """
     if obj.type != "MESH":
-        raise TerrainError(f"The {what} {obj.name!r} is of type {obj.type}; expected a mesh object.")
+        raise TerrainError(f"The {what} {obj.name!r} is of type {obj.type}", expected="a mesh object")
     mesh = obj.data
     mesh.calc_loop_triangles()
     vertices = np.empty(3 * len(mesh.vertices), np.float32)
@@ -57,13 +66,13 @@ def plan_triangles(obj, matrix, terrain_from_world, what: str) -> np.ndarray:
     triangles = placed[indices].reshape(-1, 3, 3)[:, :, :2]
     if not np.isfinite(triangles).all():
         raise TerrainError(
-            f"The {what} {obj.name!r} has a vertex or a matrix that is not finite; check its mesh and parents."
+            f"The {what} {obj.name!r} has a vertex or a matrix that is not finite", fix="check its mesh and parents"
         )
     return triangles
 
 
 def _moved(points: np.ndarray, matrix) -> np.ndarray:
-    """Points float [n, 3] by a 4 x 4 matrix, term by term: BLAS rounds differently on other processors."""
+    """Transform points [n, 3] by a 4 x 4 matrix term by term, since BLAS rounds differently on other processors."""
     matrix = np.array(matrix, np.float64)
     x, y, z = points[:, None].transpose(2, 0, 1)
     return x * matrix[:3, 0] + y * matrix[:3, 1] + z * matrix[:3, 2] + matrix[:3, 3]

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Memory of freed meshes, held by the process while meshes are written one after the other.
+"""Keep the memory of freed meshes in the process while new meshes are written.
 
-Blender frees a mesh's arrays and allocates the next one's, 80 MB for a million triangles. Its allocator gives what is
-freed back to the system, which then has to clear and to map every page anew: writing a mesh takes 38 ms with glibc and
-48 ms with jemalloc (what Blender's programs use on Linux before 5.1) where it takes 18 ms and 20 ms in pages that were
-held. So both are told to hold what is freed, until soon after the last mesh or until a render begins. TBB's allocator,
-which the programs have since 5.1, holds it by itself.
+Blender frees a mesh's arrays and allocates those of the next one, 80 MB for a million triangles. Its allocator returns
+freed memory to the system, which then clears and maps every page again. Writing a mesh takes 38 ms with glibc and 48 ms
+with jemalloc (in Blender's Linux programs before 5.1), but 18 ms and 20 ms in retained pages. So both allocators retain
+freed memory until shortly after the last mesh or until a render starts. TBB's allocator, in programs since 5.1, does so
+by default.
 """
 
 import ctypes
@@ -16,24 +16,25 @@ from functools import cache
 
 import bpy
 
-# Fewer triangles have less than 2,000 pages, a microsecond each.
-LARGE = 100_000
+LARGE = 100_000  # triangles; fewer need less than 2,000 pages of a microsecond each
 IDLE_S = 5.0  # after the last mesh
 
-# <malloc.h> of glibc. Its own thresholds grow to 32 MB and twice that; older ones take none that is larger.
+# <malloc.h> of glibc, whose default thresholds grow to 32 MB and 64 MB; older versions accept no larger ones.
 _TRIM, _MMAP = -1, -3
 _HELD, _MMAP_LIMIT, _TRIM_LIMIT = 1 << 30, 32 << 20, 64 << 20
 _FOREVER_MS = -1
 
-_lock = threading.Lock()  # a render gives back on a thread of its own
-_decays: dict[bytes, int] = {}  # milliseconds that jemalloc's arenas had, while they hold
+_lock = threading.Lock()  # a render calls `give_back` on another thread
+_decays: dict[bytes, int] = {}  # original decay times of jemalloc's arenas in milliseconds, while they hold memory
 _glibc_holds = False
 _last = 0.0
 
 
 def hold() -> None:
-    """Hold freed memory until `IDLE_S` after the last call; in Blender without a window, which has no timers, to its
-    end. For the main thread."""
+    """Hold freed memory until `IDLE_S` after the last call, or to the end in the background, which has no timers.
+
+    Call it on the main thread.
+    """
     global _last
     _last = time.monotonic()
     with _lock:
@@ -43,7 +44,7 @@ def hold() -> None:
 
 
 def give_back() -> None:
-    """Give back what is held. jemalloc then does as before; glibc keeps the thresholds that its own grow to."""
+    """Return held memory. jemalloc gets its old settings, glibc the largest thresholds that it would choose itself."""
     with _lock:
         for name, decay_ms in _decays.items():
             _set_decay(name, decay_ms)
@@ -52,7 +53,7 @@ def give_back() -> None:
 
 
 def _tick() -> float | None:
-    """A timer: seconds until it is to be called again, None for never."""
+    """Give back idle memory; return the seconds until the next call, or None to stop the timer."""
     left = _last + IDLE_S - time.monotonic()
     if left <= 0:
         give_back()
@@ -67,12 +68,12 @@ def unregister() -> None:
 
 @cache
 def _function(name: str):
-    """A function of this process's C libraries; None where there is none, and on other systems than Linux."""
+    """Return a function of this process's C libraries, None if there is none or the system is not Linux."""
     return getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None
 
 
 def _hold_jemalloc() -> bool:
-    """Have every arena keep its dirty pages, also those that were made since the last call; False without jemalloc."""
+    """Make every arena, also new ones, keep its dirty pages; return False without jemalloc."""
     control, arenas = _function("mallctl"), ctypes.c_uint()
     size = ctypes.c_size_t(ctypes.sizeof(arenas))
     if control is None or control(b"arenas.narenas", ctypes.byref(arenas), ctypes.byref(size), None, ctypes.c_size_t()):
@@ -86,7 +87,7 @@ def _hold_jemalloc() -> bool:
 
 
 def _set_decay(name: bytes, decay_ms: int) -> int | None:
-    """Set a decay time of jemalloc; returns what it was, None for an arena that no thread has used yet."""
+    """Set a decay time of jemalloc; return the old one, or None for an arena that no thread has used."""
     was, now = ctypes.c_ssize_t(), ctypes.c_ssize_t(decay_ms)
     size = ctypes.c_size_t(ctypes.sizeof(now))
     refused = _function("mallctl")(name, ctypes.byref(was), ctypes.byref(size), ctypes.byref(now), size)
@@ -94,7 +95,7 @@ def _set_decay(name: bytes, decay_ms: int) -> int | None:
 
 
 def _hold_glibc() -> bool:
-    """Have all that is freed stay in the heap; False without glibc."""
+    """Keep all freed memory in the heap; return False without glibc."""
     global _glibc_holds
     option = _function("mallopt")
     if option is None or _function("malloc_trim") is None:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender's own mesh arrays, to be written in place where a probe has shown that they lie where they seem to.
+"""Blender's mesh arrays, written in place after a probe has confirmed their memory layout.
 
-Why, for a million triangles: `attribute.data.foreach_set` is a memcpy where the dtype is the same (0.7 - 1.5 ms for
-each of `position`, `.edge_verts`, `.corner_vert`, `.corner_edge`), and nothing here would beat it. But
-`polygons.foreach_set("loop_start")` calls a function for each face (57 ms; in place 0.8 ms), and texture coordinates
-must be gathered for the corners (13 ms by numpy, then 3 ms to copy; in place 5 ms beside the other copies).
+For a million triangles, `attribute.data.foreach_set` with equal dtypes is a memcpy (0.7 to 1.5 ms for each of
+`position`, `.edge_verts`, `.corner_vert`, `.corner_edge`), which cannot be improved. But
+`polygons.foreach_set("loop_start")` calls a function per face (57 ms; in place 0.8 ms), and texture coordinates must be
+gathered for the corners (13 ms in numpy plus 3 ms to copy; in place 5 ms, parallel to the other copies).
 """
 
 from functools import cache
@@ -13,29 +13,28 @@ import bpy
 import numpy as np
 import warp as wp
 
-# Two triangles; corner coordinates that are exact and all different.
+# Two triangles with different, exact corner coordinates.
 TRIANGLES = [(0, 1, 2), (0, 2, 3)]
 OFFSETS = np.array([0, 3], np.int32)
 CORNERS = np.arange(12, dtype=np.float32).reshape(6, 2) / 16
 
 
 def face_offsets(mesh) -> wp.array | None:
-    """int32 [faces] of `mesh`, whose corners and faces have just been added; None where it must be left to
-    `foreach_set`."""
+    """Return the face offsets, int32 [faces], of a mesh with new corners and faces; None to use `foreach_set`."""
     return _array(mesh.polygons, wp.int32) if writable_in_place() else None
 
 
 def vectors_2d(data) -> wp.array | None:
-    """vec2f [items] of a float2 attribute that has just been made; None where it must be left to `foreach_set`."""
+    """Return the memory, vec2f [items], of a new float2 attribute; None to use `foreach_set`."""
     return _array(data, wp.vec2f) if writable_in_place() else None
 
 
 @cache
 def writable_in_place() -> bool:
-    """Whether this Blender's meshes can be written in place; found out once, on a mesh of two triangles.
+    """Return whether this Blender's meshes can be written in place, by one test on a mesh of two triangles.
 
-    Each step is safe if the one before it has held: memory is read only between the addresses that Blender gave for its
-    own items, and written only after it was read back as what `foreach_set` had put there.
+    Each step is safe if the step before has passed: the probe reads only between the addresses that Blender gave for
+    its items, and writes only where it has read the values of `foreach_set`.
     """
     mesh = bpy.data.meshes.new(".adaptive_terrain_probe")
     try:
@@ -66,8 +65,7 @@ def writable_in_place() -> bool:
 
 
 def _array(items, dtype) -> wp.array | None:
-    """A Warp array over the memory of a Blender collection, if its first and its last item are as far apart as in an
-    array without gaps."""
+    """Return a Warp array over the memory of a Blender collection whose items have no gaps, else None."""
     count = len(items)
     if not count:
         return None

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Points of a scatter into a Blender mesh of vertices alone, with the attributes that geometry nodes read."""
+"""Write points of a scatter into a Blender mesh of vertices with the attributes that geometry nodes read."""
 
 import numpy as np
 
-from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.scatter.points import Points
+from .writer import add_attribute, check_writable
 
-# Attribute, Blender's type, the member of its items, and the array for it. Blender's ids are 31 bits.
+# Attribute, Blender's type, the member of its items, and its array. Blender's ids have 31 bits.
 ATTRIBUTES = (
     ("normal", "FLOAT_VECTOR", "vector", lambda points: points.normals),
     ("rotation", "QUATERNION", "value", lambda points: points.rotation),
@@ -17,16 +17,12 @@ ATTRIBUTES = (
 
 
 def write_points(mesh, points: Points) -> None:
-    """Replace all of `mesh` by points. Raises TerrainError where it cannot be written."""
-    if mesh.is_editmode or mesh.shape_keys is not None:
-        raise TerrainError(
-            f"The mesh {mesh.name!r} of a scatter is in edit mode or has shape keys; leave that, or remove them."
-        )
+    """Replace all of `mesh` by points. Raises TerrainError if it cannot be written."""
+    check_writable(mesh)
     mesh.clear_geometry()
     mesh.vertices.add(len(points))
-    for name, kind, _, _ in ATTRIBUTES:  # all before one is written: Blender may move what it has
-        if mesh.attributes.new(name, kind, "POINT").name != name:
-            raise TerrainError(f"Blender has no room for an attribute of the name {name!r}: give it another name.")
+    for name, kind, _, _ in ATTRIBUTES:  # add all before writing: Blender may move existing ones
+        add_attribute(mesh, name, kind, "POINT")
     mesh.attributes["position"].data.foreach_set("vector", points.positions.ravel())
     for name, _, member, array in ATTRIBUTES:
         mesh.attributes[name].data.foreach_set(member, array(points).ravel())

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one writer: a Surface's arrays into a Blender mesh, in place.
+"""Write a Surface's arrays into a Blender mesh, in place.
 
-Every array goes in as it is, in Blender's own dtypes. The edges come with it, so Blender computes none, and
-`mesh.validate()` finds nothing to change. Materials and the mesh's other settings are the user's and stay.
+Every array has Blender's dtype. The surface includes edges, so Blender computes none, and `mesh.validate()` changes
+nothing. Materials and other settings of the mesh stay.
 """
 
 import numpy as np
@@ -17,43 +17,49 @@ from ...kernels.mesh import ingest
 from . import memory as mesh_memory
 
 UV_LAYER = "UVMap"
-COLOUR_ATTRIBUTE = "terrain_overlay"  # of the corners; where a surface has it, Solid shading and materials show it
+COLOUR_ATTRIBUTE = "terrain_overlay"  # corner colours that Solid shading and materials show
 NORMAL_ATTRIBUTE = "custom_normal"  # a free normal per vertex, since Blender 4.5
 
 
 def write_mesh(mesh, surface: Surface, *, smooth: bool = True) -> None:
     """Replace the geometry and the attributes of `mesh` by those of `surface`.
 
-    Its `uv` become the UV map, its `normals` the custom normals; all others keep their names. Raises TerrainError where
-    the mesh cannot be written (edit mode, shape keys).
+    Its `uv` become the UV map, its `normals` the custom normals, and all others keep their names. Raises TerrainError
+    if the mesh cannot be written (edit mode, shape keys).
     """
-    _check_writable(mesh)
+    check_writable(mesh)
     _write_geometry(mesh, surface)
     _write_shading(mesh, surface.normals, smooth)
     _show_colours(mesh)
     mesh.update()
 
 
-def _check_writable(mesh) -> None:
+def check_writable(mesh) -> None:
+    """Raise TerrainError for a mesh in edit mode or with shape keys."""
     if mesh.is_editmode:
-        raise TerrainError(f"The mesh {mesh.name!r} is in edit mode; leave edit mode to update the terrain.")
+        raise TerrainError(f"The mesh {mesh.name!r} is in edit mode", fix="leave edit mode to update it")
     if mesh.shape_keys is not None:
-        raise TerrainError(f"The mesh {mesh.name!r} has shape keys, which need a fixed topology; remove them.")
+        raise TerrainError(f"The mesh {mesh.name!r} has shape keys, which need a fixed topology", fix="remove them")
+
+
+def add_attribute(mesh, name: str, kind: str, domain: str) -> None:
+    """Add an attribute. Raises TerrainError if Blender gives it another name."""
+    if mesh.attributes.new(name, kind, domain).name != name:
+        raise TerrainError(f"Blender cannot add an attribute with the name {name!r}", fix="give it another name")
 
 
 def _write_geometry(mesh, surface: Surface) -> None:
-    """Everything but the shading."""
+    """Write everything but the shading."""
     triangles = len(surface.triangles)
     named = {name: item for name, item in surface.attributes.items() if name not in (NORMALS, UV)}
     mesh.clear_geometry()
     mesh.vertices.add(len(surface.positions))
     mesh.edges.add(len(surface.edges))
-    mesh.loops.add(3 * triangles)  # before the polygons, which take their last offset from it
+    mesh.loops.add(3 * triangles)  # before the polygons, which derive their last offset from it
     mesh.polygons.add(triangles)
     mesh.uv_layers.new(name=UV_LAYER, do_init=False)
-    for name, attribute in named.items():  # all before one is written: Blender may move what it has
-        if mesh.attributes.new(name, TYPES[attribute.kind][0], attribute.domain).name != name:
-            raise TerrainError(f"Blender has no room for an attribute of the name {name!r}: give it another name.")
+    for name, attribute in named.items():  # add all before writing: Blender may move existing ones
+        add_attribute(mesh, name, TYPES[attribute.kind][0], attribute.domain)
     if not triangles:
         mesh.attributes["position"].data.foreach_set("vector", surface.positions.ravel())
         return
@@ -74,8 +80,8 @@ def _write_geometry(mesh, surface: Surface) -> None:
         inputs = [shared(surface.uv, wp.vec2f), shared(surface.corner_verts, wp.int32), corner_uv]
         launch.spread(ingest.corner_uv, 3 * triangles, inputs, step="mesh", threads=max(1, threads - 1))
 
-    # A million triangles: 19 ms one after the other, 14.5 ms side by side. Only `copy` touches Blender's data, and it
-    # starts with a kernel, which lets go of Python for `gather` to begin.
+    # A million triangles take 19 ms in sequence and 14.5 ms in parallel. Only `copy` accesses Blender's data. It starts
+    # with a kernel, which releases the GIL so that `gather` can start.
     threads = launch.default_threads()
     if threads > 1 and triangles >= launch.SLICE_ITEMS:
         launch.together([copy, gather])
@@ -87,30 +93,30 @@ def _write_geometry(mesh, surface: Surface) -> None:
 
 
 def _write_offsets(mesh, triangles: int, offsets) -> None:
-    """Every face begins three corners after the one before."""
+    """Write the offsets of the faces, three corners apart."""
     if offsets is None:
         mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * triangles, 3, dtype=np.int32))
     else:
         launch.spread(ingest.face_offsets, triangles, [offsets], step="mesh")
 
 
-def _copy_arrays(own, surface: Surface) -> None:
-    """Points and topology, which Blender keeps as attributes of its own."""
-    own["position"].data.foreach_set("vector", surface.positions.ravel())
-    own[".edge_verts"].data.foreach_set("value", surface.edges.ravel())
-    own[".corner_vert"].data.foreach_set("value", surface.corner_verts)
-    own[".corner_edge"].data.foreach_set("value", surface.corner_edges)
+def _copy_arrays(attributes, surface: Surface) -> None:
+    """Copy points and topology into Blender's built-in attributes."""
+    attributes["position"].data.foreach_set("vector", surface.positions.ravel())
+    attributes[".edge_verts"].data.foreach_set("value", surface.edges.ravel())
+    attributes[".corner_vert"].data.foreach_set("value", surface.corner_verts)
+    attributes[".corner_edge"].data.foreach_set("value", surface.corner_edges)
 
 
 def _show_colours(mesh) -> None:
-    """Make the overlay, where there is one, what Solid shading and materials show as the mesh's colour."""
+    """Make the overlay, if there is one, the active colour of the mesh."""
     index = mesh.color_attributes.find(COLOUR_ATTRIBUTE)
     if index >= 0:
         mesh.color_attributes.active_color_index = mesh.color_attributes.render_color_index = index
 
 
 def _write_shading(mesh, normals: np.ndarray, smooth: bool) -> None:
-    """Smooth with the given normals (float32 [V, 3]), or flat without any."""
+    """Set smooth shading with the given normals (float32 [V, 3]), or flat shading."""
     sharp = mesh.attributes.get("sharp_face")
     if smooth and sharp is not None:
         mesh.attributes.remove(sharp)
@@ -121,8 +127,8 @@ def _write_shading(mesh, normals: np.ndarray, smooth: bool) -> None:
         return
     normal = mesh.attributes.new(NORMAL_ATTRIBUTE, "FLOAT_VECTOR", "POINT")
     normal.data.foreach_set("vector", np.ascontiguousarray(normals, np.float32).ravel())
-    if not mesh.has_custom_normals:  # this Blender only knows normals encoded per corner
+    if not mesh.has_custom_normals:  # Blender before 4.5 only has normals encoded per corner
         mesh.attributes.remove(normal)
         mesh.update()
-        # As a list: of an array Blender takes each number by a call (a million triangles: 0.65 s; so 0.58 s).
+        # a list takes 0.58 s per million triangles; Blender reads an array by a call per number, in 0.65 s
         mesh.normals_split_custom_set_from_vertices(normals.tolist())

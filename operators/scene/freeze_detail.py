@@ -3,9 +3,8 @@
 
 import bpy
 
-from ...cbt_terrain.errors import TerrainError
 from . import session
-from .polls import on_terrain_object
+from .polls import cancelled_by_errors, on_terrain_object
 
 
 class FreezeDetail(bpy.types.Operator):
@@ -20,13 +19,10 @@ class FreezeDetail(bpy.types.Operator):
     def poll(cls, context):
         return on_terrain_object(cls, context)
 
+    @cancelled_by_errors
     def execute(self, context):
         settings = context.object.adaptive_terrain
-        try:
-            settings.frozen = "" if settings.frozen else session.frozen_now(context.object)
-        except TerrainError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        settings.frozen = "" if settings.frozen else session.freeze(context.object)
         self.report({"INFO"}, "The mesh keeps its triangles" if settings.frozen else "The mesh follows its camera")
         return {"FINISHED"}
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which triangles a frozen terrain keeps, as text that a property holds: the meshlet level and the saved tree."""
+"""The triangles of a frozen terrain as the text of a property: the meshlet level and the saved tree."""
 
 import base64
 import zlib
@@ -7,19 +7,19 @@ from functools import lru_cache
 
 from ...cbt_terrain.errors import TerrainError
 
-MOST_LEAVES = 1 << 26  # of a mesh; a byte each, and a few more
+MAX_LEAVES = 1 << 26  # of a mesh, at about a byte each
 
 
 def to_text(tree: bytes, meshlet: int) -> str:
-    """About a third of a byte for each leaf of a saved tree."""
+    """Encode a saved tree in about a third of a byte per leaf."""
     return f"{meshlet} {base64.b64encode(zlib.compress(tree)).decode()}"
 
 
 @lru_cache(maxsize=4)  # the same at every update
 def from_text(text: str) -> tuple[bytes, int]:
-    """The saved tree and the meshlet level. Raises TerrainError for what `to_text` has not written."""
+    """Decode the saved tree and the meshlet level. Raises TerrainError if `to_text` did not write the text."""
     try:
         meshlet, packed = text.split()
-        return zlib.decompressobj().decompress(base64.b64decode(packed, validate=True), 2 * MOST_LEAVES), int(meshlet)
+        return zlib.decompressobj().decompress(base64.b64decode(packed, validate=True), 2 * MAX_LEAVES), int(meshlet)
     except (ValueError, zlib.error):
-        raise TerrainError("What the terrain is frozen to is damaged: switch Freeze Detail off and on again.") from None
+        raise TerrainError("The frozen triangles are damaged", fix="switch Freeze Detail off and on again") from None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A while in which no handler of ours runs."""
+"""A context in which our handlers do not run."""
 
 from contextlib import contextmanager
 
@@ -8,8 +8,11 @@ _pauses = 0
 
 @contextmanager
 def paused():
-    """No handler of ours runs inside: an exporter may change the frame while it reads meshes that a handler would
-    write, and what goes through frames for itself updates each terrain itself. May be nested."""
+    """Keep our handlers from running; contexts may be nested.
+
+    An exporter may change the frame while it reads meshes that a handler would write, and code that steps through
+    frames updates terrains itself.
+    """
     global _pauses
     _pauses += 1
     try:

@@ -1,19 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether an operator can act on the active object, and why not."""
+"""Polls of operators that act on the active terrain, with the reason for the tooltip, and their errors."""
 
+import functools
+from collections.abc import Callable
+
+from ...cbt_terrain.errors import TerrainError
 from . import session
 
 LEFT_ALONE = (
-    "The terrain or its mesh is linked from a library, or overrides one, and is left alone: make it local "
+    "The terrain or its mesh is linked from a library, or overrides one, and cannot be changed: make it local "
     "(Object > Relations > Make Local)"
 )
 NOT_ACTIVE = "Make a terrain the active object"
-IN_A_MODE = "Leave the mode for Object Mode"
+IN_A_MODE = "Switch to Object Mode"
 
 
 def on_terrain(operator: type, context) -> bool:
-    """Whether the active object is a terrain that may be changed. The tooltip of a button says why not, and so does the
-    error of a script that calls it."""
+    """Return whether the active object is an editable terrain; the tooltip, or a script's error, gives the reason."""
     obj = context.object
     if obj is None or obj.type != "MESH" or not obj.adaptive_terrain.enabled:
         operator.poll_message_set(NOT_ACTIVE)
@@ -25,8 +28,22 @@ def on_terrain(operator: type, context) -> bool:
 
 
 def on_terrain_object(operator: type, context) -> bool:
-    """The same of one that acts in Object Mode only."""
+    """Return whether the active object is an editable terrain in Object Mode."""
     if not on_terrain(operator, context):
         return False
     operator.poll_message_set(IN_A_MODE)
     return context.mode == "OBJECT"
+
+
+def cancelled_by_errors(execute: Callable) -> Callable:
+    """Decorate an operator's `execute`: a TerrainError is reported and cancels the operator."""
+
+    @functools.wraps(execute)
+    def run(self, context):  # Blender counts the arguments
+        try:
+            return execute(self, context)
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+
+    return run

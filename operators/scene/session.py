@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a running Blender knows of its terrains: height fields, engines, and what each mesh shows.
+"""The state of terrains in a running Blender: height fields, engines, and the surface that each mesh shows.
 
-Nothing here holds a reference to Blender data, which undo and loading invalidate: records are found by the object's
-`session_uid`.
+Records hold no reference to Blender data, which undo and loading invalidate. Their key is the object's `session_uid`.
 """
 
 import dataclasses
@@ -41,10 +40,17 @@ from .overlay import Overlay, make_overlay
 
 @dataclasses.dataclass
 class Status:
-    """The last update as the panel shows it; `ms` is milliseconds a step, bounds are None where not asked for.
-    `left`: triangles that the clean-up has left. `request`: what was asked, of the height field with the key
-    `field_key`; None before the first update. `effects`: by name, what was made of each and why; `effects_bytes`: what
-    all of them hold, for the next update too."""
+    """The last update as the panel shows it.
+
+    Attributes:
+        request: the request, None before the first update.
+        field_key: key of the height field.
+        bound_px, bound_m, bound_edge_px, bound_area_px: None without that criterion.
+        left: triangles after the clean-up.
+        ms: milliseconds by step.
+        effects: status by name.
+        effects_bytes: memory of all effects, including their cache for the next update.
+    """
 
     mode: str = ""
     request: Request | None = None
@@ -68,22 +74,31 @@ class Status:
 
     @property
     def digest(self) -> str:
-        """Names the mesh and the views that it was made for."""
+        """Identify the mesh and its views."""
         return self.request.digest(self.field_key) if self.request else ""
 
 
-_OWN = ("mode", "request", "field_key", "left", "ms", "effects", "effects_bytes", "error")
-FIGURES = [item.name for item in dataclasses.fields(Status) if item.name not in _OWN]  # those of an Update
+_NOT_OF_UPDATE = ("mode", "request", "field_key", "left", "ms", "effects", "effects_bytes", "error")
+FIGURES = [item.name for item in dataclasses.fields(Status) if item.name not in _NOT_OF_UPDATE]  # copied from an Update
 
 
 @dataclasses.dataclass
 class Record:
-    """One terrain's engine. `serial` counts surfaces, `shown` tells which one the mesh holds and how it was written;
-    `generation` counts everything that makes an update that is under way stale. `overlay` is None while it is off;
-    `overlay_key` names what it was made of, in `overlay_ms`. `effects`: the attributes that effects have made, in
-    arrays of the terrain's history, which holds `effects_bytes`; `effects_serial` counts their values, `effects_made`
-    has the status of each, `effects_runs` how often each was computed.
-    `scatters`: by the session_uid of their objects. `time_correction`: from the updates of the live viewport."""
+    """One terrain's engine and its last results.
+
+    Attributes:
+        serial: number of the current surface.
+        shown: key of the surface in the mesh and of how it was written.
+        overlay: None while it is off; `overlay_key` identifies its inputs, `overlay_ms` its time.
+        effects: attributes in arrays of the terrain's history, which holds `effects_bytes`.
+        effects_serial: number of the current values.
+        effects_status: status by name.
+        effects_runs: how often each was computed.
+        live_key: key of the last live request.
+        time_correction: from updates of the live viewport.
+        scatters: by the session_uid of their objects.
+        generation: changes with everything that makes a running update stale.
+    """
 
     terrain: Terrain | None = None
     field: object = None
@@ -94,7 +109,7 @@ class Record:
     overlay_ms: float = 0.0
     effects: dict[str, Attribute] = dataclasses.field(default_factory=dict)
     effects_serial: int = 0
-    effects_made: dict[str, EffectStatus] = dataclasses.field(default_factory=dict)
+    effects_status: dict[str, EffectStatus] = dataclasses.field(default_factory=dict)
     effects_bytes: int = 0
     effects_runs: Counter = dataclasses.field(default_factory=Counter)
     live_key: tuple | None = None
@@ -104,23 +119,25 @@ class Record:
     status: Status = dataclasses.field(default_factory=Status)
 
 
-# Two updates side by side would share the same cores, and values of effects are valid until the next update: hold the
-# lock around an update and copy what is needed longer.
+# Hold the lock during an update: two would share the same cores. Effect values are valid until the next update, so copy
+# them for longer use.
 engine_lock = threading.RLock()
 _records: dict[int, Record] = {}
 _fields: dict[tuple[str, int], object] = {}
 
 
 def is_terrain(obj) -> bool:
-    """Whether the object is a terrain whose mesh may be written: neither it nor its mesh is linked from a library, or
-    overrides something linked (Cycles crashes on an overridden mesh that is written)."""
+    """Return whether the object is a terrain whose mesh may be written.
+
+    Neither may be linked from a library or be an override: Cycles crashes on an override whose mesh is written.
+    """
     if obj.type != "MESH" or not obj.adaptive_terrain.enabled:
         return False
     return all(block.library is None and block.override_library is None for block in (obj, obj.data))
 
 
 def all_terrains() -> list:
-    """Every terrain of the open file; records of objects that are gone are dropped."""
+    """Return every terrain of the open file, and drop the records of deleted objects."""
     found = [obj for obj in bpy.data.objects if is_terrain(obj)]
     for uid in set(_records) - {obj.session_uid for obj in found}:
         del _records[uid]
@@ -133,7 +150,7 @@ def terrains_of(scene) -> list:
 
 
 def _is_in(scene, obj) -> bool:
-    """By its name, which is fast; but what is linked from a library may have the same."""
+    """Look up an object by its name, which is fast, and compare, since a linked object may have the same name."""
     found = scene.objects.get(obj.name)
     return found == obj or found is not None and any(other == obj for other in scene.objects)
 
@@ -143,32 +160,36 @@ def record_of(obj) -> Record:
 
 
 def records() -> list[tuple[int, Record]]:
-    """What is known, by session_uid."""
+    """Return (session_uid, record) of all terrains."""
     return list(_records.items())
 
 
-def update_object(obj, depsgraph=None, mode: str = VIEWPORT, **asked):
-    """Refine the terrain `obj` for its camera and write its mesh where it changed; returns the engine's Update.
+def update_object(obj, depsgraph=None, mode: str = VIEWPORT, **options):
+    """Refine the terrain `obj` for its camera, write its mesh if it changed, and return the engine's Update.
 
-    `depsgraph`: the evaluated dependency graph (the context's own by default). `asked`: further arguments of
-    `request.gather`. Raises TerrainError, which the panel shows too; the mesh then stays as it was.
+    Args:
+        depsgraph: the evaluated dependency graph, the context's by default.
+        options: further arguments of `request.gather`.
+
+    Raises:
+        TerrainError: the update failed. The panel shows the error, and the mesh stays.
     """
     record = record_of(obj)
     record.generation += 1
     try:
         try:
-            return _update(obj, record, depsgraph, mode, asked)
+            return _update(obj, record, depsgraph, mode, options)
         except TerrainError as error:
             if error.code != derived_store.DAMAGED:
                 raise
-            return _update(obj, record, depsgraph, mode, asked)
+            return _update(obj, record, depsgraph, mode, options)
     except Exception as error:
         record.status.error = explain(error)
         raise
 
 
-def _update(obj, record: Record, depsgraph, mode: str, asked: dict):
-    request = gather(obj, depsgraph or bpy.context.evaluated_depsgraph_get(), mode, **asked)
+def _update(obj, record: Record, depsgraph, mode: str, options: dict):
+    request = gather(obj, depsgraph or bpy.context.evaluated_depsgraph_get(), mode, **options)
     with engine_lock:
         update = solve(record, request)
         paint(record, request, update)
@@ -178,15 +199,17 @@ def _update(obj, record: Record, depsgraph, mode: str, asked: dict):
 
 
 def explain(error: Exception) -> str:
-    """What the panel says of a failed update."""
+    """Return the panel's text for a failed update."""
     if isinstance(error, TerrainError):
         return str(error)
-    return f"The update failed unexpectedly ({type(error).__name__}: {error}); the mesh stays as it was."
+    return f"The update failed unexpectedly ({type(error).__name__}: {error}), and the mesh has not changed."
 
 
 def solve(record: Record, request: Request):
-    """Run the engine; touches nothing of Blender, so that any thread may call it (holding `engine_lock`). Waits for
-    kernels that are being prepared: a render needs its mesh now, the viewport's updates do not begin before."""
+    """Run the engine. It uses no Blender data, so any thread that holds `engine_lock` may call it.
+
+    It waits for kernels that are being prepared, as a render must.
+    """
     warmup.wait()
     heights = field_of(request)
     try:
@@ -212,26 +235,26 @@ def _refine(record: Record, request: Request, heights: HeightField):
 
 
 def _make_effects(record: Record, request: Request, update, placed: dict[str, float]) -> None:
-    """The attributes that the request asks for, on the surface of an update."""
-    names, asked = set(record.effects), plan(request.effects.asked)
+    """Compute the attributes of the request on the surface of an update."""
+    names, planned = set(record.effects), plan(request.effects.asked)
     effects = EffectRequest(
-        asked,
+        planned,
         update.surface,
         request.views,
         request.placement,
         **placed,
         geometry_metres=request.effects.geometry_metres,
     )
-    made = evaluate(record.field, effects, record.terrain.history, record.terrain.threads)
-    record.effects, record.effects_bytes = made.attributes, made.nbytes
-    for name, ran in made.ran.items():
+    result = evaluate(record.field, effects, record.terrain.history, record.terrain.threads)
+    record.effects, record.effects_bytes = result.attributes, result.nbytes
+    for name, ran in result.ran.items():
         record.effects_runs[name] += ran.computed > 0
-    record.effects_serial += names != set(record.effects) or any(step.computed for step in made.ran.values())
-    record.effects_made = statuses(request.effects, asked, made.ran, record.field)
+    record.effects_serial += names != set(record.effects) or any(step.computed for step in result.ran.values())
+    record.effects_status = statuses(request.effects, planned, result.ran, record.field)
 
 
-def frozen_now(obj) -> str:
-    """What `frozen` of the terrain's settings has to be so that it keeps the triangles that the viewport asks for."""
+def freeze(obj) -> str:
+    """Update the terrain for the viewport, and return its triangles as the text of its property `frozen`."""
     with engine_lock:
         update_object(obj)
         tree, how = record_of(obj).terrain.saved()
@@ -239,10 +262,10 @@ def frozen_now(obj) -> str:
 
 
 def paint(record: Record, request: Request, update) -> None:
-    """Make the overlay that the request asks for, or drop it; after `solve`, and like it for any thread."""
+    """Make or drop the overlay of the request, after `solve` and on any thread."""
     key = None
     if request.overlay != NO_OVERLAY:
-        # The error is another one in each view, also on the same mesh.
+        # the error depends on the view, also on the same mesh
         key = (record.serial, request.overlay, request.key() if request.overlay == ERROR_OVERLAY else None)
     if key != record.overlay_key:
         if key is not None:
@@ -253,7 +276,7 @@ def paint(record: Record, request: Request, update) -> None:
 
 
 def field_of(request: Request):
-    """The height field that a request refines, with its interpolation and its detail."""
+    """Return the height field of a request with its interpolation and its displacement layers."""
     raster = derived_store.raster_of(request.store, request.land, open_field)
     field = interpolated(raster, request.interpolation)
     placed = request.vertical_scale, request.vertical_offset
@@ -261,10 +284,12 @@ def field_of(request: Request):
 
 
 def open_field(store: str):
-    """The height field of a store folder, opened once for as long as the folder is the same and no file is cut off."""
+    """Return the height field of a store folder, opened again only if the folder changed or a file was truncated."""
     changed = changed_ns(store)
     if not changed:
-        raise TerrainError(f"There is no terrain store at {store!r}: choose its folder under Store, or import again.")
+        raise TerrainError(
+            f"There is no terrain store at {store!r}", fix="choose its folder under Store, or import again"
+        )
     key = str(real_path(store)), changed
     if key not in _fields or not is_intact(_fields[key]):
         for old in [other for other in _fields if other[0] == key[0]]:
@@ -274,8 +299,8 @@ def open_field(store: str):
 
 
 def show(obj, record: Record, request: Request, update, mode: str) -> bool:
-    """Write the mesh, unless it shows this surface already; returns whether it was written."""
-    _own_mesh(obj)
+    """Write the mesh unless it already shows this surface; return whether it was written."""
+    _make_mesh_single_user(obj)
     written = record.shown != _what_is_shown(obj.data, record, request)
     ms = dict(update.ms)
     if written:
@@ -290,14 +315,14 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
             ms["overlay"] = record.overlay_ms
     show_points(obj, record.scatters, request)
     if record.effects:
-        ms["effects"] = sum(made.ms for made in record.effects_made.values())
+        ms["effects"] = sum(status.ms for status in record.effects_status.values())
     record.status = Status(
         mode=mode,
         request=request,
         field_key=record.field.key,
         left=len(obj.data.polygons),
         ms=ms,
-        effects=record.effects_made,
+        effects=record.effects_status,
         effects_bytes=record.effects_bytes,
         **{name: getattr(update, name) for name in FIGURES},
     )
@@ -305,26 +330,25 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
 
 
 def shown_surface(record: Record, update) -> Surface:
-    """What an update has made, with the attributes of effects and of the overlay."""
+    """Return the updated surface with effect and overlay attributes."""
     return update.surface.with_attributes(record.effects | (record.overlay.attributes if record.overlay else {}))
 
 
 def _what_is_shown(mesh, record: Record, request: Request) -> tuple:
     counts = len(mesh.vertices), len(mesh.edges), len(mesh.polygons)
-    attributes = tuple(name in mesh.attributes for name in record.effects)  # which a user may take away
-    made = record.serial, record.overlay_key, record.effects_serial, attributes
-    return mesh.session_uid, counts, request.smooth, request.cleanup.key(), *made
+    attributes = tuple(name in mesh.attributes for name in record.effects)  # a user may remove some
+    serials = record.serial, record.overlay_key, record.effects_serial, attributes
+    return mesh.session_uid, counts, request.smooth, request.cleanup.key(), *serials
 
 
-def _own_mesh(obj) -> None:
-    """A terrain that shares its mesh gets one of its own: another place is another refinement, and the mesh of an
-    object that is no terrain is not ours to write."""
+def _make_mesh_single_user(obj) -> None:
+    """Copy a shared mesh: another location needs another refinement, and other objects must not change."""
     if obj.data.users > 1 and any(other.data == obj.data and other != obj for other in bpy.data.objects):
         obj.data = obj.data.copy()
 
 
 def forget_shown() -> None:
-    """Undo may have put back anything: write each mesh again at its next update, and drop what is under way."""
+    """After undo, write each mesh again at its next update, and drop running updates."""
     kept.forget()
     for record in _records.values():
         record.shown = record.live_key = None
@@ -334,7 +358,7 @@ def forget_shown() -> None:
 
 
 def clear() -> None:
-    """Forget every terrain and height field (another file is opened, or the extension goes)."""
+    """Drop every terrain and height field, after another file or before the extension is disabled."""
     kept.forget()
     with engine_lock:
         for record in _records.values():

@@ -19,9 +19,11 @@ def frames_of(scene) -> range:
 
 
 def look_through(obj, scene, frames: Iterable[int], placement: np.ndarray, **look) -> Iterator[float | list[View]]:
-    """Go through frames: the fraction done after each, and at the end the list of all views, as of a terrain that stays
-    at `placement`. The scene is then at its frame again. `look`: further arguments of `request.gather`. Raises
-    TerrainError."""
+    """Step through frames; yield the fraction done after each, and at the end the list of all views.
+
+    The views are relative to a terrain that stays at `placement`. The scene then returns to its frame. `look`: further
+    arguments of `request.gather`. Raises TerrainError.
+    """
     views, now, frames = [], (scene.frame_current, scene.frame_subframe), list(frames)
     try:
         for number, frame in enumerate(frames):
@@ -32,7 +34,7 @@ def look_through(obj, scene, frames: Iterable[int], placement: np.ndarray, **loo
             views += [_as_seen_from(view, moved.placement, placement) for view in moved.views]
             yield number / len(frames)
     finally:
-        with suppress(ReferenceError):  # Undo or another file has taken the scene away while this was waiting
+        with suppress(ReferenceError):  # undo or another file removed the scene between two steps
             if (scene.frame_current, scene.frame_subframe) != now:
                 with paused():
                     scene.frame_set(now[0], subframe=now[1])
@@ -40,7 +42,7 @@ def look_through(obj, scene, frames: Iterable[int], placement: np.ndarray, **loo
 
 
 def _as_seen_from(view: View, placement: np.ndarray, first: np.ndarray) -> View:
-    """A view of a terrain that stands at `placement`, for one that stays where it was first."""
+    """Convert a view of a terrain at `placement` to one of the terrain at `first`."""
     if np.array_equal(placement, first):
         return view
     return replace(view, world_to_camera=product(product(view.world_to_camera, placement), inverse(first)))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A frame whose terrain cannot be refined would show the mesh of another frame, and nobody would know.
+"""Handle frames whose terrain cannot be refined, which would silently show the mesh of another frame.
 
-Without a window, on a farm say, such a frame is not written and the process ends with exit code 1, unless the scene
-says otherwise. With one, Blender lets nobody but the user cancel a render, so a message tells of it in the end. A
-command that renders gets an error that it can tell in its own way.
+In the background, such a frame is not written and the process ends with exit code 1, unless the scene allows stale
+renders. With a window only the user can cancel a render, so a message appears at its end. A command that renders gets
+an error.
 """
 
 import os
@@ -28,7 +28,7 @@ _shown_stale: dict[int, str] = {}  # frame -> why
 
 @contextmanager
 def raising():
-    """A render inside ends, and a TerrainError is raised after it, where a terrain cannot be refined."""
+    """End a render inside at a terrain that cannot be refined, and raise a TerrainError after it."""
     global _raising
     _raising = True
     _caught.clear()
@@ -41,9 +41,9 @@ def raising():
 
 
 def meet(scene, reasons: list[str]) -> None:
-    """The terrains of the frame that is about to be rendered cannot be refined, for these `reasons`."""
+    """Handle a frame before its render whose terrains cannot be refined for these `reasons`."""
     global _ending
-    if _ending:  # each view layer asks, and a second interruption would kill Blender
+    if _ending:  # each view layer calls this, and a second interruption would kill Blender
         return
     why = " ".join(reasons)
     if _raising:
@@ -59,8 +59,8 @@ def meet(scene, reasons: list[str]) -> None:
         file=sys.stderr,
     )
     _ending = True
-    # The Blender program takes an interruption as the wish to end the render: it writes no more frames and closes a
-    # movie. Blender as a Python module has nothing of the kind, nor has a program whose script caught it first.
+    # An interruption makes the Blender program end the render and close a movie. The bpy module, or a program whose
+    # script handles the signal, exits at once.
     if bpy.app.binary_path and signal.getsignal(signal.SIGINT) is None:
         signal.raise_signal(signal.SIGINT)
     else:
@@ -68,26 +68,26 @@ def meet(scene, reasons: list[str]) -> None:
 
 
 def leave() -> None:
-    """End the process if a render was stopped; called again when Blender has closed what it was writing."""
+    """End the process if a render was stopped; called again after Blender has closed its files."""
     if not _ending:
         return
     with suppress(OSError, TerrainError):
-        remove_empty(bpy.app.tempdir)  # as Blender does at its end; only if nothing is in it
+        remove_empty(bpy.app.tempdir)  # as Blender does at exit
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(EXIT_CODE)
 
 
 def report() -> None:
-    """Tell who looks at a window which frames of the render that has ended are stale."""
+    """Show a message in the window with the stale frames of the finished render."""
     if _shown_stale and not bpy.app.background:
-        bpy.app.timers.register(_pop_up, first_interval=0.0)  # a popup is the main thread's
+        bpy.app.timers.register(_pop_up, first_interval=0.0)  # popups need the main thread
     else:
         _shown_stale.clear()
 
 
 def lines_of(stale: dict[int, str]) -> list[str]:
-    """What is said of stale frames and why they are: the first few frames by number, each reason once."""
+    """Return the message's lines: the first few stale frames by number, and each reason once."""
     frames = ", ".join(map(str, sorted(stale)[:FRAMES_NAMED]))
     more = f" and {len(stale) - FRAMES_NAMED:,} more" if len(stale) > FRAMES_NAMED else ""
     return [f"Rendered with the mesh of another frame: {frames}{more}", *dict.fromkeys(stale.values())]

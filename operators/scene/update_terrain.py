@@ -3,10 +3,9 @@
 
 import bpy
 
-from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
 from . import session
-from .polls import on_terrain_object
+from .polls import cancelled_by_errors, on_terrain_object
 
 WAIT_S = 0.1
 
@@ -23,7 +22,7 @@ class UpdateTerrain(bpy.types.Operator):
         return on_terrain_object(cls, context)
 
     def invoke(self, context, event):
-        """A click during the first start waits for the kernels beside the window."""
+        """Wait for kernels without blocking the window, if the click comes during the first start."""
         if not warmup.preparing():
             return self.execute(context)
         self.timer = context.window_manager.event_timer_add(WAIT_S, window=context.window)
@@ -39,12 +38,9 @@ class UpdateTerrain(bpy.types.Operator):
     def cancel(self, context):
         context.window_manager.event_timer_remove(self.timer)
 
+    @cancelled_by_errors
     def execute(self, context):
-        try:
-            session.update_object(context.object)
-        except TerrainError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        session.update_object(context.object)
         self.report({"INFO"}, f"{len(context.object.data.polygons):,} triangles")
         return {"FINISHED"}
 

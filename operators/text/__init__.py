@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Words, numbers and pages: nothing here knows a scene."""
+"""Text, numbers, plots and pages, independent of any scene."""

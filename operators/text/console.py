@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the command line shows: a progress bar with the time left, or lines that a render farm reads, and silence from
-programs that talk."""
+"""The command line's output: a progress bar, lines for render farms, and suppressed output of other code."""
 
 import ctypes
 import os
@@ -11,26 +10,23 @@ from contextlib import contextmanager
 from ...cbt_terrain.run import stopping
 
 BAR_WIDTH = 28
-# How progress is told: a bar for people, or the lines of Open Job Description ("How Jobs Are Run", stdout messages).
+# Kinds of progress: a bar, or lines of Open Job Description ("How Jobs Are Run", stdout messages).
 BAR, OPENJD = "bar", "openjd"
-
-
 LONGEST_LINE = 10_000  # a coordinate system may be long
-# What a line begins with that a farm obeys.
-MESSAGE = "openjd_"
+MESSAGE = "openjd_"  # the start of a line that a farm obeys
 
 
 def one_line(text: object) -> str:
-    """Return a text as one line without control characters, which terminals and farms obey. Spaces stay as they are."""
+    """Return a text as one line without control characters, which terminals and farms obey. Spaces stay."""
     line = "".join(c if c.isprintable() else " " if c.isspace() else "?" for c in str(text))
     return line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]}..."
 
 
 def print_line(text: object, message: str = "", file=None) -> None:
-    """Print a line that may hold names of strangers; everything that the product prints goes through here.
+    """Print a line that may hold untrusted names. All output of the product is printed here.
 
     Args:
-        message: the kind of Open Job Description message, such as "openjd_status"; no other line is one.
+        message: kind of an Open Job Description message, such as "openjd_status"; "" for an ordinary line.
         file: standard output by default.
     """
     line = one_line(text)
@@ -42,10 +38,11 @@ def print_line(text: object, message: str = "", file=None) -> None:
 
 
 class Progress:
-    """A bar on stderr, redrawn in place; it shows only where someone looks at a terminal, or where it is asked for.
+    """A bar on stderr, redrawn in place, in a terminal or on request.
 
-    `total` is the number of steps; a step that had nothing to do is not counted in the estimate of the time left.
-    `show`: OPENJD for a line on stdout at each whole per cent instead.
+    Args:
+        total: number of steps. Steps without work do not count in the estimate of the time left.
+        show: OPENJD for a line on stdout at each whole per cent; None for a bar in a terminal only.
     """
 
     def __init__(self, total: float, label: str, show: bool | str | None = None):
@@ -57,7 +54,7 @@ class Progress:
         self._draw()
 
     def to(self, done: float, worked: bool = True) -> None:
-        """Move the bar to `done` steps; `worked` is False if getting there was free. Raises Stopped."""
+        """Move the bar to `done` steps; `worked` is False for steps without work. Raises Stopped."""
         if worked:
             self._worked += done - self.done
         self.done = done
@@ -71,12 +68,12 @@ class Progress:
         self._draw()
 
     def close(self) -> None:
-        """Take the bar off the terminal."""
+        """Remove the bar from the terminal."""
         self._clear()
         self.show = False
 
     def left_s(self) -> float | None:
-        """Seconds left at the speed so far; None while nothing is known."""
+        """Estimate the seconds left; None before any work."""
         if not self._worked > 0:
             return None
         return (time.monotonic() - self._start) / self._worked * (self.total - self.done)
@@ -84,14 +81,14 @@ class Progress:
     def _draw(self) -> None:
         if not self.show:
             return
-        part = self.done / self.total if self.total else 1.0
+        fraction = self.done / self.total if self.total else 1.0
         if self.show == OPENJD:
-            self._draw_line(f"openjd_progress: {int(100 * part)}")
+            self._draw_line(f"openjd_progress: {int(100 * fraction)}")
             return
-        filled = int(BAR_WIDTH * part)
+        filled = int(BAR_WIDTH * fraction)
         left = self.left_s()
         remaining = "" if left is None else f"  {duration(left)} left"
-        bar = f"{self.label} [{'#' * filled}{'.' * (BAR_WIDTH - filled)}] {part:4.0%}{remaining}"
+        bar = f"{self.label} [{'#' * filled}{'.' * (BAR_WIDTH - filled)}] {fraction:4.0%}{remaining}"
         if bar != self._drawn:
             self._drawn = bar
             sys.stderr.write(f"\r\x1b[K{bar}")
@@ -110,7 +107,7 @@ class Progress:
 
 
 def duration(seconds: float) -> str:
-    """`8 s`, `2:05 min`, `1:02 h`."""
+    """Format seconds as `8 s`, `2:05 min` or `1:02 h`."""
     whole = max(0, round(seconds))
     if whole < 60:
         return f"{whole} s"
@@ -120,8 +117,10 @@ def duration(seconds: float) -> str:
 
 
 def open_streams() -> None:
-    """Before anything else: standard streams that whoever started the process has closed lead nowhere. Else the next
-    file gets their number, and what is printed. A name that a stream's encoding lacks is shown in escapes."""
+    """Open closed standard streams on the null device, before the next file gets their number and their output.
+
+    Characters that the encoding of stdout lacks are printed as escapes.
+    """
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(number, True)
     os.close(number)
@@ -130,8 +129,10 @@ def open_streams() -> None:
 
 
 def unwritten(error: Exception) -> str:
-    """Why stdout has not taken what was printed, or "" if `error` came from elsewhere. Python tries again when it ends,
-    and reports that in its own words; so what is left goes nowhere."""
+    """Return why stdout has failed, or "" if `error` has another source.
+
+    The rest of the output is dropped, since Python would try to write it at exit and report another error.
+    """
     try:
         print(end="", flush=True)
     except OSError as reason:
@@ -140,32 +141,31 @@ def unwritten(error: Exception) -> str:
         os.dup2(nowhere, 1)
         os.close(nowhere)
     else:
-        if not isinstance(error, BrokenPipeError):  # which drops what is left
+        if not isinstance(error, BrokenPipeError):  # a broken pipe has dropped the rest
             return ""
-    return f"stdout takes no more ({error.strerror}): expected a file or a pipe that does; make room, or read on."
+    return f"stdout cannot be written ({error.strerror}): make room, or keep reading from the pipe."
 
 
 @contextmanager
 def quiet(*streams: int):
-    """Send what native code prints nowhere: Blender reports every file that it reads and writes. `streams`: file
-    descriptors, stdout by default."""
+    """Suppress output of native code, such as Blender's reports of files. `streams`: descriptors, stdout by default."""
     streams = streams or (1,)
     _flush()
-    kept, nowhere = [os.dup(stream) for stream in streams], os.open(os.devnull, os.O_WRONLY)
+    copies, nowhere = [os.dup(stream) for stream in streams], os.open(os.devnull, os.O_WRONLY)
     try:
         for stream in streams:
             os.dup2(nowhere, stream)
         yield
     finally:
         _flush()
-        for stream, copy in zip(streams, kept, strict=True):
+        for stream, copy in zip(streams, copies, strict=True):
             os.dup2(copy, stream)
             os.close(copy)
         os.close(nowhere)
 
 
 def _flush() -> None:
-    """Write out what Python and the C library still hold back."""
+    """Flush the buffers of Python and of the C library."""
     sys.stdout.flush()
     sys.stderr.flush()
     library = ctypes.cdll.ucrtbase if sys.platform == "win32" else ctypes.CDLL(None)

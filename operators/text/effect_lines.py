@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is said of effects: of the catalogue, of what a scene reads, of what an evaluation took."""
+"""Texts about attributes: their declarations, their readers in a scene, and the cost of an evaluation."""
 
 from ...cbt_terrain.effects.catalogue import EFFECTS
 from ...cbt_terrain.effects.effect import GEOMETRY, Effect
@@ -9,7 +9,7 @@ BYTES = 4  # of a float32
 
 
 def about(effect: Effect) -> dict:
-    """A declaration, as fields for the command line; what is empty is left out there."""
+    """Return a declaration as fields for the command line, which omits empty ones."""
     return {
         "about": effect.about,
         "unit": effect.unit,
@@ -22,12 +22,12 @@ def about(effect: Effect) -> dict:
 
 
 def cost(effect: Effect) -> str:
-    """What one element of the effect takes, as its declaration says."""
+    """Return the declared cost of an effect per vertex."""
     return f"{BYTES * effect.width} bytes and about {plain(effect.cost_ns)} ns a vertex"
 
 
 def _parameter(parameter) -> str:
-    """`0.5 m (0 to 10): what it does`; of one that is no number, only what it does."""
+    """Format a parameter as `0.5 m (0 to 10): about`, or only its description if it is no number."""
     if not isinstance(parameter.default, int | float):
         return parameter.about
     unit = f" {parameter.unit}" if parameter.unit else ""
@@ -35,15 +35,14 @@ def _parameter(parameter) -> str:
 
 
 def status_line(name: str, status) -> str:
-    """`slope: read by material Rock, node Attribute.003; 12.1 ms, 0.4 MB`, or why it was skipped."""
-    said = readers_text(status)
-    said = said if status.note else said[0].lower() + said[1:]
-    return f"{name}: {said}" if status.skipped else f"{name}: {said}; {figures(status)}"
+    """Return `slope: read by material Rock, node Attribute.003; 12.1 ms, 0.4 MB`, or why it was skipped."""
+    text = readers_text(status)
+    text = text if status.note else text[0].lower() + text[1:]
+    return f"{name}: {text}" if status.skipped else f"{name}: {text}; {figures(status)}"
 
 
 def readers_text(status) -> str:
-    """Why it is nothing, where there is a note of that, and who reads an effect, or why it was skipped; `status`: an
-    EffectStatus, None before the first update."""
+    """Return the readers of an effect after its note, or why it was skipped; `status` is None before an update."""
     if status is None:
         return "No update yet"
     if status.skipped:
@@ -54,15 +53,15 @@ def readers_text(status) -> str:
 
 
 def cost_text(status) -> str:
-    """`12.1 ms, 0.4 MB, 1,203 new`: what the last update took."""
+    """Return the cost of the last update: `12.1 ms, 0.4 MB, 1,203 new`."""
     return f"{figures(status)}, {status.computed:,} new" if status is not None and not status.skipped else "-"
 
 
 def figures(took) -> str:
-    """Of a Ran or an EffectStatus."""
+    """Format time and memory of a Ran or an EffectStatus."""
     return f"{plain(took.ms)} ms, {plain(took.nbytes / 1e6)} MB"
 
 
 def unknown(name: str) -> str:
-    """What is wrong with a name that is no effect's."""
+    """Return the error text for a name that is no effect's."""
     return f"{name!r} is no effect; expected some of {', '.join(EFFECTS)}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Curves over two logarithmic axes, as an SVG that needs nothing else."""
+"""Curves over two logarithmic axes, as a self-contained SVG."""
 
 import math
 from collections.abc import Sequence
@@ -9,17 +9,21 @@ from .svg import LINE, dot, path, picture, text
 
 WIDTH, HEIGHT = 860, 520
 LEFT, RIGHT, TOP, BOTTOM = 64, 226, 32, 48
-# What is so many times less than the largest value would make an axis that shows nothing else.
-NOTHING = 1e-9
+NEGLIGIBLE = 1e-9  # points below this fraction of the largest value are left out
 DOT, RING, CROSS = "dot", "ring", "cross"
 
 
 @dataclass(frozen=True)
 class Curve:
-    """`points`: (x, y) in the order in which they are joined; left out is what is not above 0 and so has no place, and
-    what is so far below the rest that it is as good as 0. `dash`: an SVG pattern of the line, "" for a whole one.
-    `joined`: whether there is a line. `marker`: DOT, RING or CROSS. `spans`: (least, most) x that was measured at each
-    point, drawn through it."""
+    """A curve of a plot.
+
+    Attributes:
+        points: (x, y) in the order of the line, without those at or near 0, which have no position on the axes.
+        dash: SVG dash pattern of the line, "" for a solid one.
+        joined: whether to draw a line.
+        marker: DOT, RING or CROSS.
+        spans: (min, max) of the measured x at each point.
+    """
 
     label: str
     colour: str
@@ -31,13 +35,13 @@ class Curve:
 
 
 def draw(curves: Sequence[Curve], x_label: str, y_label: str) -> str:
-    """The plot; an empty picture where no curve has a point."""
+    """Return the plot, empty if no curve has a point."""
     curves = _placed(curves)
     label = f"{y_label} against {x_label}, both logarithmic"
     if not curves:
         return picture(WIDTH, HEIGHT, label, [])
     xs = [x for curve in curves for x, _ in (*curve.points, *curve.spans)]
-    xs += [most for curve in curves for _, most in curve.spans]
+    xs += [max_x for curve in curves for _, max_x in curve.spans]
     ys = [y for curve in curves for _, y in curve.points]
     x_axis, y_axis = _Axis(xs, LEFT, WIDTH - RIGHT), _Axis(ys, HEIGHT - BOTTOM, TOP)
     parts = []
@@ -52,18 +56,18 @@ def draw(curves: Sequence[Curve], x_label: str, y_label: str) -> str:
     parts.append(text((LEFT + WIDTH - RIGHT) / 2, HEIGHT - 8, x_label, "middle"))
     parts.append(text(LEFT - 8, TOP - 14, y_label, "end" if len(y_label) < 8 else "start"))
     for i, curve in enumerate(curves):
-        parts += _drawn(curve, x_axis, y_axis, TOP + 16 + 24 * i)
+        parts += _draw_curve(curve, x_axis, y_axis, TOP + 16 + 24 * i)
     return picture(WIDTH, HEIGHT, label, parts)
 
 
-def _drawn(curve: Curve, x_axis: "_Axis", y_axis: "_Axis", legend_y: float) -> list[str]:
-    """The curve, and its line in the legend."""
+def _draw_curve(curve: Curve, x_axis: "_Axis", y_axis: "_Axis", legend_y: float) -> list[str]:
+    """Draw a curve and its line of the legend."""
     places = [(x_axis(x), y_axis(y)) for x, y in curve.points]
     dash = f'stroke-dasharray="{curve.dash}"' if curve.dash else ""
     left = WIDTH - RIGHT
     parts = []
-    for (least, most), (_, y) in zip(curve.spans, places, strict=False):
-        ends = x_axis(least), x_axis(most)
+    for (min_x, max_x), (_, y) in zip(curve.spans, places, strict=False):
+        ends = x_axis(min_x), x_axis(max_x)
         parts.append(path([(x, y) for x in ends], curve.colour, 7, more='stroke-opacity="0.3"'))
     if curve.joined:
         parts.append(path(places, curve.colour, 2, more=dash))
@@ -75,14 +79,15 @@ def _drawn(curve: Curve, x_axis: "_Axis", y_axis: "_Axis", legend_y: float) -> l
 
 
 def _placed(curves: Sequence[Curve]) -> list[Curve]:
-    """The curves with the points that have a place, without those that then have none."""
+    """Remove points without a position on the axes, and then curves without points."""
     places = [p for curve in curves for p in curve.points if min(p) > 0 and max(p) < math.inf]
-    least = [NOTHING * max(values) for values in zip(*places, strict=True)]
+    limits = [NEGLIGIBLE * max(values) for values in zip(*places, strict=True)]
     found = []
     for curve in curves:
-        kept = [p in places and p[0] > least[0] and p[1] > least[1] for p in curve.points]
+        flags = [p in places and p[0] > limits[0] and p[1] > limits[1] for p in curve.points]
         points, spans = (
-            [value for value, keep in zip(values, kept, strict=False) if keep] for values in (curve.points, curve.spans)
+            [value for value, keep in zip(values, flags, strict=False) if keep]
+            for values in (curve.points, curve.spans)
         )
         if points:
             found.append(replace(curve, points=points, spans=spans))
@@ -90,7 +95,7 @@ def _placed(curves: Sequence[Curve]) -> list[Curve]:
 
 
 class _Axis:
-    """Values to pixels by their logarithm, whole decades from end to end."""
+    """Map values to pixels by their logarithm, over whole decades."""
 
     def __init__(self, values: Sequence[float], start: float, end: float):
         self.low, self.high = math.floor(math.log10(min(values))), math.ceil(math.log10(max(values)))

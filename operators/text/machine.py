@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a result was measured on."""
+"""The machine on which a result was measured."""
 
 import importlib.metadata
 import os
@@ -8,7 +8,7 @@ import sys
 
 
 def machine() -> dict[str, str]:
-    """Processor, threads, system and the versions of everything that takes part."""
+    """Return processor, threads, system and the versions of the packages."""
     threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return {
         "Processor": _processor(),

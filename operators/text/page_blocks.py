@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A page as blocks, and the same page as HTML and as Markdown."""
+"""A page of blocks, written as HTML or Markdown."""
 
 import base64
 import html
@@ -58,7 +58,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Text:
-    """`*word*` is emphasised."""
+    """A paragraph; `*word*` is emphasised."""
 
     text: str
 
@@ -72,15 +72,14 @@ class Lead:
 
 @dataclass(frozen=True)
 class Words:
-    """What words mean: (word, meaning)."""
+    """Definitions: (word, meaning)."""
 
     pairs: list[tuple[str, str]]
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A PNG file, and what is said below it: `title` in large letters, if it has one. `png`: what is in the file, for a
-    page that needs no other; None where the file stands beside the page."""
+    """A PNG file with a caption and an optional title. `png`: its bytes to embed in the page, None for a link."""
 
     name: str
     caption: str
@@ -90,7 +89,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Strip:
-    """Pictures side by side, equally wide; `first_wide`: two, the first of which is wider than high."""
+    """Pictures of equal width in a row; `first_wide`: two pictures, the first of which is wider than high."""
 
     pictures: list[Picture]
     first_wide: bool = False
@@ -98,21 +97,21 @@ class Strip:
 
 @dataclass(frozen=True)
 class Code:
-    """Lines of a program; in HTML only, as a Picture by itself."""
+    """Lines of a program; in HTML only."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Figures:
-    """Large figures: (value, what it is)."""
+    """Large figures: (value, meaning)."""
 
     pairs: list[tuple[str, str]]
 
 
 @dataclass(frozen=True)
 class Table:
-    """The first column is text, the others are numbers."""
+    """A table whose first column is text and whose other columns are numbers."""
 
     head: list[str]
     rows: list[list[str]]
@@ -175,9 +174,9 @@ def _html(block) -> str:
             return f'<div class="{"pair" if first_wide else "strip"}">{"".join(map(_html, pictures))}</div>'
         case Picture(name, caption, title, png):
             source = f"data:image/png;base64,{base64.b64encode(png).decode()}" if png else html.escape(name)
-            said = (f"<b>{html.escape(title)}</b>" if title else "") + html.escape(caption)
+            text = (f"<b>{html.escape(title)}</b>" if title else "") + html.escape(caption)
             shown = f'<img src="{source}" alt="{html.escape(title or caption)}">'
-            return f"<figure>{shown}<figcaption>{said}</figcaption></figure>"
+            return f"<figure>{shown}<figcaption>{text}</figcaption></figure>"
         case Code(text):
             return f"<pre>{html.escape(text)}</pre>"
         case Plot(_, caption, svg):
@@ -188,7 +187,7 @@ def _html(block) -> str:
 
 
 def document(title: str, body: list[str]) -> str:
-    """A whole page of that title, from the pieces of its body; it needs no other file."""
+    """Return a self-contained page from its title and the pieces of its body."""
     head = (
         '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures as PNG files, by nothing that an extension does not have."""
+"""PNG files, written without libraries that the extension lacks."""
 
 import struct
 import zlib
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def png(pixels: np.ndarray) -> bytes:
-    """The file of a picture, uint8 [height, width, 3], first row on top (PNG specification, sections 5 and 11)."""
+    """Encode a picture, uint8 [height, width, 3], first row on top (PNG specification, sections 5 and 11)."""
     height, width, _ = pixels.shape
     rows = np.zeros((height, 1 + 3 * width), np.uint8)  # each begins with its filter, 0: none
     rows[:, 1:] = pixels.reshape(height, -1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A profile of the ground as an SVG that needs nothing else: height over distance, metres on both axes."""
+"""A profile of the ground as a self-contained SVG: height over distance, metres on both axes."""
 
 import math
 
@@ -10,16 +10,16 @@ from .svg import LINE, TEAL, WASH, path, picture, text
 
 WIDTH, HEIGHT = 860, 360
 LEFT, RIGHT, TOP, BOTTOM = 72, 24, 40, 44
-LINES = 5  # about so many along an axis
-MOST_POINTS = 4000  # more than a few a pixel show nothing more
+LINES = 5  # approximate number of grid lines per axis
+MAX_POINTS = 4000  # a few per pixel
 
 
 def draw(along: np.ndarray, heights: np.ndarray, title: str) -> str:
-    """`along`, `heights`: float64 [n] metres; NaN where there is no ground, and the line is broken."""
+    """Draw heights over distances, float64 [n] metres each; NaN breaks the line where there is no ground."""
     known = np.isfinite(heights)
     if not known.any():
         return picture(WIDTH, HEIGHT, title, [text(LEFT, TOP, "No ground below the line")])
-    keep = np.unique(np.linspace(0, len(along) - 1, min(len(along), MOST_POINTS)).astype(int))
+    keep = np.unique(np.linspace(0, len(along) - 1, min(len(along), MAX_POINTS)).astype(int))
     low, high = float(heights[known].min()), float(heights[known].max())
     margin = 0.05 * (high - low) or 1.0
     x = _axis(0.0, float(along[-1]) or 1.0, LEFT, WIDTH - RIGHT)
@@ -40,12 +40,12 @@ def draw(along: np.ndarray, heights: np.ndarray, title: str) -> str:
 
 
 def _axis(low: float, high: float, start: float, end: float):
-    """Values to pixels."""
+    """Return a function from values to pixels."""
     return lambda value: start + (value - low) / (high - low) * (end - start)
 
 
 def _round_values(low: float, high: float) -> list[float]:
-    """Multiples of 1, 2 or 5 times a power of ten between two values, about LINES."""
+    """Return about LINES multiples of 1, 2 or 5 times a power of ten between two values."""
     rough = (high - low) / LINES
     power = 10.0 ** math.floor(math.log10(rough))
     step = next(n * power for n in (1, 2, 5, 10) if n * power >= rough * (1 - 1e-9))
@@ -53,7 +53,7 @@ def _round_values(low: float, high: float) -> list[float]:
 
 
 def _runs(along: np.ndarray, heights: np.ndarray) -> list[np.ndarray]:
-    """Parts of the line, float64 [k, 2], between places without ground."""
+    """Return the parts of the line, float64 [k, 2], between gaps without ground."""
     points = np.stack([along, heights], axis=1)
     ends = np.flatnonzero(np.diff(np.r_[False, np.isfinite(heights), False].astype(np.int8)))
     return [points[a:b] for a, b in ends.reshape(-1, 2)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bounds as the panel, the command line and the pages show them: rounded up, so that what is shown holds too."""
+"""Bounds in the panel, the command line and pages: rounded up, so that the shown number is a bound, too."""
 
 import decimal
 import math
@@ -14,21 +14,20 @@ LIMITS = {
     "precision": "float32 precision",
     "source": "source rounding",
 }
-# Below this, all digits before the point are shown.
-LONG = 1e7
+LONG = 1e7  # below this, all digits before the point are shown
 
 
 def bound_text(bound: float, unit: str, digits: int = 3) -> str:
-    """`0.998 px`: at least `digits` digits that count, never less than the bound; NO_BOUND where it says nothing."""
+    """Format as `0.998 px`, rounded up to at least `digits` significant digits; NO_BOUND if there is none."""
     if not bound < LARGEST:
         return NO_BOUND
     if 10.0 ** (digits - 1) <= bound < LONG:
         return f"{math.ceil(bound):,} {unit}"
-    # From its shortest digits: 0.1, which is a little more as a float, stays 0.1.
+    # `repr` gives the shortest digits, so that 0.1, whose float is slightly larger, stays 0.1
     shown = decimal.Context(prec=digits, rounding=decimal.ROUND_CEILING).create_decimal(repr(float(bound)))
     return f"{float(shown):.{digits}g} {unit}"
 
 
 def limit_text(limited: str) -> str:
-    """Update.limited, or several with commas between, in words."""
+    """Return the comma-separated limits of `Update.limited` in words."""
     return " and ".join(LIMITS[name] for name in limited.split(", ") if name)

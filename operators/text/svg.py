@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Drawings that need no other file, readable on light and on dark pages: one palette for them and for the pages."""
+"""Self-contained SVG drawings for light and dark pages, and the palette that pages share."""
 
 import html
 from collections.abc import Iterable
@@ -21,7 +21,7 @@ svg .soft { fill: var(--soft); } svg .small { font-size: 12px; } svg .bold { fon
 
 
 def picture(width: float, height: float, label: str, parts: Iterable[str]) -> str:
-    """A whole drawing, on a card of its own so that no page's colour shows through. `label`: it in words."""
+    """Return a drawing on an opaque card. `label`: its description in words."""
     return "\n".join(
         [
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" role="img" '
@@ -35,13 +35,13 @@ def picture(width: float, height: float, label: str, parts: Iterable[str]) -> st
 
 
 def text(x: float, y: float, words: str, anchor: str = "start", look: str = "", colour: str = "") -> str:
-    """`anchor`: start, middle or end. `look`: any of soft, small and bold."""
+    """Draw a text. `anchor`: start, middle or end. `look`: any of soft, small and bold."""
     more = (f' class="{look}"' if look else "") + (f' style="fill:{colour}"' if colour else "")
     return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"{more}>{html.escape(words)}</text>'
 
 
 def path(points: Iterable[Point], stroke: str, width: float = 1.5, fill: str = "none", more: str = "") -> str:
-    """A line through the points; a closed one where it is filled."""
+    """Draw a line through the points, closed if it is filled."""
     kind, places = "polyline" if fill == "none" else "polygon", " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
     look = f'fill="{fill}" stroke="{stroke}" stroke-width="{width:g}" stroke-linejoin="round"'
     return f'<{kind} points="{places}" {look}{" " + more if more else ""}/>'

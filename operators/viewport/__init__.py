@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What windows show: meshes that follow their views, better when these rest, and views brought to a terrain."""
+"""Viewports: meshes that follow the view and get finer while it rests, and views that frame a terrain."""

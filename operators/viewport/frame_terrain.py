@@ -1,36 +1,45 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bring a terrain into view: viewports look at it, and nothing is cut off by a clip range.
+"""Bring a terrain into view: move viewports and extend clip ranges.
 
-Viewports are moved, not turned; one that shows its camera's view stays there. Cameras are never moved: their clip range
-grows, and the panel says where they see nothing of the terrain.
+Viewports move without turning; one in camera view stays there. Cameras never move: their clip range grows, and the
+panel warns if they do not see the terrain.
 """
 
 import bpy
 import numpy as np
 
-from ...cbt_terrain.errors import TerrainError
 from ..request import camera as cameras
 from ..scene import session
+from ..scene.polls import cancelled_by_errors
 from ..text.numbers import length_text
 from . import sight
 
 MARGIN = 1.08
-HALF_SENSOR_MM = 36.0  # of the viewport, whose picture is twice as wide as that of a camera with its lens
-NEAREST_CAMERA_START = 1.0  # metres: what stands before a camera is not to vanish for the sake of far ridges
+HALF_SENSOR_MM = 36.0  # of a viewport, which is twice as wide as a camera with the same lens
+NEAREST_CAMERA_START = 1.0  # metres: the largest clip start, so that near objects stay visible
 
 
 def frame(obj, depsgraph, viewports: list[tuple], always: bool) -> list[str]:
-    """Show the terrain in `viewports` (as of camera.viewports) and let the camera see as far as it reaches; returns
-    what was done, in words. `always`: also move a viewport that shows all of it already. Raises TerrainError."""
+    """Frame the terrain in `viewports` (see camera.viewports) and extend the camera's clip range to it.
+
+    Args:
+        always: also move a viewport that already shows the whole terrain.
+
+    Returns:
+        What was done, in words.
+
+    Raises:
+        TerrainError: the terrain has no store or no finite box.
+    """
     box = sight.box_of(obj, depsgraph)
     done = _widen_camera(obj, depsgraph, box)
     for _window, area, region, region_3d in viewports:
         space = area.spaces.active
         if space.local_view is not None and not obj.local_view_get(space):
-            done.append("a viewport in local view is left as it is")
+            done.append("a viewport in local view stays as it is")
             continue
         if region_3d.view_perspective == "CAMERA":
-            done.append("a viewport that shows the camera's view is left there")
+            done.append("a viewport in camera view stays there")
         elif always or not sight.shows_all(box, cameras.view_from_region(space, region, region_3d)):
             _move_view(space, region, region_3d, box, _visible_part(area, region, space))
         towards = region_3d.view_rotation.to_matrix().col[2]
@@ -42,7 +51,7 @@ def frame(obj, depsgraph, viewports: list[tuple], always: bool) -> list[str]:
 
 
 def shown_viewports(window_manager, scene) -> list[tuple]:
-    """Those of every window that shows the scene; none in the background, where windows are never drawn."""
+    """Return the viewports of every window that shows the scene; none in the background."""
     if bpy.app.background:
         return []
     return [viewport for viewport in cameras.viewports(window_manager) if viewport[0].scene == scene]
@@ -66,8 +75,7 @@ def _widen_camera(obj, depsgraph, box: np.ndarray) -> list[str]:
 
 
 def _visible_part(area, region, space) -> tuple[float, float, float, float]:
-    """Left, right, bottom and top of what no other region covers, as parts -1 .. 1 of the region's half width and
-    height: sidebar, toolbar and headers lie over the viewport."""
+    """Return left, right, bottom and top (-1 .. 1) of the region without the sidebar, toolbar and headers over it."""
     left, right, bottom, top = region.x, region.x + region.width, region.y, region.y + region.height
     if not space.region_quadviews and bpy.context.preferences.system.use_region_overlap:
         for other in area.regions:
@@ -95,7 +103,7 @@ def _visible_part(area, region, space) -> tuple[float, float, float, float]:
 
 
 def _move_view(space, region, region_3d, box: np.ndarray, visible: tuple[float, float, float, float]) -> None:
-    """Keep the direction of the view; the box fills the visible part of the region."""
+    """Move the view along its direction until the box fills the visible part of the region."""
     axes = np.array(region_3d.view_rotation.to_matrix(), np.float64)  # columns: right, up, towards the eye
     middle = (box.min(axis=0) + box.max(axis=0)) / 2
     across, up, towards = ((box - middle) @ axes).T
@@ -125,22 +133,19 @@ class FrameTerrain(bpy.types.Operator):
         obj = context.object
         return obj is not None and session.is_terrain(obj) and bool(obj.adaptive_terrain.store)
 
+    @cancelled_by_errors
     def execute(self, context):
         viewports = shown_viewports(context.window_manager, context.scene)
         if context.area is not None and context.area.type == "VIEW_3D":
             viewports = [viewport for viewport in viewports if viewport[1] == context.area]
-        try:
-            done = frame(context.object, context.evaluated_depsgraph_get(), viewports, always=True)
-        except TerrainError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        done = frame(context.object, context.evaluated_depsgraph_get(), viewports, always=True)
         if done:
-            self.report({"INFO"}, said(done))
+            self.report({"INFO"}, to_sentence(done))
         return {"FINISHED"}
 
 
-def said(done: list[str]) -> str:
-    """What `frame` has done, as a sentence."""
+def to_sentence(done: list[str]) -> str:
+    """Join the texts of `frame` to one sentence."""
     text = "; ".join(done)
     return f"{text[0].upper()}{text[1:]}."
 

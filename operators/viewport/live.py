@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The viewport's mesh follows its camera, and the viewport never waits.
+"""Live updates: the viewport's mesh follows its camera, and the viewport never waits.
 
-Effects that take long begin with a preview. While nothing changes they are refined, one short step after another, to
-what a render computes.
+Slow effects start with a preview. While nothing changes, short steps refine them to the values of a render.
 
-Handlers only set a flag. A timer on the main thread reads the properties, hands plain numbers to a worker thread, and
-writes the mesh when the worker is done. A result is stale, and is dropped, when its terrain was updated by other means,
-undone, deleted or replaced in the meantime; a camera that moved on in the meantime gets the next turn.
+Handlers only set a flag. A timer on the main thread reads the properties, passes plain numbers to a worker thread, and
+writes the mesh when the worker is done. A result is dropped if its terrain was updated by other means, undone, deleted
+or replaced in the meantime. A camera that has moved in the meantime gets the next update.
 """
 
 import time
@@ -31,8 +30,8 @@ IDLE_S, BUSY_S, RENDERING_S = 0.05, 0.005, 0.25
 
 
 @dataclass
-class Job:
-    """An update under way: which terrain (session_uid), as of which generation, and what was asked."""
+class LiveUpdate:
+    """A running update: the terrain's session_uid and generation, and the request."""
 
     uid: int
     generation: int
@@ -41,27 +40,27 @@ class Job:
 
 
 _dirty = False
-_unrefined: dict[int, Job] = {}  # the last updates whose meshes show a preview, by their terrains
-_job: Job | None = None
+_unrefined: dict[int, LiveUpdate] = {}  # last updates whose meshes show a preview, by session_uid
+_job: LiveUpdate | None = None
 _worker: ThreadPoolExecutor | None = None
 _draw_handle = None
 _follows_viewport = False
-_screens: tuple = ()  # what open windows read of meshes, when it was last looked at
-_started = 0.0  # when the job under way was handed over
-_stage = ""  # what the worker does
+_screens: tuple = ()  # key of the attributes that open windows read
+_started = 0.0  # start of the running job
+_stage = ""  # current work of the worker, for the status bar
 
 
 def mark_dirty() -> None:
-    """Something that a terrain may depend on changed; any thread may say so."""
+    """Request an update after a change that a terrain may depend on. Any thread may call it."""
     global _dirty
     _dirty = True
 
 
 def tick() -> float:
-    """One turn of the timer; returns the seconds until the next."""
+    """Run one turn of the timer, and return the seconds until the next."""
     try:
         return _turn()
-    except Exception:  # Blender would silently take a timer off that raises
+    except Exception:  # Blender silently removes a timer that raises
         traceback.print_exc()
         return IDLE_S
 
@@ -77,23 +76,23 @@ def _turn() -> float:
             return BUSY_S
         job, _job = _job, None
         _finish(job)
-        del job  # with its surface, whose memory the next update takes
+        del job  # frees its surface for the next update
     idle = not _dirty and not _windows_changed()
     if idle:
         _job = _refinement()
     _dirty |= _rest(idle and _job is None)
     if idle:
         return IDLE_S if _job is None else BUSY_S
-    _dirty = False  # before the properties are read, so that no change after that is missed
+    _dirty = False  # before reading the properties, so that no later change is missed
     _job = _next_job()
     if _job is None:
         return IDLE_S
-    _dirty = True  # another terrain may wait
+    _dirty = True  # another terrain may be waiting
     return BUSY_S
 
 
 def _rest(idle: bool) -> bool:
-    """Whether land has been made finer meanwhile."""
+    """Run a turn of resting land, and return whether any has become finer."""
     if not resting_land.concerned():
         return False
     before = jobs.progress_shown()
@@ -104,24 +103,24 @@ def _rest(idle: bool) -> bool:
 
 
 def _windows_changed() -> bool:
-    """Opening a spreadsheet tells no handler."""
+    """Return whether other windows are open, since opening a spreadsheet calls no handler."""
     global _screens
     before, _screens = _screens, screens_key()
     return before != _screens
 
 
 def seconds_under_way() -> float:
-    """For how long the worker has been busy with an update; 0 when it is idle."""
+    """Return for how long the worker has been busy with an update; 0 when it is idle."""
     return time.monotonic() - _started if _job is not None and not _job.future.done() else 0.0
 
 
 def stage() -> str:
-    """What the worker does, for the status bar."""
+    """Return the current work of the worker, for the status bar."""
     return _stage
 
 
-def _next_job() -> Job | None:
-    """Start on the first terrain whose request differs from the one last carried out; None if there is none."""
+def _next_job() -> LiveUpdate | None:
+    """Start an update of the first terrain with a new request; return None if there is none."""
     global _follows_viewport, _started
     for window in _windows():
         if not keep_ground.settle_shown(window.scene, window.view_layer.depsgraph):
@@ -138,7 +137,7 @@ def _next_job() -> Job | None:
         try:
             request = gather(obj, depsgraph, VIEWPORT)
         except Exception as error:
-            record.live_key = None  # what is asked for after this may be what was asked before
+            record.live_key = None  # the next request may equal the last one
             _report(record, error)
             if not isinstance(error, TerrainError):
                 traceback.print_exc()
@@ -147,14 +146,16 @@ def _next_job() -> Job | None:
             if not _is_prepared(record, request):
                 return None
             record.live_key, _started = request.key(), time.monotonic()
-            request = corrected(request, record.time_correction)  # after its key: a camera that stands gets one mesh
-            return Job(obj.session_uid, record.generation, request, _worker.submit(_solve, record, request))
+            request = corrected(request, record.time_correction)  # not in the key: a still camera gets one mesh
+            return LiveUpdate(obj.session_uid, record.generation, request, _worker.submit(_solve, record, request))
     return None
 
 
 def _shown() -> list[tuple]:
-    """Dependency graph and object of the terrains in windows. One that windows show in several scenes follows the first
-    of them: its mesh is one, and would go to and fro between their cameras for ever."""
+    """Return dependency graph and object of the terrains in windows.
+
+    A terrain in windows of several scenes follows the first: its one mesh would otherwise alternate between cameras.
+    """
     found = {}
     for window in _windows():
         for obj in session.terrains_of(window.scene):
@@ -164,19 +165,19 @@ def _shown() -> list[tuple]:
 
 
 def _is_prepared(record: session.Record, request: Request) -> bool:
-    """Whether the kernels that a request asks for are loaded; else that has begun, and the next turns wait for it."""
+    """Return whether the kernels of a request are loaded; if not, start loading them for the next turns."""
     try:
         ready = warmup.ask(kernels_for(request))
     except TerrainError as error:
         _report(record, error)
-        return True  # the update says the same
+        return True  # the update will fail with the same error
     if not ready:
         mark_dirty()
     return ready
 
 
-def _refinement() -> Job | None:
-    """Start on a step of what the first mesh that shows a preview is to become; None if there is none to write."""
+def _refinement() -> LiveUpdate | None:
+    """Start a refinement step of the first mesh that shows a preview; return None if there is none."""
     global _started
     if not _unrefined:
         return None
@@ -187,7 +188,8 @@ def _refinement() -> Job | None:
             del _unrefined[uid]
         elif obj.mode == "OBJECT":  # otherwise its mesh cannot be written
             _started = time.monotonic()
-            return Job(uid, job.generation, job.request, _worker.submit(_refine, session.record_of(obj), job.request))
+            future = _worker.submit(_refine, session.record_of(obj), job.request)
+            return LiveUpdate(uid, job.generation, job.request, future)
     return None
 
 
@@ -204,7 +206,7 @@ def _solve(record: session.Record, request: Request):
 
 
 def _refine(record: session.Record, request: Request):
-    """None where more is to be done before the mesh changes."""
+    """Run one refinement step; return None if more are needed before the mesh changes."""
     global _stage
     _stage = "Refining effects"
     if not previews.refine(request, session.field_of(request)):
@@ -221,7 +223,7 @@ def _carry_out(record: session.Record, request: Request):
     return update
 
 
-def _finish(job: Job) -> None:
+def _finish(job: LiveUpdate) -> None:
     obj = next((item for item in session.all_terrains() if item.session_uid == job.uid), None)
     if obj is None or obj.mode != "OBJECT":
         return
@@ -258,7 +260,7 @@ def _report(record: session.Record, error: Exception) -> None:
 
 
 def _on_draw() -> None:
-    """Turning the view tells no handler: a terrain that follows the viewport looks again whenever one is drawn."""
+    """Check terrains that follow the viewport after each draw, since turning the view calls no handler."""
     if _follows_viewport:
         mark_dirty()
 

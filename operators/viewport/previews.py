@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a viewport shows of effects that take long: a preview at once, and when it rests what a render computes."""
+"""Previews of slow effects in a viewport, refined to the values of a render while it rests."""
 
 from dataclasses import replace
 
@@ -11,16 +11,16 @@ from ..request.request import Request
 
 
 def begun(request: Request, heights: HeightField) -> Request:
-    """The request with previews in place of what is not known yet; the same one if there is nothing of the kind."""
+    """Replace slow effects without a cached value by previews; return the same request if there are none."""
     names = [item.name for item in request.effects.asked]
     if sky.SKY.name not in names or sky_layer.is_known(heights, request.vertical_scale):
         return request
-    asked = tuple(_preview(item) if item.name == sky.SKY.name else item for item in request.effects.asked)
-    return replace(request, effects=replace(request.effects, asked=asked))
+    items = tuple(_preview(item) if item.name == sky.SKY.name else item for item in request.effects.asked)
+    return replace(request, effects=replace(request.effects, asked=items))
 
 
 def refine(request: Request, heights: HeightField) -> bool:
-    """One step of what can be made ahead for the request in full; returns whether none is left."""
+    """Compute one step of the slow effects of the full request, and return whether all are done."""
     return sky_layer.advance(heights, request.vertical_scale, launch.default_threads())
 
 

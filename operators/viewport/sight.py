@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether a terrain is in sight: its box in the world against what a camera or a viewport shows."""
+"""Visibility of a terrain: its box in the world against the view of a camera or a viewport."""
 
 import math
 
@@ -12,16 +12,16 @@ from ..properties.properties import CHOSEN_CAMERA
 from ..request import camera as cameras
 from ..scene import session, shaped_land
 
-NEAR_TO_FAR = 1e-5  # of a clip range, as Blender's own viewport has it: less, and the depth buffer mixes up far ridges
-SMALL = 0.1  # part of a frame that a terrain must span to be seen at all
+NEAR_TO_FAR = 1e-5  # ratio of a clip range, as in Blender's viewport, for the precision of the depth buffer
+SMALL = 0.1  # fraction of a frame that a terrain must span to count as shown
 
 
 def box_of(obj, depsgraph=None) -> np.ndarray:
-    """float64 [8, 3]: the corners of the terrain's box in the world. Raises TerrainError without a store."""
+    """Return the corners of the terrain's box in the world, float64 [8, 3]. Raises TerrainError without a store."""
     placed = obj if depsgraph is None else obj.evaluated_get(depsgraph)
     settings = placed.adaptive_terrain
     if not settings.store:
-        raise TerrainError(f"The terrain {obj.name!r} has no height field; import one from its panel.")
+        raise TerrainError(f"The terrain {obj.name!r} has no height field", fix="import one from its panel")
     field = session.open_field(shaped_land.store_of(obj))
     x, y = _half_extent(field)
     heights = [h * settings.vertical_scale + settings.vertical_offset for h in (field.min_height, field.max_height)]
@@ -29,7 +29,9 @@ def box_of(obj, depsgraph=None) -> np.ndarray:
     matrix = np.array(placed.matrix_world, np.float64)
     box = (matrix[:3, :3] @ corners.T).T + matrix[:3, 3]
     if not np.isfinite(box).all():
-        raise TerrainError(f"The terrain {obj.name!r} has a place that is not finite; check its transform and scale.")
+        raise TerrainError(
+            f"The terrain {obj.name!r} has a location that is not finite", fix="check its transform and scale"
+        )
     return box
 
 
@@ -39,25 +41,25 @@ def _half_extent(field) -> tuple[float, float]:
 
 
 def diagonal(box: np.ndarray) -> float:
-    """Metres from one end of a box [8, 3] to the other."""
+    """Return the diagonal of a box [8, 3] in metres."""
     return float(np.linalg.norm(np.ptp(box, axis=0)))
 
 
 def depths(box: np.ndarray, view: View) -> np.ndarray:
-    """float64 [8]: metres from the eye to the corners, along the view or, of a panorama, in any direction."""
+    """Return the depths of the corners, float64 [8] metres along the view, or distances for a panorama."""
     seen = _in_camera(box, view)
     return np.linalg.norm(seen, axis=1) if view.kind == PANORAMIC else -seen[:, 2]
 
 
 def is_cut_off(box: np.ndarray, view: View) -> bool:
-    """Whether a part of the box lies beyond the clip range's end, or, of a small one, all of it before the start."""
+    """Return whether the clip range cuts the far end of the box, or all of it before its start."""
     start, end = view.clip
     far = depths(box, view).max()
     return start < end and (far > end or 0.0 < far < start)
 
 
 def is_in_sight(box: np.ndarray, view: View) -> bool:
-    """False only if the frame shows nothing of the box; what clips it by distance is told by `is_cut_off`."""
+    """Return False only if the whole box is outside the frame; `is_cut_off` tests the clip range."""
     if view.kind == PANORAMIC:
         return True
     x, y, w = _in_frame(box, view)
@@ -66,7 +68,7 @@ def is_in_sight(box: np.ndarray, view: View) -> bool:
 
 
 def shows_all(box: np.ndarray, view: View) -> bool:
-    """Whether the frame shows the whole box, and not as a speck."""
+    """Return whether the frame shows the whole box, at a size of at least SMALL."""
     if view.kind == PANORAMIC or is_cut_off(box, view):
         return False
     x, y, w = _in_frame(box, view)
@@ -82,14 +84,14 @@ def _in_camera(box: np.ndarray, view: View) -> np.ndarray:
 
 
 def _in_frame(box: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Homogeneous x, y and w [8] each; the frame is -w .. w."""
+    """Return homogeneous x, y and w, [8] each; the frame is -w .. w."""
     points = np.c_[_in_camera(box, view), np.ones(len(box))]
     x, y, _, w = view.projection @ points.T
     return x, y, np.ones(len(box)) if view.kind == ORTHOGRAPHIC else w
 
 
 def is_below_ground(obj, point: np.ndarray) -> bool:
-    """Whether a point of the world [3] is under the terrain's surface, as near as a sample tells."""
+    """Return whether a point of the world [3] is below the nearest sample of the terrain."""
     settings = obj.adaptive_terrain
     field = session.open_field(shaped_land.store_of(obj))
     matrix = np.array(obj.matrix_world, np.float64)
@@ -106,20 +108,23 @@ def is_below_ground(obj, point: np.ndarray) -> bool:
 
 
 def camera_of(obj, scene):
-    """The camera that a render refines the terrain for, or None."""
+    """Return the camera for which a render refines the terrain, or None."""
     settings = obj.adaptive_terrain
     camera = settings.camera if settings.camera_source == CHOSEN_CAMERA else cameras.active_camera(scene)
     return camera if camera is not None and camera.type == "CAMERA" else None
 
 
 def view_of_camera(scene, camera) -> View:
-    """What a camera shows now. Raises TerrainError for one that makes no picture."""
+    """Return the current view of a camera. Raises TerrainError for an invalid camera."""
     return cameras.view_from_camera(scene, camera, camera.matrix_world, cameras.render_resolution(scene))
 
 
 def clip_that_shows(box: np.ndarray, furthest: float, clip: tuple[float, float]) -> tuple[float, float]:
-    """A clip range (metres) for a box whose furthest corner is `furthest` away: `clip` itself where it has room, else
-    one of a round end with room to move, and a start that leaves the depth buffer its precision."""
+    """Return a clip range (metres) that includes a box whose furthest corner is `furthest` away.
+
+    It is `clip` if that is sufficient. Otherwise its end is a round number with some margin, and its start keeps the
+    precision of the depth buffer.
+    """
     start, end = clip
     needed = max(furthest, diagonal(box))
     if end < needed:
@@ -129,6 +134,6 @@ def clip_that_shows(box: np.ndarray, furthest: float, clip: tuple[float, float])
 
 
 def round_up(value: float) -> float:
-    """1, 2 or 5 times a power of ten."""
+    """Round up to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * (1 - 1e-9))

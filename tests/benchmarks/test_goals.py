@@ -5,11 +5,11 @@ import pytest
 from adaptive_terrain.benchmarks import suite
 from adaptive_terrain.benchmarks.pages import goals
 from adaptive_terrain.benchmarks.pages.goals import ANY_SIZE, SLACK, RowGoal
-from adaptive_terrain.benchmarks.rig.measure import Row
+from adaptive_terrain.benchmarks.rig.measure import BenchmarkRow
 
 
 def result(ratio, name="made_up"):
-    return Row(name, 1_000_000, 100.0 * ratio, "base", 100.0)
+    return BenchmarkRow(name, 1_000_000, 100.0 * ratio, "base", 100.0)
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def test_a_known_miss_may_exceed_its_known_ratio_by_half(rows):
 
 
 def test_rows_without_goal_or_ratio_never_fail(rows):
-    assert goals.failures([result(1e9, "sized"), result(1e9, "unknown"), Row("made_up", 1_000_000, 1e9)]) == []
+    assert goals.failures([result(1e9, "sized"), result(1e9, "unknown"), BenchmarkRow("made_up", 1_000_000, 1e9)]) == []
     assert goals.goal_of("sized", 500_000) == 0.2 and goals.goal_of("sized", 1_000_000) is None
 
 
@@ -47,7 +47,7 @@ class Measurement:
 
     def __call__(self):
         self.calls += 1
-        return Row(self.name, 1_000_000, 1.0, "base", ratio=self.ratios[min(self.calls, len(self.ratios)) - 1])
+        return BenchmarkRow(self.name, 1_000_000, 1.0, "base", ratio=self.ratios[min(self.calls, len(self.ratios)) - 1])
 
 
 def test_a_disturbed_measurement_is_repeated(rows):
@@ -71,7 +71,7 @@ def test_a_miss_within_the_slack_is_measured_once(rows):
 
 def test_only_a_failed_row_is_replaced_by_a_better_one(rows):
     def two():
-        return [Row("made_up", 1_000_000, 1.0, "a", ratio=next(ratios)), Row("sized", 7, next(times))]
+        return [BenchmarkRow("made_up", 1_000_000, 1.0, "a", ratio=next(ratios)), BenchmarkRow("sized", 7, next(times))]
 
     ratios, times = iter([0.9, 0.4, 0.25]), iter([1.0, 2.0, 3.0])
     failed, other = suite.measure_rows([two], goals.ATTEMPTS)

@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ElementTree
 
 import pytest
 from adaptive_terrain.benchmarks.pages import goals, performance_page, plot, report
-from adaptive_terrain.benchmarks.rig.measure import Row, Timed, alternate, median_by_step
+from adaptive_terrain.benchmarks.rig.measure import BenchmarkRow, Timed, alternate, median_by_step
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 
 SPACE = "{http://www.w3.org/2000/svg}"
@@ -25,12 +25,12 @@ def rows(monkeypatch):
     monkeypatch.setattr(goals, "ROWS", made_up)
     monkeypatch.setattr(performance_page, "ROWS", made_up)
     return [
-        Row("refine_1t", 50_000, 1.0, "roam_rebuild", 4.0, first_ms=2.0, steps={"refine": 0.8, "weld": 0.2}),
-        Row("refine_1t", 1_000_000, 20.0, "roam_rebuild", 80.0),
-        Row("refine_2t", 500_000, 3.0, "roam_rebuild", None),
-        Row("surface", 1_000_000, 50.0, "roam_rebuild", 80.0),
-        Row("cold_start", 50_000, 500.0, figures={"first_update_ms": 40.0}),
-        Row("large_memory", 1_000_000, None, "4097 x 4097", ratio=1.5),
+        BenchmarkRow("refine_1t", 50_000, 1.0, "roam_rebuild", 4.0, first_ms=2.0, steps={"refine": 0.8, "weld": 0.2}),
+        BenchmarkRow("refine_1t", 1_000_000, 20.0, "roam_rebuild", 80.0),
+        BenchmarkRow("refine_2t", 500_000, 3.0, "roam_rebuild", None),
+        BenchmarkRow("surface", 1_000_000, 50.0, "roam_rebuild", 80.0),
+        BenchmarkRow("cold_start", 50_000, 500.0, figures={"first_update_ms": 40.0}),
+        BenchmarkRow("large_memory", 1_000_000, None, "4097 x 4097", ratio=1.5),
     ]
 
 
@@ -76,9 +76,9 @@ def test_the_pages_have_every_row_and_the_misses(rows):
 def test_the_page_has_the_six_rows_that_were_measured(rows, monkeypatch):
     for name, goal in (("frame", 0.35), ("same_picture", 0.3)):
         monkeypatch.setitem(goals.ROWS, name, goals.RowGoal("A row.", {goals.ANY_SIZE: goal}))
-    measured = [Row(name, 1_000_000, 10.0, "base", 40.0) for name in ("import", "frame", "still", "surface")]
-    measured += [Row("refine_error", 1_000_000, 10.0, "base", 40.0), Row("frame", 50_000, 7.0)]
-    measured.append(Row("same_picture", 1_632_029, 1363.0, "cycles dicing", 5087.0))
+    measured = [BenchmarkRow(name, 1_000_000, 10.0, "base", 40.0) for name in ("import", "frame", "still", "surface")]
+    measured += [BenchmarkRow("refine_error", 1_000_000, 10.0, "base", 40.0), BenchmarkRow("frame", 50_000, 7.0)]
+    measured.append(BenchmarkRow("same_picture", 1_632_029, 1363.0, "cycles dicing", 5087.0))
     table = performance_page.headlines([*rows, *measured]).splitlines()[2:]
     assert len(table) == len(performance_page.HEADLINES) == 6
     assert table[0].endswith("| 1,000,000 | 10 | base | 40 | 0.25 | 0.35 |")
@@ -88,7 +88,10 @@ def test_the_page_has_the_six_rows_that_were_measured(rows, monkeypatch):
 
 def test_the_bars_of_a_frame_are_its_steps_and_end_at_its_time():
     steps = {"refine": 3.0, "weld": 1.0, "displace": 3.0, "mesh": 5.0, "blender": 3.0}
-    frames = [Row("frame", 50_000, 10.0, steps={"refine": 10.0}), Row("frame", 1_000_000, 20.0, steps=steps)]
+    frames = [
+        BenchmarkRow("frame", 50_000, 10.0, steps={"refine": 10.0}),
+        BenchmarkRow("frame", 1_000_000, 20.0, steps=steps),
+    ]
     chart = ElementTree.fromstring(plot.write_bars(frames))
     wide = [float(box.get("width")) for box in chart.iter(f"{SPACE}rect") if box.get("height") == "30.0"]
     short, long = wide[: len(plot.STEPS)], wide[len(plot.STEPS) :]

@@ -10,7 +10,7 @@ from dataclasses import asdict
 import pytest
 from adaptive_terrain.benchmarks import suite
 from adaptive_terrain.benchmarks.pages import goals, report
-from adaptive_terrain.benchmarks.rig.measure import Row
+from adaptive_terrain.benchmarks.rig.measure import BenchmarkRow
 from adaptive_terrain.benchmarks.rows import in_program
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.cli import command_line
@@ -24,7 +24,7 @@ def a_program(tmp_path, script: str) -> list[str]:
 
 
 def test_a_row_comes_from_inside_a_program(tmp_path):
-    row = Row("program_frame", 1_000_000, 13.0, "plain_ingest", 240.0, steps={"mesh": 12.0})
+    row = BenchmarkRow("program_frame", 1_000_000, 13.0, "plain_ingest", 240.0, steps={"mesh": 12.0})
     line = in_program.MARK + json.dumps(asdict(row))
     command = a_program(tmp_path, f"echo another line\necho '{line}'\necho Blender quit")
     assert in_program.program_frame_row(command, tmp_path) == row and row.name in goals.ROWS
@@ -33,17 +33,17 @@ def test_a_row_comes_from_inside_a_program(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("script", "said"),
+    ("script", "message"),
     [
         ("echo Krita 5", "no Blender program"),
         ("echo no display >&2; exit 3", "ended with code 3 \\(no display\\)"),
         ("printf 'Krita \\351'", "no Blender program"),
     ],
 )
-def test_a_program_that_is_not_blender_is_refused_first(one_row, tmp_path, capsys, script, said):
+def test_a_program_that_is_not_blender_is_refused_first(one_row, tmp_path, capsys, script, message):
     assert command_line.main(["bench", "--quick", "--blender", *a_program(tmp_path, script)]) == 1
     printed = capsys.readouterr()
-    assert re.search(said, printed.err) and not printed.out
+    assert re.search(message, printed.err) and not printed.out
     assert command_line.main(["bench", "--quick", "--blender", str(tmp_path / "nothing")]) == 1
     assert "cannot be started" in capsys.readouterr().err
 
@@ -53,20 +53,20 @@ def one_row(monkeypatch):
     """Replace the suite by one row that fails its goal."""
     monkeypatch.setattr(suite, "build_roam_rebuild", lambda *_: None)
     monkeypatch.setattr(
-        suite, "list_measures", lambda *_: [lambda: Row("maps_normal", 1_000_000, 200.0, "numpy", 100.0)]
+        suite, "list_measures", lambda *_: [lambda: BenchmarkRow("maps_normal", 1_000_000, 200.0, "numpy", 100.0)]
     )
 
 
 def test_a_quick_run_that_is_too_slow_fails_once_written(one_row, tmp_path, capsys):
     target = tmp_path / "rows.json"
     assert command_line.main(["bench", "--quick", "--json", str(target)]) == 1
-    said = capsys.readouterr()
-    assert said.err == (
-        "adaptive-terrain: error: Slower than allowed in each of 3 attempts: "
+    captured = capsys.readouterr()
+    assert captured.err == (
+        "adaptive-terrain: error: Rows were slower than allowed in each of 3 attempts: "
         "maps_normal at 1,000,000 (ratio 2, at most 1.5).\n"
     )
     [row] = json.loads(target.read_text())
-    assert row["attempts"] == 3 and said.out.count("goal 1: missed") == 3
+    assert row["attempts"] == 3 and captured.out.count("goal 1: missed") == 3
     assert command_line.main(["bench"]) == 0
 
 
@@ -95,9 +95,9 @@ def test_unwritable_files_are_reported_before_measuring(option, tmp_path, monkey
     monkeypatch.setattr(suite, "list_measures", lambda *_: pytest.fail("it was measured"))
     (tmp_path / "file").write_text("in the way")
     assert command_line.main(["bench", option, str(tmp_path / "file" / "below")]) == 1
-    said = capsys.readouterr()
-    assert "cannot be written (Not a directory); choose another name." in said.err and said.err.count("\n") == 1
-    assert said.out == "" and [path.name for path in tmp_path.iterdir()] == ["file"]
+    captured = capsys.readouterr()
+    assert "cannot be written (Not a directory); choose another name." in captured.err and captured.err.count("\n") == 1
+    assert captured.out == "" and [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_an_interrupted_run_leaves_existing_files(one_row, tmp_path, monkeypatch, capsys):
@@ -117,7 +117,7 @@ def test_an_interrupted_run_leaves_existing_files(one_row, tmp_path, monkeypatch
 def test_results_go_into_a_pipe_too(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     end = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
-    report.write_json([Row("frame", 1_000_000, 1.0)], tmp_path / "pipe")
+    report.write_json([BenchmarkRow("frame", 1_000_000, 1.0)], tmp_path / "pipe")
     assert json.loads(os.read(end, 10_000))[0]["name"] == "frame"
     os.close(end)
     assert [path.name for path in tmp_path.iterdir()] == ["pipe"]

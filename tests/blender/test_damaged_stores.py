@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hard case 64 in the real program: a .blend names its store, so to open one and change the frame is enough."""
+"""Hard case 64 in the real program: opening a .blend and changing the frame reads its store."""
 
 import os
 from pathlib import Path
@@ -12,12 +12,12 @@ PARTS, ROUNDS = (10, 200) if FULL else (1, 30)
 
 
 @pytest.mark.parametrize("part", range(PARTS))
-def test_frame_changes_over_damaged_stores_give_a_mesh_or_one_sentence(program, monkeypatch, part):
-    """No crash, no index out of range, nothing that is not finite; where a store is refused the last mesh stays."""
+def test_damaged_stores_give_a_mesh_or_one_sentence(program, monkeypatch, part):
+    """There is no crash, no index out of range and no infinite number; the last mesh stays if a store is refused."""
     monkeypatch.syspath_prepend(TESTS)
     from damaged_stores import whole_stores
 
-    folder = program.user / "stores"  # that the program sees, too
+    folder = program.user / "stores"  # visible to the program
     folder.mkdir(exist_ok=True)
     arguments = folder, str(part * ROUNDS), str(ROUNDS), *whole_stores(folder)
     outcomes = program.script("damaged_stores.py", *arguments, timeout=1800)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What leaves the real program is right, or does not leave it: exports in every format, renders that would be stale."""
+"""Exports of the real program are right in every format, and stale renders are refused."""
 
 import json
 import subprocess
@@ -9,7 +9,7 @@ import pytest
 from mesh_files import read_mesh
 
 FORMATS = ("glb", "npz", "stl", "obj", "ply", "blend")
-# The terrain is turned and stretched, and the render is much finer than the viewport.
+# The terrain is rotated and stretched, and the render is much finer than the viewport.
 PREPARE = """
 import bpy, sys
 scene = bpy.context.scene
@@ -31,7 +31,7 @@ def prepared(program, scene, tmp_path_factory):
 
 
 def in_world(path, info):
-    """Corners of the triangles of a file, float64 [T, 3, 3], in the world; `info` of the .npz of its frame."""
+    """Return the triangle corners of a file in the world, float64 [T, 3, 3]; `info` comes from the frame's .npz."""
     points, triangles = read_mesh(path)
     if path.suffix == ".npz":
         place = np.array(info["placement"])
@@ -41,8 +41,8 @@ def in_world(path, info):
 
 def test_every_format_holds_the_render_mesh_of_its_frame(program, prepared, tmp_path):
     export = ["--command", "adaptive_terrain", "export", "--scene", prepared, "--frames", "3,2", "--out", tmp_path]
-    said = program.run(*export, "--format", ",".join(FORMATS)).splitlines()
-    assert [line.split(":")[0] for line in said if "locale" not in line] == ["frame 3", "frame 2"], said
+    report = program.run(*export, "--format", ",".join(FORMATS)).splitlines()
+    assert [line.split(":")[0] for line in report if "locale" not in line] == ["frame 3", "frame 2"], report
     triangles = []
     for frame in (2, 3):
         with np.load(tmp_path / f"Terrain_{frame:04d}.npz") as data:
@@ -55,8 +55,8 @@ def test_every_format_holds_the_render_mesh_of_its_frame(program, prepared, tmp_
             assert found.shape == wanted.shape == (info["triangles"], 3, 3), form
             assert np.allclose(found, wanted, atol=1e-5 * np.ptp(wanted)), form
     count = "--python-expr", "import bpy; print('HOLDS', len(bpy.data.objects['Terrain'].data.polygons))"
-    said = program.run("-b", tmp_path / "shot_0002.blend", *count, tmp_path / "shot_0003.blend", *count).splitlines()
-    assert [line for line in said if "HOLDS" in line] == [f"HOLDS {number}" for number in triangles]
+    report = program.run("-b", tmp_path / "shot_0002.blend", *count, tmp_path / "shot_0003.blend", *count).splitlines()
+    assert [line for line in report if "HOLDS" in line] == [f"HOLDS {number}" for number in triangles]
     assert len(set(triangles)) == 2, "the camera moves"
 
 
@@ -87,8 +87,8 @@ def test_an_export_of_a_store_leaves_the_extension_whole(program, scene, tmp_pat
 
 
 def test_the_extension_offers_no_benchmarks(program):
-    said = program.run("--command", "adaptive_terrain", "--help")
-    assert "accuracy" in said and "bench" not in said
+    report = program.run("--command", "adaptive_terrain", "--help")
+    assert "accuracy" in report and "bench" not in report
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_the_extension_offers_no_benchmarks(program):
     ],
 )
 def test_a_render_that_would_be_stale_ends(program, prepared, tmp_path, change, how, frames, why):
-    """Hard case 68 in the real program: one line, exit code 1, no stale frame, and a movie that is closed."""
+    """Hard case 68 in the real program: one line, exit code 1, no stale frame, and a closed movie."""
     script = f"""
 import bpy
 scene = bpy.context.scene
@@ -122,9 +122,9 @@ scene.render.filepath = {str(tmp_path / "frame_")!r}
 """
     command = program.command("-b", prepared, "--python-exit-code", "2", "--python-expr", script, *how)
     done = subprocess.run(command, env=program.environment(), capture_output=True, text=True, timeout=200)
-    said = [line for line in (done.stdout + done.stderr).splitlines() if line.startswith("Adaptive Terrain:")]
+    report = [line for line in (done.stdout + done.stderr).splitlines() if line.startswith("Adaptive Terrain:")]
     assert done.returncode == (1 if why else 0), done.stdout + done.stderr
-    assert len(said) == 1 and (why in said[0] if why else "is rendered with a stale mesh" in said[0])
+    assert len(report) == 1 and (why in report[0] if why else "is rendered with a stale mesh" in report[0])
     if frames == "1-4":
         [movie] = tmp_path.glob("frame_*")
         assert b"moov" in movie.read_bytes(), "a movie that is not closed has no index"

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A job that `submit` has written, run to its end by a worker of Open Job Description in the real program: import,
-chunks, cancel, resume, a frame again; pictures; and what its guards catch."""
+"""A worker of Open Job Description runs a job of `submit` in the real program.
+
+Tested are import, chunks, cancelling, resuming, single frames, pictures and guards.
+"""
 
 import json
 import re
@@ -17,11 +19,11 @@ from PIL import Image
 
 FRAMES = "1-4,15-19:2,30"
 NUMBERS = [1, 2, 3, 4, 15, 17, 19, 30]
-# What a strict check of Deadline's Blender adaptor (`strict_error_checking`) takes for a failure.
+# Lines that a strict check of Deadline's Blender adaptor (`strict_error_checking`) takes for a failure.
 STRICT = re.compile(r".*Exception:.*|.*Error:.*|.*Warning.*")
 BLENDERS_OWN = "Falling back to the standard locale"
-# The terrain is turned and stretched, has a stack, and a material that reads what that leaves and a map. Neither the
-# store nor the map is there, and the file itself would let stale frames pass.
+# The terrain is rotated and stretched, and has a stack and a material that reads a layer of it and a map. Store and map
+# are missing, and the file allows stale frames.
 PREPARE = """
 import bpy
 scene = bpy.context.scene
@@ -66,7 +68,7 @@ class Farm:
         self.blender.chmod(0o755)
 
     def submit(self, name: str, *arguments) -> Path:
-        """The folder of a new job."""
+        """Submit a new job and return its folder."""
         where = "--scene", self.blend, "--out", self.folder / name
         self.program.run("--command", "adaptive_terrain", "submit", *where, *arguments)
         return self.folder / name
@@ -76,8 +78,8 @@ class Farm:
         return self.program.environment() | {"BLENDER_USER_RESOURCES": str(user), "BIND": str(self.program.user)}
 
     def start(self, job: Path, step: str, *arguments: str, user: Path, **changed) -> subprocess.Popen:
-        said = json.loads((job / "parameter_values.yaml").read_text())["parameterValues"]
-        values = {item["name"]: str(item["value"]) for item in said} | {"Blender": str(self.blender)} | changed
+        report = json.loads((job / "parameter_values.yaml").read_text())["parameterValues"]
+        values = {item["name"]: str(item["value"]) for item in report} | {"Blender": str(self.blender)} | changed
         command = [sys.executable, "-c", "from openjd.cli import main; main()", "run", job / "template.yaml"]
         command += ["--step", step, *arguments, "--job-param", json.dumps(values)]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
@@ -85,17 +87,17 @@ class Farm:
 
     def run(self, *arguments: str, **options) -> tuple[int, str]:
         process = self.start(*arguments, **options)
-        said = process.communicate(timeout=900)[0]
-        return process.returncode, said
+        report = process.communicate(timeout=900)[0]
+        return process.returncode, report
 
 
 @pytest.fixture(scope="module")
 def farm(program, scene, dem, tmp_path_factory):
     folder = tmp_path_factory.mktemp("farm")
-    made = Farm(program, folder)
-    script = PREPARE.replace("PATH", repr(str(made.blend)))
+    new_farm = Farm(program, folder)
+    script = PREPARE.replace("PATH", repr(str(new_farm.blend)))
     program.run("-b", scene[0], "--python-exit-code", "1", "--python-expr", script)
-    return made
+    return new_farm
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -103,7 +105,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_meshes_cancelled_resumed_and_made_again(farm):
-    """A worker without the extension gets it for the job alone; the store is imported, since it is missing."""
+    """A worker without the extension gets it for this job, and imports the missing store."""
     job = farm.submit("meshes", "--frames", FRAMES, "--chunk", "4", "--extension", "installed")
     out, bare = job / "frames", farm.folder / "bare"
     process = farm.start(job, "Verify", "--run-dependencies", user=bare)
@@ -113,22 +115,24 @@ def test_meshes_cancelled_resumed_and_made_again(farm):
         assert time.monotonic() < deadline
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=300)[0]
-    assert process.returncode != 0 and "imported, 403 x 344 samples" in said, said
-    assert "Terrain: its land is shaped" in said and "Terrain: 1 image baked, 0 kept" in said, said
-    assert "openjd_env: BLENDER_USER_RESOURCES=" in said and not (bare / "extensions").exists()
+    report = process.communicate(timeout=300)[0]
+    assert process.returncode != 0 and "imported, 403 x 344 samples" in report, report
+    assert "Terrain: its land is shaped" in report and "Terrain: 1 image baked, 0 kept" in report, report
+    assert "openjd_env: BLENDER_USER_RESOURCES=" in report and not (bare / "extensions").exists()
     before = contents(out)
     assert 2 <= len(list(out.glob("frame_*.json"))) < len(NUMBERS)
 
-    code, said = farm.run(job, "Verify", "--run-dependencies", user=farm.program.user, ExtensionZip="")
-    assert code == 0, said
-    assert said.count("complete before") >= 2 and "its store is there" in said
-    assert "Terrain: 0 images baked, 1 kept" in said and len(list(farm.folder.glob("dem.store_land/*/store.json"))) == 1
+    code, report = farm.run(job, "Verify", "--run-dependencies", user=farm.program.user, ExtensionZip="")
+    assert code == 0, report
+    assert report.count("complete before") >= 2 and "its store is there" in report
+    assert (
+        "Terrain: 0 images baked, 1 kept" in report and len(list(farm.folder.glob("dem.store_land/*/store.json"))) == 1
+    )
     with np.load(out / "Terrain_0001.npz") as mesh:
         assert mesh["snow"].max() > 0.1, "what the stack leaves is in the frames"
-    assert f"openjd_status: {len(NUMBERS)} frames are whole" in said
+    assert f"openjd_status: {len(NUMBERS)} frames are whole" in report
     assert {int(path.stem[-4:]) for path in out.iterdir()} == set(NUMBERS), "nothing is left of what was cancelled"
-    strict = [line for line in said.splitlines() if STRICT.match(line) and BLENDERS_OWN not in line]
+    strict = [line for line in report.splitlines() if STRICT.match(line) and BLENDERS_OWN not in line]
     assert strict == []
     whole = contents(out)
     assert len(set(whole.values())) == len(NUMBERS) and whole.items() >= before.items()
@@ -142,13 +146,13 @@ def test_meshes_cancelled_resumed_and_made_again(farm):
 
 @pytest.fixture(scope="module")
 def pictures(farm):
-    """A job of two pictures; its scene's store is made by a step of the job of meshes."""
+    """Submit a job of two pictures, whose store the job of meshes makes."""
     return farm.submit("pictures", "--frames", "4,22", "--render")
 
 
 def test_pictures_are_those_of_a_plain_render(farm, pictures, tmp_path):
-    code, said = farm.run(pictures, "Render", user=farm.program.user)
-    assert code == 0 and "openjd_status: frame 22: " in said, said
+    code, report = farm.run(pictures, "Render", user=farm.program.user)
+    assert code == 0 and "openjd_status: frame 22: " in report, report
     guarded = "--python-exit-code", "1", "--python", pictures / "guard.py"
     farm.program.run("-b", farm.blend, *guarded, "--render-output", tmp_path / "frame_####", "-f", "4,22")
     for frame in (4, 22):
@@ -162,9 +166,9 @@ def test_pictures_are_those_of_a_plain_render(farm, pictures, tmp_path):
 
 
 def test_a_worker_that_would_render_stale_terrains_fails(farm, pictures, tmp_path):
-    """The extension missing, of another version, and the store missing: exit code 1, a line that says so, no frame."""
-    code, said = farm.run(pictures, "Import", user=farm.folder / "without")
-    assert code != 0 and "openjd_fail: the extension Adaptive Terrain is not enabled" in said
+    """A missing extension, another version or a missing store gives exit code 1 and one line, and no frame."""
+    code, report = farm.run(pictures, "Import", user=farm.folder / "without")
+    assert code != 0 and "openjd_fail: the extension Adaptive Terrain is not enabled" in report
     guard = (pictures / "guard.py").read_text()
     (tmp_path / "other.py").write_text(re.sub('VERSION = ".*"', 'VERSION = "0.0.1"', guard, count=1))
     away = farm.store.with_name("away")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The real program bakes maps, and what it renders shows them."""
+"""The real program bakes maps, and its renders show them."""
 
 import pytest
 from adaptive_terrain.cbt_terrain.maps.folder import read_index
@@ -7,24 +7,24 @@ from adaptive_terrain.cbt_terrain.maps.folder import read_index
 
 @pytest.fixture(scope="module")
 def shown(program, scene, tmp_path_factory):
-    """A folder of maps and pictures, and what both scripts say, from one program: EEVEE's shaders are compiled once."""
+    """Return a folder of maps and pictures and the reports of both scripts; one program compiles shaders once."""
     folder = tmp_path_factory.mktemp("maps")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("GALLIVM_PERF", "nopt")  # Mesa compiles shaders for longer than it runs them: a quarter less so
+        patch.setenv("GALLIVM_PERF", "nopt")  # saves a quarter of Mesa's time for compiling shaders
         return folder, program.scripts(["bake_maps.py", "tile_seams.py"], folder, blend=scene[0], timeout=600)
 
 
 def test_the_program_bakes_maps_and_both_engines_show_them(shown):
-    folder, (said, _) = shown
+    folder, (report, _) = shown
     [folder] = [path for path in (folder / "maps").iterdir() if path.is_dir()]
     assert set(read_index(folder)["maps"]) == {"color", "detail_normal"}
-    (cycles, shaded), (eevee, also) = said["red"].values()
+    (cycles, shaded), (eevee, also) = report["red"].values()
     assert 0.01 < cycles < 0.1 and abs(eevee - cycles) < 0.2 * cycles, "the decal is seen, and in the same place"
     assert shaded > 0.02 and also > 0.02, "the ground under it is not flat"
 
 
 def test_no_line_is_seen_between_tiles(shown):
-    """In EEVEE, which would show the mean of a tile there: by a picture that has no mips."""
-    _, (_, said) = shown
-    assert said["tiles"] == 16 and said["range"] > 0.3
-    assert said["most"] < 5 * said["median"] + 0.002
+    """EEVEE shows no mean colour at the borders of tiles, compared with a picture without mips."""
+    _, (_, report) = shown
+    assert report["tiles"] == 16 and report["range"] > 0.3
+    assert report["most"] < 5 * report["median"] + 0.002

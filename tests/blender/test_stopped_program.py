@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Commands inside the real Blender program, which has signal handlers of its own, are stopped as those outside are."""
+"""Signals stop commands inside the real Blender program, which has other signal handlers, like those outside."""
 
 import json
 import os
@@ -51,11 +51,11 @@ def test_a_command_is_stopped(program, store, tmp_path, verb, number):
         for pid in processes(str(tmp_path)):
             if "blender" in Path(f"/proc/{pid}/comm").read_text():
                 os.kill(pid, number)
-        said = process.communicate(timeout=60)[1]
+        report = process.communicate(timeout=60)[1]
     finally:
         process.kill()
-    assert process.returncode == 128 + number, said
-    assert "adaptive-terrain: stopped\n" in said and "Traceback" not in said
+    assert process.returncode == 128 + number, report
+    assert "adaptive-terrain: stopped\n" in report and "Traceback" not in report
     assert not processes(str(tmp_path))
     if verb == "import":
         assert not out.exists()

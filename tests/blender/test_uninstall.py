@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Stores survive an uninstall in the real program, also those of version 0.2.0 in the folder that Blender deletes."""
+"""Stores survive an uninstall in the real program, including those of version 0.2.0 in the deleted folder."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from real_program import EXTENSION, Program
 
 @pytest.fixture
 def fresh_program(program, extension_zip, tmp_path):
-    """A program with the extension alone in a user folder that no other test uses, and with compiled kernels."""
+    """Install the extension in a program with a separate user folder and compiled kernels."""
     fresh = Program(program.wrapper, tmp_path / "user")
     fresh.kernels = program.kernels
     fresh.user.mkdir()

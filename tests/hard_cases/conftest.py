@@ -7,7 +7,7 @@ from blender_scenes import add_terrain, empty, grid_surface, scene, store  # noq
 
 @pytest.fixture
 def flight(scene):  # noqa: F811
-    """The camera hangs on an animated, turning parent and flies over frames 1 to 20."""
+    """Return a scene whose camera flies over frames 1 to 20 on an animated, rotating parent."""
     import bpy
 
     parent = bpy.data.objects.new("Rig", None)

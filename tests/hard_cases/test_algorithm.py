@@ -15,7 +15,7 @@ from fields import least_triangles, random_view, rough, scattered, screen_error
 from invariants import arrays, assert_invariants
 
 VIEW = View.look((-300.0, -400.0, 150.0), (0, 0, 0))
-# CI asks for 1,000 and `make fuzz` for 10,000.
+# CI sets 1,000 rounds and `make fuzz` 10,000.
 ROUNDS = int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "200"))
 
 
@@ -31,7 +31,7 @@ def eager_threads(monkeypatch):
 
 
 def checked(terrain, criterion, views, **placed):
-    """An update whose mesh keeps the invariants."""
+    """Update the terrain and assert the invariants of its mesh."""
     update = terrain.update(criterion, views, **placed)
     assert_invariants(update.surface, terrain.field.lattice, criterion.meshlet)
     return update
@@ -44,7 +44,7 @@ def budgets(full, least):
 @pytest.mark.parametrize("shape", [(65, 65), (33, 97)])
 @pytest.mark.parametrize("threads", [1, 2])
 def test_case_37_budget_of_nothing_and_exactly_full(eager_threads, shape, threads):
-    """A closed mesh of at most max(budget, two a root square) triangles; the bound reported covers what is measured."""
+    """The mesh is closed, has at most max(budget, two per root square) triangles and keeps its reported bound."""
     field = rough(*shape)
     full = checked(Terrain(field, threads), Criterion(error_px=0.5), [VIEW])
     whole, least, points = arrays(full.surface), 2 * field.lattice.squares, scattered(field, 1000)
@@ -60,7 +60,7 @@ def test_case_37_budget_of_nothing_and_exactly_full(eager_threads, shape, thread
 
 
 def test_case_38_a_larger_budget_is_never_worse(field):
-    """Over budgets 2 .. 4,000 the bound never rises and the number of triangles never falls."""
+    """From budget 2 to 4,000 the bound never increases and the number of triangles never decreases."""
     terrain, last_bound, last_triangles = Terrain(field, 1), np.inf, 0
     for budget in range(2, 4000, 97):
         update = checked(terrain, Criterion(error_px=0.1, max_triangles=budget), [VIEW])
@@ -70,13 +70,13 @@ def test_case_38_a_larger_budget_is_never_worse(field):
 
 
 def test_case_39_the_same_view_changes_nothing(field):
-    """A second update at one view, and one asked in other words, leave the tree's and the mesh's bytes as they are."""
+    """A second update of one view and an equivalent request change no byte of tree and mesh."""
     terrain = Terrain(field, 1)
     first = checked(terrain, Criterion(), [VIEW])
     assert first.changed
     mesh, before = arrays(first.surface), terrain.tree.to_bytes()
     assert not terrain.update(Criterion(), [VIEW]).changed
-    # asked in other words, so that the walk runs: still the same tree
+    # a slightly different guard band makes the walk run again
     again = checked(terrain, Criterion(guard_deg=2.5000001), [VIEW])
     assert not again.changed and arrays(again.surface) == mesh
     assert terrain.tree.to_bytes() == before
@@ -92,7 +92,7 @@ def test_case_40_threads_do_not_show(eager_threads, meshlet):
         one = checked(alone, criterion, [VIEW])
         for threads in (2, 3, 16):
             terrain = Terrain(field, threads)
-            terrain.update(Criterion(error_px=1.5, meshlet=meshlet), [VIEW])  # so that there is something to cut by
+            terrain.update(Criterion(error_px=1.5, meshlet=meshlet), [VIEW])  # its leaves divide the work
             many = terrain.update(criterion, [VIEW])
             assert arrays(many.surface) == arrays(one.surface)
             assert (many.bound_px, many.bound_m, many.leaves) == (one.bound_px, one.bound_m, one.leaves)
@@ -100,7 +100,7 @@ def test_case_40_threads_do_not_show(eager_threads, meshlet):
 
 
 def test_case_41_there_and_back_again(field):
-    """A -> B -> A: the mesh's and the tree's bytes are those of A."""
+    """After A -> B -> A the mesh and the tree have the bytes of A."""
     terrain = Terrain(field, 2)
     there = View.look((500.0, 100.0, 40.0), (0, 0, 0), fov_deg=30)
     first = checked(terrain, Criterion(), [VIEW])
@@ -111,7 +111,7 @@ def test_case_41_there_and_back_again(field):
 
 
 def test_case_42_a_trembling_camera_changes_no_leaf(field):
-    """200 frames from within 1e-6 m of one place: one mesh, whatever the place (ten of them)."""
+    """Cameras within 1e-6 m of one position give one mesh: 20 frames at each of ten positions."""
     rng = np.random.default_rng(3)
     for _ in range(10):
         terrain, changes = Terrain(field, 1), 0
@@ -126,16 +126,16 @@ def leaf_set(terrain):
     return set(EditedTree.of(terrain.tree).leaves().tolist())
 
 
-def test_case_42_on_the_threshold_itself_one_diamond_flips_within_the_bound(field):
-    """Two places a nanometre apart that differ differ by one diamond, and both meshes keep the bound that was asked."""
-    terrain, asked = Terrain(field, 1), Criterion(error_px=2.0, off_screen_factor=1.0)
+def test_case_42_at_the_threshold_one_diamond_flips(field):
+    """Across a threshold, two views a nanometre apart differ by one diamond, and both meshes keep the criterion."""
+    terrain, criterion = Terrain(field, 1), Criterion(error_px=2.0, off_screen_factor=1.0)
     low, high = np.array([-300.0, -400.0, 150.0]), np.array([-280.0, -370.0, 140.0])
 
     def seen_from(eye):
         return View.look(eye, eye + [300.0, 400.0, -150.0])
 
     def leaves(eye):
-        terrain.update(asked, [seen_from(eye)])
+        terrain.update(criterion, [seen_from(eye)])
         return leaf_set(terrain)
 
     first = leaves(low)
@@ -147,13 +147,13 @@ def test_case_42_on_the_threshold_itself_one_diamond_flips_within_the_bound(fiel
     assert 0 < len(before ^ after) <= 6  # a diamond: its two triangles against their four halves
     points = scattered(field, 2000)
     for eye in (low, high):
-        update = checked(terrain, asked, [seen_from(eye)])
+        update = checked(terrain, criterion, [seen_from(eye)])
         assert screen_error(seen_from(eye), field, update.surface, points) <= update.bound_px
         assert update.bound_px <= 2.0
 
 
 def test_case_43_a_teleport_converges_in_one_call(field):
-    """20 jumps with a budget: after one call the mesh is the one that a new terrain makes for that view."""
+    """After each of 20 jumps with a budget, one call gives the mesh that a new terrain makes for that view."""
     terrain = Terrain(field, 2)
     rng = np.random.default_rng(5)
     for _ in range(20):
@@ -164,7 +164,7 @@ def test_case_43_a_teleport_converges_in_one_call(field):
 
 
 def test_case_46_random_views_keep_all_invariants(monkeypatch):
-    """Random sizes, depths, lenses, budgets, meshlets, scales: budget kept, one and two threads the same bytes."""
+    """Random sizes, depths, lenses, budgets and scales keep the budget; one and two threads give the same bytes."""
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     rng = np.random.default_rng(46)
     shapes = [(2, 2), (3, 3), (5, 9), (33, 33), (17, 49), (65, 33), (7, 40), (33, 129)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hard case 20: files that are truncated, corrupted or lie, a full disk, files that vanish."""
+"""Hard case 20: truncated and corrupted files, files with false headers, deleted files, and a full disk."""
 
 import json
 import shutil
@@ -24,7 +24,7 @@ from rasters import hills, imported, write_exr, write_raster
 
 
 def lying_tiff(path):
-    """Says that it is 10^9 x 10^9."""
+    """Write a TIFF whose header declares 10^9 x 10^9 samples."""
     content = bytearray(write_raster(path, hills(33, 33)).read_bytes())
     for tag in (256, 257):
         at = content.index(struct.pack("<HHI", tag, 3, 1))
@@ -65,7 +65,7 @@ def lying_vrt(path):
 
 
 def bomb_tiff(path):
-    """A file of kilobytes that unpacks to 40 GB."""
+    """Write a file of kilobytes that unpacks to 40 GB."""
     import rasterio
 
     options = {"tiled": True, "blockxsize": 1024, "blockysize": 1024, "compress": "deflate", "SPARSE_OK": "TRUE"}
@@ -74,7 +74,7 @@ def bomb_tiff(path):
 
 
 def bomb_tile(path):
-    """One tile of 34 GB."""
+    """Write a TIFF that declares one tile of 34 GB."""
     content = bytearray(write_raster(path, hills(64, 64), tiled=True, blockxsize=64, blockysize=64).read_bytes())
     for tag in (322, 323):
         at = content.index(struct.pack("<HHI", tag, 3, 1))
@@ -83,7 +83,7 @@ def bomb_tile(path):
 
 
 def bomb_png(path):
-    """A picture of 30,000 x 60,000 zeros in a few kilobytes that ends after its first rows."""
+    """Write a picture of 30,000 x 60,000 zeros in a few kilobytes that ends after its first rows."""
     header = struct.pack(">IIBBBBB", 60_000, 30_000, 16, 0, 0, 0, 0)
     data = zlib.compress(bytes(1_000_000), 9)
     chunks = [(b"IHDR", header), (b"IDAT", data), (b"IEND", b"")]
@@ -191,8 +191,8 @@ BAD_FILES = {
 
 
 @pytest.mark.parametrize("name", BAD_FILES)
-def test_case_20_a_bad_file_is_one_clear_error_and_the_store_stays(tmp_path, name):
-    """Every kind of truncated, corrupted or lying file is one sentence that names it, and the store keeps its key."""
+def test_case_20_a_bad_file_is_one_error_and_the_store_stays(tmp_path, name):
+    """Each truncated, corrupted or falsified file gives one sentence with its name, and the store keeps its key."""
     imported(tmp_path, "island", size=17)
     key = open_store(tmp_path / "store").key
     path = tmp_path / name
@@ -204,7 +204,7 @@ def test_case_20_a_bad_file_is_one_clear_error_and_the_store_stays(tmp_path, nam
     assert open_store(tmp_path / "store").key == key and len(list((tmp_path / "store").glob("data-*"))) == 1
 
 
-# Imports every file that it is given, and says how much memory the process has gained after each.
+# Import every file given as an argument and print how much memory the process has gained after each.
 HUNGER = """
 import json, resource, sys
 from adaptive_terrain.cbt_terrain.errors import TerrainError
@@ -223,7 +223,7 @@ print(json.dumps(added))
 
 
 def test_case_20_bad_files_cost_no_memory(tmp_path):
-    """All bad files one after the other in one process: its peak memory grows by less than 256 MB."""
+    """Reading all bad files in one process raises its peak memory by less than 256 MB."""
     paths = [tmp_path / name for name in BAD_FILES]
     for path in paths:
         BAD_FILES[path.name](path)
@@ -237,7 +237,7 @@ def test_case_20_bad_files_cost_no_memory(tmp_path):
 
 @pytest.mark.parametrize("name", ["lying.tif", "lying.exr", "bomb.tif"])
 def test_case_20_a_bad_file_in_the_child_process(tmp_path, name):
-    """The error of the import's own process comes through, and no folder is left behind."""
+    """The caller receives the error of the import's child process, and no folder is left."""
     BAD_FILES[name](tmp_path / name)
     with pytest.raises(TerrainError, match=name):
         import_source(ImportSettings(source=str(tmp_path / name)), tmp_path / "store")
@@ -245,7 +245,7 @@ def test_case_20_a_bad_file_in_the_child_process(tmp_path, name):
 
 
 def test_case_20_a_full_disk(tmp_path, monkeypatch):
-    """No room before, while and after the arrays are written: one sentence each, and the store stays (see faults/)."""
+    """A disk full before, during or after writing the arrays gives one sentence, and the store stays."""
     imported(tmp_path, "island", size=17)
     key = open_store(tmp_path / "store").key
 
@@ -276,7 +276,7 @@ def test_case_20_a_folder_that_may_not_be_written(tmp_path):
 
 
 def test_case_20_a_file_deleted_while_in_use(tmp_path):
-    """A raster deleted while it is read is imported whole or is an error that names it, and then no store is left."""
+    """A raster deleted during its import is imported whole, or the error names it and no store is left."""
     source = write_raster(tmp_path / "a.tif", hills(257, 257), blockysize=1)
 
     def delete(_fraction, _message):
@@ -287,19 +287,19 @@ def test_case_20_a_file_deleted_while_in_use(tmp_path):
     except TerrainError as error:
         assert "a.tif" in str(error)
         assert not (tmp_path / "store").exists()
-    else:  # where a file that is open stays whole, the import is
+    else:  # the operating system keeps an open file readable
         assert open_store(tmp_path / "store").max_height == hills(257, 257).max()
 
 
 def test_case_20_a_store_deleted_while_in_use(tmp_path):
-    """A store deleted while open stays readable and makes the same mesh; opening it again is an error."""
+    """A store deleted while open stays readable and gives the same mesh; opening it again is an error."""
     imported(tmp_path, "island", size=65)
     field = open_store(tmp_path / "store")
-    peak, asked = float(field.samples.max()), Criterion(error_px=0.0, error_m=5.0)
-    before = arrays(Terrain(field, 1).update(asked).surface)
+    peak, criterion = float(field.samples.max()), Criterion(error_px=0.0, error_m=5.0)
+    before = arrays(Terrain(field, 1).update(criterion).surface)
     shutil.rmtree(tmp_path / "store")
     assert float(field.samples.max()) == peak and error_for(field, 1).shape == field.error.shape
-    surface = Terrain(field, 1).update(asked).surface
+    surface = Terrain(field, 1).update(criterion).surface
     assert_invariants(surface, field.lattice)
     assert arrays(surface) == before
     assert not (tmp_path / "store").exists()

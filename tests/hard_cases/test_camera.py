@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hard cases 21 to 31 and 33, 34: cameras and transforms, as the engine sees them."""
+"""Hard cases 21 to 31, 33, 34, 46 and 71: cameras and transforms in the engine."""
 
 import math
 from dataclasses import replace
@@ -43,7 +43,7 @@ def assert_bound(field, view, update, placement=None):
 
 
 def test_case_21_eye_on_vertex_on_surface_inside_and_below(field):
-    """An eye on a vertex, on an edge, 20 m inside and 500 m below: a finite bound that covers what is measured."""
+    """An eye on a vertex, on an edge, 20 m and 500 m below the surface has a finite bound that holds."""
     on_vertex = sample_position(field, 20, 30)
     edge = (sample_position(field, 20, 30) + sample_position(field, 21, 30)) / 2
     for eye in (on_vertex, edge, on_vertex - [0, 0, 20], on_vertex - [0, 0, 500]):
@@ -53,8 +53,8 @@ def test_case_21_eye_on_vertex_on_surface_inside_and_below(field):
         assert_bound(field, view, update)
 
 
-def test_case_22_roll_and_looking_straight_down_up_and_upside_down(field):
-    """Straight down, up and level: a panorama at any roll is the same bytes, a perspective keeps its bound."""
+def test_case_22_straight_down_up_level_and_rolled(field):
+    """Looking straight down, up and level: a panorama ignores roll, and a perspective keeps its bound."""
     position_only = Criterion(error_px=1.0, off_screen_factor=1.0)
     eye = np.array([30.0, -40.0, 400.0])
     for target in (eye - [0, 0, 1], eye + [0, 0, 1], eye + [1, 0, 0]):
@@ -100,8 +100,7 @@ def test_case_25_panorama_bounds_the_angle(field):
 
 
 def test_case_26_triangle_behind_the_eye_is_not_judged_small():
-    """An eye 2 m above triangles that reach behind it: the spike in front is within 1 px."""
-    # The eye stands 2 m above big flat triangles that reach behind it; one sample in front of it is a spike.
+    """An eye 2 m above flat triangles that reach behind it shows a one-sample spike within 1 px."""
     samples = np.zeros((33, 33), np.float32)
     samples[16, 17] = 3.0
     field = from_array(samples, 10.0, 10.0)
@@ -112,7 +111,7 @@ def test_case_26_triangle_behind_the_eye_is_not_judged_small():
 
 
 def test_case_27_clip_start_beyond_clip_end_culls_nothing(field):
-    """A view away from the terrain with an upside-down clip range refines it all the same."""
+    """A view away from the terrain whose clip range is reversed refines all of the terrain."""
     turned = Criterion(error_px=4.0)
     eye, target = (0, -600, 300), (0, -2000, 300)
     culled = update_and_check(field, [View.look(eye, target, clip=(0.1, 1e5))], turned)
@@ -121,7 +120,7 @@ def test_case_27_clip_start_beyond_clip_end_culls_nothing(field):
 
 
 def test_case_28_nan_in_the_matrix_leaves_the_last_mesh(field):
-    """NaN or infinity in the camera's or terrain's matrix is refused, and the mesh's bytes stay."""
+    """NaN or infinity in the matrix of camera or terrain is refused, and the mesh keeps its bytes."""
     terrain = Terrain(field, threads=1)
     view = View.look((0, -400, 200), (0, 0, 0))
     before = arrays(terrain.update(ONE_PIXEL, [view]).surface)
@@ -133,13 +132,13 @@ def test_case_28_nan_in_the_matrix_leaves_the_last_mesh(field):
     placement[2, 3] = np.inf
     with pytest.raises(TerrainError, match="not finite"):
         terrain.update(ONE_PIXEL, [view], placement)
-    kept = terrain.update(ONE_PIXEL, [view])
-    assert_invariants(kept.surface, field.lattice)
-    assert not kept.changed and arrays(kept.surface) == before
+    again = terrain.update(ONE_PIXEL, [view])
+    assert_invariants(again.surface, field.lattice)
+    assert not again.changed and arrays(again.surface) == before
 
 
 def test_case_29_far_away_shifted_and_stretched(field):
-    """From 1e30 m two triangles; a lens shift of 1e6 and pixels of 1 : 100 keep their bound."""
+    """A view from 1e30 m has two triangles; a lens shift of 1e6 and pixels of 1 : 100 keep the bound."""
     far = update_and_check(field, [View.look((1e30, 0, 0), (0, 0, 0))])
     assert far.leaves == 2
     base = View.look((0, -400, 200), (0, 0, 0))
@@ -153,14 +152,14 @@ def test_case_29_far_away_shifted_and_stretched(field):
 
 
 def test_case_30_looking_away_gives_the_smallest_mesh():
-    """Looking away leaves two triangles a root square."""
+    """A view away from the terrain leaves two triangles per root square."""
     field = rough(33, 65)
     update = update_and_check(field, [View.look((0, -500, 200), (0, -1000, 200))])
     assert update.leaves == 2 * field.lattice.squares
 
 
 def refined(field, views):
-    """Heap ids of all inner nodes: what was split."""
+    """Return the heap ids of all inner nodes, which are the split triangles."""
     terrain = Terrain(field, 1)
     terrain.update(Criterion(error_px=1.0), views)
     split = set()
@@ -171,7 +170,7 @@ def refined(field, views):
 
 
 def test_case_31_several_cameras_each_bound_holds(field):
-    """Two cameras: the union reaches 1 px for both, and each alone needs fewer leaves."""
+    """A mesh for two cameras keeps 1 px for both, and each camera alone needs fewer leaves."""
     left = View.look((-300, -300, 80), (0, 0, 0))
     right = View.look((300, 200, 60), (0, 0, 0), fov_deg=20)
     union = update_and_check(field, [left, right], Criterion(error_px=1.0))
@@ -181,11 +180,11 @@ def test_case_31_several_cameras_each_bound_holds(field):
         alone = update_and_check(field, [view], Criterion(error_px=1.0))
         assert alone.leaves < union.leaves
     both = [set(refined(field, views)) for views in ([left], [right], [left, right])]
-    assert both[2] == both[0] | both[1]  # what is split for one of them is split for both
+    assert both[2] == both[0] | both[1]  # the mesh for both splits the union of their triangles
 
 
 def assert_outward(surface, placement):
-    """In world space vertex normals and triangles face where the terrain's own up points."""
+    """Assert that vertex normals and triangles face the terrain's local up in world space."""
     normals = surface.normals.astype(np.float64) @ np.linalg.inv(placement[:3, :3])  # covectors
     corners = surface.positions.astype(np.float64)[surface.triangles] @ placement[:3, :3].T
     faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -195,7 +194,7 @@ def assert_outward(surface, placement):
 
 
 def test_case_33_mirrored_sheared_and_stretched(field):
-    """Mirrored, sheared, stretched: the bound holds in world space, normals face up and outward."""
+    """Mirrored, sheared and stretched terrains keep the bound in world space, and their normals point outward."""
     mirrored, sheared, stretched = np.eye(4), np.eye(4), np.diag([1, 1, 10.0, 1])
     mirrored[0, 0] = -1
     sheared[0, 1], sheared[0, 2] = 1.5, 0.7
@@ -212,7 +211,7 @@ def test_case_33_mirrored_sheared_and_stretched(field):
 
 
 def test_case_34_zero_scale_is_refused_and_nothing_changes(field):
-    """A scale of 0 is refused; the next update is the surface of before, untouched."""
+    """A scale of 0 is refused, and the next update returns the previous surface unchanged."""
     terrain = Terrain(field, threads=1)
     view = View.look((0, -400, 200), (0, 0, 0))
     before = terrain.update(ONE_PIXEL, [view])
@@ -224,7 +223,7 @@ def test_case_34_zero_scale_is_refused_and_nothing_changes(field):
 
 
 def test_case_46_bounds_hold_for_random_views():
-    """40 random views, meshlets, budgets: pixels measured at 2,000 points stay within the bounds."""
+    """For 40 random views, meshlets and budgets, the error at 2,000 points stays within the bound."""
     rng = np.random.default_rng(7)
     for round_ in range(40):
         field = rough(*[(33, 33), (17, 49), (33, 65)][round_ % 3], seed=round_)
@@ -237,9 +236,10 @@ def test_case_46_bounds_hold_for_random_views():
 
 
 def test_case_71_nothing_visible_is_called_hidden():
-    """From one view or two, panoramic too, on and below the ground: what is in front is as fine as without culling.
+    """Occlusion culling coarsens no visible triangle, for one view or two, above, on and below the ground.
 
-    An orthographic view hides nothing."""
+    An orthographic view is never culled.
+    """
     for kinds in ([PERSPECTIVE], [PANORAMIC], [PERSPECTIVE, PANORAMIC], [ORTHOGRAPHIC]):
         for height in (250.0, 60.0, 0.0, -40.0):
             field = rough(129, 129, 4, relief=200.0)
@@ -252,15 +252,15 @@ def test_case_71_nothing_visible_is_called_hidden():
                 )
                 for k, kind in enumerate(kinds)
             ]
-            asked = Criterion(error_px=1.5, max_depth=16)
-            whole = Terrain(field, 1).update(asked, views)
-            culled = Terrain(field, 1).update(replace(asked, hidden_factor=50.0), views)
+            criterion = Criterion(error_px=1.5, max_depth=16)
+            whole = Terrain(field, 1).update(criterion, views)
+            culled = Terrain(field, 1).update(replace(criterion, hidden_factor=50.0), views)
             assert culled.bound_px <= whole.bound_px
             if kinds == [ORTHOGRAPHIC] or (height < 0.0 and len(kinds) == 1):
                 assert culled.triangles == whole.triangles
                 continue
             for view in views:
                 seen, alone = first_hits(culled.surface, view, np.eye(4)), Terrain(field, 1)
-                levels = alone.update(asked, [view]).surface.level
+                levels = alone.update(criterion, [view]).surface.level
                 middles = culled.surface.positions[culled.surface.triangles[seen]].astype(np.float64).mean(axis=1)
                 assert (culled.surface.level[seen] >= levels[alone.triangles_at(middles[:, :2])]).all()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hard cases of cameras and transforms that only Blender can pose: 23 to 25, 27 to 29, 31 to 34."""
+"""Hard cases 23 to 25, 27 to 29 and 31 to 34: cameras and transforms of Blender."""
 
 import math
 
@@ -13,17 +13,12 @@ from adaptive_terrain.operators.request.request import VIEWPORT, gather  # noqa:
 from adaptive_terrain.operators.scene import session  # noqa: E402
 from fields import scattered, screen_error  # noqa: E402
 from invariants import assert_blender_invariants  # noqa: E402
-
-
-def positions(obj):
-    array = np.empty(3 * len(obj.data.vertices), np.float32)
-    obj.data.vertices.foreach_get("co", array)
-    return array.reshape(-1, 3)
+from live_windows import positions  # noqa: E402
 
 
 @pytest.fixture
 def terrain(scene, add_terrain):
-    """A terrain that shows a first, good update; the budget keeps what follows short."""
+    """Return an updated terrain whose triangle limit keeps the tests short."""
     terrain = add_terrain()
     detail = terrain.adaptive_terrain.viewport
     detail.limit_triangles, detail.max_triangles = True, 50_000
@@ -45,7 +40,7 @@ def assert_good(terrain, update):
 
 
 def test_case_23_orthographic_camera_and_scale_of_0(scene, terrain):
-    """An orthographic camera reaches 1 px; ortho_scale 0 is refused with a message, and the mesh stays."""
+    """An orthographic camera keeps 1 px; ortho_scale 0 is refused with a message, and the mesh stays."""
     scene.camera.data.type, scene.camera.data.ortho_scale = "ORTHO", 800.0
     update = session.update_object(terrain)
     assert_good(terrain, update)
@@ -54,8 +49,8 @@ def test_case_23_orthographic_camera_and_scale_of_0(scene, terrain):
     assert_refused_and_kept(terrain, "orthographic scale of 0")
 
 
-def test_case_24_field_of_view_of_nearly_180_and_nearly_0_degrees(scene, terrain):
-    """A lens of 1 mm on a sensor of 1 km, and 5 m on 1 um: a good mesh."""
+def test_case_24_field_of_view_near_180_and_near_0(scene, terrain):
+    """A lens of 1 mm on a sensor of 1 km and one of 5 m on 1 um give valid meshes."""
     camera = scene.camera.data
     camera.sensor_width, camera.lens = 1e6, 1.0
     assert_good(terrain, session.update_object(terrain))
@@ -65,7 +60,7 @@ def test_case_24_field_of_view_of_nearly_180_and_nearly_0_degrees(scene, terrain
 
 @pytest.mark.parametrize("kind", ["PANO", "CUSTOM"])
 def test_case_25_panoramic_camera(scene, terrain, kind):
-    """Panoramic and custom cameras of Cycles reach the pixel that was asked for, or say by how much it was relaxed."""
+    """Panoramic and custom cameras of Cycles keep 1 px, or report how far the limit relaxed it."""
     scene.render.engine = "CYCLES"
     if kind not in scene.camera.data.bl_rna.properties["type"].enum_items:
         pytest.skip(f"Blender {bpy.app.version_string} has no {kind} cameras")
@@ -76,7 +71,7 @@ def test_case_25_panoramic_camera(scene, terrain, kind):
 
 
 def test_case_27_clip_start_beyond_clip_end_culls_nothing(scene, terrain):
-    """clip_start beyond, or equal to, clip_end: the whole terrain is refined."""
+    """A clip_start beyond or equal to clip_end refines the whole terrain."""
     scene.camera.data.clip_start, scene.camera.data.clip_end = 1e5, 0.1
     update = session.update_object(terrain)
     assert_good(terrain, update)
@@ -86,7 +81,7 @@ def test_case_27_clip_start_beyond_clip_end_culls_nothing(scene, terrain):
 
 
 def test_case_28_nan_in_the_cameras_matrix(scene, terrain):
-    """NaN in the camera's place or shift is a message on the panel, and the mesh stays."""
+    """NaN in the camera's location or shift shows a message in the panel, and the mesh stays."""
     scene.camera.location.x = math.nan
     assert_refused_and_kept(terrain, "'Camera'.*not finite")
     scene.camera.location.x = 0.0
@@ -95,13 +90,13 @@ def test_case_28_nan_in_the_cameras_matrix(scene, terrain):
 
 
 def test_case_28_nan_in_the_terrains_matrix(scene, terrain):
-    """NaN in the terrain's place is a message on the panel, and the mesh stays."""
+    """NaN in the terrain's location shows a message in the panel, and the mesh stays."""
     terrain.location.x = math.nan
     assert_refused_and_kept(terrain, "'Terrain'.*not finite")
 
 
 def test_case_29_far_away(scene, terrain):
-    """A camera 1e30 m away: a good mesh or one message, no crash."""
+    """A camera 1e30 m away gives a valid mesh or one message."""
     scene.camera.location = (1e30, 0.0, 0.0)
     try:
         assert_good(terrain, session.update_object(terrain))
@@ -110,7 +105,7 @@ def test_case_29_far_away(scene, terrain):
 
 
 def test_case_29_shifted_and_stretched(scene, terrain):
-    """Lens shift 1e6, pixel aspect 1 : 100, a render border: a good mesh."""
+    """A lens shift of 1e6, a pixel aspect of 1 : 100 and a render border give valid meshes."""
     scene.camera.data.shift_x = 1e6
     assert_good(terrain, session.update_object(terrain))
     scene.camera.data.shift_x = 0.0
@@ -122,7 +117,7 @@ def test_case_29_shifted_and_stretched(scene, terrain):
 
 
 def test_case_29_resolution_of_1_percent(scene, terrain):
-    """At 1 % of the resolution less than a tenth of the triangles."""
+    """At 1 % of the resolution the mesh has less than a tenth of the triangles."""
     whole = session.update_object(terrain).triangles
     scene.render.resolution_percentage = 1
     update = session.update_object(terrain)
@@ -131,7 +126,7 @@ def test_case_29_resolution_of_1_percent(scene, terrain):
 
 
 def test_case_31_stereo_refines_for_both_eyes(scene, terrain):
-    """A stereo camera with eyes 400 m apart: the bound covers what is measured from each eye."""
+    """The bound of a stereo camera with eyes 400 m apart holds for each eye."""
     one = session.update_object(terrain)
     level = one.surface.level.max()
     scene.render.use_multiview = True
@@ -150,7 +145,7 @@ def test_case_31_stereo_refines_for_both_eyes(scene, terrain):
 
 
 def test_case_32_no_camera_in_the_scene(scene, terrain):
-    """No camera in the scene, and none chosen: a message that says what to do, and the mesh stays."""
+    """A scene without a camera, or with none chosen, shows a message with the remedy, and the mesh stays."""
     scene.camera = None
     assert_refused_and_kept(terrain, "'Scene' has no camera.*add a camera")
     terrain.adaptive_terrain.camera_source = "CHOSEN"
@@ -159,7 +154,7 @@ def test_case_32_no_camera_in_the_scene(scene, terrain):
 
 @pytest.mark.parametrize("kind", ["EMPTY", "LIGHT", "MESH"])
 def test_case_32_the_scenes_camera_is_none(scene, terrain, kind):
-    """A scene seen through an empty, a light or a mesh: a message that names it, and the mesh stays."""
+    """An empty, a light or a mesh as the scene's camera gives a message with its name, and the mesh stays."""
     data = {"LIGHT": bpy.data.lights.new("Sun", "SUN"), "MESH": bpy.data.meshes.new("Cube")}.get(kind)
     scene.camera = bpy.data.objects.new("Eye", data)
     scene.collection.objects.link(scene.camera)
@@ -169,8 +164,8 @@ def test_case_32_the_scenes_camera_is_none(scene, terrain, kind):
 
 
 @pytest.mark.parametrize("scale", [(-1, 1, 1), (1, 1, -1), (3.0, 0.25, 2.0), (-2.0, -0.5, 1.0)])
-def test_case_33_mirrored_and_stretched_terrain_has_normals_that_point_up(scene, terrain, scale):
-    """Mirrored and stretched objects: Blender's own corner normals point up and outward in world space."""
+def test_case_33_normals_of_a_mirrored_terrain_point_up(scene, terrain, scale):
+    """The corner normals of mirrored and stretched objects point up and outward in world space."""
     terrain.scale = scale
     update = session.update_object(terrain)
     assert_good(terrain, update)
@@ -182,11 +177,11 @@ def test_case_33_mirrored_and_stretched_terrain_has_normals_that_point_up(scene,
     mesh.corner_normals.foreach_get("vector", normals)
     up = (normals.reshape(-1, 3) @ to_world.T)[:, 2] * np.sign(scale[2])
     evaluated.to_mesh_clear()
-    assert up.min() > 0, "away from the ground, which a negative height scale turns over"
+    assert up.min() > 0, "a negative height scale turns the ground over"
 
 
 def test_case_33_sheared_terrain_and_sheared_camera(scene, terrain):
-    """A terrain and a camera under sheared parents: a good mesh that reaches its bound."""
+    """A terrain and a camera under sheared parents give valid meshes that keep their bound."""
     for name in ("terrain", "camera"):
         parent = bpy.data.objects.new(f"Shear {name}", None)
         scene.collection.objects.link(parent)
@@ -202,7 +197,7 @@ def test_case_33_sheared_terrain_and_sheared_camera(scene, terrain):
 
 @pytest.mark.parametrize("scale", [(0, 1, 1), (1, 1, 0), (0, 0, 0)])
 def test_case_34_zero_scale_does_nothing(scene, terrain, scale):
-    """A terrain's scale of 0: a message, the mesh stays, and the next update clears the message."""
+    """A terrain with scale 0 shows a message and keeps its mesh; the next update clears the message."""
     terrain.scale = scale
     assert_refused_and_kept(terrain, "scale")
     terrain.scale = (1, 1, 1)
@@ -211,6 +206,6 @@ def test_case_34_zero_scale_does_nothing(scene, terrain, scale):
 
 
 def test_case_34_zero_scale_of_the_camera(scene, terrain):
-    """A camera's scale of 0: a message that names it, and the mesh stays."""
+    """A camera with scale 0 gives a message with its name, and the mesh stays."""
     scene.camera.scale = (0, 0, 0)
     assert_refused_and_kept(terrain, "'Camera' has a scale of 0")

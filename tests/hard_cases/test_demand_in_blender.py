@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hard case of what a scene reads: 72."""
+"""Hard case 72: the attributes that a scene reads."""
 
 import pytest
 
@@ -12,7 +12,7 @@ from demand_trees import Moved, attribute, colour, emit, group, mix, new_materia
 
 @pytest.fixture
 def terrain(scene, add_terrain):
-    """Wears a material of two groups alike, each with a mix by a factor from outside, and has been updated."""
+    """Return an updated terrain whose material uses one group twice, each time with its own mix factor."""
     obj, material = add_terrain(), new_material("Rock")
     obj.data.materials.append(material)
     tree = material.node_tree
@@ -36,7 +36,7 @@ def terrain(scene, add_terrain):
 
 
 def made(obj):
-    """What an update computes, anew, and what the mesh then has: both are the same names."""
+    """Return the names of the attributes that a fresh update computes, which the mesh then has."""
     record = session.record_of(obj)
     record.effects_runs.clear()
     if record.terrain is not None:
@@ -48,14 +48,14 @@ def made(obj):
 
 
 def test_case_72_groups_used_twice_with_constant_factors(terrain):
-    """A group used twice reads by each use's own factor; what a factor of 0 or 1 hides is never computed."""
+    """A group used twice reads with the factor of each use; inputs hidden by a factor of 0 or 1 are not computed."""
     assert made(terrain) == {"slope", "height"}
     terrain.material_slots[0].material.node_tree.nodes["One"].inputs[2].default_value = 0.25
     assert made(terrain) == {"slope", "aspect", "height"}
 
 
 def test_case_72_muted_nodes_and_links(terrain):
-    """A muted group passes its first input through, a muted link nothing, and unmuting brings everything back."""
+    """A muted group passes its first input on, a muted link passes nothing, and unmuting restores both."""
     tree = terrain.material_slots[0].material.node_tree
     tree.nodes["Two"].mute = True
     assert made(terrain) == {"slope", "flow"}
@@ -68,7 +68,7 @@ def test_case_72_muted_nodes_and_links(terrain):
 
 
 def test_case_72_driven_and_animated_factors(terrain):
-    """A factor with a driver or keyframes hides nothing, whatever its value is now."""
+    """A factor with a driver or keyframes hides nothing, whatever its current value."""
     tree = terrain.material_slots[0].material.node_tree
     tree.nodes["One"].inputs[2].driver_add("default_value")
     tree.nodes["Two"].inputs[2].keyframe_insert("default_value", frame=1)
@@ -76,23 +76,23 @@ def test_case_72_driven_and_animated_factors(terrain):
 
 
 def test_case_72_drivers_that_read_the_mesh(terrain):
-    """A driver's variable that names an attribute counts as its reader, and that is for geometry."""
+    """A driver variable that names an attribute counts as a geometry reader."""
     curve = bpy.context.scene.camera.driver_add("location", 2)
     target = curve.driver.variables.new().targets[0]
     target.id, target.data_path = terrain, 'data.attributes["plan_curvature"].data[0].value'
     assert made(terrain) == {"slope", "height", "plan_curvature"}
-    said = session.record_of(terrain).status.effects["plan_curvature"]
-    assert said.family == "GEOMETRY" and said.readers[0].startswith("driver of Camera, location")
+    status = session.record_of(terrain).status.effects["plan_curvature"]
+    assert status.family == "GEOMETRY" and status.readers[0].startswith("driver of Camera, location")
 
 
 def test_case_72_computed_names_are_everything_with_a_reason(terrain):
-    """A name that nodes compute may be any: everything is computed, and the panel is told why."""
+    """A computed attribute name makes everything computed, and the panel shows the reason."""
     moved = Moved(terrain)
     node, join = moved.named(""), moved.tree.nodes.new("GeometryNodeStringJoin")
     moved.tree.links.new(moved.given.outputs["Name"], join.inputs[1])
     moved.tree.links.new(join.outputs[0], node.inputs["Name"])
     moved.tree.links.new(node.outputs[0], moved.offset)
     session.update_object(terrain)
-    said = session.record_of(terrain).status.effects
-    assert all(not status.skipped for status in said.values())
-    assert said["aspect"].readers == ("modifier Nodes, node Named Attribute (its Name is computed)",)
+    statuses = session.record_of(terrain).status.effects
+    assert all(not status.skipped for status in statuses.values())
+    assert statuses["aspect"].readers == ("modifier Nodes, node Named Attribute (its Name is computed)",)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hard case 49: kill -9 in the middle of an export; a rerun completes it, and nothing half-written has a final name."""
+"""Hard case 49: kill -9 during an export; a rerun completes it, and no partial file has a final name."""
 
 import os
 import signal
@@ -18,7 +18,7 @@ from adaptive_terrain.operators.cli import command_line
 from flights import FRAMES, hills_flight
 from invariants import assert_invariants
 
-# The child kills itself with the third entry of the third frame's archive written.
+# The child kills itself after it wrote the third entry of the third frame's archive.
 SUICIDE = """
 import os, signal, sys, zipfile
 from adaptive_terrain.operators.cli.command_line import main
@@ -38,13 +38,13 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
 
 @pytest.fixture(scope="module")
 def arguments(tmp_path_factory):
-    """Arguments of an export but for --out, of a small store that is flown over."""
+    """Return the arguments, without --out, of an export of a flight over a small store."""
     return hills_flight(tmp_path_factory.mktemp("interrupted"))
 
 
 @pytest.fixture(scope="module")
 def undisturbed(arguments, tmp_path_factory):
-    """The bytes of every mesh of an export that nothing interrupts."""
+    """Return the bytes of every mesh of an uninterrupted export."""
     out = tmp_path_factory.mktemp("undisturbed")
     assert command_line.main([*arguments, "--out", str(out)]) == 0
     meshes = {path.name: path.read_bytes() for path in out.glob("*.npz")}
@@ -56,7 +56,7 @@ def undisturbed(arguments, tmp_path_factory):
 
 
 def surface_of(path):
-    """The surface that an exported file holds."""
+    """Read the surface in an exported file."""
     entries = read_npz(path)
     corners, count = entries["triangles"], len(entries["positions"])
     pairs = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1), axis=-1) @ [count, 1]
@@ -69,7 +69,7 @@ def surface_of(path):
 
 
 def final_meshes(out):
-    """Meshes that stand under a final name; each must be readable to its end."""
+    """Return the bytes of every mesh with a final name, and assert that each can be read completely."""
     paths = [path for path in out.glob("*.npz") if not path.name.startswith(".")]
     for path in paths:
         assert read_npz(path)["info"]["frame"] == int(path.stem[-4:])
@@ -77,11 +77,11 @@ def final_meshes(out):
 
 
 def test_case_49_kill_while_a_file_is_written(arguments, undisturbed, tmp_path, capsys):
-    """Killed within the third frame's file: two whole frames stand, a rerun gives the undisturbed bytes."""
+    """After a kill within the third frame's file two frames are whole, and a rerun gives the undisturbed bytes."""
     out = tmp_path / "out"
     child = subprocess.run([sys.executable, "-c", SUICIDE, *arguments, "--out", str(out)], capture_output=True)
     assert child.returncode == -signal.SIGKILL
-    assert len(list(out.glob(".partial-*"))) == 1, "the kill came in the middle of a write"
+    assert len(list(out.glob(".partial-*"))) == 1, "the kill interrupted a write"
     assert final_meshes(out) == {name: undisturbed[name] for name in ("terrain_0001.npz", "terrain_0002.npz")}
     assert command_line.main([*arguments, "--out", str(out), "--resume"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -91,7 +91,7 @@ def test_case_49_kill_while_a_file_is_written(arguments, undisturbed, tmp_path, 
 
 
 def test_case_49_kill_at_any_moment(arguments, undisturbed, tmp_path):
-    """Killed three times, each as soon as one more frame stands: what stands is whole, the rest is completed."""
+    """After three kills, each after one more frame, the existing files are whole and a rerun completes the rest."""
     out, command = tmp_path / "out", [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line", *arguments]
     for round_ in range(3):
         child = subprocess.Popen(
@@ -103,15 +103,15 @@ def test_case_49_kill_at_any_moment(arguments, undisturbed, tmp_path):
         time.sleep(0.004 * round_)
         child.kill()
         child.wait()
-        standing = final_meshes(out)
-        assert standing == {name: undisturbed[name] for name in standing}
+        meshes = final_meshes(out)
+        assert meshes == {name: undisturbed[name] for name in meshes}
     assert command_line.main([*arguments, "--out", str(out), "--resume"]) == 0
     assert final_meshes(out) == undisturbed
     assert not list(out.glob(".partial-*"))
 
 
 def test_case_49_two_exports_at_once_leave_each_other_alone(arguments, undisturbed, tmp_path):
-    """Two exports into one folder at once, beside what a dead one has left: every frame whole, nothing else left."""
+    """Two simultaneous exports into one folder with the leftovers of a dead one give whole frames and nothing else."""
     out = tmp_path / "out"
     out.mkdir()
     dead = out / f".partial-{new_token()}"

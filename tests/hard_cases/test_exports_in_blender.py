@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hard case 61: viewport and render detail differ, frames other than 0, every format in every order."""
+"""Hard case 61: different viewport and render settings, frames other than 0, every format in every order."""
 
 import json
 import os
@@ -16,10 +16,9 @@ from mesh_files import read_mesh
 
 FORMATS = ("npz", "ply", "obj", "glb", "stl", "blend")
 FRAMES = (3, 8)
-# Six permutations in which each format follows each other one exactly once (a row-complete Latin square).
+# Six permutations in which each format follows every other exactly once (a row-complete Latin square).
 ORDERS = [[FORMATS[(step + turn) % 6] for step in (0, 5, 1, 4, 2, 3)] for turn in range(6)]
-# `make fuzz` draws more of the 720.
-MORE = random.Random(61)
+MORE = random.Random(61)  # `make fuzz` draws more of the 720 orders
 ORDERS += [MORE.sample(FORMATS, 6) for _ in range(int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 500)]
 
 
@@ -30,7 +29,7 @@ def expected():
 
 @pytest.fixture
 def saved(flight, add_terrain, tmp_path, expected):
-    """Two terrains before a camera in flight, one of them turned, stretched and hung on an animated parent."""
+    """Save two terrains and a flying camera; one terrain is rotated, stretched and parented to an animated object."""
     rig = flight.camera.parent
     for name in ("Near", "Far"):
         terrain = add_terrain(name)
@@ -52,7 +51,7 @@ def saved(flight, add_terrain, tmp_path, expected):
 
 
 def mesh_of(mesh):
-    """Vertices and triangles of a Blender mesh, in its own space."""
+    """Return vertices and triangles of a Blender mesh in local space."""
     points, corners = np.empty(3 * len(mesh.vertices), np.float32), np.empty(len(mesh.loops), np.int32)
     mesh.vertices.foreach_get("co", points)
     mesh.loops.foreach_get("vertex_index", corners)
@@ -69,7 +68,7 @@ def read_blend(path, name):
 
 
 def assert_sheet(points, triangles):
-    """Every edge belongs to one triangle or to two, and no two vertices are at one place."""
+    """Assert that every edge belongs to one or two triangles and that no two vertices coincide."""
     assert len(np.unique(points, axis=0)) == len(points)
     assert set(np.unique(triangles)) == set(range(len(points)))
     edges = np.sort(np.stack([triangles, np.roll(triangles, -1, 1)], -1).reshape(-1, 2), 1)
@@ -78,7 +77,7 @@ def assert_sheet(points, triangles):
 
 @pytest.mark.parametrize("order", ORDERS, ids="-".join)
 def test_case_61_every_format_in_every_order(order, saved, expected, tmp_path, capfd):
-    """Two terrains, one turned and stretched: every file of every frame is the render's mesh, whatever came before."""
+    """Every file of every frame holds the render's mesh, whatever formats and frames came before."""
     out = tmp_path / "out"
     argv = ["export", "--scene", saved, "--frames", "8,3", "--format", ",".join(order)]
     assert command_line.main([str(part) for part in [*argv, "--out", out]]) == 0, capfd.readouterr().err

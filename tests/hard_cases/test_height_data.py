@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hard cases 5, 6 and 8 - 19: height data of every bad kind."""
+"""Hard cases 5, 6 and 8 to 19: unusual height data."""
 
 import math
 import struct
@@ -18,15 +18,15 @@ from rasters import hills, imported, write_exr, write_raster
 
 
 def mesh_within(field, metres):
-    """The mesh of which every point is within `metres` of the surface; invariants hold and the bound is kept."""
+    """Return an update within `metres` of the surface; assert its invariants and its bound."""
     update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=metres))
     assert_invariants(update.surface, field.lattice)
     assert update.bound_m <= metres + update.terms_m.precision + field.source_max
     return update
 
 
-def test_case_05_half_floats_are_warned_about_and_16_bits_keep_their_steps(tmp_path):
-    """8 km in float16 is warned about with its step, 4 m; uint16 over 8,848 m keeps every one of its codes, to 1 mm."""
+def test_case_05_half_floats_warn_and_16_bits_keep_their_steps(tmp_path):
+    """Heights of 8 km in float16 give a warning with their step, 4 m; uint16 over 8,848 m keeps every code to 1 mm."""
     heights = np.linspace(0.0, 8000.0, 33 * 33).reshape(33, 33)
     field, report = imported(tmp_path, write_exr(tmp_path / "a.exr", Y=heights.astype(np.float16)))
     assert mesh_within(field, 100.0).terms_m.source == pytest.approx(2.0)
@@ -43,7 +43,7 @@ def test_case_05_half_floats_are_warned_about_and_16_bits_keep_their_steps(tmp_p
 
 
 def test_case_06_denormal_heights(tmp_path):
-    """Heights below the smallest normal float32 keep their bits, and have an error that is no more than that number."""
+    """Heights below the smallest normal float32 keep their bits and have an error of at most that number."""
     heights = (hills(33, 33) * 1e-43).astype(np.float32)
     assert 0.0 < heights.max() < np.finfo(np.float32).tiny
     field = from_array(heights)
@@ -53,7 +53,7 @@ def test_case_06_denormal_heights(tmp_path):
 
 
 def test_case_06_heights_beyond_float32_are_refused(tmp_path):
-    """What float32 cannot hold is filled and counted; its largest number is refused unless it is the no-data."""
+    """Heights beyond float32 are filled and counted; its largest number is refused unless it is the no-data value."""
     heights = hills(33, 33).astype(np.float64)
     heights[4, 4] = -1.7e308
     np.save(tmp_path / "a.npy", heights)
@@ -67,8 +67,8 @@ def test_case_06_heights_beyond_float32_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["tif", "exr", "npy"])
-def test_case_08_nan_infinities_and_no_data_are_filled_and_counted(tmp_path, kind):
-    """NaN, infinities and no-data of TIFF, EXR and NPY are filled and counted; every other sample keeps its bits."""
+def test_case_08_missing_samples_are_filled_and_counted(tmp_path, kind):
+    """NaN, infinities and no-data in TIFF, EXR and NPY are filled and counted; all other samples keep their bits."""
     heights = hills(65, 33)
     heights[3, 5], heights[4, 5], heights[5, 5], heights[20:, 60:] = np.nan, np.inf, -np.inf, -9999.0
     source = tmp_path / f"a.{kind}"
@@ -86,8 +86,8 @@ def test_case_08_nan_infinities_and_no_data_are_filled_and_counted(tmp_path, kin
     mesh_within(field, 5.0)
 
 
-def test_case_09_a_raster_without_data_is_an_error_and_the_store_stays(tmp_path):
-    """A raster of no-data alone is one clear error, and the store that stood there stays."""
+def test_case_09_a_raster_without_data_is_refused(tmp_path):
+    """A raster with only no-data is one clear error, and the existing store stays."""
     imported(tmp_path, "island", size=65)
     key = open_store(tmp_path / "store").key
     source = write_raster(tmp_path / "a.tif", np.full((33, 33), -9999, np.int16), nodata=-9999)
@@ -100,19 +100,19 @@ def test_case_09_a_raster_without_data_is_an_error_and_the_store_stays(tmp_path)
 
 @pytest.mark.parametrize("shape", [(65, 65), (33, 97), (20, 31)])
 def test_case_10_a_constant_map_is_two_triangles_a_root_square(shape):
-    """A constant map is two triangles a root square, normals exactly (0, 0, 1), bound below a step of float32."""
+    """A constant map has two triangles per root square, normals (0, 0, 1) and a bound below a float32 step."""
     field = from_array(np.full(shape, -123.456, np.float32), 10.0)
     assert not field.error.any()
     update = mesh_within(field, 1e-5)
     assert update.leaves == 2 * field.lattice.squares and update.triangles <= 2 * update.leaves
     assert np.array_equal(update.surface.normals, np.tile([0.0, 0.0, 1.0], (len(update.surface.normals), 1)))
     assert update.terms_m.geometric == 0.0
-    assert update.bound_m < 1.0001 * np.spacing(np.float32(123.456))  # a corner at the rim is rounded twice
+    assert update.bound_m < 1.0001 * np.spacing(np.float32(123.456))  # a corner at the border is rounded twice
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 2), (1, 33), (77, 1), (2, 2), (2, 3), (3, 2)])
 def test_case_11_the_smallest_rasters(tmp_path, shape):
-    """1 x 1 to 3 x 2 samples import, keep their lowest and highest height and make a mesh within 0.1 m."""
+    """Rasters of 1 x 1 to 3 x 2 samples keep their lowest and highest heights and give a mesh within 0.1 m."""
     heights = hills(*shape[::-1])
     np.save(tmp_path / "a.npy", heights)
     field, report = imported(tmp_path, tmp_path / "a.npy", extent=(100.0, 50.0))
@@ -128,7 +128,7 @@ def test_case_11_the_smallest_rasters(tmp_path, shape):
 
 @pytest.mark.parametrize("shape", [(5, 4997), (3000, 4), (100, 257), (257, 50)])
 def test_case_12_no_sliver_worse_than_its_cells_aspect(shape):
-    """5 x 4,997 and other shapes: every triangle is half a square of the raster's own cells, or is cut at the rim."""
+    """For 5 x 4,997 and other shapes, every triangle is half a square of raster cells or is cut at the border."""
     field = from_array(hills(*shape[::-1]), 7.0, 3.0)
     update = mesh_within(field, 40.0)
     cells = update.surface.positions[:, :2].astype(np.float64) / (field.lattice.step_x, field.lattice.step_y)
@@ -136,15 +136,15 @@ def test_case_12_no_sliver_worse_than_its_cells_aspect(shape):
     sides = np.sort([np.hypot(*(p - q).T) for p, q in ((a, b), (b, c), (c, a))], axis=0)
     half = np.isclose(sides[0], sides[1], rtol=1e-4) & np.isclose(sides[2], sides[0] * math.sqrt(2), rtol=1e-4)
     corners = np.stack([a, b, c], axis=1) + np.array([field.lattice.cells_x, field.lattice.cells_y]) / 2
-    at_rim = (np.abs(corners - [field.lattice.cells_x, field.lattice.cells_y]) < 1e-3).any(axis=(1, 2))
-    assert half[~at_rim].all() and (half.all() or field.lattice.is_padded)
+    at_border = (np.abs(corners - [field.lattice.cells_x, field.lattice.cells_y]) < 1e-3).any(axis=(1, 2))
+    assert half[~at_border].all() and (half.all() or field.lattice.is_padded)
     assert (sides[2, ~half] < 2.0**field.lattice.levels * math.sqrt(2) + 1e-3).all()
     assert (field.lattice.step_x, field.lattice.step_y) == (7.0, 3.0)
 
 
 @pytest.mark.parametrize("shape", [(65, 65), (50, 61)])
 def test_case_13_a_cliff_of_gradient_a_million(shape):
-    """A cliff of gradient 1e6 keeps its lowest and highest height, and the bound holds at 2,000 points."""
+    """A cliff of gradient 1e6 keeps its lowest and highest heights, and the bound holds at 2,000 points."""
     x = np.arange(shape[1])
     heights = np.where(x + 2 * np.arange(shape[0])[:, None] > 70, 1e6, 0.0).astype(np.float32)
     field = from_array(heights, 1.0)
@@ -157,14 +157,14 @@ def test_case_13_a_cliff_of_gradient_a_million(shape):
 
 
 def points(field, count, seed=0):
-    """float64 [count, 2]: random places of the plane of a terrain."""
+    """Return random positions in the plane of a terrain, float64 [count, 2]."""
     lattice = field.lattice
     size = np.array([(lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y])
     return (np.random.default_rng(seed).random((count, 2)) - 0.5) * size * 0.9999
 
 
 def test_case_14_all_heights_negative():
-    """Heights below -4,000 m have the errors of the same terrain above, and no vertex is above 0."""
+    """Heights below -4,000 m have the errors of the same terrain above 0, and no vertex is above 0."""
     below, above = from_array(hills(65, 65) - 5000.0), from_array(hills(65, 65) + 0.0)
     assert below.max_height < 0.0
     assert np.allclose(errors_of(below), errors_of(above), atol=1e-2, rtol=0.03)
@@ -173,44 +173,44 @@ def test_case_14_all_heights_negative():
 
 
 def test_case_15_a_spike_of_one_sample_is_found_wherever_it_is():
-    """A spike of one sample at 28 places is in the roots' error and within 40, 5 and 0.2 m of the mesh."""
+    """A one-sample spike at each of 28 positions is in the roots' error and within 40, 5 and 0.2 m of the mesh."""
     random = np.random.default_rng(5)
     size = 65
-    places = [(0, 0), (0, 64), (64, 0), (64, 64), (32, 32), (0, 31), (33, 64), (1, 1)]
-    places += [tuple(p) for p in random.integers(0, size, (20, 2))]
-    for j, i in places:
+    positions = [(0, 0), (0, 64), (64, 0), (64, 64), (32, 32), (0, 31), (33, 64), (1, 1)]
+    positions += [tuple(p) for p in random.integers(0, size, (20, 2))]
+    for j, i in positions:
         heights = np.zeros((size, size), np.float32)
         heights[j, i] = 100.0
         field = from_array(heights, 10.0)
         roots = errors_of(field)[root_entries(field.lattice)]
-        # A spike in a corner of the root square is in its plane; half of it is at the next corner but one.
+        # The triangles contain a spike in a corner of the root square; half of it is left two corners away.
         assert roots.min() >= (24.9 if (j % 64, i % 64) == (0, 0) else 99.0)
         for metres in (40.0, 5.0, 0.2):
             update = mesh_within(field, metres)
-            place = sample_position(field, i, j)
-            assert abs(mesh_heights(update.surface, place[None, :2])[0] - 100.0) <= metres + 1e-3
+            spike = sample_position(field, i, j)
+            assert abs(mesh_heights(update.surface, spike[None, :2])[0] - 100.0) <= metres + 1e-3
             assert update.triangles < 4000
 
 
 @pytest.mark.parametrize("shape", [(9, 9), (5, 17)])
 def test_case_15_every_sample_as_a_spike_at_every_depth_limit(shape):
-    """A spike at each sample in turn, the mesh cut off at every depth: the reported bound covers what is measured."""
+    """With a spike at each sample in turn, the reported bound holds at every depth limit."""
     for j in range(shape[0]):
         for i in range(shape[1]):
             heights = np.zeros(shape, np.float32)
             heights[j, i] = 100.0
             field = from_array(heights, 10.0)
-            place, terrain = sample_position(field, i, j)[None, :2], Terrain(field, 1)
+            spike, terrain = sample_position(field, i, j)[None, :2], Terrain(field, 1)
             for depth in range(1, field.lattice.cell_depth + 1):
                 update = terrain.update(Criterion(error_px=0.0, error_m=0.1, max_depth=depth))
                 assert_invariants(update.surface, field.lattice)
-                off = abs(float(mesh_heights(update.surface, place)[0]) - 100.0)
+                off = abs(float(mesh_heights(update.surface, spike)[0]) - 100.0)
                 assert off <= update.bound_m + 1e-4
             assert off <= 0.1 + 1e-4
 
 
 def test_case_16_a_checkerboard_does_not_alias_to_a_plane():
-    """Every diamond of a checkerboard has its error, and a bound below it takes the finest mesh."""
+    """Every diamond of a checkerboard has its full error, and a criterion below it needs the finest mesh."""
     y, x = np.indices((65, 129))
     field = from_array(((x + y) % 2 * 10.0).astype(np.float32))
     used = errors_of(field)[field.error > 0]
@@ -221,7 +221,7 @@ def test_case_16_a_checkerboard_does_not_alias_to_a_plane():
 
 
 def test_case_17_signed_zeros_are_the_same_terrain(tmp_path):
-    """Heights of -0.0 and of +0.0 have the same key, and the same mesh bytes."""
+    """Heights of -0.0 and +0.0 have the same key and the same mesh bytes."""
     heights = hills(33, 65) - 500.0
     heights[::3] = 0.0
     negative = heights.copy()
@@ -238,7 +238,7 @@ def test_case_17_signed_zeros_are_the_same_terrain(tmp_path):
 
 
 def test_case_18_the_lowest_int16_as_no_data_and_as_a_height(tmp_path):
-    """-32768 is a height where nothing says otherwise and is filled where the file or the user calls it no-data."""
+    """The value -32768 is a height by default and is filled if the file or the user declares it no-data."""
     heights = hills(33, 33).astype(np.int16)
     heights[7, 9] = -32768
     plain = write_raster(tmp_path / "a.tif", heights)
@@ -255,12 +255,12 @@ def test_case_18_the_lowest_int16_as_no_data_and_as_a_height(tmp_path):
 
 
 def test_case_19_point_and_area_differ_by_half_a_cell_exactly(tmp_path):
-    """One tie point as pixel-is-point and pixel-is-area: origins differ by exactly half a cell, heights not."""
+    """One tie point as pixel-is-point and pixel-is-area gives origins half a cell apart and equal heights."""
     from rasterio.transform import from_origin
 
     place = {"crs": "EPSG:32616", "transform": from_origin(500000.0, 4000000.0, 30.0, 20.0)}
     area = write_raster(tmp_path / "area.tif", hills(65, 33), **place)
-    # The same tie point and the same scale, but the file says that they belong to the sample, not to its cell's corner.
+    # Equal tie point and scale, but declared for the sample instead of the corner of its cell.
     raster_type = struct.pack("<4H", 1025, 0, 1, 1)
     content = area.read_bytes()
     assert content.count(raster_type) == 1

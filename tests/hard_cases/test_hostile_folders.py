@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hard case 64: a project folder of a stranger. `make fuzz` tries 1,000 mutants of land folders, scenes, summaries and
-files that verbs read."""
+"""Hard case 64: untrusted project folders. `make fuzz` tries 1,000 mutants of land folders, scenes and summaries."""
 
 import json
 import os
@@ -16,7 +15,7 @@ ROUNDS = max(24, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 10)
 
 @pytest.mark.skipif(os.name != "posix", reason="links, pipes and forks are those of POSIX")
 def test_case_64_a_hostile_project_folder_harms_nothing(tmp_path):
-    """Each ends with a result or one error, in time, and changes nothing outside the folders that it may write."""
+    """Each hostile folder gives a result or one error in time, and changes nothing outside its output folders."""
     script = [sys.executable, str(SUPPORT / "hostile_folders.py"), str(tmp_path / "mutants"), "0", str(ROUNDS)]
     done = subprocess.run(script, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-4000:]

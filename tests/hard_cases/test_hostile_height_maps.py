@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hard case 63: height maps that are attacks. What refuses them is tested layer by layer: each must hold alone."""
+"""Hard case 63: height maps that are attacks. Each layer of the defence is tested alone."""
 
 import http.server
 import json
@@ -22,13 +22,13 @@ from hostile_files import PART, damaged, seeds, source, vrt, write_attacks
 from rasters import hills, imported, write_raster
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="named pipes, signals and limits are those of POSIX")
-GUARD_S = 300  # only so that a hang ends
+GUARD_S = 300  # ends a hang
 FILES = max(12, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 20)  # damaged ones of each kind
 
 
 @pytest.fixture
-def asked():
-    """A server of this machine: its port and the paths that were asked of it."""
+def server():
+    """Run a local HTTP server; return its port and the list of paths requested from it."""
     paths = []
 
     class Handler(http.server.BaseHTTPRequestHandler):
@@ -41,42 +41,43 @@ def asked():
         def log_message(self, *_):
             pass
 
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield server.server_port, paths
-    server.shutdown()
-    server.server_close()
+    http_server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    threading.Thread(target=http_server.serve_forever, daemon=True).start()
+    yield http_server.server_port, paths
+    http_server.shutdown()
+    http_server.server_close()
 
 
 def snapshot(folder):
     return {p: (p.stat().st_size, p.stat().st_mtime_ns) for p in folder.rglob("*")}
 
 
-def test_case_63_no_attack_reaches_gdal(tmp_path, asked):
-    """Each of 35 VRTs is refused in one sentence by our own reader, which alone stands before GDAL here."""
-    expected = write_attacks(tmp_path, asked[0])
+def test_case_63_no_attack_reaches_gdal(tmp_path, server):
+    """Our VRT reader alone refuses each of 35 hostile VRTs in one sentence, before GDAL opens them."""
+    expected = write_attacks(tmp_path, server[0])
     before = snapshot(tmp_path)
     assert len(expected) == 35
-    for name, said in expected.items():
+    for name, cause in expected.items():
         with pytest.raises(TerrainError) as caught:
             open_source(ImportSettings(source=str(tmp_path / name)))
         message = str(caught.value)
-        assert said in message and "\n" not in message and message.endswith(".") and len(message) < 700, (name, message)
-    assert snapshot(tmp_path) == before and asked[1] == []
+        whole = cause in message and "\n" not in message and message.endswith(".") and len(message) < 700
+        assert whole, (name, message)
+    assert snapshot(tmp_path) == before and server[1] == []
 
 
-def test_case_63_an_attack_is_one_error_of_import_and_info(tmp_path, asked):
-    """Through the whole import and `info`: one sentence, no store, nothing written and nobody asked."""
-    write_attacks(tmp_path, asked[0])
+def test_case_63_an_attack_is_one_error_of_import_and_info(tmp_path, server):
+    """`import` and `info` refuse an attack in one sentence, write nothing and contact no server."""
+    write_attacks(tmp_path, server[0])
     before = snapshot(tmp_path)
     settings = ImportSettings(source=str(tmp_path / "service.vrt"))
     for read in (lambda: import_source(settings, tmp_path / "store"), lambda: describe_source(settings)):
         with pytest.raises(TerrainError, match="service.vrt names the source .* no regular file here; expected.*[.]$"):
             read()
-    assert snapshot(tmp_path) == before and asked[1] == []
+    assert snapshot(tmp_path) == before and server[1] == []
 
 
-# What a child has when it opens a file; our reader of VRTs is left out.
+# Try the attacks in the sandboxed child process without our VRT reader.
 BARE = """
 import json, os, socket, subprocess, sys
 from pathlib import Path
@@ -110,28 +111,28 @@ print(json.dumps({"said": said, "drivers": drivers, "attacks": {name: outcome(la
 """
 
 
-def test_case_63_the_process_that_reads_has_nothing_to_attack_with(tmp_path, asked):
-    """Behind our reader: GDAL with five drivers, and where the kernel can, no socket, program or write elsewhere."""
-    write_attacks(tmp_path, asked[0])
+def test_case_63_the_reading_process_is_sandboxed(tmp_path, server):
+    """Without our reader, GDAL has five drivers and, if the kernel can, no socket, program or write elsewhere."""
+    write_attacks(tmp_path, server[0])
     before = snapshot(tmp_path)
     attacks = ["service.vrt", *(f"network{i}.vrt" for i in range(9)), "inline.vrt"]
     command = [sys.executable, "-c", BARE, str(tmp_path), *attacks]
     done = subprocess.run(command, capture_output=True, text=True, timeout=GUARD_S)
     found = json.loads(done.stdout.splitlines()[-1])
     assert found["drivers"] == ["AAIGrid", "GTiff", "PNG", "SRTMHGT", "VRT"]
-    assert "done" not in found["attacks"].values() and asked[1] == [] and not (tmp_path / "out").exists(), found
+    assert "done" not in found["attacks"].values() and server[1] == [] and not (tmp_path / "out").exists(), found
     assert found["inside"] == "done" and found["memory"] == "MemoryError"
     for what, attempt in {"network": "socket", "programs": "program"}.items():
         assert found[attempt] == ("PermissionError" if found["said"][what] == "dropped" else "done"), found
     if found["said"]["writes"] != "dropped":
-        pytest.skip(f"writing elsewhere: {found['said']['writes']}")
+        pytest.skip(f"writing elsewhere: {found['output']['writes']}")
     assert {found[name] for name in ("outside", "cut", "gone", "moved")} <= {"PermissionError", "OSError"}, found
     after = snapshot(tmp_path)
     assert all(after[path] == before[path] for path in before if path != tmp_path)
 
 
 def test_case_63_a_reader_that_hangs_is_stopped(tmp_path, monkeypatch):
-    """A reader that never answers is stopped by import and `info`, in one sentence."""
+    """`import` and `info` stop a reader that never answers, with one sentence."""
 
     def start(_module, variables, **streams):
         command = [sys.executable, "-c", "import time; time.sleep(600)"]
@@ -151,7 +152,7 @@ def test_case_63_a_reader_that_hangs_is_stopped(tmp_path, monkeypatch):
 
 
 def test_case_63_an_honest_mosaic_reads_as_before(tmp_path):
-    """Three VRTs inside each other, with windows, a scale, no-data and a mask: the samples that GDAL itself reads."""
+    """Three nested VRTs with windows, a scale, no-data and a mask give the samples that GDAL reads."""
     import rasterio
 
     heights = hills(65, 33)
@@ -177,7 +178,7 @@ def test_case_63_an_honest_mosaic_reads_as_before(tmp_path):
 
 
 def test_case_63_a_changed_source_of_a_mosaic_is_noticed(tmp_path):
-    """The calling process parses nothing; a second import does nothing, a third, of other samples, everything."""
+    """A second import of a mosaic does nothing; a third with other samples runs; the calling process parses nothing."""
     write_raster(tmp_path / PART, hills(65, 33))
     (tmp_path / "inner.vrt").write_text(vrt(source(PART)))
     (tmp_path / "a.vrt").write_text(vrt(source("inner.vrt")))
@@ -189,11 +190,11 @@ def test_case_63_a_changed_source_of_a_mosaic_is_noticed(tmp_path):
     assert "unchanged" not in import_source(settings, tmp_path / "store")
     assert np.array_equal(open_store(tmp_path / "store").heights(), 2.0 * hills(65, 33)[::-1])
     (tmp_path / "a.vrt").write_text("<SourceFilename" * 30_000)
-    assert len(source_digest(settings)) == 64  # took minutes here where it was parsed
+    assert len(source_digest(settings)) == 64  # parsing this would take minutes
 
 
 def small_tiff(width, height, samples, strip):
-    """A TIFF of zeros in one strip of `strip` bytes, whose header says what it is told."""
+    """Return a TIFF of zeros in one strip, with the given values in its header."""
     tags = {
         256: width,
         257: height,
@@ -214,7 +215,7 @@ def small_tiff(width, height, samples, strip):
 
 
 def test_case_63_limits_are_asked_of_the_header(tmp_path):
-    """65,535 bands, pieces of gigabytes in a file or in a mosaic's source: refused by the header, in one sentence."""
+    """Headers with 65,535 bands or pieces of gigabytes, also of a mosaic's source, are refused in one sentence."""
     import rasterio
 
     (tmp_path / "bands.tif").write_bytes(small_tiff(8, 8, 65_535, 256))
@@ -225,12 +226,12 @@ def test_case_63_limits_are_asked_of_the_header(tmp_path):
     bands = "".join(f'<VRTRasterBand dataType="Byte" band="{i}"/>' for i in range(1, 2000))
     (tmp_path / "bands.vrt").write_text(f'<VRTDataset rasterXSize="9" rasterYSize="9">{bands}</VRTDataset>')
     expected = {"bands.tif": "65535 bands", "piece.tif": "1.8 GB", "piece.vrt": "1.8 GB", "bands.vrt": "1999 bands"}
-    for name, said in expected.items():
-        with pytest.raises(TerrainError, match=f"{said}; expected .*[.]$"):
+    for name, cause in expected.items():
+        with pytest.raises(TerrainError, match=f"{cause}; expected .*[.]$"):
             open_source(ImportSettings(source=str(tmp_path / name)))
 
 
-# Imports every file of a folder as the child process does, and says what became of each.
+# Import every file of a folder as the child process does, and print the outcome of each.
 READER = """
 import json, sys
 from pathlib import Path
@@ -252,7 +253,7 @@ for file in files:
 
 
 def test_case_63_damaged_files_are_terrains_or_one_error(tmp_path):
-    """Damaged TIFF, PNG, ASCII, EXR, NumPy and VRT files: a terrain or one sentence, and nothing beside the store."""
+    """Damaged TIFF, PNG, ASCII, EXR, NumPy and VRT files give a terrain or one sentence, and write only the store."""
     random = np.random.default_rng(63)
     (tmp_path / "good").mkdir()
     refused = 0
@@ -267,9 +268,9 @@ def test_case_63_damaged_files_are_terrains_or_one_error(tmp_path):
         command = [sys.executable, "-c", READER, str(folder), str(store)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=GUARD_S + 2 * FILES)
         lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-        said = {line["file"]: line["said"] for line in lines if "file" in line}
-        assert done.returncode == 0 and len(said) == FILES, (lines[-1:], done.stderr[-2000:])
-        for message in filter(None, said.values()):
+        output = {line["file"]: line["said"] for line in lines if "file" in line}
+        assert done.returncode == 0 and len(output) == FILES, (lines[-1:], done.stderr[-2000:])
+        for message in filter(None, output.values()):
             assert "\n" not in message and message.endswith(".") and len(message) < 900, message
             refused += 1
         after = snapshot(tmp_path)

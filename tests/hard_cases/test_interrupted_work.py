@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Hard case 65: interrupts (INT, TERM, KILL) at random times; a rerun gives the same bytes, no leftovers, no hang.
 
-A dozen here, 300 by `make fuzz`. Each is drawn by its own number, which its test's name has. Signals come after the
-process has begun: what comes while Python itself starts is not ours.
+The suite draws 12, `make fuzz` 300. The number in a test's name is its random seed. Signals are sent after Python
+itself has started.
 """
 
 import csv
@@ -21,9 +21,8 @@ import pytest
 from flights import hills_flight
 
 CASES = 300 if int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) >= 10_000 else 12
-# Only so that a hang ends; a stop takes 5 s at most, on a loaded machine a little longer.
-GUARD_S, STOP_S = 240, 30
-# The commands of this test: what takes minutes is smaller, the path through the program is the same.
+GUARD_S, STOP_S = 240, 30  # end a hang; a stop takes at most 5 s, on a loaded machine a little longer
+# The commands of this test, with smaller inputs where they would take minutes.
 PROGRAM = """
 import os, sys
 if sys.argv[1] == "accuracy":
@@ -42,7 +41,7 @@ os.write(2, b"begun\\n")
 program()
 """
 TOKEN = "ADAPTIVE_TERRAIN_TEST_TOKEN"
-# How often each is drawn; what imports bpy, or measures, takes longer.
+# The relative frequency of each command. Commands that import bpy or measure take longer.
 WEIGHTS = {"import": 4, "bake": 3, "export": 4}
 if CASES > 12:
     WEIGHTS |= {"bake ply": 1, "bake bicubic": 1, "export formats": 1, "accuracy": 1, "demo": 1}
@@ -51,7 +50,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix" or not Path("/proc").exists()
 
 
 class Work:
-    """A command that works in a folder of its own, beside a copy of the store."""
+    """A command that works in a separate folder with a copy of the store."""
 
     def __init__(self, kind: str, template: Path, folder: Path):
         self.folder, self.token = folder, f"{folder}"
@@ -71,7 +70,7 @@ class Work:
         }[kind]
 
     def start(self, *more: str) -> subprocess.Popen:
-        """In a process group of its own, as a shell does it."""
+        """Start the command in a new process group, as a shell does."""
         command = [sys.executable, "-c", PROGRAM, *map(str, self.arguments), *more]
         environment = os.environ | {TOKEN: self.token, "TMPDIR": str(self.folder)}
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -80,15 +79,15 @@ class Work:
         return process
 
     def complete(self, *more: str) -> float:
-        """Run to the end; returns the seconds that it took."""
+        """Run to the end and return the duration in seconds."""
         process = self.start(*more)
         begun = time.monotonic()
-        said = process.communicate(timeout=GUARD_S)[1]
-        assert process.returncode == 0, said
+        stderr = process.communicate(timeout=GUARD_S)[1]
+        assert process.returncode == 0, stderr
         return time.monotonic() - begun
 
     def processes(self) -> list[int]:
-        """Those that live and were started by this work."""
+        """Return the ids of living processes that this work started."""
         mark, found = f"{TOKEN}={self.token}\0".encode(), []
         for process in Path("/proc").glob("[0-9]*"):
             try:
@@ -99,7 +98,7 @@ class Work:
         return found
 
     def result(self) -> dict:
-        """Everything that stands in the folder, by name, without times and random names."""
+        """Return the contents of the folder by name, without times and random names."""
         return {name: content(path) for name, path in self.files().items()}
 
     def files(self) -> dict[str, Path]:
@@ -114,11 +113,11 @@ class Work:
 
 
 def content(path: Path):
-    """What a file holds that is a function of the input alone."""
+    """Return the content of a file that depends on the input alone."""
     if path.is_dir() or path.suffix in (".html", ".md", ".svg", ".blend"):
-        return None  # pages of times; a scene has addresses of memory in it
+        return None  # pages show times, and a .blend file holds memory addresses
     if path.name == "accuracy.json":
-        return None  # has the rows of the CSV
+        return None  # repeats the rows of the CSV
     if path.suffix == ".json":
         return without_times(json.loads(path.read_text()))
     if path.suffix == ".csv":
@@ -132,16 +131,16 @@ def content(path: Path):
 
 
 def without_times(value):
-    """JSON without what differs from run to run; sizes of .blend files do."""
+    """Drop times, checksums and sizes of .blend files, which differ between runs, from JSON."""
     if not isinstance(value, dict):
         return [without_times(v) for v in value] if isinstance(value, list) else value
-    drop = ("ms", "elapsed_ms", "seconds", "data", "sum", "checksum")  # the last two are of all entries, times too
+    drop = ("ms", "elapsed_ms", "seconds", "data", "sum", "checksum")  # checksums cover the times
     return {k: without_times(v) for k, v in value.items() if k not in drop and not k.endswith(".blend")}
 
 
 @pytest.fixture(scope="module")
 def template(tmp_path_factory):
-    """A small store and a flight over it."""
+    """Make a small store and a flight over it."""
     folder = tmp_path_factory.mktemp("template")
     hills_flight(folder)
     return folder
@@ -149,7 +148,7 @@ def template(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def undisturbed(template, tmp_path_factory):
-    """By kind of work: what stands after it, and the seconds that it takes."""
+    """Return a function that gives the result and the seconds of an undisturbed run, by kind of work."""
     known = {}
 
     def run(kind):
@@ -163,8 +162,10 @@ def undisturbed(template, tmp_path_factory):
 
 
 def disturb(process: subprocess.Popen, draw: random.Random, seconds: float) -> tuple[int, str]:
-    """Send a signal at a random time, to the process or, as a terminal does, to its group; sometimes another one soon
-    after. Returns the signal and what the process said."""
+    """Send a signal at a random time to the process or, as a terminal does, to its group, and sometimes a second one.
+
+    Return the signal and the stderr of the process.
+    """
     number = draw.choice([signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
     again = draw.choice([None, None, 0.01, 1.0])
     send = draw.choice([os.kill, os.killpg])
@@ -182,9 +183,10 @@ def disturb(process: subprocess.Popen, draw: random.Random, seconds: float) -> t
 
 @pytest.mark.parametrize("case", range(CASES))
 def test_case_65_interrupted_at_a_random_time(case, template, undisturbed, tmp_path):
-    """INT, TERM or KILL at a random time: the end comes soon; a rerun gives the same bytes and leaves nothing over.
+    """After INT, TERM or KILL at a random time the command ends soon, and a rerun gives the same bytes, no leftovers.
 
-    A stop is one line and the signal's exit code, no process lives on, and what has a final name is whole.
+    A stopped command prints one line and returns the signal's exit code. No process stays alive, and every file with
+    a final name is whole.
     """
     draw = random.Random(f"interrupt {case}")
     kind = draw.choices(list(WEIGHTS), WEIGHTS.values())[0]
@@ -192,11 +194,11 @@ def test_case_65_interrupted_at_a_random_time(case, template, undisturbed, tmp_p
         pytest.importorskip("bpy")
     expected, seconds = undisturbed(kind)
     work = Work(kind, template, tmp_path / "work")
-    number, said = disturb(process := work.start(), draw, seconds)
-    assert "Traceback" not in said, said
+    number, stderr = disturb(process := work.start(), draw, seconds)
+    assert "Traceback" not in stderr, stderr
     if process.returncode not in (0, -number):
-        assert process.returncode == 128 + number and number != signal.SIGKILL, (process.returncode, said)
-        assert said.count("stopped") == 1 == len(said.splitlines()), said
+        assert process.returncode == 128 + number and number != signal.SIGKILL, (process.returncode, stderr)
+        assert stderr.count("stopped") == 1 == len(stderr.splitlines()), stderr
     deadline = time.monotonic() + STOP_S
     while work.processes() and time.monotonic() < deadline:
         time.sleep(0.01)
@@ -204,7 +206,7 @@ def test_case_65_interrupted_at_a_random_time(case, template, undisturbed, tmp_p
     if number == signal.SIGKILL:  # a killed process cannot remove its folders of temporary files
         for left in work.folder.glob("tmp????????"):
             shutil.rmtree(left)
-    stopped_cleanly = "terrain: stopped\n" in said
+    stopped_cleanly = "terrain: stopped\n" in stderr
     for name, path in work.files().items():
         assert name in expected or (not stopped_cleanly and ("/.partial-" in f"/{name}" or "/lock" in name)), name
         if path.suffix in (".npz", ".ply", ".obj", ".csv") and name in expected:

@@ -19,8 +19,7 @@ def rough_bed(rows, columns, seed, low=-30.0, high=20.0):
 
 @pytest.mark.parametrize(("seed", "sea"), [(0, 0.0), (1, 1.37), (2, -3.3), (3, 8611.1)])
 def test_case_50_a_lake_at_rest_stays_at_rest(seed, sea):
-    """A sea over a bed of random heights, with islands: after ten minutes no depth has changed by a bit, no water moves
-    and none has left."""
+    """A sea with islands over a random bed is still after ten minutes: no bit of depth changes and no water leaves."""
     bed = rough_bed(50, 67, seed) + np.float32(sea)
     bed[20] = np.float32(sea) + 1e-6 * bed[20]
     water = flood.still(bed, (9.0, 4.0), sea=sea)
@@ -33,8 +32,7 @@ def test_case_50_a_lake_at_rest_stays_at_rest(seed, sea):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_case_51_depth_is_never_below_zero(seed):
-    """A dam of 20 m breaks over dry, random ground under patches of rain: at each of 400 steps all depths are finite
-    and none is below 0."""
+    """A dam of 20 m that breaks over dry ground under rain gives finite depths of at least 0 in all 400 steps."""
     rng = np.random.default_rng(seed)
     bed = rough_bed(37, 52, seed, 0.0, 3.0)
     rain = (rng.random(bed.shape) < 0.1).astype(np.float32) * np.float32(1e-3)
@@ -48,8 +46,7 @@ def test_case_51_depth_is_never_below_zero(seed):
 
 @pytest.mark.parametrize("rough", [0.0, 0.05])
 def test_case_52_a_step_at_its_limit_and_above(rough):
-    """A lake with 1 mm of noise: 600 steps of 0.99 of the limit do not make the noise grow; one of 1.05 is refused; a
-    longer time is divided."""
+    """Noise of 1 mm on a lake does not grow over 600 steps of 0.99 of the limit; a step of 1.05 is refused."""
     rng = np.random.default_rng(1)
     bed = (-10 + rng.random((66, 61))).astype(np.float32)
     water = flood.still(bed, (8.0, 5.0), sea=0.0, rough=rough)
@@ -64,8 +61,7 @@ def test_case_52_a_step_at_its_limit_and_above(rough):
 
 
 def test_case_53_rain_on_one_cell_spreads_fourfold_symmetric():
-    """Over level ground, and in a bowl: after ten minutes the depths have all eight symmetries of a square, by the
-    bit."""
+    """Rain on one cell of level ground or of a bowl gives depths with all eight symmetries of a square, to the bit."""
     rain = np.zeros((41, 41), np.float32)
     rain[20, 20] = 1e-3
     y, x = np.mgrid[-20:21, -20:21].astype(np.float32)
@@ -79,8 +75,7 @@ def test_case_53_rain_on_one_cell_spreads_fourfold_symmetric():
 
 
 def test_case_55_water_is_neither_made_nor_lost():
-    """Ten minutes of rain on hills, with a sea and holes: what stands and has left is what was there and fell, to
-    1e-12."""
+    """Ten minutes of rain on hills with a sea and holes keep the volume of water to 1e-12."""
     bed = hills(90, 70)
     missing = np.zeros(bed.shape, bool)
     missing[30:35, 40:60] = True
@@ -89,12 +84,12 @@ def test_case_55_water_is_neither_made_nor_lost():
     before = water.volume
     flood.march(water, 600.0)
     fallen = 600.0 * float(rain) * bed.size * 130.0
-    assert water.volume - before == pytest.approx(fallen, rel=1e-9)  # of rain alone, beside 1e4 times as much sea
+    assert water.volume - before == pytest.approx(fallen, rel=1e-9)  # rain alone: the sea is 1e4 times larger
     assert water.volume == pytest.approx(before + fallen, rel=1e-12)
 
 
 def test_case_55_slides_keep_the_snow():
-    """On hills of up to 60 degrees, over three levels: what slid away lies elsewhere, to 1e-7 of what moved."""
+    """Slides on hills of up to 60 degrees keep the snow to 1e-7 of the slides, over three levels."""
     heights = 3.0 * hills(700, 530)
     snow = LAND_EFFECTS["snow"]
     for wind in (0.0, 137.0):
@@ -107,7 +102,7 @@ def test_case_55_slides_keep_the_snow():
 
 @pytest.mark.parametrize("name", ["water", "flood", "snow"])
 def test_case_58_the_same_bytes_for_any_number_of_threads(name):
-    """1, 2 and 3 threads: the same bytes of heights and layers."""
+    """1, 2 and 3 threads give the same bytes of heights and layers."""
     effect, heights = LAND_EFFECTS[name], hills(411, 333)
     values = effect.defaults() | ({"minutes": 0.5} if name == "flood" else {})
     sums = set()

@@ -12,8 +12,8 @@ from adaptive_terrain.operators.scene import session  # noqa: E402
 from blender_meshes import digest, digest_alone  # noqa: E402
 
 
-def test_case_35_random_order_of_frames_gives_the_meshes_of_playing_them(flight, add_terrain):
-    """20 frames of a camera on an animated parent: in random order they have the meshes of playing them."""
+def test_case_35_frames_in_random_order_give_the_same_meshes(flight, add_terrain):
+    """20 frames of a camera on an animated parent have the same meshes in random order as in sequence."""
     terrain = add_terrain()
     played = {}
     for frame in range(1, 21):
@@ -28,7 +28,7 @@ def test_case_35_random_order_of_frames_gives_the_meshes_of_playing_them(flight,
 
 
 def test_case_35_subframes(flight, add_terrain):
-    """A subframe has a mesh of its own, and coming back gives the whole frame's again."""
+    """A subframe has a different mesh, and returning to the frame restores its mesh."""
     terrain = add_terrain()
     flight.frame_set(5)
     whole = digest(terrain)
@@ -39,7 +39,7 @@ def test_case_35_subframes(flight, add_terrain):
 
 
 def test_case_36_motion_blur_keeps_one_topology(flight, add_terrain, tmp_path):
-    """A Cycles render with motion blur has one mesh at all shutter times of a frame, another in the next."""
+    """A Cycles render with motion blur keeps one mesh for all shutter times of a frame, and another for the next."""
     terrain = add_terrain()
     flight.frame_start, flight.frame_end = 5, 6
     flight.render.engine = "CYCLES"
@@ -72,7 +72,7 @@ def test_case_36_motion_blur_keeps_one_topology(flight, add_terrain, tmp_path):
 
 
 def test_case_47_undo_and_redo(scene, add_terrain):
-    """Undo and redo give back the settings and the mesh, and an update after each is the same mesh."""
+    """Undo and redo restore settings and mesh, and an update after each gives the same mesh."""
     name = add_terrain().name
     bpy.ops.ed.undo_push(message="start")
     detail = bpy.data.objects[name].adaptive_terrain.viewport
@@ -101,7 +101,7 @@ def test_case_47_undo_and_redo(scene, add_terrain):
 
 
 def test_case_47_save_and_reload(scene, add_terrain, tmp_path):
-    """A saved and reloaded file has every setting and the same mesh, and an update changes nothing."""
+    """A saved and reloaded file keeps settings and mesh, and an update changes nothing."""
     terrain = add_terrain()
     settings = terrain.adaptive_terrain
     settings.viewport.error_px, settings.render.meshlet, settings.vertical_scale = 3.0, 2, 1.5
@@ -121,7 +121,7 @@ def test_case_47_save_and_reload(scene, add_terrain, tmp_path):
 
 
 def test_case_47_append_and_link(scene, add_terrain, tmp_path):
-    """An appended terrain updates; a linked one is left alone."""
+    """An appended terrain updates; a linked one does not change."""
     add_terrain().adaptive_terrain.viewport.error_px = 7.0
     path = str(tmp_path / "library.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
@@ -135,11 +135,11 @@ def test_case_47_append_and_link(scene, add_terrain, tmp_path):
         assert terrain.adaptive_terrain.viewport.error_px == 7.0
         bpy.context.scene.frame_set(2)
         assert session.is_terrain(terrain) is not link
-        assert (len(terrain.data.polygons) > 0) is not link, "linked objects are left alone"
+        assert (len(terrain.data.polygons) > 0) is not link, "linked objects do not change"
 
 
 def test_case_47_library_override_is_left_alone(scene, add_terrain, tmp_path):
-    """A library override keeps its mesh whatever is asked of it."""
+    """A library override keeps its mesh after its settings change."""
     session.update_object(add_terrain())
     path = str(tmp_path / "library.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
@@ -162,7 +162,7 @@ def test_case_47_library_override_is_left_alone(scene, add_terrain, tmp_path):
 
 
 def test_case_47_duplicate_and_delete(flight, add_terrain):
-    """A copy refines for its own place; deleted terrains leave no record, and the frame handler goes on."""
+    """A copy refines for its location; deleted terrains leave no record, and the frame handler still works."""
     terrain = add_terrain()
     flight.frame_set(2)
     other = terrain.copy()
@@ -180,7 +180,7 @@ def test_case_47_duplicate_and_delete(flight, add_terrain):
 
 
 def test_case_47_two_terrains(flight, add_terrain):
-    """Two terrains keep engines of their own; deleting one leaves the other's mesh as it was."""
+    """Two terrains have separate engines, and deleting one does not change the other's mesh."""
     near, far = add_terrain("Near"), add_terrain("Far")
     far.location.y = 4000.0
     flight.frame_set(2)

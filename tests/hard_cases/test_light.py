@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hard case 59: rays over the ground in every position that a ray can have to the raster."""
+"""Hard case 59: rays over the ground in every position relative to the raster."""
 
 import math
 
@@ -21,8 +21,8 @@ def sun(places: Places, *suns, **angle) -> np.ndarray:
 
 @pytest.mark.parametrize("size, steps", RASTERS)
 @pytest.mark.parametrize("scale", [1.0, -2.5])
-def test_case_59_skipping_blocks_finds_what_a_walk_from_cell_to_cell_finds(size, steps, scale):
-    """Along axes, diagonals and at random, from samples, cells, the rim and its corners: bit for bit the same."""
+def test_case_59_skipping_blocks_finds_the_same_hits(size, steps, scale):
+    """Rays that skip blocks find the same bits as a walk from cell to cell, from every position in any direction."""
     field = from_array(raster(*size), *steps)
     places, along = places_on(field, 240, scale=scale), directions(240)
     found = engines(places, along)
@@ -35,7 +35,7 @@ def test_case_59_skipping_blocks_finds_what_a_walk_from_cell_to_cell_finds(size,
 
 
 def test_case_59_rays_through_the_corners_of_cells():
-    """Spikes at samples, and rays that run exactly through them and through thousands of other corners."""
+    """Rays exactly through thousands of corners of cells find the same spikes with and without blocks."""
     heights = np.zeros((300, 300), np.float32)
     heights[::7, ::7] = np.arange(43 * 43).reshape(43, 43) % 11 + 1.0
     field = from_array(heights, 1.0)
@@ -47,8 +47,8 @@ def test_case_59_rays_through_the_corners_of_cells():
     assert np.array_equal(engines(places, along), engines(places, along, blocks=False))
 
 
-def test_case_59_grazing_rays_are_not_hidden_by_what_they_start_on():
-    """A place on a plane has that plane as horizon, in every direction, and no more."""
+def test_case_59_grazing_rays_are_not_hidden_by_their_plane():
+    """A point on a plane has that plane as its horizon in every direction, to 1e-6."""
     y, x = np.mgrid[0:65, 0:65].astype(np.float32)
     field = from_array(0.5 * x - 0.25 * y, 1.0)
     places, along = places_on(field, 600, seed=3), directions(600, seed=3)
@@ -58,7 +58,7 @@ def test_case_59_grazing_rays_are_not_hidden_by_what_they_start_on():
 
 
 def test_case_59_places_beyond_the_rim_take_the_light_of_the_rim():
-    """From outside, far outside, and from no number at all."""
+    """Points outside the raster, far away or at NaN take the light of its border."""
     field = from_array(raster(50, 40), 5.0)
     west, south, east, north = field.lattice.rectangle()
     inside = np.array([(east, 3.0, 0.0), (west, south, 0.0), (-7.0, north, 0.0), (west, south, 0.0)], np.float32)
@@ -70,8 +70,7 @@ def test_case_59_places_beyond_the_rim_take_the_light_of_the_rim():
 
 
 def test_case_59_the_sun_upright_level_and_below():
-    """At the zenith nothing is in the shadow; at the horizontal half of the disc is seen where nothing is higher; below
-    it none of it is, from anywhere."""
+    """The sun at the zenith casts no shadow, a level sun shows at most half of its disc, and a lower one shows none."""
     field = from_array(raster(64, 48), 5.0)
     places = every_sample(field)
     assert (sun(places, (0.0, 0.0, 1.0, 0.00918)) == 1.0).all()
@@ -82,8 +81,8 @@ def test_case_59_the_sun_upright_level_and_below():
     assert np.isfinite(sun(places, (1e-30, 1e-30, 1e-30, 0.0))).all()
 
 
-def test_case_59_heights_of_16_bits_and_of_floats_throw_the_same_shadows():
-    """Numbers of a store are decoded to the bits that floats would have."""
+def test_case_59_16_bit_and_float_heights_cast_equal_shadows():
+    """Encoded 16-bit heights of a store cast the same shadows as the equal floats."""
     floats, numbers = coded(from_array(raster(60, 45), 4.0, 3.0))
     along = directions(400)
     assert np.array_equal(engines(places_on(floats, 400), along), engines(places_on(numbers, 400), along))

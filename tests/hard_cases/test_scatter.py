@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hard case 73: points of a scatter stand still while the camera flies, and none comes or goes at a size."""
+"""Hard case 73: scatter points do not move during a flight, and appear and vanish at size 0."""
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.ask.view import View
@@ -11,7 +11,7 @@ from scattered_frames import ScatteredFrames
 
 FRAMES = 200
 SCATTER = Scatter(spacing=6.0, full_until=120.0, variation=0.0, where=Layer("Low", (Rule("height", high=60, edge=80),)))
-# Turned by a sixth about z, leant, and scaled otherwise along each axis.
+# Rotated about z, tilted, and scaled differently along each axis.
 PLACEMENT = np.array([[0.96, -0.45, 0.1, 10.0], [0.55, 0.78, 0.0, -20.0], [0.05, 0.02, 1.4, 3.0], [0, 0, 0, 1.0]])
 
 
@@ -22,15 +22,14 @@ def view(frame: int) -> View:
 
 
 def in_frame(frame: int, positions: np.ndarray) -> np.ndarray:
-    """Which places the camera of a frame shows, by its matrices, to within a pixel of the rim."""
+    """Return which positions the camera of a frame shows, except within 1 % of the frame's border."""
     at = np.column_stack([positions, np.ones(len(positions))]) @ (view(frame).world_to_camera @ PLACEMENT).T
     clip = at @ view(frame).projection.T
     return (clip[:, 3] > 1) & (np.abs(clip[:, :2]) < 0.99 * clip[:, 3:]).all(axis=1)
 
 
-def test_case_73_no_point_of_a_flight_moves_or_appears_full_grown():
-    """200 frames over a turned and scaled raster that fits no lattice: places are those of before to the bit; what
-    comes or goes in the frame has a size below 0.15, and none changes by more than that."""
+def test_case_73_no_scatter_point_moves_or_pops():
+    """Over 200 frames no point moves by a bit, and sizes change, start and end by less than 0.15."""
     scatterer, last = ScatteredFrames(rough(90, 123, step=8.0), SCATTER), None
     every, appeared, largest = [], 0, 0.0
     for frame in range(FRAMES):
@@ -39,10 +38,10 @@ def test_case_73_no_point_of_a_flight_moves_or_appears_full_grown():
         ids, positions, size = points.id[order], points.positions[order].copy(), points.size[order].copy()
         every.append((ids, positions))
         if last is not None:
-            before, places, sizes = last
+            before, last_positions, sizes = last
             seen = in_frame(frame, positions) & in_frame(frame - 1, positions)
             new = seen & ~np.isin(ids, before)
-            gone = ~np.isin(before, ids) & in_frame(frame, places) & in_frame(frame - 1, places)
+            gone = ~np.isin(before, ids) & in_frame(frame, last_positions) & in_frame(frame - 1, last_positions)
             both, here, there = np.intersect1d(ids, before, return_indices=True)
             change = np.abs(size[here] - sizes[there])[in_frame(frame, positions[here])]
             largest = max(largest, change.max(), size[new].max(initial=0.0), sizes[gone].max(initial=0.0))
@@ -55,8 +54,8 @@ def test_case_73_no_point_of_a_flight_moves_or_appears_full_grown():
     assert appeared > 300 and largest < 0.15
 
 
-def test_case_73_a_frame_alone_is_the_frame_of_the_flight():
-    """Frames 0, 57 and 199 by themselves have the bytes that they have after all others, on one thread and on three."""
+def test_case_73_a_frame_alone_equals_the_frame_of_a_flight():
+    """Single frames have the same bytes alone as after other frames, on one thread and on three."""
     field = rough(90, 123, step=8.0)
     flying = [ScatteredFrames(field, SCATTER, threads=threads) for threads in (1, 3)]
     for frame in (0, 199, 30, 57, 0):

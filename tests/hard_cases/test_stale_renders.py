@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hard case 68: a background render whose mesh is stale ends with an error. The real program's is in tests/blender."""
+"""Hard case 68: a background render with a stale mesh ends with an error. tests/blender tests the real program."""
 
 import subprocess
 import sys
@@ -15,14 +15,14 @@ scene = bpy.context.scene
 exec(sys.argv[2])
 bpy.ops.render.render(animation=True, scene=scene.name)
 print("the script goes on", flush=True)
-os._exit(0)  # after a compositor Blender as a module waits at its end for a thread of its own, for ever
+os._exit(0)  # after a compositor the bpy module would wait for ever for one of its threads
 """
 ON = "the script goes on"
 
 
 @pytest.fixture
 def blend(flight, add_terrain, tmp_path):
-    """A terrain that is scaled to nothing at frame 4, beside one that has no store and that no render shows."""
+    """Save a terrain whose scale is 0 at frame 4, and one without a store that renders do not show."""
     terrain = add_terrain("Hills")
     for frame, scale in ((3, 1.0), (4, 0.0), (5, 1.0)):
         terrain.scale.z = scale
@@ -48,21 +48,21 @@ def blend(flight, add_terrain, tmp_path):
     ],
 )
 def test_case_68_a_render_that_would_be_stale_ends(blend, change, frames, why):
-    """Frames before the stale one are whole, it is not written, one line says why, the exit code is 1.
+    """A render stops before a stale frame with one line and exit code 1; earlier frames are whole.
 
-    Unless the scene allows it. A broken terrain that no render shows ends none.
+    The scene can allow stale renders. A broken terrain that renders do not show stops none.
     """
     command = [sys.executable, "-c", RENDER, blend, change]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert sorted(int(path.stem[-4:]) for path in blend.parent.glob("frame_*.png")) == frames, done.stderr
     for path in blend.parent.glob("frame_*.png"):
         assert bpy.data.images.load(str(path)).pixels[:4]
-    said = [line for line in done.stderr.splitlines() if line.startswith("Adaptive Terrain:")]
+    messages = [line for line in done.stderr.splitlines() if line.startswith("Adaptive Terrain:")]
     if why:
         assert done.returncode == 1 and ON not in done.stdout
-        assert len(said) == 1 and why in said[0] and "Adaptive Terrain" not in done.stdout
+        assert len(messages) == 1 and why in messages[0] and "Adaptive Terrain" not in done.stdout
     else:
-        assert done.returncode == 0 and ON in done.stdout and not said
+        assert done.returncode == 0 and ON in done.stdout and not messages
         assert ("frame 4 is rendered with a stale mesh" in done.stdout) == (4 in frames)
 
 
@@ -88,7 +88,7 @@ bpy.app.handlers.render_post.append(lambda *_: print("triangles", len(terrain.da
 
 @pytest.mark.parametrize("used", ["terrain.adaptive_terrain.store", "'/gone'"])
 def test_case_68_a_scene_that_a_compositor_takes_in(blend, used):
-    """Blender announces only the scene that was asked for; terrains of another in its compositor are refined, too."""
+    """Terrains of another scene in the compositor are refined, though Blender announces only the rendered scene."""
     before = len(bpy.data.objects["Hills"].data.polygons)
     done = subprocess.run(
         [sys.executable, "-c", RENDER, blend, COMPOSED.format(store=used)], capture_output=True, text=True, timeout=120

@@ -23,8 +23,8 @@ def leaves_of(tree, lattice):
     return {node for node in nodes if node[0] < lattice.squares}
 
 
-def test_case_01_depth_48_is_exact_in_float32_and_deeper_is_refused_or_float64():
-    """Vertices at depth 48 are exact in float32; deeper ones are refused, or exact in float64."""
+def test_case_01_depth_48_is_exact_in_float32():
+    """Vertices at depth 48 are exact in float32; deeper ones are refused in float32 and exact in float64."""
     ids = random_ids(48, 2000, seed=1)
     exact = np.array([bisection.triangle(n, 24) for n in ids])
     plane = bisection.plane_coordinates(np.array(ids, np.uint64))
@@ -41,7 +41,7 @@ def test_case_01_depth_48_is_exact_in_float32_and_deeper_is_refused_or_float64()
 
 @pytest.mark.parametrize("depth", [30, 31, 32, 52, 53, 54, 61, 62])
 def test_case_02_ids_round_trip_through_triangles(depth):
-    """Ids at depths 30 .. 62 (2^31, 2^53, the deepest) come back from their triangles and tree ids."""
+    """Ids at depths 30 to 62 round-trip through their triangles and tree ids."""
     lattice = Lattice(3, 2, 0)
     for heap_id in random_ids(depth, 200, seed=depth):
         assert bisection.heap_id_of(bisection.triangle(heap_id, 31), 31) == heap_id
@@ -52,7 +52,7 @@ def test_case_02_ids_round_trip_through_triangles(depth):
 
 @pytest.mark.parametrize("max_depth", [31, 32, 33, 40])
 def test_case_02_ids_round_trip_through_the_tree(max_depth):
-    """Leaves at depths 31 .. 40 come back from their rank, as Python integers, also out of saved bytes."""
+    """Leaves at depths 31 to 40 round-trip through their ranks as Python integers, also from saved bytes."""
     tree = EditedTree(max_depth)
     rng = random.Random(max_depth)
     targets = [1 << max_depth, (2 << max_depth) - 1, *(rng.randrange(1 << max_depth, 2 << max_depth) for _ in range(3))]
@@ -67,7 +67,7 @@ def test_case_02_ids_round_trip_through_the_tree(max_depth):
 
 
 def random_leaves(max_depth, count, seed):
-    """First cells of `count` or more leaves of a random tree, int64."""
+    """Return the first cells of at least `count` leaves of a random tree, int64."""
     rng = np.random.default_rng(seed)
     cells, sizes = np.zeros(1, np.int64), np.array([1 << max_depth])
     while len(cells) < count:
@@ -80,7 +80,7 @@ def random_leaves(max_depth, count, seed):
 
 @pytest.mark.parametrize("max_depth", [28, 32, 36])
 def test_case_03_memory_follows_the_leaves(max_depth):
-    """100,000 leaves in trees of 2^28 to 2^36 cells: at most 64 bytes a leaf, and nothing else grows."""
+    """100,000 leaves in trees of 2^28 to 2^36 cells need at most 64 bytes per leaf."""
     cells = random_leaves(max_depth, 100_000, seed=max_depth)
     depths = max_depth - np.log2(np.diff(cells, append=1 << max_depth)).astype(np.uint16)
     tracemalloc.start()
@@ -95,12 +95,12 @@ def test_case_03_memory_follows_the_leaves(max_depth):
     assert tree.leaf_count >= 100_000
     assert empty < 4096
     assert tree.nbytes < 64 * len(cells)
-    # While the pool grows there is the last one beside it.
+    # a growing pool holds the old one and the new one
     assert peak < 1.5 * tree.nbytes + 2**17
 
 
 def test_case_03_one_deep_branch_costs_kilobytes():
-    """One branch down to depth 40: 41 leaves, at most 640 bytes more."""
+    """One branch down to depth 40 with 41 leaves adds at most 640 bytes."""
     tree = EditedTree(40)
     before = len(tree.to_bytes())
     while (leaf := tree.leaf_at(0x5A5A5A5A5A)) < tree.cell_count:
@@ -111,7 +111,7 @@ def test_case_03_one_deep_branch_costs_kilobytes():
 
 @pytest.mark.parametrize("grid", [(1, 1), (3, 2)])
 def test_case_44_split_then_merge_gives_the_bits_back(grid):
-    """30 random conforming splits, merged in reverse: the tree's bytes are those of before."""
+    """30 random conforming splits, merged in reverse, restore the tree's bytes."""
     lattice = Lattice(*grid, 0)
     tree = EditedTree(30)
     bisection.plant(tree, lattice)
@@ -130,7 +130,7 @@ def test_case_44_split_then_merge_gives_the_bits_back(grid):
 
 @pytest.mark.parametrize("grid", [(1, 1), (3, 2)])
 def test_case_45_a_diamond_merges_whole_or_not_at_all(grid):
-    """Random merges: all halves of the diamond or none, and every state is conforming (no T-junction, area adds up)."""
+    """A random merge takes all halves of a diamond or none, and every state is conforming."""
     lattice = Lattice(*grid, 0)
     tree = EditedTree(12)
     bisection.plant(tree, lattice)

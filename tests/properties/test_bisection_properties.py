@@ -13,14 +13,14 @@ EXPONENT = bisection.MAX_DEPTH // 2
 
 @st.composite
 def nodes(draw, deepest=bisection.MAX_DEPTH):
-    """A lattice and a node of it."""
+    """Draw a lattice and one of its nodes."""
     lattice = Lattice(*draw(GRIDS), 0)
     depth = draw(st.integers(1, deepest))
     return lattice, (draw(st.integers(0, lattice.squares - 1)), draw(st.integers(1 << depth, (2 << depth) - 1)))
 
 
 def corners(lattice, node):
-    """Vertices of a node in the units of the whole grid."""
+    """Return the vertices of a node in units of the whole grid."""
     row, column = divmod(node[0], lattice.columns)
     return [(x + (column << EXPONENT), y + (row << EXPONENT)) for x, y in bisection.triangle(node[1], EXPONENT)]
 

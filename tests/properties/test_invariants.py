@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The invariants find what they are there to find: a good mesh is broken in every way that each of them forbids."""
+"""The invariants find every kind of fault: a good mesh is broken in each way that they forbid."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ def changed(surface, name, at, value):
 
 
 def without_last(surface):
-    """A hole: the last triangle is taken away, its vertices and edges stay."""
+    """Remove the last triangle but keep its vertices and edges, which makes a hole."""
     return with_arrays(
         surface,
         corner_verts=surface.corner_verts[:-3],
@@ -30,7 +30,7 @@ def without_last(surface):
 
 
 def turned(surface):
-    """One triangle faces down: its corners run the other way."""
+    """Reverse the corners of one triangle, which then faces down."""
     corners = surface.triangles.copy()
     corners[5] = corners[5, [0, 2, 1]]
     sides = surface.corner_edges.reshape(-1, 3).copy()
@@ -39,7 +39,7 @@ def turned(surface):
 
 
 def torn(surface):
-    """One corner gets a vertex of its own at the same place."""
+    """Give one corner a separate vertex at the same position."""
     count = len(surface.positions)
     old = surface.corner_verts[30]
     corners = surface.corner_verts.copy()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Criteria are nested: what is split for one request is split for every finer one, and with it all that it needs."""
+"""Criteria are nested: a finer request splits everything that a coarser one splits, with all ancestors."""
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
@@ -17,7 +17,7 @@ MESHLETS = st.sampled_from([0, 1, 2, 3])
 
 
 def split_nodes(terrain) -> set[tuple[int, int]]:
-    """(square, id) of every triangle that is split."""
+    """Return (square, id) of every split triangle."""
     lattice, split = terrain.field.lattice, set()
     for tree_id in EditedTree.of(terrain.tree).leaves().tolist():
         square, heap_id = from_tree_id(lattice, tree_id)
@@ -27,7 +27,7 @@ def split_nodes(terrain) -> set[tuple[int, int]]:
 
 
 def without_budget(scenario, **changes):
-    """Field, views, the scenario's criterion without its budget and with `changes`, and the placement."""
+    """Return field, views, the scenario's criterion without its budget and with `changes`, and the placement."""
     field, views, criterion, placed = make(scenario)
     return field, views, Criterion(**{**vars(criterion), "max_triangles": None, **changes}), placed
 
@@ -39,7 +39,7 @@ def test_a_finer_error_splits_all_that_a_coarser_one_does(scenario, errors):
         for error_px in sorted(errors, reverse=True):
             field, views, criterion, placed = without_budget(scenario, error_px=error_px)
             terrain = Terrain(field, 1)
-            # a limit keeps the examples short; it takes the same depths away from each
+            # a depth limit, the same for each error, keeps the examples short
             limit = min(criterion.max_depth or 99, field.lattice.cell_depth + 1)
             update = terrain.update(Criterion(**{**vars(criterion), "max_depth": limit}), views, **placed)
             now = split_nodes(terrain)
@@ -48,8 +48,8 @@ def test_a_finer_error_splits_all_that_a_coarser_one_does(scenario, errors):
 
 
 @given(scenarios(criterion=criteria(meshlets=(0,))))
-def test_what_is_split_has_its_whole_diamond_and_its_parents_split(scenario):
-    """A diamond's value is never larger than its parents': what is split is closed upward, over both triangles."""
+def test_split_triangles_have_split_diamonds_and_parents(scenario):
+    """A diamond's value never exceeds its parents', so the set of split triangles is closed upward."""
     with to_remember(scenario):
         field, views, criterion, placed = make(scenario)
         terrain = Terrain(field, 1)
@@ -71,7 +71,7 @@ def test_a_larger_budget_is_never_worse(scenario, budgets):
             assert update.relaxed <= last_relaxed and update.triangles >= last_triangles
             least = least_triangles(field, criterion.meshlet)
             assert update.triangles <= max(budget, least)
-            # Several criteria are relaxed together: only that of the error alone must fall with each step.
+            # several criteria are relaxed together; only that of the error alone must decrease with each step
             if not (criterion.edge_px or criterion.area_px or criterion.error_m):
                 assert update.bound_px <= last_bound
             last_bound, last_relaxed, last_triangles = update.bound_px, update.relaxed, update.triangles
@@ -101,7 +101,7 @@ def test_the_union_of_views_splits_what_each_splits(scenario):
             alone.append(split_nodes(terrain))
         terrain.update(limited, views, **placed)
         together = split_nodes(terrain)
-        # An edge is measured with the longest unit of any view, so the union may be finer than both.
+        # edges are measured with the longest unit of any view, so the union may be finer than both
         assert set().union(*alone) <= together
         if not (criterion.edge_px or criterion.area_px):
             assert set().union(*alone) == together

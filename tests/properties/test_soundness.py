@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whatever the field, the view and the request: a sound mesh, and no error beyond its bound."""
+"""For any field, view and request the mesh is sound and keeps its bound."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -45,13 +45,13 @@ def test_bicubic_scenes_are_sound(scenario):
         criterion=criteria(meshlets=(1, 2, 3, 4)),
     )
 )
-def test_bicubic_meshlets_are_sound_also_where_nothing_fits_the_lattice(scenario):
+def test_bicubic_meshlets_are_sound_on_padded_rasters(scenario):
     assert_sound(scenario)
 
 
-RISING = st.tuples(criteria(), st.sampled_from([1.25, 1.5, 4.0])).map(lambda drawn: drawn[0] | {"morph": drawn[1]})
+MORPHING = st.tuples(criteria(), st.sampled_from([1.25, 1.5, 4.0])).map(lambda drawn: drawn[0] | {"morph": drawn[1]})
 
 
-@given(scenarios(criterion=RISING))
-def test_scenes_whose_points_rise_are_sound(scenario):
+@given(scenarios(criterion=MORPHING))
+def test_scenes_with_geomorph_are_sound(scenario):
     assert_sound(scenario)

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every scenario that ever broke something, replayed: corpus.json.
+"""Replay every scenario in corpus.json, each of which once failed.
 
-`broke` says what it broke, with the commit that mended it where there was one; the rest is a scenario (see
-tests/scenarios.py). An entry with `error` must be refused with one sentence that matches it; every other one must be
-sound. One with `open` is a defect that is known and not yet mended; the test fails when it is, so that `open` goes. A
-property test that fails prints the entry to add.
+`broke` describes the failure, with the commit that fixed it; the rest is a scenario (see tests/scenarios.py). An entry
+with `error` must be refused with a matching sentence; every other one must be sound. `open` marks a known defect; the
+test fails once it is fixed, so that `open` is removed. A failing property test prints the entry to add.
 """
 
 import json
@@ -24,7 +23,7 @@ def parameter(entry):
 
 
 @pytest.mark.parametrize("entry", [parameter(entry) for entry in ENTRIES])
-def test_what_broke_once(entry):
+def test_a_past_failure_does_not_return(entry):
     scenario = {name: value for name, value in entry.items() if name not in ("broke", "error", "open")}
     if "error" not in entry:
         assert_sound(scenario)
@@ -35,7 +34,7 @@ def test_what_broke_once(entry):
     assert str(caught.value).endswith(".") and "\n" not in str(caught.value)
 
 
-def test_entries_say_what_they_broke_and_are_there_once():
+def test_entries_have_a_description_and_are_unique():
     assert all(entry["broke"] and "WHAT" not in entry["broke"] for entry in ENTRIES)
     scenarios = [json.dumps({**entry, "broke": ""}, sort_keys=True) for entry in ENTRIES]
     assert len(set(scenarios)) == len(scenarios)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bake colours, with a decal, and normals of the open file's terrain, and render it so dressed: FOLDER."""
+"""Bake colours, with a decal, and normals of the open file's terrain, and render it with them: FOLDER."""
 
 import json
 import sys

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pick the ground with the mouse, and move what is kept on it, in a window; write down what came of it: FOLDER.
+"""Pick the ground with the mouse in a window, move the terrain under kept objects, and write a report: FOLDER.
 
 Run with --enable-event-simulate. Every step is a turn of a timer, because Blender handles events and draws between
 turns only.
@@ -94,8 +94,8 @@ def steps():
         run(bpy.ops.adaptive_terrain.pick_ground, origin=(at.x, at.y, 9000.0), direction=(0.0, 0.0, -1.0))
         result["kept"].append([at.x, at.y, at.z, bpy.context.scene.cursor.location.z])
     yield 1.0
-    (folder / "pictured").touch()
-    yield from until((folder / "picture_taken").exists)
+    (folder / "ground").touch()
+    yield from until((folder / "ground_pictured").exists)
 
 
 def turn():
@@ -106,7 +106,7 @@ def turn():
     except Exception:
         result["error"] = traceback.format_exc()
     (folder / "done.json").write_text(json.dumps(result))
-    (folder / "pictured").touch()
+    (folder / "ground").touch()
     return None
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Add rivers to the island by a click, look at the preview, shape, undo, hide; write down what came of it: FOLDER.
+"""Add rivers to the island by a click, preview, shape, undo and hide, and write a report: FOLDER.
 
 Run with a window and --enable-event-simulate. Every step is a turn of a timer, because Blender handles events and draws
 between turns only.
@@ -49,7 +49,7 @@ def shown() -> str:
 
 
 def mean_height() -> float:
-    """Metres, of what the mesh shows: rivers take rock away."""
+    """Return the mean height of the mesh's field in metres, which rivers lower."""
     record = session.record_of(terrain())
     assert record.status.field_key == record.field.key
     return float(record.field.heights().mean())
@@ -64,7 +64,7 @@ def until(condition):
 
 
 def turns(condition):
-    """Wait, and count; returns the longest time between two turns, seconds."""
+    """Wait, and return the longest time between two turns in seconds."""
     longest, before, end = 0.0, time.monotonic(), time.monotonic() + WAIT_S
     while not condition():
         if time.monotonic() > end:
@@ -177,7 +177,7 @@ def shaping_runs_beside_the_window():
 
 
 def it_is_baked_by_a_button():
-    """The store beside it is the terrain's own then, and looks the same; Undo brings the stack back."""
+    """Bake the land into the terrain's store, which looks the same; Undo restores the stack."""
     settings, before = terrain().adaptive_terrain, mean_height()
     try:
         run(bpy.ops.adaptive_terrain.bake_land, "INVOKE_DEFAULT")
@@ -217,7 +217,7 @@ def undo_and_hide():
 
 
 def it_gets_finer_while_it_rests():
-    """Only what the viewport shows; the window goes on meanwhile, and a slider ends it."""
+    """Wait for finer land in view while the window stays responsive; a slider stops it."""
     resting_land.REST_S = 2.0
     view = parts()[1].spaces.active.region_3d
     view.view_distance, view.view_location = 0.06 * SIDE, (0.1 * SIDE, 0.1 * SIDE, 0.02 * SIDE)
@@ -245,7 +245,7 @@ def turn():
         return None
     except Exception as error:
         traceback.print_exc()
-        for moment in ("preview", "shaping", "shaped", "finer"):  # nobody needs to wait for them any more
+        for moment in ("preview", "shaping", "shaped", "finer"):  # ends waiting for them
             (folder / moment).touch()
         (folder / "done.json").write_text(json.dumps(result | {"error": repr(error)}))
         return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Click Add and Update in the panel as a user does, write down what came of it, stay open for the pictures: FOLDER.
+"""Click Add and Update in the panel as a user does, write a report, and stay open for the pictures: FOLDER.
 
 Run with a window and --enable-event-simulate. Every step is a turn of a timer, because Blender handles events and draws
 between turns only.
@@ -47,7 +47,7 @@ def terrain():
 
 
 def click(x: int, y: int):
-    """The mouse goes there, presses and lets go; one event a turn."""
+    """Move the mouse, press and release the left button, one event a turn."""
     window = parts()[0]
     for kind, value in (("MOUSEMOVE", "NOTHING"), ("LEFTMOUSE", "PRESS"), ("LEFTMOUSE", "RELEASE")):
         window.event_simulate(type=kind, value=value, x=x, y=y)
@@ -139,8 +139,7 @@ def hud_shown() -> bool:
 
 
 def take_a_small_island():
-    """What follows asks whether things work, not how much they can take: measuring a large one, or one in large
-    pictures, is most of the time."""
+    """Replace the terrain by a small island and small pictures, which save most of the time of measurements."""
     bpy.context.scene.render.resolution_percentage = 40
     terrain().adaptive_terrain.island_size = SMALL
     bpy.ops.adaptive_terrain.import_source()
@@ -149,10 +148,10 @@ def take_a_small_island():
 
 
 def measure_accuracy():
-    """Measuring runs beside the window; stopped it leaves nothing, and at its end the curves are there."""
+    """Measure in the background; a stopped measurement leaves nothing, and a finished one the curves."""
     settings = terrain().adaptive_terrain
     operators = bpy.ops.adaptive_terrain
-    # So many errors that it is never done before it is stopped, however late a busy machine gets there.
+    # too many errors to finish before the stop, even on a busy machine
     errors, measuring.PIXELS = measuring.PIXELS, tuple(16.0 * 0.999**i for i in range(4000))
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
         operators.measure_accuracy("INVOKE_DEFAULT")
@@ -173,7 +172,7 @@ def measure_accuracy():
 
 
 def coarse_settings(heights, frame, morph):
-    """Of a whole sweep what takes little: the first kind, of which there are pictures, and two of every other."""
+    """Return the cheap settings of a sweep: the first kind, which has pictures, and two of every other."""
     kinds = {}
     for s in settings_for(heights, frame, morph):
         kind = s.unit, s.interpolation, s.max_depth is None, s.meshlet == 0, s.fitted, s.morph
@@ -183,10 +182,10 @@ def coarse_settings(heights, frame, morph):
 
 
 def write_a_report():
-    """The sweep runs beside the window, meshes written in between; stopped it leaves no report."""
+    """Run a sweep in the background while meshes are written; a stopped sweep leaves no report."""
     bpy.context.scene.render.resolution_percentage = 20  # rays through all pixels are most of its time
     timed_runs.SHORT_UPDATES = 1  # times are not looked at
-    # As above: the sweep that is stopped has far more settings than it comes to.
+    # too many settings to finish before the stop
     subjects.settings_for = lambda *arguments: coarse_settings(*arguments) * 100
     settings, operators = terrain().adaptive_terrain, bpy.ops.adaptive_terrain
     settings.reports = str(folder / "reports")
@@ -224,15 +223,15 @@ def scroll_panel(pixels: int):
 
 
 def keep_to_a_time():
-    """With a budget the error is the one that the measured curve gives; the error asked for no longer counts."""
+    """Set a time budget: the measured curve gives the error, and the requested error does not count."""
     detail = terrain().adaptive_terrain.viewport
     terrain().adaptive_terrain.live = True
     curve = json.loads(detail.curve)
-    # A measured point, so that the budget's mesh is known. The curve rises steeply after it: where it is nearly level,
-    # as noise may make it, the property's rounding (float32) alone would buy a mesh that is some percent finer.
+    # A measured point has a known mesh. The curve is steep after this one: on a nearly level part the float32 rounding
+    # of the property alone would make the mesh some percent finer.
     point = max(range(len(curve["ms"]) - 1), key=lambda i: curve["ms"][i + 1] / curve["ms"][i])
     detail.max_ms = curve["ms"][point] * 1.0001
-    detail.error_px = 3.0  # that of no point, so that the budget's mesh is another, whichever point it is
+    detail.error_px = 3.0  # different from all points, so that the budget changes the mesh
     yield from until(lambda: len(terrain().data.polygons) != result["small_triangles"])
     before = len(terrain().data.polygons)
     detail.limit_time = True
@@ -249,7 +248,7 @@ def keep_to_a_time():
 
 
 def smooth_between_samples():
-    """Another interpolation is another mesh, and the first comes back."""
+    """Change the interpolation, which changes the mesh, and restore it."""
     settings = terrain().adaptive_terrain
     settings.viewport.error_px = 1.0
     yield from until(lambda: len(terrain().data.polygons) > result["small_triangles"])
@@ -264,7 +263,7 @@ def smooth_between_samples():
 
 
 def bake_with_fit():
-    """A baked mesh is an object of its own; fitted it has fewer triangles for the same error."""
+    """Bake a mesh as a separate object, with fewer triangles for the same error if fitted."""
     source, settings = terrain(), terrain().adaptive_terrain
     result["baked"] = {}
     settings.bake_error_m = 0.005
@@ -279,7 +278,7 @@ def bake_with_fit():
 
 
 def show_the_error():
-    """The overlay appears without a click, in the viewport's own shading, and goes again."""
+    """Show the overlay in the viewport's shading, and remove it."""
     settings = terrain().adaptive_terrain
     settings.live, settings.overlay = True, "ERROR"
     yield from until(lambda: "error_px" in terrain().data.attributes)
@@ -294,7 +293,7 @@ def show_the_error():
 
 
 def follow_the_viewport():
-    """Turning the view tells no handler; the terrain follows it all the same."""
+    """Turn the view, which calls no handler, and wait until the terrain follows."""
     settings = terrain().adaptive_terrain
     settings.live, settings.camera_source = True, "VIEW"
     yield from until(lambda: len(terrain().data.polygons) != result["small_triangles"])
@@ -317,7 +316,7 @@ def follow_the_viewport():
 
 
 def cancel_an_import():
-    """The window lives while an import runs, and the terrain stays as it was when the import is stopped."""
+    """Stop a background import, after which the terrain has not changed."""
     settings = terrain().adaptive_terrain
     before, settings.island_size = settings.island_size, 8193
     result["store"] = settings.store
@@ -325,7 +324,7 @@ def cancel_an_import():
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
         bpy.ops.adaptive_terrain.import_source("INVOKE_DEFAULT")
     result["import_started_s"] = time.monotonic() - started
-    # Under way, and far from its end; stopped in the same turn, before the window can see it end.
+    # stop it far from its end, in one turn
     yield from until(lambda: not (job := jobs.find(jobs.IMPORT, terrain())) or job.fraction > 0.0)
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
         result["could_cancel"] = bpy.ops.adaptive_terrain.cancel_job.poll()  # if not, it has failed: see its error
@@ -340,7 +339,7 @@ def cancel_an_import():
 
 
 def render_in_the_window():
-    """A render runs beside the window with its own detail; the viewport's detail comes back after it."""
+    """Render in the window with the render's detail, after which the viewport's detail returns."""
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.device, scene.cycles.use_denoising = 1, "CPU", False
@@ -367,7 +366,7 @@ def render_in_the_window():
 
 
 def render_the_viewport():
-    """An animation rendered from the viewport has the mesh of each of its frames."""
+    """Render an animation from the viewport, with the mesh of each frame."""
     scene = bpy.context.scene
     camera = scene.camera
     for frame, x in ((1, 7.0), (4, 30.0)):

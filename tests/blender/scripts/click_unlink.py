@@ -43,13 +43,13 @@ def note(moment):
 
 
 def editor():
-    """The node editor's area and the region that shows nodes."""
+    """Return the node editor's area and the region with the nodes."""
     [area] = [item for item in bpy.context.window_manager.windows[0].screen.areas if item.type == "NODE_EDITOR"]
     return area, next(region for region in area.regions if region.type == "WINDOW")
 
 
 def wear(obj):
-    """Give the terrain a material that reads the slope on the left, by a long link to what shows it."""
+    """Give the terrain a material that reads the slope through a long link."""
     material = bpy.data.materials.new("Rock")
     material.use_nodes = True
     tree = material.node_tree
@@ -66,7 +66,7 @@ def wear(obj):
 
 
 def cut(x, top, bottom):
-    """Control, the right button, a stroke from top to bottom: what Blender calls Cut Links."""
+    """Cut links by Control, the right button and a stroke from top to bottom."""
     window = bpy.context.window_manager.windows[0]
     window.event_simulate(type="MOUSEMOVE", value="NOTHING", x=x, y=top)
     yield 0.2

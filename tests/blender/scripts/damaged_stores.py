@@ -17,7 +17,7 @@ from mutants import mutate  # noqa: E402
 
 
 def arrays(mesh) -> tuple[bytes, bytes]:
-    """Positions and corners, checked: finite, in range."""
+    """Return positions and corners, and assert that they are finite and in range."""
     positions = np.zeros(3 * len(mesh.vertices), np.float32)
     corners = np.zeros(len(mesh.loops), np.int32)
     mesh.vertices.foreach_get("co", positions)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The cases of demand in the real program. Arguments: the folder with the cases. Prints what does not hold."""
+"""Run the cases of demand in the real program, and print the failures. Argument: the folder with the cases."""
 
 import json
 import sys

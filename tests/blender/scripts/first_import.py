@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A new user's first import in a factory scene, with a window: FOLDER FILE. Writes down where the viewport is and what
-it shows, once after the import and once with the clip range and the view of a factory scene."""
+"""Import a file in a factory scene with a window, as a new user does, and write a report: FOLDER FILE.
+
+The report has the viewport's place and view after the import, and with the clip range and view of a factory scene.
+"""
 
 import json
 import sys

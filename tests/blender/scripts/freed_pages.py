@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the program's allocator makes of memory that is freed, held and given back."""
+"""Measure how the program's allocator treats freed, held and returned memory."""
 
 import json
 import sys

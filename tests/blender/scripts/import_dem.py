@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Import height maps through the operator, look at them with an animated camera, save: SAVE_TO FILE ..."""
+"""Import height maps through the operator, add an animated camera, and save: SAVE_TO FILE ..."""
 
 import json
 import math

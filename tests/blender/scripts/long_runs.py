@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Do the same things again and again in the open file, and write down what the process holds: FOLDER COUNTS.
+"""Repeat acts in the open file, and write samples of the process's memory and handles: FOLDER COUNTS.
 
-COUNTS is JSON, {"fly": 1000, ...}: how often each of `ACTS` is done, in this order. FOLDER gets a file of samples an
-act, then done.json. With a window every step is a turn of a timer, so that Blender draws and the terrain follows by
-itself; without one the steps follow each other.
+COUNTS is JSON, {"fly": 1000, ...}: the number of times for each of `ACTS`, in this order. FOLDER gets a file of samples
+for each act, then done.json. With a window every step is a turn of a timer, so that Blender draws and the terrain
+follows; without one the steps follow each other.
 """
 
 import json
@@ -22,12 +22,12 @@ from bpy.app.handlers import persistent
 
 folder, counts = sys.argv[sys.argv.index("--") + 1 :]
 folder, counts = Path(folder), json.loads(counts)
-SAMPLES = 100  # of an act, at most
-RENDERED = 12  # which frames of a flight in the window are rendered: each 12th
+SAMPLES = 100  # maximum per act
+RENDERED = 12  # every 12th frame of a flight in the window is rendered
 SIDE = 100  # pixels from the window's lower left corner, where a key is pressed
 _rendered: list[int] = []  # frames that a window has rendered
-CYCLE = 48  # frames after which the camera is where it was
-WAIT_S = 900.0  # only so that a hang ends
+CYCLE = 48  # frames until the camera returns
+WAIT_S = 900.0  # ends a hang
 
 
 def terrain():
@@ -35,8 +35,7 @@ def terrain():
 
 
 def held() -> dict[str, int]:
-    """What the process holds: memory in kilobytes, open files, threads, mapped arrays of stores, datablocks, what the
-    extension remembers; and triangles of the mesh."""
+    """Return memory in kilobytes, open files, threads, mapped arrays, data-blocks, records and triangles."""
     data = {
         kind.identifier: len(getattr(bpy.data, kind.identifier))
         for kind in bpy.types.BlendData.bl_rna.properties
@@ -63,7 +62,7 @@ def until(condition):
 
 
 def settled():
-    """The terrain follows what was changed. Without a window it has done so already."""
+    """Wait until the terrain has followed a change, which happens at once without a window."""
     if not bpy.app.background:
         yield 0.0  # Blender evaluates and draws
         yield from until(lambda: live._job is None and not live._dirty and not warmup.preparing())
@@ -77,10 +76,10 @@ def viewport():
 
 
 def fly(step, count):
-    """A frame with live update, the camera and motion blur; now and then it is rendered beside the window.
+    """Show a frame with live update and motion blur, and render some frames in the window.
 
-    By a key, and after all other acts: Python that draws while Cycles begins or ends may leave Blender (4.3) in a state
-    in which it refuses operators and settings of timers for good.
+    The render starts by a key, after all other acts: Python that draws while Cycles starts or ends may leave Blender
+    (4.3) in a state in which it permanently refuses operators and timers.
     """
     scene = bpy.context.scene
     scene.frame_set(1 + step % CYCLE)
@@ -95,7 +94,7 @@ def fly(step, count):
 
 
 def undo(step, count):
-    """A change, Undo and Redo, as often as Blender keeps steps, and further back."""
+    """Change a setting, then Undo and Redo, also beyond the number of steps that Blender keeps."""
     detail = terrain().adaptive_terrain.viewport
     detail.error_px = 40.0 + step % 7
     yield from settled()
@@ -116,7 +115,7 @@ def load(step, count):
 
 
 def arrange(step, count):
-    """Collections, a view layer, an instance and a driver come, are updated for, and go."""
+    """Add collections, a view layer, an instance and a driver, update, and remove them."""
     scene, obj = bpy.context.scene, terrain()
     collection = bpy.data.collections.new("Ground")
     scene.collection.children.link(collection)
@@ -143,7 +142,7 @@ def arrange(step, count):
 
 
 def write(step, count):
-    """Import another island into the store, which another program reads meanwhile."""
+    """Import another island into the store while another program reads it."""
     terrain().adaptive_terrain.seed = step
     bpy.context.view_layer.objects.active = terrain()
     assert bpy.ops.adaptive_terrain.import_source() == {"FINISHED"}
@@ -151,7 +150,7 @@ def write(step, count):
 
 
 def render(step, count):
-    """A rendered frame with motion blur, in the background."""
+    """Render a frame with motion blur in the background."""
     bpy.context.scene.frame_set(1 + step % CYCLE)
     bpy.ops.render.render(write_still=True)
     yield 0.0

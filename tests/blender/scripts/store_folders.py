@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Terrains and where their stores are: STEP FOLDER. `old` makes a file as version 0.2.0 left it, whose store is in the
-extension's user folder, with shaped land; `new` opens it, and imports in an unsaved and in a saved file."""
+"""Make or open terrains with stores in old and new folders: STEP FOLDER.
+
+`old` makes a file of version 0.2.0 with shaped land, whose store is in the extension's user folder. `new` opens it, and
+imports in an unsaved and in a saved file.
+"""
 
 import json
 import sys
@@ -28,7 +31,7 @@ def add_terrain(side: int):
 
 
 def state(terrain) -> dict:
-    """The store, and the key of the land that a render shows."""
+    """Return the store and the key of the render's land."""
     session.update_object(terrain, mode="RENDER")
     store = bpy.path.abspath(terrain.adaptive_terrain.store)
     return {"path": terrain.adaptive_terrain.store, "store": store, "key": session.record_of(terrain).field.raster_key}

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Render colours of several tiles from above, in EEVEE, as the terrain's material shows them and without any mips: how
-much a line of pixels differs in the mean, at most and in the median of all lines: FOLDER.
+"""Render colours of several tiles from above in EEVEE, with the terrain's material and without mips: FOLDER.
+
+The report has the largest and the median mean difference of a line of pixels.
 """
 
 import json

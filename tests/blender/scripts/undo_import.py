@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Undo and Redo, by keys, while a terrain's height map is imported and after it; write down what came of it: FOLDER.
+"""Undo and redo by keys during and after the import of a height map, and write a report: FOLDER.
 
 Run with a window and --enable-event-simulate: Blender handles keys between the turns of a timer.
 """
@@ -17,10 +17,9 @@ from bl_ext.user_default.adaptive_terrain.operators.importing import import_terr
 
 [folder] = sys.argv[sys.argv.index("--") + 1 :]
 folder = Path(folder)
-WAIT_S = 900.0  # only so that a hang ends
+WAIT_S = 900.0  # ends a hang
 result = {}
-# An import takes a second, on a busy machine less than a turn of the window: it ends when that is asked for, as after
-# kernels that are still compiled.
+# An import may end within one turn of the window. `held` delays its end, as kernels that are still being compiled do.
 held = [True]
 jobs.warmup = SimpleNamespace(preparing=lambda: held[0], wait=lambda: None)
 
@@ -55,7 +54,7 @@ def press_z(**keys):
 
 
 def gone_and_back(name: str, go, come_back):
-    """The terrain goes while it is imported, and comes back when the import has ended for that."""
+    """Remove the terrain during its import, which ends the import, and bring it back."""
     yield from until(lambda: jobs.find(jobs.IMPORT, terrain()) is not None)
     go()
     yield from until(lambda: terrain() is None and not jobs.running)
@@ -66,7 +65,7 @@ def gone_and_back(name: str, go, come_back):
 
 
 def one_step_with_its_import():
-    """Also with a step after it, which has the store, and with one before: adding itself, which has none."""
+    """Undo and redo adding with its import as one step, with a later step and without."""
     store, end = terrain().adaptive_terrain.store, bpy.context.scene.camera.data.clip_end
     press_z()
     yield from until(lambda: terrain() is None)

@@ -185,7 +185,7 @@ def test_stdout_that_takes_no_more_is_one_sentence(store):
     for redirected, why in (("> /dev/full", "No space left on device"), ("| exit", "Broken pipe")):
         told = printed(store, redirected).stderr.splitlines()
         assert len(told) == 2 and told[0].startswith("2 places"), told
-        assert told[1].startswith(f"adaptive-terrain: error: stdout takes no more ({why})"), told
+        assert told[1].startswith(f"adaptive-terrain: error: stdout cannot be written ({why})"), told
     assert printed(store, "> /dev/full").returncode == 1
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a scene reads of a mesh is found, and nothing else; who reads it is said."""
+"""A demand has exactly the attributes that a scene reads, each with its readers."""
 
 import bpy
 import pytest
@@ -13,12 +13,12 @@ def demanded(obj, mode="RENDER", exports=()):
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
-def test_what_is_read_is_found(case):
+def test_every_read_attribute_is_found(case):
     for label, found, wanted in case(demanded):
         assert set(found) == wanted, label
 
 
-def test_readers_say_who_they_are_and_for_what():
+def test_readers_have_names_and_families():
     obj, tree, output = worn()
     inner, _, end = group("Snow", "ShaderNodeTree", outputs=[("C", "Color")])
     inner.links.new(colour(inner, "slope"), end.inputs[0])
@@ -59,20 +59,20 @@ def test_everything_is_demanded_with_its_reason():
 
 
 def nested(tree, depth, times):
-    """A group node whose group uses one group several times, which uses one group several times ..."""
-    made = None
+    """Add a group node with `depth` nested groups, each of which uses the next one `times` times."""
+    nested_tree = None
     for number in range(depth):
         inner, _, end = group(f"G{number}", "ShaderNodeTree", outputs=[("C", "Color")])
-        sources = [colour(inner, "deep")] if made is None else []
-        for _ in range(times if made else 0):
+        sources = [colour(inner, "deep")] if nested_tree is None else []
+        for _ in range(times if nested_tree else 0):
             used = inner.nodes.new("ShaderNodeGroup")
-            used.node_tree = made
+            used.node_tree = nested_tree
             sources.append(used.outputs[0])
         mixed = mix(inner, 0.5, sources[0], sources[-1])
         inner.links.new(mixed.outputs[2], end.inputs[0])
-        made = inner
+        nested_tree = inner
     used = tree.nodes.new("ShaderNodeGroup")
-    used.node_tree = made
+    used.node_tree = nested_tree
     return used
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A demand is gathered once, and again when something that it depends on has changed."""
+"""A demand is cached until one of its sources changes."""
 
 import bpy
 import pytest
@@ -9,7 +9,7 @@ from demand_trees import Moved, colour, new_material, new_object, shows
 
 @pytest.fixture
 def gathered(monkeypatch):
-    """How often the demand was gathered."""
+    """Return the list of calls that gathered the demand."""
     calls = []
 
     def counted(*arguments):
@@ -24,14 +24,14 @@ def gathered(monkeypatch):
 
 @pytest.fixture
 def worn(scene, add_terrain):
-    """A terrain that wears a material which reads the slope."""
+    """Return a terrain with a material that reads the slope."""
     terrain = add_terrain()
     terrain.data.materials.append(shows(new_material("Rock"), lambda tree: colour(tree, "slope")))
     return terrain
 
 
 def read(terrain):
-    """What the viewport reads, after what has changed was told."""
+    """Return the attributes that the viewport reads after Blender's update."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     return set(kept.demand_of(terrain, depsgraph, "VIEWPORT"))
 
@@ -125,7 +125,7 @@ def test_a_modifiers_own_settings_are_noticed(worn, gathered):
     moved.tree.links.new(node.outputs[0], moved.offset)
     for name in ("height", "aspect", "height"):
         moved.put("Name", name)
-        worn.update_tag()  # as the panel does; of a script Blender is not told
+        worn.update_tag()  # as the panel does; Blender does not notice changes by scripts
         assert read(worn) == {"slope", name}
     moved.modifier.show_viewport = False
     assert read(worn) == {"slope"}
@@ -134,4 +134,4 @@ def test_a_modifiers_own_settings_are_noticed(worn, gathered):
 def test_another_file_is_another_demand(worn, gathered):
     assert read(worn) == {"slope"}
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    assert kept._kept == {}
+    assert kept._cached == {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Random node trees: what is not demanded is never run, and without it pictures and geometry are the same."""
+"""Random node trees: attributes without demand are never computed, and do not change pictures and geometry."""
 
 import os
 import random
@@ -24,8 +24,8 @@ def look(obj, mode):
     return demand(obj, bpy.context.evaluated_depsgraph_get(), mode)
 
 
-def test_what_is_not_demanded_runs_zero_times(scene, add_terrain):
-    """Half the trees are materials, half geometry nodes; among the names that they read are those of all effects."""
+def test_attributes_without_demand_run_zero_times(scene, add_terrain):
+    """Half of the trees are materials and half geometry nodes; they read random names, including all effects."""
     terrain = add_terrain()
     terrain.adaptive_terrain.viewport.error_px = 50.0
     names = [*EFFECTS, "uv_of_others", "mine"]
@@ -49,7 +49,7 @@ def test_what_is_not_demanded_runs_zero_times(scene, add_terrain):
         record.effects_runs.clear()
         session.update_object(terrain)
         found = asked(look(terrain, "VIEWPORT"), EFFECTS)
-        steps = {name for name, said in record.status.effects.items() if not said.skipped}
+        steps = {name for name, output in record.status.effects.items() if not output.skipped}
         inputs = {name for name in steps if all(r.startswith("effect ") for r in record.status.effects[name].readers)}
         assert set(+record.effects_runs) <= steps and steps - inputs == set(found), number
         assert {name for name in EFFECTS if name in terrain.data.attributes} == set(found), number
@@ -70,7 +70,7 @@ def test_a_picture_is_the_same_without_what_is_not_demanded(empty, seed, tmp_pat
 
 
 def test_pictures_show_what_is_demanded(empty, tmp_path):
-    """Else the test above would hold of any demand."""
+    """Each demanded attribute changes the picture, or the test above would pass for any demand."""
     shown, demanded = 0, 0
     for seed in range(12 if FUZZ >= 10_000 else 5):
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)

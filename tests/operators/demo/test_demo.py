@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The demo, small: every file is there, pictures show something, the page names what it shows."""
+"""A small demo: every file exists, pictures are not empty, and the page names its contents."""
 
 import contextlib
 import io
@@ -20,7 +20,7 @@ from browser import needs_chromium, opened
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A demo of a coarse island, with small pictures of few samples: its folder."""
+    """Return the folder of a demo of a coarse island with small pictures of few samples."""
     out = tmp_path_factory.mktemp("demo") / "demo"
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as printed:
         patch.setattr(demo, "SIZE", 257)
@@ -50,11 +50,11 @@ def test_demo_makes_its_page_and_all_that_it_shows(made):
     assert (made / "island.blend").stat().st_size > 10_000
 
 
-def test_the_page_says_what_the_material_reads_and_what_is_left_alone(made):
+def test_the_page_lists_read_and_skipped_attributes(made):
     page = (made / "index.html").read_text(encoding="utf-8")
     rows = dict(re.findall(r"<tr><td>(snow)</td><td>([^<]*)</td>", page))
     assert rows == {"snow": "material Island Material, node Attribute"}
-    assert re.search(r"none of them is computed: [a-z_\d, ]*\bsplat_3\b[a-z_, ]*\bsun\b", page)
+    assert re.search(r"they are not computed: [a-z_\d, ]*\bsplat_3\b[a-z_, ]*\bsun\b", page)
     assert not re.search(r"<tr><td>(color|sky|detail_normal)</td>", page), "they are maps"
 
 

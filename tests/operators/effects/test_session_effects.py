@@ -93,7 +93,7 @@ def test_an_attribute_that_a_user_removed_is_written_again(worn):
 
 
 def test_a_frozen_mesh_follows_what_is_read(worn):
-    worn.adaptive_terrain.frozen = session.frozen_now(worn)
+    worn.adaptive_terrain.frozen = session.freeze(worn)
     session.update_object(worn)
     assert made(worn) == {"slope", "height"}
     worn.data.materials.clear()

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Jobs for render farms, read by Open Job Description's own library, and the verbs that such a job calls.
-tests/blender/test_farm.py runs one."""
+"""Jobs for render farms, read by the library of Open Job Description, and the commands that such a job calls.
+
+tests/blender/test_farm.py runs one.
+"""
 
 import json
 import os
@@ -24,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 @pytest.fixture
 def shot(scene, add_terrain, store, tmp_path):
-    """A saved scene: Hills has its store beside the file, Dunes a height map and no store yet, and both are turned."""
+    """Save a scene with two rotated terrains: Hills has a store, Dunes a height map and no store."""
     shutil.copytree(store, tmp_path / "shot" / "hills")
     heights = np.random.default_rng(2).normal(0.0, 3.0, (70, 93)).cumsum(0).astype(np.float32)
     np.save(tmp_path / "shot" / "dunes.npy", heights)
@@ -50,7 +52,7 @@ def run(*arguments) -> int:
 
 
 def read(job: Path) -> tuple[dict, dict, dict]:
-    """The template, the values and the assets of a bundle, as YAML."""
+    """Read the template, the values and the assets of a bundle as YAML."""
     import yaml
 
     names = bundle.TEMPLATE, bundle.VALUES, bundle.ASSETS
@@ -60,7 +62,7 @@ def read(job: Path) -> tuple[dict, dict, dict]:
 
 
 def job_of(path: Path, values: dict):
-    """What Open Job Description makes of a bundle."""
+    """Create the job of a bundle with Open Job Description."""
     template = decode_job_template(template=read(path)[0], supported_extensions=["TASK_CHUNKING"])
     folders = {"job_template_dir": path, "current_working_dir": path}
     checked = preprocess_job_parameters(job_template=template, job_parameter_values=values, **folders)
@@ -91,20 +93,20 @@ def test_any_frames_come_back():
 
 @pytest.mark.parametrize("frames", ["-5--1", "-10--1:3,0", "-5,3"])
 def test_frames_below_0_are_no_options(tmp_path, capsys, frames):
-    """A job's steps are given them as words of their own."""
+    """A job's steps pass negative frames as separate words."""
     assert run("verify", tmp_path, "--frames", frames) == 1
     assert f"frame {frames[: frames.index('-', 1)] if '--' in frames else -5} is missing" in capsys.readouterr().err
 
 
 def made(folder: Path, stem: str):
-    """A job of pictures of a file of that name, as Open Job Description reads it."""
+    """Write a job of pictures of a file with this name, and read it with Open Job Description."""
     blend = folder / f"{stem}.blend"
-    job = bundle.Job(f"{stem} pictures", blend, [-3, -2, -1, 7], 2, (), folder / "out", "1", None, [], [], [])
+    job = bundle.FarmJob(f"{stem} pictures", blend, [-3, -2, -1, 7], 2, (), folder / "out", "1", None, [], [], [])
     bundle.write_bundle(job, folder)
     return job_of(folder, read(folder)[1])
 
 
-def test_names_that_are_no_names_of_jobs(tmp_path):
+def test_invalid_names_of_jobs_are_cleaned(tmp_path):
     job = made(tmp_path, 'two\nlines\t\x85 {{Param.X}} %d "山"')
     assert job.name == 'two lines {{Param.X}} %d "山" pictures'
     assert job.parameters["BlenderFile"].value.endswith('two\nlines\t\x85 {{Param.X}} %d "山".blend')
@@ -125,8 +127,8 @@ def test_a_job_brings_the_stores_and_all_that_blender_lists(shot, tmp_path, caps
     out = tmp_path / "out"
     frames = "--frames", "3,9,1-2", "--chunk", "3", "--format", "npz,glb"
     assert run("submit", "--scene", shot, "--out", out, *frames) == 0
-    said = capsys.readouterr().out
-    assert "4 frames" in said and "workers need the extension of this version" in said
+    message = capsys.readouterr().out
+    assert "4 frames" in message and "workers need the extension of this version" in message
     template, values, assets = read(out)
     folder = shot.parent
     assert set(assets["inputs"]["filenames"]) >= {
@@ -155,11 +157,11 @@ def test_a_job_of_pictures_with_its_zip(shot, tmp_path, capsys):
     if hasattr(os, "mkfifo"):
         os.mkfifo(shot.parent / "pipe.zip")
         assert run("submit", *where, shot.parent / "pipe.zip") == 1, "it is not waited for"
-    said = capsys.readouterr().err.splitlines()
+    message = capsys.readouterr().err.splitlines()
     assert (
-        "is no zip" in said[0]
-        and "not installed from a zip" in said[1]
-        and all("is no zip" in line for line in said[2:])
+        "is no zip" in message[0]
+        and "not installed from a zip" in message[1]
+        and all("is no zip" in line for line in message[2:])
     )
     for manifest in (None, "platforms = [", b"\xff"):
         with zipfile.ZipFile(shot.parent / "ext.zip", "w") as archive:
@@ -190,7 +192,7 @@ def test_a_zip_goes_to_workers_of_its_platform(shot, tmp_path):
 
 
 def test_the_printed_command_is_one_that_openjd_takes(shot, tmp_path, capsys):
-    """The worker's own parser reads the template and the values from the words that a shell makes of it."""
+    """The worker's parser reads the template and the values from the shell's words."""
     import shlex
 
     from openjd.cli._common import get_job_params, read_job_template
@@ -210,7 +212,7 @@ def test_the_printed_command_is_one_that_openjd_takes(shot, tmp_path, capsys):
 def test_frames_in_too_many_pieces_are_refused(shot, tmp_path, capsys):
     frames = ",".join(str(n * n) for n in range(1, 400))
     assert run("submit", "--scene", shot, "--out", tmp_path / "out", "--frames", frames) == 1
-    assert "too many pieces" in capsys.readouterr().err
+    assert "too many gaps" in capsys.readouterr().err
 
 
 def test_a_terrain_without_store_and_height_map_has_no_job(shot, tmp_path, capsys):
@@ -247,10 +249,12 @@ def test_prepare_makes_each_thing_once(shot, capsys):
     bpy.ops.wm.save_mainfile()
     made = dict(derived_store.counts)
     assert run("prepare", "--scene", shot, "--progress", "openjd") == 0
-    said = capsys.readouterr().out.splitlines()
-    assert "openjd_status: Dunes: imported, 93 x 70 samples, " in "".join(said)[:4000]
-    assert "openjd_status: Hills: its store is there" in said and "openjd_status: Dunes: its land is shaped" in said
-    assert said[-1] == "openjd_progress: 100"
+    message = capsys.readouterr().out.splitlines()
+    assert "openjd_status: Dunes: imported, 93 x 70 samples, " in "".join(message)[:4000]
+    assert (
+        "openjd_status: Hills: its store is there" in message and "openjd_status: Dunes: its land is shaped" in message
+    )
+    assert message[-1] == "openjd_progress: 100"
     assert derived_store.counts["stores"] == made["stores"] + 1
     assert len(list((shot.parent / "made" / "dunes_land").glob("*/store.json"))) == 1
     before = (shot.parent / "made" / "dunes" / "store.json").read_bytes()
@@ -268,8 +272,8 @@ def test_pictures_are_made_resumed_and_verified(shot, tmp_path, capsys):
     first = (out / "frame_0007.png").read_bytes()
     assert first.startswith(b"\x89PNG") and {p.name for p in out.iterdir()} == {"frame_0007.png", "frame_0007.json"}
     assert run("render", *frames, "6,7", "--resume") == 0
-    said = capsys.readouterr().out
-    assert "frame 7: " in said and said.count("complete before") == 1
+    message = capsys.readouterr().out
+    assert "frame 7: " in message and message.count("complete before") == 1
     summary = json.loads((out / "frame_0006.json").read_text())
     assert {terrain["name"] for terrain in summary["terrains"]} == {"Hills", "Dunes"}
     assert all(terrain["bound_px"] <= 8.0 and terrain["triangles"] > 10 for terrain in summary["terrains"])
@@ -283,7 +287,7 @@ def test_pictures_are_made_resumed_and_verified(shot, tmp_path, capsys):
 
 
 def test_a_frame_that_would_be_stale_is_no_picture(shot, tmp_path, capsys):
-    """Also where the file itself would let it pass."""
+    """It is refused even if the file allows stale renders."""
     assert run("prepare", "--scene", shot, "--only", "stores") == 0
     hills = bpy.data.objects["Hills"]
     for frame, scale in ((6, 1.0), (7, 0.0)):
@@ -294,13 +298,13 @@ def test_a_frame_that_would_be_stale_is_no_picture(shot, tmp_path, capsys):
     out = tmp_path / "pictures"
     where = "--scene", shot, "--out", out, "--frames", "6-7"
     assert run("render", *where, "--progress", "openjd") == 1
-    said = capsys.readouterr()
-    assert "openjd_fail: Frame 7 is not rendered" in said.out and "'Hills' has a scale of 0" in said.err
+    captured = capsys.readouterr()
+    assert "openjd_fail: Frame 7 is not rendered" in captured.out and "'Hills' has a scale of 0" in captured.err
     assert {path.name for path in out.iterdir()} == {"frame_0006.png", "frame_0006.json"}
 
 
 def offer_movies(image_settings) -> None:
-    """Since 5.0, formats are those of a medium."""
+    """Select the medium of movies, which Blender has since 5.0."""
     if bpy.app.version >= (5, 0):
         image_settings.media_type = "VIDEO"
 
@@ -322,14 +326,14 @@ def test_parts_of_preparing_are_those_of_the_command():
 
 
 def movie_formats(image_settings) -> set[str]:
-    """Those of this Blender's formats that are movies."""
+    """Return the movie formats of this Blender."""
     render, found = image_settings.id_data.render, set()
     offer_movies(image_settings)
     for name in [item.identifier for item in image_settings.bl_rna.properties["file_format"].enum_items_static]:
         try:
             image_settings.file_format = name
         except TypeError:
-            continue  # this build has none of it
+            continue  # not in this build
         found |= {name} if render.is_movie_format else set()
     return found
 
@@ -356,15 +360,17 @@ console.log(JSON.stringify({ tasks, keys: globalThis.type.settings.map((item) =>
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="there is no node, which runs the job type of Flamenco")
 def test_flamenco_prepares_and_then_renders_guarded_chunks(shot, tmp_path):
-    """By a stand-in for the manager: there is none here."""
+    """A fake manager runs the job type."""
     assert run("submit", "--scene", shot, "--out", tmp_path / "out") == 0
     command = ["node", "-e", MANAGER, str(tmp_path / "out" / bundle.FLAMENCO)]
     for frames in ("-5", "1-4, -2", "-3-8", "-4..-1"):
         refused = subprocess.run([*command, frames, "PNG"], capture_output=True, text=True)
         assert refused.returncode == 1 and f'The frames "{frames}" go below 0' in refused.stderr
-    said = json.loads(subprocess.run([*command, "1-10,20", "PNG"], capture_output=True, text=True, check=True).stdout)
-    assert {"frames", "chunk_size", "render_output_path", "blendfile", "format"} <= set(said["keys"])
-    prepare, *chunks = said["tasks"]
+    message = json.loads(
+        subprocess.run([*command, "1-10,20", "PNG"], capture_output=True, text=True, check=True).stdout
+    )
+    assert {"frames", "chunk_size", "render_output_path", "blendfile", "format"} <= set(message["keys"])
+    prepare, *chunks = message["tasks"]
     assert prepare["commands"][0]["parameters"]["args"][:3] == ["--command", "adaptive_terrain", "prepare"]
     assert [(task["name"], task["after"]) for task in chunks] == [
         ("render-1-10", ["prepare"]),

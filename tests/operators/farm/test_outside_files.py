@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A job brings only images, height maps and stores from outside the scene's folder, unless the user allows more."""
+"""A job copies only images, height maps and stores from outside the scene's folder, unless the user allows more."""
 
 import shutil
 from pathlib import Path
@@ -33,10 +33,12 @@ def submit(shot, tmp_path, capsys):
         shutil.rmtree(tmp_path / "job", ignore_errors=True)
         argv = ["submit", "--scene", shot, "--out", tmp_path / "job", "--render", "--frames", "1-2", *options]
         code = command_line.main([str(argument) for argument in argv])
-        said, assets = capsys.readouterr(), tmp_path / "job" / "asset_references.yaml"
+        output, assets = capsys.readouterr(), tmp_path / "job" / "asset_references.yaml"
         assert assets.exists() == (code == 0)
         inputs = yaml.safe_load(assets.read_text())["assetReferences"]["inputs"] if code == 0 else {}
-        lines = [line for line in (said.out + said.err).splitlines(True) if not line.startswith("Info: ")]  # Blender's
+        lines = [
+            line for line in (output.out + output.err).splitlines(True) if not line.startswith("Info: ")
+        ]  # Blender's
         return code, "".join(lines), inputs
 
     return submitted
@@ -101,19 +103,19 @@ def link_in_store(path: Path) -> None:
 def test_other_files_from_outside_need_permission(submit, tmp_path, name, make):
     path = tmp_path / name
     make(path)
-    code, said, _ = submit()
-    assert code == 1 and f"neither images, height maps nor stores: {path}; expected" in said
-    assert "--allow-outside" in said and said.count("\n") == 1
-    code, said, inputs = submit("--allow-outside")
-    assert code == 0 and str(path) in said
+    code, output, _ = submit()
+    assert code == 1 and f"neither images, height maps nor stores: {path}; expected" in output
+    assert "--allow-outside" in output and output.count("\n") == 1
+    code, output, inputs = submit("--allow-outside")
+    assert code == 0 and str(path) in output
     assert str(path) in inputs["filenames"] or make is link_in_store, "that goes with its store"
 
 
 def test_files_in_the_folder_of_the_scene_need_none(submit, shot):
     link_library(shot.parent / "assets" / "rig.blend")
     load_text(shot.parent / "driver.py")
-    code, said, inputs = submit()
-    assert code == 0 and "go with the job" in said and "rig.blend" not in said
+    code, output, inputs = submit()
+    assert code == 0 and "go with the job" in output and "rig.blend" not in output
     assert {str(shot.parent / "assets" / "rig.blend"), str(shot.parent / "driver.py")} <= set(inputs["filenames"])
 
 
@@ -122,17 +124,17 @@ def test_images_and_height_maps_from_outside_are_listed(submit, tmp_path, scene,
     np.save(tmp_path / "dunes.npy", np.zeros((9, 9), np.float32))
     settings = add_terrain("Dunes").adaptive_terrain
     settings.store, settings.source, settings.source_path = "//dunes", "FILE", str(tmp_path / "dunes.npy")
-    code, said, inputs = submit()
-    assert code == 0 and "note: 3 from outside the scene's folder go with the job: " in said
-    assert all(str(tmp_path / name) in said for name in ("textures/rock.PNG", "dunes.npy", "stores/hills"))
+    code, output, inputs = submit()
+    assert code == 0 and "note: 3 from outside the scene's folder go with the job: " in output
+    assert all(str(tmp_path / name) in output for name in ("textures/rock.PNG", "dunes.npy", "stores/hills"))
     assert {str(tmp_path / name) for name in ("textures/rock.PNG", "dunes.npy")} <= set(inputs["filenames"])
 
 
 def test_of_many_files_ten_are_named(submit, tmp_path):
     for number in range(13):
         load_text(tmp_path / f"script_{number:02d}.py")
-    code, said, _ = submit()
-    assert code == 1 and "script_09.py and 3 more;" in said and "script_10.py" not in said
+    code, output, _ = submit()
+    assert code == 1 and "script_09.py and 3 more;" in output and "script_10.py" not in output
 
 
 def test_a_folder_without_maps_is_no_folder_of_maps(submit, tmp_path, monkeypatch):
@@ -141,8 +143,8 @@ def test_a_folder_without_maps_is_no_folder_of_maps(submit, tmp_path, monkeypatc
     (tmp_path / "private").mkdir()
     monkeypatch.setattr(module, "read_as_images", lambda obj: {"slope"})
     bpy.data.objects["Hills"].adaptive_terrain.maps.folder = str(tmp_path / "private")
-    code, said, _ = submit()
-    assert code == 1 and f"nor stores: {tmp_path / 'private'};" in said
+    code, output, _ = submit()
+    assert code == 1 and f"nor stores: {tmp_path / 'private'};" in output
     (tmp_path / "private" / "maps.json").write_text("{}")
     assert submit()[0] == 0
 

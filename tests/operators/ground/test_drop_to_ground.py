@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Drop to Ground, against Blender's own ray casting on a fine grid, over a terrain that stands askew."""
+"""Drop to Ground, compared with Blender's ray casting on a fine grid, over a tilted terrain."""
 
 import bpy
 import numpy as np
@@ -7,7 +7,7 @@ import pytest
 from ground_scenes import ASKEW, Cast, added, cube, only, place
 from mathutils import Matrix, Vector
 
-NEAR = 0.02  # metres: what the cast's quads are off
+NEAR = 0.02  # metres: error of the quads used for ray casting
 
 
 def drop(**settings):
@@ -64,7 +64,7 @@ def test_parents_that_are_turned_and_scaled_are_reckoned_with(askew):
     assert up.location.z == 30.0
 
 
-def test_what_is_parented_to_what_drops_is_carried_not_dropped_twice(askew):
+def test_children_of_a_dropped_object_are_not_dropped_twice(askew):
     cast, car = Cast(askew), cube("Car", (90.0, 0.0, 300.0))
     wheel = cube("Wheel", (2.0, 0.0, 0.0), parent=car)
     only(wheel, car)
@@ -154,7 +154,7 @@ def refused(capfd, **settings) -> str:
     return capfd.readouterr().out
 
 
-def test_what_cannot_be_moved_says_why_and_stays(askew, capfd):
+def test_an_object_that_cannot_move_reports_why(askew, capfd):
     rock = cube("Rock", (100.0, -30.0, 80.0))
     only(rock)
     rock.lock_location[2] = True
@@ -172,7 +172,7 @@ def test_what_cannot_be_moved_says_why_and_stays(askew, capfd):
     assert "a constraint holds it" in refused(capfd)
     rock.constraints.clear()
     rock.delta_location.z = 3.0
-    assert "delta transforms of its own" in refused(capfd, keep=True)
+    assert "already has delta transforms" in refused(capfd, keep=True)
     assert rock.delta_location.z == 3.0 and not rock.adaptive_terrain_keep.keep
     assert drop(anchor="ORIGIN") == {"FINISHED"}, "a drop leaves them alone"
     assert world(rock).translation.z == pytest.approx(Cast(askew).height((100, -30)), abs=NEAR)
@@ -188,10 +188,10 @@ def test_one_that_cannot_be_moved_stops_no_other(askew, capfd):
     only(flat, lost, held, rock)
     assert drop(anchor="ORIGIN") == {"FINISHED"}
     assert world(rock).translation.z == pytest.approx(cast.height(rock.location), abs=NEAR)
-    assert flat.location.z == 200.0 and held.adaptive_terrain_keep.keep, "what was not dropped is as it was"
+    assert flat.location.z == 200.0 and held.adaptive_terrain_keep.keep, "objects not dropped do not change"
     assert not flat.adaptive_terrain_keep.keep and not rock.adaptive_terrain_keep.keep
-    said = capfd.readouterr().out
-    assert "'Flat' stays: The object 'Flat'" in said and "'Lost' has a place" in said and "1 of 4" in said
+    output = capfd.readouterr().out
+    assert "'Flat' stays: The object 'Flat'" in output and "'Lost' has a location" in output and "1 of 4" in output
 
 
 def test_linked_objects_are_left_alone(askew, tmp_path, capfd):

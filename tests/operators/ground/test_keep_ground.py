@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Objects and cameras that stay on the ground or above it: in every frame, alone and in a sequence, in renders, and
-settled before the terrain is refined for them."""
+"""Objects and cameras stay on or above the ground in every frame, alone, in a sequence and in renders.
+
+They are settled before the terrain is refined for them.
+"""
 
 import bpy
 import numpy as np
@@ -19,7 +21,7 @@ NEAR = 0.03
 
 @pytest.fixture
 def drive(askew):
-    """A cart that drives over the hills under a parent that is turned and scaled, frames 1 to 9."""
+    """Return a cart that drives over the hills in frames 1 to 9 under a rotated and scaled parent."""
     up = added(bpy.data.objects.new("Up", None), (100.0, -40.0, 10.0), rotation_euler=(0.4, 0.2, 0.5))
     up.scale = (2.0, 1.0, 0.5)
     cart = cube("Cart", (0.0, 0.0, 0.0), parent=up)
@@ -35,7 +37,7 @@ def keep(**settings):
     assert bpy.ops.adaptive_terrain.drop_to_ground(anchor="ORIGIN", keep=True, **settings) == {"FINISHED"}
 
 
-def test_it_follows_its_animation_over_the_ground(drive, askew):
+def test_a_kept_object_follows_its_animation(drive, askew):
     cast, scene, free = Cast(askew), bpy.context.scene, {}
     for frame in (2, 5, 8):
         scene.frame_set(frame)
@@ -92,7 +94,7 @@ def test_keys_are_not_touched_and_letting_go_gives_them_back(drive):
 
 @pytest.fixture
 def flight(askew):
-    """The camera flies into the hills, looking at a point: below the ground from frame 4 on."""
+    """Return a scene whose camera flies into the hills, below the ground from frame 4 on."""
     scene, camera = bpy.context.scene, bpy.context.scene.camera
     camera.rotation_euler = (1.3, 0.0, 0.0)
     for frame, place in ((1, (120.0, -300.0, 200.0)), (9, (150.0, 0.0, -40.0))):
@@ -105,7 +107,7 @@ def flight(askew):
 
 
 def eye_of(terrain) -> Vector:
-    """Where the terrain was refined for."""
+    """Return the eye for which the terrain was refined."""
     [view] = session.record_of(terrain).status.request.views
     return Vector(np.linalg.inv(view.world_to_camera)[:3, 3])
 
@@ -209,7 +211,7 @@ def test_a_clearance_that_is_no_number_keeps_nothing(flight):
     assert not flight.camera.adaptive_terrain_keep.keep
 
 
-def test_one_that_holds_it_is_named(askew, capfd):
+def test_a_constraint_that_holds_an_object_is_reported(askew, capfd):
     rock, target = cube("Rock", (0.0, 0.0, 0.0)), added(bpy.data.objects.new("Target", None), (90.0, 0.0, -700.0))
     rock.constraints.new("COPY_LOCATION").target = target
     only(rock)
@@ -231,7 +233,7 @@ def test_a_terrain_that_left_the_scene_is_named(askew):
     assert not keep_ground.note_of(rock) and rock.matrix_world.translation.z != 0.0
 
 
-def test_what_is_kept_on_what_is_kept_is_not_lifted_twice(askew):
+def test_a_kept_child_of_a_kept_object_is_not_lifted_twice(askew):
     cast, car = Cast(askew), cube("Car", (80.0, -20.0, -300.0))
     rider = cube("Rider", (10.0, 5.0, 0.0), parent=car)
     for obj in (rider, car):
@@ -294,7 +296,7 @@ def test_what_is_appended_kept_is_found(askew, tmp_path):
     bpy.data.libraries.write(str(tmp_path / "rocks.blend"), {rock})
     bpy.data.objects.remove(rock)
     bpy.context.scene.frame_set(2)
-    assert not keep_ground.kept_of(bpy.context.scene)
+    assert not keep_ground.objects_on_ground(bpy.context.scene)
     with bpy.data.libraries.load(str(tmp_path / "rocks.blend")) as (_, wanted):
         wanted.objects = ["Rock"]
     bpy.context.scene.collection.objects.link(wanted.objects[0])

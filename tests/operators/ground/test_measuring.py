@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pick, Profile, Viewshed and Add Collider, against Blender's ray casting and brute force."""
+"""Pick, Profile, Viewshed and Add Collider, compared with Blender's ray casting and brute force."""
 
 import csv
 import xml.etree.ElementTree as ET
@@ -54,7 +54,7 @@ def curve(points, cyclic=False, **settings):
 
 @pytest.fixture
 def turned(scene, add_terrain, hills_store):
-    """A terrain that is moved, turned about Z and scaled: its vertical is the world's."""
+    """Return a terrain that is moved, rotated about Z and scaled, so that its vertical is the world's."""
     matrix = Matrix.LocRotScale(Vector((120.0, -40.0, 30.0)), Matrix.Rotation(0.7, 3, "Z"), Vector((1.5, 0.75, 1.25)))
     return place(add_terrain("Turned"), hills_store, matrix)
 
@@ -63,10 +63,10 @@ def test_a_profile_lies_on_the_ground_and_is_written(turned, tmp_path):
     cast = Cast(turned)
     curve([[(0.0, 0.0, 0.0), (60.0, 30.0, 50.0), (60.0, -40.0, 0.0)]], bevel_depth=2.0, extrude=1.0)
     assert bpy.ops.adaptive_terrain.profile(filepath=str(tmp_path / "road.csv")) == {"FINISHED"}
-    laid = bpy.data.objects["Road Profile"]
+    road = bpy.data.objects["Road Profile"]
     bpy.context.view_layer.update()
-    points = [laid.matrix_world @ point.co.to_3d() for point in laid.data.splines[0].points]
-    assert len(points) > 8 and len(laid.data.splines) == 1
+    points = [road.matrix_world @ point.co.to_3d() for point in road.data.splines[0].points]
+    assert len(points) > 8 and len(road.data.splines) == 1
     assert max(abs(point.z - cast.height(point)) for point in points) < NEAR
     rows = list(csv.DictReader((tmp_path / "road.csv").open()))
     assert len(rows) == len(points)
@@ -98,14 +98,14 @@ def test_several_splines_and_ends_beyond_the_terrain(turned, tmp_path):
 def test_a_profile_that_cannot_be_written_leaves_nothing(turned, tmp_path):
     road = curve([[(0.0, 0.0, 0.0), (60.0, 30.0, 50.0)]])
     before = len(bpy.data.objects), len(bpy.data.curves)
-    for path, said in (("//", "has no name"), (str(tmp_path / "none" / "road.csv"), "cannot be written")):
+    for path, message in (("//", "has no name"), (str(tmp_path / "none" / "road.csv"), "cannot be written")):
         only(road)
-        with pytest.raises(RuntimeError, match=said):
+        with pytest.raises(RuntimeError, match=message):
             bpy.ops.adaptive_terrain.profile(filepath=path)
     assert (len(bpy.data.objects), len(bpy.data.curves)) == before
 
 
-def test_the_picture_of_a_profile_breaks_where_there_is_no_ground():
+def test_a_profile_picture_breaks_at_missing_ground():
     along, heights = np.arange(6.0) * 100, np.array([10.0, 20.0, np.nan, np.nan, 30.0, 25.0])
     drawn = ET.fromstring(profile_plot.draw(along, heights, "A < B"))
     lines = [line.attrib["points"].split() for line in drawn.iter() if "stroke:" in str(line.attrib) or
@@ -117,7 +117,10 @@ def test_the_picture_of_a_profile_breaks_where_there_is_no_ground():
 
 
 def sees(eye: np.ndarray, own: np.ndarray, heights: np.ndarray, lift: float) -> np.ndarray:
-    """bool [rows, columns]: brute force along each line of sight, a hundred places each. `own`: [rows, columns, 3]."""
+    """Test visibility by brute force at 398 points of each line of sight; return bool [rows, columns].
+
+    `own`: positions of the samples, [rows, columns, 3].
+    """
     t = np.linspace(0.0, 1.0, 400)[1:-1, None, None]
     target = own + [0.0, 0.0, lift]
     line = [eye[n] * t + target[None, ..., n] * (1 - t) for n in range(3)]
@@ -157,8 +160,8 @@ def test_a_viewshed_is_an_image_and_an_attribute(askew):
     assert np.array(image.pixels[:]).reshape(-1, 4)[:, 0].mean() < 0.1, "the camera is far away"
 
 
-def test_a_terrain_of_a_long_name_has_one_viewshed_and_its_copy_another(askew):
-    """Blender cuts names; what was made for a terrain is found all the same."""
+def test_a_long_name_has_one_viewshed_and_its_copy_another(askew):
+    """Blender cuts names, so a mark identifies a terrain's image and node group."""
     askew.name = "\u00e9" * 31
     only(askew)
     for _ in range(2):
@@ -192,7 +195,7 @@ def test_a_collider_holds_its_bound_and_is_made_again(askew):
 
 
 def worst(terrain, collider) -> float:
-    """Metres of the world between the collider and the hills, straight along the terrain's own Z, at many places."""
+    """Return the largest distance in metres of the world, along the terrain's Z, between the collider and the hills."""
     bpy.context.view_layer.update()
     settings, height = terrain.adaptive_terrain, hills()
     metres, off = ASKEW.to_3x3().col[2].length, []

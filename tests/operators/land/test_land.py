@@ -111,7 +111,7 @@ def test_the_panel_says_that_some_tiles_took_the_whole(terrain, monkeypatch):
     said = {"left_out_rms_m": 1234.5, "left_out_most_m": 123.45}
     left_out = "Finer levels are left out{}: about 1,234 m, 123 m at most"
     assert note_where(monkeypatch, terrain, **said) == left_out.format("")
-    but = ", but for Scree, whose tiles would be off"
+    but = ", except Scree, whose tiles would not fit"
     assert note_where(monkeypatch, terrain, **said, tiles=[[]]) == left_out.format(but)
 
 
@@ -138,7 +138,7 @@ def test_undo_brings_the_land_before_back_at_once(terrain):
     entry.on = False
     session.update_object(terrain)
     assert shaped_land.store_of(terrain) == terrain.adaptive_terrain.store
-    assert shaped_land.state_of(terrain) == shaped_land.State()
+    assert shaped_land.state_of(terrain) == shaped_land.LandState()
 
 
 def test_a_render_has_all_of_the_land_and_waits_for_it(terrain):

@@ -111,7 +111,7 @@ def test_a_linked_terrain_says_why_it_cannot_be_changed(terrain, tmp_path):
     bpy.context.scene.collection.objects.link(linked)
     bpy.context.view_layer.objects.active = linked
     for name in ("import_source", "land_add", "shape", "land_preset", "bake_land", "export_heights", "water_surface"):
-        with pytest.raises(RuntimeError, match="is linked from a library, or overrides one, and is left alone: make"):
+        with pytest.raises(RuntimeError, match="overrides one, and cannot be changed: make"):
             getattr(bpy.ops.adaptive_terrain, name)()
 
 

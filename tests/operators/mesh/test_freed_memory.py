@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Memory that is held between one mesh and the next: page faults, and when it is given back."""
+"""Memory held between meshes: page faults, and when it is given back."""
 
 import json
 import subprocess
@@ -38,7 +38,7 @@ def held() -> bool:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the allocators of other systems are left alone")
-def test_a_live_mesh_holds_freed_memory_and_a_render_gives_it_back(scene, add_terrain, monkeypatch):
+def test_live_meshes_hold_freed_memory_until_a_render(scene, add_terrain, monkeypatch):
     freed_memory.give_back()
     terrain = add_terrain()
     session.update_object(terrain)
@@ -55,7 +55,7 @@ def test_a_live_mesh_holds_freed_memory_and_a_render_gives_it_back(scene, add_te
 
 @pytest.fixture
 def timers(monkeypatch):
-    """The timers of a Blender with a window, as a list; allocators are left alone."""
+    """Return the list of timers of a fake Blender with a window and without known allocators."""
     registered = []
     faked = SimpleNamespace(
         is_registered=registered.__contains__,
@@ -94,7 +94,7 @@ def test_other_allocators_are_left_alone(timers):
 
 
 def test_arenas_that_come_later_are_held_too(timers, monkeypatch):
-    """jemalloc makes the arena of large arrays with the first of them."""
+    """jemalloc creates the arena of large arrays with the first such array."""
     decays = {0: 10_000}
 
     def mallctl(name, old, _old_size, new, _new_size):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Attributes of a surface: into Blender and back, into files, and what no mesh can carry."""
+"""Attributes of a surface in Blender and in files, and invalid attributes."""
 
 import bpy
 import numpy as np
@@ -12,7 +12,7 @@ from adaptive_terrain.operators.mesh.writer import write_mesh
 from adaptive_terrain.operators.output.blender_exporters import export_glb, export_ply, only_selected
 from mesh_files import read_glb_attributes, read_ply_fields
 
-# Blender's data type -> which property of its elements has the numbers, of those that are not "value".
+# The property with the numbers, by Blender's data type, if it is not "value".
 PROPERTY = {"FLOAT2": "vector", "FLOAT_VECTOR": "vector", "FLOAT_COLOR": "color"}
 
 
@@ -24,15 +24,16 @@ def mesh():
 
 
 def every_kind(surface) -> dict[str, Attribute]:
-    """An attribute of each type in each domain, with values that tell elements and columns apart."""
-    made = {}
+    """Return an attribute of each type in each domain, with different values by element and column."""
+    attributes = {}
     for (dtype, width), (data_type, _) in TYPES.items():
         for domain in DOMAINS:
             count = surface.sizes[domain]
             values = np.arange(count * width) % 97 / (1 if dtype != "float32" else 128)
             array = (values % 2 == 0) if dtype == "bool" else values.astype(dtype)
-            made[f"{data_type}_{domain}"] = Attribute(array.reshape(-1, width) if width > 1 else array, domain, "m")
-    return made
+            values = array.reshape(-1, width) if width > 1 else array
+            attributes[f"{data_type}_{domain}"] = Attribute(values, domain, "m")
+    return attributes
 
 
 def test_every_type_in_every_domain_comes_into_blender(mesh, grid_surface):
@@ -51,7 +52,7 @@ def test_every_type_in_every_domain_comes_into_blender(mesh, grid_surface):
 
 
 def test_a_cut_keeps_attributes_with_their_triangles_and_places(grid_surface):
-    """A slope, cut at a height: values that are a function of the place still are, those of faces are their own."""
+    """After a cut, point values still match their positions, and face values their faces."""
     plain = grid_surface(6, 4, lambda x, y: x + 0.1 * y)
     middle = plain.positions[plain.triangles].mean(axis=1)
     of_face = np.floor(middle[:, 0]).astype(np.int32)  # the column of cells that it is in
@@ -81,7 +82,7 @@ def test_a_ply_and_an_npz_carry_attributes(empty, grid_surface, tmp_path):
     with only_selected(obj):
         export_ply(obj, str(tmp_path / "a.ply"))
     vertices = read_ply_fields(tmp_path / "a.ply")
-    # Blender may give a vertex of the file for each corner of its own; a place says which vertex it was.
+    # Blender may write one vertex per corner; the position identifies the original vertex.
     place = vertices["x"].astype(int) + 5 * vertices["y"].astype(int)
     assert len(place) >= len(wet) and np.array_equal(vertices["wetness"], wet[place])
     write_npz(tmp_path / "a.npz", surface, np.zeros(3), {})
@@ -91,7 +92,7 @@ def test_a_ply_and_an_npz_carry_attributes(empty, grid_surface, tmp_path):
 
 
 def every_width(surface) -> dict[str, Attribute]:
-    """As effects make them: of points, one to four floats each."""
+    """Return point attributes of one to four floats, as effects make them."""
     count = surface.sizes["POINT"]
     values = {f"of_{n}": np.linspace(0, n, count * n, dtype=np.float32).reshape(count, n) for n in (2, 3, 4)}
     values["of_1"] = np.linspace(3, 4, count, dtype=np.float32)
@@ -123,7 +124,7 @@ def test_a_ply_and_a_glb_carry_what_effects_make(empty, grid_surface, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("array", "domain", "said"),
+    ("array", "domain", "message"),
     [
         (np.zeros(25), "POINT", r"'a' is float64 \[25\] of the domain 'POINT'; expected for each element one of"),
         (np.zeros((25, 5), np.float32), "POINT", r"float32 \[25, 5\].*expected for each element"),
@@ -135,8 +136,8 @@ def test_a_ply_and_a_glb_carry_what_effects_make(empty, grid_surface, tmp_path):
         (np.zeros(25, np.int32), "VERTEX", r"'VERTEX'; expected one of POINT, EDGE, FACE, CORNER"),
     ],
 )
-def test_what_no_mesh_can_carry_is_one_sentence(grid_surface, array, domain, said):
-    with pytest.raises(TerrainError, match=said):
+def test_an_invalid_attribute_gives_one_sentence(grid_surface, array, domain, message):
+    with pytest.raises(TerrainError, match=message):
         grid_surface(4, 4).with_attributes({"a": Attribute(array, domain)})
 
 

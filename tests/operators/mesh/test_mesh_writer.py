@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The mesh writer puts in what it is given, and Blender finds nothing to correct."""
+"""The mesh writer writes its arrays unchanged, and Blender finds nothing to correct."""
 
 import tracemalloc
 
@@ -141,7 +141,7 @@ def test_a_hundred_rebuilds_leave_no_datablock(mesh, grid_surface):
     assert len(bpy.data.meshes) == before
 
 
-def test_arrays_are_written_in_place_in_every_version_that_is_tested():
+def test_every_tested_version_writes_arrays_in_place():
     assert mesh_memory.writable_in_place()
     assert ".adaptive_terrain_probe" not in bpy.data.meshes
 
@@ -183,7 +183,7 @@ def test_the_copy_that_blender_evaluated_keeps_its_arrays(mesh, grid_surface):
     bpy.data.objects.remove(obj)
 
 
-def test_the_probe_writes_nothing_where_it_does_not_read_its_own_values(monkeypatch):
+def test_the_probe_writes_only_where_it_reads_its_values(monkeypatch):
     elsewhere = np.full(6, 7, np.int32)
     monkeypatch.setattr(mesh_memory, "_array", lambda items, dtype: shared(elsewhere[: len(items)], wp.int32))
     mesh_memory.writable_in_place.cache_clear()

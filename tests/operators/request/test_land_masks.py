@@ -97,7 +97,7 @@ def test_a_mask_by_rules_about_anything_that_the_ground_has(terrain, tmp_path):
         getattr(only, of).use = of == "sediment"
     with pytest.raises(session.TerrainError, match="about sediment, which is not there"):
         session.update_object(terrain)
-    assert shaped_land.state_of(terrain).note == "Not shown: read why, above"
+    assert shaped_land.state_of(terrain).note == "Not shown: see the error above"
     add("rivers")
     assert bpy.ops.adaptive_terrain.land_move(by=-1) == {"FINISHED"}
     session.update_object(terrain)

@@ -12,6 +12,7 @@ from adaptive_terrain.operators.output.frame_sources import scene_piece
 from adaptive_terrain.operators.request.overrides import Overrides
 from adaptive_terrain.operators.scene import frozen, session
 from adaptive_terrain.operators.ui.statistics_panel import summary_lines
+from live_windows import positions
 
 
 @pytest.fixture
@@ -19,12 +20,6 @@ def terrain(scene, add_terrain):
     obj = add_terrain()
     session.update_object(obj)
     return obj
-
-
-def positions(obj) -> np.ndarray:
-    array = np.empty(3 * len(obj.data.vertices), np.float32)
-    obj.data.vertices.foreach_get("co", array)
-    return array.reshape(-1, 3)
 
 
 def freeze():
@@ -36,7 +31,7 @@ def look_from(y: float):
     bpy.context.view_layer.update()
 
 
-def test_the_mesh_keeps_its_triangles_until_it_is_set_free(terrain):
+def test_a_frozen_mesh_keeps_its_triangles(terrain):
     before = positions(terrain)
     freeze()
     for y in (-2500.0, -400.0):
@@ -60,7 +55,7 @@ def test_heights_still_follow_scale_and_offset(terrain):
     assert update.bound_px is None and summary_lines(status)[1][0] == "Vertical error"
 
 
-def test_renders_and_exports_keep_them_unless_a_command_asks_for_others(terrain):
+def test_renders_and_exports_keep_frozen_triangles(terrain):
     terrain.adaptive_terrain.render.error_px = 8.0
     depsgraph = bpy.context.evaluated_depsgraph_get()
     free = len(scene_piece(terrain, depsgraph, 1).surface.triangles)
@@ -77,8 +72,8 @@ def test_renders_and_exports_keep_them_unless_a_command_asks_for_others(terrain)
 def test_an_export_has_the_tree_and_with_it_its_mesh(terrain, tmp_path, is_frozen):
     settings = terrain.adaptive_terrain
     settings.render.error_px, settings.render.meshlet, settings.vertical_offset = 8.0, 1, 3.0
-    settings.render.smooth_transitions = False  # a tree knows no camera by which points would be rising
-    if is_frozen:  # to what the viewport shows, which has no meshlets
+    settings.render.smooth_transitions = False  # a tree has no camera for a geomorph
+    if is_frozen:  # with the triangles of the viewport, which has no meshlets
         freeze()
         look_from(-2500.0)
     assert bpy.ops.adaptive_terrain.export(filepath=str(tmp_path / "a.npz")) == {"FINISHED"}
@@ -102,13 +97,13 @@ def test_it_survives_the_file(terrain, tmp_path):
     assert (positions(again) == before).all()
 
 
-def test_what_does_not_fit_is_said(terrain):
+def test_invalid_frozen_triangles_are_refused(terrain):
     freeze()
-    kept = terrain.adaptive_terrain.frozen
-    for text in ("nonsense", "0 ####", f"9 {kept.split()[1]}", kept[: len(kept) // 2]):
+    saved = terrain.adaptive_terrain.frozen
+    for text in ("nonsense", "0 ####", f"9 {saved.split()[1]}", saved[: len(saved) // 2]):
         terrain.adaptive_terrain.frozen = text
         with pytest.raises(TerrainError, match="Freeze Detail|saved tree"):
             session.update_object(terrain)
     freeze()
     assert session.update_object(terrain).triangles > 0
-    assert frozen.from_text(kept)[1] == 0
+    assert frozen.from_text(saved)[1] == 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The overlay: each triangle's error or level as attribute and colour, and nothing of it while it is off."""
+"""The overlay: each triangle's error or level as attribute and colour, and no cost while it is off."""
 
 import json
 from types import SimpleNamespace
@@ -26,7 +26,7 @@ def read(attribute, name, width, dtype=np.float32):
 
 
 def shown_colours(mesh):
-    """sRGB, 0 .. 255, of each face; its corners must agree."""
+    """Return the sRGB colour of each face (0 .. 255), and assert that its corners agree."""
     corners = read(mesh.attributes[COLOUR_ATTRIBUTE], "color_srgb", 4).reshape(-1, 3, 4)
     assert (corners == corners[:, :1]).all()
     return corners[:, 0, :3] * 255
@@ -75,7 +75,7 @@ def test_more_than_was_asked_has_a_colour_of_its_own(scene, add_terrain):
     beyond = (np.abs(shown_colours(terrain.data) - BEYOND) < 1).all(1)
     assert (beyond == (errors > 1.0)).all() and 0 < beyond.sum() < len(errors)
     text, colour = session.record_of(terrain).overlay.legend[-1]
-    assert text == f"More than asked, up to {errors.max():.3g} px" and np.allclose(colour, np.array(BEYOND) / 255)
+    assert text == f"Above the criterion, up to {errors.max():.3g} px" and np.allclose(colour, np.array(BEYOND) / 255)
 
 
 def test_the_level_has_the_same_colour_in_every_view(scene, add_terrain):
@@ -132,7 +132,7 @@ def test_a_bake_and_its_mesh_have_no_overlay(scene, add_terrain, monkeypatch):
 
 
 def test_the_error_is_of_the_view_also_where_the_mesh_stays(scene, add_terrain):
-    """At the limit of triangles another view may have the same mesh; its errors are others."""
+    """At a limit another view may have the same mesh with other errors."""
     terrain = add_terrain()
     detail = terrain.adaptive_terrain.viewport
     detail.limit_depth, detail.max_depth = True, 4
@@ -208,7 +208,7 @@ def test_the_button_shows_the_colours_in_every_viewport(scene, add_terrain):
 
 
 def test_after_the_last_overlay_viewports_show_materials_again(scene, add_terrain):
-    """Not the layers of the terrain, which are colours, too."""
+    """Viewports do not show the weights of layers, which are colours, too."""
     terrains = [add_terrain(name) for name in ("A", "B")]
     [space, *_] = [
         area.spaces.active for area in bpy.data.window_managers[0].windows[0].screen.areas if area.type == "VIEW_3D"

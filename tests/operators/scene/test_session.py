@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One update: properties in, mesh out; a failure keeps the last good mesh and says why."""
+"""Updates from properties to mesh; a failure keeps the last good mesh and shows a message."""
 
 import threading
 import time
@@ -7,19 +7,17 @@ from types import SimpleNamespace
 from unittest.mock import Mock
 
 import bpy
-import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.output.bake_terrain import BakeTerrain
 from adaptive_terrain.operators.output.frame_sources import scene_piece
 from adaptive_terrain.operators.scene import session
 from adaptive_terrain.operators.ui.statistics_panel import statistics_lines
+from live_windows import positions
 
 
-def positions(obj):
-    array = np.empty(3 * len(obj.data.vertices), np.float32)
-    obj.data.vertices.foreach_get("co", array)
-    return array.tobytes()
+def mesh_bytes(obj):
+    return positions(obj).tobytes()
 
 
 def test_an_update_writes_a_mesh_that_keeps_its_bound(scene, add_terrain):
@@ -44,7 +42,7 @@ def test_render_and_viewport_have_settings_of_their_own(scene, add_terrain):
 def test_another_interpolation_is_another_mesh(scene, add_terrain):
     terrain = add_terrain()
     terrain.adaptive_terrain.viewport.error_px = 0.5
-    flat = session.update_object(terrain).triangles, positions(terrain)
+    flat = session.update_object(terrain).triangles, mesh_bytes(terrain)
     terrain.adaptive_terrain.interpolation = "bicubic"
     smooth = session.update_object(terrain)
     digest = session.record_of(terrain).status.digest
@@ -52,10 +50,10 @@ def test_another_interpolation_is_another_mesh(scene, add_terrain):
     assert session.update_object(terrain).changed is False, "its errors are computed once"
     terrain.adaptive_terrain.interpolation = "bilinear"
     session.update_object(terrain)
-    assert positions(terrain) == flat[1] and session.record_of(terrain).status.digest != digest
+    assert mesh_bytes(terrain) == flat[1] and session.record_of(terrain).status.digest != digest
 
 
-def test_an_interpolation_that_no_one_knows_is_named(scene, add_terrain):
+def test_an_unknown_interpolation_is_named(scene, add_terrain):
     terrain = add_terrain("Hills")
     terrain.adaptive_terrain["interpolation"] = 9
     with pytest.raises(TerrainError, match="'Hills' has an unknown interpolation: choose one on its panel"):
@@ -86,10 +84,10 @@ def test_settings_that_are_animated_are_the_evaluated_ones(scene, add_terrain):
 def test_a_mesh_changed_by_hand_is_written_again(scene, add_terrain):
     terrain = add_terrain()
     session.update_object(terrain)
-    before = positions(terrain)
+    before = mesh_bytes(terrain)
     terrain.data.clear_geometry()
     session.update_object(terrain)
-    assert positions(terrain) == before
+    assert mesh_bytes(terrain) == before
 
 
 def test_an_update_of_the_same_view_leaves_the_mesh_alone(scene, add_terrain):
@@ -103,23 +101,23 @@ def test_an_update_of_the_same_view_leaves_the_mesh_alone(scene, add_terrain):
 def test_a_failure_keeps_the_mesh_and_leaves_a_message(scene, add_terrain):
     terrain = add_terrain()
     session.update_object(terrain)
-    before = positions(terrain)
+    before = mesh_bytes(terrain)
     terrain.adaptive_terrain.store = "/nowhere/at/all"
     with pytest.raises(TerrainError, match="no terrain store"):
         session.update_object(terrain)
-    assert positions(terrain) == before
+    assert mesh_bytes(terrain) == before
     assert "/nowhere/at/all" in session.record_of(terrain).status.error
 
 
 def test_an_unexpected_failure_is_told_too(scene, add_terrain, monkeypatch):
     terrain = add_terrain()
     session.update_object(terrain)
-    before = positions(terrain)
+    before = mesh_bytes(terrain)
     terrain.adaptive_terrain.viewport.error_px = 4.0
     monkeypatch.setattr(session, "solve", lambda record, request: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         session.update_object(terrain)
-    assert positions(terrain) == before
+    assert mesh_bytes(terrain) == before
     assert "ZeroDivisionError" in session.record_of(terrain).status.error
 
 
@@ -136,7 +134,7 @@ def test_a_linked_duplicate_gets_a_mesh_of_its_own(scene, add_terrain):
 
 @pytest.mark.parametrize("first", ["linked", "own"])
 def test_a_terrain_is_found_beside_a_linked_one_of_its_name(scene, add_terrain, tmp_path, first):
-    """Else neither the viewport nor a render would refine it."""
+    """Otherwise neither the viewport nor a render would refine it."""
     terrain, path = add_terrain("Hills"), str(tmp_path / "library.blend")
     bpy.data.libraries.write(path, {terrain})
     with bpy.data.libraries.load(path, link=True) as (_there, here):
@@ -162,10 +160,10 @@ def test_an_ordinary_object_keeps_the_mesh_that_it_shares(scene, add_terrain):
     assert len(shared.polygons) == 0 < len(terrain.data.polygons)
 
 
-def test_a_clean_up_that_is_no_number_is_refused_and_the_mesh_stays(scene, add_terrain):
+def test_a_clean_up_that_is_no_number_is_refused(scene, add_terrain):
     terrain = add_terrain()
     session.update_object(terrain)
-    before, cleanup = positions(terrain), terrain.adaptive_terrain.cleanup
+    before, cleanup = mesh_bytes(terrain), terrain.adaptive_terrain.cleanup
     cleanup.use_below, cleanup.below = True, float("nan")
     with pytest.raises(TerrainError, match="nan as the height of Delete Below"):
         session.update_object(terrain)
@@ -181,7 +179,7 @@ def test_a_clean_up_that_is_no_number_is_refused_and_the_mesh_stays(scene, add_t
     cleanup.boundary = terrain
     with pytest.raises(TerrainError, match="is its own boundary: choose another object"):
         session.update_object(terrain)
-    assert positions(terrain) == before
+    assert mesh_bytes(terrain) == before
 
 
 def test_clean_up_follows_the_settings(scene, add_terrain):
@@ -211,14 +209,14 @@ def test_bake_makes_an_ordinary_object(scene, add_terrain):
     terrain.data.materials.append(rock)
     terrain.adaptive_terrain.bake_error_m = 3.0
     session.update_object(terrain)
-    before = positions(terrain)
+    before = mesh_bytes(terrain)
     assert bpy.ops.adaptive_terrain.bake() == {"FINISHED"}
     [baked] = [obj for obj in scene.objects if obj.type == "MESH" and obj != terrain]
     assert not baked.adaptive_terrain.enabled
     assert baked.matrix_world.translation[:] == (7.0, 8.0, 9.0)
     assert [material.name for material in baked.data.materials] == ["Rock"]
     assert len(baked.data.polygons) > 100
-    assert positions(terrain) == before
+    assert mesh_bytes(terrain) == before
 
 
 def test_a_bake_says_what_held_it_back(scene, add_terrain):
@@ -228,9 +226,9 @@ def test_a_bake_says_what_held_it_back(scene, add_terrain):
     settings.cleanup.use_below, settings.cleanup.below = True, 0.0
     assert BakeTerrain.execute(operator, bpy.context) == {"FINISHED"}
     [baked] = [obj for obj in scene.objects if obj.type == "MESH" and obj != terrain]
-    kind, said = operator.report.call_args.args
-    assert kind == {"WARNING"} and said.startswith(f"{len(baked.data.polygons):,} triangles, at most ")
-    assert said.endswith("held back by the triangle limit")
+    kind, message = operator.report.call_args.args
+    assert kind == {"WARNING"} and message.startswith(f"{len(baked.data.polygons):,} triangles, at most ")
+    assert message.endswith("held back by the triangle limit")
     assert min(vertex.co.z for vertex in baked.data.vertices) == 0.0
 
 

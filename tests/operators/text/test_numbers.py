@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Numbers have no powers of ten, and lengths the unit that suits them."""
+"""Numbers have no powers of ten, and lengths have suitable units."""
 
 import pytest
 from adaptive_terrain.operators.text.numbers import length_text, plain

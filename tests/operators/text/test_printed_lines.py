@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lines that hold names of strangers: a terminal and a farm obey none of their characters."""
+"""Untrusted names in printed lines cannot control a terminal or a farm."""
 
 import ast
 import json
@@ -66,10 +66,10 @@ def test_a_failure_is_one_message(tmp_path, capsys):
 
 
 def test_files_of_a_job_hold_no_raw_control_characters(tmp_path):
-    from adaptive_terrain.operators.farm.bundle import Job, write_bundle
+    from adaptive_terrain.operators.farm.bundle import FarmJob, write_bundle
 
     blend = tmp_path / "a\nb\u2028\x1b[31m.blend"
-    job = Job("n\nm", blend, [1], 1, ["npz"], tmp_path / "out", "1", None, [blend], [tmp_path], [])
+    job = FarmJob("n\nm", blend, [1], 1, ["npz"], tmp_path / "out", "1", None, [blend], [tmp_path], [])
     write_bundle(job, tmp_path)
     texts = [
         (tmp_path / name).read_text(encoding="utf-8") for name in ("parameter_values.yaml", "asset_references.yaml")
@@ -81,7 +81,7 @@ def test_files_of_a_job_hold_no_raw_control_characters(tmp_path):
 
 
 def test_the_product_prints_by_one_function():
-    """Only `print_line` calls `print` with a text; the farm's guard, a script of its own, has its own escape."""
+    """Only `print_line` calls `print` with a text, except the farm's guard, a standalone script."""
     found = set()
     for path in (ROOT / "operators").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

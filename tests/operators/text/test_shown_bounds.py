@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bounds that are shown are never below what they stand for."""
+"""Shown bounds are never below the bounds."""
 
 import math
 
@@ -33,11 +33,11 @@ def test_three_digits_and_all_before_the_point(bound, shown):
 
 
 @pytest.mark.parametrize("bound", [1e30, math.inf, math.nan])
-def test_no_bound_is_said_in_words(bound):
+def test_no_bound_is_shown_in_words(bound):
     assert bound_text(bound, "px") == NO_BOUND
 
 
-def test_limits_are_said_in_words():
+def test_limits_are_shown_in_words():
     assert limit_text("max_depth, precision") == "the depth limit and float32 precision"
     assert limit_text("source") == "source rounding"
     assert limit_text("") == "" and limit_text("precision") == LIMITS["precision"]

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A viewport shows a preview of the sky at once, and at rest what an update in full writes."""
+"""A viewport shows a preview of the sky at once, and at rest the values of a full update."""
 
 import time
-from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -12,18 +11,16 @@ from adaptive_terrain.cbt_terrain.field import store
 from adaptive_terrain.operators.scene import session
 from adaptive_terrain.operators.viewport import live, previews
 from demand_trees import colour, new_material, shows
+from live_windows import show_window
 
 
 @pytest.fixture
 def lit(scene, add_terrain, monkeypatch):
-    """A terrain whose material reads the sky, in a window; its store neither keeps nor has anything of that."""
+    """Return a terrain in a window whose material reads the sky, without a cache in its store."""
     monkeypatch.setattr(store, "data_folder", lambda field: None)
     terrain = add_terrain()
     terrain.data.materials.append(shows(new_material("Sky"), lambda tree: colour(tree, "sky")))
-    window = SimpleNamespace(
-        view_layer=bpy.context.view_layer, scene=bpy.context.scene, screen=SimpleNamespace(areas=())
-    )
-    monkeypatch.setattr(live, "_windows", lambda: [window])
+    show_window(monkeypatch)
     bpy.context.evaluated_depsgraph_get()
     yield terrain
     live._unrefined.clear()
@@ -36,7 +33,7 @@ def values(terrain) -> np.ndarray:
 
 
 def turns(until=lambda: False) -> int:
-    """Run the timer until it rests, or until something holds; returns how many turns there were."""
+    """Run the timer until it rests or until the condition holds, and return the number of turns."""
     live.mark_dirty()
     for turn in range(5000):
         if (live.tick() == live.IDLE_S and not live._unrefined) or until():
@@ -45,7 +42,7 @@ def turns(until=lambda: False) -> int:
     raise AssertionError("the live update never ended")
 
 
-def test_the_view_begins_with_a_preview_and_ends_with_the_bits_of_an_update(lit):
+def test_a_preview_is_refined_to_the_bits_of_an_update(lit):
     turns(until=lambda: live._unrefined)
     first = values(lit)
     turns()
@@ -67,7 +64,7 @@ def test_the_view_can_change_between_the_steps_of_refining(lit, monkeypatch):
     lit.adaptive_terrain.viewport.error_px = 3.0
     bpy.context.view_layer.update()
     turns()
-    assert len(steps) == 16, "what was made is not made again"
+    assert len(steps) == 16, "finished steps are not repeated"
     update = session.update_object(lit)
     assert len(lit.data.polygons) == update.triangles and sky_layer.is_known(session.record_of(lit).field, 1.0)
 
@@ -81,7 +78,7 @@ def test_a_terrain_in_edit_mode_rests_and_is_refined_after_it(lit):
     while resting < 20 and time.monotonic() < ended:
         resting = resting + 1 if live.tick() == live.IDLE_S else 0
         time.sleep(0.002)
-    assert resting == 20, "nothing is computed that cannot be written"
+    assert resting == 20, "nothing is computed for a mesh that cannot be written"
     bpy.ops.object.mode_set(mode="OBJECT")
     turns()
     assert not np.array_equal(values(lit), first)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which window a terrain follows where there are several."""
+"""The window that a terrain follows if there are several."""
 
 import time
 from types import SimpleNamespace
@@ -19,7 +19,7 @@ def in_window(scene, depsgraph=True):
 
 
 def turns() -> int:
-    """Run the timer until it rests; returns how many updates were carried out."""
+    """Run the timer until it rests, and return the number of updates."""
     updates = 0
     live.mark_dirty()
     for _ in range(3000):
@@ -27,13 +27,13 @@ def turns() -> int:
         updates += live._job is not None and live._job is not before
         if wait == live.IDLE_S:
             return updates
-        assert updates < 10, "it goes to and fro"
+        assert updates < 10, "it alternates between two cameras"
         time.sleep(0.002)
     raise AssertionError("the live update never ended")
 
 
 def test_a_terrain_of_two_scenes_follows_the_first_window(scene, add_terrain, monkeypatch):
-    """Its mesh is one: refined for both cameras in turn, it would flicker, and a core be busy for ever."""
+    """Its one mesh would flicker and keep a core busy if it were refined for both cameras in turn."""
     terrain = add_terrain()
     other = bpy.data.scenes.new("Other")
     other.collection.objects.link(terrain)

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Land that gets finer while nothing changes: when it begins, what it makes, and what ends it."""
+"""Land gets finer while nothing changes: its start, its results and its end."""
 
 import shutil
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -17,27 +16,25 @@ from adaptive_terrain.operators import jobs
 from adaptive_terrain.operators.scene import session, shaped_land
 from adaptive_terrain.operators.viewport import live, resting_land
 from land_scenes import wide_hills
+from live_windows import show_window
 
 
 @pytest.fixture(scope="module")
 def hills(tmp_path_factory):
-    """Three levels."""
+    """Return a store with three levels."""
     return wide_hills(tmp_path_factory.mktemp("wide") / "hills", 700, 1000)
 
 
 @pytest.fixture
 def terrain(scene, add_terrain, hills, tmp_path, monkeypatch):
-    """A terrain in a window, with a stack whose preview is shown, and a camera over one of its corners."""
+    """Return a terrain in a window that shows the preview of a stack, with a camera over one corner."""
     shutil.copytree(hills, tmp_path / "wide")
     obj = add_terrain()
     obj.adaptive_terrain.store = str(tmp_path / "wide")
     derived_store.forget()
     bpy.ops.adaptive_terrain.land_add(effect="relief")
     scene.camera.location, scene.camera.rotation_euler = (-3000.0, -2000.0, 460.0), (0.0, 0.0, 0.0)
-    shown = SimpleNamespace(scene=scene, view_layer=bpy.context.view_layer, screen=SimpleNamespace(areas=[]))
-    context = SimpleNamespace(window_manager=SimpleNamespace(windows=[shown]))
-    app = SimpleNamespace(is_job_running=lambda kind: False)
-    monkeypatch.setattr(live, "bpy", SimpleNamespace(context=context, types=bpy.types, app=app, data=bpy.data))
+    show_window(monkeypatch)
     monkeypatch.setattr(resting_land, "REST_S", 0.05)
     monkeypatch.setattr(resting_land, "LOOK_S", 0.0)
     bpy.context.view_layer.update()
@@ -64,7 +61,7 @@ def is_finished(obj) -> bool:
     return not jobs.running and not resting_land.concerned()
 
 
-def test_what_the_view_needs_gets_finer_and_a_render_has_the_rest(terrain):
+def test_land_in_view_gets_finer_and_a_render_has_the_rest(terrain):
     until(terrain, "Shaped")
     turns(lambda: is_finished(terrain))
     state, folder = shaped_land.state_of(terrain), shaped_land.store_of(terrain)
@@ -93,8 +90,8 @@ def test_another_view_gets_its_own_tiles_when_it_rests(terrain):
     turns(lambda: session.record_of(terrain).field is session.open_field(shaped_land.store_of(terrain)))
 
 
-def test_damaged_land_is_made_again_where_one_looks(terrain, capsys):
-    """The preview is shown meanwhile, and nobody has to ask for it."""
+def test_damaged_land_in_view_is_shaped_again(terrain, capsys):
+    """The preview is shown meanwhile, and the repair needs no click."""
     until(terrain, "Shaped")
     turns(lambda: is_finished(terrain))
     folder, record, made = Path(shaped_land.store_of(terrain)), session.record_of(terrain), []
@@ -116,7 +113,7 @@ def test_damaged_land_is_made_again_where_one_looks(terrain, capsys):
 @pytest.mark.parametrize("fault", ["folder", "rights"])
 @pytest.mark.parametrize("stack", [True, False])
 def test_a_source_that_was_mended_is_seen_by_the_next_update(terrain, monkeypatch, fault, stack):
-    """What says that it is a store is a folder, or may not be read; then it is as it was before, to the nanosecond."""
+    """A store whose store.json became a folder or unreadable works again once the file is restored unchanged."""
     terrain.adaptive_terrain.live, record = True, session.record_of(terrain)
     monkeypatch.setattr(resting_land, "REST_S", 1e9)
     if not stack:
@@ -150,7 +147,7 @@ def test_a_source_that_was_mended_is_seen_by_the_next_update(terrain, monkeypatc
     turns(lambda: not record.status.error)
 
 
-def test_another_slider_ends_it_and_begins_anew(terrain):
+def test_a_changed_setting_restarts_the_shaping(terrain):
     turns(lambda: any(job.child is not None for job in jobs.running))
     [child] = [job.child for job in jobs.running]
     terrain.adaptive_terrain.land.entries[0].relief.wave = 90.0
@@ -162,7 +159,7 @@ def test_another_slider_ends_it_and_begins_anew(terrain):
     assert [entry.relief.wave for entry in terrain.adaptive_terrain.land.entries] == [90.0]
 
 
-def test_who_cancels_it_is_left_in_peace(terrain):
+def test_cancelled_land_is_not_started_again(terrain):
     turns(lambda: jobs.running)
     assert bpy.ops.adaptive_terrain.cancel_job(kind="SHAPE") == {"FINISHED"}
     for _ in range(40):
@@ -175,7 +172,7 @@ def test_who_cancels_it_is_left_in_peace(terrain):
     until(terrain, "Shaped")
 
 
-def test_without_live_update_nothing_is_begun(terrain):
+def test_without_live_update_nothing_is_shaped(terrain):
     terrain.adaptive_terrain.live = False
     for _ in range(40):
         live.tick()
@@ -184,7 +181,7 @@ def test_without_live_update_nothing_is_begun(terrain):
 
 
 def test_land_that_is_damaged_again_and_again_is_left(terrain, monkeypatch, capsys):
-    """A disk that damages what is written: after some tries the panel says so, and nothing is made any more."""
+    """With a disk that damages every file, the panel shows an error after some tries, and shaping stops."""
     opened, record = session.open_store, session.record_of(terrain)
 
     def damaged(path):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a camera shows of a terrain's box, and the clip range that it needs."""
+"""Visibility of a terrain's box from a camera, and the necessary clip range."""
 
 import bpy
 import numpy as np
@@ -11,7 +11,7 @@ from adaptive_terrain.operators.viewport import frame_terrain, sight
 BOX = np.array([(x, y, z) for x in (-10.0, 10.0) for y in (-10.0, 10.0) for z in (0.0, 2.0)])
 
 
-def test_a_box_before_the_camera_is_seen_and_one_behind_it_is_not():
+def test_only_a_box_before_the_camera_is_seen():
     there = View.look((0, -60, 20), (0, 0, 0), clip=(0.1, 200.0))
     assert sight.is_in_sight(BOX, there) and sight.shows_all(BOX, there) and not sight.is_cut_off(BOX, there)
     away = View.look((0, -60, 20), (0, -120, 40), clip=(0.1, 200.0))
@@ -47,7 +47,7 @@ def test_round_numbers():
 
 
 def test_the_box_is_that_of_the_mesh(scene, add_terrain):
-    """Turned, stretched, mirrored and moved: no vertex lies outside, and each side is touched within the relief."""
+    """The box of a rotated, stretched, mirrored and moved terrain contains all vertices and fits within the relief."""
     from adaptive_terrain.operators.scene import session
 
     terrain = add_terrain()
@@ -89,7 +89,7 @@ def test_a_chosen_camera_counts_not_the_scenes(scene, add_terrain):
     assert (chosen.data.clip_end, scene.camera.data.clip_end) == (5000.0, 100.0)
 
 
-def test_a_camera_that_sees_nothing_is_told(scene, add_terrain):
+def test_a_camera_that_sees_nothing_gives_a_notice(scene, add_terrain):
     terrain, camera = add_terrain(), scene.camera
     camera.rotation_euler.z = 3.1
     bpy.context.view_layer.update()

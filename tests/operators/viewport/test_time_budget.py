@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The time budget asks for the finest error that fits, by the stored curve; the live viewport corrects it."""
+"""The time budget uses the finest error that fits the stored curve; the live viewport corrects it."""
 
 import math
 from dataclasses import replace
@@ -7,7 +7,6 @@ from types import SimpleNamespace
 from unittest.mock import Mock
 
 import bpy
-import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy import sweep
 from adaptive_terrain.cbt_terrain.accuracy.cost_curve import CostCurve
@@ -16,14 +15,9 @@ from adaptive_terrain.operators.request.request import RENDER, VIEWPORT, gather
 from adaptive_terrain.operators.scene import session
 from adaptive_terrain.operators.ui.detail_panel import ViewportPanel
 from adaptive_terrain.operators.viewport import live
+from live_windows import positions, show_window
 
 CURVE = CostCurve("px", (16.0, 4.0, 1.0), (500.0, 2000.0, 8000.0), (1.0, 4.0, 16.0))
-
-
-def mesh_bytes(obj):
-    array = np.empty(3 * len(obj.data.vertices), np.float32)
-    obj.data.vertices.foreach_get("co", array)
-    return array.tobytes()
 
 
 @pytest.fixture
@@ -53,19 +47,19 @@ def test_the_error_is_finer_than_asked_where_there_is_time(terrain):
 
 def test_the_mesh_depends_on_no_clock(terrain):
     session.update_object(terrain)
-    first = mesh_bytes(terrain)
-    for slowness in (0.01, 1000.0):  # whatever later updates take
+    first = positions(terrain).tobytes()
+    for slowness in (0.01, 1000.0):  # times of later updates
         session.record_of(terrain).status.ms["total"] = slowness
         terrain.data.clear_geometry()
         session.update_object(terrain)
-        assert mesh_bytes(terrain) == first
+        assert positions(terrain).tobytes() == first
     session.clear()
     session.update_object(terrain)
-    assert mesh_bytes(terrain) == first and len(terrain.data.polygons) > 100
+    assert positions(terrain).tobytes() == first and len(terrain.data.polygons) > 100
     terrain.adaptive_terrain.viewport.max_ms = 8.0
     bpy.context.view_layer.update()
     session.update_object(terrain)
-    assert mesh_bytes(terrain) != first
+    assert positions(terrain).tobytes() != first
 
 
 def test_metres_are_budgeted_where_only_metres_are_asked(terrain):
@@ -78,7 +72,7 @@ def test_metres_are_budgeted_where_only_metres_are_asked(terrain):
 
 
 @pytest.mark.parametrize(
-    ("curve", "asked", "told"),
+    ("curve", "settings", "message"),
     [
         ("", {}, "Time budget needs a measured curve: press Measure Accuracy"),
         ("{", {}, "damaged"),
@@ -86,18 +80,18 @@ def test_metres_are_budgeted_where_only_metres_are_asked(terrain):
         (CURVE.to_json(), {"error_px": 0.0, "edge_px": 50.0}, "needs an error to vary"),
     ],
 )
-def test_what_is_asked_is_used_and_told_where_the_budget_cannot_be(terrain, curve, asked, told):
+def test_the_criterion_is_used_if_the_budget_cannot_be(terrain, curve, settings, message):
     detail = terrain.adaptive_terrain.viewport
     detail.curve = curve
-    for name, value in asked.items():
+    for name, value in settings.items():
         setattr(detail, name, value)
     bpy.context.view_layer.update()
     request = request_of(terrain)
-    assert told in request.note
+    assert message in request.note
     for name in ("error_px", "error_m", "edge_px"):
         assert getattr(request.criterion, name) == getattr(detail, name)
     session.update_object(terrain)
-    assert told in session.record_of(terrain).status.request.note
+    assert message in session.record_of(terrain).status.request.note
 
 
 def test_an_error_from_the_command_line_comes_before_the_budget(terrain):
@@ -130,7 +124,7 @@ def test_the_panel_says_which_error_fits_or_what_is_missing(terrain):
 
 
 def test_a_new_curve_is_followed_and_measured_for(terrain, monkeypatch):
-    """The errors that Measure Accuracy keeps are those of the mesh that its own curve leads to."""
+    """Measure Accuracy keeps the errors of the mesh that its new curve gives."""
     from adaptive_terrain.operators.report import measure_accuracy
     from adaptive_terrain.operators.report.measure_accuracy import read_measured
 
@@ -145,11 +139,8 @@ def test_a_new_curve_is_followed_and_measured_for(terrain, monkeypatch):
     assert read_measured(detail)["digest"] == status.digest
 
 
-def test_the_viewport_follows_a_curve_that_has_just_been_measured(terrain, monkeypatch):
-    shown = SimpleNamespace(
-        scene=bpy.context.scene, view_layer=bpy.context.view_layer, screen=SimpleNamespace(areas=[])
-    )
-    monkeypatch.setattr(live, "_windows", lambda: [shown])
+def test_the_viewport_follows_a_new_curve(terrain, monkeypatch):
+    show_window(monkeypatch)
     terrain.adaptive_terrain.viewport.curve = ""
     bpy.context.view_layer.update()
     key = live._next_job().request.key()
@@ -161,11 +152,8 @@ def test_the_viewport_follows_a_curve_that_has_just_been_measured(terrain, monke
 
 
 def test_the_live_viewport_corrects_the_curve_by_its_own_times(terrain, monkeypatch):
-    """Updates that take twice what the curve says; explicit updates and renders follow the curve alone."""
-    shown = SimpleNamespace(
-        scene=bpy.context.scene, view_layer=bpy.context.view_layer, screen=SimpleNamespace(areas=[])
-    )
-    monkeypatch.setattr(live, "_windows", lambda: [shown])
+    """If updates take twice the predicted time, live updates get coarser; explicit updates and renders do not."""
+    show_window(monkeypatch)
     errors = []
     for _ in range(5):
         bpy.context.scene.camera.location.x += 1.0

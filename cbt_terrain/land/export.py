@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Heights and layers of a store as rasters for other programs: float32 GeoTIFF with the georeference, or OpenEXR.
+"""Export of heights and layers of a store as rasters: float32 GeoTIFF with the georeference, or OpenEXR.
 
-One file each: `heights.tif`, and beside it `heights_NAME.tif` for every layer. The first row is the northern one, a
-pixel's middle is a sample, holes are NaN. GDAL, which does not go well with Blender, writes in a child process.
+Heights go to `heights.tif` and each layer to `heights_NAME.tif`. The first row is the northern one, a pixel's centre is
+a sample, holes are NaN. GDAL writes in a child process, since it clashes with Blender.
 """
 
 import os
@@ -28,16 +28,16 @@ HEIGHTS = "heights"
 def export_raster(
     store: str | os.PathLike, file: str | os.PathLike, names: tuple[str, ...] | None = None
 ) -> list[Path]:
-    """Write the heights of a store into `file`, its layers beside it; returns the files. Raises TerrainError.
+    """Write the heights of a store into `file` and its layers beside it; return the files. Raises TerrainError.
 
-    names: HEIGHTS and layers that are wanted, None for all.
+    names: HEIGHTS and names of layers, None for all.
     """
     file = check_export(file)
     field = open_store(store)
     known = (HEIGHTS, *field.layers)
     for name in names or ():
         if name not in known:
-            raise TerrainError(f"The store {store} has no layer {name!r}; expected some of {', '.join(known)}.")
+            raise TerrainError(f"The store {store} has no layer {name!r}", expected=f"some of {', '.join(known)}")
     files = {name: _file_of(file, name) for name in names or known}
     if HEIGHTS in files:
         field.check_samples()
@@ -46,14 +46,15 @@ def export_raster(
 
 
 def check_export(file: str | os.PathLike) -> Path:
-    """The file that a raster is to be written into. Raises TerrainError where that cannot be, before hours of work."""
+    """Return the path of a raster to write. Raises TerrainError if it cannot be written, before hours of work."""
     file = Path(file)
     if file.suffix.lower() not in WRITERS:
-        raise TerrainError(f"{file} is of no format that heights are written in; expected {', '.join(WRITERS)}.")
+        raise TerrainError(f"{file} is of no format for heights", expected=", ".join(WRITERS))
     if not file.parent.is_dir():
-        raise TerrainError(f"{file} cannot be written: there is no folder {file.parent}; make it, or choose another.")
+        problem = f"{file} cannot be written: there is no folder {file.parent}"
+        raise TerrainError(problem, fix="create it or choose another")
     if is_device(file):
-        raise TerrainError(f"{file} is a folder, a device or a pipe; expected the name of a file: choose another.")
+        raise TerrainError(f"{file} is not a file", expected="no folder, device or pipe", fix="choose another name")
     return file
 
 
@@ -62,7 +63,7 @@ def _file_of(file: Path, name: str) -> Path:
 
 
 def _rows(field: HeightField, name: str, first: int) -> np.ndarray:
-    """float32 [LINES at most, columns] from line `first` on, counted from the north."""
+    """Return at most LINES lines from line `first` on, counted from the north, float32 [lines, columns]."""
     end = field.lattice.height - first
     rows = slice(max(end - LINES, 0), end)
     found = np.array(field.heights(rows) if name == HEIGHTS else field.layers[name][rows], np.float32)
@@ -92,7 +93,8 @@ def _write_exr(field: HeightField, name: str, path: Path) -> None:
 
 
 def _not_written(path: Path, reason: OSError) -> TerrainError:
-    return TerrainError(f"{path} cannot be written ({reason.strerror or reason}): make room or choose another folder.")
+    problem = f"{path} cannot be written ({reason.strerror or reason})"
+    return TerrainError(problem, fix="make room or choose another folder")
 
 
 def _write_tiffs(_field: HeightField, store: Path, files: dict[str, Path]) -> None:
@@ -106,19 +108,19 @@ WRITERS = {".tif": _write_tiffs, ".tiff": _write_tiffs, ".exr": _write_exrs}
 
 def child_main() -> None:
     """Answer one request."""
-    serve(_answer, lambda asked: f"Reading the store {asked['store']}")
+    serve(_answer, lambda request: f"Reading the store {request['store']}")
 
 
-def _answer(asked: dict, *_) -> list[str]:
+def _answer(request: dict, *_) -> list[str]:
     child.end_with_parent()
-    field = open_store(asked["store"])
-    georeference = _georeference(field, asked["store"])
-    for name, path in asked["files"].items():
+    field = open_store(request["store"])
+    georeference = _georeference(field, request["store"])
+    for name, path in request["files"].items():
         try:
             _write_tiff(field, name, Path(path), georeference)
         except OSError as reason:
             raise _not_written(Path(path), reason) from reason
-    return list(asked["files"].values())
+    return list(request["files"].values())
 
 
 def _write_tiff(field: HeightField, name: str, path: Path, georeference: tuple) -> None:
@@ -141,8 +143,11 @@ def _write_tiff(field: HeightField, name: str, path: Path, georeference: tuple) 
 
 
 def _georeference(field: HeightField, store: str) -> tuple:
-    """The transform from pixels to the coordinate system, and that system, None where it has no name; of a terrain that
-    lies in none, is rotated against it, or whose extent someone has given, metres from its middle and None."""
+    """Return the transform from pixels to coordinates and the coordinate system, None if it has no name.
+
+    For a terrain without a system, rotated against it, or with an extent set by the user, coordinates are metres from
+    the centre.
+    """
     from rasterio.crs import CRS
     from rasterio.transform import Affine
 

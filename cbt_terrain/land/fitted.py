@@ -1,43 +1,41 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A stack that is meant for land of some height, for land of another: snow lines and the like move with it."""
+"""Adaptation of a stack that was designed for land of some heights to land of other heights."""
 
 from collections.abc import Mapping
 from dataclasses import replace
 
-from .mask import HEIGHT, Mask
+from .mask import HEIGHT, GroundRule, Mask
 from .stack import Entry, Stack
 
 # Parameters that are heights of the land, and those that are in proportion to its relief.
 LEVELS, RATES = {("snow", "line")}, {("rivers", "rise")}
-LEAST_RELIEF = 1.0  # metres; flatter land says nothing
+MIN_RELIEF = 1.0  # metres
 
 
 def fitted(stack: Stack, low: float, high: float) -> Stack:
-    """The stack for land from `low` to `high` metres; as it is where it does not say for which land it was made.
+    """Return the stack adapted to land from `low` to `high` metres.
 
-    Heights (the snow line, limits of masks by height) stand as high over the land's foot, in parts of its relief, and
-    uplift goes by the relief. The foot of land in the sea is the sea.
+    Heights (the snow line, limits of masks) keep their fraction of the relief above the foot, and uplift is scaled by
+    the relief. The foot of land that reaches below the sea is at 0 m. Without `stack.heights`, or for flat land, the
+    stack stays as it is.
     """
     foot = max(low, 0.0) if high > 0.0 else low
-    if stack.heights is None or high - foot < LEAST_RELIEF:
+    if stack.heights is None or high - foot < MIN_RELIEF:
         return stack
     ratio = (high - foot) / (stack.heights[1] - stack.heights[0])
 
     def level(metres: float) -> float:
         return foot + (metres - stack.heights[0]) * ratio
 
-    def mask(given: Mask | None) -> Mask | None:
-        if given is None:
-            return None
-        rules = (
-            replace(rule, low=level(rule.low), high=level(rule.high), edge=rule.edge * ratio)
-            if rule.of == HEIGHT
-            else rule
-            for rule in given.rules
-        )
-        return replace(given, rules=tuple(rules))
+    def adapt_rule(rule: GroundRule) -> GroundRule:
+        if rule.of != HEIGHT:
+            return rule
+        return replace(rule, low=level(rule.low), high=level(rule.high), edge=rule.edge * ratio)
 
-    def parameters(entry: Entry) -> Mapping[str, float]:
+    def adapt_mask(mask: Mask | None) -> Mask | None:
+        return mask and replace(mask, rules=tuple(map(adapt_rule, mask.rules)))
+
+    def adapt_parameters(entry: Entry) -> Mapping[str, float]:
         found = dict(entry.parameters)
         for parameter in entry.declaration.parameters:
             key = entry.effect, parameter.name
@@ -47,5 +45,5 @@ def fitted(stack: Stack, low: float, high: float) -> Stack:
                 found[parameter.name] = min(max(value, parameter.least), parameter.most)
         return found
 
-    entries = (replace(e, parameters=parameters(e), mask=mask(e.mask)) for e in stack.entries)
+    entries = (replace(e, parameters=adapt_parameters(e), mask=adapt_mask(e.mask)) for e in stack.entries)
     return Stack(tuple(entries), (foot, high))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which modules of kernels a stack launches from. Compiling one takes seconds to minutes, once on a machine."""
+"""Kernel modules that a stack launches. Compiling one takes seconds to minutes, once on a machine."""
 
 from collections.abc import Callable
 from types import ModuleType
@@ -16,7 +16,7 @@ PREPARING = "Preparing kernels"
 
 
 def kernels_of(stack: Stack) -> list[ModuleType]:
-    """For its effects, and for what its masks read."""
+    """Return the kernel modules of a stack's operators and of the attributes that its masks read."""
     effects = [entry.declaration.apply for entry in stack.active]
     rules = [rule for entry in stack.active if entry.mask is not None for rule in entry.mask.rules]
     read = [EFFECTS[step.name].make for step in plan(Asked(rule.of, ()) for rule in rules if rule.of in SHAPES).steps]
@@ -24,7 +24,7 @@ def kernels_of(stack: Stack) -> list[ModuleType]:
 
 
 def prepare(stack: Stack, on_progress: Callable[[float, str], None] = lambda _fraction, _message: None) -> None:
-    """Load what a stack launches from, and compile what no process has compiled here, which is told."""
+    """Load the kernel modules of a stack and report progress for those that have to be compiled."""
     modules = kernels_of(stack)
     missing = [module for module in modules if not warmup.compiled_file(module).exists()]
     for number, module in enumerate(missing, 1):

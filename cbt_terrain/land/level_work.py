@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One effect at one level: what it gets to see of a tile or of the whole, and what it makes of it, kept by content."""
+"""One height operator at one level: its input for a tile or the whole level, and its result, cached by content."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,20 +11,20 @@ from ..field.heightfield import HeightField
 from ..land_effects.land_effect import Change, Ground, LandEffect
 from ..land_effects.levels import masked
 from .level_plan import LevelPlan
-from .mask import whole_mask
+from .mask import compute_mask
 from .mask_reads import values_of
 from .stack import Entry
 from .tile_cache import TileCache, content_key
 from .tiles import Level, Window
 
-# Changed when the same content would give other numbers though no effect's version has changed.
+# Raise it when results change although no operator's version does.
 METHOD = 6
-Tell = Callable[[float], None]
+Report = Callable[[float], None]
 
 
 @dataclass(frozen=True, eq=False)
 class LevelGround:
-    """A raster's samples at a level. `heights`: float32 metres. `missing`: bool, or None. `layers`: of the source."""
+    """A raster's samples at a level: float32 heights in metres, bool missing or None, and the source's layers."""
 
     heights: np.ndarray
     missing: np.ndarray | None
@@ -32,46 +32,40 @@ class LevelGround:
 
     @classmethod
     def of(cls, field: HeightField, level: Level) -> "LevelGround":
-        missing = None if field.valid is None else _every(field.valid, level) == 0
-        heights = _every(field.samples, level)
+        missing = None if field.valid is None else _samples_of(field.valid, level) == 0
+        heights = _samples_of(field.samples, level)
         heights = heights if field.steps is None else field.steps.heights(heights)
-        return cls(heights, missing, {name: _every(field.layers[name], level) for name in field.layers})
+        return cls(heights, missing, {name: _samples_of(field.layers[name], level) for name in field.layers})
 
 
-def _every(samples: np.ndarray, level: Level) -> np.ndarray:
-    """The samples of a level; one beyond the rim is the last."""
+def _samples_of(samples: np.ndarray, level: Level) -> np.ndarray:
+    """Return the samples of a level; a position beyond the border has the last sample."""
     if level.number == 0:
         return samples
-    some = samples[:: 1 << level.number, :: 1 << level.number]
-    short = [(0, n - found) for n, found in zip(level.shape, some.shape, strict=True)]
-    padded = np.ascontiguousarray(np.pad(some, short))
-    if short[0][1]:
-        padded[-1, : some.shape[1]] = samples[-1, :: 1 << level.number]
-    if short[1][1]:
-        padded[: some.shape[0], -1] = samples[:: 1 << level.number, -1]
-    if short[0][1] and short[1][1]:
-        padded[-1, -1] = samples[-1, -1]
-    return padded
+    rows, columns = (
+        np.minimum(np.arange(n) << level.number, count - 1) for n, count in zip(level.shape, samples.shape, strict=True)
+    )
+    return samples[np.ix_(rows, columns)]
 
 
 @dataclass(eq=False)
-class Land:
-    """What effects have made of a window of a level so far. `total`: float32 [rows, columns] metres that they have
-    added. `layers`: what they have left, likewise; arrays are replaced, not written."""
+class LandWindow:
+    """The sum of the changes and layers so far in a window of a level, float32 [rows, columns]. Arrays of layers are
+    replaced, never written into."""
 
     window: Window
     total: np.ndarray
     layers: dict[str, np.ndarray]
 
-    def part(self, window: Window) -> "Land":
-        """A window of the level that lies in this one."""
+    def crop(self, window: Window) -> "LandWindow":
+        """Return a smaller window of the level as views."""
         here = within(window, self.window)
-        return Land(window, self.total[here], {name: layer[here] for name, layer in self.layers.items()})
+        return LandWindow(window, self.total[here], {name: layer[here] for name, layer in self.layers.items()})
 
 
 @dataclass(frozen=True, eq=False)
-class Work:
-    """What all effects share at a level. `images`: of masks, by file name. `depths`: names of the layers that are."""
+class LevelWork:
+    """Input that all operators share at a level: mask images by file name, names of the layers that are depths."""
 
     cache: TileCache
     plan: LevelPlan
@@ -81,23 +75,23 @@ class Work:
     depths: set[str]
     threads: int
 
-    def mask(self, entry: Entry, land: Land) -> np.ndarray | None:
-        """How much of an entry is wanted, float32 [rows, columns] of the land, given what those before it have made."""
+    def mask(self, entry: Entry, land: LandWindow) -> np.ndarray | None:
+        """Return an entry's mask over the land that the entries before it left, float32 [rows, columns]."""
         if entry.mask is None:
             return None
         names = sorted({rule.of for rule in entry.mask.rules})
         layers = {name: self._layer(name, land) for name in names if name in {*land.layers, *self.source.layers}}
         heights, image = partial(self._heights, land), self.images.get(entry.mask.image)
         read = values_of(names, self.level, heights, self.source.missing, layers, self.threads)
-        return whole_mask(entry.mask, image, self.level, heights, read, land.window)
+        return compute_mask(entry.mask, image, self.level, heights, read, land.window)
 
-    def _heights(self, land: Land, window: Window) -> np.ndarray:
+    def _heights(self, land: LandWindow, window: Window) -> np.ndarray:
         return self.source.heights[window] + land.total[within(window, land.window)]
 
     def ground(
-        self, entry: Entry, land: Land, mask: np.ndarray | None, tell: Tell, asked: Window | None = None
+        self, entry: Entry, land: LandWindow, mask: np.ndarray | None, report: Report, target: Window | None = None
     ) -> Ground:
-        """What an effect sees of a land. asked: the part of it whose change is wanted, of the level."""
+        """Return an operator's input. target: window of the level whose change is needed, None for all."""
         level, source, window = self.level, self.source, land.window
         names = [name for name in entry.declaration.reads if name in land.layers or name in source.layers]
         return Ground(
@@ -108,58 +102,61 @@ class Work:
             whole=level.shape,
             size=self.plan.levels[0].size,
             level=level.number,
-            asked=None if asked is None else within(asked, window),
+            asked=None if target is None else within(target, window),
             missing=None if source.missing is None else np.ascontiguousarray(source.missing[window]),
             mask=None if mask is None else np.ascontiguousarray(mask),
             layers={name: self._layer(name, land) for name in names},
             seed=entry.seed,
             threads=self.threads,
-            progress=tell,
+            progress=report,
         )
 
-    def _layer(self, name: str, land: Land) -> np.ndarray:
-        """What is there before an effect: of the source, and of the effects before it, which add depths and replace
-        states."""
-        own, before = land.layers.get(name), self.source.layers.get(name)
-        before = None if before is None else before[land.window]
-        if own is not None and before is not None and name in self.depths:
-            return own + before
-        return np.ascontiguousarray(before if own is None else own)
+    def _layer(self, name: str, land: LandWindow) -> np.ndarray:
+        """Return a layer before an operator: the source's with earlier depths added, or replaced by earlier states."""
+        current, source = land.layers.get(name), self.source.layers.get(name)
+        source = None if source is None else source[land.window]
+        if current is not None and source is not None and name in self.depths:
+            return current + source
+        return np.ascontiguousarray(source if current is None else current)
 
-    def put_on(self, entry: Entry, change: Sequence[np.ndarray], mask: np.ndarray | None, land: Land) -> np.ndarray:
-        """The heights that an entry adds; its layers are put into those of the land. Nothing is copied that need not
-        be: at a fine level an array takes hundreds of megabytes."""
+    def accumulate(
+        self, entry: Entry, change: Sequence[np.ndarray], mask: np.ndarray | None, land: LandWindow
+    ) -> np.ndarray:
+        """Add an entry's layers to those of the land and return its masked change of heights.
+
+        It copies as little as possible: an array of a fine level takes hundreds of megabytes.
+        """
         missing = None if self.source.missing is None else self.source.missing[land.window]
-        shown = masked(entry.declaration, unpacked(entry.declaration, change), mask)
+        result = masked(entry.declaration, unpacked(entry.declaration, change), mask)
         for layer in entry.declaration.layers:
-            array = without(missing, shown.layers[layer.name])
+            array = zero_holes(missing, result.layers[layer.name])
             if layer.per_metre and layer.name in land.layers:
                 array = land.layers[layer.name] + array
-                if not layer.signed:  # an effect may take all of a depth, but for rounding
+                if not layer.signed:  # rounding, after an operator that removes all of a depth
                     array = np.maximum(array, np.float32(0.0), out=array)
             land.layers[layer.name] = array
-        return without(missing, shown.heights)
+        return zero_holes(missing, result.heights)
 
 
-def without(missing: np.ndarray | None, samples: np.ndarray) -> np.ndarray:
-    """0 in holes, into which a coarser level's samples are taken from beside them."""
+def zero_holes(missing: np.ndarray | None, samples: np.ndarray) -> np.ndarray:
+    """Return samples with 0 in holes, where interpolation from a coarser level has values of their surroundings."""
     return samples if missing is None else np.where(missing, np.float32(0.0), samples)
 
 
 def _key(entry: Entry, ground: Ground, coarser: np.ndarray | None, kind: str) -> str:
-    """Of all that a result is a function of."""
+    """Return a digest of everything that determines a result."""
     effect = entry.declaration
-    about = METHOD, kind, effect.name, effect.version, sorted(entry.values.items()), ground.seed
-    place = ground.first, ground.whole, ground.level, ground.step_x, ground.step_y, ground.size, ground.asked
+    method = METHOD, kind, effect.name, effect.version, sorted(entry.values.items()), ground.seed
+    position = ground.first, ground.whole, ground.level, ground.step_x, ground.step_y, ground.size, ground.asked
     mask = ground.mask if effect.masks else None
     arrays = [ground.heights, ground.missing, mask, coarser]
-    layers = [part for name in sorted(ground.layers) for part in (name, ground.layers[name])]
-    return content_key(about, place, *arrays, *layers)
+    layers = [item for name in sorted(ground.layers) for item in (name, ground.layers[name])]
+    return content_key(method, position, *arrays, *layers)
 
 
-def within(part: Window, window: Window) -> Window:
-    """A window of the level, counted from the first sample of another that it lies in."""
-    rows, columns = (slice(p.start - w.start, p.stop - w.start) for p, w in zip(part, window, strict=True))
+def within(inner: Window, outer: Window) -> Window:
+    """Return an inner window relative to the first sample of the outer one."""
+    rows, columns = (slice(i.start - o.start, i.stop - o.start) for i, o in zip(inner, outer, strict=True))
     return rows, columns
 
 
@@ -167,53 +164,64 @@ def _names(effect: LandEffect) -> list[str]:
     return [layer.name for layer in effect.layers]
 
 
-def parts(effect: LandEffect, level: Level) -> int:
-    """Of how many arrays the change of a level is made up: heights, layers, and what a finer level has to know."""
+def num_arrays(effect: LandEffect, level: Level) -> int:
+    """Return the number of arrays of a change: heights, layers and, but at level 0, the operator's state."""
     return 1 + len(effect.layers) + (len(effect.kept) if level.number else 0)
 
 
 def unpacked(effect: LandEffect, change: Sequence[np.ndarray]) -> Change:
-    """A change of its `parts`, each float32 [rows, columns]: its heights first, then its layers as declared."""
+    """Return a change from its arrays, each float32 [rows, columns], in the order of `num_arrays`."""
     end = 1 + len(effect.layers)
-    kept = dict(zip(effect.kept, change[end:], strict=True)) if len(change) > end else {}
-    return Change(change[0], dict(zip(_names(effect), change[1:end], strict=True)), kept)
+    state = dict(zip(effect.kept, change[end:], strict=True)) if len(change) > end else {}
+    return Change(change[0], dict(zip(_names(effect), change[1:end], strict=True)), state)
 
 
-def _packed(effect: LandEffect, change: Change, count: int) -> np.ndarray:
+def _pack(effect: LandEffect, change: Change, count: int) -> np.ndarray:
     none, found = np.zeros_like(change.heights), change.layers | change.kept
     names = [*_names(effect), *effect.kept][: count - 1]
     return np.stack([change.heights, *(found.get(name, none) for name in names)], dtype=np.float32)
 
 
 def apply_whole(
-    work: Work, entry: Entry, land: Land, mask: np.ndarray | None, coarser: np.ndarray | None, tell: Tell
+    work: LevelWork,
+    entry: Entry,
+    land: LandWindow,
+    mask: np.ndarray | None,
+    coarser: np.ndarray | None,
+    report: Report,
 ) -> np.ndarray:
-    """The change of a whole level, [parts, rows, columns]. coarser: the coarser level's, brought to this one."""
+    """Return the change of a whole level, [arrays, rows, columns]. coarser: the interpolated coarser change."""
     effect, level = entry.declaration, work.level
-    count = parts(effect, level)
-    ground = work.ground(entry, land, mask, tell)
+    count = num_arrays(effect, level)
+    ground = work.ground(entry, land, mask, report)
 
-    def make() -> np.ndarray:
-        below = None if coarser is None else unpacked(effect, coarser)
-        return _packed(effect, effect.apply(ground, entry.values, below), count)
+    def compute() -> np.ndarray:
+        start = None if coarser is None else unpacked(effect, coarser)
+        return _pack(effect, effect.apply(ground, entry.values, start), count)
 
-    return work.cache.take(effect.name, _key(entry, ground, coarser, "whole"), (count, *level.shape), make)
+    return work.cache.take(effect.name, _key(entry, ground, coarser, "whole"), (count, *level.shape), compute)
 
 
 def apply_tile(
-    work: Work, entry: Entry, land: Land, mask: np.ndarray | None, coarser: np.ndarray, asked: Window, tell: Tell
+    work: LevelWork,
+    entry: Entry,
+    land: LandWindow,
+    mask: np.ndarray | None,
+    coarser: np.ndarray,
+    target: Window,
+    report: Report,
 ) -> np.ndarray:
-    """The change of a part of a window of a level, [parts, rows, columns] of what is asked for.
+    """Return the change of the window `target`, [arrays, rows, columns].
 
-    coarser: the change of the next coarser level brought to the window.
+    coarser: the change of the next coarser level, interpolated to the window of `land`.
     """
     effect = entry.declaration
-    count = parts(effect, work.level)
-    ground = work.ground(entry, land, mask, tell, asked)
+    count = num_arrays(effect, work.level)
+    ground = work.ground(entry, land, mask, report, target)
 
-    def make() -> np.ndarray:
-        made = _packed(effect, effect.apply(ground, entry.values, unpacked(effect, coarser)), count)
-        return made[(slice(None), *ground.asked)]
+    def compute() -> np.ndarray:
+        change = _pack(effect, effect.apply(ground, entry.values, unpacked(effect, coarser)), count)
+        return change[(slice(None), *ground.asked)]
 
-    shape = count, *(part.stop - part.start for part in asked)
-    return work.cache.take(effect.name, _key(entry, ground, coarser, "tile"), shape, make)
+    shape = count, *(axis.stop - axis.start for axis in target)
+    return work.cache.take(effect.name, _key(entry, ground, coarser, "tile"), shape, compute)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The image of a mask: read by a child process that gives up what it does not need, and kept as an array."""
+"""Mask images: a sandboxed child process reads them and writes them as arrays."""
 
 import os
 from pathlib import Path
@@ -17,41 +17,41 @@ from ..run import child, owned_files
 from .tile_cache import content_key
 
 MODULE = "cbt_terrain.land.mask_image"
-MOST_SAMPLES = 1 << 28
+MAX_SAMPLES = 1 << 28
 
 
 def load_image(file: str, folder: Path) -> np.ndarray:
-    """float32 [rows, columns], 0 to 1, row 0 south, of any file that an import reads. Raises TerrainError.
+    """Return any file that can be imported as float32 [rows, columns], 0 to 1, row 0 south. Raises TerrainError.
 
-    Whole numbers are taken as parts of the largest of their type; what is missing counts as 0. folder: where what was
-    read is kept.
+    Integers are divided by the largest of their type; missing pixels are 0. folder: caches the array.
     """
     check_file(Path(file), "mask")
     found = os.stat(file)
     key = content_key("mask", os.path.realpath(file), found.st_size, found.st_mtime_ns)
     request = {"file": file, "folder": str(folder.absolute()), "key": key}
-    kept = folder / f"{key}.npy"
+    cached = folder / f"{key}.npy"
     shape = tuple(ask(MODULE, request, f"the mask {shown(file)}"))
-    owned_files.touch(kept)
-    return map_array(kept, shape, np.float32)
+    owned_files.touch(cached)
+    return map_array(cached, shape, np.float32)
 
 
 def child_main() -> None:
     """Answer one request."""
-    serve(_read, lambda asked: f"Reading the mask {shown(asked['file'])}")
+    serve(_read, lambda request: f"Reading the mask {shown(request['file'])}")
 
 
-def _read(asked: dict, *_) -> list[int]:
-    """Write the image into the folder; its rows and columns."""
-    path, kept = Path(asked["file"]), Path(asked["folder"]) / f"{asked['key']}.npy"
-    guard(path.suffix.lower(), kept.parent)
+def _read(request: dict, *_) -> list[int]:
+    """Write the image into the folder and return its rows and columns."""
+    path, cached = Path(request["file"]), Path(request["folder"]) / f"{request['key']}.npy"
+    guard(path.suffix.lower(), cached.parent)
     child.end_with_parent()
     raster = open_source(ImportSettings(str(path)))
     try:
-        if raster.width * raster.height > MOST_SAMPLES:
+        if raster.width * raster.height > MAX_SAMPLES:
             raise TerrainError(
-                f"The mask {shown(path)} has {raster.width} x {raster.height} pixels; expected {MOST_SAMPLES:,} at "
-                "most: reduce it."
+                f"The mask {shown(path)} has {raster.width} x {raster.height} pixels",
+                expected=f"at most {MAX_SAMPLES:,}",
+                fix="reduce it",
             )
         stored = np.dtype(raster.stored)
         largest = float(np.iinfo(stored).max) if stored.kind in "iu" else 1.0
@@ -61,5 +61,5 @@ def _read(asked: dict, *_) -> list[int]:
         georeference.in_file_order(image)[:] = np.clip(np.nan_to_num(rows), 0.0, 1.0)
     finally:
         raster.close()
-    write_array(kept, image)
+    write_array(cached, image)
     return list(image.shape)

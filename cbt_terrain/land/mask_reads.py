@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What rules of masks read beside height, slope and aspect: attributes of the ground that an effect finds, at a level.
+"""Attributes that mask rules read: scalars of effects/ that depend on heights alone, and layers.
 
-These are the effects of effects/ whose one number a place follows from heights alone, at the spacing of the level, and
-the by-products of effects earlier in the stack, or of the source.
+They are computed from an operator's input ground at the spacing of the level. Layers come from earlier operators of the
+stack or from the source.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -30,24 +30,23 @@ def values_of(
     layers: Mapping[str, np.ndarray],
     threads: int,
 ) -> dict[str, np.ndarray]:
-    """Those of `names` that are in ATTRIBUTES, float32 [rows, columns] of a level.
+    """Return the values of those `names` that are in ATTRIBUTES, float32 [rows, columns] of a level.
 
-    heights(window) gives float32 metres of the ground. missing: bool [rows, columns], or None. layers: by-products.
+    heights(window): returns float32 metres of the ground. missing: bool [rows, columns], or None. layers: by-products.
     """
     found = {name: layers[name] for name in names if name in BY_PRODUCTS}
-    asked = [Asked(name, ()) for name in names if name in SHAPES]
-    if asked:
+    requests = [Asked(name, ()) for name in names if name in SHAPES]
+    if requests:
         field = _field(level, np.ascontiguousarray(heights(level.whole)), missing)
-        made = {item.name: np.empty(level.shape, np.float32) for item in asked}
-        for rows, values in on_samples(field, asked, threads=threads):
-            for name, whole in made.items():
-                whole[rows] = values[name]
-        found |= made
+        found |= {request.name: np.empty(level.shape, np.float32) for request in requests}
+        for rows, values in on_samples(field, requests, threads=threads):
+            for request in requests:
+                found[request.name][rows] = values[request.name]
     return found
 
 
 def _field(level: Level, heights: np.ndarray, missing: np.ndarray | None) -> HeightField:
-    """A level as a height field for effects: without errors and ranges, which no effect reads."""
+    """Return a level as a height field without errors and ranges, which no attribute reads."""
     none = np.empty(0, np.uint8)
     return HeightField(
         samples=heights,

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A stack of effects applied to a raster: level by level, effect by effect within a level, tile by tile within a level.
+"""Application of a stack to a raster: level by level, within a level operator by operator, and tile by tile.
 
-An effect starts from its own change at the coarser level and finds the heights after the effects before it at this one.
-Where a level was not asked for, the changes of the coarser one are taken between its samples. So every tile is a
-function of the samples that it looks at, of parameters and of its place, and is kept by that content (tile_cache.py).
+An operator starts from its own change at the coarser level and reads the heights that earlier operators left at this
+level. Outside the requested tiles the changes of the coarser level are interpolated. Every tile is therefore a function
+of the samples in its window, the parameters and its position, and is cached by these (tile_cache.py).
 """
 
 import time
@@ -16,21 +16,31 @@ import numpy as np
 from ..field.heightfield import HeightField
 from ..land_effects.levels import finer, finer_window
 from .level_plan import TILES, UPSAMPLED, WHOLE, LevelPlan
-from .level_work import Land, LevelGround, Work, apply_tile, apply_whole, parts, unpacked, within, without
+from .level_work import (
+    LandWindow,
+    LevelGround,
+    LevelWork,
+    apply_tile,
+    apply_whole,
+    num_arrays,
+    unpacked,
+    within,
+    zero_holes,
+)
 from .stack import Entry, Stack
 from .tile_cache import TileCache
 from .tiles import BAND, Level, Wanted, Window, levels_of
 
 
 class Finished(Exception):
-    """Who waits is content with the levels that are done."""
+    """The caller needs no further levels."""
 
 
 @dataclass(frozen=True)
 class Added:
-    """What one effect has added at one level to what the coarser one said: metres, over the tiles that were made.
-    `whole`: whether the level was worked on as one piece; `doubtful`: not, though tiles of it are not to be trusted.
-    `made`: its pieces, of which `computed` were not known before. `ms`: what that took."""
+    """The difference of one operator at one level to its interpolated coarser level, over the computed tiles: its root
+    mean square and largest absolute value in metres. `made`: number of pieces, of which `computed` were not cached.
+    `doubtful`: computed in tiles although these differ too much from the level in one piece (`whole`)."""
 
     level: int
     spacing_m: float
@@ -47,11 +57,10 @@ class Added:
 
 @dataclass(eq=False)
 class Shaped:
-    """`change`: float32 [rows, columns] metres of the raster's samples. `layers`: of the stack, float32 likewise, what
-    is added to those of the source (`depths`) or replaces them. `level`: the finest that was made anywhere. `tiles`:
-    those that were made, by level, of those that there are (`tile_counts`). `added`: see Added. `left_out_m`: root mean
-    square and most of what the last level that was made added, where a finer one was not made: what is missing there is
-    of that size."""
+    """The result of a stack: float32 [rows, columns] metres to add to the raster's samples, and layers likewise.
+    Layers named in `depths` are added to those of the source, others replace them. `level`: finest level that was
+    computed anywhere. `tiles`: computed tiles by level, of `tile_counts`. `left_out_m`: root mean square and largest
+    change of the last level where finer ones were left out; the missing detail is of that size."""
 
     change: np.ndarray
     layers: dict[str, np.ndarray]
@@ -65,19 +74,18 @@ class Shaped:
 
 
 @dataclass(eq=False)
-class State:
-    """What a level leaves to the next finer one. `changes`: of each entry, its parts, each [rows, columns],
-    without its mask. `total`: metres. `most`, `squares`: what was added in each tile, metres and metres squared.
-    `unsure`: where an effect has added nothing, though its mask let it: finer waves than this level knows may come, or
-    only layers."""
+class LevelState:
+    """The result of a level, which the next finer one starts from: the arrays of each entry (`num_arrays`) without its
+    mask, total and layers; and sums over entries for each tile, metres and metres squared. A tile is `uncertain` if an
+    operator changed no height though its mask is not 0: finer levels may have shorter waves, or it changes layers."""
 
     level: Level
     changes: list[Sequence[np.ndarray] | None]
     total: np.ndarray
     layers: dict[str, np.ndarray]
-    most: np.ndarray
-    squares: np.ndarray
-    unsure: np.ndarray
+    max_change: np.ndarray
+    mean_square: np.ndarray
+    uncertain: np.ndarray
 
 
 @dataclass(eq=False)
@@ -101,20 +109,20 @@ class Shaping:
 
     @property
     def depths(self) -> set[str]:
-        """Names of the layers that are depths."""
+        """Names of the layers that are depths in metres, whose values add up."""
         return {layer.name for entry in self.entries for layer in entry.declaration.layers if layer.per_metre}
 
     def progress(self, cost: float, level: Level, entry: Entry) -> Callable[[float], None]:
-        """What an effect tells how far it is, of work that costs so much."""
+        """Return a function that an operator calls with its finished fraction; cost: nanoseconds of its work."""
 
-        def said(part: float) -> None:
-            if level is not self.plan.levels[-1] and self.finish():  # the coarsest is there at least
+        def report(fraction: float) -> None:
+            if level is not self.plan.levels[-1] and self.finish():  # the coarsest level is always computed
                 raise Finished
             total = max(self.plan.total, 1.0)
             text = f"{entry.declaration.label}, {level.columns} x {level.rows}"
-            self.on_progress(min((self.done + min(max(part, 0.0), 1.0) * cost) / total, 1.0), text)
+            self.on_progress(min((self.done + min(max(fraction, 0.0), 1.0) * cost) / total, 1.0), text)
 
-        return said
+        return report
 
 
 def shape(
@@ -128,240 +136,250 @@ def shape(
     on_progress: Callable[[float, str], None] = lambda _fraction, _message: None,
     finish: Callable[[], bool] = lambda: False,
 ) -> Shaped:
-    """What a stack makes of a raster: the same for any threads, and whatever the order in which tiles were asked for.
+    """Apply a stack to a raster. The result depends neither on the number of threads nor on the order of requests.
 
-    wanted: of each level the tiles, or None for the whole (tiles.py). images: of masks, by file name, float32 [rows,
-    columns], row 0 south. on_progress may raise, which stops the work; `finish` is asked as often, and ends it with the
-    levels that are complete.
+    wanted: tiles of each level, or None for the whole level (tiles.py). images: mask images by file name, float32
+    [rows, columns], row 0 south. on_progress: may raise, which stops the work. finish: called as often; True ends the
+    work with the complete levels.
     """
     run = Shaping(heights, stack.active, images or {}, wanted, cache or TileCache(), threads, on_progress, finish)
     state, early = run_levels(run)
     return _result(run, state, early)
 
 
-def run_levels(run: Shaping) -> tuple[State | None, bool]:
-    """The last level that was made, and whether that was not all."""
+def run_levels(run: Shaping) -> tuple[LevelState | None, bool]:
+    """Return the state of the last computed level, and whether the run finished early."""
     state = None
     for level in reversed(run.plan.levels):
-        chosen = run.plan.chosen_at(level, *((None, None) if state is None else (state.most, state.unsure)))
+        known = (None, None) if state is None else (state.max_change, state.uncertain)
+        chosen = run.plan.choose_tiles(level, *known)
         if not run.entries or not (level.is_whole or chosen):
             break
         try:
-            state = _level(run, level, chosen, state)
+            state = _compute_level(run, level, chosen, state)
         except Finished:
             return state, True
     return state, False
 
 
 @dataclass(eq=False)
-class Sums:
-    """What an entry has added in each tile of a level: most and mean square, metres and metres squared; where its mask
-    let it. `computed`: how many of its pieces were not known before; `ms`: what they took."""
+class TileSums:
+    """The changes of an entry in each tile of a level, metres and metres squared, and whether its mask is not 0
+    everywhere there; the number of pieces that were not cached, and the milliseconds spent on them."""
 
-    most: np.ndarray
-    squares: np.ndarray
-    let: np.ndarray
+    max_change: np.ndarray
+    mean_square: np.ndarray
+    unmasked: np.ndarray
     computed: int = 0
     ms: float = 0.0
 
     @classmethod
-    def none(cls, level: Level) -> "Sums":
+    def zeros(cls, level: Level) -> "TileSums":
         return cls(*(np.zeros(level.tile_count, kind) for kind in (float, float, bool)))
 
     def add(self, level: Level, tile: int, delta: np.ndarray, mask: np.ndarray | None, window: Window) -> None:
-        """A tile's own part of what was added in a window, as much of it as the mask lets."""
-        own = within(level.window(tile), window)
-        part = delta[own] if mask is None else delta[own] * mask[own]
-        self.most[tile], self.squares[tile] = np.abs(part).max(), np.square(part, dtype=np.float64).mean()
-        self.let[tile] = mask is None or mask[within(level.window(tile, BAND, BAND), window)].any()
+        """Record the masked change of a tile, which is a part of a window."""
+        inner = within(level.window(tile), window)
+        change = delta[inner] if mask is None else delta[inner] * mask[inner]
+        self.max_change[tile] = np.abs(change).max()
+        self.mean_square[tile] = np.square(change, dtype=np.float64).mean()
+        self.unmasked[tile] = mask is None or mask[within(level.window(tile, BAND, BAND), window)].any()
 
 
-def _level(run: Shaping, level: Level, chosen: list[int], below: State | None) -> State:
-    ground, tiles = LevelGround.of(run.heights, level), run.plan.made_with(level, chosen)
-    work = Work(run.cache, run.plan, level, ground, run.images, run.depths, run.threads)
-    land = Land(level.whole, np.zeros(level.shape, np.float32), {})
-    most, squares, unsure = (np.zeros(level.tile_count, kind) for kind in (float, float, bool))
+def _compute_level(run: Shaping, level: Level, chosen: list[int], coarser: LevelState | None) -> LevelState:
+    ground, tiles = LevelGround.of(run.heights, level), run.plan.with_neighbours(level, chosen)
+    work = LevelWork(run.cache, run.plan, level, ground, run.images, run.depths, run.threads)
+    land = LandWindow(level.whole, np.zeros(level.shape, np.float32), {})
+    total = TileSums.zeros(level)
+    uncertain = np.zeros(level.tile_count, bool)
     changes, added = [], []
     for numbers in run.plan.runs(level):
-        coarse = [None if below is None else below.changes[number] for number in numbers]
-        made, sums = _run_of(run, work, numbers, tiles, coarse, land)
+        coarse = [None if coarser is None else coarser.changes[number] for number in numbers]
+        results, sums = _apply_run(run, work, numbers, tiles, coarse, land)
         for number, entry_sums in zip(numbers, sums, strict=True):
             how = run.plan.how(number, level)
-            most += entry_sums.most
-            squares += entry_sums.squares
+            total.max_change += entry_sums.max_change
+            total.mean_square += entry_sums.mean_square
             if how != UPSAMPLED:
-                unsure |= (entry_sums.most == 0.0) & entry_sums.let
+                uncertain |= (entry_sums.max_change == 0.0) & entry_sums.unmasked
                 added.append(_added(run, level, number, how == WHOLE, tiles, entry_sums))
-            if below is not None:
-                below.changes[number] = None  # memory: the next entry needs as much
-        # The finest level leaves nothing to a finer one.
-        changes += made if level.number else [None] * len(numbers)
-        del made, coarse
+            if coarser is not None:
+                coarser.changes[number] = None  # frees memory that the next entry needs
+        # No finer level reads the changes of the finest one.
+        changes += results if level.number else [None] * len(numbers)
+        del results, coarse
     run.added += added
     run.tiles[level.number] = list(range(level.tile_count)) if level.is_whole else tiles
-    if below is not None and not level.is_whole:
-        # Nobody knows better than the coarser level; or who does was made for others only, and decides nothing here.
+    if coarser is not None and not level.is_whole:
+        # Tiles that were not chosen keep the coarser figures, even those that were computed as neighbours of others.
         for tile in set(range(level.tile_count)) - set(chosen):
             parent = level.parent(tile)
-            most[tile], squares[tile], unsure[tile] = below.most[parent], below.squares[parent], below.unsure[parent]
-    return State(level, changes, land.total, land.layers, most, squares, unsure)
+            total.max_change[tile] = coarser.max_change[parent]
+            total.mean_square[tile] = coarser.mean_square[parent]
+            uncertain[tile] = coarser.uncertain[parent]
+    return LevelState(level, changes, land.total, land.layers, total.max_change, total.mean_square, uncertain)
 
 
-def _added(run: Shaping, level: Level, number: int, whole: bool, tiles: list[int], sums: Sums) -> Added:
-    made = list(range(level.tile_count)) if whole else tiles
-    rms = float(np.sqrt(sums.squares[made].mean())) if made else 0.0
+def _added(run: Shaping, level: Level, number: int, whole: bool, tiles: list[int], sums: TileSums) -> Added:
+    computed = list(range(level.tile_count)) if whole else tiles
+    rms = float(np.sqrt(sums.mean_square[computed].mean())) if computed else 0.0
     spacing, effect = max(level.step_x, level.step_y), run.entries[number].effect
-    figures = rms, float(sums.most.max()), whole, 1 if whole else len(tiles), sums.computed, sums.ms
+    figures = rms, float(sums.max_change.max()), whole, 1 if whole else len(tiles), sums.computed, sums.ms
     doubtful = not whole and bool(tiles) and number in run.plan.doubted
     return Added(level.number, spacing, number, effect, *figures, doubtful)
 
 
-def _run_of(
+def _apply_run(
     run: Shaping,
-    work: Work,
+    work: LevelWork,
     numbers: list[int],
     tiles: list[int],
     coarse: list[Sequence[np.ndarray] | None],
-    land: Land,
-) -> tuple[list[Sequence[np.ndarray]], list[Sums]]:
-    """Apply a run of entries (LevelPlan.runs) to a level: their changes, of which each is its parts, each [rows,
-    columns]; and what they add. coarse: their changes at the coarser level, or None. The land becomes theirs."""
+    land: LandWindow,
+) -> tuple[list[Sequence[np.ndarray]], list[TileSums]]:
+    """Apply a run of entries (LevelPlan.runs) to a level, update `land`, and return the arrays and the sums of each.
+    coarse: their changes at the coarser level, or None."""
     entry = run.entries[numbers[0]]
     if run.plan.how(numbers[0], work.level) != WHOLE:
-        return _put_tiles(run, work, numbers, tiles, coarse, land)
-    sums, level, below = Sums.none(work.level), work.level, coarse[0]
+        return _apply_tiles(run, work, numbers, tiles, coarse, land)
+    sums, level, coarser = TileSums.zeros(work.level), work.level, coarse[0]
     mask, cost = work.mask(entry, land), run.plan.cost(entry, level.whole)
-    told = run.progress(cost, level, entry)
-    told(0.0)
-    up = None if below is None else _brought(below, level.shape)
+    report = run.progress(cost, level, entry)
+    report(0.0)
+    start = None if coarser is None else _upsample(coarser, level.shape)
     with _counted(run, entry, sums):
-        change = apply_whole(work, entry, land, mask, up, told)
+        change = apply_whole(work, entry, land, mask, start, report)
     run.done += cost
-    if up is not None and level.number and numbers[0] not in run.plan.doubted:
-        both = (unpacked(entry.declaration, of) for of in (up, change))
+    if start is not None and level.number and numbers[0] not in run.plan.doubted:
+        both = (unpacked(entry.declaration, arrays) for arrays in (start, change))
         if entry.declaration.doubts(*both, level.step_x * level.step_y):
             run.plan.doubt(numbers[0])
-    delta = change[0] if up is None else change[0] - up[0]
+    delta = change[0] if start is None else change[0] - start[0]
     for tile in range(level.tile_count):
         sums.add(level, tile, delta, mask, level.whole)
-    land.total += work.put_on(entry, change, mask, land)
+    land.total += work.accumulate(entry, change, mask, land)
     return [change], [sums]
 
 
-def _brought(below: Sequence[np.ndarray], shape: tuple[int, int]) -> np.ndarray:
-    """float32 [parts, rows, columns]: a coarser change brought to a level, one part at a time for memory's sake."""
-    up = np.empty((len(below), *shape), np.float32)
-    for part, array in zip(up, below, strict=True):
-        part[...] = finer(array, shape)
-    return up
+def _upsample(arrays: Sequence[np.ndarray], shape: tuple[int, int]) -> np.ndarray:
+    """Interpolate a coarser change to float32 [arrays, rows, columns], one array at a time to save memory."""
+    fine = np.empty((len(arrays), *shape), np.float32)
+    for result, array in zip(fine, arrays, strict=True):
+        result[...] = finer(array, shape)
+    return fine
 
 
 @contextmanager
-def _counted(run: Shaping, entry: Entry, sums: Sums) -> Iterator[None]:
+def _counted(run: Shaping, entry: Entry, sums: TileSums) -> Iterator[None]:
     before, start = run.cache.made[entry.effect], time.perf_counter()
     yield
     sums.computed += run.cache.made[entry.effect] - before
     sums.ms += (time.perf_counter() - start) * 1e3
 
 
-def _put_tiles(
-    run: Shaping, work: Work, numbers: list[int], tiles: list[int], coarse: list[Sequence[np.ndarray]], land: Land
-) -> tuple[list[Sequence[np.ndarray]], list[Sums]]:
-    """As `_run_of`: tiles, put into what the coarser level says.
+def _apply_tiles(
+    run: Shaping,
+    work: LevelWork,
+    numbers: list[int],
+    tiles: list[int],
+    coarse: list[Sequence[np.ndarray]],
+    land: LandWindow,
+) -> tuple[list[Sequence[np.ndarray]], list[TileSums]]:
+    """Apply a run of entries to tiles and blend these into the interpolated coarser level; see `_apply_run`.
 
-    By weights of what is there after all entries, not of what each has added: a depth that is nowhere below 0 stays so.
+    It blends the land after all entries, not each change, so that depths that are nowhere negative stay so.
     """
     level, first, changes = work.level, None, []
-    start = land.part(level.whole)
-    for number, below in zip(numbers, coarse, strict=True):
+    start = land.crop(level.whole)
+    for number, arrays in zip(numbers, coarse, strict=True):
         entry = run.entries[number]
-        mask, count = work.mask(entry, land), parts(entry.declaration, level)
-        change = [finer(array, level.shape) for array in below[:count]]
+        mask, count = work.mask(entry, land), num_arrays(entry.declaration, level)
+        change = [finer(array, level.shape) for array in arrays[:count]]
         first = mask if number == numbers[0] else first
-        land.total = land.total + work.put_on(entry, change, mask, land)
+        land.total = land.total + work.accumulate(entry, change, mask, land)
         changes += [change] if level.number else []
-    sums = [Sums.none(level) for _ in numbers]
+    sums = [TileSums.zeros(level) for _ in numbers]
     if all(run.plan.how(number, level) == UPSAMPLED for number in numbers):
         return changes, sums
     rest = np.ones(level.shape, np.float32)
     for tile in tiles:
         rest[level.window(tile, BAND, BAND)] -= level.weights(tile)
     names = {layer.name for number in numbers for layer in run.entries[number].declaration.layers}
-    land.layers |= {name: land.layers[name] * rest for name in names}  # copied: changes may share them
-    for array in (land.total, *(part for change in changes for part in change)):
-        array *= rest
+    land.layers |= {name: land.layers[name] * rest for name in names}  # copies, since changes may share the arrays
+    for total in (land.total, *(array for change in changes for array in change)):
+        total *= rest
     for tile in tiles:
         window, weights = level.window(tile, BAND, BAND), level.weights(tile)
-        made, its_land = _tile(run, work, numbers, tile, coarse, start, first, sums)
-        land.total[window] += its_land.total * weights
+        tile_changes, tile_land = _compute_tile(run, work, numbers, tile, coarse, start, first, sums)
+        land.total[window] += tile_land.total * weights
         for name in names:
-            land.layers[name][window] += its_land.layers[name] * weights
-        for change, its in zip(changes, made if changes else (), strict=True):
-            for part, its_part in zip(change, its, strict=True):
-                part[window] += its_part * weights
+            land.layers[name][window] += tile_land.layers[name] * weights
+        for change, tile_change in zip(changes, tile_changes if changes else (), strict=True):
+            for array, tile_array in zip(change, tile_change, strict=True):
+                array[window] += tile_array * weights
     return changes, sums
 
 
-def _tile(
+def _compute_tile(
     run: Shaping,
-    work: Work,
+    work: LevelWork,
     numbers: list[int],
     tile: int,
     coarse: list[Sequence[np.ndarray]],
-    land: Land,
+    land: LandWindow,
     mask: np.ndarray | None,
-    sums: list[Sums],
-) -> tuple[list[np.ndarray], Land]:
-    """A run of entries applied to a tile alone, one after the other: their changes and the land over its window with a
-    BAND all round. mask: of the first, of the whole level."""
-    level, made = work.level, []
+    sums: list[TileSums],
+) -> tuple[list[np.ndarray], LandWindow]:
+    """Apply a run of entries to one tile; return their changes and the land over its window widened by BAND.
+    mask: of the first entry, for the whole level."""
+    level, changes = work.level, []
     windows = [level.window(tile, *margin) for margin in run.plan.margins(level, numbers)]
-    land, mask = land.part(windows[0]), None if mask is None else mask[windows[0]]
-    for number, below, its, asked in zip(numbers, coarse, sums, windows[1:], strict=True):
+    land, mask = land.crop(windows[0]), None if mask is None else mask[windows[0]]
+    for number, arrays, entry_sums, target in zip(numbers, coarse, sums, windows[1:], strict=True):
         entry, window = run.entries[number], land.window
         mask = mask if number == numbers[0] else work.mask(entry, land)
-        here = within(asked, window)
-        coarser = np.stack([finer_window(array, *window) for array in below])
-        change = coarser[(slice(parts(entry.declaration, level)), *here)]
+        here = within(target, window)
+        coarser = np.stack([finer_window(array, *window) for array in arrays])
+        change = coarser[(slice(num_arrays(entry.declaration, level)), *here)]
         if run.plan.how(number, level) == TILES:
             cost = run.plan.cost(entry, window)
-            told = run.progress(cost, level, entry)
-            told(0.0)
-            # Not where its mask lets nothing through.
+            report = run.progress(cost, level, entry)
+            report(0.0)
+            # A mask of 0 everywhere spares the work.
             if mask is None or entry.declaration.masks or mask[here].any():
-                with _counted(run, entry, its):
-                    change = apply_tile(work, entry, land, mask, coarser, asked, told)
+                with _counted(run, entry, entry_sums):
+                    change = apply_tile(work, entry, land, mask, coarser, target, report)
             run.done += cost
-        land, mask = land.part(asked), None if mask is None else mask[here]
-        its.add(level, tile, change[0] - coarser[0][here], mask, asked)
-        land.total = land.total + work.put_on(entry, change, mask, land)
-        made.append(change[(slice(None), *within(windows[-1], asked))])
-    return made, land
+        land, mask = land.crop(target), None if mask is None else mask[here]
+        entry_sums.add(level, tile, change[0] - coarser[0][here], mask, target)
+        land.total = land.total + work.accumulate(entry, change, mask, land)
+        changes.append(change[(slice(None), *within(windows[-1], target))])
+    return changes, land
 
 
-def _result(run: Shaping, state: State | None, early: bool) -> Shaped:
-    """What the last level that was made says of the raster's own samples."""
+def _result(run: Shaping, state: LevelState | None, early: bool) -> Shaped:
+    """Return the result at the raster's own samples, interpolated from the last computed level."""
     levels, shape_ = run.plan.levels, (run.heights.lattice.height, run.heights.lattice.width)
     depths, counts = run.depths, [level.tile_count for level in levels]
     if state is None:
         return Shaped(np.zeros(shape_, np.float32), {}, depths, 0, run.tiles, counts, run.added, (0.0, 0.0), early)
-    left_most, left_squares = _left_out(run, state)
+    left_max, left_mean_square = _left_out(run, state)
     total, layers = state.total, state.layers
     for level in reversed(levels[: state.level.number]):
         total = finer(total, level.shape)
         layers = {name: finer(layer, level.shape) for name, layer in layers.items()}
     if state.level.number and run.heights.valid is not None:
         missing = run.heights.valid == 0
-        total, layers = without(missing, total), {name: without(missing, a) for name, a in layers.items()}
-    left = float(np.sqrt(left_squares)), float(left_most)
+        total, layers = zero_holes(missing, total), {name: zero_holes(missing, a) for name, a in layers.items()}
+    left = float(np.sqrt(left_mean_square)), float(left_max)
     return Shaped(
         np.ascontiguousarray(total), layers, depths, state.level.number, run.tiles, counts, run.added, left, early
     )
 
 
-def _left_out(run: Shaping, state: State) -> tuple[float, float]:
-    """Most, and mean square, of what was added where a level is left to be made: over tiles of the finest that was."""
+def _left_out(run: Shaping, state: LevelState) -> tuple[float, float]:
+    """Return the largest and the mean square change over tiles whose finer levels were not computed."""
     if state.level.number:
-        return state.most.max(), state.squares.mean()
+        return state.max_change.max(), state.mean_square.mean()
     left = sorted(set(range(state.level.tile_count)) - set(run.tiles[0])) if not state.level.is_whole else []
-    return (state.most[left].max(), state.squares[left].mean()) if left else (0.0, 0.0)
+    return (state.max_change[left].max(), state.mean_square[left].mean()) if left else (0.0, 0.0)

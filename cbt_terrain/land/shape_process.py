@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shaping a store in a child process (store_job.py): polled by a `ShapeJob`, or waited for by `shape_store`."""
+"""Shaping of a store in a child process (store_job.py): `ShapeJob` is polled, `shape_store` waits."""
 
 import os
 import threading
@@ -16,15 +16,15 @@ from .tiles import Wanted
 
 __all__ = ["ShapeJob", "child_main", "shape_store"]
 
-GENTLE = 10  # by which a gentle job is nicer than what asks for it
+GENTLE = 10  # added to the niceness of a gentle job
 _enough = threading.Event()
 
 
 class ShapeJob(StoreJob):
-    """A stack applied to the store `source`, into the store `store`, in a child process.
+    """A child process that applies a stack to the store `source` and writes the store `store`.
 
-    wanted: the tiles of each level, as `tiles_seen` finds them (tiles.py); None for all. tiles: as of `run_shape`.
-    gentle: at a low priority. Raises TerrainError at once for what cannot be.
+    wanted: tiles of each level from `tiles_seen` (tiles.py), None for all. tiles: see `run_shape`. gentle: run at low
+    priority. Raises TerrainError at once for invalid arguments.
     """
 
     def __init__(
@@ -40,8 +40,8 @@ class ShapeJob(StoreJob):
         store_folder.check_target(store)
         heights = open_source(source, Path(store), stack)
         store_folder.remove_abandoned(Path(store))
-        asked = wanted and [None if some is None else sorted(some.items()) for some in wanted]
-        request = {"source": str(Path(source).absolute()), "stack": stack_content(stack), "wanted": asked}
+        pairs = wanted and [None if tiles_of is None else sorted(tiles_of.items()) for tiles_of in wanted]
+        request = {"source": str(Path(source).absolute()), "stack": stack_content(stack), "wanted": pairs}
         super().__init__(
             "cbt_terrain.land.shape_process",
             store,
@@ -51,7 +51,7 @@ class ShapeJob(StoreJob):
         )
 
     def finish_early(self) -> None:
-        """Be content with the levels that are complete; the job goes on until they are published."""
+        """Publish the complete levels and skip the rest. The job runs until they are published."""
         if not self.poll().done:
             self._say("finish")
 
@@ -68,13 +68,15 @@ def shape_store(
     on_progress: Tell = lambda _fraction, _message: None,
     tiles: str | os.PathLike | None = None,
 ) -> dict:
-    """Shape in a child process and wait; arguments and report as of `run_shape`, with "unchanged" if the store holds
-    this already. on_progress(fraction, message) is called as it goes on; what it raises stops the job."""
+    """Shape in a child process and wait. Arguments and report are those of `run_shape`.
+
+    The report has "unchanged" if the store is up to date. on_progress(fraction, message): an exception stops the job.
+    """
     return wait_for(lambda: ShapeJob(source, stack, store, wanted, tiles), on_progress)
 
 
 def child_main() -> None:
-    """Read a request from stdin, shape, and say on stdout how it goes."""
+    """Read a request from stdin, shape, and report progress on stdout."""
     serve(_shape, lambda request: _what(request["source"]), _enough.set)
 
 
@@ -82,7 +84,7 @@ def _shape(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
     begin()
     if request["gentle"] and hasattr(os, "nice"):
         os.nice(GENTLE)
-    wanted = request["wanted"] and [some if some is None else dict(map(tuple, some)) for some in request["wanted"]]
+    wanted = request["wanted"] and [None if pairs is None else dict(map(tuple, pairs)) for pairs in request["wanted"]]
     stack = stack_from(request["stack"])
     prepare(stack, on_progress)
     more = {"folder": request["folder"], "finish": _enough.is_set, "tiles": request["tiles"]}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A stack applied to a store, into another store: the work, which shape_process.py does in a process of its own."""
+"""Application of a stack to a store, which writes another store; shape_process.py runs it in a child process."""
 
 import dataclasses
 import hashlib
@@ -24,14 +24,14 @@ from .level_work import METHOD
 from .mask_image import load_image
 from .shape import Shaped, shape
 from .stack import Stack, check_by_products, land_name, stack_content, stack_from
-from .stack_layers import joined, key_with
+from .stack_layers import key_with, merge_layers
 from .tile_cache import TileCache
 from .tiles import Wanted, levels_of, whole_land
 
-# The part of the work that effects are taken for; the rest is that of an import.
+# Fraction of the progress bar for the operators; the rest is for measuring errors.
 SHAPING = 0.8
 ROWS = 256
-RECORD = 1  # raised when the provenance of shaped land says more, so that older land is made again
+RECORD = 1  # version of the provenance; raising it rebuilds older land
 BUILDING = "Measuring errors"
 DOUBTFUL = (
     "Tiles of {} may differ by more than 5 % from the land in one piece: big rivers run elsewhere at each level, and "
@@ -52,16 +52,16 @@ def run_shape(
     threads: int | None = None,
     tiles: str | os.PathLike | None = None,
 ) -> dict:
-    """Shape the store `source` into the store `path` in this process and return the report; `path` changes at the very
-    end or not at all, but for tiles that are kept there for the next time.
+    """Shape the store `source` into the store `path` in this process and return the report.
 
-    wanted: the tiles of each level (tiles.py), None for all of the land. finish: asked now and then whether the levels
-    that are done are enough. folder: name of the folder for the new arrays, if the caller wants to know it. tiles:
-    where tiles are kept, which several stores of one source may share; None for a folder in `path`. Raises
-    TerrainError.
+    Only the last step changes `path`, except for cached tiles. Raises TerrainError.
+
+    wanted: tiles of each level (tiles.py), None for all. finish: called now and then; True stops after the complete
+    levels. folder: name of the folder for the new arrays, None for a new one. tiles: folder of cached tiles, which
+    stores of one source can share; None for a folder in `path`.
     """
     started, path, threads = time.monotonic(), Path(path), threads or launch.default_threads()
-    stack = stack_from(stack_content(stack))  # numbers as those of the process that asked
+    stack = stack_from(stack_content(stack))  # the same numbers as in the child process
     store_folder.check_target(path)
     heights = open_source(source, path, stack)
     digest = shape_digest(heights, stack, wanted)
@@ -91,37 +91,36 @@ def run_shape(
         field.provenance = heights.provenance | {"shaped": _provenance(source, heights, stack, shaped, everywhere)}
         report = _report(field, source, heights, stack, shaped)
         report["seconds"] = round(time.monotonic() - started, 3)
-        # What stopped early is not what was asked for.
+        # A run that finished early does not satisfy the same request later.
         draft.publish(field, "" if shaped.finished_early else digest, report, {name: units[name] for name in layers})
         cache.trim()
     return report
 
 
 def open_source(source: str | os.PathLike, path: Path, stack: Stack) -> HeightField:
-    """The store to be shaped. Raises TerrainError, also where it is the one that is to be written, or lacks what the
-    stack's masks read."""
+    """Open the store to shape. Raises TerrainError if it is the target or lacks a layer that the stack's masks read."""
     heights = store.open_store(source)
     if os.path.realpath(source) == os.path.realpath(path):
-        raise TerrainError(f"The store {path} would be shaped into itself: choose another folder to write.")
+        raise TerrainError(f"The store {path} would be shaped into itself", fix="choose another folder to write")
     check_by_products(stack, heights.layers)
     heights.check_samples()
     return heights
 
 
 def shape_digest(heights: HeightField, stack: Stack, wanted: Wanted | None) -> str:
-    """Of all that decides what the store will hold."""
-    tiles = wanted and [None if some is None else sorted((t, float(m)) for t, m in some.items()) for some in wanted]
+    """Return a digest of everything that determines the content of the store."""
+    tiles = wanted and [None if pairs is None else sorted((t, float(m)) for t, m in pairs.items()) for pairs in wanted]
     content = METHOD, RECORD, store.VERSION, heights.key, stack.key(), tiles
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
 
 def mask_files(stack: Stack) -> list[str]:
-    """The images that the stack's masks are painted in."""
+    """Return the image files of the stack's masks."""
     return sorted({entry.mask.image for entry in stack.active if entry.mask is not None and entry.mask.image})
 
 
 def layer_units(heights: HeightField, stack: Stack) -> dict[str, str]:
-    """The layers that there will be, and their units."""
+    """Return the units of the layers of the result, by name."""
     units = dict(getattr(heights.layers, "units", {}))
     return units | {layer.name: layer.unit for entry in stack.active for layer in entry.declaration.layers}
 
@@ -129,7 +128,7 @@ def layer_units(heights: HeightField, stack: Stack) -> dict[str, str]:
 def _build(
     heights: HeightField, shaped: Shaped, draft: store.Draft, threads: int, on_progress: Callable[[float], None]
 ) -> HeightField:
-    """The height field of the shaped samples in the arrays of a draft."""
+    """Build the height field of the shaped samples in the arrays of a draft."""
     samples = draft.allocate("samples", shaped.change.shape, np.dtype(np.float32))
     missing = 0
     for row in range(0, len(samples), ROWS):
@@ -138,7 +137,7 @@ def _build(
         with np.errstate(over="ignore", invalid="ignore"):
             samples[rows] = np.where(change == 0.0, before, before + change)
         if not np.isfinite(samples[rows]).all():
-            raise TerrainError("The stack makes heights that are no numbers: switch its effects off one by one.")
+            raise TerrainError("The stack's heights are not finite numbers", fix="switch its effects off one by one")
         if heights.valid is not None:
             holes = heights.valid[rows] == 0
             samples[rows][holes] = np.nan
@@ -161,11 +160,12 @@ def _build(
 
 
 def _write_layers(heights: HeightField, shaped: Shaped, draft: store.Draft) -> dict[str, np.ndarray]:
-    """The layers of the source and of the stack as arrays of the draft, by name."""
+    """Write the layers of the source and of the stack as arrays of the draft and return them by name."""
     written = {}
-    for name, layer in joined(heights.layers, shaped.layers, shaped.depths).items():
+    for name, layer in merge_layers(heights.layers, shaped.layers, shaped.depths).items():
         if not np.isfinite(layer).all():
-            raise TerrainError(f"The stack makes a layer {name!r} with values that are no numbers: report its effects.")
+            problem = f"The stack's layer {name!r} has values that are not finite numbers"
+            raise TerrainError(problem, fix="report the stack as a bug")
         written[name] = draft.allocate(store.layer_name(name), layer.shape, np.dtype(np.float32))
         written[name][:] = layer
     return written
@@ -193,11 +193,11 @@ def _report(field: HeightField, source: str | os.PathLike, heights: HeightField,
     lattice, levels = field.lattice, levels_of(field.lattice)
     built = sum(map(len, shaped.tiles))
     warnings = []
-    rms, most = shaped.left_out_m
-    if most > 0.0:
+    rms, max_change = shaped.left_out_m
+    if max_change > 0.0:
         warnings.append(
-            f"Finer levels are left out in places; the last that was made there has changed heights by {rms:.3g} m "
-            f"(root mean square), {most:.3g} m at most: what is missing is of that size."
+            f"Finer levels are left out in places. The finest level there changed heights by {rms:.3g} m (root mean "
+            f"square), {max_change:.3g} m at most; the missing detail is of that size."
         )
     warnings += [DOUBTFUL.format(name) for name in sorted({a.effect for a in shaped.added if a.doubtful})]
     return {
@@ -213,14 +213,14 @@ def _report(field: HeightField, source: str | os.PathLike, heights: HeightField,
         "finest_spacing_m": max(levels[shaped.level].step_x, levels[shaped.level].step_y),
         "levels": [_line(added) for added in shaped.added],
         "left_out_rms_m": rms,
-        "left_out_most_m": most,
+        "left_out_most_m": max_change,
         "finished_early": shaped.finished_early,
         "warnings": warnings,
     }
 
 
 def _line(added) -> str:
-    """`rivers at 16 m: 3.2 m rms, 41 m at most, 12 tiles, 3 of them new, 210 ms`."""
+    """Return "rivers at 16 m: 3.2 m rms, 41 m at most, 12 tiles, 3 of them new, 210 ms"."""
     tiles = f"{added.made} tile{'s' if added.made != 1 else ''}, {added.computed} of them new"
     tiles = f"the whole level, {'new' if added.computed else 'known before'}" if added.whole else tiles
     metres = f"{added.rms_m:.3g} m rms, {added.most_m:.3g} m at most"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A stack: effects on heights one after the other, as data; read from JSON and written to it.
+"""Stacks of height operators: data that is read from and written to JSON.
 
     {"version": 1,
      "entries": [{"effect": "rivers", "parameters": {"years": 3e5}, "seed": 4},
@@ -9,9 +9,9 @@
                                      {"of": "slope", "high": 45, "edge": 10},
                                      {"of": "aspect", "low": 0, "edge": 0.5, "direction": 0}]}}]}
 
-Parameters that are not named have their defaults; they are in the units of the effect's declaration (metres, years,
-degrees). An image is found from the folder of the stack's file. See mask.py for what the rules mean. A preset may say
-for land of which heights it was made, "heights": [0, 1470], metres: the panel fits it to another's (fitted.py).
+A parameter that is missing has its default. Units are those of the operator's declaration (metres, years, degrees). An
+image's path is relative to the folder of the stack's file. mask.py explains the rules. A preset may contain the heights
+in metres of the land that it was designed for, "heights": [0, 1470]; fitted.py adapts it to other land.
 """
 
 import functools
@@ -32,19 +32,20 @@ from .mask import GroundRule, Mask
 from .mask_reads import BY_PRODUCTS
 
 VERSION = 1
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 EXPECTED = "a JSON file of entries"
-MOST_ENTRIES, MOST_RULES = 64, 16
-MOST_SEED = 2**31 - 1
+MAX_ENTRIES, MAX_RULES = 64, 16
+MAX_SEED = 2**31 - 1
 _TOP = ("version", "entries", "heights")
 _ENTRY = ("effect", "parameters", "seed", "on", "name", "mask")
 _MASK = ("image", "rules", "factor")
-_RULE = ("of", "low", "high", "edge", "direction")
+_RULE_DEFAULTS = {"low": -math.inf, "high": math.inf, "edge": 0.0, "direction": 0.0}
+_RULE = ("of", *_RULE_DEFAULTS)
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One effect of a stack. `parameters`: those that differ from their defaults. `name`: of the entry, for users."""
+    """One height operator of a stack. `parameters`: values that differ from defaults. `name`: label for users."""
 
     effect: str
     parameters: Mapping[str, float] = field(default_factory=dict)
@@ -65,14 +66,14 @@ class Entry:
 
     @property
     def values(self) -> dict[str, float]:
-        """Every parameter."""
+        """Values of all parameters."""
         return self.declaration.defaults() | dict(self.parameters)
 
 
 @dataclass(frozen=True)
 class Stack:
-    """`entries`: the first is applied first. `heights`: of the land that it was made for, from its foot to its top,
-    metres; None: any."""
+    """Height operators in the order of their application. `heights`: lowest and highest height in metres of the land
+    that the stack was designed for, None for any land."""
 
     entries: tuple[Entry, ...] = ()
     heights: tuple[float, float] | None = None
@@ -82,19 +83,18 @@ class Stack:
 
     @property
     def active(self) -> tuple[Entry, ...]:
-        """Those that do anything."""
+        """Entries that are switched on and whose mask is not 0 everywhere."""
         return tuple(e for e in self.entries if e.on and (e.mask is None or e.mask.factor > 0.0))
 
     def check(self, where: str = "The stack") -> None:
-        """Raise TerrainError for an entry that cannot be."""
-        if len(self.entries) > MOST_ENTRIES:
-            raise TerrainError(f"{where} has {len(self.entries)} entries; expected {MOST_ENTRIES} at most.")
+        """Raise TerrainError for an invalid entry."""
+        if len(self.entries) > MAX_ENTRIES:
+            raise TerrainError(f"{where} has {len(self.entries)} entries", expected=f"at most {MAX_ENTRIES}")
         for number, entry in enumerate(self.entries, 1):
-            _check_entry(f"Entry {number} of {where[0].lower()}{where[1:]}", entry)
+            _check_entry(_of(f"Entry {number}", where), entry)
 
     def key(self) -> str:
-        """Return a hex digest of all that decides what the stack makes of a raster: of images, what is in their files
-        now, wherever they are."""
+        """Return a hex digest of everything that determines the stack's result; images count by their content."""
         content = []
         for entry in self.active:
             mask = entry.mask
@@ -105,34 +105,37 @@ class Stack:
 
 
 def land_name(source_key: str, stack: Stack) -> str:
-    """Return 16 hexadecimal digits that name what a stack makes of a source: of the folder, and in the store's record.
+    """Return 16 hexadecimal digits that identify the result of a stack; they name its folder and are in its record.
 
-    source_key: key of the source's store. Numbers count as JSON keeps them, which the process that shapes reads.
+    source_key: key of the source's store. Numbers pass through JSON first, as on their way to the child process.
     """
     same = stack_from(stack_content(stack))
     return hashlib.blake2b(f"{source_key} {same.key()}".encode(), digest_size=8).hexdigest()
 
 
 def check_by_products(stack: Stack, source: Iterable[str]) -> None:
-    """Raise TerrainError where a mask asks for a by-product that neither an effect before it leaves nor `source`, the
-    names of the layers of what is shaped, has."""
-    there = set(source)
+    """Raise TerrainError if a mask reads a layer that neither an earlier operator nor the source has.
+
+    source: names of the source's layers.
+    """
+    available = set(source)
     for number, entry in enumerate(stack.entries, 1):
         if entry not in stack.active:
             continue
         for rule in entry.mask.rules if entry.mask is not None else ():
-            if rule.of in BY_PRODUCTS and rule.of not in there:
-                found = ", ".join(name for name in BY_PRODUCTS if name in there) or "none"
+            if rule.of in BY_PRODUCTS and rule.of not in available:
+                found = ", ".join(name for name in BY_PRODUCTS if name in available) or "none"
                 raise TerrainError(
                     f"The mask of entry {number} of the stack, {entry.name or entry.effect}, has a rule about "
-                    f"{rule.of}, which is not there; expected what effects before it leave ({found}): put one that "
-                    f"leaves {rule.of} above it."
+                    f"{rule.of}, which is not there",
+                    expected=f"a layer of an entry above it ({found})",
+                    fix=f"move an entry that writes {rule.of} above it",
                 )
-        there |= {layer.name for layer in entry.declaration.layers}
+        available |= {layer.name for layer in entry.declaration.layers}
 
 
 def _file_mark(image: str) -> tuple:
-    """Return what changes with the content of a file."""
+    """Return a value that changes with the content of a file."""
     if not image:
         return ()
     try:
@@ -140,56 +143,61 @@ def _file_mark(image: str) -> tuple:
         digest = _file_digest(os.path.realpath(image), found.st_size, found.st_mtime_ns)
         return Path(image).suffix.lower(), digest  # the suffix decides how it is read
     except (OSError, ValueError):
-        return (image,)  # whoever reads it says what is wrong
+        return (image,)  # reading it raises the error
 
 
 @functools.lru_cache(maxsize=256)
 def _file_digest(file: str, _size: int, _changed_ns: int) -> str:
-    """Return a hex digest of a file. Raises OSError, also for a pipe or a device."""
+    """Return a hex digest of a file. Raises OSError, for a pipe or a device too."""
     with open_regular(file, links=True) as handle:
         return hashlib.file_digest(handle, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
+def _of(part: str, where: str) -> str:
+    """Return "Entry 2 of the stack" for "Entry 2" and "The stack"."""
+    return f"{part} of {where[0].lower()}{where[1:]}"
+
+
 def _check_entry(where: str, entry: Entry) -> None:
+    name = f"{where}, {entry.effect},"
     if entry.effect not in LAND_EFFECTS:
-        known = ", ".join(LAND_EFFECTS) or "none, there are none"
-        raise TerrainError(f"{where} has the effect {shown(repr(entry.effect))}; expected one of: {known}.")
+        effect = shown(repr(entry.effect))
+        raise TerrainError(f"{where} has the effect {effect}", expected=f"one of: {', '.join(LAND_EFFECTS)}")
     parameters = {p.name: p for p in entry.declaration.parameters}
-    for name, value in entry.parameters.items():
-        if name not in parameters:
-            raise TerrainError(
-                f"{where}, {entry.effect}, has a parameter {shown(repr(name))}; expected some of: "
-                f"{', '.join(parameters) or 'none, it has no parameters'}."
-            )
-        p = parameters[name]
+    for parameter, value in entry.parameters.items():
+        if parameter not in parameters:
+            known = f"some of: {', '.join(parameters)}" if parameters else "no parameters"
+            raise TerrainError(f"{name} has a parameter {shown(repr(parameter))}", expected=known)
+        p = parameters[parameter]
         if not p.least <= value <= p.most:
             expected = f"{p.least:g} to {p.most:g} {p.unit}".rstrip()
-            raise TerrainError(f"{where}, {entry.effect}, has {name} {value:g}; expected {expected}.")
-    if not 0 <= entry.seed <= MOST_SEED:
-        raise TerrainError(f"{where}, {entry.effect}, has the seed {shown(entry.seed)}; expected 0 to {MOST_SEED}.")
+            raise TerrainError(f"{name} has {parameter} {value:g}", expected=expected)
+    if not 0 <= entry.seed <= MAX_SEED:
+        raise TerrainError(f"{name} has the seed {shown(entry.seed)}", expected=f"0 to {MAX_SEED}")
     if entry.mask is not None:
-        entry.mask.check(f"The mask of {where[0].lower()}{where[1:]}, {entry.effect},")
+        entry.mask.check(_of("The mask", name))
 
 
 def read_stack(path: str | os.PathLike) -> Stack:
-    """Read and check a stack's file. Raises TerrainError that names the file, the entry and what was expected."""
+    """Read and check a stack's file. Raises TerrainError, which names the file and the entry."""
     path = Path(path)
-    text = read_named(path, "The stack", EXPECTED, MOST_BYTES, links=False)
+    text = read_named(path, "The stack", EXPECTED, MAX_BYTES, links=False)
     try:
         content = json.loads(text.decode("utf-8-sig"), object_pairs_hook=named_once)
     except (ValueError, RecursionError) as reason:
-        raise TerrainError(f"The stack {shown(path)} cannot be read ({cause(reason)}): expected {EXPECTED}.") from None
+        raise TerrainError(f"The stack {shown(path)} cannot be read ({cause(reason)})", expected=EXPECTED) from None
     return stack_from(content, f"The stack {path}", path.absolute().parent)
 
 
 def stack_from(content: object, where: str = "The stack", folder: Path | None = None) -> Stack:
-    """A checked stack from what JSON holds. folder: where relative names of images begin. Raises TerrainError."""
+    """Return a checked stack from parsed JSON. folder: base of relative image paths. Raises TerrainError."""
     top = _object(where, content, _TOP)
-    if top.get("version") != VERSION or type(top.get("version")) is not int:
-        raise TerrainError(f"{where} has version {shown(repr(top.get('version')))}; expected {VERSION}.")
-    entries = _list(where, "entries", top.get("entries"), MOST_ENTRIES)
+    version = top.get("version")
+    if version != VERSION or type(version) is not int:
+        raise TerrainError(f"{where} has version {shown(repr(version))}", expected=f"{VERSION}")
+    entries = _list(where, "entries", top.get("entries"), MAX_ENTRIES)
     stack = Stack(
-        tuple(_entry(f"Entry {k} of {where[0].lower()}{where[1:]}", e, folder) for k, e in enumerate(entries, 1)),
+        tuple(_entry(_of(f"Entry {number}", where), entry, folder) for number, entry in enumerate(entries, 1)),
         _heights(where, top.get("heights")),
     )
     stack.check(where)
@@ -199,10 +207,11 @@ def stack_from(content: object, where: str = "The stack", folder: Path | None = 
 def _heights(where: str, content: object) -> tuple[float, float] | None:
     if content is None:
         return None
-    good = isinstance(content, list) and len(content) == 2 and all(type(v) in (int, float) for v in content)
-    if not good or not -12000 <= content[0] <= content[1] - 1 <= 20000:
+    is_pair = isinstance(content, list) and len(content) == 2 and all(type(v) in (int, float) for v in content)
+    if not is_pair or not -12000 <= content[0] <= content[1] - 1 <= 20000:
         raise TerrainError(
-            f"{where} has heights {shown(repr(content))}; expected the land's foot and top in metres, as [0, 1500]."
+            f"{where} has heights {shown(repr(content))}",
+            expected="the land's lowest and highest height in metres, as [0, 1500]",
         )
     return float(content[0]), float(content[1])
 
@@ -211,7 +220,7 @@ def _entry(where: str, content: object, folder: Path | None) -> Entry:
     entry = _object(where, content, _ENTRY)
     parameters = entry.get("parameters", {})
     if not isinstance(parameters, dict):
-        raise TerrainError(f"{where} has parameters {shown(repr(parameters))}; expected an object of numbers.")
+        raise TerrainError(f"{where} has parameters {shown(repr(parameters))}", expected="an object of numbers")
     mask = entry.get("mask")
     return Entry(
         effect=_typed(where, entry, "effect", str, "", "a text"),
@@ -219,7 +228,7 @@ def _entry(where: str, content: object, folder: Path | None) -> Entry:
         seed=_typed(where, entry, "seed", int, 0, "a whole number"),
         on=_typed(where, entry, "on", bool, True, "true or false"),
         name=_typed(where, entry, "name", str, "", "a text"),
-        mask=None if mask is None else _mask(f"The mask of {where[0].lower()}{where[1:]}", mask, folder),
+        mask=None if mask is None else _mask(_of("The mask", where), mask, folder),
     )
 
 
@@ -228,48 +237,47 @@ def _mask(where: str, content: object, folder: Path | None) -> Mask:
     image = _typed(where, mask, "image", str, "", "the name of a file")
     if image and folder is not None:
         image = str(folder / image)
-    rules = _list(where, "rules", mask.get("rules", []), MOST_RULES)
+    rules = _list(where, "rules", mask.get("rules", []), MAX_RULES)
     return Mask(image, tuple(_rule(where, rule) for rule in rules), _number(where, mask, "factor", 1.0))
 
 
 def _rule(where: str, content: object) -> GroundRule:
     rule = _object(where, content, _RULE)
-    limits = {"low": -math.inf, "high": math.inf, "edge": 0.0, "direction": 0.0}
-    numbers = {name: _number(where, rule, name, default) for name, default in limits.items()}
+    numbers = {name: _number(where, rule, name, default) for name, default in _RULE_DEFAULTS.items()}
     return GroundRule(_typed(where, rule, "of", str, "", "a text"), **numbers)
 
 
 def _object(where: str, content: object, known: tuple[str, ...]) -> dict:
     if not isinstance(content, dict):
-        raise TerrainError(f"{where} is {shown(repr(content))}; expected an object with {', '.join(known)}.")
+        raise TerrainError(f"{where} is {shown(repr(content))}", expected=f"an object with {', '.join(known)}")
     if unknown := sorted(set(content) - set(known)):
-        raise TerrainError(f"{where} has {shown(repr(unknown[0]))}; expected {', '.join(known)}.")
+        raise TerrainError(f"{where} has {shown(repr(unknown[0]))}", expected=", ".join(known))
     return content
 
 
-def _list(where: str, name: str, content: object, most: int) -> list:
-    if not isinstance(content, list) or len(content) > most:
-        found = f"{len(content)} of them" if isinstance(content, list) else shown(repr(content))
-        raise TerrainError(f"{where} has {name} {found}; expected a list of {most} at most.")
+def _list(where: str, name: str, content: object, max_length: int) -> list:
+    if not isinstance(content, list) or len(content) > max_length:
+        found = f"{len(content)} {name}" if isinstance(content, list) else f"{name} {shown(repr(content))}"
+        raise TerrainError(f"{where} has {found}", expected=f"a list of at most {max_length}")
     return content
 
 
 def _typed(where: str, content: dict, name: str, kind: type, default, expected: str):
     value = content.get(name, default)
     if type(value) is not kind:
-        raise TerrainError(f"{where} has {name} {shown(repr(value))}; expected {expected}.")
+        raise TerrainError(f"{where} has {name} {shown(repr(value))}", expected=expected)
     return value
 
 
 def _number(where: str, content: dict, name: str, default: float | None) -> float:
     value = content.get(name, default)
     if type(value) not in (int, float) or (name in content and not abs(value) <= 1e300):
-        raise TerrainError(f"{where} has {shown(name)} {shown(repr(value))}; expected a number.")
+        raise TerrainError(f"{where} has {shown(name)} {shown(repr(value))}", expected="a number")
     return float(value)
 
 
 def stack_content(stack: Stack) -> dict:
-    """What `stack_from` takes, with only what differs from the defaults."""
+    """Return the JSON content that `stack_from` reads, without values that equal their defaults."""
     heights = {} if stack.heights is None else {"heights": list(stack.heights)}
     return {"version": VERSION, **heights, "entries": [_entry_content(entry) for entry in stack.entries]}
 
@@ -279,9 +287,8 @@ def _entry_content(entry: Entry) -> dict:
     content |= {} if entry.on else {"on": False}
     content |= {"name": entry.name} if entry.name else {}
     if entry.mask is not None:
-        plain = {"low": -math.inf, "high": math.inf, "edge": 0.0, "direction": 0.0}
         rules = [
-            {"of": rule.of} | {n: getattr(rule, n) for n, default in plain.items() if getattr(rule, n) != default}
+            {"of": rule.of} | {n: getattr(rule, n) for n, v in _RULE_DEFAULTS.items() if getattr(rule, n) != v}
             for rule in entry.mask.rules
         ]
         mask = {"image": entry.mask.image} if entry.mask.image else {}
@@ -290,7 +297,7 @@ def _entry_content(entry: Entry) -> dict:
 
 
 def write_stack(stack: Stack, path: str | os.PathLike) -> None:
-    """Write a stack's file; images below its folder are named from there. Raises TerrainError."""
+    """Write a stack's file, with relative paths of images below its folder. Raises TerrainError."""
     from ..run.partial_files import written_beside
 
     path = Path(path)
@@ -300,9 +307,8 @@ def write_stack(stack: Stack, path: str | os.PathLike) -> None:
             text = json.dumps(stack_content(_relative(stack, folder)), indent=1, allow_nan=False)
             partial.write_text(text + "\n", encoding="utf-8")
     except OSError as reason:
-        raise TerrainError(
-            f"The stack {path} cannot be written ({reason.strerror or reason}): choose another name."
-        ) from reason
+        problem = f"The stack {path} cannot be written ({reason.strerror or reason})"
+        raise TerrainError(problem, fix="choose another name") from reason
 
 
 def _relative(stack: Stack, folder: Path) -> Stack:

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What effects have made of tiles and levels, kept in files by content: asked twice, made once.
+"""A cache of operators' results for tiles and levels, in files named for the hash of everything that determines them.
 
-A file is named for the hash of all that its numbers are a function of. It is a guess until it is read: one of another
-shape, or with a block that differs from its checksum, is made again.
+A file of another shape, or with a block that differs from its checksum, is computed again.
 """
 
 import hashlib
@@ -21,13 +20,13 @@ from ..field.store_folder import is_tile_name
 from ..run import owned_files, partial_files
 from ..run.owned_files import NotOursError, open_folder
 
-# Beyond this, files that were not used longest are removed; what the last run has used always stays.
-MOST_BYTES = 4 << 30
+# Beyond this the least recently used files are removed, except those that the last run used.
+MAX_BYTES = 4 << 30
 
 
 class TileCache:
-    """`folder`: of the files, or None: nothing is kept. `room`: bytes of its disk that are left to others. `made`,
-    `kept`: how many results of each effect were computed and how many were found."""
+    """Cached arrays of a `folder`, None to cache nothing. `room`: bytes of disk that stay free. `made`, `kept`: numbers
+    of results of each operator that were computed and found."""
 
     def __init__(self, folder: Path | None = None, room: int = 0):
         self.folder, self.room = folder, room
@@ -38,23 +37,22 @@ class TileCache:
                 pass
             partial_files.remove_abandoned(folder)
 
-    def take(self, effect: str, key: str, shape: tuple[int, ...], make: Callable[[], np.ndarray]) -> np.ndarray:
-        """float32 of that shape: what was kept under `key`, or what `make` makes, which is kept then. Read only."""
+    def take(self, effect: str, key: str, shape: tuple[int, ...], compute: Callable[[], np.ndarray]) -> np.ndarray:
+        """Return the float32 array of that shape under `key`; compute and cache it if there is none. Read only."""
         file = None if self.folder is None else self.folder / f"{key}.npy"
         self._used.add(f"{key}.npy")
         found = _read(file, shape) if file is not None else None
         if found is not None:
             self.kept[effect] += 1
             return found
-        made = np.ascontiguousarray(make(), np.float32)
+        array = np.ascontiguousarray(compute(), np.float32)
         self.made[effect] += 1
         if file is not None:
-            _write(file, made, self.room)
-        return made
+            _write(file, array, self.room)
+        return array
 
-    def trim(self, most_bytes: int = MOST_BYTES) -> None:
-        """Remove the files that were not used longest, until the rest takes no more; one that cannot be removed, or a
-        folder that is gone by now, is left as it is: the store is there, and nothing may take it back."""
+    def trim(self, max_bytes: int = MAX_BYTES) -> None:
+        """Remove least recently used files until the rest fits. Errors are ignored, since the store is complete."""
         if self.folder is None:
             return
         files = []
@@ -64,7 +62,7 @@ class TileCache:
                     files.append((file.lstat().st_mtime, file.lstat().st_size, file))
         total = sum(int(size) for _, size, _ in files)
         for _, size, file in sorted(files):
-            if total <= most_bytes:
+            if total <= max_bytes:
                 break
             if file.name not in self._used and is_tile_name(file.name):
                 with suppress(OSError, NotOursError):
@@ -73,7 +71,7 @@ class TileCache:
 
 
 def content_key(*parts) -> str:
-    """Hex digest of arrays, and of the `repr` of all else."""
+    """Return a hex digest of arrays and of the `repr` of everything else."""
     digest = hashlib.blake2b(digest_size=16)
     for part in parts:
         if isinstance(part, np.ndarray):
@@ -95,9 +93,9 @@ def _read(file: Path, shape: tuple[int, ...]) -> np.ndarray | None:
 
 
 def _write(file: Path, array: np.ndarray, room: int) -> None:
-    """Keep an array where that leaves so much room; a folder that cannot be written is left as it is."""
+    """Write an array if that leaves `room` bytes free. A folder that cannot be written is ignored."""
     with suppress(OSError):
-        with open_folder(file.parent, make=True):  # another Blender may have cleared it meanwhile
+        with open_folder(file.parent, make=True):  # another Blender may have removed it
             pass
         if shutil.disk_usage(file.parent).free < array.nbytes + room:
             return

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Levels and tiles of a raster: which samples a tile has, which it looks at, and how neighbours share a border.
+"""Levels and tiles of a raster: their samples, their windows, and the weights that blend tiles at their borders.
 
-Level 0 is the raster's own; sample i of level k is sample i * 2^k of the raster, or its last. Coarse levels are worked
-on as a whole, of finer ones the tiles that are asked for: TILE x TILE cells each. A tile is made on a window that is
-wider than itself, and counts by weights that fall from 1 to 0 across its borders and add up to 1 with its neighbours':
-so a sample is the same from both sides, whoever came first, and beside a tile that nobody asked for the ground goes
-over into that of the coarser level.
+Level 0 is the raster itself; sample i of level k is sample i * 2^k of the raster, or its last. Coarse levels are
+computed as a whole, finer ones in the requested tiles of TILE x TILE cells. A tile is computed on a wider window and
+weighted: weights fall from 1 to 0 across its borders and add up to 1 with those of its neighbours. The result therefore
+does not depend on the order of tiles, and next to a tile that is not requested it blends into the coarser level.
 """
 
 import math
@@ -22,23 +21,22 @@ from ..maps import sizing
 from ..maps.tiling import Tiling
 
 TILE = 256
-# Samples beyond a tile's border up to which it counts; a power of two, so that weights add up to exactly 1.
+# Samples beyond a tile's border where its weight is not 0; a power of two, so that weights add up to exactly 1.
 BAND = 16
-# Samples along the longer side of the finest level that is worked on as a whole; and along the shorter one of a strip,
-# where what slides has no room in which a tile could make up for it.
+# Samples along the longer side of the finest level that is computed as a whole; and along the shorter side of a strip,
+# which is computed as a whole too, since a tile of it could not balance material that slides out of its window.
 WHOLE, STRIP = 513, 128
-# A level shows where a pixel is at most so many of its spacings wide.
+# A level is visible where a pixel is at most this many of its spacings wide.
 PIXEL_SPACINGS = 2.0
 
 Window = tuple[slice, slice]  # rows and columns of a level
-# Of each level, by its number, the tiles that are asked for, with the metres by which heights may be off there; or
-# None: the level as a whole.
+# For each level, by its number, the requested tiles with their allowed errors in metres; None: the level as a whole.
 Wanted = Sequence[Mapping[int, float] | None]
 
 
 @dataclass(frozen=True)
 class Level:
-    """`number`: 0 for the raster's own samples. `rows`, `columns`: of samples, `step_x`, `step_y` metres apart."""
+    """A grid of samples, `step_x` and `step_y` metres apart; number 0 is the raster itself."""
 
     number: int
     rows: int
@@ -57,7 +55,7 @@ class Level:
 
     @property
     def whole(self) -> Window:
-        """All its samples."""
+        """Window of all samples."""
         return slice(0, self.rows), slice(0, self.columns)
 
     @property
@@ -66,7 +64,7 @@ class Level:
 
     @property
     def tiles(self) -> tuple[int, int]:
-        """How many tiles there are northwards and eastwards; they are counted from the south-western one eastwards."""
+        """Number of tiles northwards and eastwards. Tiles are counted from the south-western one eastwards."""
         return -(-(self.rows - 1) // TILE), -(-(self.columns - 1) // TILE)
 
     @property
@@ -74,7 +72,7 @@ class Level:
         return self.tiles[0] * self.tiles[1]
 
     def window(self, tile: int, rows: int = 0, columns: int = 0) -> Window:
-        """The samples of a tile with both its borders, and so many more all round, as far as there are any."""
+        """Return the window of a tile with both its borders, widened by `rows` and `columns` within the level."""
         south, west = (n * TILE for n in divmod(tile, self.tiles[1]))
         return (
             slice(max(south - rows, 0), min(south + TILE + 1 + rows, self.rows)),
@@ -82,37 +80,38 @@ class Level:
         )
 
     def weights(self, tile: int) -> np.ndarray:
-        """float32 [rows, columns]: how much a tile counts, over its window with a BAND all round."""
+        """Return the weights of a tile over its window widened by BAND, float32 [rows, columns]."""
         window = self.window(tile, BAND, BAND)
-        places = divmod(tile, self.tiles[1])
-        across = [_weights(s, n, count) for s, n, count in zip(window, places, self.tiles, strict=True)]
-        return across[0][:, None] * across[1]
+        position = divmod(tile, self.tiles[1])
+        north, east = (_weights(axis, n, count) for axis, n, count in zip(window, position, self.tiles, strict=True))
+        return north[:, None] * east
 
     def tiles_in(self, window: Window) -> set[int]:
-        """The tiles that count anywhere in a window."""
+        """Return the tiles whose weight is not 0 somewhere in a window."""
         found = []
-        for part, count in zip(window, self.tiles, strict=True):
-            first, last = (part.start - BAND) // TILE, (part.stop - 1 + BAND) // TILE
+        for axis, count in zip(window, self.tiles, strict=True):
+            first, last = (axis.start - BAND) // TILE, (axis.stop - 1 + BAND) // TILE
             found.append(range(max(first, 0), min(last, count - 1) + 1))
         return {j * self.tiles[1] + i for j in found[0] for i in found[1]}
 
     def parent(self, tile: int) -> int:
-        """The number of the tile at the next coarser level that a tile lies in."""
+        """Return the number of the tile of the next coarser level that contains a tile."""
         j, i = divmod(tile, self.tiles[1])
         coarse_columns = -(-(self.columns // 2) // TILE)
         return j // 2 * coarse_columns + i // 2
 
 
-def _weights(part: slice, number: int, count: int) -> np.ndarray:
-    at = np.arange(part.start, part.stop, dtype=np.float32)
+def _weights(axis: slice, number: int, count: int) -> np.ndarray:
+    """Return a ramp up, ones and a ramp down along one axis; no ramps at the level's ends."""
+    at = np.arange(axis.start, axis.stop, dtype=np.float32)
     low, high = number * TILE, (number + 1) * TILE
-    rising = np.clip((at - (low - BAND)) / (2 * BAND), 0.0, 1.0) if number > 0 else np.ones_like(at)
-    falling = np.clip(((high + BAND) - at) / (2 * BAND), 0.0, 1.0) if number < count - 1 else np.ones_like(at)
-    return rising * falling
+    up = np.clip((at - (low - BAND)) / (2 * BAND), 0.0, 1.0) if number > 0 else np.ones_like(at)
+    down = np.clip(((high + BAND) - at) / (2 * BAND), 0.0, 1.0) if number < count - 1 else np.ones_like(at)
+    return up * down
 
 
 def levels_of(lattice: Lattice) -> list[Level]:
-    """All levels of a raster, the finest first."""
+    """Return all levels of a raster, the finest first."""
     levels = [Level(0, lattice.height, lattice.width, lattice.step_x, lattice.step_y)]
     while max(levels[-1].shape) > COARSEST:
         fine = levels[-1]
@@ -122,17 +121,17 @@ def levels_of(lattice: Lattice) -> list[Level]:
 
 
 def every_tile(level: Level) -> dict[int, float]:
-    """Every tile of a level, without any error."""
+    """Return every tile of a level with an allowed error of 0 m."""
     return dict.fromkeys(range(level.tile_count), 0.0)
 
 
 def all_tiles(lattice: Lattice) -> list[dict[int, float]]:
-    """Every tile of every level."""
+    """Return every tile of every level with an allowed error of 0 m."""
     return [every_tile(level) for level in levels_of(lattice)]
 
 
 def whole_land(lattice: Lattice, finest: int = 0) -> Wanted:
-    """All of the land, down to a level."""
+    """Return a request for whole levels, from the coarsest down to number `finest`."""
     return [None if level.number >= finest else {} for level in levels_of(lattice)]
 
 
@@ -144,10 +143,10 @@ def tiles_seen(
     vertical_scale: float = 1.0,
     vertical_offset: float = 0.0,
 ) -> list[dict[int, float]]:
-    """The tiles of each level that views see as fine as that level, with the metres that so many pixels are there.
+    """Return the visible tiles of each level where a pixel is as fine as the level, with allowed errors in metres.
 
-    A function of the views, the placement (4 x 4, of the terrain in the world) and the raster: reads every sample.
-    Metres are rounded down to quarters of an octave, so that what is asked for stays while a camera creeps.
+    The error is `pixel_error` pixels at the tile, rounded down to a quarter of an octave, so that a slow camera does
+    not change the request in every frame. placement: 4 x 4 matrix of the terrain in the world. Reads every sample.
     """
     levels = levels_of(field.lattice)
     placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
@@ -155,8 +154,7 @@ def tiles_seen(
     for level in levels:
         boxes = _boxes(level, field, vertical_scale, vertical_offset) if boxes is None else _merged(level, boxes)
         pixels = sizing.footprints(boxes.reshape(-1, 2, 3), views, placement, only_seen=True)
-        wide = PIXEL_SPACINGS * max(level.step_x, level.step_y)
-        near = np.flatnonzero(pixels <= wide)
+        near = np.flatnonzero(pixels <= PIXEL_SPACINGS * max(level.step_x, level.step_y))
         metres = pixels[near] * pixel_error / max(abs(vertical_scale), 1e-30)
         found.append({int(tile): _rounded(m) for tile, m in zip(near, metres, strict=True)})
     return found
@@ -167,7 +165,7 @@ def _rounded(metres: float) -> float:
 
 
 def _boxes(level: Level, field: HeightField, vertical_scale: float, vertical_offset: float) -> np.ndarray:
-    """float64 [tiles north, tiles east, 2, 3]: what the ground of each tile of level 0 lies in."""
+    """Return the bounding boxes of the ground of each tile of level 0, float64 [tiles north, tiles east, 2, 3]."""
     west, south, _, _ = field.lattice.rectangle()
     sides = TILE * level.step_x, TILE * level.step_y
     tiling = Tiling(level.tiles[1], level.tiles[0], west, south, *sides, 0.0)
@@ -175,7 +173,7 @@ def _boxes(level: Level, field: HeightField, vertical_scale: float, vertical_off
 
 
 def _merged(level: Level, boxes: np.ndarray) -> np.ndarray:
-    """The boxes of a level from those of the next finer one, four of which are one."""
+    """Return the boxes of a level, each of which contains four boxes of the next finer one."""
     rows, columns = level.tiles
     padded = np.pad(boxes, [(0, 2 * rows - boxes.shape[0]), (0, 2 * columns - boxes.shape[1]), (0, 0), (0, 0)], "edge")
     four = padded.reshape(rows, 2, columns, 2, 2, 3)
@@ -183,31 +181,31 @@ def _merged(level: Level, boxes: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Needed:
-    """What a tile calls for. `metres`: by which heights may be off in it. `tiles`: of its level, itself and those that
-    finer ones in it start from, which are made whenever it is: so what a tile is does not depend on any metres."""
+class TileNeed:
+    """The allowed error of a tile in `metres`, and the `tiles` of its level that are computed with it: itself and those
+    that its finer tiles start from. These do not depend on the error, so neither does the tile's result."""
 
     metres: float
     tiles: frozenset[int]
 
 
-def closed(
+def add_coarser(
     levels: Sequence[Level], wanted: Sequence[Mapping[int, float]], halo: Sequence[tuple[int, int]]
-) -> list[dict[int, Needed]]:
-    """What is wanted, and the tiles of coarser levels that it lies in, each with all that are made with it.
+) -> list[dict[int, TileNeed]]:
+    """Return the requested tiles and the tiles of coarser levels that contain them, by level.
 
-    halo: rows and columns that the effects look beyond a tile, by level.
+    halo: rows and columns that the operators read beyond a tile, by level.
     """
-    found = [{tile: Needed(metres, frozenset({tile})) for tile, metres in tiles.items()} for tiles in wanted]
+    found = [{tile: TileNeed(metres, frozenset({tile})) for tile, metres in tiles.items()} for tiles in wanted]
     for fine, coarse in zip(levels, levels[1:], strict=False):
         rows, columns = (BAND + h for h in halo[fine.number])
-        needed, below = found[coarse.number], {}
+        needed, sources = found[coarse.number], {}
         for tile in set().union(*(need.tiles for need in found[fine.number].values())):
             window = fine.window(tile, rows, columns)
-            below[tile] = coarse.tiles_in(tuple(slice(part.start // 2, (part.stop - 1) // 2 + 2) for part in window))
+            sources[tile] = coarse.tiles_in(tuple(slice(axis.start // 2, (axis.stop - 1) // 2 + 2) for axis in window))
         for tile, need in found[fine.number].items():
             parent = fine.parent(tile)
-            known = needed.get(parent, Needed(math.inf, frozenset({parent})))
-            tiles = known.tiles.union(*(below[tile] for tile in need.tiles))
-            needed[parent] = Needed(min(need.metres, known.metres), tiles)
+            known = needed.get(parent, TileNeed(math.inf, frozenset({parent})))
+            tiles = known.tiles.union(*(sources[tile] for tile in need.tiles))
+            needed[parent] = TileNeed(min(need.metres, known.metres), tiles)
     return found

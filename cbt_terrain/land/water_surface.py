@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The surface of water as a mesh: where it is deep enough, along its shore cut at depth 0.
+"""The surface of water as a mesh, cut at the shore, where the depth is 0.
 
-Ground is between samples what it is on the sides of triangles, and so the shore lies where the water's level meets it.
-Dry samples beside water have the level of that water, and end below the ground; where the ground beside a river falls
-off, so far below it that the river ends half-way.
+Ground and water are linear along the sides of triangles, so that the shore is where the water level meets the ground.
+A dry sample next to water gets the level of that water, below the ground. If the ground there lies below the level of a
+river, the sample gets a depth that ends the river half-way.
 """
 
 from dataclasses import replace
@@ -19,41 +19,40 @@ from ..mesh.attributes import FACE, LEVEL, NORMALS, POINT, UV, Attribute
 from ..mesh.cut import Side, cut
 from ..mesh.surface import Surface
 
-# Samples along a side, at most; what a surface is made of.
-MOST_SAMPLES = 1025
+MAX_SAMPLES = 1025  # along a side of the raster that the surface is built from
 NAMES = DEPTH.name, SPEED.name, DISCHARGE.name
-# Metres of water that make a surface, at least.
-LEAST_DEPTH = 0.05
-# Metres by which the heights of one lake differ, at most.
+MIN_DEPTH = 0.05  # metres
+# Largest difference in metres between the heights of one lake.
 SAME = 1e-3
-# m^3/s, of streams: by their depth alone they would have gaps wherever they are fast. What half a square kilometre
-# gives of a metre of rain a year.
-LEAST_DISCHARGE = 0.016
+# m^3/s, the yield of half a square kilometre at one metre of rain a year. Streams of this discharge have a surface
+# however shallow they are, since by depth alone they would have gaps wherever they are fast.
+MIN_DISCHARGE = 0.016
 
 
 def water_of(field: HeightField, threads: int = 1) -> Surface:
-    """The surface of the water that the stack of a height field has left; where that has left none, of what the effect
-    *Water* makes of it by its defaults. Of a raster with more than MOST_SAMPLES along a side, from every second sample,
-    or fourth and so on."""
+    """Return the surface of a height field's water layers, or of the default *Water* operator if it has none.
+
+    A raster with more than MAX_SAMPLES along a side is reduced to every second sample, every fourth and so on.
+    """
     every = 1
-    while (max(field.lattice.width, field.lattice.height) - 1) // every >= MOST_SAMPLES:
+    while (max(field.lattice.width, field.lattice.height) - 1) // every >= MAX_SAMPLES:
         every *= 2
 
-    def thinned(samples: np.ndarray) -> np.ndarray:
+    def reduced(samples: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(samples[::every, ::every])
 
-    lattice, heights = field.lattice, thinned(field.heights())
+    lattice, heights = field.lattice, reduced(field.heights())
     steps = lattice.step_x * every, lattice.step_y * every
-    missing = None if field.valid is None else thinned(field.valid) == 0
+    missing = None if field.valid is None else reduced(field.valid) == 0
     if DEPTH.name in field.layers:
-        layers = {name: thinned(field.layers[name]) for name in NAMES if name in field.layers}
+        layers = {name: reduced(field.layers[name]) for name in NAMES if name in field.layers}
     else:
         layers = WATER.apply(Ground(heights, *steps, missing=missing, threads=threads), WATER.defaults(), None).layers
-    own = fit(heights.shape[1], heights.shape[0], *steps)
-    surface = water_surface(own, heights, *map(layers.get, NAMES), missing, threads=threads)
-    # Every lattice has its middle at 0, and this one may end short of the field's rim.
-    moved = np.subtract(lattice.rectangle()[:2], own.rectangle()[:2])
-    return replace(surface, positions=surface.positions + np.float32([*moved, 0.0]))
+    water_lattice = fit(heights.shape[1], heights.shape[0], *steps)
+    surface = water_surface(water_lattice, heights, *map(layers.get, NAMES), missing, threads=threads)
+    # Every lattice is centred at 0, and the reduced one may end short of the field's border.
+    offset = np.subtract(lattice.rectangle()[:2], water_lattice.rectangle()[:2])
+    return replace(surface, positions=surface.positions + np.float32([*offset, 0.0]))
 
 
 def water_surface(
@@ -63,22 +62,21 @@ def water_surface(
     speed: np.ndarray | None = None,
     discharge: np.ndarray | None = None,
     missing: np.ndarray | None = None,
-    least: float = LEAST_DEPTH,
+    min_depth: float = MIN_DEPTH,
     threads: int = 1,
 ) -> Surface:
-    """The surface of all water that is at least so deep, metres, or of a stream that carries LEAST_DISCHARGE, with the
-    attributes `water_depth` and `water_speed`.
+    """Return the surface of water of `min_depth` metres or MIN_DISCHARGE, with its depth and speed as attributes.
 
-    lattice: of the samples; heights, depth: float32 [rows, columns] m; speed: m/s, and discharge: m^3/s, likewise, or
-    None for still water; missing: bool, likewise, holes, which no triangle touches. Triangles are two for each cell
-    that has water at a corner, cut at the shore; they face up. Without any water the surface is empty.
+    Each cell with water at a corner gives two triangles, which are cut at the shore and face up. Without water the
+    surface is empty. heights, depth: float32 [rows, columns], metres. speed, discharge: float32 likewise, m/s and
+    m^3/s, None for still water. missing: bool likewise, holes that no triangle touches, or None. min_depth: metres.
     """
-    wet = depth >= least
+    wet = depth >= min_depth
     if discharge is not None:
-        wet |= (discharge >= LEAST_DISCHARGE) & (depth > 0.0)
+        wet |= (discharge >= MIN_DISCHARGE) & (depth > 0.0)
     if missing is not None:
         wet &= ~missing
-    deep, level, wet = _to_the_shore(heights, depth, wet, least)
+    deep, level, wet = _extend_to_shore(heights, depth, wet, min_depth)
     corners, sides = _triangles(deep, wet, missing)
     used, numbers = _numbered(corners, heights.size)
     row, column = np.divmod(used, heights.shape[1])
@@ -109,37 +107,37 @@ def water_surface(
 
 
 def sea_depth(heights: np.ndarray, level: float) -> np.ndarray:
-    """float32 [rows, columns] m: the depth of a sea of this level over all ground below it."""
+    """Return the depth of a sea of this level, float32 [rows, columns], metres."""
     return np.maximum(np.float32(level) - heights, np.float32(0.0))
 
 
-def _to_the_shore(
-    heights: np.ndarray, depth: np.ndarray, wet: np.ndarray, least: float
+def _extend_to_shore(
+    heights: np.ndarray, depth: np.ndarray, wet: np.ndarray, min_depth: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """float64 [rows, columns] m: how far the water's surface is above the ground, below it at dry samples beside wet
-    ones, and the surface's height; and what is wet, with the shallow rims of lakes."""
+    """Extend water to the dry samples next to it. Return its signed depth, negative at these, and the height of its
+    surface, float64 [rows, columns] m, and the wet samples with the shallow borders of lakes, bool."""
     ground = heights.astype(np.float64)
     surface = ground + depth
-    near, beside, _ = _beside(surface, depth, wet)
-    # The shallow rim of a lake is of the lake, so that its shore is where the ground comes out of the water.
-    wet = wet | (near & (depth > 0.0) & (ground < beside) & (abs(surface - beside) < SAME))
-    near, beside, thick = _beside(surface, depth, wet)
-    # Where the rim is wider it ends in between; a river that is higher than its banks ends half-way.
-    same = surface >= beside - least
-    below = np.where(beside < ground, ground - beside, np.where(same, beside - ground, thick))
-    over = np.where(wet, depth, np.where(near, -below, 0.0))
-    return over, np.where(wet, surface, ground + over), wet
+    is_shore, level, _ = _shore(surface, depth, wet)
+    # The shallow border of a lake belongs to it, so that its shore is where the ground comes out of the water.
+    wet = wet | (is_shore & (depth > 0.0) & (ground < level) & (abs(surface - level) < SAME))
+    is_shore, level, mean_depth = _shore(surface, depth, wet)
+    # A wider border ends between samples. A river that is higher than its banks ends half-way.
+    flat = surface >= level - min_depth
+    below = np.where(level < ground, ground - level, np.where(flat, level - ground, mean_depth))
+    signed = np.where(wet, depth, np.where(is_shore, -below, 0.0))
+    return signed, np.where(wet, surface, ground + signed), wet
 
 
-def _beside(surface: np.ndarray, depth: np.ndarray, wet: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Dry samples beside wet ones, and the means of the surface and of the depth of those."""
-    level, thick, count = (_sums(np.where(wet, array, 0.0)) for array in (surface, depth, 1.0))
-    near, count = ~wet & (count > 0), np.maximum(count, 1.0)
-    return near, level / count, thick / count
+def _shore(surface: np.ndarray, depth: np.ndarray, wet: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the dry samples next to wet ones, and the means of the surface and the depth of the latter."""
+    level, depths, count = (_sum_neighbours(np.where(wet, array, 0.0)) for array in (surface, depth, 1.0))
+    is_shore, count = ~wet & (count > 0), np.maximum(count, 1.0)
+    return is_shore, level / count, depths / count
 
 
-def _sums(array: np.ndarray) -> np.ndarray:
-    """Of the eight neighbours of each sample."""
+def _sum_neighbours(array: np.ndarray) -> np.ndarray:
+    """Return the sums over the eight neighbours of each sample."""
     rows, columns = array.shape
     padded = np.pad(array, 1)
     total = np.zeros_like(array)
@@ -150,17 +148,19 @@ def _sums(array: np.ndarray) -> np.ndarray:
     return total
 
 
-# The sides of a cell's two triangles: from which corner, counter-clockwise from the south-west, and whereto.
+# The sides of a cell's two triangles: first corner, counter-clockwise from the south-west, and direction. The diagonal
+# goes from the south-west to the north-east, or from the south-east to the north-west.
 EAST, NORTH, NORTH_EAST, NORTH_WEST = range(4)
-RISING = ((0, EAST), (1, NORTH), (0, NORTH_EAST), (0, NORTH_EAST), (3, EAST), (0, NORTH))
-FALLING = ((0, EAST), (1, NORTH_WEST), (0, NORTH), (1, NORTH), (3, EAST), (1, NORTH_WEST))
+SIDES_NORTH_EAST = ((0, EAST), (1, NORTH), (0, NORTH_EAST), (0, NORTH_EAST), (3, EAST), (0, NORTH))
+SIDES_NORTH_WEST = ((0, EAST), (1, NORTH_WEST), (0, NORTH), (1, NORTH), (3, EAST), (1, NORTH_WEST))
 
 
 def _triangles(deep: np.ndarray, wet: np.ndarray, missing: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """int64 [3 n]: samples at the corners of two triangles for each cell with water at a corner; and the side from each
-    corner to the next, as 4 * sample + direction.
+    """Return the samples at the corners of two triangles for each cell with water, int64 [3 n], and their sides.
 
-    The diagonal is the one whose shallower end is deeper, so that a river across cells is not cut in two."""
+    A side goes from a corner to the next and is 4 * sample + direction. The diagonal is the one whose shallower end is
+    deeper, so that a river across cells is not cut in two.
+    """
     columns = deep.shape[1]
     cells = wet[:-1, :-1] | wet[:-1, 1:] | wet[1:, :-1] | wet[1:, 1:]
     if missing is not None:
@@ -168,21 +168,22 @@ def _triangles(deep: np.ndarray, wet: np.ndarray, missing: np.ndarray | None) ->
     row, column = np.nonzero(cells)
     at = (row * columns + column)[:, None] + np.array([0, 1, columns + 1, columns])
     z = deep.ravel()[at]
-    rising = (np.minimum(z[:, 0], z[:, 2]) >= np.minimum(z[:, 1], z[:, 3]))[:, None]
-    corners = np.where(rising, at[:, [0, 1, 2, 0, 2, 3]], at[:, [0, 1, 3, 1, 2, 3]])
-    sides = [np.stack([4 * at[:, c] + towards for c, towards in kind], axis=-1) for kind in (RISING, FALLING)]
-    return corners.ravel(), np.where(rising, *sides).ravel()
+    north_east = (np.minimum(z[:, 0], z[:, 2]) >= np.minimum(z[:, 1], z[:, 3]))[:, None]
+    corners = np.where(north_east, at[:, [0, 1, 2, 0, 2, 3]], at[:, [0, 1, 3, 1, 2, 3]])
+    kinds = SIDES_NORTH_EAST, SIDES_NORTH_WEST
+    sides = [np.stack([4 * at[:, c] + towards for c, towards in kind], axis=-1) for kind in kinds]
+    return corners.ravel(), np.where(north_east, *sides).ravel()
 
 
-def _numbered(items: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """int64: the different ones of `items` (less than `most`), ascending; int32 [most]: which of them each is."""
-    there = np.zeros(most, bool)
-    there[items] = True
-    return np.flatnonzero(there), np.cumsum(there, dtype=np.int32) - np.int32(1)
+def _numbered(items: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the unique items in ascending order, int64, and the index of each item below `end` among them, int32."""
+    used = np.zeros(end, bool)
+    used[items] = True
+    return np.flatnonzero(used), np.cumsum(used, dtype=np.int32) - np.int32(1)
 
 
 def _normals(surface: Surface) -> np.ndarray:
-    """float32 [V, 3]: the mean of the triangles' at each vertex, by their areas."""
+    """Return the area-weighted mean of the triangles' normals at each vertex, float32 [V, 3]."""
     p = surface.positions.astype(np.float64)[surface.triangles]
     face = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     count, corners = len(surface.positions), surface.triangles

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Effects of the tests' own in the catalogue."""
+"""The catalogue of height operators with those of the tests."""
 
 import pytest
 from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
 from land_effects import OWN
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def own_effects(monkeypatch):
-    """The catalogue with the effects of land_effects.py."""
+    """Add the operators of land_effects.py to the catalogue."""
     for name, effect in OWN.items():
         monkeypatch.setitem(LAND_EFFECTS, name, effect)
-    return OWN

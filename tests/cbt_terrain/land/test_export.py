@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Heights and layers as rasters, read back by other libraries: values, rows, places."""
+"""Exported rasters, read by other libraries: values, order of rows, georeference."""
 
 import numpy as np
 import pytest
@@ -23,14 +23,9 @@ PLACES = {
 }
 
 
-@pytest.fixture(autouse=True)
-def _own(own_effects):
-    pass
-
-
 @pytest.fixture
 def shaped(tmp_path):
-    """A file of 333 x 290 pixels at a place, shaped by nothing but a layer of marks; returns its heights and store."""
+    """Import 333 x 290 pixels with a georeference and add a layer of marks; return the heights and the store."""
 
     def make(place, holes=False):
         heights = hills(333, 290)
@@ -46,7 +41,7 @@ def shaped(tmp_path):
 
 
 @pytest.mark.parametrize("place", ["utm", "degrees", "feet"])
-def test_a_geotiff_has_the_pixels_and_the_place_of_the_source(shaped, tmp_path, place):
+def test_a_geotiff_has_the_source_pixels_and_georeference(shaped, tmp_path, place):
     heights, store = shaped(place)
     files = export_raster(store, tmp_path / "old.tif")
     assert [file.name for file in files] == ["old.tif", "old_fresh.tif", "old_mark.tif"]
@@ -88,7 +83,7 @@ def test_a_raster_from_south_to_north_is_written_from_the_north(shaped, tmp_path
 
 
 @pytest.mark.parametrize("suffix", [".tif", ".exr"])
-def test_what_was_written_is_imported_again_bit_for_bit(shaped, tmp_path, suffix):
+def test_an_export_is_imported_again_bit_for_bit(shaped, tmp_path, suffix):
     _, store = shaped("utm")
     export_raster(store, tmp_path / f"old{suffix}")
     extent = None if suffix == ".tif" else (332 * 30.0, 289 * 20.0)
@@ -99,7 +94,7 @@ def test_what_was_written_is_imported_again_bit_for_bit(shaped, tmp_path, suffix
     assert suffix == ".exr" or (first.origin == again.origin).all()
 
 
-def test_an_extent_in_metres_has_no_place_on_earth(tmp_path):
+def test_an_extent_in_metres_has_no_georeference(tmp_path):
     write_raster(tmp_path / "in.tif", hills(40, 30), crs="EPSG:32632", transform=PLACES["utm"][1])
     run_import(ImportSettings(str(tmp_path / "in.tif"), extent=(390.0, 580.0)), tmp_path / "in")
     export_raster(tmp_path / "in", tmp_path / "out.tif")
@@ -107,8 +102,8 @@ def test_an_extent_in_metres_has_no_place_on_earth(tmp_path):
         assert found.crs is None and found.bounds == (-200.0, -300.0, 200.0, 300.0)
 
 
-def test_a_rotated_raster_has_no_place_on_earth_also_when_shaped(tmp_path):
-    """The store keeps the lengths of its steps and its middle, not the angle: along its own rows it lies elsewhere."""
+def test_a_rotated_raster_has_no_georeference(tmp_path):
+    """The store has the lengths of the steps and the centre, not the angle; shaped or not."""
     turned = Affine(8.0, 12.0, 500_000.0, 6.0, -16.0, 5_200_000.0)
     write_raster(tmp_path / "in.tif", hills(40, 30), crs="EPSG:32632", transform=turned)
     run_import(ImportSettings(str(tmp_path / "in.tif")), tmp_path / "in")
@@ -121,7 +116,7 @@ def test_a_rotated_raster_has_no_place_on_earth_also_when_shaped(tmp_path):
 
 
 def test_coordinates_without_a_named_system_are_kept(tmp_path):
-    """As those of an ASCII grid without a .prj."""
+    """An ASCII grid without a .prj file has such coordinates."""
     write_raster(tmp_path / "in.tif", hills(40, 30), transform=PLACES["utm"][1])
     run_import(ImportSettings(str(tmp_path / "in.tif")), tmp_path / "in")
     export_raster(tmp_path / "in", tmp_path / "out.tif")
@@ -129,7 +124,7 @@ def test_coordinates_without_a_named_system_are_kept(tmp_path):
         assert found.crs is None and found.transform == PLACES["utm"][1]
 
 
-def test_what_cannot_be_written_is_said(shaped, tmp_path):
+def test_exports_that_cannot_be_written_are_refused(shaped, tmp_path):
     _, store = shaped("utm")
     with pytest.raises(TerrainError, match="expected .tif, .tiff, .exr"):
         export_raster(store, tmp_path / "old.png")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The kernels that a stack launches are known before, and who waits for their compiling is told."""
+"""The kernels of a stack are known before its launch, and compiling them reports progress."""
 
 import json
 import subprocess
@@ -34,8 +34,7 @@ print(json.dumps(found))
 
 
 def test_kernels_that_stacks_launch_are_foreseen():
-    """In a new process, effect after effect: what it loads is what was said, and of the first ones that is not much
-    more."""
+    """In a new process each operator loads only foreseen modules, and at most two of these are not loaded."""
     wet = {"rules": [{"of": "wetness", "low": 1.0}]}
     seen = {"rules": [{"of": "sky", "low": 0.9}]}
     entries = [{"effect": "relief"}, {"effect": "relief", "mask": wet}, {"effect": "relief", "mask": seen}]
@@ -51,7 +50,7 @@ def test_kernels_that_stacks_launch_are_foreseen():
     assert any(name.endswith("relief") for name in found[0][0]) and any("flow" in name for name in found[1][0])
 
 
-def test_who_waits_is_told_and_nothing_is_compiled_twice(monkeypatch):
+def test_compiling_reports_progress_and_happens_once(monkeypatch):
     stack = Stack((Entry("thermal", mask=Mask("", (GroundRule("flow", low=1e3),))), Entry("snow", on=False)))
     names = [module.__name__.rpartition(".")[2] for module in kernels_of(stack)]
     assert {"thermal", "flow", "routing"} <= set(names) and "snow" not in names

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A layer or a height that is not a finite number, in a store whose checksums fit: one error, wherever it is read."""
+"""Layers and heights that are not finite in a store with valid checksums give one error wherever they are read."""
 
 import json
 import shutil
@@ -32,7 +32,7 @@ SNOW = Stack((Entry("snow", mask=Mask("", (GroundRule("scree", low=0.1, edge=0.1
 
 
 def change(store: Path, name: str, value: float) -> None:
-    """Put `value` into an array of a store, with checksums that fit."""
+    """Write `value` into an array of a store, with valid checksums."""
     file = store / json.loads((store / "store.json").read_text())["data"] / f"{name}.npy"
     array = np.load(file)
     array[20:30, 20:30] = value
@@ -73,7 +73,7 @@ def test_a_layer_that_is_not_finite_is_refused(reader, value, shaped, tmp_path):
     store = tmp_path / "land"
     shutil.copytree(shaped, store)
     if value is np.nan:
-        READERS[reader](store, tmp_path)  # as it was made
+        READERS[reader](store, tmp_path)  # undamaged
         shutil.rmtree(tmp_path / "more", ignore_errors=True)
     change(store, "layer_scree", value)
     with pytest.raises(TerrainError, match=r"layer_scree.npy is damaged \(a value is not a finite number\): shape"):

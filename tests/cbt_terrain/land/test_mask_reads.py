@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rules of masks about attributes: what they read at a level, of tiles, of by-products, and what is refused."""
+"""Mask rules about attributes: values at a level, in tiles and of by-products, and refused rules."""
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.effects.routing import route
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.land.mask import GroundRule, Mask, whole_mask
+from adaptive_terrain.cbt_terrain.land.mask import GroundRule, Mask, compute_mask
 from adaptive_terrain.cbt_terrain.land.mask_reads import ATTRIBUTES, SHAPES, values_of
 from adaptive_terrain.cbt_terrain.land.preview import preview
 from adaptive_terrain.cbt_terrain.land.shape import shape
@@ -17,18 +17,13 @@ from land_effects import bumpy
 LEVEL = Level(1, 331, 201, 10.0, 20.0)
 
 
-@pytest.fixture(autouse=True)
-def _own(own_effects):
-    pass
-
-
 def read(heights, *names, missing=None, threads=1):
     return values_of(names, LEVEL, heights.__getitem__, missing, {}, threads)
 
 
 def test_curvatures_of_a_bowl_and_a_ridge():
-    """z = x^2 / 2a + y^2 / 2b has the second derivatives 1 / a and 1 / b; its lowest place curves by minus their mean,
-    where the ground is level, and a ridge along x by 1 / b in plan, where it falls to the east."""
+    """z = x^2 / 2a + y^2 / 2b has the second derivatives 1 / a and 1 / b. The mean curvature of its lowest point is
+    minus their mean; a ridge along x that falls to the east has 1 / b times its slope's inverse in plan."""
     y, x = np.mgrid[0:331, 0:201].astype(np.float64)
     x, y = (x - 100) * 10.0, (y - 165) * 20.0
     bowl = (x**2 / 8000.0 + y**2 / 20000.0).astype(np.float32)
@@ -42,7 +37,7 @@ def test_curvatures_of_a_bowl_and_a_ridge():
 
 
 def test_flow_is_in_square_metres_and_its_edge_in_powers_of_ten():
-    """Against the routing of the level's own samples; half at the limit, all and nothing half a power away."""
+    """Flow equals the routing of the level's samples; a weight is 0.5 at the limit, 0 and 1 half an edge away."""
     heights = bumpy(331, 201, 3)
     flow = read(heights, "flow", threads=2)["flow"]
     drainage = route(heights, 10.0, 20.0)
@@ -51,13 +46,13 @@ def test_flow_is_in_square_metres_and_its_edge_in_powers_of_ten():
     drainage.level_lakes(filled, areas)
     assert np.allclose(flow, areas.reshape(331, 201) * 200.0, rtol=1e-3)
     assert flow.tobytes() == read(heights, "flow")["flow"].tobytes()
-    found = whole_mask(Mask("", (GroundRule("flow", 1e4, edge=2.0),)), None, LEVEL, None, {"flow": flow})
+    found = compute_mask(Mask("", (GroundRule("flow", 1e4, edge=2.0),)), None, LEVEL, None, {"flow": flow})
     assert (found[flow <= 1e3] == 0).all() and (found[flow >= 1e5] == 1).all()
     exact = np.array([[1e3, 1e4, 1e5, 5500.0]], np.float32)
     level = Level(0, 1, 4, 1.0, 1.0)
-    found = whole_mask(Mask("", (GroundRule("flow", 1e4, edge=2.0),)), None, level, None, {"flow": exact})
+    found = compute_mask(Mask("", (GroundRule("flow", 1e4, edge=2.0),)), None, level, None, {"flow": exact})
     assert found[0] == pytest.approx([0.0, 0.5, 1.0, 0.25**2 * 2.5], abs=1e-6)
-    found = whole_mask(Mask("", (GroundRule("flow", high=1e4),)), None, level, None, {"flow": exact})
+    found = compute_mask(Mask("", (GroundRule("flow", high=1e4),)), None, level, None, {"flow": exact})
     assert found[0] == pytest.approx([1.0, 1.0, 0.0, 1.0], abs=1e-6)
 
 
@@ -68,9 +63,9 @@ def test_water_leaves_at_holes():
     assert flow[~missing].min() > 0 and not np.allclose(flow, whole)
 
 
-def test_the_sky_over_a_trench_is_that_between_its_walls():
-    """An endless trench of level floor leaves its middle the sine of half the angle between its rims; the preview and
-    the levels lower the floor by as much as such a rule lets through."""
+def test_the_sky_of_a_trench_is_that_between_its_walls():
+    """The middle of a trench sees the sine of half the angle between its edges, and a rule about it adds a hill to the
+    floor alone, in the preview too."""
     heights = np.full(LEVEL.shape, 200.0, np.float32)
     heights[:, 86:115] = 0.0
     sky = read(heights, "sky", threads=3)["sky"]
@@ -83,9 +78,8 @@ def test_the_sky_over_a_trench_is_that_between_its_walls():
     assert abs(preview(land, Stack((hill,))).field.heights() - land.heights() - added).max() < 1e-3
 
 
-def test_what_scree_covers_is_masked_at_every_level():
-    """The hill is added where the effect before it has left scree, as the scree of the same level says; the preview
-    agrees with the level that the rest begins with."""
+def test_a_mask_reads_the_scree_of_earlier_entries():
+    """The hill is added where the entry before it left scree at the same level, in the preview too."""
     heights = bumpy(300, 420) * 4.0
     land = from_array(heights, 8.0, 11.0)
     hill = {"height": 50.0, "radius": 1e6, "east": 1500.0, "north": 1500.0}
@@ -110,12 +104,12 @@ def test_depths_of_the_source_count_with_those_of_the_stack():
 
 
 @pytest.mark.parametrize("shaped", [False, True])
-def test_a_by_product_that_is_not_there_is_told_of(shaped):
+def test_a_mask_of_a_missing_by_product_is_refused(shaped):
     land = from_array(bumpy(60, 80), 10.0)
     mask = Mask("", (GroundRule("sediment", low=0.5),))
     stack = Stack((Entry("thermal"), Entry("hill", mask=mask), Entry("rivers")))
-    said = "The mask of entry 2 of the stack, hill, has a rule about sediment, which is not there; expected what"
-    with pytest.raises(TerrainError, match=said):
+    text = "The mask of entry 2 of the stack, hill, has a rule about sediment, which is not there; expected a layer of"
+    with pytest.raises(TerrainError, match=text):
         check_by_products(stack, ()) if shaped else preview(land, stack)
     check_by_products(stack, ("sediment",))
     check_by_products(Stack((Entry("rivers"), *stack.entries)), ())
@@ -123,7 +117,7 @@ def test_a_by_product_that_is_not_there_is_told_of(shaped):
         check_by_products(Stack((Entry("rivers", on=False), *stack.entries)), ())
 
 
-def test_every_attribute_can_be_asked_for_in_a_file():
+def test_rules_about_every_attribute_can_be_read_and_written():
     for name in ATTRIBUTES:
         content = {"version": 1, "entries": [{"effect": "hill", "mask": {"rules": [{"of": name, "low": 1}]}}]}
         stack = stack_from(content)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A stack at a glance: the coarsest level for the whole, in the place and the size of the terrain."""
+"""Previews of a stack: the coarsest level, at the position and in the size of the terrain."""
 
 import numpy as np
 import pytest
@@ -10,21 +10,16 @@ from adaptive_terrain.cbt_terrain.land.preview import preview
 from adaptive_terrain.cbt_terrain.land.shape import shape
 from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.land.tiles import whole_land
-from land_effects import OWN, bumpy
+from land_effects import bumpy
 
 STEPS = 8.0, 11.0
-
-
-@pytest.fixture(autouse=True)
-def _own(own_effects):
-    pass
 
 
 def hill(**more) -> Entry:
     return Entry("hill", {"height": 300.0, "radius": 900.0, "east": 2400.0, "north": 1700.0}, **more)
 
 
-def test_of_a_small_raster_it_is_all_there_is():
+def test_a_preview_of_a_small_raster_is_the_whole_result():
     land = from_array(bumpy(180, 251), *STEPS)
     mask = Mask("", (GroundRule("height", low=0.0, edge=40.0),), 0.7)
     stack = Stack((Entry("smooth", mask=mask), hill(), Entry("level", on=False)))
@@ -36,8 +31,8 @@ def test_of_a_small_raster_it_is_all_there_is():
 
 
 @pytest.mark.parametrize("shape_", [(700, 1000), (1026, 515), (2, 1300)])
-def test_it_lies_where_the_terrain_lies(shape_):
-    """A cone that is linear over its flank, so that no level moves it; rows and columns of no power of two."""
+def test_a_preview_is_at_the_position_of_the_terrain(shape_):
+    """A cone has linear flanks, which every level samples exactly; rows and columns are no powers of two."""
     land = from_array(np.zeros(shape_, np.float32), *STEPS)
     made = preview(land, Stack((hill(),)))
     found = made.field
@@ -52,7 +47,7 @@ def test_it_lies_where_the_terrain_lies(shape_):
 
 @pytest.fixture
 def made(monkeypatch):
-    """The effects that were applied, one after the other."""
+    """Names of the applied operators in order."""
     names, after = [], previews._after
     monkeypatch.setattr(previews, "_after", lambda *given: names.append(given[2].effect) or after(*given))
     return names
@@ -63,8 +58,8 @@ def contents(found: previews.Preview) -> list[bytes]:
     return [field.key.encode(), field.heights().tobytes(), *(field.layers[n].tobytes() for n in sorted(field.layers))]
 
 
-def test_only_what_a_change_is_about_is_made_again(made):
-    """The entry that changed and those below it, with the bytes of a preview of which nothing was known."""
+def test_only_changed_entries_and_later_ones_are_applied_again(made):
+    """The bytes are those of a preview without a cache."""
     samples = bumpy(300, 400)
     land = from_array(samples, *STEPS)
     low, high = (Mask("", (GroundRule("height", low=h, edge=40.0), GroundRule("sky", low=0.9))) for h in (0.0, 50.0))
@@ -89,11 +84,11 @@ def test_only_what_a_change_is_about_is_made_again(made):
     assert contents(preview(other, Stack(first))) != contents(preview(land, Stack(first))) and len(made) == 3
 
 
-def test_a_slider_that_moves_for_long_keeps_what_is_above_it(made):
+def test_a_moving_slider_keeps_the_entries_above_it_cached(made):
     land = from_array(bumpy(90, 70), *STEPS)
-    for part in np.linspace(0.0, 1.0, 2 * previews.MOST_KEPT):
+    for part in np.linspace(0.0, 1.0, 2 * previews.MAX_CACHED):
         preview(land, Stack((hill(), Entry("level", {"part": float(part)}))))
-    assert made.count("hill") == 1 and len(land.found[("land preview",)]) == previews.MOST_KEPT
+    assert made.count("hill") == 1 and len(land.found[("land preview",)]) == previews.MAX_CACHED
 
 
 def test_holes_stay_holes_and_the_source_is_not_written():
@@ -105,7 +100,7 @@ def test_holes_stay_holes_and_the_source_is_not_written():
     assert (found.valid == land.valid).all() and land.heights().tobytes() == before
 
 
-def test_a_preview_does_without_what_is_too_slow():
+def test_a_preview_leaves_out_slow_operators():
     land = from_array(bumpy(90, 70), *STEPS)
     found = preview(land, Stack((Entry("smooth", name="First"), hill())), seconds=-1.0)
     assert found.without == "First" and found.ms == []
@@ -113,8 +108,7 @@ def test_a_preview_does_without_what_is_too_slow():
     assert preview(land, Stack((Entry("smooth"), hill()))).without == ""
 
 
-def test_an_effect_finds_what_those_before_it_have_left():
+def test_an_operator_reads_the_layers_of_earlier_ones():
     land = from_array(bumpy(120, 130), *STEPS)
     found = preview(land, Stack((Entry("smooth"), Entry("level"))))
     assert found.field.layers["twice"].shape == (120, 130)
-    assert set(OWN) >= {"smooth", "level"}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A stack applied by levels and tiles: what it makes, what it computes, and what it computes again."""
+"""Stacks applied by levels and tiles: results, the tiles that are computed, and the cache."""
 
 import dataclasses
 from collections import namedtuple
@@ -23,11 +23,6 @@ STEPS = 8.0, 11.0
 STACK = Stack((Entry("smooth"), Entry("hill", {"east": 4000.0, "north": 3000.0}), Entry("level")))
 
 
-@pytest.fixture(autouse=True)
-def _own(own_effects):
-    pass
-
-
 @pytest.fixture(scope="module")
 def land():
     return from_array(bumpy(700, 1000), *STEPS)
@@ -40,7 +35,7 @@ def some_tiles(field, *tiles):
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("asked", [whole_land, all_tiles])
 def test_smoothing_equals_that_of_the_whole_raster(asked, seed):
-    """Tiles with as much halo as sweeps look: the same to a float's last bits, of 700 x 1000 unequal steps."""
+    """Tiles with a halo of all sweeps give the same values to a float's last bits, for unequal steps."""
     heights = bumpy(700, 1000, seed)
     expected = apply_by_levels(SMOOTH, Ground(heights, *STEPS), SMOOTH.defaults())
     field = from_array(heights, *STEPS)
@@ -60,8 +55,8 @@ def test_threads_and_the_order_of_tiles_change_no_bit(land, tmp_path):
         assert all(first.layers[name].tobytes() == other.layers[name].tobytes() for name in first.layers)
 
 
-def test_effects_find_what_those_before_them_have_left(land):
-    """The layer that the third effect reads, and the heights: the sum of what each makes after the ones before."""
+def test_operators_read_the_results_of_earlier_ones(land):
+    """The third operator reads a layer and the heights; the change is the sum of all."""
     made = shape(land, STACK, all_tiles(land.lattice))
     one = shape(land, Stack(STACK.entries[:1]), all_tiles(land.lattice))
     assert abs(made.layers["twice"] - 2 * one.layers["worn"]).max() < 1e-4
@@ -71,13 +66,13 @@ def test_effects_find_what_those_before_them_have_left(land):
     assert made.depths == {"worn", "fresh", "twice"} and (made.layers["mark"] == 100).all()
 
 
-def test_what_nobody_asks_for_runs_no_time(land):
+def test_inactive_entries_are_not_computed(land):
     cache, off = TileCache(), Stack((Entry("smooth", on=False), Entry("hill", mask=Mask(factor=0.0))))
     made = shape(land, off, whole_land(land.lattice), cache=cache)
     assert not cache.made and not made.change.any() and not made.added and made.layers == {}
 
 
-def test_only_tiles_that_are_asked_for_are_made_and_what_they_start_from(land):
+def test_only_requested_tiles_and_their_sources_are_computed(land):
     cache = TileCache()
     made = shape(land, Stack((Entry("smooth"),)), some_tiles(land, 7), cache=cache)
     assert [tuple(tiles) for tiles in made.tiles] == [(7,), (0, 1, 2, 3), (0,)]
@@ -93,8 +88,8 @@ def test_only_tiles_that_are_asked_for_are_made_and_what_they_start_from(land):
     assert 0.5 < made.left_out_m[0] < made.left_out_m[1]
 
 
-def test_a_tile_of_the_first_effect_has_the_same_bytes_whatever_else_is_asked_for(land, tmp_path):
-    """One shot sees a few tiles, another every one, a third adds some to what the first has made."""
+def test_a_tile_has_the_same_bytes_in_every_request(land, tmp_path):
+    """One shot sees two tiles, another all, a third adds two to those of the first."""
     stack, level = Stack((Entry("smooth"),)), levels_of(land.lattice)[0]
     first = shape(land, stack, some_tiles(land, 2, 7), cache=TileCache(tmp_path))
     every = shape(land, stack, all_tiles(land.lattice))
@@ -110,7 +105,7 @@ def test_a_tile_of_the_first_effect_has_the_same_bytes_whatever_else_is_asked_fo
 
 
 def inner_of(level, tile):
-    """The samples of a tile for which no other counts."""
+    """Return the samples of a tile where no other tile has a weight."""
     return tuple(
         slice(part.start + BAND * (part.start > 0), part.stop - BAND * (part.stop < count))
         for part, count in zip(level.window(tile), level.shape, strict=True)
@@ -127,10 +122,9 @@ LATE_STACKS = {
 
 
 @pytest.mark.parametrize("stack", LATE_STACKS.values(), ids=LATE_STACKS)
-def test_a_tile_of_a_whole_stack_is_the_same_whatever_else_is_asked_for(stack):
-    """By its bytes, and but for 1 % of what the finest level moves as the whole has it. In all tiles scree is the rock
-    that was removed, to 1e-5, and snow that slid lies elsewhere, to 1e-4. Uneven samples, sides that fit no tile,
-    holes."""
+def test_a_tile_of_a_stack_has_the_same_bytes_in_every_request(stack):
+    """It differs from the level in one piece by 1 % of the finest level's change. Over all tiles scree equals the
+    removed rock to 1e-5, and slides of snow balance to 1e-4. Uneven samples, sides that fit no tile, holes."""
     heights = 2.0 * bumpy(290, 560, 4)
     heights[100:131, 140:200] = heights[200, 77] = np.nan
     field = from_array(heights, 9.0, 13.0, holes=True)
@@ -149,8 +143,8 @@ def test_a_tile_of_a_whole_stack_is_the_same_whatever_else_is_asked_for(stack):
     assert abs(slides.sum()) <= 1e-4 * abs(slides).sum()
 
 
-def test_around_a_lone_tile_no_effect_takes_more_scree_than_there_is():
-    """Scree that lies at 40 degrees is laid at 24 by a second effect, in one tile alone: it was 0.75 m below 0."""
+def test_no_operator_removes_more_scree_than_there_is():
+    """A second operator moves scree from 40 to 24 degrees in one tile alone; a depth was once -0.75 m there."""
     y, x = np.indices((300, 700))
     land = 200 * np.sin(x / 31) * np.cos(y / 27) + 60 * np.random.default_rng(1).standard_normal(x.shape)
     field = from_array(land.astype(np.float32), 10.0, 10.0)
@@ -159,8 +153,8 @@ def test_around_a_lone_tile_no_effect_takes_more_scree_than_there_is():
     assert made.layers["scree"].max() > 1.0 and made.layers["scree"].min() == 0.0
 
 
-def test_beside_tiles_that_are_left_out_the_ground_has_no_step(land):
-    """Along the border of a tile, heights change from sample to sample by no more than within it."""
+def test_the_ground_has_no_step_at_the_border_of_a_lone_tile(land):
+    """Heights change from sample to sample along its border no more than inside."""
     made = shape(land, Stack((Entry("smooth"),)), some_tiles(land, 5))
     _, columns = levels_of(land.lattice)[0].window(5)
     jumps = abs(np.diff(made.change, axis=1)).max(axis=0)
@@ -168,7 +162,7 @@ def test_beside_tiles_that_are_left_out_the_ground_has_no_step(land):
     assert border <= jumps.max() and border < 1.2 * jumps[columns.start + 20 : columns.stop - 20].max()
 
 
-def test_more_tiles_and_another_last_effect_compute_only_what_is_new(land, tmp_path):
+def test_further_requests_compute_only_new_tiles(land, tmp_path):
     stack = Stack(STACK.entries[:2])
 
     def made_by(stack, *tiles):
@@ -184,7 +178,7 @@ def test_more_tiles_and_another_last_effect_compute_only_what_is_new(land, tmp_p
     assert made_by(Stack((Entry("smooth", {"sweeps": 2}), *other.entries[1:])), 0)["smooth"] == 3
 
 
-def test_a_damaged_tile_is_made_again(land, tmp_path):
+def test_a_damaged_tile_is_computed_again(land, tmp_path):
     stack = Stack((Entry("hill"),))
     first = shape(land, stack, some_tiles(land, 0), cache=TileCache(tmp_path))
     for number, file in enumerate(sorted(tmp_path.glob("*.npy"))):
@@ -197,7 +191,7 @@ def test_a_damaged_tile_is_made_again(land, tmp_path):
 
 
 def test_tiles_leave_room_for_the_store(land, tmp_path, monkeypatch):
-    """Of 10 MB that are free 9 stay so; with none to spare nothing is kept. The result is the same."""
+    """9 of 10 free MB stay free; without any to spare nothing is cached. The result is the same."""
     free = 10_000_000
 
     def usage(_folder):
@@ -211,8 +205,8 @@ def test_tiles_leave_room_for_the_store(land, tmp_path, monkeypatch):
     assert not list((tmp_path / "other").glob("*.npy"))
 
 
-def test_levels_that_add_less_than_the_error_are_not_made(land):
-    """A wide hill is nearly all there on coarse levels: finer ones add millimetres, which nobody asks for at 1 m."""
+def test_levels_that_add_less_than_the_error_are_skipped(land):
+    """Coarse levels show a wide hill; finer ones add millimetres, less than the allowed 1 m."""
     stack = Stack((Entry("hill", {"radius": 4e4, "east": 4000.0, "north": 3000.0}),))
     wanted = [dict.fromkeys(range(level.tile_count), 1.0) for level in levels_of(land.lattice)]
     cache = TileCache()
@@ -222,9 +216,9 @@ def test_levels_that_add_less_than_the_error_are_not_made(land):
     assert shape(land, stack, whole_land(land.lattice)).tiles[0] == list(range(12))
 
 
-def test_what_a_tile_is_does_not_depend_on_the_error_that_is_allowed():
-    """Beside a plain, where nothing is worth a finer level, a tile still starts from all that it looks at; and the
-    plain's tiles that are made for that ask for no finer ones."""
+def test_a_tile_does_not_depend_on_the_allowed_error():
+    """A tile next to a plain, which needs no finer level, starts from all tiles that it reads; and the plain's tiles
+    that are computed for it request no finer ones."""
     y, x = np.indices((300, 1700))
     heights = np.where(x > 1040, 40.0, 0.5) * np.sin(x / 9) * np.cos(y / 11)
     field = from_array(heights.astype(np.float32), *STEPS)
@@ -241,7 +235,7 @@ def test_what_a_tile_is_does_not_depend_on_the_error_that_is_allowed():
         assert some.change[inner].tobytes() == all_of.change[inner].tobytes()
 
 
-def test_holes_stay_and_what_no_effect_reaches_keeps_its_bits():
+def test_holes_and_unchanged_samples_keep_their_bits():
     heights = bumpy(400, 333)
     heights[50:90, 60:99] = np.nan
     field = from_array(heights, 30.0, holes=True)
@@ -252,8 +246,8 @@ def test_holes_stay_and_what_no_effect_reaches_keeps_its_bits():
 
 
 @pytest.mark.parametrize("asked", ["of a coarser level", "of an effect that ends there"])
-def test_what_comes_from_a_coarser_level_is_not_in_holes(monkeypatch, asked):
-    """Depths and states of 4 m samples, between which holes of single samples lie."""
+def test_interpolated_changes_are_zero_in_holes(monkeypatch, asked):
+    """Depths and states of 4 m samples are interpolated over holes of single samples."""
     monkeypatch.setitem(LAND_EFFECTS, "hill", dataclasses.replace(HILL, finest=400 if asked.endswith("there") else 0))
     heights = bumpy(700, 600)
     heights[np.random.default_rng(2).random(heights.shape) < 0.05] = np.nan
@@ -264,8 +258,8 @@ def test_what_comes_from_a_coarser_level_is_not_in_holes(monkeypatch, asked):
         assert not samples[field.valid == 0].any() and (samples[field.valid == 1] > 50.0).any()
 
 
-def test_a_mask_lets_through_its_part_at_every_level_alike(land):
-    """Half of an effect is half of what it makes, however many levels there are, in heights and in depths."""
+def test_a_mask_scales_heights_and_depths_once(land):
+    """A factor of 0.5 halves the result, however many levels there are."""
     whole = shape(land, Stack((Entry("hill"),)), whole_land(land.lattice))
     half = shape(land, Stack((Entry("hill", mask=Mask(factor=0.5)),)), whole_land(land.lattice))
     assert abs(half.change - 0.5 * whole.change).max() < 1e-5
@@ -274,14 +268,11 @@ def test_a_mask_lets_through_its_part_at_every_level_alike(land):
     high = Mask(rules=(GroundRule("height", low=50.0, edge=20.0),))
     ruled = shape(land, Stack((Entry("hill", {"radius": 1e5}, mask=high),)), whole_land(land.lattice))
     ground = land.heights()
-    assert not ruled.change[ground < 40].any() and abs(ruled.change / whole_of(land) - 1)[ground > 60].max() < 1e-5
+    unmasked = shape(land, Stack((Entry("hill", {"radius": 1e5}),)), whole_land(land.lattice))
+    assert not ruled.change[ground < 40].any() and abs(ruled.change / unmasked.change - 1)[ground > 60].max() < 1e-5
 
 
-def whole_of(land):
-    return shape(land, Stack((Entry("hill", {"radius": 1e5}),)), whole_land(land.lattice)).change
-
-
-def test_where_the_mask_is_black_no_tile_is_made(land):
+def test_no_tile_is_computed_where_the_mask_is_black(land):
     image = np.zeros((7, 10), np.float32)
     image[:, :2] = 1.0
     cache, stack = TileCache(), Stack((Entry("smooth", mask=Mask("m.png")),))
@@ -290,20 +281,20 @@ def test_where_the_mask_is_black_no_tile_is_made(land):
     assert made.change[:, :150].any() and not made.change[:, 300:].any()
 
 
-def test_finishing_early_gives_the_levels_that_are_complete(land):
-    asked = []
+def test_finishing_early_gives_the_complete_levels(land):
+    calls = []
 
     def finish():
-        asked.append(1)
-        return len(asked) > 7  # five times a level, but for the coarsest
+        calls.append(1)
+        return len(calls) > 7  # five times a level, except the coarsest
 
     made = shape(land, Stack((Entry("smooth"),)), whole_land(land.lattice), finish=finish)
     coarse = shape(land, Stack((Entry("smooth"),)), some_tiles(land))
     assert made.finished_early and made.level == 1 and made.change.tobytes() == coarse.change.tobytes()
 
 
-def test_an_effect_of_the_whole_that_some_tiles_ask_for_is_taken_from_a_coarser_level(monkeypatch):
-    monkeypatch.setattr(level_plan, "MOST_WHOLE_FOR_SOME", 600)
+def test_tiles_of_a_global_operator_come_from_a_coarser_level(monkeypatch):
+    monkeypatch.setattr(level_plan, "MAX_WHOLE_FOR_TILES", 600)
     field, cache = from_array(bumpy(300, 900), 5.0), TileCache()
     made = shape(field, Stack((Entry("level"),)), some_tiles(field, 0), cache=cache)
     assert cache.made["level"] == 2 and made.tiles[0] == [0]
@@ -311,12 +302,12 @@ def test_an_effect_of_the_whole_that_some_tiles_ask_for_is_taken_from_a_coarser_
     assert abs(made.change - exact)[::2, ::2].max() < 1.0
 
 
-def test_where_tiles_are_doubted_all_finer_levels_are_made_in_one_piece(monkeypatch):
-    """Of 1300 samples, two levels of which are else made in tiles. Asked is the whole one, of 20 m, and that is all."""
-    asked = []
+def test_doubted_levels_are_computed_in_one_piece(monkeypatch):
+    """Two levels of 1300 samples would be computed in tiles. Only the whole level, of 20 m, is judged."""
+    calls = []
 
-    def doubts(_coarser, own, cell):
-        asked.append((own.heights.shape, cell))
+    def doubts(_coarser, change, cell):
+        calls.append((change.heights.shape, cell))
         return True
 
     field, plain = from_array(bumpy(300, 1300), 5.0), Stack((Entry("smooth"),))
@@ -324,12 +315,12 @@ def test_where_tiles_are_doubted_all_finer_levels_are_made_in_one_piece(monkeypa
     monkeypatch.setitem(LAND_EFFECTS, "smooth", dataclasses.replace(SMOOTH, doubts=doubts))
     made = shape(field, Stack((Entry("smooth"),)), some_tiles(field, 3))
     assert all(added.whole and not added.doubtful for added in made.added) and len(made.added) == 4
-    assert asked == [((76, 326), 400.0)] and made.tiles[0] == [3]
+    assert calls == [((76, 326), 400.0)] and made.tiles[0] == [3]
     assert made.change.tobytes() == expected.change.tobytes()
 
 
 @pytest.mark.parametrize("asked", [whole_land, all_tiles])
-def test_doubted_levels_that_are_too_large_are_made_in_tiles_and_say_so(asked, monkeypatch):
+def test_large_doubted_levels_are_computed_in_tiles_and_marked(asked, monkeypatch):
     monkeypatch.setattr(level_plan, "MOST_WHOLE", 900)
     monkeypatch.setitem(LAND_EFFECTS, "smooth", dataclasses.replace(SMOOTH, doubts=lambda *_: True))
     field = from_array(bumpy(300, 1300), 5.0)
@@ -339,8 +330,8 @@ def test_doubted_levels_that_are_too_large_are_made_in_tiles_and_say_so(asked, m
     assert not finer["hill", 0][1]
 
 
-def test_a_raster_of_one_row_less_takes_nothing_from_the_cache_that_depends_on_its_size(tmp_path):
-    """At level 1 both have the same samples; but land that rises fades to the rim of the raster's own metres."""
+def test_the_cache_distinguishes_rasters_by_their_size(tmp_path):
+    """Rasters whose rows differ by one have the same samples at level 1, but uplift fades towards their borders."""
     heights = bumpy(131, 601)
     heights[-2] = heights[-1]
     longer, shorter = from_array(heights, 20.0), from_array(heights[:-1].copy(), 20.0)

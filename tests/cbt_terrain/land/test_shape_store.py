@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Derived stores: ordinary ones, with layers beside the heights, made again only where something has changed."""
+"""Derived stores: ordinary stores with layers, which are rebuilt only after a change."""
 
 import dataclasses
 import json
@@ -34,14 +34,9 @@ HILL = Entry("hill", {"east": 2000.0, "north": 1500.0, "radius": 800.0})
 STACK = Stack((Entry("smooth"), HILL))
 
 
-@pytest.fixture(autouse=True)
-def _own(own_effects):
-    pass
-
-
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
-    """A store of 333 x 700 samples, 20 m by 9 m apart, with a hole."""
+    """Import a store of 333 x 700 samples, 20 m by 9 m apart, with a hole."""
     folder = tmp_path_factory.mktemp("source")
     heights = bumpy(333, 700)
     heights[200:230, 500:560] = np.nan
@@ -66,7 +61,7 @@ def test_a_shaped_store_is_an_ordinary_one(source, tmp_path):
     assert describe(tmp_path / "out")["format"] == "shaped"
 
 
-def test_where_nothing_is_changed_samples_keep_their_bits(source, tmp_path):
+def test_unchanged_samples_keep_their_bits(source, tmp_path):
     run_shape(source, Stack((HILL,)), tmp_path / "out")
     before, field = open_store(source), open_store(tmp_path / "out")
     y, x = np.mgrid[0:333, 0:700]
@@ -78,7 +73,7 @@ def test_where_nothing_is_changed_samples_keep_their_bits(source, tmp_path):
     assert abs(field.layers["fresh"] - cone).max() < 1e-3
 
 
-def test_the_same_again_is_unchanged_and_another_stack_is_not(source, tmp_path):
+def test_only_another_stack_or_request_rebuilds_a_store(source, tmp_path):
     first = run_shape(source, STACK, tmp_path / "out")
     assert run_shape(source, STACK, tmp_path / "out")["unchanged"] and "unchanged" not in first
     key = open_store(tmp_path / "out").key
@@ -92,7 +87,7 @@ def test_the_same_again_is_unchanged_and_another_stack_is_not(source, tmp_path):
 
 
 def test_layers_decide_the_key_and_a_shaped_store_can_be_shaped(source, tmp_path):
-    """Depths add up, states are replaced, and what no effect touches comes along."""
+    """Depths add up, states are replaced, and other layers are copied."""
     run_shape(source, Stack((HILL,)), tmp_path / "one")
     run_shape(tmp_path / "one", Stack((Entry("hill", {**HILL.parameters, "height": 50.0}),)), tmp_path / "two")
     one, two = open_store(tmp_path / "one"), open_store(tmp_path / "two")
@@ -131,7 +126,7 @@ def test_a_damaged_layer_is_named(source, tmp_path, damage):
 
 
 @pytest.mark.parametrize("layers", [{"../x": "m"}, {"A": "m"}, {"a": 1}, [], {f"a{k}": "m" for k in range(65)}])
-def test_entries_of_layers_that_cannot_be(source, tmp_path, layers):
+def test_invalid_names_of_layers_are_refused(source, tmp_path, layers):
     run_shape(source, Stack((HILL,)), tmp_path / "out")
     file = tmp_path / "out" / "store.json"
     content = json.loads(file.read_text())
@@ -140,7 +135,7 @@ def test_entries_of_layers_that_cannot_be(source, tmp_path, layers):
         open_store(tmp_path / "out")
 
 
-def test_what_cannot_be_is_said_before_anything_is_written(source, tmp_path):
+def test_invalid_requests_are_refused_before_writing(source, tmp_path):
     for out, match in ((source, "into itself"), (tmp_path / "file", "is a file")):
         (tmp_path / "file").write_text("x")
         for tried in (run_shape, ShapeJob):
@@ -166,12 +161,12 @@ def test_a_mask_from_a_file(source, tmp_path):
 
 
 def contents(store):
-    """Bytes of all files but the tiles."""
+    """Return the bytes of all files except the tiles."""
     files = [file for file in store.rglob("*") if file.is_file() and file.parent.name != "tiles"]
     return {file: file.read_bytes() for file in files}
 
 
-def test_cancelling_leaves_what_was_there(source, tmp_path):
+def test_cancelling_leaves_the_old_store(source, tmp_path):
     run_shape(source, Stack((HILL,)), tmp_path / "out")
     before = contents(tmp_path / "out")
 
@@ -185,27 +180,27 @@ def test_cancelling_leaves_what_was_there(source, tmp_path):
 
 
 def test_a_child_shapes_as_this_process_does(tmp_path):
-    """With the catalogue's own first effect; on a second run nothing is computed."""
+    """A second run computes nothing."""
     run_import(ImportSettings("island", size=300), tmp_path / "island")
     stack = Stack((Entry("relief"),))
-    told = []
-    report = shape_store(tmp_path / "island", stack, tmp_path / "out", on_progress=lambda *said: told.append(said))
+    reports = []
+    report = shape_store(tmp_path / "island", stack, tmp_path / "out", on_progress=lambda *args: reports.append(args))
     run_shape(tmp_path / "island", stack, tmp_path / "here", threads=3)
     there, here = open_store(tmp_path / "out"), open_store(tmp_path / "here")
     assert there.samples.tobytes() == here.samples.tobytes() and there.key == here.key
-    assert told[-1] == (1.0, "Done") and report["effects"] == ["relief"]
+    assert reports[-1] == (1.0, "Done") and report["effects"] == ["relief"]
     assert shape_store(tmp_path / "island", stack, tmp_path / "out")["unchanged"]
 
 
-def test_every_layer_of_the_catalogue_is_an_attribute_but_the_flow():
+def test_every_layer_except_flow_and_uplift_is_an_attribute():
     layers = {layer.name: layer.unit for effect in LAND_EFFECTS.values() for layer in effect.layers}
     own = {"worn", "fresh", "mark", "twice"}
     assert set(layers) - own <= {*NAMES, "flow", "uplift"}
     assert all(layers.get(effect.name, effect.unit) == effect.unit for effect in LAYERS)
 
 
-def test_attributes_read_layers_at_places_and_scales(source, tmp_path, monkeypatch):
-    """A ramp as a layer: at a place its value there, on every level; of a terrain without it 0, and why."""
+def test_attributes_read_layers_at_points_and_scales(source, tmp_path, monkeypatch):
+    """A ramp as a layer gives its value at a point on every level; a terrain without the layer gives 0 and a reason."""
     run_shape(source, Stack((HILL,)), tmp_path / "out")
     field = open_store(tmp_path / "out")
     west, south, _, _ = field.lattice.rectangle()
@@ -221,7 +216,7 @@ def test_attributes_read_layers_at_places_and_scales(source, tmp_path, monkeypat
     assert lacks(field, "snow") == "" and "no layer scree" in lacks(field, "scree") and lacks(field, "slope") == ""
 
 
-def test_a_foreign_folder_of_tiles_is_not_taken(source, tmp_path):
+def test_a_foreign_folder_of_tiles_is_refused(source, tmp_path):
     (tmp_path / "out" / "tiles").mkdir(parents=True)
     (tmp_path / "out" / "tiles" / "floor.jpg").write_bytes(b"x")
     with pytest.raises(TerrainError, match="tiles"):
@@ -230,8 +225,8 @@ def test_a_foreign_folder_of_tiles_is_not_taken(source, tmp_path):
     assert run_shape(source, STACK, tmp_path / "out")["samples"] == [700, 333]
 
 
-def test_a_store_stays_though_its_tiles_go_while_it_is_made(source, tmp_path):
-    """Someone clears the cache in the meantime: nothing is left to be trimmed, which is no reason to lose the store."""
+def test_removing_the_tiles_meanwhile_does_not_lose_the_store(source, tmp_path):
+    """Nothing is left to trim after the cache was cleared."""
 
     def cleared(_fraction, _message):
         shutil.rmtree(tmp_path / "tiles", ignore_errors=True)
@@ -241,14 +236,14 @@ def test_a_store_stays_though_its_tiles_go_while_it_is_made(source, tmp_path):
     verify(tmp_path / "out")
 
 
-def test_what_fails_after_a_store_is_there_does_not_take_it_back(source, tmp_path):
+def test_discarding_a_draft_does_not_remove_a_published_store(source, tmp_path):
     run_shape(source, STACK, tmp_path / "out")
     discard(tmp_path / "out", read_json(tmp_path / "out")["data"], [])
     verify(tmp_path / "out")
 
 
-def test_splat_rules_are_about_layers_too(source, tmp_path):
-    """Ground under more than a metre of snow is white, of a terrain without snow none is."""
+def test_splat_rules_read_layers(source, tmp_path):
+    """Ground under more than a metre of snow is white; without the layer none is."""
     run_shape(source, Stack(), tmp_path / "out")
     field = open_store(tmp_path / "out")
     layers = Layer("Grass"), Layer("White", (Rule("snow", low=1.0),), on_top=True)
@@ -264,7 +259,7 @@ def test_splat_rules_are_about_layers_too(source, tmp_path):
         assert not white[west].any() and (white[east] == (0.0 if depth is None else 1.0)).all()
 
 
-def test_a_report_warns_of_tiles_that_are_not_to_be_trusted(source, tmp_path, monkeypatch):
+def test_a_report_warns_of_doubtful_tiles(source, tmp_path, monkeypatch):
     monkeypatch.setattr(level_plan, "MOST_WHOLE", 600)
     monkeypatch.setitem(LAND_EFFECTS, "smooth", dataclasses.replace(SMOOTH, doubts=lambda *_: True))
     doubted = run_shape(source, STACK, tmp_path / "doubted")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Stacks as JSON: what is read is what was written, and what strangers write is a stack or one sentence."""
+"""Stacks as JSON: writing and reading preserves them, and invalid content gives one sentence."""
 
 import json
 import os
@@ -20,12 +20,7 @@ STACK = Stack(
 )
 
 
-@pytest.fixture(autouse=True)
-def _own(own_effects):
-    pass
-
-
-def test_what_is_read_is_what_was_written(tmp_path):
+def test_reading_returns_the_written_stack(tmp_path):
     write_stack(STACK, tmp_path / "stack.json")
     found = read_stack(tmp_path / "stack.json")
     mask = found.entries[1].mask
@@ -36,7 +31,7 @@ def test_what_is_read_is_what_was_written(tmp_path):
     assert stack_from(stack_content(found)) == found
 
 
-def test_the_key_is_of_what_counts(tmp_path):
+def test_the_key_depends_on_everything_that_counts(tmp_path):
     key = STACK.key()
     assert Stack(STACK.entries[:1]).key() == key, "an entry that is off does nothing"
     assert Stack((Entry("hill", {"height": 7.5, "radius": 500.0}, seed=3),)).key() == key, "a default is a default"
@@ -55,7 +50,7 @@ def test_the_key_is_of_what_counts(tmp_path):
 
 
 def test_the_key_follows_an_image_to_another_folder(tmp_path):
-    """So a store and its land can be moved or packed, and the land is not shaped again."""
+    """A store and its land can be moved or packed without shaping again."""
     image = tmp_path / "m.npy"
     image.write_bytes(b"1")
     key = Stack((Entry("hill", mask=Mask(str(image))),)).key()
@@ -79,7 +74,7 @@ WRONG = [
     ({"version": True, "entries": []}, "expected 1"),
     ({"version": 1, "entries": {}}, "expected a list"),
     ({"version": 1, "entries": [], "extra": 1}, "'extra'"),
-    ({"version": 1, "entries": [{"effect": "hill"}] * 65}, "65 of them"),
+    ({"version": 1, "entries": [{"effect": "hill"}] * 65}, "has 65 entries; expected a list of at most 64"),
     (one(effect="lava"), "'lava'; expected one of"),
     (one(effect=3), "expected a text"),
     (one(effect="hill", parameters=[1]), "expected an object of numbers"),
@@ -94,16 +89,16 @@ WRONG = [
     (one(effect="hill", mask={"factor": 2}), "factor of 2.0; expected 0 to 1"),
     (one(effect="hill", mask={"image": 7}), "expected the name of a file"),
     (one(effect="hill", mask={"rules": [{"of": "mood"}]}), "'mood'; expected one of: height, slope, aspect"),
-    (one(effect="hill", mask={"rules": [{"of": "slope", "low": 95}]}), "expected numbers within -90 and 90 degrees"),
+    (one(effect="hill", mask={"rules": [{"of": "slope", "low": 95}]}), "expected numbers from -90 to 90 degrees"),
     (one(effect="hill", mask={"rules": [{"of": "slope", "low": 90, "high": 0}]}), "from 90 to 0; expected a low limit"),
     (one(effect="hill", mask={"rules": [{"of": "aspect", "direction": 3601}]}), "towards 3601 degrees; expected"),
     (one(effect="hill", mask={"rules": [{"of": "height", "edge": -1}]}), "with an edge of -1"),
-    (one(effect="hill", mask={"rules": [{"of": "height"}] * 17}), "17 of them"),
+    (one(effect="hill", mask={"rules": [{"of": "height"}] * 17}), "has 17 rules"),
 ]
 
 
 @pytest.mark.parametrize(("content", "said"), WRONG, ids=lambda value: value if isinstance(value, str) else "")
-def test_what_cannot_be_is_one_sentence_with_the_file_and_the_entry(tmp_path, content, said):
+def test_an_invalid_stack_gives_one_sentence_with_its_file(tmp_path, content, said):
     file = tmp_path / "stack.json"
     file.write_text(json.dumps(content))
     with pytest.raises(TerrainError) as error:
@@ -118,7 +113,7 @@ TWICE = b'{"version": 1, "entries": [{"effect": "hill", "effect": "level"}]}'
 @pytest.mark.parametrize(
     "content", [b"", b"\xff\xfe", b"{" * 100_000, b"[" * 2_000_000, b'{"version": 1e', TWICE, None]
 )
-def test_a_file_that_is_no_stack(tmp_path, content):
+def test_an_unreadable_file_is_refused(tmp_path, content):
     file = tmp_path / "stack.json"
     if content is None:
         os.mkfifo(file)
@@ -151,7 +146,7 @@ def test_any_json_is_a_stack_or_an_error(content):
             assert "\n" not in str(error)
 
 
-def test_a_seed_of_thousands_of_digits_is_not_told_whole():
-    with pytest.raises(TerrainError) as told:
+def test_the_error_of_a_long_seed_is_short():
+    with pytest.raises(TerrainError) as error:
         stack_from({"version": 1, "entries": [{"effect": "relief", "seed": 10**4000}]})
-    assert len(str(told.value)) < 400 and "expected 0 to 2147483647" in str(told.value)
+    assert len(str(error.value)) < 400 and "expected 0 to 2147483647" in str(error.value)

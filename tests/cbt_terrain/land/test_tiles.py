@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Levels and tiles: they cover a raster, count 1 in all, and those that a camera sees are found."""
+"""Levels and tiles: they cover a raster, their weights add up to 1, and a camera's tiles are found."""
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.lattice import fit
-from adaptive_terrain.cbt_terrain.land.tiles import BAND, Needed, all_tiles, closed, levels_of, tiles_seen
+from adaptive_terrain.cbt_terrain.land.tiles import BAND, TileNeed, add_coarser, all_tiles, levels_of, tiles_seen
 from adaptive_terrain.cbt_terrain.land_effects.levels import coarser, finer, finer_window
 
 SIZES = [(700, 1000), (513, 513), (514, 2050), (258, 1600), (3, 900), (1025, 770)]
@@ -27,7 +27,7 @@ def test_levels_are_every_second_sample(shape):
 
 
 @pytest.mark.parametrize("shape", SIZES)
-def test_tiles_count_exactly_1_in_all(shape):
+def test_weights_of_tiles_add_up_to_exactly_1(shape):
     for level in levels_of(fit(shape[1], shape[0], 1.0, 1.0)):
         total = np.zeros(level.shape, np.float32)
         for tile in reversed(range(level.tile_count)):
@@ -36,7 +36,7 @@ def test_tiles_count_exactly_1_in_all(shape):
 
 
 @pytest.mark.parametrize("shape", SIZES)
-def test_a_tile_lies_in_its_parent(shape):
+def test_a_tile_is_inside_its_parent(shape):
     levels = levels_of(fit(shape[1], shape[0], 1.0, 1.0))
     for fine, coarse in zip(levels, levels[1:], strict=False):
         for tile in range(fine.tile_count):
@@ -56,14 +56,16 @@ def test_a_window_of_a_finer_level_has_the_bits_of_the_whole():
         assert part.tobytes() == finer(coarse, (rows, columns))[r[0] : r[1], c[0] : c[1]].tobytes()
 
 
-def test_what_tiles_start_from_is_wanted_too():
+def test_coarser_tiles_that_tiles_start_from_are_needed():
     levels = levels_of(fit(4097, 4097, 1.0, 1.0))
     wanted = [{17: 0.25}, *({} for _ in levels[1:])]
-    found = closed(levels, wanted, [(100, 300)] * len(levels))
+    found = add_coarser(levels, wanted, [(100, 300)] * len(levels))
     # Tile 17 is the second of the second row: samples 256 to 512 both ways; with a band and its halo from 140 to 629
     # north and from -60 to 829 east, of which half are 70 to 315 and 0 to 415, and a band more.
-    assert found[0] == {17: Needed(0.25, frozenset({17}))} and found[1] == {0: Needed(0.25, frozenset({0, 1, 8, 9}))}
-    assert found[2] == {0: Needed(0.25, frozenset({0, 1, 4, 5}))}
+    assert found[0] == {17: TileNeed(0.25, frozenset({17}))} and found[1] == {
+        0: TileNeed(0.25, frozenset({0, 1, 8, 9}))
+    }
+    assert found[2] == {0: TileNeed(0.25, frozenset({0, 1, 4, 5}))}
     assert [len(tiles) for tiles in all_tiles(fit(4097, 4097, 1.0, 1.0))] == [256, 64, 16, 4, 1]
 
 
@@ -71,9 +73,9 @@ def flat(rows=1500, columns=2100):
     return from_array(np.zeros((rows, columns), np.float32), 10.0)
 
 
-def test_straight_down_only_tiles_whose_pixels_are_fine_enough():
-    """From 2 km, 1000 pixels over 90 degrees are 4 m apart below the eye: level 0, of 10 m, shows out to 20 m pixels,
-    10 km off; but only what is in the frame counts, 2 km each way."""
+def test_a_view_from_above_needs_the_tiles_in_its_frame():
+    """From 2 km, 1000 pixels over 90 degrees are 4 m apart below the eye. Level 0, of 10 m, is visible up to pixels of
+    20 m, 10 km away; the frame reaches 2 km in each direction."""
     field = flat()
     seen = tiles_seen(field, [View.look((0, 0, 2000), (0, 0, 0), fov_deg=90, resolution=(1000, 1000))], pixel_error=0.5)
     level, west, south = levels_of(field.lattice)[0], -10495.0, -7495.0
@@ -88,12 +90,12 @@ def test_straight_down_only_tiles_whose_pixels_are_fine_enough():
     assert 4 <= len(seen[0]) < level.tile_count == 54
 
 
-def test_from_far_away_only_coarse_levels():
+def test_a_distant_view_needs_only_coarse_levels():
     field = flat()
     seen = tiles_seen(field, [View.look((0, -90_000, 9000), (0, 0, 0), fov_deg=50, resolution=(1000, 600))])
     assert seen[0] == seen[1] == {} and tiles_seen(field, []) == [{}] * len(seen)
     assert len(seen[3]) == levels_of(field.lattice)[3].tile_count
 
 
-def test_looking_away_asks_for_nothing():
+def test_a_view_of_the_sky_needs_no_tiles():
     assert tiles_seen(flat(), [View.look((0, 0, 500), (0, 0, 5000))]) == [{}] * 5

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Meshes of water: welded, facing up, ending where the water meets the ground."""
+"""Meshes of water: welded, facing up, and ending at the shore."""
 
 import math
 from dataclasses import replace
@@ -26,7 +26,7 @@ def surface_on(heights, *layers, **more):
 
 
 def cone(rows, columns):
-    """An island of 1 : 5 in a sea of 60 m."""
+    """Return an island with slopes of 1 : 5 in a sea of 60 m."""
     y, x = np.mgrid[:rows, :columns].astype(float)
     far = np.hypot((x - columns // 2) * STEP_X, (y - rows // 2) * STEP_Y)
     return (20.0 - 0.2 * far).astype(np.float32)
@@ -51,8 +51,8 @@ def test_the_shore_is_where_the_ground_is_at_the_level():
     assert (depth[np.unique(border)][(abs(at[:, 0]) < east - 1) & (abs(at[:, 1]) < north - 1)] < 5e-3).all()
 
 
-def test_what_a_surface_ends_on_is_the_ground():
-    """On hills with lakes and rivers, border vertices are on the ground's triangles, along the cells' edges."""
+def test_border_vertices_are_on_the_ground():
+    """On hills with lakes and rivers they are on the ground's triangles, along the cells' edges."""
     heights = hills(120, 95)
     ground = Ground(heights, STEP_X, STEP_Y, whole=heights.shape)
     layers = WATER.apply(ground, WATER.defaults() | {"rain": 3.0}, None).layers
@@ -77,7 +77,7 @@ def test_what_a_surface_ends_on_is_the_ground():
 
 
 def test_a_stream_across_the_cells_is_one_piece():
-    """One sample wide along a diagonal: triangles that are joined by edges, all the way."""
+    """A stream of one sample along a diagonal gives triangles that edges connect."""
     heights = np.add.outer(np.arange(30.0), np.zeros(30)).astype(np.float32)
     heights += 3.0 * abs(np.subtract.outer(np.arange(30), np.arange(30))).astype(np.float32)
     for flipped in (heights, heights[:, ::-1].copy()):
@@ -131,8 +131,8 @@ def test_a_large_field_is_thinned_from_its_south_western_corner(side):
     assert abs(found.positions[:, 2]).max() < 1e-4 and found.attributes["water_depth"].array.max() > 10.0
 
 
-def test_a_field_without_water_has_that_of_a_metre_of_rain_a_year():
-    """A sea at 0, and a hollow on the cone's flank that is full to its rim."""
+def test_a_field_without_water_layers_gets_default_water():
+    """There is a sea at 0 m and a full hollow on the cone's flank."""
     heights = cone(60, 50)
     row, column = np.argwhere((heights > 15.0) & (heights < 20.0))[0]
     heights[row - 1 : row + 2, column - 1 : column + 2] = 5.0
@@ -145,7 +145,7 @@ def test_a_field_without_water_has_that_of_a_metre_of_rain_a_year():
     assert 5.0 < z[~sea][lake] < 20.0 and z[~sea][lake] - deep[~sea][lake] == pytest.approx(5.0, abs=1e-3)
 
 
-def test_the_water_of_a_field_is_that_of_its_layers():
+def test_the_water_of_a_field_comes_from_its_layers():
     heights = cone(60, 50)
     depth = np.where(heights < -10.0, np.float32(-10.0) - heights, np.float32(0.0))
     found = water_of(replace(from_array(heights, STEP_X, STEP_Y), layers={"water_depth": depth}))

@@ -64,7 +64,7 @@ def _settle(slope: Slope, run: np.float32, one: list[np.ndarray], other: list[np
     left = np.where(down, one[1], other[1])
     run = run * np.where(down, one[3], other[3])
     move = np.float32(slope.share) * (np.abs(drop) - np.float32(slope.repose) * run)
-    rest = on_high - np.fmax(np.minimum(move, np.float32(slope.part) * on_high), ZERO)
+    rest = on_high - np.fmax(np.minimum(move, np.float32(slope.max_fraction) * on_high), ZERO)
     on_low, on_high = on_low + (on_high - rest), rest
     bare = high - (low + on_low)
     limit = np.float32(slope.soft) + np.float32(np.float32(slope.hard) - np.float32(slope.soft)) * _hardness(

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is gained or lost where a coarser level's change is brought to a finer one, made up for by what lies nearby.
+"""Conservation of mass when a coarser level's change is interpolated to a finer one.
 
-So nothing is lost over all levels, and no tile needs to know of samples far away: it has what the whole has there.
+Interpolation gains or loses material, which deposits nearby make up for. All levels together conserve mass, and a tile
+has the result of the whole without reading distant samples.
 """
 
 import numpy as np
@@ -9,75 +10,80 @@ import numpy as np
 from .land_effect import Ground
 from .levels import finer
 
-# A gain is taken from what was laid down within 2^4 samples, what is left of it within 2^5, and then within 2^6. That
-# is so little that the halo of a tile may be shorter: tiles lose or gain up to 1e-4 of what slides.
+# A gain is removed from deposits within 2^4 samples, the rest of it within 2^5, then 2^6. The last rest is so small
+# that the halo of a tile may be shorter: tiles lose or gain up to 1e-4 of the moved material.
 HALVINGS = 4, 5, 6
-# A part of all that was laid down: what is left then and is less is but rounding.
+# A rest below this fraction of all deposits is rounding.
 ROUNDING = 1e-7
 
 
 def balanced(
-    laid: np.ndarray, taken: np.ndarray, most: np.ndarray, now: np.ndarray, net: np.ndarray, ground: Ground
+    deposited: np.ndarray,
+    eroded: np.ndarray,
+    max_eroded: np.ndarray,
+    change: np.ndarray,
+    net: np.ndarray,
+    ground: Ground,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As much of what was laid down, and of what was taken, as keeps the sum: of a whole raster exactly, of a tile as
-    far as it looks.
+    """Scale deposits and erosion so that mass is conserved: exactly for a whole raster, for a tile within its window.
 
-    All float32 [rows, columns] m. net: what a coarser level has moved, whose sum over that level's samples is 0,
-    brought to this one. now: the same as it is to be here, of which `laid`, at least 0, may become less or more.
-    `taken`, at least 0, becomes less or more, up to `most`, where too little was laid down nearby: at a rim that all
-    has slid from.
+    All float32 [rows, columns] m. net: the interpolated change of the coarser level, whose sum over that level's
+    samples is 0. change: the same at this level before the correction; it includes `deposited` >= 0, which is scaled
+    first. `eroded` >= 0 changes, up to `max_eroded`, only where too little is deposited nearby, as at a border that all
+    material has left.
     """
-    elsewhere = now.sum(dtype=np.float64) - laid.sum(dtype=np.float64)
-    padding = [(first % (1 << HALVINGS[-1]), 0) for first in ground.first]  # grids lie alike in a tile and in the whole
+    missing = change.sum(dtype=np.float64) - deposited.sum(dtype=np.float64)
+    padding = [(first % (1 << HALVINGS[-1]), 0) for first in ground.first]  # aligns the grids of tiles and of the whole
     within = tuple(slice(before, None) for before, _ in padding)
-    laid, gained, done = np.pad(laid, padding), np.pad(now - _all_of(net, ground), padding), 0
+    deposited, gain, done = np.pad(deposited, padding), np.pad(change - _complete(net, ground), padding), 0
     for halvings in HALVINGS:
-        there, gained = _gathered(laid, halvings), _gathered(gained, halvings - done)
-        part, done = _part(gained, there), halvings
-        gained = gained - part * there
-        laid = laid - _spread(part, laid.shape, halvings) * laid
-    laid, before = laid[within], taken
-    if abs(gained).sum() > ROUNDING * laid.sum(dtype=np.float64):
-        for sign, room in ((1.0, np.minimum(taken, most - taken)), (-1.0, taken)):
-            room = np.pad(room, padding)
-            part = _part(np.maximum(sign * gained, 0.0), _gathered(room, done))
-            taken = taken + (np.float32(sign) * _spread(part, room.shape, done) * room)[within]
-    if all(ground.rims):  # nothing lay nearby, or the coarser level's sum was not quite 0
-        there = laid.sum(dtype=np.float64)
-        elsewhere -= (taken - before).sum(dtype=np.float64)
-        laid = laid - np.float32(_part(elsewhere + there, there)) * laid
-    return laid, taken
+        available, gain = _gather(deposited, halvings), _gather(gain, halvings - done)
+        fraction, done = _fraction(gain, available), halvings
+        gain = gain - fraction * available
+        deposited = deposited - _interpolate(fraction, deposited.shape, halvings) * deposited
+    deposited, before = deposited[within], eroded
+    if abs(gain).sum() > ROUNDING * deposited.sum(dtype=np.float64):
+        for sign, available in ((1.0, np.minimum(eroded, max_eroded - eroded)), (-1.0, eroded)):
+            available = np.pad(available, padding)
+            fraction = _fraction(np.maximum(sign * gain, 0.0), _gather(available, done))
+            eroded = eroded + (np.float32(sign) * _interpolate(fraction, available.shape, done) * available)[within]
+    if all(ground.rims):  # nothing was near enough, or the coarser level's sum was not exactly 0
+        total = deposited.sum(dtype=np.float64)
+        missing -= (eroded - before).sum(dtype=np.float64)
+        deposited = deposited - np.float32(_fraction(missing + total, total)) * deposited
+    return deposited, eroded
 
 
-def _part(gained, there):
-    """The part of what is there that goes, at most all; negative for what comes, at most as much again."""
-    return np.clip(gained / np.maximum(there, 1e-12), -1.0, 1.0)
+def _fraction(gain, available):
+    """Return the fraction of the available material to remove; negative to add, at most as much again."""
+    return np.clip(gain / np.maximum(available, 1e-12), -1.0, 1.0)
 
 
-def _gathered(samples: np.ndarray, halvings: int) -> np.ndarray:
-    """float64: so many times [rows // 2 + 1, columns // 2 + 1]: the samples of `finer`, each given back what it would
-    give; the sum stays."""
+def _gather(samples: np.ndarray, halvings: int) -> np.ndarray:
+    """Apply the transpose of `finer` several times: float64, each time [rows // 2 + 1, columns // 2 + 1], same sum."""
     for axis in (0, 1) * halvings:
         along = np.moveaxis(samples, axis, 0)
-        some = np.zeros((len(along) // 2 + 1, along.shape[1]))
-        some[: (len(along) + 1) // 2] = along[::2]
+        coarse = np.zeros((len(along) // 2 + 1, along.shape[1]))
+        coarse[: (len(along) + 1) // 2] = along[::2]
         between = 0.5 * along[1::2]
-        some[: len(between)] += between
-        some[1 : len(between) + 1] += between
-        samples = np.moveaxis(some, 0, axis)
+        coarse[: len(between)] += between
+        coarse[1 : len(between) + 1] += between
+        samples = np.moveaxis(coarse, 0, axis)
     return samples
 
 
-def _spread(part: np.ndarray, shape: tuple[int, int], halvings: int) -> np.ndarray:
-    """float32 of a shape, from what is so many halvings coarser."""
+def _interpolate(samples: np.ndarray, shape: tuple[int, int], halvings: int) -> np.ndarray:
+    """Apply `finer` several times, up to a shape; float32."""
     if halvings > 1:
-        part = _spread(part, (shape[0] // 2 + 1, shape[1] // 2 + 1), halvings - 1)
-    return finer(part.astype(np.float32), shape)
+        samples = _interpolate(samples, (shape[0] // 2 + 1, shape[1] // 2 + 1), halvings - 1)
+    return finer(samples.astype(np.float32), shape)
 
 
-def _all_of(net: np.ndarray, ground: Ground) -> np.ndarray:
-    """What was brought to a finer level, with what is missing at the raster's rims: there a coarser sample has samples
-    of the finer level on one side of it only, or lies beyond the last one."""
+def _complete(net: np.ndarray, ground: Ground) -> np.ndarray:
+    """Return an interpolated change with the missing material at the raster's borders.
+
+    A coarser sample there has finer samples on one side only, or is beyond the last of them.
+    """
     net, rims = net.copy(), ground.rims
     for axis, (start, end) in enumerate((rims[:2], rims[2:])):
         along = np.moveaxis(net, axis, 0)

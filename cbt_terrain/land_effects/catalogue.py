@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every effect on heights that there is. A new one is a file beside this one, and its name in this list."""
+"""The list of all height operators. A new one is a file in this folder and an entry in this list."""
 
 from .droplets import DROPLETS
 from .flood import FLOOD
@@ -10,7 +10,7 @@ from .snow import SNOW
 from .thermal import THERMAL
 from .water import WATER
 
-# In the order in which a stack usually has them.
+# In the usual order of a stack.
 LAND_EFFECTS: dict[str, LandEffect] = {
     effect.name: effect for effect in (RIVERS, THERMAL, DROPLETS, RELIEF, WATER, FLOOD, SNOW)
 }

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Droplets: short gullies and small fans, from rain that runs a few hundred metres. A look, for after rivers.
+"""Droplets: short gullies and small fans from rain that runs a few hundred metres, for use after rivers.
 
-A mask weighs what droplets take up; they lay it down where they must.
+A mask scales erosion; deposition follows from it.
 """
 
 import math
@@ -16,33 +16,33 @@ from ..run import launch
 from ..run.buffers import flat
 from .land_effect import Change, Evaluate, Ground, LandEffect, LandLayer
 
-# Places of single gullies differ from level to level, only their amount converges. So each level of at least so many
-# metres between samples is rained on anew; a finer one has the gullies of that, with their edges rounded.
+# The positions of gullies differ between levels, only their amount converges. So droplets run on each level down to
+# this many metres between samples, independently of the coarser one; finer levels smooth the gullies of that level.
 FINEST_STEP = 8.0
-# Where samples are far apart one droplet stands for several, so that no more than this many fall on a sample; where
-# they are further apart than this part of the reach, there are no gullies to be seen.
-MOST_ON_A_SAMPLE, COARSEST_STEP = 4.0, 0.25
-# Metres over which a droplet turns downhill, takes up or lays down what it lacks or has too much, and dries; around it
-# that it changes. The m3 that it carries on a slope of 1.
+# On coarse levels a droplet stands for several, so that at most this many fall on a sample. On levels whose spacing is
+# above this fraction of the reach there are no gullies.
+MAX_PER_SAMPLE, COARSEST_STEP = 4.0, 0.25
+# Length scales in metres: of turning downhill, of reaching the capacity, of drying; diameter of the brush. Capacity of
+# a droplet on a slope of 1 in m3.
 TURN, LOAD, DRY, BRUSH, CAPACITY = 12.0, 120.0, 600.0, 16.0, 250.0
 
 
 def apply(ground: Ground, values: Mapping[str, float], coarse: Change | None) -> Change:
-    """See Apply in land_effect.py."""
+    """Compute the change of a level; implements `Apply`."""
     if coarse is not None and max(ground.step_x, ground.step_y) < FINEST_STEP:
-        return _layered(_rounded(coarse.heights, ground.missing))
-    if min(ground.heights.shape) < 2 or min(ground.step_x, ground.step_y) > COARSEST_STEP * values["reach"]:
-        return _layered(np.zeros(ground.heights.shape, np.float32))
-    return _layered(_rounded(rain_on(ground, values)[0].astype(np.float32), ground.missing))
-
-
-def _layered(change: np.ndarray) -> Change:
+        change = _smooth(coarse.heights, ground.missing)
+    elif min(ground.heights.shape) < 2 or min(ground.step_x, ground.step_y) > COARSEST_STEP * values["reach"]:
+        change = np.zeros(ground.heights.shape, np.float32)
+    else:
+        change = _smooth(rain_on(ground, values)[0].astype(np.float32), ground.missing)
     return Change(change, {"sediment": np.maximum(change, 0.0), "wear": np.maximum(-change, 0.0)})
 
 
-def _rounded(change: np.ndarray, missing: np.ndarray | None) -> np.ndarray:
-    """[1 2 1] / 4 along both sides, and nothing is lost: the washboard that droplets leave on level ground goes, and
-    what is linear between coarse samples becomes smooth."""
+def _smooth(change: np.ndarray, missing: np.ndarray | None) -> np.ndarray:
+    """Apply [1 2 1] / 4 along both axes, which conserves the sum.
+
+    It removes the washboard that droplets leave on level ground and smooths what is linear between coarse samples.
+    """
     out = change.copy()
     still = np.zeros(out.shape, bool) if missing is None else missing
     for a, b, wall in (
@@ -58,7 +58,7 @@ def _rounded(change: np.ndarray, missing: np.ndarray | None) -> np.ndarray:
 
 
 def rain_on(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, float]:
-    """Let all droplets of a level run: float64 [rows, columns] m of change, and the m3 that left over the rim."""
+    """Run all droplets of a level; return the change, float64 [rows, columns] m, and the m3 that left at the border."""
     rain = _rain(ground, values)
     heights, change = ground.heights.copy(), np.zeros(ground.heights.shape)
     if ground.missing is not None:
@@ -76,9 +76,9 @@ def rain_on(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, fl
     return change, carried
 
 
-def _rain(ground: Ground, values: Mapping[str, float]) -> kernels.Rain:
-    """The numbers that the kernels want."""
-    rain, stride = kernels.Rain(), min(ground.step_x, ground.step_y)
+def _rain(ground: Ground, values: Mapping[str, float]) -> kernels.DropletRain:
+    """Return the parameters of the kernels."""
+    rain, stride = kernels.DropletRain(), min(ground.step_x, ground.step_y)
     rain.height, rain.width = ground.heights.shape
     rain.first_row, rain.first_column = ground.first
     rain.step_x, rain.step_y, rain.stride, rain.steps = ground.step_x, ground.step_y, stride, _steps(values, stride)
@@ -88,15 +88,15 @@ def _rain(ground: Ground, values: Mapping[str, float]) -> kernels.Rain:
         for step, brush in ((ground.step_y, rain.brush_y), (ground.step_x, rain.brush_x))
     )
     rain.across = -(-_whole(ground)[1] // rain.columns)
-    on_sample = values["droplets"] * 1e-6 * ground.step_x * ground.step_y
-    some = min(on_sample, MOST_ON_A_SAMPLE)
-    rain.drops = round(some * rain.rows * rain.columns)
-    rain.capacity = CAPACITY * values["strength"] * on_sample / max(some, 1e-12)
+    per_sample = values["droplets"] * 1e-6 * ground.step_x * ground.step_y
+    simulated = min(per_sample, MAX_PER_SAMPLE)
+    rain.drops = round(simulated * rain.rows * rain.columns)
+    rain.capacity = CAPACITY * values["strength"] * per_sample / max(simulated, 1e-12)
     rain.sea = values["sea"]
-    # float32: exp may differ by a bit from machine to machine
-    rain.keep, kept, wet = (float(np.float32(math.exp(-stride / length))) for length in (TURN, LOAD, DRY))
+    # float32, since the last bit of exp differs between machines
+    inertia, load, water = (float(np.float32(math.exp(-stride / length))) for length in (TURN, LOAD, DRY))
     rain.seed = (ground.seed * 0x9E3779B9) & 0xFFFFFFFF
-    rain.load, rain.dry = 1.0 - kept, 1.0 - wet
+    rain.inertia, rain.load, rain.dry = inertia, 1.0 - load, 1.0 - water
     return rain
 
 
@@ -110,13 +110,15 @@ def _steps(values: Mapping[str, float], stride: float) -> int:
 
 
 def _tile(reach: float, brush: int) -> int:
-    """Samples along a tile's side: a droplet and its last brush reach less than half of it."""
+    """Return the samples along a tile's side, of which a droplet with its last brush reaches less than half."""
     return math.ceil(2.0 * (reach + brush + 3.0))
 
 
-def _tiles(rain: kernels.Rain, ground: Ground) -> list[np.ndarray]:
-    """int32 each: numbers, in the whole level, of the tiles of each colour that matter to what is asked for: of those
-    within reach of it, and of those before them that reach these."""
+def _tiles(rain: kernels.DropletRain, ground: Ground) -> list[np.ndarray]:
+    """Return the numbers in the whole level, int32, of the tiles of each colour that can affect the target window.
+
+    These are the tiles within reach of the target, and the tiles of earlier colours within reach of them.
+    """
     numbers, near = [], []
     asked = ground.asked or [slice(0, n) for n in ground.heights.shape]
     for first, count, whole, side, part in zip(
@@ -128,32 +130,35 @@ def _tiles(rain: kernels.Rain, ground: Ground) -> list[np.ndarray]:
         numbers.append(found)
         near.append(((found + 1) * side > first + part.start - reach) & (found * side < first + part.stop + reach))
     matter = np.logical_and.outer(*near)
-    # Neighbours of a colour are of those before it in one row and one column each, or in two columns.
+    # A tile reads its neighbours of earlier colours.
     odd_row, odd_column = (n % 2 for n in np.meshgrid(*numbers, indexing="ij"))
     colours = 2 * odd_row + (odd_row ^ odd_column)
     for colour in (3, 2, 1):
-        matter |= _around(matter & (colours == colour)) & (colours < colour)
+        matter |= _dilate(matter & (colours == colour)) & (colours < colour)
     tiles = np.add.outer(numbers[0] * rain.across, numbers[1]).astype(np.int32)
     return [tiles[matter & (colours == colour)] for colour in range(4)]
 
 
-def _around(tiles: np.ndarray) -> np.ndarray:
-    """bool [rows, columns]: these and their eight neighbours."""
+def _dilate(tiles: np.ndarray) -> np.ndarray:
+    """Return the tiles and their eight neighbours, bool [rows, columns]."""
     wide = np.pad(tiles, 1)
     tall = wide[:-2] | wide[1:-1] | wide[2:]
     return tall[:, :-2] | tall[:, 1:-1] | tall[:, 2:]
 
 
 def _halo(values: Mapping[str, float], step: float) -> float:
-    """Metres. Within half a side of a tile of droplets lie those that reach what is asked for, at most two tiles
-    further on all that comes before them, and half a side beyond is what these look at: 4 sides in all."""
+    """Return the halo in metres: 4 sides of a droplet tile.
+
+    Droplets that reach the target start within half a side of it, the earlier tiles that affect them are at most two
+    tiles further, and these read half a side beyond.
+    """
     if step < FINEST_STEP:
         return 2.0 * step
     return 8.0 * (values["reach"] + max(0.5 * BRUSH, step) + 5.0 * step)
 
 
 def example(shape: Evaluate) -> None:
-    """A funnel fills up from its flanks, nothing is lost; a plain stays as it is."""
+    """Assert that a funnel fills from its flanks and conserves mass, and that a plain does not change."""
     x = np.abs(np.arange(65, dtype=np.float32) - 32.0)
     far = np.maximum(x[:, None], x)
     change = shape("droplets", 10.0 + 5.0 * far, 10.0).heights

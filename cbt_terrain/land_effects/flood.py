@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A flood, marched in time: minutes of rain, or a sea that stands too high. Heights stay as they are."""
+"""A flood over time: minutes of rain, or a surge of the sea. Heights do not change."""
 
 import math
 from collections.abc import Mapping
@@ -17,25 +17,27 @@ from .land_effect import Change, Evaluate, Ground, LandEffect
 from .water import DEPTH, SPEED
 
 GRAVITY = 9.81
-# Of the longest stable step, and the least depth that it is taken from: how fast the first rain may run.
-SAFE, LEAST_DEPTH = 0.99, 0.05
-# More take hours, and say that the ground is no land or that a sea is deep which nobody looks at.
-MOST_STEPS = 500_000
-# Water that is shallower than this has the speed that it would have so deep, metres.
-LEAST_DEPTH_OF_SPEED = 0.01
+# Fraction of the longest stable step, and the smallest depth in metres that it is computed for, as of the first rain.
+SAFE, MIN_DEPTH = 0.99, 0.05
+# More steps take hours; the cause is ground that is not land or a needlessly deep sea.
+MAX_STEPS = 500_000
+# Speeds are computed for at least this depth, metres.
+MIN_DEPTH_OF_SPEED = 0.01
 HOUR = 3600.0
 
 
 @dataclass(eq=False)
 class Flood:
-    """Water on a bed, at one time.
+    """Water on a bed at one time; `bed` and `rain` float32, `water` float64, all [rows, columns].
 
-    `bed`: float32 [rows, columns] m; `water`: its depth, float64, likewise. `metres`: from sample to sample to the east
-    and to the north. `rough`: Manning's coefficient. `rain`: float32, likewise, m/s. `outlets`: numbers of samples
-    where water is always `deep` metres deep: the rim, as the sea beyond it, and holes. `left`: the sum of what has left
-    there, in metres of samples. `fluxes`: float64 [2, rows + 2, columns], m^2/s to the next sample in the
-    east and in the north; `pushed`, like them, and `part`, like one, are scratch. They have a row before and after the
-    raster's.
+    Attributes:
+        bed, water: height and depth in metres; rain: m/s.
+        metres: spacing of samples to the east and north.
+        rough: Manning's coefficient.
+        outlets: indices of border samples and holes, whose depth is always `deep` metres.
+        left: sum of the depths that left there.
+        fluxes: float64 [2, rows + 2, columns], m^2/s to the next sample in the east and north, with a row before and
+            after the raster's. `pushed` and `part` are scratch arrays of this kind.
     """
 
     bed: np.ndarray
@@ -69,15 +71,14 @@ def still(
     missing: np.ndarray | None = None,
     threads: int = 1,
 ) -> Flood:
-    """A flood at its beginning: all is at rest, and below the level of the `sea` water stands `surge` metres above it.
+    """Return a flood at rest, with water `surge` metres above the `sea` level over ground below it.
 
-    bed, metres, rough: as in Flood; rain: m/s, of everywhere or of each sample; missing: bool [rows, columns], holes,
-    where water vanishes. Beyond the rim there is the sea, or land to
-    which what comes leaves.
+    bed, metres, rough: see Flood. rain: m/s, one number or one for each sample. missing: bool [rows, columns], holes,
+    where water vanishes. Beyond the border is the sea, or land that water leaves to.
     """
     bed = np.ascontiguousarray(bed, np.float32)
     holes = np.zeros(bed.shape, bool) if missing is None else missing
-    # float64 holds the sum of this depth and its bed, both of single precision, exactly: still water stays so.
+    # The sum of depth and bed, both of single precision, is exact in float64, so that still water stays still.
     under = float(np.float32(sea)) - bed.astype(np.float64)
     depth = np.where((under > 0.0) & ~holes, under + surge, 0.0)
     rim = holes.copy()
@@ -87,38 +88,39 @@ def still(
     deep = np.where(holes, 0.0, np.maximum(under, 0.0)).reshape(-1)[outlets]
     fluxes = [np.zeros((2, bed.shape[0] + 2, bed.shape[1])) for _ in range(2)]
     rains = np.ascontiguousarray(np.broadcast_to(np.float32(rain), bed.shape))
-    made = depth, metres, rough, rains, outlets, deep, 0.0, *fluxes, np.ones_like(fluxes[0][0])
-    return Flood(bed, *made, threads)
+    return Flood(
+        bed, depth, metres, rough, rains, outlets, deep, 0.0, *fluxes, np.ones_like(fluxes[0][0]), threads
+    )  # fmt: skip
 
 
 def longest_step(flood: Flood) -> float:
-    """Seconds beyond which a wave on the deepest water would grow: sqrt((1 - 2 s) / (g h (1 / dx^2 + 1 / dy^2))).
+    """Return the longest stable step in seconds: sqrt((1 - 2 s) / (g h (1 / dx^2 + 1 / dy^2))), h the largest depth.
 
-    The bound of leapfrog steps for the shortest wave that the grid holds, on open water of that depth, where a flux
-    takes the part s of either neighbour.
+    It is the bound of leapfrog steps for the shortest wave of the grid, where s is the smoothing of fluxes.
     """
     dx, dy = flood.metres
-    deepest = max(float(flood.water.max()), LEAST_DEPTH)
+    deepest = max(float(flood.water.max()), MIN_DEPTH)
     return math.sqrt((1.0 - 2.0 * kernels.SMOOTHING) / (GRAVITY * deepest * (1.0 / dx**2 + 1.0 / dy**2)))
 
 
 def step(flood: Flood, seconds: float) -> None:
-    """One step in time. Raises TerrainError for one that is longer than `longest_step`."""
+    """Advance one step in time. Raises TerrainError if it is longer than `longest_step`."""
     longest = longest_step(flood)
     if not 0.0 < seconds <= longest:
         raise TerrainError(
-            f"A step of the flood is {seconds:g} s long; expected at most {longest:g} s where water is "
-            f"{flood.water.max():.3g} m deep. March instead: it divides the time."
+            f"A step of the flood is {seconds:g} s long",
+            expected=f"at most {longest:g} s where water is {flood.water.max():.3g} m deep",
+            fix="call march, which divides the time",
         )
     _advance(flood, seconds)
 
 
 def march(flood: Flood, seconds: float, progress=lambda _part: None) -> int:
-    """Let so much time pass, in steps of at most SAFE times the longest that is stable; returns how many."""
+    """Advance in steps of at most SAFE times the longest stable one; return their number."""
     now, steps = 0.0, 0
     while now < seconds:
         left = seconds - now
-        # Equal steps to the end, were the water to stay as deep: no last one that is next to nothing.
+        # Equal steps to the end at the present depth, so that the last one is not tiny.
         dt = left / math.ceil(left / (SAFE * longest_step(flood)))
         _advance(flood, dt)
         now, steps = now + dt, steps + 1
@@ -130,7 +132,7 @@ def march(flood: Flood, seconds: float, progress=lambda _part: None) -> int:
 
 def _advance(flood: Flood, dt: float) -> None:
     flood.fluxes, flood.pushed = flood.pushed, flood.fluxes
-    s, work = kernels.Water(), {"step": "flood", "threads": flood.threads, "cost": flood.bed.shape[1] / 4}
+    s, work = kernels.FloodStep(), {"step": "flood", "threads": flood.threads, "cost": flood.bed.shape[1] / 4}
     s.height, s.width = flood.bed.shape
     s.step_x, s.step_y = flood.metres
     s.seconds, s.rough = dt, flood.rough
@@ -140,35 +142,36 @@ def _advance(flood: Flood, dt: float) -> None:
     s.part = flat(flood.part[1:], wp.float64)
     for phase in (kernels.push, kernels.limit, kernels.move):
         launch.spread(phase, s.height, [s], **work)
-    # At an outlet water stands as high as beyond it: what is more has left the raster, what is less has come in.
+    # The depth at an outlet is that beyond it; a surplus has left the raster, a deficit has come in.
     water = flood.water.reshape(-1)
     flood.left += float(np.sum(water[flood.outlets] - flood.deep))
     water[flood.outlets] = flood.deep
 
 
 def speeds(flood: Flood) -> np.ndarray:
-    """float32 [rows, columns] m/s: from the mean of the fluxes on both sides of a sample; critical at most, as they."""
+    """Return the speeds, float32 [rows, columns] m/s: the mean flux of both sides over the depth, at most critical."""
     to_east, to_north = flood.fluxes[0, 1:-1], flood.fluxes[1, 1:-1]
     x, y = to_east.copy(), to_north + flood.fluxes[1, :-2]
     x[:, 1:] += to_east[:, :-1]
     through = 0.5 * np.sqrt(x * x + y * y)
     critical = np.sqrt(GRAVITY * flood.water)
-    return np.minimum(through / np.maximum(flood.water, LEAST_DEPTH_OF_SPEED), critical).astype(np.float32)
+    return np.minimum(through / np.maximum(flood.water, MIN_DEPTH_OF_SPEED), critical).astype(np.float32)
 
 
 def _check_time(flood: Flood, seconds: float) -> None:
-    """Raise TerrainError where a flood would take more than MOST_STEPS steps."""
+    """Raise TerrainError if a flood would take more than MAX_STEPS steps."""
     steps = seconds / (SAFE * longest_step(flood))
-    if steps > MOST_STEPS:
+    if steps > MAX_STEPS:
         raise TerrainError(
             f"A flood of {seconds / 60.0:g} minutes would take {steps:,.0f} steps where water is "
-            f"{flood.water.max():.4g} m deep and samples are {min(flood.metres):.3g} m apart; expected {MOST_STEPS:,} "
-            f"at most: take {seconds / 60.0 * MOST_STEPS / steps:.2g} minutes, a lower sea, or a coarser raster."
+            f"{flood.water.max():.4g} m deep and samples are {min(flood.metres):.3g} m apart",
+            expected=f"at most {MAX_STEPS:,}",
+            fix=f"take {seconds / 60.0 * MAX_STEPS / steps:.2g} minutes, a lower sea, or a coarser raster",
         )
 
 
 def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> Change:
-    """See Apply in land_effect.py. Every level by itself, from the beginning."""
+    """Compute a level from the beginning, without the coarser one; implements `Apply`."""
     rain = values["rain"] / 1000.0 / HOUR
     flood = still(
         ground.heights,
@@ -187,7 +190,7 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
 
 
 def example(evaluate: Evaluate) -> None:
-    """A sea at rest stays so, by the bit; in a basin what has rained for an hour stands level."""
+    """Assert that a sea at rest keeps its bits, and that rain in a basin becomes level."""
     bed = np.tile(np.float32(-5.0) + np.arange(16, dtype=np.float32), (12, 1))
     layers = evaluate("flood", bed, step=7.0, sea=0.25, rain=0.0, minutes=5.0).layers
     assert (layers["water_depth"] == np.maximum(np.float32(0.25) - bed, 0.0)).all()

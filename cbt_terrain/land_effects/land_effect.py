@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What an effect on heights is: a declaration, and a function that adds a change to a level of the ground.
+"""Height operators: a declaration, and a function that computes a change of a level of the ground.
 
-Levels halve the spacing. An effect is applied to the coarsest level first, with all the steps it needs; on each finer
-one it starts from its own change there and adds what only the finer samples can tell. All it takes and gives is in
-metres and years. So halving the spacing adds detail to the same land; any other number of samples moves those of the
-coarse levels, and then valleys lie elsewhere. Nothing here knows of a camera.
+Levels halve the spacing. An operator is applied to the coarsest level first, with all its steps; on each finer level it
+starts from its coarser change and adds what the finer samples show. Units are metres and years. So halving the spacing
+adds detail to the same land. Any other number of samples moves the samples of the coarse levels, and thereby valleys.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,9 +16,8 @@ from ..effects.effect import Parameter
 
 @dataclass(frozen=True)
 class LandLayer:
-    """A by-product: a number for each sample beside the heights. `name`: of the attribute, map or file. `per_metre`:
-    whether it is a depth, which is added up over a stack, or a state, of which the last one counts. `signed`: depths
-    that may be below 0."""
+    """A by-product, a number for each sample. `name`: of the attribute, map or file. `per_metre`: it is a depth, which
+    adds up over a stack; otherwise a state, which is replaced. `signed`: a depth that may be negative."""
 
     name: str
     unit: str
@@ -30,19 +28,21 @@ class LandLayer:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """One level of a terrain, or a tile of it with its halo, as an effect gets it; arrays are not written.
+    """The input of an operator: one level of a terrain, or a tile of it with its halo. Arrays are read only.
 
-    `heights`: float32 [rows, columns] metres, row 0 south, column 0 west. `step_x`, `step_y`: metres between samples.
-    `first`: row and column of sample [0, 0] in the numbering of the whole level, which decides phases, noise and beds.
-    `whole`: rows and columns of the whole level. `level`: halvings of the spacing that are left until the raster's own.
-    `missing`: bool [rows, columns] or None, holes of the file: heights there are filled, nothing should change them.
-    `mask`: float32 [rows, columns], 0 to 1, or None: how much of the effect is wanted. Effects with `masks` heed it
-    themselves, of the others the change is multiplied by it.
-    `layers`: what effects before this one have left, float32 [rows, columns] each.
-    `seed`: of what is random. `progress`: told the part that is done, 0 to 1; raises to stop the work.
-    `asked`: the rows and columns of it whose change is wanted, the others are only looked at; None: all.
-    `size`: metres from the raster's first row and column to its last, beyond which those of a coarser level may be
-    counted; None: those of the level.
+    Attributes:
+        heights: float32 [rows, columns], metres, row 0 south, column 0 west; `step_x`, `step_y` metres apart.
+        first: row and column of sample [0, 0] in the whole level, which decides phases, noise and beds.
+        whole: rows and columns of the whole level.
+        level: number of the level; 0 is the raster's own.
+        missing: bool [rows, columns], holes of the file with filled heights that must not change, or None.
+        mask: float32 [rows, columns], 0 to 1, or None. Operators with `masks` apply it themselves; the change of others
+            is multiplied by it.
+        layers: layers of earlier operators and of the source, float32 [rows, columns] each.
+        progress: called with the finished fraction, 0 to 1; raises to stop the work.
+        asked: rows and columns whose change is needed, None for all.
+        size: metres from the raster's first row and column to its last, beyond which a coarser level may extend;
+            None for the extent of the level.
     """
 
     heights: np.ndarray
@@ -62,17 +62,17 @@ class Ground:
 
     @property
     def rims(self) -> tuple[bool, bool, bool, bool]:
-        """Whether the south, north, west and east side is the raster's own rim, and not the cut of a tile."""
+        """Whether the south, north, west and east side is the raster's border and not the cut of a tile."""
         (row, column), (rows, columns), shape = self.first, self.whole, self.heights.shape
         return row == 0, row + shape[0] >= rows, column == 0, column + shape[1] >= columns
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What an effect does to a ground: `heights`, float32 [rows, columns] metres to be added, kept apart from the
-    heights so that small changes are not lost in large ones; and its layers, float32 [rows, columns] each.
+    """The result of an operator: metres to add and layers, float32 [rows, columns] each.
 
-    `kept`: likewise, what its next finer level has to know beside these; nobody else sees it, at level 0 it is empty.
+    Changes are separate from heights, since small ones would be lost in large heights. `kept`: further arrays for the
+    operator's next finer level; empty at level 0.
     """
 
     heights: np.ndarray
@@ -80,29 +80,36 @@ class Change:
     kept: dict[str, np.ndarray] = field(default_factory=dict)
 
 
-# The ground, the parameters, and the effect's own change at the next coarser level brought to this one's samples (None
-# at the coarsest) -> the change of this level. The heights of the ground are those before the effect.
+# (ground before the operator, parameters, its change of the next coarser level interpolated to this one's samples, None
+# at the coarsest level) -> change of this level.
 Apply = Callable[[Ground, Mapping[str, float], Change | None], Change]
 
-# A ground of float32 [rows, columns] m whose samples are so many metres apart, with the effect applied to it level by
-# level, by its name: see examples.py.
+# Applies an operator level by level: `shape_with` in examples.py.
 Evaluate = Callable[..., Change]
 
 
 @dataclass(frozen=True, eq=False)
 class LandEffect:
-    """One effect on heights: what it is, and how it is applied.
+    """The declaration of a height operator.
 
-    `name`: in stacks and files. `label`: in menus. `about`: one line of meaning. `layers`: its by-products, those of
-    others that it `reads`. `kept`: names of what its changes keep for its finer levels. `parameters`: in metres, years,
-    degrees. `halo`: metres around a tile that its finer levels look at, given the parameters and the spacing; inf where
-    only the whole raster will do. `doubts`: whether tiles of finer levels are not to be trusted, so that they have to
-    be in one piece: asked of a level that is, given the coarser change brought to it, its own change, and the square
-    metres of a sample. `finest`: the most samples along the longer side that it is worth or able to be
-    applied to, 0 for no limit. `limit`: its stability, in words. `conserves`: what stays, and how exactly. `converges`:
-    what a finer level changes, measured. `cost_ns`: nanoseconds a sample of a level on one thread, measured. `source`:
-    paper and section. `version`: raised whenever its values change. `example`: evaluates it where the answer is known,
-    and asserts that.
+    Attributes:
+        name, label, about: for stacks and files, for menus, and one line of meaning.
+        apply: the function.
+        example: evaluates it on ground with a known result and asserts that.
+        parameters: in metres, years, degrees.
+        layers: its by-products. reads: layers of others that it reads.
+        kept: names of the arrays in `Change.kept`.
+        halo: returns the metres around a tile that finer levels read, from the parameters and the spacing; inf if they
+            read the whole level.
+        doubts: returns whether finer levels must be computed in one piece, from the interpolated coarser change, the
+            change of a level in one piece, and the area of a sample in m2.
+        finest: largest number of samples along the longer side that it is applied to, 0 for no limit.
+        masks: it applies masks itself.
+        limit, conserves, converges: its stability, its invariants with their accuracy, and the measured change of a
+            finer level.
+        cost_ns: measured nanoseconds for a sample of a level on one thread.
+        source: paper and section.
+        version: raised whenever its values change.
     """
 
     name: str
@@ -126,4 +133,5 @@ class LandEffect:
     version: int = 1
 
     def defaults(self) -> dict[str, float]:
+        """Return the default of every parameter."""
         return {parameter.name: parameter.default for parameter in self.parameters}

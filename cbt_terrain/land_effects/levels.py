@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From level to level: halved heights, changes brought to a finer level, and one effect applied over all of them."""
+"""Transfers between levels, and the application of one operator over all levels."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -8,14 +8,14 @@ import numpy as np
 
 from .land_effect import Change, Ground, LandEffect
 
-# Samples along the longer side of the coarsest level, at most: it is always computed for the whole.
+# Maximum number of samples along the longer side of the coarsest level, which is always computed as a whole.
 COARSEST = 257
 
 
 def finer(samples: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """float32 [rows, columns] of the next finer level: its own samples where they coincide, between them their mean.
+    """Interpolate samples of a level linearly to `shape`, float32 [rows, columns], of the next finer level.
 
-    samples: float32 [(rows + 1) // 2 or one more, likewise], of the coarser level.
+    samples: float32 [(rows + 1) // 2 or one more, likewise].
     """
     rows, columns = samples.shape
     wide = np.empty((rows, 2 * columns - 1), np.float32)
@@ -28,24 +28,29 @@ def finer(samples: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 
 
 def coarser(samples: np.ndarray) -> np.ndarray:
-    """Every second sample; the last of a side with an even number, which a level ends beyond, is repeated."""
+    """Return every second sample. The last one of a side with an even number is repeated."""
     odd = np.pad(samples, [(0, 1 - n % 2) for n in samples.shape], mode="edge")
     return np.ascontiguousarray(odd[::2, ::2])
 
 
 def finer_window(samples: np.ndarray, rows: slice, columns: slice) -> np.ndarray:
-    """float32: rows and columns of what `finer` makes of a whole level, bit for bit, from no more than it needs."""
+    """Return a window of the result of `finer` for a whole level, bit for bit, without computing the rest."""
     south, west = rows.start // 2, columns.start // 2
-    part = samples[south : (rows.stop - 1) // 2 + 2, west : (columns.stop - 1) // 2 + 2]
-    up = finer(part, (2 * part.shape[0] - 1, 2 * part.shape[1] - 1))
-    return up[rows.start - 2 * south : rows.stop - 2 * south, columns.start - 2 * west : columns.stop - 2 * west]
+    coarse = samples[south : (rows.stop - 1) // 2 + 2, west : (columns.stop - 1) // 2 + 2]
+    fine = finer(coarse, (2 * coarse.shape[0] - 1, 2 * coarse.shape[1] - 1))
+    return fine[rows.start - 2 * south : rows.stop - 2 * south, columns.start - 2 * west : columns.stop - 2 * west]
+
+
+def finer_change(change: Change, shape: tuple[int, int]) -> Change:
+    """Interpolate all arrays of a change to the next finer level."""
+    layers, kept = ({name: finer(a, shape) for name, a in arrays.items()} for arrays in (change.layers, change.kept))
+    return Change(finer(change.heights, shape), layers, kept)
 
 
 def apply_by_levels(effect: LandEffect, ground: Ground, values: Mapping[str, float]) -> Change:
-    """The change that an effect makes to a whole raster, by way of all its levels.
+    """Return the change that an operator makes to a whole raster over all levels.
 
-    values: every parameter, as the effect's `defaults`. The heights, the mask and the layers of coarser levels are
-    every second sample of the finer one's.
+    values: every parameter. Heights, mask and layers of a coarser level are every second sample of the finer one's.
     """
     size = tuple((n - 1) * step for n, step in zip(ground.heights.shape, (ground.step_y, ground.step_x), strict=True))
     change = _unmasked(effect, replace(ground, size=size), values)
@@ -53,22 +58,18 @@ def apply_by_levels(effect: LandEffect, ground: Ground, values: Mapping[str, flo
 
 
 def _unmasked(effect: LandEffect, ground: Ground, values: Mapping[str, float]) -> Change:
-    """A level starts from the whole of its own change at the coarser one: of a masked one each level would take its
-    part again."""
+    """Return the change without its mask, which would otherwise be applied again at each level."""
     shape, change = ground.heights.shape, None
     ground = replace(ground, whole=shape)
     if max(shape) > COARSEST:
-        below = _unmasked(effect, _coarser_ground(ground), values)
-        some = ({name: finer(a, shape) for name, a in of.items()} for of in (below.layers, below.kept))
-        change = Change(finer(below.heights, shape), *some)
+        change = finer_change(_unmasked(effect, _coarser_ground(ground), values), shape)
     if change is not None and effect.finest and max(shape) > effect.finest:
         return change
     return effect.apply(ground, values, change)
 
 
 def masked(effect: LandEffect, change: Change, mask: np.ndarray | None) -> Change:
-    """The part of a change that a mask lets through, if the effect does not see to that itself: of its heights and of
-    those layers that are depths."""
+    """Multiply heights and depths of a change by a mask, unless the operator applies masks itself."""
     if mask is None or effect.masks:
         return change
     depths = {layer.name for layer in effect.layers if layer.per_metre}

@@ -1,35 +1,35 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Relief finer than the data: rock, gullies and ledges that the spacing of the source could not hold."""
+"""Relief finer than the data: rock, gullies and ledges below the spacing of the source."""
 
 import math
 
 import numpy as np
 import warp as wp
 
-from ...kernels.land.relief import Look, Window, add_relief
+from ...kernels.land.relief import ReliefNoise, Window, add_relief
 from ..effects.effect import Parameter
 from ..run import launch
 from ..run.buffers import flat
 from .land_effect import Change, Ground, LandEffect
 
-# Of the longest wave: over this much of it the ground's slope and bend are taken.
-LOOKS = 0.25
+# Fraction of the longest wave over which the ground's slope and curvature are measured.
+REACH = 0.25
 BLOCK_ROWS = 256
-# Metres of what rivers have laid down that bury all relief: valley floors and lakes that are filled stay flat.
+# Metres of sediment that bury all relief, so that valley floors and filled lakes stay flat.
 BURIED = 2.0
 # Beds dip towards this direction (east, north).
 DIP_TO = np.array([2.0, 1.0]) / math.sqrt(5.0)
 
 
 def apply(ground: Ground, values, _coarser) -> Change:
-    """A function of the place: what a coarser level has found is not used, it is this one without the finest waves."""
+    """Compute a level without the coarser one, which only lacks the finest waves; implements `Apply`."""
     heights = np.ascontiguousarray(ground.heights)
-    look, window = _look(ground, values), _window(ground, values)
+    noise, window = _noise(ground, values), _window(ground, values)
     added = np.empty_like(heights)
     rows, columns = heights.shape
     for first in range(0, rows, BLOCK_ROWS):
-        inputs = [first, window, look, flat(heights, wp.float32), flat(added, wp.float32)]
-        count, cost = min(BLOCK_ROWS, rows - first), 2.0 * (look.octaves + 1) * columns
+        inputs = [first, window, noise, flat(heights, wp.float32), flat(added, wp.float32)]
+        count, cost = min(BLOCK_ROWS, rows - first), 2.0 * (noise.octaves + 1) * columns
         launch.spread(add_relief, count, inputs, step="relief", threads=ground.threads, cost=cost)
         ground.progress((first + count) / rows)
     if "sediment" in ground.layers:
@@ -39,16 +39,16 @@ def apply(ground: Ground, values, _coarser) -> Change:
     return Change(added)
 
 
-def _look(ground: Ground, values) -> Look:
-    look = Look()
+def _noise(ground: Ground, values) -> ReliefNoise:
+    noise = ReliefNoise()
     spacing = max(ground.step_x, ground.step_y)
-    look.octaves = max(0, math.ceil(math.log2(values["wave"] / (2.0 * spacing))))
-    look.seed = wp.uint32(ground.seed & 0xFFFFFFFF)
-    look.wave, look.rough, look.plain = values["wave"], values["roughness"], values["plains"]
-    look.gain, look.ridge = values["gain"], values["ridges"]
-    look.bed, look.ledge = values["beds"], values["ledges"]
-    look.dip = wp.vec2d(*(-math.tan(math.radians(values["dip"])) * DIP_TO))
-    return look
+    noise.octaves = max(0, math.ceil(math.log2(values["wave"] / (2.0 * spacing))))
+    noise.seed = wp.uint32(ground.seed & 0xFFFFFFFF)
+    noise.wave, noise.rough, noise.plain = values["wave"], values["roughness"], values["plains"]
+    noise.gain, noise.ridge = values["gain"], values["ridges"]
+    noise.bed, noise.ledge = values["beds"], values["ledges"]
+    noise.dip = wp.vec2d(*(-math.tan(math.radians(values["dip"])) * DIP_TO))
+    return noise
 
 
 def _window(ground: Ground, values) -> Window:
@@ -56,8 +56,8 @@ def _window(ground: Ground, values) -> Window:
     window.height, window.width = ground.heights.shape
     window.row, window.column = ground.first
     window.step_x, window.step_y = ground.step_x, ground.step_y
-    window.reach_x = max(1, round(LOOKS * values["wave"] / ground.step_x))
-    window.reach_y = max(1, round(LOOKS * values["wave"] / ground.step_y))
+    window.reach_x = max(1, round(REACH * values["wave"] / ground.step_x))
+    window.reach_y = max(1, round(REACH * values["wave"] / ground.step_y))
     return window
 
 
@@ -74,7 +74,7 @@ def _example(shape) -> None:
 RELIEF = LandEffect(
     name="relief",
     label="Fine Relief",
-    about="Rock, gullies and ledges finer than the data, where slope and bend of the ground call for them",
+    about="Rock, gullies and ledges finer than the data, by the slope and curvature of the ground",
     apply=apply,
     example=_example,
     reads=("sediment",),
@@ -88,7 +88,7 @@ RELIEF = LandEffect(
         Parameter("ledges", 0.9, 0.0, 1.0, "", "how far hard beds stand out on slopes"),
         Parameter("dip", 2.0, 0.0, 45.0, "degrees", "by which beds fall, east-north-east"),
     ),
-    halo=lambda values, step: LOOKS * values["wave"] + step,
+    halo=lambda values, step: REACH * values["wave"] + step,
     limit="none: a function of the place; waves under two spacings are left out",
     conserves="nothing: it stands for what the data leaves out",
     converges="half the spacing adds 0.45 of what the doubling before it added, which is the gain of its waves",

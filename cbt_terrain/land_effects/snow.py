@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Snow: falls where it is cold, less where the wind blows, melts in the sun, and slides off what is too steep."""
+"""Snow: it falls by temperature, wind, sun and sky, and slides off steep ground."""
 
 import math
 from collections.abc import Mapping
@@ -19,70 +19,70 @@ from .land_effect import Change, Evaluate, Ground, LandEffect, LandLayer
 from .levels import coarser as halved
 from .levels import finer
 
-# Azimuths of the sky; degrees to both sides of the wind from which shelter counts, too.
+# Azimuths of the sky; directions of shelter relative to the wind in degrees.
 AZIMUTHS, GUSTS = 8, (-20.0, 0.0, 20.0)
-# Sweeps of slides a level, of the coarsest so many times as many; samples around a tile that decide its own, a sweep.
+# Sweeps of slides on a level, their factor at the coarsest level, and samples of halo for each sweep.
 SWEEPS, AT_FIRST, REACH = 12, 4, 3.2
-# Metres around a tile whose horizons are looked at: from further off come those of the coarser level.
+# Metres around a tile that its horizons see; the coarser level adds what is farther.
 HORIZON = 300.0
-# Water of this depth, metres, melts what falls into it.
+# Metres of water that melt the snow that falls into them.
 WET = 0.05
 
 
 def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> Change:
-    """See Apply in land_effect.py."""
-    fallen, stuck = _fallen(ground, values)
-    loose = start = fallen - stuck
+    """Compute the change of a level; implements `Apply`."""
+    snowfall, clinging = _snowfall(ground, values)
+    loose = start = snowfall - clinging
     if coarser is not None:
-        seen, clung = _seen_coarsely(ground, values)
+        coarse_snowfall, coarse_clinging = _coarse_snowfall(ground, values)
         before = coarser.layers["snow"] - coarser.layers["slides"]
-        # What comes of ground further off than a tile looks, the coarser level knows; of the whole this is 0.
-        fallen = np.maximum(fallen + (before - seen), 0.0)
-        fallen[_bare(ground) != 0] = 0.0
-        stuck = np.minimum(stuck, fallen)
-        loose = fallen - stuck
-        start = _brought(loose, coarser.layers["slides"], before - clung, ground)
+        # Adds the influence of ground beyond a tile's halo; it is 0 for the whole level.
+        snowfall = np.maximum(snowfall + (before - coarse_snowfall), 0.0)
+        snowfall[_bare(ground) != 0] = 0.0
+        clinging = np.minimum(clinging, snowfall)
+        loose = snowfall - clinging
+        start = _transfer_slides(loose, coarser.layers["slides"], before - coarse_clinging, ground)
     ground.progress(0.5)
     sweeps = SWEEPS if coarser is not None else SWEEPS * AT_FIRST
-    slides = _slid(ground, values, stuck, start.copy(), sweeps) - loose
-    _run_out(slides, ground, values)
-    snow = np.maximum(fallen + slides, 0.0)
+    slides = _settle(ground, values, clinging, start.copy(), sweeps) - loose
+    _smooth_deposits(slides, ground, values)
+    snow = np.maximum(snowfall + slides, 0.0)
     return Change(np.float32(values["thickness"]) * snow, {"snow": snow, "slides": slides})
 
 
-def _fallen(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """float32 [rows, columns] m: the snow that has fallen and stayed, and what of it clings to the ground."""
+def _snowfall(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the depth of snow before slides, and the part of it that clings to the ground; float32 [rows, columns]."""
     heights, (rows, columns) = np.ascontiguousarray(ground.heights), ground.heights.shape
-    found, sky, lee, fallen, stuck = (np.zeros((rows, columns), np.float32) for _ in range(5))
+    horizon, sky, lee, snowfall, clinging = (np.zeros((rows, columns), np.float32) for _ in range(5))
 
     def slopes(azimuth: np.ndarray) -> np.ndarray:
-        """Of the horizons over an azimuth."""
-        sweep(heights, (ground.step_x, ground.step_y), azimuth, 1.0, ground.threads, found, ground.first)
-        return found
+        """Compute the slopes of the horizon in an azimuth."""
+        sweep(heights, (ground.step_x, ground.step_y), azimuth, 1.0, ground.threads, horizon, ground.first)
+        return horizon
 
     for azimuth in azimuths()[:AZIMUTHS]:
-        sky += np.float32(1.0 / AZIMUTHS) / (1 + np.square(slopes(azimuth)))  # the sky that is above them
-    for gust in GUSTS:  # sines of their heights: to windward for shelter, to leeward against it
-        windward = _towards(values["wind"] + gust)
-        lee += np.float32(1.0 / len(GUSTS)) * slopes(windward) / np.sqrt(1 + np.square(found))
-        lee -= np.float32(1.0 / len(GUSTS)) * slopes(-windward) / np.sqrt(1 + np.square(found))
+        sky += np.float32(1.0 / AZIMUTHS) / (1 + np.square(slopes(azimuth)))  # cos^2 of the horizon's height
+    for gust in GUSTS:  # sines of the horizons to windward, less those to leeward (Winstral et al. 2002)
+        windward = _direction(values["wind"] + gust)
+        lee += np.float32(1.0 / len(GUSTS)) * slopes(windward) / np.sqrt(1 + np.square(horizon))
+        lee -= np.float32(1.0 / len(GUSTS)) * slopes(-windward) / np.sqrt(1 + np.square(horizon))
     arrays = [flat(heights, wp.float32), flat(_bare(ground), wp.uint8), *(flat(a, wp.float32) for a in (sky, lee))]
-    inputs = [_weather(ground, values), *arrays, flat(fallen, wp.float32), flat(stuck, wp.float32)]
-    launch.spread(kernels.lay, rows, inputs, step="snow", threads=ground.threads, cost=5 * columns)
+    inputs = [_weather(ground, values), *arrays, flat(snowfall, wp.float32), flat(clinging, wp.float32)]
+    launch.spread(kernels.fall, rows, inputs, step="snow", threads=ground.threads, cost=5 * columns)
     if ground.mask is not None:
-        fallen *= ground.mask
-        stuck = np.minimum(stuck, fallen)
-    return fallen, stuck
+        snowfall *= ground.mask
+        clinging = np.minimum(clinging, snowfall)
+    return snowfall, clinging
 
 
-def _towards(degrees: float) -> np.ndarray:
-    """float64 [2]: the unit vector towards a compass bearing; rounded, so that every machine has the same."""
-    turned = math.radians(degrees)
-    return np.array([math.sin(turned), math.cos(turned)]).astype(np.float32).astype(np.float64)
+def _direction(degrees: float) -> np.ndarray:
+    """Return the unit vector of a compass bearing, float64 [2], rounded to be equal on every machine."""
+    angle = math.radians(degrees)
+    return np.array([math.sin(angle), math.cos(angle)]).astype(np.float32).astype(np.float64)
 
 
 def _bare(ground: Ground) -> np.ndarray:
-    """uint8 [rows, columns]: 1 for water and holes."""
+    """Return 1 for water and holes, uint8 [rows, columns]."""
     depth = ground.layers.get("water_depth")
     bare = np.zeros(ground.heights.shape, bool) if depth is None else depth > WET
     return (bare if ground.missing is None else bare | ground.missing).astype(np.uint8)
@@ -93,13 +93,13 @@ def _weather(ground: Ground, values: Mapping[str, float]) -> kernels.Weather:
     weather.height, weather.width = ground.heights.shape
     weather.per_x, weather.per_y = 1.0 / ground.step_x, 1.0 / ground.step_y
     weather.line, weather.fall, weather.aspect = values["line"], values["fall"], values["aspect"]
-    # Of single precision, which hides the last bits of the C library.
+    # Single precision hides the last bits of the C library.
     weather.sun = wp.vec2d(float(np.float32(math.cos(latitude))), float(np.float32(math.sin(latitude))))
     return weather
 
 
-def _seen_coarsely(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """What has fallen and what clings as the coarser level sees it from these samples alone, brought to this level."""
+def _coarse_snowfall(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return `_snowfall` of the coarser level computed from these samples alone, interpolated to this level."""
     odd = [n % 2 for n in ground.first]
 
     def coarse(samples: np.ndarray | None) -> np.ndarray | None:
@@ -110,65 +110,71 @@ def _seen_coarsely(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndar
     arrays = [coarse(ground.heights), 2 * ground.step_x, 2 * ground.step_y, first, ground.whole, ground.level + 1]
     below = Ground(*arrays, coarse(ground.missing), coarse(ground.mask), layers, ground.seed, ground.threads)
     shape = [n + o for n, o in zip(ground.heights.shape, odd, strict=True)]
-    fallen, stuck = (finer(a, shape)[odd[0] :, odd[1] :] for a in _fallen(below, values))
-    return fallen, stuck
+    snowfall, clinging = (finer(a, shape)[odd[0] :, odd[1] :] for a in _snowfall(below, values))
+    return snowfall, clinging
 
 
-def _brought(loose: np.ndarray, slides: np.ndarray, loose_there: np.ndarray, ground: Ground) -> np.ndarray:
-    """The loose snow after what slid at the coarser level, where `loose_there` lay: of all here the same part goes, and
-    what was laid down makes up for what that makes or loses."""
-    gone = np.clip(-slides / np.maximum(loose_there, np.float32(1e-6)), 0.0, 1.0) * loose
-    laid = np.maximum(slides, 0.0)
-    if ground.missing is not None:  # what slid to the rim of a hole is not in it
-        laid[ground.missing] = 0.0
-    laid, gone = balanced(laid, gone, loose, laid - gone, slides, ground)
-    return loose - gone + laid
+def _transfer_slides(loose: np.ndarray, slides: np.ndarray, coarse_loose: np.ndarray, ground: Ground) -> np.ndarray:
+    """Return the loose snow after the slides of the coarser level, which started from `coarse_loose`.
+
+    The same fraction of the loose snow slides away as there; deposits are scaled so that mass is conserved.
+    """
+    eroded = np.clip(-slides / np.maximum(coarse_loose, np.float32(1e-6)), 0.0, 1.0) * loose
+    deposited = np.maximum(slides, 0.0)
+    if ground.missing is not None:  # interpolation spreads deposits into holes
+        deposited[ground.missing] = 0.0
+    deposited, eroded = balanced(deposited, eroded, loose, deposited - eroded, slides, ground)
+    return loose - eroded + deposited
 
 
-def _slid(ground: Ground, values: Mapping[str, float], stuck: np.ndarray, loose: np.ndarray, sweeps: int) -> np.ndarray:
-    """float32 [rows, columns] m: where the loose snow lies when slides have come to rest. `loose` is used up."""
+def _settle(
+    ground: Ground, values: Mapping[str, float], clinging: np.ndarray, loose: np.ndarray, sweeps: int
+) -> np.ndarray:
+    """Return the loose snow after slides have come to rest, float32 [rows, columns] m. Overwrites `loose`."""
     slides, rest, (rows, columns) = kernels.Slides(), np.zeros_like(loose), loose.shape
     slides.height, slides.width = rows, columns
     steps = ground.step_x, ground.step_y, length((ground.step_x, ground.step_y))
     slides.falls = wp.vec3f(*(_repose(values) * step for step in steps))
-    slides.bed = flat(_walled(ground.heights + stuck, ground.missing), wp.float32)
+    slides.bed = flat(_with_walls(ground.heights + clinging, ground.missing), wp.float32)
     slides.snow = flat(loose, wp.float32)
     for k in range(sweeps):
         odd = k % 2
-        # To and fro: with one order always slabs of one parity would give more than the others.
+        # The order of slabs alternates, else those of one parity would give more than the others.
         for along, parity in ((1, odd), (0, 1 - odd)):
             first = -((parity + ground.first[0]) % 2)
             inputs = [first, along, (odd + ground.first[1]) % 2, slides]
             slabs = (rows - first + 1) // 2
             launch.spread(kernels.slide, slabs, inputs, step="snow", threads=ground.threads, cost=columns / 4)
-            # What is on its way is in rows of one parity after each pass; the mean of four has no such comb.
+            # Moving snow is in rows of one parity after each pass; the mean of four passes hides that comb.
             if k >= sweeps - 2:
                 rest += np.float32(0.25) * loose
         ground.progress(0.5 + 0.5 * (k + 1) / sweeps)
     return rest
 
 
-def _walled(bed: np.ndarray, missing: np.ndarray | None) -> np.ndarray:
-    """With NaN for holes, over whose rim nothing passes."""
+def _with_walls(bed: np.ndarray, missing: np.ndarray | None) -> np.ndarray:
+    """Return the bed with NaN in holes, which stops slides at their borders."""
     return bed if missing is None else np.where(missing, np.float32(np.nan), bed)
 
 
 def _repose(values: Mapping[str, float]) -> float:
-    """The slope on which snow slides; rounded, so that every machine has the same."""
+    """Return the slope on which snow slides, rounded to be equal on every machine."""
     return float(np.float32(math.tan(math.radians(values["slides"]))))
 
 
-def _run_out(slides: np.ndarray, ground: Ground, values: Mapping[str, float]) -> None:
-    """Spread what slides have laid down by [1 2 1] / 4 along either side, in place, but over no cliff: on coarse levels
-    it ends on whole samples, and its rim would show their squares."""
-    laid, bed = np.maximum(slides, 0.0), _walled(ground.heights, ground.missing)
+def _smooth_deposits(slides: np.ndarray, ground: Ground, values: Mapping[str, float]) -> None:
+    """Smooth deposits by [1 2 1] / 4 along both axes, in place, but not over cliffs.
+
+    On coarse levels they end at whole samples, whose squares would show.
+    """
+    deposited, bed = np.maximum(slides, 0.0), _with_walls(ground.heights, ground.missing)
     for axis, step in ((0, ground.step_y), (1, ground.step_x)):
-        passed = np.float32(0.25) * np.diff(laid, axis=axis)
-        passed[~(abs(np.diff(bed, axis=axis)) <= step * _repose(values))] = 0.0
-        for array in (slides, laid):
+        flux = np.float32(0.25) * np.diff(deposited, axis=axis)
+        flux[~(abs(np.diff(bed, axis=axis)) <= step * _repose(values))] = 0.0
+        for array in (slides, deposited):
             low, high = (array[:-1], array[1:]) if axis == 0 else (array[:, :-1], array[:, 1:])
-            low += passed
-            high -= passed
+            low += flux
+            high -= flux
 
 
 def _halo(_values: Mapping[str, float], step: float) -> float:
@@ -176,7 +182,7 @@ def _halo(_values: Mapping[str, float], step: float) -> float:
 
 
 def example(evaluate: Evaluate) -> None:
-    """On a plane far above the line lies what falls, far below it none; and none is lost where it slides."""
+    """Assert the depth on planes far above and below the line, and that slides conserve mass."""
     for height, depth in ((3000.0, 2.0), (0.0, 0.0)):
         snow = evaluate("snow", np.full((9, 12), height), step=20.0, line=1500.0, fall=2.0).layers["snow"]
         assert abs(snow - depth).max() < 1e-3

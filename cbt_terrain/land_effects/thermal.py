@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Thermal erosion: cliffs break above the angle of their bed, and the scree lies below at its own.
+"""Thermal erosion: cliffs break above the angle of their bed, and scree comes to rest below at its own angle.
 
-A mask weighs how much rock may break; what broke off slides on where it must, also to where the mask is 0.
+A mask scales the rock that may break; scree slides where the mask is 0, too.
 """
 
 import math
@@ -17,86 +17,87 @@ from ..run.buffers import flat
 from .balance import balanced
 from .land_effect import Change, Evaluate, Ground, LandEffect, LandLayer
 
-# Sweeps of a level in which rock breaks, and then those in which scree comes to rest; the coarsest level takes so many
-# times as many.
+# Sweeps of a level in which rock breaks, then sweeps in which scree comes to rest, and their factor at the coarsest
+# level.
 BREAKING, RESTING, AT_FIRST = 10, 20, 20
-# No fan is a plane: the angle at which scree lies is other from place to place, in waves of so many metres and shorter.
+# The angle of repose varies in waves of at most this many metres, so that fans are no planes.
 LONGEST, OCTAVES = 500.0, 3
-# A pair settles fully, but gives no more than a part of its scree at once: on steep rock all of it would hurry from
-# every second sample to the next. Of what is too steep of bare rock, so much breaks.
-SHARE, PART, WEATHER = 0.5, 0.25, 0.05
-# Samples of halo around a tile for every sweep: with 1 the island's tiles have the bytes of the whole already, though
-# one sweep could carry something 6 samples far.
+# A pair removes SHARE of its excess, which is all of it, but at most MAX_FRACTION of the upper sample's scree: on steep
+# rock all of it would oscillate between neighbours. WEATHER: fraction of the excess of bare rock that breaks.
+SHARE, MAX_FRACTION, WEATHER = 0.5, 0.25, 0.05
+# Samples of halo for each sweep. With 1 the island's tiles have the bytes of the whole, though one sweep can carry
+# material over 6 samples.
 HALO = 1.6
 
 
 def apply(ground: Ground, values: Mapping[str, float], coarse: Change | None) -> Change:
-    """See Apply in land_effect.py."""
+    """Compute the change of a level; implements `Apply`."""
     shape = ground.heights.shape
-    room, loose = _room(ground, values), ground.layers.get("scree", np.zeros(shape, np.float32))
-    left, scree = _brought(ground, coarse, room, loose)
-    base = np.ascontiguousarray(ground.heights - loose - room)
+    breakable, loose = _breakable(ground, values), ground.layers.get("scree", np.zeros(shape, np.float32))
+    left, scree = _start(ground, coarse, breakable, loose)
+    base = np.ascontiguousarray(ground.heights - loose - breakable)
     if ground.missing is not None:
         base[ground.missing] = np.nan
     times = AT_FIRST if coarse is None else 1
-    scree = settle(base, room, left, scree, ground, values, times)
-    worn, laid = room - left, scree - loose
-    return Change(laid - worn, {"scree": laid, "wear": worn})
+    scree = settle(base, breakable, left, scree, ground, values, times)
+    wear, deposited = breakable - left, scree - loose
+    return Change(deposited - wear, {"scree": deposited, "wear": wear})
 
 
-def _room(ground: Ground, values: Mapping[str, float]) -> np.ndarray:
-    """float32 [rows, columns] m: how much rock may break off."""
-    room = np.full(ground.heights.shape, values["depth"], np.float32)
+def _breakable(ground: Ground, values: Mapping[str, float]) -> np.ndarray:
+    """Return the depth of rock that may break off, float32 [rows, columns] m."""
+    breakable = np.full(ground.heights.shape, values["depth"], np.float32)
     if ground.mask is not None:
-        room *= ground.mask
+        breakable *= ground.mask
     if ground.missing is not None:
-        room[ground.missing] = 0.0
-    return room
+        breakable[ground.missing] = 0.0
+    return breakable
 
 
-def _brought(
-    ground: Ground, coarse: Change | None, room: np.ndarray, loose: np.ndarray
+def _start(
+    ground: Ground, coarse: Change | None, breakable: np.ndarray, loose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What may still break off and what lies here when the coarser level is done, in metres.
+    """Return the breakable rock and the scree in metres after the coarser level.
 
-    Between the samples of a coarser level nothing is lost; beyond its rim, and where this one has less room, there is:
-    what was laid down makes up for it.
+    Interpolation loses mass at borders and where less rock is breakable here; deposits are scaled to conserve it.
     """
     if coarse is None:
-        return room.copy(), loose.copy()
+        return breakable.copy(), loose.copy()
     net = coarse.layers["scree"] - coarse.layers["wear"]
-    worn, laid = np.clip(coarse.layers["wear"], 0.0, room), coarse.layers["scree"]
+    wear, deposited = np.clip(coarse.layers["wear"], 0.0, breakable), coarse.layers["scree"]
     if ground.missing is not None:
-        laid = np.where(ground.missing, np.float32(0.0), laid)
-    scree = np.maximum(loose + laid, 0.0)
-    more = np.clip(laid, 0.0, scree)
-    laid, worn = balanced(more, worn, room, scree - loose - worn, net, ground)
-    scree += laid - more
-    return np.ascontiguousarray(room - worn), np.ascontiguousarray(np.maximum(scree, 0.0))
+        deposited = np.where(ground.missing, np.float32(0.0), deposited)
+    scree = np.maximum(loose + deposited, 0.0)
+    gain = np.clip(deposited, 0.0, scree)
+    deposited, wear = balanced(gain, wear, breakable, scree - loose - wear, net, ground)
+    scree += deposited - gain
+    return np.ascontiguousarray(breakable - wear), np.ascontiguousarray(np.maximum(scree, 0.0))
 
 
 def settle(
     base: np.ndarray,
-    room: np.ndarray,
+    breakable: np.ndarray,
     left: np.ndarray,
     scree: np.ndarray,
     ground: Ground,
     values: Mapping[str, float],
     times: int,
 ) -> np.ndarray:
-    """The scree after `times` the sweeps of one level; `left`, of `room`, is what may still break then. All float32
-    [rows, columns] m, see kernels/land/thermal.py; `base` and `scree` are used up."""
+    """Return the scree after `times` the sweeps of one level, and update `left`, the rest of the `breakable` rock.
+
+    All float32 [rows, columns] m, see kernels/land/thermal.py. Overwrites `base` and `scree`.
+    """
     slope, rest = slope_of(ground, values, base, left, scree), np.zeros_like(scree)
     work = {"step": "thermal", "threads": ground.threads, "cost": 3.0 * slope.width}
     numbers = [LONGEST, OCTAVES, values["uneven"] * slope.repose]
-    launch.spread(kernels.lie_unevenly, slope.height, [slope, *numbers], **work)
+    launch.spread(kernels.vary_repose, slope.height, [slope, *numbers], **work)
     breaking, sweeps, recorded = times * BREAKING, times * (BREAKING + RESTING), {}
     for number in range(sweeps):
         if number == breaking:
-            even_out(left, room)
+            smooth_wear(left, breakable)
             slope.weather = 0.0
         for _half in sweep(slope, number, ground.threads, recorded):
-            # What is still on its way is on rows of one parity after each half: the mean of four has no such comb.
+            # Moving scree is in rows of one parity after each half; the mean of four halves hides that comb.
             if number >= sweeps - 2:
                 rest += np.float32(0.25) * scree
         ground.progress((number + 1) / sweeps)
@@ -104,9 +105,9 @@ def settle(
 
 
 def sweep(slope: kernels.Slope, number: int, threads: int, recorded: dict | None = None) -> Iterator[None]:
-    """Sweep `number`; yields after each half of it. `recorded`: as launch.py has it, for sweeps over the same slope.
+    """Run sweep `number` and yield after each half. recorded: cache of launch.py for sweeps over the same slope.
 
-    To and fro: with one order always, slabs of one parity would be worn more than those of the other.
+    The order of slabs alternates, else those of one parity would erode more than the others.
     """
     work, odd = {"step": "thermal", "threads": threads, "recorded": recorded}, number & 1
     launch.spread(kernels.face_rows, slope.height, [slope], cost=0.1 * slope.width, **work)
@@ -117,25 +118,25 @@ def sweep(slope: kernels.Slope, number: int, threads: int, recorded: dict | None
         yield
 
 
-def even_out(left: np.ndarray, room: np.ndarray) -> None:
-    """Take from what is worn the part that alternates from sample to sample: [1 2 1] / 4 along either side, in place.
+def smooth_wear(left: np.ndarray, breakable: np.ndarray) -> None:
+    """Smooth the wear, `breakable` - `left`, by [1 2 1] / 4 along both axes, in place; conserves it.
 
-    What one sample is worn less its neighbour is worn more, as far as there is room for it.
+    It removes the part that alternates from sample to sample.
     """
     for a, b, of_a, of_b in (
-        (left[:-1], left[1:], room[:-1], room[1:]),
-        (left[:, :-1], left[:, 1:], room[:, :-1], room[:, 1:]),
+        (left[:-1], left[1:], breakable[:-1], breakable[1:]),
+        (left[:, :-1], left[:, 1:], breakable[:, :-1], breakable[:, 1:]),
     ):
-        passed = np.float32(0.25) * np.clip((of_a - a) - (of_b - b), -a, b)
+        flux = np.float32(0.25) * np.clip((of_a - a) - (of_b - b), -a, b)
         before = a.copy()
-        a += passed
-        b -= a - before  # what has arrived: next to nothing is lost by rounding
+        a += flux
+        b -= a - before  # the rounded flux
 
 
 def slope_of(
     ground: Ground, values: Mapping[str, float], base: np.ndarray, left: np.ndarray, scree: np.ndarray
 ) -> kernels.Slope:
-    """What the kernels want: numbers, and arrays, whose memory is shared."""
+    """Return the parameters of the kernels; they share the memory of the arrays."""
     slope = kernels.Slope()
     slope.height, slope.width = ground.heights.shape
     slope.first_row, slope.first_column = ground.first
@@ -146,19 +147,20 @@ def slope_of(
     slope.repose, slope.soft, slope.hard, slope.thick = repose, soft, hard, values["bed"]
     towards = math.radians(values["dip_to"])
     slope.dip_x, slope.dip_y = dip * math.sin(towards) * ground.step_x, dip * math.cos(towards) * ground.step_y
-    slope.part, slope.share, slope.weather, slope.seed = PART, SHARE, WEATHER, ground.seed & 0xFFFFFFFF
+    slope.max_fraction, slope.share, slope.weather = MAX_FRACTION, SHARE, WEATHER
+    slope.seed = ground.seed & 0xFFFFFFFF
     slope.base, slope.left, slope.scree = (flat(array, wp.float32) for array in (base, left, scree))
     slope.facing = flat(np.empty_like(scree), wp.float32)
     return slope
 
 
 def example(shape: Evaluate) -> None:
-    """A cliff of 100 m in one bed of 60 degrees breaks, nothing is lost, and no rock of 30 degrees breaks at all."""
+    """Assert that a cliff of 100 m in a bed of 60 degrees breaks and conserves mass, and no slope of 30 does."""
     x = np.tile(np.arange(65, dtype=np.float32), (33, 1))
     one_bed = {"soft_angle": 60.0, "hard_angle": 60.0, "depth": 20.0}
     change = shape("thermal", np.where(x < 32, np.float32(100.0), np.float32(0.0)), 10.0, **one_bed)
-    worn, laid = (change.layers[name].astype(np.float64).sum() for name in ("wear", "scree"))
-    assert worn > 33 * 10.0 and abs(laid - worn) < 1e-6 * worn
+    wear, scree = (change.layers[name].astype(np.float64).sum() for name in ("wear", "scree"))
+    assert wear > 33 * 10.0 and abs(scree - wear) < 1e-6 * wear
     assert change.heights[:, 31].max() < -10.0 and change.heights[:, 33].min() > 3.0
     change = shape("thermal", np.float32(10.0 * math.tan(math.radians(30.0))) * x, 10.0, uneven=0.0)
     assert not change.heights.any()

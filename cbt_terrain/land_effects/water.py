@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rivers, lakes and the sea under steady rain, in one pass: discharge, depth and speed. Heights stay as they are."""
+"""Rivers, lakes and the sea under steady rain: discharge, depth and speed. Heights do not change."""
 
 import math
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ DISCHARGE = LandLayer("discharge", "m^3/s", "Water that passes a place; in a lak
 
 
 def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> Change:
-    """See Apply in land_effect.py. Every level by itself."""
+    """Compute a level without the coarser one; implements `Apply`."""
     heights, threads = np.ascontiguousarray(ground.heights), ground.threads
     shape, count = heights.shape, heights.size
     dry = np.zeros(shape, np.uint8) if ground.missing is None else ground.missing.astype(np.uint8)
@@ -39,7 +39,7 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
     rain.heights, rain.filled, rain.normal = (flat(a, wp.float32) for a in (heights, filled, normal))
     rain.surface, rain.speed, rain.discharge = (flat(a, wp.float32) for a in (surface, speed, discharge))
     launch.spread(kernels.flow_uniformly, shape[0], [rain], step="water", threads=threads, cost=10 * shape[1])
-    # Filling the surface of the flow as routing fills the ground lets lakes stand as high as their outlet flows.
+    # Filling the water surface as routing fills the ground raises lakes to the flow at their outlets.
     dammed = replace(drainage, heights=surface).filled()
     rain.surface = flat(dammed, wp.float32)
     launch.spread(kernels.measure_water, count, [rain], step="water", threads=threads, cost=2)
@@ -47,8 +47,8 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
     return Change(np.zeros(shape, np.float32), {name: a.reshape(shape) for name, a in layers.items()})
 
 
-def _rain(ground: Ground, values: Mapping[str, float]) -> kernels.Rain:
-    rain = kernels.Rain()
+def _rain(ground: Ground, values: Mapping[str, float]) -> kernels.SteadyRain:
+    rain = kernels.SteadyRain()
     rain.height, rain.width = ground.heights.shape
     rain.step_x, rain.step_y = ground.step_x, ground.step_y
     rain.runoff = ground.step_x * ground.step_y * values["rain"] / YEAR
@@ -57,8 +57,10 @@ def _rain(ground: Ground, values: Mapping[str, float]) -> kernels.Rain:
 
 
 def example(evaluate: Evaluate) -> None:
-    """A roof of 1 : 100 in steps of 10 m, under 1 m of rain a year: a place has what falls between it and the ridge, as
-    deep as Manning says; a hollow stands full to its rim."""
+    """Assert Manning's depth on a roof of 1 : 100 under 1 m of rain a year, and a level lake in a hollow.
+
+    A point of the roof has the discharge of the rain between it and the ridge.
+    """
     x = np.arange(33, dtype=np.float32)
     roof = np.tile(10.0 - 0.1 * abs(x - 16.0), (65, 1))
     layers = evaluate("water", roof, step=10.0, sea=-1.0).layers

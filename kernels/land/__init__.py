@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Effects that change heights: erosion, scree, water, snow and detail, on one raster or a tile of it."""
+"""Kernels of height operators: erosion, scree, water, snow and fine relief, on one raster or a tile of it."""

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Droplets: each runs down from where it fell, loads what the slope allows and lays down what is too much.
+"""Droplets: each runs downhill from its start, erodes up to its capacity and deposits the surplus (Beyer 2015).
 
-Tiles of the ground have one of four colours. Those of one colour run side by side, the droplets of each one after the
-other; none reaches as far as half a tile beyond its own, so no two tiles meet and threads change nothing.
+Tiles of the ground have one of four colours. Tiles of one colour run in parallel, the droplets of a tile one after the
+other. A droplet reaches less than half a tile beyond its own, so tiles of one colour never meet and the result does not
+depend on threads.
 
-`ground` is float32 [rows * columns] metres, NaN where nothing may change; `change` is float64 and added to it, so that
-no grain is lost; what leaves over the rim is `carried`, cubic metres. Places are in samples of the whole level, so that
-a tile of it has the same bits.
+`ground` is float32 [rows * columns] metres, NaN where it must not change; `change` is float64 and added to it, which
+conserves mass. The load that leaves at the border is `carried`, m3. Positions are in samples of the whole level, so
+that a tile has the same bits.
 """
 
 import warp as wp
@@ -15,14 +16,14 @@ from ..field.noise import scramble
 
 
 @wp.struct
-class Rain:
-    """What a droplet does; lengths in metres.
+class DropletRain:
+    """Parameters of droplets; lengths in metres.
 
-    `first_row`, `first_column`: of sample [0, 0] in the whole level. `rows`, `columns`: of a tile, samples. `across`:
-    tiles from west to east of the whole level. `drops`: a tile. `stride`: of a droplet, metres, `steps` at most.
-    `brush_x`, `brush_y`: samples around a droplet that it changes. `capacity`: m3 that one carries on a slope of 1.
-    `keep`: of its direction, a step. `load`: the part of what it lacks, or has too much, that it takes up or lays down,
-    a step. `dry`: of its water that is lost, a step. `sea`: where it ends. `mask`: times what it takes up.
+    `first_row`, `first_column`: position of sample [0, 0] in the whole level. `rows`, `columns`: samples of a tile.
+    `across`: tiles from west to east of the whole level. `drops`: droplets of a tile. `stride`: length of a step, of
+    which a droplet takes at most `steps`. `brush_x`, `brush_y`: radius of the brush in samples. `capacity`: m3 on a
+    slope of 1. Fractions in a step: `inertia` of the old direction, `load` of the difference to the capacity that is
+    eroded or deposited, `dry` of the water that is lost. `sea`: height where droplets end. `mask`: factor on erosion.
     """
 
     width: wp.int32
@@ -41,7 +42,7 @@ class Rain:
     step_y: wp.float64
     stride: wp.float64
     capacity: wp.float64
-    keep: wp.float64
+    inertia: wp.float64
     load: wp.float64
     dry: wp.float64
     sea: wp.float64
@@ -51,13 +52,13 @@ class Rain:
 
 
 @wp.func
-def height_at(rain: Rain, i: wp.int32) -> wp.float64:
+def height_at(rain: DropletRain, i: wp.int32) -> wp.float64:
     return wp.float64(rain.ground[i]) + rain.change[i]
 
 
 @wp.func
-def patch(rain: Rain, x: wp.float64, y: wp.float64) -> wp.vec3d:
-    """The bilinear surface at (x, y): its slope to the east and north, metres a metre, and its height."""
+def patch(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.vec3d:
+    """Return the slopes to the east and north and the height of the bilinear surface at (x, y)."""
     one = wp.float64(1.0)
     i = wp.int32(x)
     j = wp.int32(y)
@@ -74,8 +75,8 @@ def patch(rain: Rain, x: wp.float64, y: wp.float64) -> wp.vec3d:
 
 
 @wp.func
-def lay(rain: Rain, x: wp.float64, y: wp.float64, volume: wp.float64, more: wp.int32):
-    """Lay down `volume` m3 around (x, y), under a round brush, `more` samples wider; less than 0: take up."""
+def deposit(rain: DropletRain, x: wp.float64, y: wp.float64, volume: wp.float64, more: wp.int32):
+    """Deposit `volume` m3, or erode a negative one, under a round brush at (x, y), `more` samples wider."""
     middle_x = wp.int32(x + wp.float64(0.5)) - rain.first_column
     middle_y = wp.int32(y + wp.float64(0.5)) - rain.first_row
     west = wp.max(middle_x - rain.brush_x - more, 0)
@@ -94,7 +95,7 @@ def lay(rain: Rain, x: wp.float64, y: wp.float64, volume: wp.float64, more: wp.i
             u = (x - wp.float64(rain.first_column + column)) * per_x
             if rain.ground[i] == rain.ground[i]:
                 total += wp.max(rest - u * u, none)
-    part = volume / (rain.step_x * rain.step_y * total)
+    scale = volume / (rain.step_x * rain.step_y * total)
     for row in range(south, north):
         v = (y - wp.float64(rain.first_row + row)) * per_y
         rest = wp.float64(1.0) - v * v
@@ -102,19 +103,19 @@ def lay(rain: Rain, x: wp.float64, y: wp.float64, volume: wp.float64, more: wp.i
             i = row * rain.width + column
             u = (x - wp.float64(rain.first_column + column)) * per_x
             if rain.ground[i] == rain.ground[i]:
-                rain.change[i] = rain.change[i] + part * wp.max(rest - u * u, none)
+                rain.change[i] = rain.change[i] + scale * wp.max(rest - u * u, none)
 
 
 @wp.func
-def run_droplet(rain: Rain, x: wp.float64, y: wp.float64) -> wp.float64:
-    """From (x, y) until it is dry, in the sea, in a hole or over the rim; there, the m3 that it carries."""
+def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
+    """Run a droplet from (x, y) to its end; return the m3 that it carries over the border."""
     none = wp.float64(0.0)
     one = wp.float64(1.0)
     cell = rain.step_x * rain.step_y
-    least_x = wp.float64(rain.first_column)
-    least_y = wp.float64(rain.first_row)
-    most_x = wp.float64(rain.first_column + rain.width - 1)
-    most_y = wp.float64(rain.first_row + rain.height - 1)
+    min_x = wp.float64(rain.first_column)
+    min_y = wp.float64(rain.first_row)
+    max_x = wp.float64(rain.first_column + rain.width - 1)
+    max_y = wp.float64(rain.first_row + rain.height - 1)
     go_x = wp.float64(0.0)
     go_y = wp.float64(0.0)
     water = wp.float64(1.0)
@@ -126,17 +127,17 @@ def run_droplet(rain: Rain, x: wp.float64, y: wp.float64) -> wp.float64:
         step += 1
         steepness = wp.sqrt(here[0] * here[0] + here[1] * here[1])
         if steepness > none:
-            go_x = rain.keep * go_x - (one - rain.keep) * here[0] / steepness
-            go_y = rain.keep * go_y - (one - rain.keep) * here[1] / steepness
+            go_x = rain.inertia * go_x - (one - rain.inertia) * here[0] / steepness
+            go_y = rain.inertia * go_y - (one - rain.inertia) * here[1] / steepness
         length = wp.sqrt(go_x * go_x + go_y * go_y)
         if length == none:
-            step = rain.steps  # on a plain nothing is nearer than anything else
+            step = rain.steps  # a plain has no downhill direction
         else:
             go_x = go_x / length
             go_y = go_y / length
             u = x + go_x * rain.stride / rain.step_x
             v = y + go_y * rain.stride / rain.step_y
-            if u < least_x or v < least_y or u >= most_x or v >= most_y:
+            if u < min_x or v < min_y or u >= max_x or v >= max_y:
                 carried = held
                 held = none
                 step = rain.steps
@@ -147,7 +148,7 @@ def run_droplet(rain: Rain, x: wp.float64, y: wp.float64) -> wp.float64:
                     room = rain.capacity * water * wp.max(fall, none) / rain.stride
                     volume = none
                     if fall < none:
-                        volume = wp.min(-fall * cell, held)  # fills the hollow, at most to the next place
+                        volume = wp.min(-fall * cell, held)  # fills the hollow up to the height of the next point
                     elif held > room:
                         volume = (held - room) * rain.load
                     else:
@@ -155,7 +156,7 @@ def run_droplet(rain: Rain, x: wp.float64, y: wp.float64) -> wp.float64:
                         near = row * rain.width + wp.int32(x + wp.float64(0.5)) - rain.first_column
                         volume = -wp.min((room - held) * rain.load, fall * cell) * wp.float64(rain.mask[near])
                     held -= volume
-                    lay(rain, x, y, volume, 0)
+                    deposit(rain, x, y, volume, 0)
                     water *= one - rain.dry
                     x = u
                     y = v
@@ -163,24 +164,23 @@ def run_droplet(rain: Rain, x: wp.float64, y: wp.float64) -> wp.float64:
                 else:
                     step = rain.steps
     if held > none:
-        lay(rain, x, y, held, 1)
+        deposit(rain, x, y, held, 1)
     return carried
 
 
 @wp.kernel
-def rain_on_tiles(offset: int, tiles: wp.array(dtype=wp.int32), rain: Rain, carried: wp.array(dtype=wp.float64)):
-    """All droplets of the tile with the number `tiles[offset + tid]` in the whole level, those from beyond this ground
-    left out."""
+def rain_on_tiles(offset: int, tiles: wp.array(dtype=wp.int32), rain: DropletRain, carried: wp.array(dtype=wp.float64)):
+    """Run all droplets of tile `tiles[offset + tid]` of the whole level that start on this ground."""
     slot = offset + wp.tid()
     tile = tiles[slot]
     per_unit = wp.float64(1.0 / 65536.0)
     lost = wp.float64(0.0)
     for drop in range(rain.drops):
         bits = scramble(scramble(scramble(wp.uint32(tile) + rain.seed) + wp.uint32(drop)))
-        part_x = wp.float64(bits & wp.uint32(0xFFFF)) * per_unit
-        part_y = wp.float64(bits >> wp.uint32(16)) * per_unit
-        x = wp.float64((tile % rain.across) * rain.columns) + part_x * wp.float64(rain.columns)
-        y = wp.float64((tile / rain.across) * rain.rows) + part_y * wp.float64(rain.rows)
+        u = wp.float64(bits & wp.uint32(0xFFFF)) * per_unit
+        v = wp.float64(bits >> wp.uint32(16)) * per_unit
+        x = wp.float64((tile % rain.across) * rain.columns) + u * wp.float64(rain.columns)
+        y = wp.float64((tile / rain.across) * rain.rows) + v * wp.float64(rain.rows)
         if x >= wp.float64(rain.first_column) and y >= wp.float64(rain.first_row):
             if x < wp.float64(rain.first_column + rain.width - 1) and y < wp.float64(rain.first_row + rain.height - 1):
                 lost += run_droplet(rain, x, y)

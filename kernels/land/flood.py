@@ -1,26 +1,28 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A step of shallow water by one signed flux a face: the local inertial equations (Bates, Horritt and Fewtrell 2010)
-with Manning's friction, each face's flux limited by what its donor holds (Mei, Decaudin and Hu 2007).
+"""A step of shallow water with one signed flux for each face between samples.
 
-All in float64, so that a lake at rest is at rest: depth and bed of float32 then add up to its level exactly. Rows are
-loops in C that the compiler turns into vectors; without contraction, so that every processor gives the same bits. Sums
-are of opposite sides first, and so have every symmetry of a square. On open water a flux takes a part of its neighbours
-along the same axis, else the shortest waves that bores leave behind would never end (de Almeida, Bates, Freer and
-Souvignet 2012); on slopes, where neighbours are of other streams, hardly any.
+    dq / dt = -g d d(z + w) / dx - g n^2 |q| q / d^(7/3),   dw / dt = -div q + rain
+
+q: flux in m2/s, w: depth, z: bed, d: depth of flow over the face, n: Manning's coefficient: the local inertial
+equations (Bates, Horritt and Fewtrell 2010). A sample's outflow is limited to its water (Mei, Decaudin and Hu 2007).
+Boundary: no flux leaves the raster; the caller sets the depth at outlets after each step.
+
+Arithmetic is float64, in which the sum of depth and bed is exact, so that a lake at rest stays at rest. Rows are loops
+in C that the compiler vectorizes, without contraction, so that every processor gives the same bits. Sums add opposite
+sides first, which preserves every symmetry of a square. On open water a flux is smoothed with its neighbours along the
+same axis, else the shortest waves behind bores would never end (de Almeida, Bates, Freer and Souvignet 2012); on
+slopes, where neighbours belong to other streams, hardly.
 """
 
 import warp as wp
 
-# The part of either neighbour that a flux takes on open, level water.
+# Weight of either neighbour in a flux on open, level water.
 SMOOTHING = 0.05
 
 
 @wp.struct
-class Water:
-    """Water on a bed and a step of it, samples in rows. Fluxes, and `part`, have a row before and after the raster's.
-
-    `part`: of what each sample gives, what it has.
-    """
+class FloodStep:
+    """Water on a bed and a step of it, samples in rows. Fluxes and `part` have a row before and after the raster's."""
 
     width: wp.int32
     height: wp.int32
@@ -35,7 +37,7 @@ class Water:
     was_north: wp.array(dtype=wp.float64)
     east: wp.array(dtype=wp.float64)  # after it
     north: wp.array(dtype=wp.float64)
-    part: wp.array(dtype=wp.float64)
+    part: wp.array(dtype=wp.float64)  # water of a sample over its outflow, at most 1
 
 
 _PUSH = """
@@ -52,16 +54,16 @@ _PUSH = """
     for (int x = 0; x < count; ++x) {
         const double a = z0[x], b = z1[x], ea = a + w0[x], eb = b + w1[x];
         const double d = (ea > eb ? ea : eb) - (a > b ? a : b), s = d > 1e-6 ? d : 1e-6;
-        // The cube root in single precision: a guess from the exponent, then two steps of Newton's.
+        // The cube root in single precision: an estimate from the exponent and two steps of Newton's method.
         const float f = (float)s;
         float c = __builtin_bit_cast(float, (int)(__builtin_bit_cast(int, f) * 0.33333334f) + 709921077);
         c = (2.0f * c + f / (c * c)) * 0.33333334f;
         c = (2.0f * c + f / (c * c)) * 0.33333334f;
         const double rise = a < b ? b - a : a - b, open = SMOOTHING * s / (s + rise), q = q0[x];
         double v = q + open * ((before[x] - q) + (after[x] - q)) - pull * s * (eb - ea);
-        // Friction by the flux after the step: q + drag |q| q = v, so that what is steady is Manning's for any step.
+        // Implicit friction, q + drag |q| q = v, so that steady flow is Manning's for any step.
         v = 2.0 * v / (1.0 + __builtin_sqrt(1.0 + 4.0 * drag / (s * s * c) * (v < 0.0 ? -v : v)));
-        const double top = s * __builtin_sqrt(9.81 * s);  // Froude 1: steeper torrents run at the critical speed
+        const double top = s * __builtin_sqrt(9.81 * s);  // critical flow, Froude number 1, is the limit
         v = v > top ? top : v < -top ? -top : v;
         out[x] = d > 1e-6 ? v : 0.0;
     }
@@ -69,14 +71,14 @@ _PUSH = """
 
 
 @wp.func_native(_PUSH)
-def push_row(s: Water, y: int, to_north: int):
-    """The fluxes from the samples of row y to those that are next in the east, or in the north."""
+def push_row(s: FloodStep, y: int, to_north: int):
+    """Compute the fluxes from the samples of row y to the next ones in the east, or in the north."""
     ...
 
 
 @wp.kernel
-def push(offset: int, s: Water):
-    """Row `offset + tid`: from the flux of each sample to its east and to its north those after the step."""
+def push(offset: int, s: FloodStep):
+    """Update the fluxes of row `offset + tid` to the east and north."""
     y = offset + wp.tid()
     push_row(s, y, 0)
     if y + 1 < s.height:
@@ -100,12 +102,12 @@ _LIMIT = """
 
 
 @wp.func_native(_LIMIT)
-def limit_row(water: Water, y: int): ...
+def limit_row(water: FloodStep, y: int): ...
 
 
 @wp.kernel
-def limit(offset: int, water: Water):
-    """Row `offset + tid`: the part of what each sample gives that it has."""
+def limit(offset: int, water: FloodStep):
+    """Compute the limit of the outflow of each sample of row `offset + tid`."""
     limit_row(water, offset + wp.tid())
 
 
@@ -131,10 +133,10 @@ _MOVE = """
 
 
 @wp.func_native(_MOVE)
-def move_row(water: Water, y: int): ...
+def move_row(water: FloodStep, y: int): ...
 
 
 @wp.kernel
-def move(offset: int, water: Water):
-    """Row `offset + tid`: what the limited fluxes bring and take, and the rain."""
+def move(offset: int, water: FloodStep):
+    """Update the depths of row `offset + tid` by the limited fluxes and the rain."""
     move_row(water, offset + wp.tid())

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What rivers do to a ground in a step, along the drainage of kernels/effects/routing.py: cut and lay down.
+"""A step of rivers along the drainage of kernels/effects/routing.py: incision and deposition.
 
-The loops are C snippets, as in kernels/effects/rows.py (tests/kernels/test_fluvial.py says in numpy what they stand
-for); no product and sum stand in one statement, which some processors would round otherwise.
+The loops are C snippets, as in kernels/effects/rows.py; tests/kernels/test_fluvial.py has them in numpy. No statement
+has a product and a sum, which some processors would fuse and round differently.
 """
 
 import warp as wp
@@ -13,30 +13,30 @@ from ..field.noise import value_noise
 
 @wp.struct
 class River:
-    """A step of a level; samples in rows, and where they drain (kernels/effects/routing.py)."""
+    """A step of a level, samples in rows, with their receivers (kernels/effects/routing.py)."""
 
     grid: Grid
-    cell: wp.float32  # m2 of a sample
-    hillslope: wp.float32  # m2 that count besides
-    strength: wp.float32  # erodibility times years
-    drop: wp.vec3f  # metres that a sample may stand above its receiver, by axis
-    lakes: wp.int32  # 1: the surface of the water is wanted
-    deposition: wp.float64
+    cell: wp.float32  # area of a sample in m2
+    hillslope: wp.float32  # A0 in m2, added to the drainage area
+    strength: wp.float32  # K times years
+    drop: wp.vec3f  # largest height in metres above the receiver, by axis
+    lakes: wp.int32  # 1: compute `filled`
+    deposition: wp.float64  # G
     to: wp.array(dtype=wp.uint8)
     order: wp.array(dtype=wp.int32)
-    area: wp.array(dtype=wp.float64)  # samples
-    soft: wp.array(dtype=wp.float32)  # times the strength, by the rock
-    part: wp.array(dtype=wp.float32)  # of the effect
-    rate: wp.array(dtype=wp.float32)  # see `find_rates`
-    before: wp.array(dtype=wp.float32)  # heights before the step, lifted
-    filled: wp.array(dtype=wp.float32)  # the surface of the water after the cut
-    load: wp.array(dtype=wp.float64)  # see `lay_down`
+    area: wp.array(dtype=wp.float64)  # A in samples
+    erodibility: wp.array(dtype=wp.float32)  # factor on K
+    weight: wp.array(dtype=wp.float32)  # of the mask
+    rate: wp.array(dtype=wp.float32)  # F, see `find_rates`
+    raised: wp.array(dtype=wp.float32)  # heights before the step, with uplift
+    filled: wp.array(dtype=wp.float32)  # surface of the water after incision
+    load: wp.array(dtype=wp.float64)  # see `deposit`
     h: wp.array(dtype=wp.float32)  # metres
 
 
 @wp.func_native("""
     const double* __restrict a = r.area.data + (size_t)y * r.grid.width;
-    const float* __restrict p = r.soft.data + (size_t)y * r.grid.width;
+    const float* __restrict p = r.erodibility.data + (size_t)y * r.grid.width;
     const unsigned char* __restrict k = r.to.data + (size_t)y * r.grid.width;
     float* __restrict out = r.rate.data + (size_t)y * r.grid.width;
     const float ew = r.grid.nearness[0], ns = r.grid.nearness[1], across = r.grid.nearness[2];
@@ -53,7 +53,7 @@ def rate_of_row(r: River, y: int): ...
 
 @wp.kernel
 def find_rates(offset: int, r: River):
-    """Row `offset + tid`: how many samples a wave of erosion runs up in the step, the factor F of Braun and Willett."""
+    """Compute F = K dt (A + A0)^(1/2) / dx of row `offset + tid`: samples that erosion travels upstream in the step."""
     rate_of_row(r, offset + wp.tid())
 
 
@@ -71,7 +71,7 @@ def find_rates(offset: int, r: River):
             const float v = low + left, top = low + most[k];
             float over = v - top;
             over = over > 0.0f ? over : 0.0f;
-            over = over * r.part.data[i];
+            over = over * r.weight.data[i];
             z[i] = v - over;
         }
         if (r.lakes) w[i] = k == 4 || z[i] > w[j] ? z[i] : w[j];
@@ -82,9 +82,10 @@ def cut_samples(r: River): ...
 
 @wp.kernel
 def cut_down(r: River):
-    """Serial, from the outlets up: the implicit step of Braun and Willett (2013), equation 20, whatever its length.
+    """Incise all samples, serially from the outlets upstream: h_i = (h_i + F h_r) / (1 + F), r the receiver.
 
-    What lies below its receiver is a lake's floor and rests, and so does what has no rate.
+    This is the implicit step of Braun and Willett (2013), equation 20, stable at any length. Slopes are then limited by
+    `drop`. Samples below their receiver (lake floors) and samples with zero rate are not eroded.
     """
     cut_samples(r)
 
@@ -97,63 +98,62 @@ def cut_down(r: River):
     for (int q = 0; q < width * r.grid.height; ++q) {
         const int i = r.order.data[q], k = r.to.data[i];
         if (k == 4) continue;
-        const float was = r.before.data[i], water = r.filled.data[i];
-        const double come = l[i], most = come > 0.0 ? come : 0.0, cut = (double)was - z[i];
-        double laid = (double)water - z[i];
-        if (laid > 0.0) {
-            laid = 0.25 * laid;
-            laid = laid < most ? laid : most;
+        const float raised = r.raised.data[i], water = r.filled.data[i];
+        const double flux = l[i], load = flux > 0.0 ? flux : 0.0, cut = (double)raised - z[i];
+        double deposit = (double)water - z[i];
+        if (deposit > 0.0) {
+            deposit = 0.25 * deposit;
+            deposit = deposit < load ? deposit : load;
         }
         else {
-            const double half = cut > 0.0 ? 0.5 * cut : 0.0, twentieth = 0.05 * most, limit = half + twentieth;
+            const double half = cut > 0.0 ? 0.5 * cut : 0.0, twentieth = 0.05 * load, limit = half + twentieth;
             double share = r.deposition / r.area.data[i];
             share = share < 1.0 ? share : 1.0;
-            laid = most * share;
-            laid = laid < limit ? laid : limit;
-            laid = laid / (1.0 + r.rate.data[i]);
+            deposit = load * share;
+            deposit = deposit < limit ? deposit : limit;
+            deposit = deposit / (1.0 + r.rate.data[i]);
         }
-        laid = laid * r.part.data[i];
-        z[i] = (float)(z[i] + laid);
-        double out = (double)was - z[i];
-        out = come + out;
+        deposit = deposit * r.weight.data[i];
+        z[i] = (float)(z[i] + deposit);
+        double out = (double)raised - z[i];
+        out = flux + out;
         l[i + away[k]] += out;
     }
 """)
-def lay_down_samples(r: River): ...
+def deposit_samples(r: River): ...
 
 
 @wp.kernel
-def lay_down(r: River):
-    """Serial, from the springs down: what the step has taken is carried along, and a part of it laid down.
+def deposit(r: River):
+    """Carry eroded material downstream, serially from the springs, and deposit a part of it.
 
-    A lake (where `filled` is above the ground) catches what comes, a quarter of its depth in a step at most, so that no
-    path through it fills first; a channel lays down `deposition` over its area in samples of what it carries (Davy and
-    Lague 2009; Yuan et al. 2019, equation 7), but no more than half of what it was just cut by and a twentieth of the
-    load; of that the cut leaves 1 / (1 + F), as of any height above its receiver. `load`: 0 before; after it metres
-    times samples that have come to each; at roots, what has left. The differences of stored heights are what is
-    carried, so that mass is lost to no rounding of heights.
+    A channel deposits G / A of its load, A in samples (Davy and Lague 2009; Yuan et al. 2019, equation 7), but at most
+    half of its incision and a twentieth of the load, divided by 1 + F as every height above a receiver. A lake, where
+    `filled` is above the ground, deposits up to a quarter of its depth in a step, so that no path through it fills
+    first. load: 0 or the inflow of a tile at first; then metres times samples that came to each sample, at outlets what
+    has left. It sums differences of stored heights, so that rounding loses no mass.
     """
-    lay_down_samples(r)
+    deposit_samples(r)
 
 
 @wp.func_native("""
     const unsigned char* __restrict l = lake.data;
     const float* __restrict r = rock.data;
     const float* __restrict m = old.data;
-    float* __restrict out = laid.data;
+    float* __restrict out = deposited.data;
     const int away = apart * width;
-    const auto comes = [=](int i, int j) {
+    const auto flux = [=](int i, int j) {
         float v = r[j] + m[j], h = r[i] + m[i];
         v = v - h;
         v = v * 0.2f;
-        const float least = -0.2f * m[i], most = 0.2f * m[j];
-        v = v < least ? least : v;
-        v = v > most ? most : v;
+        const float low = -0.2f * m[i], high = 0.2f * m[j];
+        v = v < low ? low : v;
+        v = v > high ? high : v;
         return v * (float)(l[i] & l[j]);
     };
     #pragma clang loop vectorize(enable) interleave(enable)
     for (int i = first; i < end; ++i) {
-        const float v = comes(i, i - away) + comes(i, i + away), u = comes(i, i - apart) + comes(i, i + apart);
+        const float v = flux(i, i - away) + flux(i, i + away), u = flux(i, i - apart) + flux(i, i + apart);
         out[i] = m[i] + (u + v);
     }
 """)
@@ -165,7 +165,7 @@ def settle_samples(
     lake: wp.array(dtype=wp.uint8),
     rock: wp.array(dtype=wp.float32),
     old: wp.array(dtype=wp.float32),
-    laid: wp.array(dtype=wp.float32),
+    deposited: wp.array(dtype=wp.float32),
 ): ...
 
 
@@ -179,13 +179,15 @@ def settle(
     lake: wp.array(dtype=wp.uint8),
     rock: wp.array(dtype=wp.float32),
     old: wp.array(dtype=wp.float32),
-    laid: wp.array(dtype=wp.float32),
+    deposited: wp.array(dtype=wp.float32),
 ):
-    """Samples `first` to `last` of part `offset + tid`, all of one row: a pass in which what is `laid` on `rock` under
-    water goes to lower samples, so many `apart` along rows and columns: a fifth of the difference of heights, and no
-    more than a fifth of what is there. Outside of a `lake` `laid` stays as `old`, and nothing comes from there."""
-    part = offset + wp.tid()
-    settle_samples(first[part], last[part] + 1, width, apart, lake, rock, old, laid)
+    """Move sediment under water downhill in one pass: samples `first` to `last` of segment `offset + tid`, one row.
+
+    Between samples `apart` along rows and columns moves a fifth of the difference of heights, and at most a fifth of
+    the upper one's sediment. Only samples of a `lake` exchange sediment.
+    """
+    segment = offset + wp.tid()
+    settle_samples(first[segment], last[segment] + 1, width, apart, lake, rock, old, deposited)
 
 
 @wp.kernel
@@ -198,10 +200,12 @@ def vary_rock(
     octaves: int,
     half: wp.float64,
     seed: wp.uint32,
-    soft: wp.array(dtype=wp.float32),
+    erodibility: wp.array(dtype=wp.float32),
 ):
-    """Row `offset + tid`: `soft` times the rock's softness there, about exp(2 half * noise): `octaves` of noise, alike
-    strong, the first with waves of `longest` metres. A function of the place in metres."""
+    """Multiply the erodibility of row `offset + tid` by about exp(2 half * noise), a function of the position.
+
+    The noise has `octaves` of equal amplitude, the first with waves of `longest` metres.
+    """
     y = offset + wp.tid()
     for x in range(grid.width):
         east = wp.float64(first[1] + x) * steps[0] / longest
@@ -212,6 +216,6 @@ def vary_rock(
             noise = value_noise(east * scale, north * scale, seed + wp.uint32(octave) * wp.uint32(-0x61C88647))
             total += noise[2]
             scale *= wp.float64(2.0)
-        part = wp.clamp(half * total, wp.float64(-0.8), wp.float64(0.8))
+        t = wp.clamp(half * total, wp.float64(-0.8), wp.float64(0.8))
         i = y * grid.width + x
-        soft[i] = soft[i] * wp.float32((wp.float64(1.0) + part) / (wp.float64(1.0) - part))
+        erodibility[i] = erodibility[i] * wp.float32((wp.float64(1.0) + t) / (wp.float64(1.0) - t))

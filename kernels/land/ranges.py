@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels of built-in lands that rivers, frost and water are meant to work on: mountains, a canyon, an archipelago.
+"""Kernels of built-in lands for height operators: mountains, a canyon, an archipelago.
 
-Functions of the place, of arithmetic alone: the same seed gives the same bits on every machine, and a place has the
-same height at every resolution. x, y: metres from the middle of the square, to the east and north.
+Heights are functions of the position by arithmetic alone: a seed gives the same bits on every machine, and a point has
+the same height at every resolution. x, y: metres from the centre of the square, to the east and north.
 """
 
 import warp as wp
@@ -17,12 +17,12 @@ MOUNTAINS, CANYON, ARCHIPELAGO = wp.constant(0), wp.constant(1), wp.constant(2)
 
 @wp.func
 def mountains_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.uint32) -> wp.float64:
-    """A range across the square from west to east, with forelands on both sides; metres, all above 0."""
+    """Return the height of a range from west to east with forelands on both sides; metres, above 0."""
     one = wp.float64(1.0)
-    bend = noise(x / wp.float64(13000.0), y / wp.float64(13000.0), seed + wp.uint32(31))
-    bent = noise(x / wp.float64(4700.0), y / wp.float64(4700.0), seed + wp.uint32(32))
-    wx = x + wp.float64(1500.0) * bend[0] + wp.float64(350.0) * bent[0]
-    wy = y + wp.float64(3800.0) * bend[2] + wp.float64(700.0) * bent[2]
+    coarse_warp = noise(x / wp.float64(13000.0), y / wp.float64(13000.0), seed + wp.uint32(31))
+    fine_warp = noise(x / wp.float64(4700.0), y / wp.float64(4700.0), seed + wp.uint32(32))
+    wx = x + wp.float64(1500.0) * coarse_warp[0] + wp.float64(350.0) * fine_warp[0]
+    wy = y + wp.float64(3800.0) * coarse_warp[2] + wp.float64(700.0) * fine_warp[2]
     across = wp.abs(wy) / half
     inland = one - smooth(wp.float64(0.2), wp.float64(0.95), across)
     rough = relief(wx / wp.float64(5200.0), wy / wp.float64(5200.0), wp.float64(0.55) + wp.float64(0.45) * inland, seed)
@@ -35,7 +35,7 @@ def mountains_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.ui
 
 @wp.func
 def walls(d: wp.float64) -> wp.float64:
-    """Share of a canyon's depth, d metres from its river's middle: cliffs of hard beds between slopes of soft ones."""
+    """Return the height above the floor as a fraction of the depth, d metres from the river: cliffs between slopes."""
     high = wp.float64(0.24) * smooth(wp.float64(40.0), wp.float64(330.0), d)
     high += wp.float64(0.09) * wp.clamp((d - wp.float64(330.0)) / wp.float64(650.0), wp.float64(0.0), wp.float64(1.0))
     high += wp.float64(0.20) * smooth(wp.float64(980.0), wp.float64(1120.0), d)
@@ -49,7 +49,7 @@ def walls(d: wp.float64) -> wp.float64:
 
 @wp.func
 def ravine(x: wp.float64, y: wp.float64, length: wp.float64, seed: wp.uint32) -> wp.float64:
-    """1 in the bed of side valleys about `length` apart, 0 on the spurs between them."""
+    """Return 1 in the bed of side valleys about `length` apart, 0 on the spurs between them."""
     n = noise(x / length, y / length, seed)[2]
     bed = wp.max(wp.float64(1.0) - wp.float64(2.2) * wp.abs(n), wp.float64(0.0))
     return bed * bed * (wp.float64(3.0) - wp.float64(2.0) * bed)
@@ -57,7 +57,7 @@ def ravine(x: wp.float64, y: wp.float64, length: wp.float64, seed: wp.uint32) ->
 
 @wp.func
 def canyon_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.uint32) -> wp.float64:
-    """A plateau that a river has cut from east to west, with side canyons; metres, all above 0."""
+    """Return the height of a plateau with a canyon from east to west and side canyons; metres, above 0."""
     one = wp.float64(1.0)
     wide = noise(x / wp.float64(9000.0), y / wp.float64(9000.0), seed + wp.uint32(41))[2]
     fine = noise(x / wp.float64(310.0), y / wp.float64(310.0), seed + wp.uint32(42))
@@ -87,7 +87,7 @@ def canyon_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.uint3
 def volcano(
     x: wp.float64, y: wp.float64, reach: wp.float64, high: wp.float64, rough: wp.float64, seed: wp.uint32
 ) -> wp.float64:
-    """Metres of a cone `high` and `reach` wide with gullies and a crater, (x, y) metres from its middle; 0 beyond."""
+    """Return the height of a cone with gullies and a crater at (x, y) from its centre; metres, 0 beyond `reach`."""
     one = wp.float64(1.0)
     u = x / reach
     v = y / reach
@@ -105,23 +105,25 @@ def volcano(
 
 @wp.func
 def archipelago_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.uint32) -> wp.float64:
-    """Islands, some of them volcanoes, and shoals in a sea at height 0; deep towards the rim. Metres."""
+    """Return the height of islands, volcanoes and shoals in a sea at 0 m that is deep at the border; metres."""
     one = wp.float64(1.0)
-    bend = noise(x / wp.float64(5200.0), y / wp.float64(5200.0), seed + wp.uint32(61))
-    bent = noise(x / wp.float64(1500.0), y / wp.float64(1500.0), seed + wp.uint32(62))
-    wx = x + wp.float64(900.0) * bend[0] + wp.float64(200.0) * bent[0]
-    wy = y + wp.float64(900.0) * bend[2] + wp.float64(200.0) * bent[2]
+    coarse_warp = noise(x / wp.float64(5200.0), y / wp.float64(5200.0), seed + wp.uint32(61))
+    fine_warp = noise(x / wp.float64(1500.0), y / wp.float64(1500.0), seed + wp.uint32(62))
+    wx = x + wp.float64(900.0) * coarse_warp[0] + wp.float64(200.0) * fine_warp[0]
+    wy = y + wp.float64(900.0) * coarse_warp[2] + wp.float64(200.0) * fine_warp[2]
     arc = noise(wx / wp.float64(9500.0), wy / wp.float64(5600.0), seed + wp.uint32(63))[2]
     away = wp.max(wp.abs(x), wp.abs(y)) / half
-    open = smooth(wp.float64(0.6), wp.float64(1.0), away + wp.float64(0.1) * bend[2])
-    land = wp.float64(0.75) * arc + wp.float64(0.45) * bend[2] + wp.float64(0.16) * bent[2] - wp.float64(0.12)
+    open = smooth(wp.float64(0.6), wp.float64(1.0), away + wp.float64(0.1) * coarse_warp[2])
+    land = (
+        wp.float64(0.75) * arc + wp.float64(0.45) * coarse_warp[2] + wp.float64(0.16) * fine_warp[2] - wp.float64(0.12)
+    )
     land = land - wp.float64(1.2) * open
     dry = smooth(wp.float64(-0.12), wp.float64(0.05), land)
     rough = relief(wx / wp.float64(2600.0), wy / wp.float64(2600.0), dry, seed)
     inland = land + wp.float64(0.06) * rough
     hills = smooth(wp.float64(0.0), wp.float64(0.5), inland)
     height = wp.float64(420.0) * inland + hills * (wp.float64(420.0) + wp.float64(380.0) * rough) - wp.float64(14.0)
-    # A volcano in some of the cells, with its foot on the sea's floor.
+    # Some cells have a volcano that rises from the sea floor.
     cell = wp.float64(7000.0)
     i = wp.floor(x / cell)
     j = wp.floor(y / cell)
@@ -140,8 +142,8 @@ def archipelago_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.
                 strength = wp.min(pick[2] * wp.float64(2.2), one)
                 reach = wp.float64(1900.0) + wp.float64(3300.0) * strength
                 high = wp.float64(450.0) + wp.float64(1650.0) * strength
-                own = scramble(wp.uint32(wp.int32(ci)) + scramble(wp.uint32(wp.int32(cj)) + seed + wp.uint32(65)))
-                fire = wp.max(fire, volcano(wx - vx, wy - vy, reach, high, rough, own))
+                cell_seed = scramble(wp.uint32(wp.int32(ci)) + scramble(wp.uint32(wp.int32(cj)) + seed + wp.uint32(65)))
+                fire = wp.max(fire, volcano(wx - vx, wy - vy, reach, high, rough, cell_seed))
     height = wp.max(height, wp.float64(0.35) * height) + fire * wp.float64(0.9)
     beach = wp.float64(12.0)
     if height > -beach and height < beach:
@@ -160,7 +162,7 @@ def raise_land(
     seed: wp.uint32,
     samples: wp.array(dtype=wp.float32),
 ):
-    """Row `first_row + offset + tid` of a land of `size` x `size` samples over a square of twice `half` metres."""
+    """Fill row `first_row + offset + tid` of `size` x `size` samples over a square of twice `half` metres."""
     row = offset + wp.tid()
     cells = wp.float64(size - 1)
     y = half * wp.float64(2 * (first_row + row) - (size - 1)) / cells

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Kernel of the built-in dunes: crests across the wind that branch and end, gentle to windward, slip faces to lee.
 
-Where crests run is phasor noise (Tricard, Efremov, Zanni, Neyret, Martinez and Lefebvre, "Procedural phasor noise",
-2019): waves of one length in small patches, of whose sum only the phase counts. A function of the place, of arithmetic
+The position of crests is phasor noise (Tricard, Efremov, Zanni, Neyret, Martinez and Lefebvre, "Procedural phasor
+noise", 2019): the phase of a sum of wave patches of one wavelength. Heights are functions of the position by arithmetic
 alone: the same bits on every machine, and the same height at every resolution.
 """
 
@@ -11,10 +11,10 @@ import warp as wp
 from ..field.island import noise, smooth
 from ..field.noise import scramble
 
-# The loops over patches are not unrolled: the compiler would take minutes.
+# Unrolled loops over patches would take minutes to compile.
 wp.set_module_options({"max_unroll": 0})
 
-# tan 32 degrees, of sand at rest.
+# tan 32 degrees, the angle of repose of sand.
 REPOSE = wp.constant(wp.float64(0.625))
 # Patches of waves a cell, and 1 / 2^16.
 PATCHES = wp.constant(2)
@@ -23,7 +23,7 @@ PART = wp.constant(wp.float32(1.52587890625e-05))
 
 @wp.func
 def wave_of(turn: wp.float32) -> wp.float32:
-    """sin(2 pi turn) within 0.2 %, by parabolas."""
+    """Return sin(2 pi turn) within 0.2 %, by parabolas."""
     t = turn - wp.floor(turn) - 0.5
     p = -16.0 * t * (0.5 - wp.abs(t))
     return p * (0.775 + 0.225 * wp.abs(p))
@@ -31,7 +31,7 @@ def wave_of(turn: wp.float32) -> wp.float32:
 
 @wp.func
 def turn_of(c: wp.float32, s: wp.float32) -> wp.float32:
-    """Angle of (c, s) in turns, 0 to 1, within 2e-4."""
+    """Return the angle of (c, s) in turns, 0 to 1, within 2e-4."""
     a = wp.abs(c)
     b = wp.abs(s)
     t = wp.min(a, b) / (wp.max(a, b) + 1e-20)
@@ -44,7 +44,7 @@ def turn_of(c: wp.float32, s: wp.float32) -> wp.float32:
 
 @wp.func
 def crests(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.vec2d:
-    """Of waves 1 long that travel along x: (phase in turns, 0 to 1; how much they agree, 0 to 1)."""
+    """Return the phase in turns, 0 to 1, and the coherence, 0 to 1, of waves of length 1 along x."""
     u = x * wp.float64(0.5)
     v = y * wp.float64(0.33)
     i = wp.floor(u)
@@ -76,7 +76,7 @@ def crests(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.vec2d:
 
 @wp.func
 def ridge_of_sand(phase: wp.float64, high: wp.float64, length: wp.float64) -> wp.vec2d:
-    """(height, lee from 0 to 1) of a dune `high` in waves `length` long: its lee stands at the angle of repose."""
+    """Return height and lee (0 or 1) of a dune `high` in waves of a length; its lee is at the angle of repose."""
     one = wp.float64(1.0)
     brink = one - high / (REPOSE * length)
     if phase < brink:
@@ -88,7 +88,7 @@ def ridge_of_sand(phase: wp.float64, high: wp.float64, length: wp.float64) -> wp
 
 @wp.func
 def dunes_height(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
-    """Metres at (x, y) metres; the wind blows to the east."""
+    """Return the height in metres at (x, y) metres; the wind blows to the east."""
     one = wp.float64(1.0)
     wide = noise(x / wp.float64(2900.0), y / wp.float64(2900.0), seed + wp.uint32(11))
     bent = noise(x / wp.float64(1100.0), y / wp.float64(700.0), seed + wp.uint32(12))
@@ -96,7 +96,7 @@ def dunes_height(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
     ground = wp.float64(28.0) * wide[2] + wp.float64(6.0) * bent[2]
 
     length = wp.float64(430.0)
-    # Horns, which run ahead with the wind, are sharper than the bays between them.
+    # Horns, which point downwind, are sharper than the bays between them.
     horn = noise(x / wp.float64(1300.0), y / wp.float64(330.0), seed + wp.uint32(14))[2]
     bays = wp.float64(220.0) * wp.sqrt(horn * horn + wp.float64(0.004))
     wx = x + wp.float64(150.0) * bent[2] + wp.float64(30.0) * curl[2] + wp.float64(220.0) * wide[2] + bays
@@ -106,14 +106,14 @@ def dunes_height(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
     high = wp.float64(62.0) * (wp.float64(0.25) + wp.float64(0.75) * supply) * agreed
     dune = ridge_of_sand(large[0], high, length)
 
-    # Small dunes ride on the gentle side of the large ones and in the pans between them.
+    # Small dunes are on the gentle side of large ones and in the pans between them.
     length = wp.float64(58.0)
     across = y + wp.float64(0.35) * x + wp.float64(9.0) * curl[0]
     along = x - wp.float64(0.35) * y + wp.float64(0.35) * dune[0] + wp.float64(22.0) * curl[2]
     small = crests(along / length, across / length, seed + wp.uint32(21))
     up = dune[0] / wp.float64(62.0)
     calm = (one - dune[1]) * (one - wp.float64(0.8) * up)
-    # Not beside the brink, which stays sharp.
+    # None near the brink, which stays sharp.
     calm = calm * smooth(wp.float64(0.0), wp.float64(0.12), large[0])
     patchy = smooth(wp.float64(-0.3), wp.float64(0.3), curl[2] - wp.float64(0.5) * bent[2])
     low = wp.float64(3.6) * smooth(wp.float64(0.1), wp.float64(0.7), small[1]) * (wp.float64(0.15) + patchy)
@@ -130,7 +130,7 @@ def raise_dunes(
     seed: wp.uint32,
     samples: wp.array(dtype=wp.float32),
 ):
-    """Row `first_row + offset + tid` of dunes of `size` x `size` samples over a square of twice `half` metres."""
+    """Fill row `first_row + offset + tid` of `size` x `size` samples over a square of twice `half` metres."""
     row = offset + wp.tid()
     cells = wp.float64(size - 1)
     y = half * wp.float64(2 * (first_row + row) - (size - 1)) / cells

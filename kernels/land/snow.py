@@ -1,25 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Snow: what falls and stays by temperature, wind and sky, and what slides off steep ground."""
+"""Snow: its depth by temperature, wind and sky, and slides on steep ground."""
 
 import warp as wp
 
 from ..effects.logarithm import exponential
 
-# Kelvin a metre of height: how fast air cools.
+# Lapse rate of air in kelvin per metre of height.
 LAPSE = wp.constant(wp.float64(0.0065))
-# Kelvin by which rain goes over into snow, and the part of it that is so little that it melts at once.
+# Kelvin of the transition from rain to snow, and the fraction of snow that melts at once.
 BLEND, MELTS = wp.constant(wp.float64(0.8)), wp.constant(wp.float64(0.02))
-# The part that falls where no sky is seen, and how the wind lays up snow behind ground that shelters from it.
+# Fraction that falls without visible sky; amplitude and steepness of the drift by the wind's shelter.
 UNDER_COVER, SHELTER, STEEPENING = (wp.constant(wp.float64(v)) for v in (0.4, 0.8, 2.5))
-# Metres that cling to level ground, and the slopes from which on less does, and from which on nothing.
+# Metres that cling to level ground; slopes from which on this decreases and is 0.
 CLINGS, LESS_CLINGS, NONE_CLINGS = (wp.constant(wp.float64(v)) for v in (0.35, 0.8, 2.2))
 
 
 @wp.struct
 class Weather:
-    """Of a raster of `width` x `height` samples. `line`: metres where rain turns to snow; `fall`: metres of snow that
-    fall on open, level ground far above. `aspect`: kelvin between sun and shade. `sun`: the sines of the noon sun's
-    height, and its cosine, positive where it stands in the south. `per_x`, `per_y`: 1 / m."""
+    """The weather over a raster. `line`: height in metres where rain turns to snow. `fall`: metres of snow on open,
+    level ground far above it. `aspect`: kelvin between sun and shade. `sun`: sine and cosine of the noon sun's height,
+    the cosine positive for a sun in the south. `per_x`, `per_y`: 1 / spacing in 1/m."""
 
     width: wp.int32
     height: wp.int32
@@ -32,7 +32,7 @@ class Weather:
 
 
 @wp.kernel
-def lay(
+def fall(
     offset: int,
     weather: Weather,
     heights: wp.array(dtype=wp.float32),
@@ -42,7 +42,11 @@ def lay(
     fallen: wp.array(dtype=wp.float32),
     stuck: wp.array(dtype=wp.float32),
 ):
-    """Row `offset + tid`: metres of snow that fall, and those of them that cling; 0 where `bare`."""
+    """Compute the metres of snow of row `offset + tid` and the part that clings to the ground; 0 where `bare`.
+
+    snow = fall * cold(T) * (UNDER_COVER + (1 - UNDER_COVER) sky) * drift(lee), T by height and aspect, cold a logistic
+    function. Boundary: slopes are one-sided at the border.
+    """
     one = wp.float64(1.0)
     y = offset + wp.tid()
     south = wp.max(y - 1, 0)
@@ -73,7 +77,7 @@ def lay(
 
 @wp.struct
 class Slides:
-    """Loose snow on a bed. `falls`: metres between two surfaces (east, north, diagonal) that lie at rest."""
+    """Loose snow on a bed. `falls`: largest stable differences in metres (east, north, diagonal) of two surfaces."""
 
     width: wp.int32
     height: wp.int32
@@ -82,7 +86,7 @@ class Slides:
     snow: wp.array(dtype=wp.float32)
 
 
-# One pair after the other: what one loses the other gains. Eight at once, in C.
+# Each pair exchanges snow, which conserves it; C code, eight pairs at once.
 _SLIDE = """
 #pragma clang fp contract(off)
     const int width = slides.width, height = slides.height, at = y * width, next = at + width;
@@ -93,7 +97,7 @@ _SLIDE = """
         const float drop = between + (si - sj), size = drop < 0.0f ? -drop : drop;
         const float upper = drop < 0.0f ? sj : si, lower = drop < 0.0f ? si : sj;
         float q = 0.5f * (size - fall);
-        q = q > 0.0f ? q : 0.0f;  // and for NaN, which nothing passes
+        q = q > 0.0f ? q : 0.0f;  // 0 for NaN, the walls
         q = q < upper ? q : upper;
         const float kept = upper - q, got = lower + (upper - kept);
         si = drop < 0.0f ? got : kept;
@@ -123,7 +127,9 @@ def slide_slab(slides: Slides, y: int, along: int, turn: int): ...
 
 @wp.kernel
 def slide(offset: int, first: int, along: int, turn: int, slides: Slides):
-    """Slab `offset + tid`: rows `first` + 2 * that and the one above. Neighbours settle until no more than `falls` are
-    between their surfaces; along the rows only if `along`, first those pairs whose western column is of the parity of
-    `turn`. No two slabs share a row."""
+    """Settle slab `offset + tid`, rows `first` + 2 * that and the next, until surfaces differ by at most `falls`.
+
+    Pairs along the rows settle only if `along`, first those whose western column has the parity of `turn`. Slabs share
+    no row.
+    """
     slide_slab(slides, first + 2 * (offset + wp.tid()), along, turn)

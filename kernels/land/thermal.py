@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scree: rock that breaks above the angle of its bed, and what broke off, which slides above its own.
+"""Scree: rock that breaks above the angle of its bed, and slides above its own angle (Musgrave, Kolb and Mace 1989).
 
-Two neighbours at a time exchange what lies too steep between them: what one loses the other gains, a pair settles at
-most fully, so no slope and no step is too large. Pairs follow one another in an order that world indices decide:
-slabs of two rows, first those whose lower row is even, then the others, or the other way round; within a slab pairs
-along its rows, across it, and along both diagonals. Slabs share no row, so threads cannot change a bit.
+Pairs of neighbours exchange their excess above the angle, which conserves mass, and settle at most fully, so that any
+slope and step is stable. World indices decide the order of pairs: slabs of two rows, first those with an even lower row
+and then the others, or in reverse; within a slab pairs along its rows, across it, and along both diagonals. Slabs share
+no row, so that threads do not change a bit.
 
-Rock is `base`, which nothing changes, under `left`, what may still break off; `scree` lies on both. All three are
-float32 [rows * columns] metres, so that a millimetre is not lost in a mountain. NaN in `base` is a wall: it compares
-with nothing, so nothing passes.
+Layers from below: `base`, constant rock; `left`, rock that may break off; `scree`. All are float32 [rows * columns]
+metres; separate arrays keep millimetres on a mountain. Boundary: NaN in `base` is a wall that nothing passes.
 """
 
 import warp as wp
@@ -18,12 +17,13 @@ from ..field.noise import value_noise
 
 @wp.struct
 class Slope:
-    """A slope, and what decides how it settles; metres, and metres of fall a metre of run.
+    """A slope and its parameters; metres, angles as tangents.
 
-    `first_row`, `first_column`: of sample [0, 0] in the whole level. `repose`: of scree. `soft`, `hard`: at which the
-    softest and the hardest bed break. `thick`: of a bed. `dip_x`, `dip_y`: of the beds, a sample to the east and north.
-    `share`: of its excess that the upper one of a pair gives, at most `part` of its scree. `weather`: of the excess of
-    bare rock that breaks off. `facing`: see `face_rows`.
+    `first_row`, `first_column`: position of sample [0, 0] in the whole level. `repose`: tangent of scree. `soft`,
+    `hard`: tangents at which the softest and the hardest bed break. `thick`: thickness of a bed. `dip_x`, `dip_y`:
+    metres that beds rise to the next sample in the east and north. `share`: fraction of the excess that the upper
+    sample of a pair gives, at most `max_fraction` of its scree. `weather`: fraction of the excess of bare rock that
+    breaks off. `facing`: see `face_rows`.
     """
 
     width: wp.int32
@@ -38,7 +38,7 @@ class Slope:
     thick: wp.float32
     dip_x: wp.float32
     dip_y: wp.float32
-    part: wp.float32
+    max_fraction: wp.float32
     share: wp.float32
     weather: wp.float32
     seed: wp.uint32
@@ -48,8 +48,8 @@ class Slope:
     facing: wp.array(dtype=wp.float32)
 
 
-# Eight directions alone would make eight-sided cones: where the ground falls between two of them, the fall along either
-# is less than the fall. So a limit is multiplied by the cosine of the angle to the nearest direction.
+# Eight directions alone would make eight-sided cones, since between two of them the slope along either is less than the
+# steepest one. So limits are multiplied by the cosine of the angle to the nearest direction.
 FACE_ROW = """
     const float* __restrict b = s0.base.data;
     const float* __restrict l = s0.left.data;
@@ -60,9 +60,9 @@ FACE_ROW = """
     auto face = [&](int i, int west, int east, float by) __attribute__((always_inline)) {
         float u = ((b[i + east] + l[i + east] + s[i + east]) - (b[i + west] + l[i + west] + s[i + west])) * by;
         float v = ((b[i + north] + l[i + north] + s[i + north]) - (b[i + south] + l[i + south] + s[i + south])) * by_y;
-        float p = __builtin_fabsf(u), q = __builtin_fabsf(v), most = p > q ? p : q, d = (p + q) * 0.70710678f;
-        most = most > d ? most : d;
-        float cosine = most / __builtin_sqrtf(u * u + v * v);
+        float p = __builtin_fabsf(u), q = __builtin_fabsf(v), fall = p > q ? p : q, d = (p + q) * 0.70710678f;
+        fall = fall > d ? fall : d;
+        float cosine = fall / __builtin_sqrtf(u * u + v * v);
         out[i] = cosine >= 0.92f ? cosine : 1.0f;
     };
     face(y * nx, 0, nx > 1, 2.0f * by_x);
@@ -78,12 +78,12 @@ def face_row(s0: Slope, y: int): ...
 
 @wp.kernel
 def face_rows(offset: int, slope: Slope):
-    """Row `offset + tid`: into `facing` the cosine of the angle between the fall and the nearest of eight directions,
-    1 beside walls and on level ground."""
+    """Set `facing` of row `offset + tid`: the cosine of the angle between downhill and the nearest of eight directions,
+    1 next to walls and on level ground."""
     face_row(slope, offset + wp.tid())
 
 
-# One pair after the other in C, eight at once: 6 times as fast as Warp's loops.
+# C code, eight pairs at once: 6 times as fast as Warp's loops.
 SETTLE_SLAB = """
     const float* __restrict b = s0.base.data;
     float* __restrict l = s0.left.data;
@@ -105,12 +105,12 @@ SETTLE_SLAB = """
         float lh = down ? li : lj;
         run *= down ? fi : fj;
         float move = s0.share * ((down ? drop : -drop) - s0.repose * run);
-        float most = s0.part * sh;
-        most = most < move ? most : move;
-        move = most > 0.0f ? most : 0.0f;
-        float kept = sh - move;
-        sl += sh - kept;
-        sh = kept;
+        float limit = s0.max_fraction * sh;
+        limit = limit < move ? limit : move;
+        move = limit > 0.0f ? limit : 0.0f;
+        float rest = sh - move;
+        sl += sh - rest;
+        sh = rest;
         float bare = zh - (zl + sl);
         float t = (zh + dip) * per_bed;
         int n = (int)t;
@@ -126,9 +126,9 @@ SETTLE_SLAB = """
         cover = cover > 0.0f ? cover : 0.0f;
         float cut = s0.weather * cover * over;
         cut = cut < lh ? cut : lh;
-        kept = lh - cut;
-        sl += lh - kept;
-        lh = kept;
+        rest = lh - cut;
+        sl += lh - rest;
+        lh = rest;
         l[i] = down ? lh : li;
         l[j] = down ? lj : lh;
         s[i] = down ? sh : sl;
@@ -168,14 +168,16 @@ def settle_slab(s0: Slope, y: int, along: int, turn: int): ...
 
 @wp.kernel
 def settle_slabs(offset: int, start: int, along: int, turn: int, slope: Slope):
-    """Slab `offset + tid`: rows start + 2 * that and the one above."""
+    """Settle slab `offset + tid`, rows start + 2 * that and the next."""
     settle_slab(slope, start + 2 * (offset + wp.tid()), along, turn)
 
 
 @wp.kernel
-def lie_unevenly(offset: int, slope: Slope, longest: wp.float32, octaves: int, tangent: wp.float32):
-    """Row `offset + tid`: add to `base` what scree takes for level ground, noise whose slope is about `tangent`: waves
-    of `longest` metres and `octaves` - 1 shorter ones, each half as long, in the same places on every level."""
+def vary_repose(offset: int, slope: Slope, longest: wp.float32, octaves: int, tangent: wp.float32):
+    """Add noise of slope about `tangent` to `base` of row `offset + tid`, which varies the angle at which scree rests.
+
+    It has waves of `longest` metres and `octaves` - 1 shorter ones, at the same positions on every level.
+    """
     row = offset + wp.tid()
     for column in range(slope.width):
         x = wp.float64(slope.first_column + column) * wp.float64(slope.step_x)
@@ -186,7 +188,7 @@ def lie_unevenly(offset: int, slope: Slope, longest: wp.float32, octaves: int, t
             seed = slope.seed + wp.uint32(octave + 1) * wp.uint32(-0x61C88647)  # 0x9E3779B9
             total += wave * value_noise(x / wave, y / wave, seed)[2]
             wave *= wp.float64(0.5)
-            turned = wp.float64(0.8) * x - wp.float64(0.6) * y  # so that lattices of noise do not add up
+            turned = wp.float64(0.8) * x - wp.float64(0.6) * y  # lattices of noise do not align
             y = wp.float64(0.6) * x + wp.float64(0.8) * y
             x = turned
         i = row * slope.width + column

@@ -1,21 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Depth and speed of water that flows steadily, from what drains through each sample (Manning's formula)."""
+"""Depth and speed of steady water from the discharge of each sample.
+
+    h = (n Q / (w S^(1/2)))^(3/5), w = WIDTH Q^(1/2), v = Q / (w h)
+
+h: depth, n: Manning's coefficient, Q: discharge, S: slope, w: width of the stream (Leopold and Maddock 1953).
+"""
 
 import warp as wp
 
 from ..effects.logarithm import exponential, natural_log
 
-# Metres of a stream's width for the square root of its discharge in m^3/s (Leopold and Maddock 1953).
+# Width of a stream in metres over the square root of its discharge in m^3/s.
 WIDTH = wp.constant(wp.float64(3.0))
-# Metres a metre: water that stands would be infinitely deep.
-LEAST_SLOPE = wp.constant(wp.float64(1.0e-3))
-LEAST_DISCHARGE = wp.constant(wp.float64(1.0e-12))
+# Uniform flow without a slope would be infinitely deep.
+MIN_SLOPE = wp.constant(wp.float64(1.0e-3))
+MIN_DISCHARGE = wp.constant(wp.float64(1.0e-12))
 
 
 @wp.struct
-class Rain:
-    """A raster of `width` x `height` samples, `step_x`, `step_y` metres apart, each giving `runoff` m^3/s to its
-    `rough` rivers (s / m^(1/3)); below `sea` metres is sea."""
+class SteadyRain:
+    """A raster with a runoff in m^3/s of each sample, Manning's coefficient and the height of the sea in metres."""
 
     width: wp.int32
     height: wp.int32
@@ -25,7 +29,7 @@ class Rain:
     rough: wp.float64
     sea: wp.float32
     heights: wp.array(dtype=wp.float32)
-    filled: wp.array(dtype=wp.float32)  # the surface from which all drains
+    filled: wp.array(dtype=wp.float32)  # surface with filled depressions
     dry: wp.array(dtype=wp.uint8)
     area: wp.array(dtype=wp.float64)  # samples that drain through each
     normal: wp.array(dtype=wp.float32)  # metres, depth of uniform flow
@@ -35,8 +39,8 @@ class Rain:
 
 
 @wp.func
-def slope(rain: Rain, x: wp.int32, y: wp.int32) -> wp.float64:
-    """Of the filled surface, by central differences, one-sided at the rim."""
+def slope(rain: SteadyRain, x: wp.int32, y: wp.int32) -> wp.float64:
+    """Return the slope of the filled surface by central differences, one-sided at the border."""
     west = wp.max(x - 1, 0)
     east = wp.min(x + 1, rain.width - 1)
     south = wp.max(y - 1, 0)
@@ -49,17 +53,19 @@ def slope(rain: Rain, x: wp.int32, y: wp.int32) -> wp.float64:
 
 
 @wp.kernel
-def flow_uniformly(offset: int, rain: Rain):
-    """Row `offset + tid`: the depth of uniform flow, and the water's surface as if nothing dammed it: that of the sea,
-    the bed of a lake, and elsewhere the flow's."""
+def flow_uniformly(offset: int, rain: SteadyRain):
+    """Compute the depth of uniform flow of row `offset + tid`, and the water's surface without dams.
+
+    The surface is that of the sea, the bed of a lake, or that of the flow.
+    """
     y = offset + wp.tid()
     for x in range(rain.width):
         i = y * rain.width + x
         discharge = rain.area[i] * rain.runoff
         deep = wp.float64(0.0)
-        if discharge > LEAST_DISCHARGE:
-            steep = wp.sqrt(wp.max(slope(rain, x, y), LEAST_SLOPE))
-            # A stream has its own width, however wide samples are: its depth is the same at every level.
+        if discharge > MIN_DISCHARGE:
+            steep = wp.sqrt(wp.max(slope(rain, x, y), MIN_SLOPE))
+            # The width does not depend on the spacing, so that the depth is the same at every level.
             sheet = rain.rough * wp.sqrt(discharge) / (WIDTH * steep)
             deep = exponential(wp.float64(0.6) * natural_log(sheet))
         rain.normal[i] = wp.float32(deep)
@@ -71,12 +77,12 @@ def flow_uniformly(offset: int, rain: Rain):
 
 
 @wp.kernel
-def measure_water(offset: int, rain: Rain):
-    """Sample `offset + tid`: its depth (into `surface`, whose water no longer rises downstream), its speed and its
-    discharge; 0 where `dry`.
+def measure_water(offset: int, rain: SteadyRain):
+    """Compute the depth (into `surface`, filled before), speed and discharge of sample `offset + tid`; 0 where `dry`.
 
-    Water that is dammed flows slower than uniformly by as much as it is deeper; the shallow rim of a lake, where hardly
-    any of the lake's water passes, likewise."""
+    Dammed water is slower than uniform flow by the ratio of the depths, and so is the shallow border of a lake, which
+    carries hardly any of its water.
+    """
     i = offset + wp.tid()
     through = rain.area[i] * rain.runoff
     deep = rain.surface[i] - rain.heights[i]
@@ -84,7 +90,7 @@ def measure_water(offset: int, rain: Rain):
         if rain.surface[i] <= wp.float32(wp.float64(rain.heights[i]) + wp.float64(rain.normal[i])):
             deep = rain.normal[i]  # without the rounding of the height
     fast = wp.float64(0.0)
-    if through > LEAST_DISCHARGE and deep > 0.0:
+    if through > MIN_DISCHARGE and deep > 0.0:
         ratio = wp.float64(rain.normal[i]) / wp.float64(deep)
         fast = wp.sqrt(through) / (WIDTH * wp.float64(rain.normal[i])) * wp.min(ratio, wp.float64(1.0) / ratio)
     if rain.dry[i] != wp.uint8(0):

@@ -43,7 +43,7 @@ def test_case_55_creep_only_exchanges(spread):
     h = np.full((283, 340), 50.0, np.float32)
     h[135:145, 160:180] = rough(10, 20)
     bed = bed_of(h, 12.0, 9.0)
-    heights = fluvial.diffuse(bed, bed.heights.copy(), spread, bed.drain().base, bed.part)
+    heights = fluvial.diffuse(bed, bed.heights.copy(), spread, bed.drain().base, bed.weight)
     change = heights.astype(np.float64) - h.reshape(-1)
     assert np.abs(change).sum() > 1e3 and abs(change.sum()) < 1e-7 * np.abs(change).sum()
 
@@ -54,7 +54,7 @@ def test_case_55_what_rivers_cut_is_laid_down_or_leaves():
     fixed = (h <= 0).reshape(-1)
     lift = np.where(fixed, 0, 3e-4 * np.random.default_rng(1).random(h.size)).astype(np.float32)
     part = np.random.default_rng(2).random(h.size).astype(np.float32)
-    bed = bed_of(h, 12.0, 9.0, fixed=fixed, lift=lift, part=part)
+    bed = bed_of(h, 12.0, 9.0, fixed=fixed, uplift=lift, weight=part)
     values, left, moved, raised = RIVERS.defaults() | {"deposition": 2.0, "creep": 0.0}, 0.0, 0.0, 0.0
     for number in range(5):
         before = bed.heights.astype(np.float64)

@@ -20,8 +20,8 @@ def case():
     shape = (53, 121)
     h = (30 * rng.standard_normal(shape) + np.indices(shape)[0] * 2).astype(F)
     drainage = route(h, *STEPS)
-    found = {name: rng.random(h.size).astype(F) for name in ("part", "soft", "rate")}
-    found["part"][::7], found["rate"][::11] = 0.0, 0.0
+    found = {name: rng.random(h.size).astype(F) for name in ("weight", "erodibility", "rate")}
+    found["weight"][::7], found["rate"][::11] = 0.0, 0.0
     found["rate"] *= F(30)
     return drainage, h.reshape(-1), found
 
@@ -30,13 +30,13 @@ def river(drainage, found, **arrays):
     r = fluvial.River()
     r.grid, r.to, r.order = drainage.grid, flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32)
     r.area = flat(drainage.catchments, wp.float64)
-    return with_arrays(r, **{"part": found["part"], "rate": found["rate"]} | arrays)
+    return with_arrays(r, **{"weight": found["weight"], "rate": found["rate"]} | arrays)
 
 
 def soil(drainage, found, **arrays):
     s = creep.Soil()
     s.grid, s.base = drainage.grid, flat(drainage.base, wp.uint8)
-    return with_arrays(s, part=found["part"], **arrays)
+    return with_arrays(s, weight=found["weight"], **arrays)
 
 
 def with_arrays(struct, **arrays):
@@ -53,13 +53,13 @@ def receivers(drainage):
 def test_rates_are_those_of_numpy(case):
     drainage, h, found = case
     made, shape = np.empty_like(h), (53, 121)
-    r = river(drainage, found, soft=found["soft"], rate=made)
+    r = river(drainage, found, erodibility=found["erodibility"], rate=made)
     r.cell, r.hillslope, r.strength = 84.0, 5e3, 0.08
     launch.spread(fluvial.find_rates, shape[0], [r], step="test")
     axis = np.where(drainage.to % 2 == 0, 2, np.where((drainage.to == 3) | (drainage.to == 5), 0, 1))
     near = np.array([*drainage.grid.nearness], F)[axis]
     area = drainage.catchments.astype(F) * F(84.0) + F(5e3)
-    assert np.array_equal(made, np.sqrt(area) * near * found["soft"] * F(0.08))
+    assert np.array_equal(made, np.sqrt(area) * near * found["erodibility"] * F(0.08))
 
 
 def test_the_cut_is_that_of_a_loop_in_single_precision(case):
@@ -74,7 +74,7 @@ def test_the_cut_is_that_of_a_loop_in_single_precision(case):
         if to[i] != 4 and z[i] > z[j] and rate > 0:
             v = z[j] + (z[i] - z[j]) / (F(1) + rate)
             top = z[j] + drop[2 if to[i] % 2 == 0 else 0 if to[i] in (3, 5) else 1]
-            z[i] = v - max(v - top, F(0)) * found["part"][i]
+            z[i] = v - max(v - top, F(0)) * found["weight"][i]
         water[i] = z[i] if to[i] == 4 else max(z[i], water[j])
     assert np.array_equal(made, z) and (z != h).mean() > 0.3
     assert np.array_equal(filled, water) and (water > z).any()
@@ -87,7 +87,7 @@ def test_the_cut_is_that_of_a_loop_in_single_precision(case):
 def test_creep_is_that_of_numpy(case):
     drainage, h, found = case
     made, kept = h.copy(), (F(5) * np.random.default_rng(4).standard_normal(len(h))).astype(F)
-    s = soil(drainage, found, kept=kept, old=h, h=made)
+    s = soil(drainage, found, preserved=kept, old=h, h=made)
     s.ew, s.ns = 0.2, 0.11
     launch.spread(creep.creep, 51, [s], step="test", threads=3)
     z, inner = h.reshape(53, 121), np.s_[1:-1, 1:-1]
@@ -97,14 +97,14 @@ def test_creep_is_that_of_numpy(case):
     k = kept.reshape(z.shape)[inner]
     stays = np.clip(u + v, np.minimum(k, F(0)), np.maximum(k, F(0)))
     expected = z.copy()
-    expected[inner] += ((u + v) - stays) * found["part"].reshape(z.shape)[inner]
+    expected[inner] += ((u + v) - stays) * found["weight"].reshape(z.shape)[inner]
     assert np.array_equal(made.reshape(z.shape), expected)
 
 
 def test_far_creep_solves_its_equations(case):
     """Along the columns, then along the rows: what comes out, put into them, gives what went in."""
     drainage, h, found = case
-    z, part, fixed = h.copy(), found["part"], drainage.base.reshape(53, 121) == 1
+    z, part, fixed = h.copy(), found["weight"], drainage.base.reshape(53, 121) == 1
     s = soil(drainage, found, scratch=np.empty_like(h), change=np.empty_like(h), h=z)
     s.ew, s.ns = 11.0, 7.0
 
@@ -125,9 +125,9 @@ def test_sediment_is_that_of_a_loop_in_double_precision(case):
     drainage, before, found = case
     h = before - F(4) * np.random.default_rng(2).random(len(before)).astype(F)
     made, load, filled = h.copy(), np.zeros(len(h)), np.maximum(drainage.filled() - F(5), h)
-    r = river(drainage, found, before=before, filled=filled, h=made)
+    r = river(drainage, found, raised=before, filled=filled, h=made)
     r.deposition, r.load = 1.7, flat(load, wp.float64)
-    launch.once(fluvial.lay_down, [r], step="test")
+    launch.once(fluvial.deposit, [r], step="test")
     z, carried, other = h.copy(), np.zeros(len(h)), receivers(drainage)
     for i in drainage.order:
         if drainage.to[i] == 4:
@@ -137,7 +137,7 @@ def test_sediment_is_that_of_a_loop_in_double_precision(case):
         if filled[i] <= z[i]:
             laid = most * min(1.7 / drainage.catchments[i], 1.0)
             laid = min(laid, 0.5 * max(cut, 0.0) + 0.05 * most) / (1.0 + D(found["rate"][i]))
-        z[i] = F(D(z[i]) + laid * D(found["part"][i]))
+        z[i] = F(D(z[i]) + laid * D(found["weight"][i]))
         carried[other[i]] += carried[i] + (D(before[i]) - D(z[i]))
     assert np.array_equal(made, z) and np.array_equal(load, carried) and (z != h).mean() > 0.3
 

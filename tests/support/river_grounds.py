@@ -18,8 +18,8 @@ def rough(rows, columns, seed=2):
 
 def bed_of(h, step_x, step_y, **other):
     n = h.size
-    given = {"part": np.ones(n, np.float32), "soft": np.ones(n, np.float32), "lift": np.zeros(n, np.float32)}
-    given |= {"fixed": np.zeros(n, bool), "sediment": np.zeros(n, np.float32), "own": np.ones(n)} | other
+    given = {"weight": np.ones(n, np.float32), "erodibility": np.ones(n, np.float32), "uplift": np.zeros(n, np.float32)}
+    given |= {"fixed": np.zeros(n, bool), "sediment": np.zeros(n, np.float32), "cell_weight": np.ones(n)} | other
     return Bed(h.shape, step_x, step_y, h.reshape(-1).copy(), **given)
 
 

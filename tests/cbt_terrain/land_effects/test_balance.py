@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sums that are kept from a coarser level to a finer one."""
+"""Conservation of mass from a coarser level to a finer one."""
 
 import math
 
@@ -11,8 +11,7 @@ from adaptive_terrain.cbt_terrain.land_effects.levels import finer
 
 
 def moved(rows, columns, seed=0):
-    """What a coarser level has moved, float32, with a sum of 0, and what has become of it at this one: less was taken
-    here and more there. net, taken, laid."""
+    """Return the interpolated change of a coarser level, whose sum is 0, and other erosion and deposits, float32."""
     rng = np.random.default_rng(seed)
     coarse = rng.normal(size=(rows // 2 + 1, columns // 2 + 1))
     coarse = np.float32(np.round(coarse - coarse.mean(), 3))
@@ -32,7 +31,7 @@ def test_the_sum_of_a_whole_raster_is_kept(shape):
 
 
 def test_a_loss_is_made_up_for_nearby():
-    """A quarter of what a slope gave is not there any more: so much less lies below it, and as much as ever beyond."""
+    """A slope loses a quarter less, so its deposits shrink by as much, and distant ones do not change."""
     net = np.zeros((200, 260), np.float32)
     net[90:120, 98:104], net[90:120, 104:110], net[100, 30], net[100, 170] = -4.0, 4.0, 2.0, -2.0
     taken, laid = np.maximum(-net, 0), np.maximum(net, 0)
@@ -44,8 +43,8 @@ def test_a_loss_is_made_up_for_nearby():
 
 
 @pytest.mark.parametrize("first", [(0, 96), (52, 77), (101, 121)])
-def test_a_part_has_what_the_whole_has(first):
-    """32 samples within the cut, also at the rim: but for rounding."""
+def test_a_tile_has_the_deposits_of_the_whole(first):
+    """32 samples inside the cut they agree but for rounding, at the border of the whole too."""
     net, taken, laid = moved(301, 420)
     whole, _ = balanced(laid, taken, taken, laid - taken, net, Ground(net, 5.0, 9.0, whole=net.shape))
     window = tuple(slice(f, f + n) for f, n in zip(first, (150, 180), strict=True))
@@ -58,9 +57,9 @@ def test_a_part_has_what_the_whole_has(first):
 
 
 @pytest.mark.parametrize("width", [420, 421])
-def test_what_slid_far_from_a_rim_is_taken_beside_it(width):
-    """3 m went from along the eastern rim, where coarse samples have finer ones on one side only, and lie 300 samples
-    off: these are as they were, in the whole and in a tile that does not see them; along the rim more or less goes."""
+def test_erosion_at_a_border_balances_distant_deposits(width):
+    """3 m slid from the eastern border, where coarse samples have finer ones on one side only, over 300 samples. The
+    deposits do not change, in the whole and in a tile without them; the erosion at the border does."""
     coarse = np.zeros((150, width // 2 + 1), np.float32)
     coarse[:, -20:], coarse[:, 20:40] = -3.0, 3.0
     shape = 298, width

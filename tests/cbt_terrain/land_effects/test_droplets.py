@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Droplets: nothing is lost, the amount does not depend on the spacing, tiles and threads change nothing."""
+"""Droplets: mass is conserved, and spacing, tiles and threads do not change the result."""
 
 import math
 
@@ -22,13 +22,13 @@ def land(size: int, every: int) -> np.ndarray:
 
 
 def hills(rows: int, columns: int, seed: int = 0) -> np.ndarray:
-    """float32 m, none of it in the sea."""
+    """Return heights above the sea, float32 m."""
     return rough(rows, columns, seed).samples[:rows, :columns].astype(np.float32) + 500.0
 
 
 @pytest.mark.parametrize("steps", [(10.0, 10.0), (9.0, 14.0)])
-def test_what_is_taken_is_laid_down_or_leaves_over_the_rim(steps):
-    """1e-12 of what moved, over a raster of odd sides with holes, of steps that differ; holes do not change."""
+def test_eroded_material_is_deposited_or_leaves_at_the_border(steps):
+    """To 1e-12 of the moved volume, for odd sides, holes and uneven steps; holes do not change."""
     heights = hills(90, 141)
     missing = np.random.default_rng(4).random(heights.shape) < 0.02
     ground = Ground(heights, *steps, whole=heights.shape, missing=missing, seed=5)
@@ -41,8 +41,8 @@ def test_what_is_taken_is_laid_down_or_leaves_over_the_rim(steps):
     assert abs(made.heights.sum(dtype=np.float64) * steps[0] * steps[1] + carried) < 1e-6 * moved
 
 
-def test_nothing_is_lost_but_over_the_rim():
-    """Behind a wall along the rim the ground keeps all, so what an open rim counts as carried is all that it loses."""
+def test_mass_is_lost_only_at_the_border():
+    """With a wall along the border nothing is lost."""
     heights = hills(90, 141)
     y, x = np.indices(heights.shape)
     walled = heights + 2000.0 * np.maximum(3 - np.minimum.reduce([y, x, 89 - y, 140 - x]), 0).astype(np.float32)
@@ -57,7 +57,7 @@ def test_nothing_is_lost_but_over_the_rim():
 
 
 def test_the_amount_does_not_depend_on_the_spacing():
-    """Metres, rms: within a fourth of each other at 16 and 8 m; in samples it would be three times as much."""
+    """The rms of metres agrees within a quarter at 16 and 8 m; lengths in samples would give three times as much."""
     found = []
     for every in (2, 1):
         heights, step = land(1025, every)[: 500 // every, : 400 // every], SIDE / 1024 * every
@@ -69,8 +69,8 @@ def test_the_amount_does_not_depend_on_the_spacing():
     assert abs(found[0] / found[1] - 1.0) < 0.25 and found[1] > 0.2, found
 
 
-def test_fewer_samples_than_a_level_has_are_only_rounded():
-    """Below 8 m a level has the gullies of the coarser one, and as much of them."""
+def test_levels_below_8_m_only_smooth_the_coarser_change():
+    """The sum does not change."""
     ground = Ground(hills(151, 120), 4.0, 4.0, whole=(151, 120))
     coarse = droplets.apply(Ground(ground.heights[::2, ::2].copy(), 8.0, 8.0, whole=(76, 60)), values(), None)
     coarse = type(coarse)(finer(coarse.heights, (151, 120)))
@@ -92,7 +92,7 @@ def test_threads_do_not_change_a_byte(monkeypatch):
 @pytest.mark.parametrize("steps", [(32.0, 32.0), (31.0, 40.0)])
 @pytest.mark.parametrize("corner", [(155, 171), (0, 203), (300, 380)])
 def test_a_tile_with_its_halo_has_the_bytes_of_the_whole(steps, corner):
-    """At odd offsets and at rims, with parts of the droplets' own tiles at its cuts; and of those only some run."""
+    """At odd offsets and borders, with cuts through droplet tiles, of which only some run."""
     heights, wide = 10.0 * hills(420, 453, seed=1), 96
     numbers = values(droplets=2000.0, reach=200.0)
     halo = droplets.DROPLETS.halo(numbers, max(steps))
@@ -110,7 +110,7 @@ def test_a_tile_with_its_halo_has_the_bytes_of_the_whole(steps, corner):
     assert runs < 0.6 * there
 
 
-def test_a_mask_lets_no_rock_be_taken():
+def test_no_rock_is_eroded_where_the_mask_is_0():
     heights = hills(129, 129, seed=3)
     mask = np.zeros(heights.shape, np.float32)
     mask[:, 64:] = 1.0
@@ -126,8 +126,8 @@ def test_narrow_rasters_are_finite(shape):
     assert made.heights.shape == shape and np.isfinite(made.heights).all()
 
 
-def test_a_raster_of_far_samples_costs_no_more_a_sample():
-    """One droplet stands for several, at most 4 a sample; beyond a fourth of the reach there are none."""
+def test_coarse_rasters_have_at_most_4_droplets_for_a_sample():
+    """A droplet then stands for several; beyond a quarter of the reach there are none."""
     far, near = (Ground(hills(60, 61), step, step, whole=(60, 61)) for step in (100.0, 10.0))
     numbers = [droplets._rain(ground, values()) for ground in (far, near)]
     on_sample = [rain.drops / (rain.rows * rain.columns) for rain in numbers]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Marched water against what is known in closed form, its limit, and where it leaves."""
+"""Floods against solutions in closed form, the limit of their steps, and outlets."""
 
 import math
 
@@ -12,15 +12,15 @@ from rasters import hills
 
 
 def basin(rows, columns, depth):
-    """Level ground within walls."""
+    """Return level ground within walls."""
     bed = np.full((rows, columns), 100.0, np.float32)
     bed[1:-1, 1:-1] = -depth
     return bed
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_standing_wave_swings_as_fast_as_gravity_lets_it(axis):
-    """The slowest wave of a basin: after a period 2 L / sqrt(g h) the water is where it was."""
+def test_a_standing_wave_has_the_period_of_gravity(axis):
+    """The slowest wave of a basin has the period 2 L / sqrt(g h)."""
     cells, shape = 60, [9, 9]
     shape[axis] = cells + 2
     water = flood.still(basin(*shape, 10.0), (4.0, 6.0), sea=0.0, rough=0.0)
@@ -36,7 +36,7 @@ def test_a_standing_wave_swings_as_fast_as_gravity_lets_it(axis):
     assert abs((water.water - 10.0) + (before - 10.0))[1:-1, 1:-1].max() < 0.06 * 0.01
 
 
-def test_rain_on_a_slope_runs_off_as_deep_as_manning_says():
+def test_rain_on_a_slope_runs_off_at_mannings_depth():
     slope, rain, rough = 0.02, 100.0 / 1000 / 3600, 0.04
     bed = np.tile(np.float32(slope * 5.0) * np.arange(60, dtype=np.float32), (12, 1))
     bed[[0, -1]] += 50.0  # walls along it, the slope falls to the west
@@ -49,7 +49,7 @@ def test_rain_on_a_slope_runs_off_as_deep_as_manning_says():
     assert np.allclose(flood.speeds(water)[5, 10:35], (rain * x / depth)[:25], rtol=0.06)
 
 
-def test_a_step_that_is_too_long_is_refused_in_one_sentence():
+def test_a_step_that_is_too_long_is_refused():
     water = flood.still(basin(9, 12, 5.0), (4.0, 4.0), sea=0.0)
     longest = flood.longest_step(water)
     assert longest == pytest.approx(4.0 / math.sqrt(2 * 9.81 * 5.0), rel=0.06)
@@ -67,7 +67,7 @@ def test_time_is_divided_into_equal_steps_of_at_most_the_limit():
     assert flood.march(water, 0.0) == 0
 
 
-def test_holes_swallow_water_and_the_rim_lets_it_go():
+def test_water_leaves_at_holes_and_at_the_border():
     bed = hills(40, 30)
     missing = np.zeros(bed.shape, bool)
     missing[10:14, 20:25] = True
@@ -80,7 +80,7 @@ def test_holes_swallow_water_and_the_rim_lets_it_go():
     assert water.volume == pytest.approx(fallen, rel=1e-7)  # rain is float32
 
 
-def test_it_rains_where_the_mask_lets_it():
+def test_a_mask_scales_the_rain():
     mask = np.zeros((21, 33), np.float32)
     mask[8:12, 5:9] = 0.5
     ground = Ground(basin(21, 33, 0.0), 5.0, 5.0, whole=(21, 33), mask=mask)
@@ -101,8 +101,8 @@ def test_a_surge_runs_ashore_and_back():
     assert wet[1] > wet[0] + 2 and wet[2] == wet[0]
 
 
-def test_a_flood_that_would_take_hours_is_refused_with_what_to_do():
-    """A sea of 5 km above samples that are a metre apart."""
+def test_a_flood_that_would_take_hours_is_refused():
+    """A sea of 5 km has samples a metre apart."""
     ground = Ground(np.full((40, 30), -5000.0, np.float32), 1.0, 1.0)
     values = flood.FLOOD.defaults() | {"minutes": 2880.0}
     with pytest.raises(TerrainError, match=r"would take 57,\d{3},\d{3} steps where water is 5000 m deep.*take \d+ min"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every effect on heights does to its own example what its declaration says."""
+"""The examples of all height operators hold."""
 
 import pytest
 from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fine relief: against the same formulas in numpy, by tiles and threads, from level to level, and what its beds are."""
+"""Fine relief: the formulas in numpy, tiles, threads, levels and beds."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ RELIEF = LAND_EFFECTS["relief"]
 
 
 def hills(rows: int, columns: int, step_x: float, step_y: float) -> np.ndarray:
-    """Smooth ground of slopes up to 0.7, metres."""
+    """Return smooth ground with slopes up to 0.7, metres."""
     y, x = np.mgrid[0:rows, 0:columns] * np.array([step_y, step_x])[:, None, None]
     return (120 * np.sin(x / 310 + 0.4) * np.cos(y / 270) + 0.2 * x + 500).astype(np.float32)
 
@@ -33,7 +33,7 @@ def scrambled(x: np.ndarray) -> np.ndarray:
 
 
 def noise(x: np.ndarray, y: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Value and slopes of gradient noise, float64: by corners and differences of the weights."""
+    """Return value and slopes of gradient noise, float64, by corners and differences of the weights."""
     i, j = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
     u, v = x - i, y - j
     total = [0.0, 0.0, 0.0]
@@ -52,7 +52,7 @@ def noise(x: np.ndarray, y: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarr
 
 
 def expected_on_a_plane(x, y, slope, spacing, wave, seed, rough=0.3, gain=0.47) -> np.ndarray:
-    """Metres of the octaves where the ground is a plane: half ridges of 0.9, damping of 6."""
+    """Return the sum of octaves on a plane in metres: half ridges of 0.9, damping of 6."""
     crest, size = 0.45, 0.5 * wave * (0.01 + (rough - 0.01) * slope)
     px, py, gx, gy, sum_ = x / wave, y / wave, 0.0, 0.0, 0.0
     while wave > 2 * spacing:
@@ -120,7 +120,7 @@ def test_level_ground_stays_level_and_steep_ground_is_rough():
     assert added(ground_of(steep)).std() > 5 * added(ground_of(gentle)).std() > 0
 
 
-def test_half_of_the_beds_stand_out_and_no_ledge_goes_all_around():
+def test_half_of_the_beds_form_ledges_that_end():
     slope = (0.8 * 5.0 * np.arange(500)[:, None] + np.zeros((1, 600))).astype(np.float32)
     moved = added(ground_of(slope), roughness=0.0, plains=0.0, wave=20.0, beds=40.0, dip=0.0)
     assert np.abs(moved).max() < 40.0
@@ -131,7 +131,7 @@ def test_half_of_the_beds_stand_out_and_no_ledge_goes_all_around():
     assert (np.diff(shaped, axis=0) > -0.02).all()  # beds keep their order: no step leans over
 
 
-def test_what_rivers_have_filled_stays_flat():
+def test_ground_under_sediment_stays_flat():
     heights = hills(60, 80, 7.0, 5.0)
     sediment = np.zeros((60, 80), np.float32)
     sediment[:, 30:], sediment[:, 50:] = 1.0, 2.5
@@ -141,7 +141,7 @@ def test_what_rivers_have_filled_stays_flat():
     assert np.allclose(covered[:, 30:50], 0.5 * bare[:, 30:50])
 
 
-def test_holes_are_left_alone():
+def test_holes_do_not_change():
     heights = hills(60, 80, 7.0, 5.0)
     missing = np.zeros((60, 80), bool)
     missing[10:22, 31:60] = True

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rivers: against fastscapelib, and what they must leave alone."""
+"""Rivers: comparison with fastscapelib, boundaries, levels and artefacts of the grid."""
 
 import fastscapelib
 import numpy as np
@@ -24,7 +24,7 @@ def still(monkeypatch):
 
 @pytest.mark.parametrize("years", [1e3, 1e5])
 def test_heights_are_fastscapelibs_where_there_are_no_pits(still, years):
-    """And so float32 gives what its float64 does, to 1e-3 m."""
+    """float32 agrees with its float64 to 1e-3 m."""
     rows, columns, step_x, step_y = 97, 121, 32.0, 27.0
     y, x = np.indices((rows, columns))
     cone = 1000 - np.hypot((x - 60) * step_x, (y - 48) * step_y) / 4
@@ -45,7 +45,7 @@ def test_heights_are_fastscapelibs_where_there_are_no_pits(still, years):
     assert np.mean(np.abs(expected - h)) > (0.5 if years == 1e3 else 50) and np.quantile(off, 0.995) < 1e-3
 
 
-def test_rock_worn_and_sediment_make_up_the_change():
+def test_the_change_is_uplift_less_wear_plus_sediment():
     h = rough(90, 130)
     made = aged(h, 20.0, years=2e5, rise=1e-4)
     y, x = np.indices(h.shape)
@@ -56,7 +56,7 @@ def test_rock_worn_and_sediment_make_up_the_change():
     assert all((made.layers[name] >= 0).all() and made.layers[name].dtype == np.float32 for name in LAYERS)
 
 
-def test_the_sea_holes_and_what_is_masked_stay():
+def test_sea_holes_and_masked_ground_do_not_change():
     h = rough(131, 97)
     missing, mask = np.zeros(h.shape, bool), np.ones(h.shape, np.float32)
     missing[60:70, 50:66] = True
@@ -68,8 +68,8 @@ def test_the_sea_holes_and_what_is_masked_stay():
     assert not any(a.any() for a in (aged(h, 20.0, years=0.0).heights, aged(h, 20.0, years=0.0).layers["wear"]))
 
 
-def test_rims_are_no_dams():
-    """A valley that leaves the raster is cut through its rim, as deep as beside it, if not below the lowest; a rim
+def test_borders_are_no_dams():
+    """A valley is cut through the border as deep as inside, but not below the border's lowest sample, and a border
     never rises."""
     y, x = np.indices((80, 120))
     h = (50 + 1.0 * np.abs(x - 60) + 0.5 * y + 3 * np.random.default_rng(0).random((80, 120))).astype(np.float32)
@@ -83,8 +83,7 @@ def test_rims_are_no_dams():
 
 @pytest.mark.parametrize("shape", [(60, 84), (61, 85), (61, 84)])
 def test_land_rises_alike_at_every_level(shape):
-    """Level ground that nothing wears: a coarser level lifts its samples as the raster's own rise, though its last ones
-    may lie beyond the rim."""
+    """Uplift of level ground without erosion is the same at a coarser level, whose last samples may be outside."""
     values = RIVERS.defaults() | {"rise": 1e-3, "erodibility": 0.0, "creep": 0.0, "variety": 0.0, "steepest": 89.0}
     size = (shape[0] - 1) * 35.0, (shape[1] - 1) * 20.0
     fine, coarse = (
@@ -98,8 +97,8 @@ def test_land_rises_alike_at_every_level(shape):
     assert fine.heights.max() > 290.0 and off.max() < 1e-3
 
 
-def test_what_rises_ends_at_the_rim_in_slopes():
-    """An uplift of 500 m leaves no cliff at the side of a plain: the outer tenth rises as evenly as what is inside."""
+def test_uplift_leaves_no_cliff_at_the_border():
+    """After an uplift of 500 m the outer tenth of a plain is as even as the inside."""
     h = (100 + np.random.default_rng(7).random((200, 260))).astype(np.float32)
     after = h + aged(h, 50.0, years=1e6, rise=5e-4, erodibility=1e-6).heights
     profile = after[:, 60:-60].mean(axis=1)
@@ -108,8 +107,8 @@ def test_what_rises_ends_at_the_rim_in_slopes():
 
 
 def test_valleys_do_not_follow_the_grid():
-    """Of a round island that has grown, chords of 8 samples along valleys lie along the eight directions about as often
-    as along others: 5.6 degrees to both sides of them are a fourth of all. Without what is done for that, 0.40."""
+    """On a round island, chords of 8 samples along valleys are within 5.6 degrees of the eight directions, a quarter of
+    all, about as often as elsewhere. Without noise and diffusion the fraction is 0.40."""
     size = 601
     y, x = np.indices((size, size)) - size // 2
     h = np.where(np.hypot(y, x) < 282, 5 + np.random.default_rng(1).random((size, size)), -5).astype(np.float32)
@@ -128,8 +127,8 @@ def test_valleys_do_not_follow_the_grid():
 
 
 def test_rills_run_down_their_slope():
-    """Not towards the diagonals of the grid: on twelve rough planes that fall between the eight directions, rills are
-    turned to the nearest diagonal by 1.4 degrees in the mean, 4.6 if diagonals counted fully in the choice of ways."""
+    """On twelve rough planes rills turn to the nearest diagonal of the grid by 1.4 degrees in the mean; 4.6 if
+    diagonals counted fully in the choice of receivers."""
     turns = []
     y, x = np.indices((220, 220)) * 8.0
     for seed, degrees in enumerate((10, 15, 20, 25, 30, 35, 55, 60, 65, 70, 75, 80)):
@@ -146,9 +145,9 @@ def test_rills_run_down_their_slope():
     assert abs(np.mean(turns)) < 2.5
 
 
-def test_valleys_run_down_their_slope_where_samples_lie_in_no_squares():
-    """On planes that fall anywhere, of samples 15 m and 5 m apart: 200 m downstream is off the fall by 8 degrees, rms,
-    towards the longer steps; by 15 if slopes along both axes counted alike."""
+def test_valleys_run_down_their_slope_with_uneven_steps():
+    """On planes with samples 15 m and 5 m apart, the direction of 200 m downstream is 8 degrees rms off the fall;
+    15 if slopes along both axes counted alike."""
     step_x, step_y, n = 15.0, 5.0, 117
     y, x = np.indices((351, n)) * np.array([step_y, step_x])[:, None, None]
     inside = (np.minimum(x, 1740 - x) > 400) & (np.minimum(y, 1750 - y) > 400)
@@ -171,7 +170,7 @@ def test_valleys_run_down_their_slope_where_samples_lie_in_no_squares():
     assert np.sqrt(np.mean(off**2)) < 11.0, off
 
 
-def test_a_steady_range_falls_as_the_uplift_asks(still):
+def test_incision_of_a_steady_range_equals_the_uplift(still):
     """K (A + A0)^(1/2) S is the uplift wherever water runs."""
     rng = np.random.default_rng(5)
     start, spacing = (1 + rng.random((70, 90))).astype(np.float32), 100.0
@@ -189,8 +188,7 @@ def test_a_steady_range_falls_as_the_uplift_asks(still):
 
 
 def test_the_floors_of_lakes_are_smooth():
-    """What rivers lay down in a bowl leaves no ridges along single paths: where metres of it lie, samples are 1 cm off
-    the mean of their neighbours, rms; 18 cm if it stayed on the paths."""
+    """Metres of sediment in a bowl deviate by 1 cm rms from the mean of their neighbours; 18 cm without settling."""
     y, x = np.indices((170, 190))
     noise = np.random.default_rng(0).random(x.shape)
     h = (100 + 0.8 * np.hypot(x - 95, y - 85) + 2 * noise).astype(np.float32)
@@ -202,8 +200,8 @@ def test_the_floors_of_lakes_are_smooth():
 
 
 def test_the_knobs_of_a_steep_slope_do_not_melt():
-    """What is spread of the noise in the choice of ways is not the ground's: of the bends of a rough slope of 45
-    degrees 0.58 are left after 100,000 years, 0.30 if they crept as far as the noise does."""
+    """0.58 of the curvature of a rough slope of 45 degrees is left after 100,000 years; 0.30 if it were diffused as
+    the noise of receivers is."""
     y, x = np.indices((160, 301))
     knobs = 20 * np.cos(2 * np.pi * x / 7) * np.cos(2 * np.pi * y / 7)
     h = (100 + 20 * y + knobs + np.random.default_rng(0).random(x.shape)).astype(np.float32)

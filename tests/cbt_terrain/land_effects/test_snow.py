@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Snow against a plain reference with horizons by brute force; slides; tiles; levels."""
+"""Snow: a plain reference with horizons by brute force, slides, tiles and levels."""
 
 import math
 
@@ -14,7 +14,7 @@ VALUES = snow.SNOW.defaults() | {"line": 500.0}
 
 
 def smooth_hills(columns, rows, seed=3, relief=2.0):
-    """Hills without the noise of single samples."""
+    """Return hills without noise of single samples."""
     y, x = np.indices((rows, columns)) / 14.0
     turn = np.random.default_rng(seed).uniform(0, 7, 4)
     waves = np.sin(x + turn[0]) * np.cos(y + turn[1]) + 0.3 * np.sin(2.7 * x + 1.9 * y + turn[2])
@@ -22,7 +22,7 @@ def smooth_hills(columns, rows, seed=3, relief=2.0):
 
 
 def horizons(heights, step_x, step_y, azimuth):
-    """Slopes of horizons, at least 0, from every point half a sample apart along a ray, bilinear."""
+    """Return slopes of horizons, at least 0, from points half a sample apart along a ray, bilinear."""
     rows, columns = heights.shape
     y, x = np.mgrid[0:rows, 0:columns].astype(float)
     z, out = heights.astype(float), np.zeros(heights.shape)
@@ -42,7 +42,7 @@ def towards(degrees):
 
 
 def reference(heights, step_x, step_y, v):
-    """float64: what falls and stays, by the formulas of the declaration."""
+    """Return the depth of snow before slides by the formulas of kernels/land/snow.py, float64."""
     sky = sum(1 / (1 + horizons(heights, step_x, step_y, towards(33.75 + 45 * k)) ** 2) for k in range(8)) / 8
     sine = {}
     for turn in (0, 180):
@@ -59,7 +59,7 @@ def reference(heights, step_x, step_y, v):
 
 
 @pytest.mark.parametrize("wind", [225.0, 70.0])
-def test_what_falls_is_what_the_formulas_say(wind):
+def test_the_depth_of_snow_follows_the_formulas(wind):
     heights, steps, values = smooth_hills(60, 45), (20.0, 26.0), VALUES | {"wind": wind}
     layers = snow.SNOW.apply(Ground(heights, *steps, whole=heights.shape), values, None).layers
     fallen = layers["snow"] - layers["slides"]
@@ -69,7 +69,7 @@ def test_what_falls_is_what_the_formulas_say(wind):
     assert np.sqrt((off**2).mean()) < 0.02 and off.max() < 0.15  # between lines horizons are interpolated
 
 
-def test_the_shade_of_the_noon_sun_keeps_more_in_either_hemisphere():
+def test_snow_is_deeper_in_shade_in_both_hemispheres():
     y = np.abs(np.arange(61) - 30.0)
     ridge = np.tile((500.0 - 8.0 * y)[:, None], (1, 50)).astype(np.float32)
     for latitude, north_is_deeper in ((46.0, True), (-46.0, False)):
@@ -86,7 +86,7 @@ def test_the_lee_holds_more_than_the_windward_side():
     assert found[25, 40] > 1.3 * found[25, 20]
 
 
-def test_loose_snow_comes_to_rest_at_its_angle_and_cliffs_are_bare():
+def test_loose_snow_rests_at_its_angle_and_cliffs_are_bare():
     heights = np.full((60, 70), 1500.0, np.float32)
     heights[20:40, 25:45] += 300.0
     layers = apply_by_levels(snow.SNOW, Ground(heights, 10.0, 10.0), VALUES).layers
@@ -115,7 +115,7 @@ def test_no_snow_on_water_in_holes_or_where_the_mask_is_0():
 
 
 def test_no_snow_in_a_hole_at_any_level():
-    """Two levels: snow that slid to the rim of the hole at the coarser one is not between its samples, in the hole."""
+    """Snow that slid to the border of the hole at the coarser level is not interpolated into it."""
     heights = 4.0 * smooth_hills(270, 261)
     missing = np.zeros(heights.shape, bool)
     missing[60:101, 131:180] = missing[200, 77] = True
@@ -128,7 +128,7 @@ def test_no_snow_in_a_hole_at_any_level():
 
 @pytest.mark.parametrize("shape", [(60, 80), (290, 270)])
 def test_no_snow_slides_over_a_hole(shape):
-    """A wall of holes from south to north keeps what is west of it there, at one level and at two."""
+    """No snow crosses a wall of holes from south to north, with one level and with two."""
     heights = 4.0 * smooth_hills(*shape[::-1]) + np.float32(5.0) * np.arange(shape[1], dtype=np.float32)[::-1]
     missing = np.zeros(shape, bool)
     missing[:, 30:33] = True
@@ -145,7 +145,7 @@ def test_snow_as_a_layer_only_leaves_the_heights():
 
 
 def window(ground, coarser, rows, columns):
-    """A tile as an effect gets it."""
+    """Return a tile and its coarser change."""
     part = rows, columns
     layers = {name: np.ascontiguousarray(a[part]) for name, a in coarser.layers.items()}
     tile = Ground(
@@ -160,26 +160,19 @@ def window(ground, coarser, rows, columns):
 
 @pytest.mark.parametrize("first", [(100, 60), (101, 63)])
 def test_a_tile_with_its_halo_is_nearly_the_whole(first):
-    """Within 5 % of what the finest level moved, rms."""
+    """The difference is below 5 % of the finest level's change, rms."""
     heights, step = 2.0 * smooth_hills(321, 300) + hills(321, 300) / 10, 8.0
     ground = Ground(heights, step, step, whole=heights.shape)
     coarse = apply_by_levels(snow.SNOW, Ground(levels.coarser(heights), 2 * step, 2 * step), VALUES | {"line": 1000.0})
-    up = Change(
-        levels.finer(coarse.heights, heights.shape),
-        {name: levels.finer(a, heights.shape) for name, a in coarse.layers.items()},
-    )
+    up = levels.finer_change(coarse, heights.shape)
     values = VALUES | {"line": 1000.0}
     whole = snow.SNOW.apply(ground, values, up).layers["snow"]
     halo, side = math.ceil(snow.SNOW.halo(values, step) / step), 64
     rows, columns = (slice(f - halo, f + side + halo) for f in first)
-    tile = snow.SNOW.apply(*reversed_arguments(window(ground, up, rows, columns), values)).layers["snow"]
+    tile_ground, tile_change = window(ground, up, rows, columns)
+    tile = snow.SNOW.apply(tile_ground, values, tile_change).layers["snow"]
     inner = slice(halo, halo + side)
     place = slice(first[0], first[0] + side), slice(first[1], first[1] + side)
     moved = np.sqrt(((whole - up.layers["snow"])[place] ** 2).mean())
     off = np.sqrt(((tile[inner, inner] - whole[place]) ** 2).mean())
     assert off < 0.05 * moved
-
-
-def reversed_arguments(tile_and_coarser, values):
-    tile, coarser = tile_and_coarser
-    return tile, values, coarser

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scree: the same bits as plain numpy, nothing lost, at its angle, without a comb, by tiles as in one."""
+"""Scree: the bits of plain numpy, conservation, angles, artefacts, tiles and threads."""
 
 import math
 
@@ -24,7 +24,7 @@ def applied(heights: np.ndarray, step: float, other: dict[str, float] | None = N
 
 
 def mountain(size: int) -> np.ndarray:
-    """float32 [size, size] m: the island's land, twice as high."""
+    """Return the island's land, twice as high, float32 [size, size] m."""
     every = 1024 // (size - 1)
     return np.ascontiguousarray(2.0 * np.maximum(island(1025), 0.0)[::every, ::every])
 
@@ -35,7 +35,7 @@ def cone(size: int, step: float, slope: float) -> np.ndarray:
 
 
 def along_circles(surface: np.ndarray, radii: np.ndarray) -> list[np.ndarray]:
-    """Heights on circles about the middle, a sample apart, by Catmull and Rom's spline."""
+    """Return heights on circles around the centre, a sample apart, by Catmull and Rom's spline."""
     middle, found = (len(surface) - 1) / 2, []
     for radius in radii:
         angle = np.arange(int(2 * math.pi * radius)) / int(2 * math.pi * radius) * 2 * math.pi
@@ -58,7 +58,7 @@ def _spline(v, u):
 
 
 def comb(surface: np.ndarray, radii: np.ndarray) -> float:
-    """Metres, rms: second differences along contour lines of a cone, from sample to sample."""
+    """Return the rms of second differences along contour lines of a cone in metres."""
     rings = along_circles(surface.astype(np.float64), radii)
     return math.sqrt(np.mean(np.concatenate([np.roll(z, 1) - 2 * z + np.roll(z, -1) for z in rings]) ** 2))
 
@@ -85,7 +85,7 @@ def test_sweeps_have_the_bits_of_plain_numpy(shape, first, threads, monkeypatch)
 
 
 def test_loose_mountains_come_to_rest_and_the_next_size_agrees():
-    """Scree alone, 2,900 m high: no slope is 1.6 times its angle, and twice the samples change less than 1 m."""
+    """No slope of scree 2,900 m high is 1.6 times its angle, and twice the samples change less than 1 m."""
     after = {}
     for size in (257, 513):
         heights, step = mountain(size), SIDE / (size - 1)
@@ -98,8 +98,8 @@ def test_loose_mountains_come_to_rest_and_the_next_size_agrees():
 
 
 def test_a_steep_cone_has_no_comb(monkeypatch):
-    """Second differences along contour lines, metres: 0.18 in rock, less in scree; 0.6 if a pair gave all of its scree
-    at once and nothing were evened out."""
+    """Second differences along contour lines are 0.18 m in rock, less in scree; 0.6 if a pair gave all of its scree at
+    once and wear were not smoothed."""
     heights, radii = cone(161, 8.0, 2.0), np.arange(15.0, 55.0)
     one_bed = {"soft_angle": 45.0, "hard_angle": 45.0, "depth": 60.0, "uneven": 0.0}
     monkeypatch.setattr(thermal, "AT_FIRST", 3)
@@ -107,8 +107,8 @@ def test_a_steep_cone_has_no_comb(monkeypatch):
     assert change.layers["wear"].max() > 15.0
     rock = comb(heights - change.layers["wear"], radii)
     assert rock < 0.25 and comb(change.layers["scree"], radii) < 0.05
-    monkeypatch.setattr(thermal, "PART", 1.0)
-    monkeypatch.setattr(thermal, "even_out", lambda left, room: None)
+    monkeypatch.setattr(thermal, "MAX_FRACTION", 1.0)
+    monkeypatch.setattr(thermal, "smooth_wear", lambda left, breakable: None)
     assert comb(heights - applied(heights, 8.0, one_bed).layers["wear"], radii) > 2.0 * rock
 
 
@@ -125,7 +125,7 @@ def test_a_heap_lies_at_its_angle_in_every_direction():
 
 
 def test_nothing_is_lost_with_a_mask_and_holes():
-    """1e-7 of what moved over three levels; what is masked is not worn, holes do not change."""
+    """Mass is conserved to 1e-7 over three levels; masked rock and holes do not change."""
     heights = np.ascontiguousarray(mountain(1025)[250:850, 201:502])
     rng = np.random.default_rng(2)
     mask = np.clip(np.linspace(-0.5, 1.5, 301, dtype=np.float32) + np.zeros((600, 1), np.float32), 0.0, 1.0)
@@ -166,7 +166,7 @@ def test_a_tile_with_its_halo_has_the_bytes_of_the_whole(corner):
 
 
 def test_at_the_limit_nothing_grows(monkeypatch):
-    """A pair that gave all of its excess would change places for ever: at 0.99 of that heights stay in their range."""
+    """A pair that gave all of its excess would oscillate; at 0.99 of that heights stay in their range."""
     monkeypatch.setattr(thermal, "SHARE", 0.99)
     rng = np.random.default_rng(1)
     heights = (500.0 * rng.random((65, 65))).astype(np.float32)
@@ -176,7 +176,7 @@ def test_at_the_limit_nothing_grows(monkeypatch):
     assert max(np.abs(np.diff(after, axis=axis)).max() for axis in (0, 1)) < 30.0
 
 
-def test_beds_and_scree_depend_on_the_seed_and_the_place():
+def test_beds_and_scree_depend_on_the_seed():
     heights = cone(97, 8.0, 2.5)
     one, again, other = (applied(heights, 8.0, seed=seed).heights for seed in (1, 1, 2))
     assert one.tobytes() == again.tobytes() and np.abs(one - other).max() > 1.0

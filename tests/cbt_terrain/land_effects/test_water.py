@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Water under steady rain: what falls leaves, depths are Manning's, lakes are level."""
+"""Water under steady rain: conservation, Manning's depths, level lakes."""
 
 import heapq
 
@@ -25,7 +25,7 @@ def layers(ground, **values):
 
 
 def filled(heights, base):
-    """By a heap, lowest first (Barnes, Lehman and Mulla 2014): the least surface that drains."""
+    """Fill depressions with a heap, lowest first (Barnes, Lehman and Mulla 2014)."""
     out = np.where(base, heights, np.inf)
     heap = [(heights[at], at) for at in zip(*np.nonzero(base), strict=True)]
     heapq.heapify(heap)
@@ -39,24 +39,24 @@ def filled(heights, base):
     return out
 
 
-def rim(shape):
+def border_mask(shape):
     base = np.ones(shape, bool)
     base[1:-1, 1:-1] = False
     return base
 
 
 @pytest.mark.parametrize("sea", [-12000.0, 450.0])
-def test_all_rain_leaves_at_the_rim_or_into_the_sea(sea):
+def test_all_rain_leaves_at_the_border_or_into_the_sea(sea):
     land = ground()
-    out = rim(SHAPE) | (land.heights <= sea)
+    out = border_mask(SHAPE) | (land.heights <= sea)
     found = layers(land, rain=1.7, sea=sea)["discharge"][out].sum(dtype=np.float64)
     assert found == pytest.approx(1.7 * land.heights.size * STEP_X * STEP_Y / YEAR, rel=1e-6)
 
 
-def test_flowing_water_is_as_deep_and_as_fast_as_manning_says():
+def test_flowing_water_has_mannings_depth_and_speed():
     land = ground()
     found = layers(land, rain=2.0, sea=-12000.0, roughness=0.03)
-    surface = filled(land.heights, rim(SHAPE)).astype(np.float64)
+    surface = filled(land.heights, border_mask(SHAPE)).astype(np.float64)
     north, east = np.gradient(surface, STEP_Y, STEP_X)
     steep = np.maximum(np.hypot(north, east), 1e-3)
     discharge = found["discharge"].astype(np.float64)
@@ -72,10 +72,10 @@ def test_flowing_water_is_as_deep_and_as_fast_as_manning_says():
     assert (found["water_speed"][flowing] <= (discharge / width / normal)[flowing] * (1 + 1e-4)).all()
 
 
-def test_lakes_are_level_and_as_high_as_their_outlet_flows():
+def test_lakes_are_level_at_the_height_of_their_outlet():
     land = ground()
     depth = layers(land, sea=-12000.0)["water_depth"]
-    surface, level = filled(land.heights, rim(SHAPE)), land.heights + depth
+    surface, level = filled(land.heights, border_mask(SHAPE)), land.heights + depth
     lakes = np.unique(surface[surface > land.heights])
     assert len(lakes) > 20
     for at in lakes:
@@ -92,26 +92,26 @@ def test_the_sea_is_level():
     assert 0.1 < under.mean() < 0.9
 
 
-def test_holes_swallow_what_reaches_them():
+def test_water_leaves_at_holes():
     missing = np.zeros(SHAPE, bool)
     missing[30:40, 20:31] = True
     found = layers(ground(missing), sea=-12000.0)
     for layer in found.values():
         assert (layer[missing] == 0.0).all() and np.isfinite(layer).all() and (layer >= 0.0).all()
     whole = layers(ground(), sea=-12000.0)["discharge"]
-    out = rim(SHAPE)
+    out = border_mask(SHAPE)
     assert found["discharge"][out].sum() < whole[out].sum() - 0.9 * missing.sum() * STEP_X * STEP_Y / YEAR
 
 
 def test_no_rain_leaves_lakes_and_no_rivers():
     land = ground()
     found = layers(land, rain=0.0, sea=-12000.0)
-    lakes = np.maximum(filled(land.heights, rim(SHAPE)) - land.heights, 0.0)
+    lakes = np.maximum(filled(land.heights, border_mask(SHAPE)) - land.heights, 0.0)
     assert np.array_equal(found["water_depth"], lakes.astype(np.float32))
     assert not found["water_speed"].any() and not found["discharge"].any()
 
 
-def test_threads_do_not_show():
+def test_threads_do_not_change_a_byte():
     many = hills(401, 303, 4)
     one = layers(ground(heights=many))
     for threads in (2, 3):

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Effects: what a material, a modifier or a map may read of a terrain. Only what is read is computed (`evaluate/`).
+"""Attributes of a terrain for materials, modifiers and maps. Only those that something reads are computed
+(`evaluate/`).
 
-An effect is a declaration and a function over arrays (`effect.py`), one file a function; `catalogue.py` lists them.
+An attribute is a declaration (`effect.py`) and a function over arrays, one file for each function; `catalogue.py` lists
+them.
 """

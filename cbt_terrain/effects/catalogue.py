@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every effect that there is. A new one is a file beside this one, and its name in this list; what one
-function makes together is one file."""
+"""The list of all attributes. A new one is a file in this folder and an entry in this list."""
 
 from . import color, flow, jet, layers, occlusion, sky, splat, sun, wetness
 from .effect import Effect

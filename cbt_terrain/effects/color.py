@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Colour: that of the splat layers by their weights, and decals over it."""
+"""Colour: the weighted colours of the splat layers, with decals over it."""
 
 import math
 from collections.abc import Mapping
@@ -16,22 +16,24 @@ DEFAULT_COLORS = ((0.07, 0.11, 0.03), (0.24, 0.2, 0.16), (0.13, 0.12, 0.115), (0
 
 
 def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """See Make in effect.py."""
+    """Compute the requested values; implements `Make`."""
     values = wanted["color"]
     layers, colors = values["layers"], values["colors"]
     if len(layers) != len(colors):
-        raise TerrainError(f"There are {len(layers)} splat layers and {len(colors)} colours; expected as many.")
+        raise TerrainError(
+            f"There are {len(layers)} splat layers and {len(colors)} colours", expected="a colour for each layer"
+        )
     names = splat.NAMES[: -(-len(layers) // 4)]
     weights = splat.make(places, {name: {"layers": layers} for name in names}, read)
-    made = np.zeros((len(places), 3), np.float32)
+    blend = np.zeros((len(places), 3), np.float32)
     for number, color in enumerate(colors):
-        made += weights[names[number // 4]][:, number % 4, None] * np.array(color, np.float32)
-    cover(made, values["decals"], places)
-    return {"color": made}
+        blend += weights[names[number // 4]][:, number % 4, None] * np.array(color, np.float32)
+    cover(blend, values["decals"], places)
+    return {"color": blend}
 
 
 def example(evaluate: Evaluate) -> None:
-    """Ground that one layer covers has that layer's colour."""
+    """Assert that ground covered by one layer has its colour."""
     green = (0.25, 0.5, 0.125)
     assert (evaluate("color", np.zeros((9, 9)), step=10.0, layers=(Layer("Grass"),), colors=(green,)) == green).all()
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Decals: images laid on the ground from straight above, over its colour or its normals."""
+"""Decals: images projected on the ground from above, over its colour or its normals."""
 
 import hashlib
 import math
@@ -15,13 +15,13 @@ from .effect import Parameter, Places
 
 DECALS = Parameter("decals", (), -math.inf, math.inf, "", "Decals laid on the ground, the topmost last")
 
-LARGEST = np.float32(1e9)  # of a colour: sums and products of a few stay finite
+LARGEST = np.float32(1e9)  # limit of colours, so that sums and products of a few are finite
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """An image, equal to another by `digest`. `values`: float32 [rows, columns, 4], row 0 at the lower edge: linear
-    red, green and blue or, where `tilts`, slopes along the columns and the rows and 0, all times alpha; alpha."""
+    """An image, identified by `digest`. `values`: float32 [rows, columns, 4], row 0 at the lower edge, premultiplied by
+    alpha: linear red, green, blue and alpha or, if `tilts`, slopes along columns and rows, 0 and alpha."""
 
     values: np.ndarray = field(repr=False)
     tilts: bool
@@ -29,7 +29,7 @@ class Picture:
 
     @cached_property
     def mips(self) -> list[np.ndarray]:
-        """The image, then each the means of 2 x 2 pixels of the one before."""
+        """The image and its mipmaps, each the means of 2 x 2 pixels of the one before."""
         found = [self.values]
         while max(found[-1].shape[:2]) > 1:
             rows, columns, _ = found[-1].shape
@@ -40,7 +40,7 @@ class Picture:
 
 
 def picture(pixels: np.ndarray, tilts: bool) -> Picture:
-    """Of float [rows, columns, 4]: linear colours or, where `tilts`, a normal map in 0 .. 1; alpha is not in them."""
+    """Return the picture of float [rows, columns, 4], linear colours or a normal map in 0 .. 1, not premultiplied."""
     finite = np.clip(np.nan_to_num(pixels.astype(np.float32)), -LARGEST, LARGEST)
     rgb, alpha = finite[..., :3], np.clip(finite[..., 3:], 0.0, 1.0)
     if tilts:
@@ -54,8 +54,9 @@ def picture(pixels: np.ndarray, tilts: bool) -> Picture:
 
 @dataclass(frozen=True)
 class Decal:
-    """A picture on the ground. `corner`: x and y of its lower left corner, metres in the terrain's own space; `along`,
-    `up`: its lower and its left edge, likewise. `opacity`: of all of it, 0 .. 1."""
+    """A picture on the ground. `corner`: its lower left corner, `along`, `up`: vectors of its lower and left edge, all
+    x
+    and y in metres in the terrain's space. `opacity`: 0 .. 1."""
 
     name: str
     picture: Picture
@@ -67,10 +68,7 @@ class Decal:
     def __post_init__(self):
         keep_plain_numbers(self, "The decal's")
         if not (math.isfinite(self._area) and self._area != 0.0):
-            raise TerrainError(
-                f"The decal {self.name!r} stands upright or has no size; expected an image that lies: "
-                "turn it, or scale it."
-            )
+            raise TerrainError(f"The decal {self.name!r} stands upright or has no size", fix="rotate or scale it")
 
     def __eq__(self, other) -> bool:
         return isinstance(other, Decal) and repr(self) == repr(other)
@@ -84,18 +82,18 @@ class Decal:
 
     @property
     def pixel(self) -> float:
-        """Metres of a pixel's side, of a square as large."""
+        """Side of a square with the area of a pixel, metres."""
         rows, columns, _ = self.picture.values.shape
         return math.sqrt(abs(self._area) / (rows * columns))
 
     @property
     def box(self) -> tuple[float, float, float, float]:
-        """West, south, east and north end, metres in the terrain's own space."""
+        """West, south, east and north end, metres in the terrain's space."""
         x, y = ((0.0, self.along[k], self.up[k], self.along[k] + self.up[k]) for k in (0, 1))
         return tuple(self.corner[k] + end(side) for end in (min, max) for k, side in ((0, x), (1, y)))
 
-    def seen(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
-        """Which of the places it lies on, int [n], and what it shows there at their scale, float32 [n, 4]."""
+    def sample(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
+        """Return the indices of the points that it covers, int [n], and its values at their scale, float32 [n, 4]."""
         x = places.positions[:, 0].astype(np.float64) - self.corner[0]
         y = places.positions[:, 1].astype(np.float64) - self.corner[1]
         u = (x * self.up[1] - y * self.up[0]) / self._area
@@ -109,15 +107,15 @@ class Decal:
         levels = np.clip(levels, 0.0, len(mips) - 1.0)
         values = np.zeros((len(which), 4), np.float32)
         for number, mip in enumerate(mips):
-            share = np.maximum(1.0 - abs(levels - number), 0.0).astype(np.float32)
-            at = np.flatnonzero(share)
-            place = u[at] * (columns / 2**number) - 0.5, v[at] * (rows / 2**number) - 0.5
-            values[at] += share[at, None] * _between(mip, *place)
+            weight = np.maximum(1.0 - abs(levels - number), 0.0).astype(np.float32)
+            at = np.flatnonzero(weight)
+            pixel = u[at] * (columns / 2**number) - 0.5, v[at] * (rows / 2**number) - 0.5
+            values[at] += weight[at, None] * _interpolate(mip, *pixel)
         return which, values * np.float32(self.opacity)
 
 
-def _between(image: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """An image between the centres of its pixels, bilinear; beyond the outermost it goes on as they are."""
+def _interpolate(image: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Interpolate an image bilinearly between the centres of its pixels; clamped at its edges."""
     rows, columns, _ = image.shape
     column, row = np.clip(column, 0, columns - 1), np.clip(row, 0, rows - 1)
     west, south = column.astype(np.int64), row.astype(np.int64)
@@ -128,18 +126,18 @@ def _between(image: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarr
 
 
 def cover(colors: np.ndarray, decals: Sequence[Decal], places: Places) -> None:
-    """Lay the decals that show colours over `colors`, float32 [n, 3], in their order (Porter and Duff 1984, "over")."""
+    """Composite colour decals over `colors`, float32 [n, 3], in their order (Porter and Duff 1984, "over")."""
     for decal in decals:
         if not decal.picture.tilts:
-            which, values = decal.seen(places)
+            which, values = decal.sample(places)
             colors[which] = values[:, :3] + (1 - values[:, 3:]) * colors[which]
 
 
 def tilt(normals: np.ndarray, decals: Sequence[Decal], places: Places) -> None:
-    """Add the slopes of the decals that are normal maps to those of the ground: `normals` float32 [n, 3]."""
+    """Add the slopes of decals that are normal maps to those of the ground: `normals`, float32 [n, 3]."""
     for decal in decals:
         if decal.picture.tilts:
-            which, values = decal.seen(places)
+            which, values = decal.sample(places)
             upright = normals[which] / normals[which, 2:]
             for slope, (x, y) in zip(values.T, (decal.along, decal.up), strict=False):
                 length = math.sqrt(x * x + y * y)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Flow: how much land drains through a place. One result for the whole raster, read at places."""
+"""Flow: the drainage area of a point, from one result for the whole raster."""
 
 from collections.abc import Mapping
 
@@ -18,27 +18,27 @@ from .routing import route
 from .whole import whole
 
 VERSION = 1
-# A larger raster is taken at a coarser level, so that memory and time stay bounded.
-MOST_SAMPLES = 4097 * 4097
+# A larger raster is routed at a coarser level, which bounds memory and time.
+MAX_SAMPLES = 4097 * 4097
 
 
 def routed_level(field: HeightField) -> int:
-    """The level of the pyramid on which a field's water is routed: 0 but for rasters of more than 4097 x 4097."""
-    return level_with(field.lattice, MOST_SAMPLES)
+    """Return the level of the pyramid where water is routed: 0 except for rasters of more than 4097 x 4097."""
+    return level_with(field.lattice, MAX_SAMPLES)
 
 
 def logarithms(field: HeightField, vertical_scale: float, threads: int) -> HeightField:
-    """Natural logarithms of catchment areas in m^2 at the samples of `routed_level`, as a field."""
+    """Return natural logarithms of drainage areas in m^2 at the samples of `routed_level`, as a field."""
     level = routed_level(field)
     (rows, columns), lattice = shapes(field.lattice)[level], field.lattice
-    # Slopes are only compared with each other, so that all of their scale that counts is its sign.
+    # Slopes are only compared with each other, so that only the sign of their scale matters.
     sign = float(np.sign(vertical_scale))
     steps = lattice.step_x * 2**level, lattice.step_y * 2**level
 
     def make() -> np.ndarray:
         heights = level_of(field, level, threads) * np.float32(sign)
         holes = None if field.valid is None else field.valid[:: 2**level, :: 2**level] == 0
-        if holes is not None:  # a level may end beyond the rim
+        if holes is not None:  # a level may end beyond the border
             short = rows - holes.shape[0], columns - holes.shape[1]
             holes = np.pad(holes, ((0, short[0]), (0, short[1])), mode="edge")
         drainage = route(heights, *steps, holes, threads)
@@ -54,7 +54,7 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
 
 
 def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """See Make in effect.py."""
+    """Compute the requested values; implements `Make`."""
     field, out = places.field, np.empty(len(places), np.float32)
     areas = ground(logarithms(field, places.vertical_scale, places.threads), 1.0, 0.0, places.threads)
     areas.west, areas.south, _, _ = field.lattice.rectangle()
@@ -66,15 +66,15 @@ def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict
 
 
 def example(evaluate: Evaluate) -> None:
-    """A roof of 10 m steps that falls to east and west: every row drains by itself, so a place has all up to the ridge.
+    """Assert that a point of a roof, whose rows drain separately, has the area up to the ridge.
 
-    What reaches the rim has left, and the ridge gives half to each side.
+    The ridge gives half to each side, and water leaves at the border.
     """
     x = np.arange(17, dtype=np.float32)
     flow = evaluate("flow", np.tile(-abs(x - 8.0), (9, 1)), step=10.0).reshape(5, 13)
     samples = abs(x[2:-2] - 8.0) + 0.5
     samples[6] = 1.0
-    # Near the other two rims less comes in over the diagonals.
+    # Near the other two borders less enters over the diagonals.
     assert abs(flow[2, 5:8] - 100.0 * samples[5:8]).max() < 1e-2
 
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Effects that are functions of the ground's height and its derivatives at a place: height, slope, aspect, curvatures
-and the normal. One kernel makes all that are wanted, because it takes the derivatives once."""
+"""Attributes of the ground's height and derivatives at a point: height, slope, aspect, curvatures and the normal.
+
+One kernel computes all requested ones, since they share the derivatives.
+"""
 
 import math
 from collections.abc import Mapping
@@ -19,8 +21,8 @@ SOURCE = "Uniform cubic B-spline over a [1 2 1] pyramid (Burt 1981)"
 HORN = 'Horn 1981, "Hill shading and the reflectance map", section II; ' + SOURCE
 EVANS = 'Evans 1980, "An integrated system of terrain analysis and slope mapping"; ' + SOURCE
 HALO = "2 samples of the level"
-# Effects -> fields of the kernel's Values, Warp's and numpy's shape of an element, and the bit that asks for it.
-MADE = {
+# Attribute -> field of the kernel's Values, Warp's type and numpy's shape of an element, and the bit that requests it.
+OUTPUTS = {
     "height": ("height", wp.float32, (), kernels.HEIGHT),
     "slope": ("slope", wp.float32, (), kernels.SLOPE),
     "aspect": ("aspect", wp.vec2f, (2,), kernels.ASPECT),
@@ -32,23 +34,23 @@ MADE = {
 
 
 def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """See Make in effect.py."""
-    values, made = kernels.Values(), {}
+    """Compute the requested values; implements `Make`."""
+    values, arrays = kernels.Values(), {}
     for name in wanted:
-        field, dtype, shape, _ = MADE[name]
-        made[name] = np.empty((len(places), *shape), np.float32)
-        setattr(values, field, shared(made[name], dtype))
-    values.wanted = sum(int(MADE[name][3]) for name in wanted)
+        field, dtype, shape, _ = OUTPUTS[name]
+        arrays[name] = np.empty((len(places), *shape), np.float32)
+        setattr(values, field, shared(arrays[name], dtype))
+    values.wanted = sum(int(OUTPUTS[name][3]) for name in wanted)
     heights = ground(places.field, places.vertical_scale, places.vertical_offset, places.threads)
     inputs = [heights, shared(places.positions, wp.vec3f), flat(places.level, wp.float32), values]
     launch.spread(kernels.from_jets, len(places), inputs, step="jets", threads=places.threads, cost=6)
-    if "detail_normal" in made:
-        tilt(made["detail_normal"], wanted["detail_normal"].get("decals", ()), places)
-    return made
+    if "detail_normal" in arrays:
+        tilt(arrays["detail_normal"], wanted["detail_normal"].get("decals", ()), places)
+    return arrays
 
 
 def height_example(evaluate: Evaluate) -> None:
-    """On a plane the mean about a place is the place's own height."""
+    """Assert that the mean around a point of a plane is its height."""
     heights = np.add.outer(np.arange(17) * 3.0, np.arange(17) * 5.0)
     assert abs(evaluate("height", heights, step=10.0) - heights[2:-2, 2:-2]).max() < 1e-4
 
@@ -66,7 +68,7 @@ HEIGHT = Effect(
 
 
 def slope_example(evaluate: Evaluate) -> None:
-    """A plane that rises 1 m in the root of 3 m has 30 degrees everywhere."""
+    """Assert that a plane that rises 1 m in sqrt(3) m has 30 degrees everywhere."""
     east = np.arange(17, dtype=np.float32) * 10.0
     slope = evaluate("slope", np.tile(east * np.float32(1 / math.sqrt(3)), (17, 1)), step=10.0)
     assert abs(slope - math.radians(30)).max() < 1e-5
@@ -86,7 +88,7 @@ SLOPE = Effect(
 
 
 def aspect_example(evaluate: Evaluate) -> None:
-    """Ground that falls to the east faces east: the sine is 1. An angle would jump from 360 to 0 degrees."""
+    """Assert that ground that falls to the east has a sine of 1. An angle would jump from 360 to 0 degrees."""
     aspect = evaluate("aspect", np.tile(np.arange(17) * -4.0, (17, 1)), step=10.0)
     assert abs(aspect - np.array([1.0, 0.0])).max() < 1e-6
 
@@ -107,7 +109,7 @@ ASPECT = Effect(
 
 
 def mean_curvature_example(evaluate: Evaluate) -> None:
-    """A round summit of the radius 50 m bends by 1 / 50 m, and a hollow by as much the other way."""
+    """Assert that a summit with a radius of 50 m has a curvature of 1 / 50 m, and a hollow the negative one."""
     across = np.arange(-8, 9) * 2.0
     summit = np.add.outer(across**2, across**2) / (-2 * 50.0)
     middle = 6, 6  # of what is evaluated
@@ -128,7 +130,7 @@ MEAN_CURVATURE = Effect(
 
 
 def profile_curvature_example(evaluate: Evaluate) -> None:
-    """A slope that steepens downhill, z = -k x^2 / 2, bends as that parabola does: by k / (1 + (k x)^2)^(3/2)."""
+    """Assert that a slope that steepens downhill, z = -k x^2 / 2, has the curvature k / (1 + (k x)^2)^(3/2)."""
     k, x = 0.02, 40.0 + np.arange(17) * 2.0
     heights = np.tile(-k * x**2 / 2, (17, 1))
     expected = k / (1 + (k * x[2:-2]) ** 2) ** 1.5
@@ -149,7 +151,7 @@ PROFILE_CURVATURE = Effect(
 
 
 def plan_curvature_example(evaluate: Evaluate) -> None:
-    """Contour lines of a round hill are circles: r metres from its summit they bend by 1 / r, of a hollow by -1 / r."""
+    """Assert that contour lines of a round hill, circles of radius r, have a curvature of 1 / r, of a hollow -1 / r."""
     across = np.arange(-8, 9) * 2.0
     hill = np.add.outer(across**2, across**2) / -100.0
     radius = np.sqrt(np.add.outer(across**2, across**2))[2:-2, 2:-2]
@@ -172,7 +174,7 @@ PLAN_CURVATURE = Effect(
 
 
 def normal_example(evaluate: Evaluate) -> None:
-    """Ground that rises to the east by 45 degrees faces west and up."""
+    """Assert that ground that rises to the east by 45 degrees faces west and up."""
     normal = evaluate("detail_normal", np.tile(np.arange(17) * 10.0, (17, 1)), step=10.0)
     assert abs(normal - np.array([-np.sqrt(0.5), 0, np.sqrt(0.5)])).max() < 1e-6
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Layers: what effects on heights (land/) have left beside them, read at places; 0 where a terrain has none."""
+"""Layers of height operators (land/) as attributes; 0 for a terrain without them."""
 
 from collections.abc import Callable, Mapping
 
@@ -29,34 +29,34 @@ NAMES = tuple(name for name, _, _ in KNOWN)
 
 
 def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """See Make in effect.py."""
-    made = {}
+    """Compute the requested values; implements `Make`."""
+    values = {}
     for name in wanted:
-        made[name] = out = np.zeros(len(places), np.float32)
+        values[name] = out = np.zeros(len(places), np.float32)
         if name in places.field.layers:
             pyramid = ground(_as_field(places.field, name), 1.0, 0.0, places.threads)
             where = shared(places.positions, wp.vec3f), flat(places.level, wp.float32)
             inputs = [pyramid, *where, flat(out, wp.float32)]
             launch.spread(kernels.layer_at, len(places), inputs, step="layers", threads=places.threads, cost=3)
-    return made
+    return values
 
 
 def lacks(field: HeightField, name: str) -> str:
-    """Why a layer is 0 everywhere on a terrain, or ""."""
+    """Return why a layer is 0 everywhere on a terrain, or ""."""
     if name not in NAMES or name in field.layers:
         return ""
     return f"the terrain has no layer {name}: no effect of its stack leaves one"
 
 
 def _as_field(field: HeightField, name: str) -> HeightField:
-    """A layer as the samples of a field, which then has a pyramid, too."""
+    """Return a layer as the samples of a field, which has a pyramid."""
     key = f"{field.raster_key}-{name}"
     return cached(field.found, ("layer", name), lambda: as_heights(field, field.layers[name], key))
 
 
 def _example(name: str) -> Callable[[Evaluate], None]:
     def example(evaluate: Evaluate) -> None:
-        """A terrain that nobody has shaped has none."""
+        """Assert that a terrain without height operators has 0."""
         assert (evaluate(name, np.zeros((9, 9)), step=10.0) == 0.0).all()
 
     return example

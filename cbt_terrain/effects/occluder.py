@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The ground as what light meets: the raster with the highest samples of its blocks, which rays skip by.
+"""The ground that hides light: the raster and the maxima of its blocks, by which rays skip blocks.
 
-Whatever surface lies between the samples, the ground is the raster's profile from line to line; holes are filled.
+Between samples the ground is the raster's profile from line to line, whatever the surface; holes are filled.
 """
 
 import numpy as np
@@ -16,16 +16,16 @@ from ..run.buffers import flat, shared
 from ..run.locks import cached
 from .effect import Places
 
-# Rows of samples that are looked at together, whole blocks.
+# Rows of samples that are read together, whole blocks.
 ROWS = 256
-# Places of one launch: between two launches the work can be stopped.
+# Points of one launch; the work can be stopped between two launches.
 AT_ONCE = 1 << 14
-# Of the largest height: more than float64 can lose between a sample and a height of the profile.
+# Fraction of the largest height, more than the rounding of a height of the profile in float64.
 MARGIN = 1e-9
 
 
 def occluder_of(places: Places) -> kernels.Occluder:
-    """The ground of a field under the vertical scale of `places`; its blocks are found once and kept with the field."""
+    """Return the ground of a field at the vertical scale of `places`; its blocks are cached with the field."""
     occluder = every_crossing(places.field, places.vertical_scale)
     reduce, field = np.minimum if occluder.scale < 0.0 else np.maximum, places.field
     tops, first, wide = cached(field.found, ("tops", reduce), lambda: find_tops(field, reduce))
@@ -35,7 +35,7 @@ def occluder_of(places: Places) -> kernels.Occluder:
 
 
 def every_crossing(field: HeightField, scale: float) -> kernels.Occluder:
-    """The ground without blocks: kernels visit every crossing."""
+    """Return the ground without blocks, of which kernels visit every crossing."""
     lattice, occluder = field.lattice, kernels.Occluder()
     occluder.samples = packed(field.samples, field.steps)
     occluder.west, occluder.south, _, _ = lattice.rectangle()
@@ -49,15 +49,17 @@ def every_crossing(field: HeightField, scale: float) -> kernels.Occluder:
 
 
 def find_tops(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The highest samples of all blocks (with np.minimum the lowest), float32, level after level from FINEST on; the
-    first of each level and how many are in its rows, int32 [levels], with nothing for those below FINEST."""
+    """Return the maxima of all blocks (minima with np.minimum), float32, level after level from FINEST on.
+
+    Also the first index of each level and the number of blocks in its rows, int32 [levels], 0 below FINEST.
+    """
     side, rows = 1 << kernels.FINEST, range(0, field.lattice.height - 1, ROWS)
     finest = np.concatenate([over_cells(field.heights(slice(row, row + ROWS + 1)), side, reduce) for row in rows])
     return stacked(halvings(finest, reduce), int(kernels.FINEST))
 
 
 def for_places(kernel, places: Places, inputs: list, out: np.ndarray, cost: float) -> None:
-    """Launch `kernel` for AT_ONCE places after another: `inputs`, the places, and their part of `out`, float32 [n]."""
+    """Launch `kernel` for AT_ONCE points at a time with `inputs`, the points and their part of `out`, float32 [n]."""
     for first in range(0, len(places), AT_ONCE):
         some = slice(first, first + AT_ONCE)
         where = np.ascontiguousarray(places.positions[some], np.float32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ambient occlusion: how open a place is to what lies within some metres of it."""
+"""Ambient occlusion by the ground within a radius."""
 
 from collections.abc import Mapping
 
@@ -8,19 +8,18 @@ import numpy as np
 from .effect import Effect, Evaluate, Parameter, Places, Wanted
 from .sky import seen_from
 
-# Slopes below any: of ground near by also what falls away counts.
+# A slope below any other: near ground counts below the horizontal, too.
 ANY = -1e300
 
 
 def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """See Make in effect.py."""
+    """Compute the requested values; implements `Make`."""
     radius = float(wanted["ambient_occlusion"]["radius"])
     return {"ambient_occlusion": seen_from(places, far=radius, lowest=ANY)}
 
 
 def example(evaluate: Evaluate) -> None:
-    """A plane hides nothing of its own half space, however steep; at the foot of a long wall, high against the radius,
-    half of it is hidden."""
+    """Assert that a steep plane hides nothing of its half space, and that a high wall hides half of it at its foot."""
     east = np.arange(41, dtype=np.float32) * 2.0
     assert abs(evaluate("ambient_occlusion", np.tile(east, (41, 1)), step=2.0) - 1.0).max() < 1e-6
     wall = np.tile(np.where(east >= 40.0, np.float32(1e4), np.float32(0.0)), (41, 1))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The pyramid of prefiltered heights of a height field: made when first asked for, kept with the field.
+"""The pyramid of prefiltered heights of a height field, computed on first use and cached with the field.
 
-Level 0 is the field's own samples, mapped or coded as they are; what is made is a third of them, as float32. A level of
-a raster that does not fit ends with the sample at or beyond the rim.
+Level 0 is the field's samples, mapped or coded. The coarser levels are float32, a third as many samples. A level of a
+raster of any size ends with the sample at or beyond the border.
 """
 
 import numpy as np
@@ -18,36 +18,36 @@ from ..run.buffers import flat
 from ..run.locks import caching
 
 
-def level_with(lattice: Lattice, most: int, finest: int = 0) -> int:
-    """The finest level, from `finest` on, that has `most` samples at most; the coarsest if none has so few."""
+def level_with(lattice: Lattice, max_samples: int, finest: int = 0) -> int:
+    """Return the finest level from `finest` on with at most `max_samples`, the coarsest if there is none."""
     sizes = [rows * columns for rows, columns in shapes(lattice)]
-    return next((level for level, size in enumerate(sizes) if level >= finest and size <= most), len(sizes) - 1)
+    return next((level for level, size in enumerate(sizes) if level >= finest and size <= max_samples), len(sizes) - 1)
 
 
-def ground(field: HeightField, vertical_scale: float, vertical_offset: float, threads: int) -> kernels.Ground:
-    """The pyramid as kernels read it; heights of the field become height * vertical_scale + vertical_offset."""
+def ground(field: HeightField, vertical_scale: float, vertical_offset: float, threads: int) -> kernels.Pyramid:
+    """Return the pyramid for kernels, with heights `height * vertical_scale + vertical_offset`."""
     with caching:
         if not field.prefiltered:
-            field.prefiltered.append(_halved(field, threads))  # when it is complete: who is stopped leaves none
+            field.prefiltered.append(_coarser_levels(field, threads))  # complete ones only
     found = packed(field, field.prefiltered[0])
     found.height_scale, found.height_offset = vertical_scale, vertical_offset
     return found
 
 
-def _halved(field: HeightField, threads: int) -> np.ndarray:
-    """Compute the coarser levels, float32, one behind the other."""
+def _coarser_levels(field: HeightField, threads: int) -> np.ndarray:
+    """Compute the coarser levels, float32, concatenated."""
     count = sum(int(rows * columns) for rows, columns in shapes(field.lattice)[1:])
-    made = np.empty(max(count, 1), np.float32)
-    below = packed(field, made)
+    coarser = np.empty(max(count, 1), np.float32)
+    below = packed(field, coarser)
     for level in range(1, below.levels):
         rows, columns = shapes(field.lattice)[level]
         inputs = [below, level, below.coarser]
         launch.spread(kernels.halve, rows, inputs, step="prefilter", threads=threads, cost=columns)
-    return made
+    return coarser
 
 
 def level_of(field: HeightField, level: int, threads: int = 1) -> np.ndarray:
-    """float32 [rows, columns] metres: the heights of a level, row 0 south."""
+    """Return the heights of a level, float32 [rows, columns] metres, row 0 south."""
     if level == 0:
         return field.heights()
     first = int(ground(field, 1.0, 0.0, threads).first.numpy()[level])
@@ -55,11 +55,11 @@ def level_of(field: HeightField, level: int, threads: int = 1) -> np.ndarray:
     return field.prefiltered[0][first : first + rows * columns].reshape(rows, columns)
 
 
-def packed(field: HeightField, coarser: np.ndarray) -> kernels.Ground:
-    """The heights as they are, and the levels above them (float32 [n], the finest first) as kernels read them."""
+def packed(field: HeightField, coarser: np.ndarray) -> kernels.Pyramid:
+    """Return the heights and the coarser levels (float32 [n], the finest first) for kernels."""
     lattice = field.lattice
     sizes = np.array(shapes(lattice))
-    found = kernels.Ground()
+    found = kernels.Pyramid()
     found.samples = codes.packed(field.samples, field.steps)
     found.coarser = flat(coarser, wp.float32)
     first = np.concatenate([[0, 0], np.cumsum(sizes[1:].prod(axis=1))[:-1]])[: len(sizes)]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sky: how much of the sky a place sees.
+"""Sky: the visible fraction of the sky at a point.
 
-The sky over every sample is found once, by sweeps, and places take it from there, so that a flight, another camera or
-a map costs next to nothing. Of a raster of more than 2^25 samples it is that over a coarser level of its heights.
+Sweeps compute it once for every sample, and points interpolate it, so that a flight, another camera or a map costs next
+to nothing. A raster of more than 2^25 samples uses a coarser level of its heights.
 """
 
 import math
@@ -19,7 +19,7 @@ from .light import AZIMUTHS, azimuths
 from .occluder import every_crossing, for_places, occluder_of
 from .sky_layer import PREVIEW_AZIMUTHS, preview_horizons, sky_layer
 
-# Beyond the raster there is ground: the sky begins at the horizontal.
+# Beyond the raster there is ground, so that the sky begins at the horizontal.
 HORIZONTAL = 0.0
 WITHOUT_END = 1e300
 
@@ -27,8 +27,10 @@ FULL, PREVIEW = "FULL", "PREVIEW"
 
 
 def seen_from(places: Places, far: float = WITHOUT_END, lowest: float = HORIZONTAL) -> np.ndarray:
-    """float32 [n]: the cosine-weighted part of the half space over each place that is above the horizons of ground up
-    to `far` metres off, and above the slope `lowest`."""
+    """Return the cosine-weighted fraction of the half space above the horizons, float32 [n].
+
+    Ground up to `far` metres counts, and everything below the slope `lowest` is hidden.
+    """
     out = np.zeros(len(places), np.float32)
     directions = wp.array(azimuths(), dtype=wp.vec2d, device=launch.DEVICE)
     inputs = [occluder_of(places), wp.float64(far), wp.float64(lowest), directions, 0, AZIMUTHS]
@@ -37,7 +39,7 @@ def seen_from(places: Places, far: float = WITHOUT_END, lowest: float = HORIZONT
 
 
 def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """See Make in effect.py."""
+    """Compute the requested values; implements `Make`."""
     field, scale, out = places.field, places.vertical_scale, np.empty(len(places), np.float32)
     if wanted["sky"]["quality"] == PREVIEW:
         directions = wp.array(azimuths()[:PREVIEW_AZIMUTHS], dtype=wp.vec2d, device=launch.DEVICE)
@@ -49,7 +51,7 @@ def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict
 
 
 def example(evaluate: Evaluate) -> None:
-    """A level plane sees all of it; one of 60 degrees three quarters, (1 + cos 60) / 2."""
+    """Assert that a level plane sees all of the sky, and one of 60 degrees (1 + cos 60) / 2 = 3 / 4."""
     assert (evaluate("sky", np.zeros((9, 9)), step=5.0) == 1.0).all()
     steep = np.tile(np.arange(9) * 5.0 * math.sqrt(3.0), (9, 1))
     assert abs(evaluate("sky", steep, step=5.0) - 0.75).max() < 0.003

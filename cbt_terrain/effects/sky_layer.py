@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sky over a raster by sweeps: of every sample or, of a large raster, of the finest level of its pyramid that has
-MOST_SAMPLES at most; of a coarse one, as a preview.
+"""The sky over a raster by sweeps, at every sample or, for a large raster, at the finest level with at most
+MAX_SAMPLES; and at a coarse level as a preview.
 
-Kept with the field, and when it is complete in its store, under the last MOST_SCALES vertical scales. Who is stopped in
-between goes on from the last whole azimuth.
+It is cached with the field and, when complete, in its store, for the last MAX_SCALES vertical scales. An interrupted
+computation continues from the last complete azimuth.
 """
 
 from contextlib import suppress
@@ -20,36 +20,36 @@ from ..run.locks import caching
 from ..run.owned_files import NotOursError
 from .light import AZIMUTHS, azimuths
 from .pyramid import level_of, level_with, shapes
-from .whole import file_of, read_kept
+from .whole import file_of, read_stored
 
-# So that memory and the time of a step stay bounded.
-MOST_SAMPLES = 1 << 25
+# Bounds memory and the time of a step.
+MAX_SAMPLES = 1 << 25
 VERSION = 1  # raised whenever values change
-MOST_SCALES = 2
-# A preview: from samples at multiples of 2^3 or more, this many at most, and half of the azimuths.
+MAX_SCALES = 2
+# A preview has samples at multiples of 2^3 or more, at most this many, and half of the azimuths.
 PREVIEW_LEVEL, PREVIEW_SAMPLES, PREVIEW_AZIMUTHS = 3, 300_000, AZIMUTHS // 2
 
-# Kinds of what is kept; LOOKED: the scales whose layers were looked for in the store.
+# Kinds of cache entries; LOOKED: scales whose layers were searched in the store.
 LAYER, PREVIEW, LOOKED = "sky", "coarse horizons", "looked for skies"
 
 
 def layer_level(field: HeightField) -> int:
-    """The level of the pyramid that the layer is of: the raster's size alone decides."""
-    return level_with(field.lattice, MOST_SAMPLES)
+    """Return the level of the pyramid of the layer, which depends on the raster's size alone."""
+    return level_with(field.lattice, MAX_SAMPLES)
 
 
 def is_known(field: HeightField, scale: float) -> bool:
-    """Whether the layer is complete, so that values from it take no time."""
+    """Return whether the layer is complete, so that values from it take no time."""
     with caching:
         looked = field.found.setdefault((LOOKED,), set())
         if (LAYER, scale) not in field.found and scale not in looked:
             looked.add(scale)
-            _recall(field, scale)
+            _load(field, scale)
         return field.found.get((LAYER, scale), {}).get("azimuths") == AZIMUTHS
 
 
 def sky_layer(field: HeightField, scale: float, threads: int) -> kernels.SkyLayer:
-    """The sky over every sample under a vertical scale; made first, if it is not known."""
+    """Return the sky of every sample at a vertical scale; compute it if it is not cached."""
     state = _advanced(field, scale, threads)
     while state["azimuths"] < AZIMUTHS:
         state = _advanced(field, scale, threads)
@@ -57,14 +57,14 @@ def sky_layer(field: HeightField, scale: float, threads: int) -> kernels.SkyLaye
 
 
 def advance(field: HeightField, scale: float, threads: int) -> bool:
-    """One azimuth more of the layer, if one is missing; returns whether it is complete."""
+    """Add one azimuth to the layer if one is missing; return whether it is complete."""
     return _advanced(field, scale, threads)["azimuths"] == AZIMUTHS
 
 
 def _advanced(field: HeightField, scale: float, threads: int) -> dict:
-    """What there is of the layer then: `sky`, float32 [rows, columns], of so many `azimuths`."""
+    """Add one azimuth and return the state: `sky`, float32 [rows, columns], and the number of `azimuths`."""
     with caching:
-        state = _begun(field, scale)
+        state = _state(field, scale)
         if state["azimuths"] < AZIMUTHS:
             level = layer_level(field)
             steps = field.lattice.step_x * 2**level, field.lattice.step_y * 2**level
@@ -72,7 +72,7 @@ def _advanced(field: HeightField, scale: float, threads: int) -> dict:
             rows, columns = heights.shape
             azimuth, found = azimuths()[state["azimuths"]], np.empty(heights.shape, np.float32)
             sweep(heights, steps, azimuth, scale, threads, found)
-            sums = state.pop("sky", None)  # while it changes there is none: a fork may come between
+            sums = state.pop("sky", None)  # a fork in between must not see it change
             sums = np.zeros(heights.shape, np.float32) if sums is None else sums
             sky = kernels.Sky()
             sky.rows, sky.columns = rows, columns
@@ -82,46 +82,46 @@ def _advanced(field: HeightField, scale: float, threads: int) -> dict:
             launch.spread(kernels.add_sky, rows, [sky], step="light", threads=threads, cost=columns)
             state |= {"sky": sums, "azimuths": state["azimuths"] + 1}
             if state["azimuths"] == AZIMUTHS:
-                _keep_in_store(field, scale, sums)
+                _save(field, scale, sums)
         return state
 
 
-def _begun(field: HeightField, scale: float) -> dict:
-    """What is there of the layer, in memory or in the store."""
+def _state(field: HeightField, scale: float) -> dict:
+    """Return the state of the layer from memory or from the store."""
     if (LAYER, scale) not in field.found:
-        _recall(field, scale)
-    state = _kept(field, LAYER, scale)
+        _load(field, scale)
+    state = _cache_entry(field, LAYER, scale)
     if "sky" not in state:
         state["azimuths"] = 0
     return state
 
 
-def _recall(field: HeightField, scale: float) -> None:
-    """Take it from the store, if that has it."""
+def _load(field: HeightField, scale: float) -> None:
+    """Load the layer from the store if it is there."""
     shape = shapes(field.lattice)[layer_level(field)]
-    sky = read_kept(field, file_of(LAYER, VERSION, (scale,)), shape)
+    sky = read_stored(field, file_of(LAYER, VERSION, (scale,)), shape)
     if sky is not None:
-        _kept(field, LAYER, scale).update(azimuths=AZIMUTHS, sky=sky)
+        _cache_entry(field, LAYER, scale).update(azimuths=AZIMUTHS, sky=sky)
 
 
-def _keep_in_store(field: HeightField, scale: float, sky: np.ndarray) -> None:
-    """Those of scales before the last MOST_SCALES are taken away."""
+def _save(field: HeightField, scale: float, sky: np.ndarray) -> None:
+    """Write the layer into the store and remove those of scales before the last MAX_SCALES."""
     file = file_of(LAYER, VERSION, (scale,))
     store.keep(field, file, sky)
     folder = store.data_folder(field)
     if folder is None or not owned_files.is_real_folder(field.path):
-        return  # through a link that leads to a store nothing is removed
+        return  # never removes files through a link
     with suppress(OSError, NotOursError):  # another process may do the same
         others = [f for f in folder.glob(f"effect_{LAYER}_*.npy") if f.stem != file]
-        for old in sorted(others, key=lambda f: f.stat().st_mtime_ns)[: len(others) + 1 - MOST_SCALES]:
+        for old in sorted(others, key=lambda f: f.stat().st_mtime_ns)[: len(others) + 1 - MAX_SCALES]:
             owned_files.remove_file(old)
 
 
 def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.SkyLayer:
-    """The horizons of a coarser raster along the first PREVIEW_AZIMUTHS azimuths, one layer behind the other."""
+    """Return the horizons of a coarser raster in the first PREVIEW_AZIMUTHS azimuths, concatenated."""
     level = level_with(field.lattice, PREVIEW_SAMPLES, PREVIEW_LEVEL)
     with caching:
-        state = _kept(field, PREVIEW, scale)
+        state = _cache_entry(field, PREVIEW, scale)
         if "horizons" not in state:
             heights = np.ascontiguousarray(level_of(field, level, threads))
             steps = field.lattice.step_x * 2**level, field.lattice.step_y * 2**level
@@ -143,8 +143,8 @@ def sweep(
 ) -> None:
     """Fill `out` (float32 [rows, columns]) with the slope of each sample's horizon, at least 0.
 
-    heights: float32 [rows, columns], at least 2 each, metres, which count `scale` times; steps: metres of a cell.
-    azimuth: float64 [2], unit length. first: row and column of sample [0, 0] in a larger raster, whose lines are taken.
+    heights: float32 [rows, columns], at least 2 each, metres, multiplied by `scale`. steps: metres of a cell. azimuth:
+    float64 [2], unit length. first: row and column of sample [0, 0] in a larger raster, whose lines are used.
     """
     rows, columns = heights.shape
     east, north = azimuth[0] / steps[0], azimuth[1] / steps[1]
@@ -157,7 +157,7 @@ def sweep(
     s.phase = s.slope * first[0 if upright else 1] % 1.0
     reach = s.slope * (s.major - 1)
     s.first = int(np.floor(min(-reach, 0.0) - s.phase))
-    # One line beyond the last sample: a sample is between a line, on which it may be, and the next.
+    # One line beyond the last sample, since a sample is on a line or between it and the next.
     s.lines = int(np.floor(s.minor - 1 + max(-reach, 0.0))) - s.first + 2
     items = -(-s.lines // kernels.LINES)
     points = items * s.major
@@ -166,20 +166,20 @@ def sweep(
     launch.spread(kernels.sweep, items, [s], step="light", threads=threads, cost=2.0 * kernels.LINES * s.major)
 
 
-def _kept(field: HeightField, kind: str, scale: float) -> dict:
-    """What is kept of a kind under a vertical scale; that of scales before the last MOST_SCALES is dropped."""
+def _cache_entry(field: HeightField, kind: str, scale: float) -> dict:
+    """Return the cache entry of a kind at a vertical scale, and drop scales before the last MAX_SCALES."""
     if (kind, scale) not in field.found:
         others = [key for key in field.found if key[0] == kind]
-        for key in others[: len(others) + 1 - MOST_SCALES]:
+        for key in others[: len(others) + 1 - MAX_SCALES]:
             del field.found[key]
         field.found[kind, scale] = {}
     return field.found[kind, scale]
 
 
 def _layer(field: HeightField, values: np.ndarray, level: int) -> kernels.SkyLayer:
-    made, lattice = kernels.SkyLayer(), field.lattice
-    made.values = flat(values, wp.float32)
-    made.rows, made.columns = values.shape[-2:]
-    made.west, made.south, _, _ = lattice.rectangle()
-    made.step_x, made.step_y = lattice.step_x * 2**level, lattice.step_y * 2**level
-    return made
+    layer, lattice = kernels.SkyLayer(), field.lattice
+    layer.values = flat(values, wp.float32)
+    layer.rows, layer.columns = values.shape[-2:]
+    layer.west, layer.south, _, _ = lattice.rectangle()
+    layer.step_x, layer.step_y = lattice.step_x * 2**level, lattice.step_y * 2**level
+    return layer

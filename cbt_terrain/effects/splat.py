@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Splat layers: how much of a place each of up to twelve layers covers, four an attribute; one kernel makes all.
+"""Splat layers: weights of up to twelve layers at a point, four for each attribute, by one kernel.
 
-What rules are about are other effects, so a jet that is taken for them serves whoever else reads those.
+Rules read other attributes, which are computed once for all their readers.
 """
 
 import math
@@ -26,23 +26,23 @@ KIND_OF = {
     splat_rules.LAYER: kernels.LAYER,
     splat_rules.IMAGE: kernels.IMAGE,
 }
-# An edge of no width is this wide, in parts of any unit: a limit itself is half covered.
-LEAST_EDGE = 1e-30
+# Width of an edge of 0, in any unit; the weight at a limit is 0.5.
+MIN_EDGE = 1e-30
 
 
 def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """See Make in effect.py."""
-    made: dict[str, np.ndarray] = {}
+    """Compute the requested values; implements `Make`."""
+    weights: dict[str, np.ndarray] = {}
     for layers in dict.fromkeys(values["layers"] for values in wanted.values()):
         names = [name for name in wanted if wanted[name]["layers"] == layers]
-        made |= _weights(places, layers, names, read)
-    return made
+        weights |= _weights(places, layers, names, read)
+    return weights
 
 
 def _weights(
     places: Places, layers: tuple[Layer, ...], names: list[str], read: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
-    """Weights of the layers at places, float32 [n, 4] for each of `names`."""
+    """Return the weights of the layers, float32 [n, 4] for each of `names`."""
     field, lattice, count = places.field, places.field.lattice, len(places)
     ends = (end * places.vertical_scale + places.vertical_offset for end in (field.min_height, field.max_height))
     tables = _tables(layers, *sorted(ends))
@@ -53,35 +53,35 @@ def _weights(
     splat.west, splat.south, east, north = lattice.rectangle()
     splat.across, splat.up = east - splat.west, north - splat.south
     splat.step = max(lattice.step_x, lattice.step_y)
-    made = {name: np.empty((count, 4), np.float32) for name in names}
+    weights = {name: np.empty((count, 4), np.float32) for name in names}
     unused = np.empty((0, 4), np.float32)
-    outputs = [shared(made.get(name, unused), wp.vec4f) for name in NAMES]
+    outputs = [shared(weights.get(name, unused), wp.vec4f) for name in NAMES]
     bits = sum(int(1 << NAMES.index(name)) for name in names)
     inputs = [splat, shared(places.positions, wp.vec3f), flat(places.level, wp.float32), bits, *outputs]
     launch.spread(kernels.splats, count, inputs, step="splats", threads=places.threads, cost=2 + 2 * len(layers))
-    return made
+    return weights
 
 
 def _rows(layers: tuple[Layer, ...], read: Mapping[str, np.ndarray], count: int) -> np.ndarray:
-    """float32 [rows, n]: what the rules read, those effects one after the other; two rows of the direction."""
+    """Return the attributes that rules read, float32 [rows, n]; a direction has two rows."""
     rows = [np.atleast_2d(read[name].T) for name in reads(layers)]
     return np.concatenate(rows) if rows else np.empty((0, count), np.float32)
 
 
 @lru_cache(maxsize=8)
 def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[wp.array, wp.array, wp.array]:
-    """Layers, rules and images as the kernel takes them. `lowest`, `highest`: metres that relief lies between."""
+    """Return layers, rules and images for the kernel. `lowest`, `highest`: range of relief in metres."""
     check(layers)
     row, rows = 0, {}
     for name in reads(layers):
         rows[name], row = row, row + (2 if name == READ_FROM[splat_rules.ASPECT] else 1)
-    own, rules, images = [], [], []
+    structs, rules, images = [], [], []
     for layer in layers:
-        made = kernels.SplatLayer()
-        made.first, made.end, made.on_top = len(rules), len(rules) + len(layer.rules), int(layer.on_top)
-        made.strength, made.ragged, made.noise_size = layer.strength, layer.ragged, layer.noise_size
-        made.seed = wp.uint32(layer.seed * 0x85EBCA6B & 0xFFFFFFFF)
-        own.append(made)
+        struct = kernels.SplatLayer()
+        struct.first, struct.end, struct.on_top = len(rules), len(rules) + len(layer.rules), int(layer.on_top)
+        struct.strength, struct.ragged, struct.noise_size = layer.strength, layer.ragged, layer.noise_size
+        struct.seed = wp.uint32(layer.seed * 0x85EBCA6B & 0xFFFFFFFF)
+        structs.append(struct)
         for rule in layer.rules:
             at = rule.other if rule.of == splat_rules.LAYER else sum(int(image.size) for image in images)
             at = rows[READ_FROM[rule.of]] if rule.of in READ_FROM else at
@@ -89,14 +89,14 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[w
             if rule.of == splat_rules.IMAGE:
                 images.append(rule.image.values.reshape(-1))
     pixels = np.concatenate(images) if images else np.empty(0, np.float32)
-    arrays = (own, kernels.SplatLayer), (rules or [kernels.SplatRule()], kernels.SplatRule)
+    arrays = (structs, kernels.SplatLayer), (rules or [kernels.SplatRule()], kernels.SplatRule)
     return *(wp.array(items, dtype=kind, device=launch.DEVICE) for items, kind in arrays), flat(pixels, wp.float32)
 
 
 def _rule(rule: Rule, at: int, lowest: float, highest: float) -> kernels.SplatRule:
     limits, edge = np.array([rule.low, rule.high]), rule.edge
     if rule.of == splat_rules.RELIEF:
-        # Level ground is all at its lowest place.
+        # All level ground is at its lowest point.
         relief = highest - lowest or max(abs(lowest), 1.0)
         limits, edge = lowest + limits * relief, edge * relief
     elif rule.of == splat_rules.FLOW:
@@ -105,7 +105,7 @@ def _rule(rule: Rule, at: int, lowest: float, highest: float) -> kernels.SplatRu
     found = kernels.SplatRule()
     found.kind, found.at = KIND_OF.get(rule.of, kernels.VALUE), at
     found.low, found.high, found.edge = *limits, edge
-    found.per_edge = 1.0 / max(edge, LEAST_EDGE)
+    found.per_edge = 1.0 / max(edge, MIN_EDGE)
     found.sine, found.cosine = math.sin(rule.direction), math.cos(rule.direction)
     if rule.image is not None:
         found.rows, found.columns = rule.image.values.shape
@@ -113,7 +113,7 @@ def _rule(rule: Rule, at: int, lowest: float, highest: float) -> kernels.SplatRu
 
 
 def example(evaluate: Evaluate) -> None:
-    """Rock above 30 degrees: none of a plane of 20 degrees, all of one of 40, and always 1 in all."""
+    """Assert that rock above 30 degrees covers no plane of 20 degrees and all of one of 40; weights add up to 1."""
     rock = Layer("Rock", (Rule("slope", low=math.radians(30), edge=math.radians(4)),), on_top=True)
     east = np.arange(17, dtype=np.float32) * 10.0
     for degrees, share in ((20, 0.0), (40, 1.0)):

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Splat layers as data: what covers the ground where, by rules. Hashable, so that they are part of keys.
+"""Splat layers as data: rules for the cover of the ground. They are hashable and part of keys.
 
-A rule is a band of one quantity, with soft edges; a layer covers a place by its strength times all its rules. Layers of
-a list share the ground in proportion; one that is `on_top` takes its part from those before it. Where nothing covers
-the ground the first layer does.
+A rule is an interval of one quantity with soft edges; a layer covers a point by its strength times all its rules.
+Layers share the ground in proportion; a layer `on_top` takes its share from those before it. The first layer covers
+ground without any other.
 """
 
 import math
@@ -18,16 +18,16 @@ from .effect import Parameter
 from .layers import NAMES as LAYER_NAMES
 
 MOST_LAYERS = 12
-# Of a layer's own numbers, and of an edge in any unit.
-MOST, MOST_EDGE = 1e6, 1e30
-# What a rule is about. RELIEF: height, 0 at the lowest and 1 at the highest place of the terrain. ASPECT: the cosine of
-# the angle between downhill and `direction`, 0 on level ground. NOISE: of the layer. LAYER: how much of the ground
-# `other` covers, by its own rules alone. IMAGE: `image`, over the raster's extent. The layers (layers.py) come last.
+# Limits of a layer's numbers, and of an edge in any unit.
+MAX_NUMBER, MOST_EDGE = 1e6, 1e30
+# Quantities of rules. RELIEF: height, 0 at the lowest and 1 at the highest point of the terrain. ASPECT: the cosine of
+# the angle between downhill and `direction`, 0 on level ground. NOISE: of the layer. LAYER: the cover of `other` by its
+# rules. IMAGE: `image` over the raster's extent. Layers of height operators (layers.py) come last.
 HEIGHT, RELIEF, SLOPE, ASPECT, CURVATURE, FLOW, WETNESS, NOISE, LAYER, IMAGE = KINDS = (
     *("height", "relief", "slope", "aspect", "curvature", "flow", "wetness", "noise", "layer", "image"),
 )
 KINDS += LAYER_NAMES
-# The effect that each is read from; the others are read from none.
+# The attribute that each reads; the others read none.
 READ_FROM = {
     HEIGHT: "height",
     RELIEF: "height",
@@ -42,11 +42,11 @@ READ_FROM = {
 
 @dataclass(frozen=True)
 class Rule:
-    """1 from `low` to `high` of the quantity `of`, 0 beyond; over `edge`, half on each side of a limit, in between.
+    """A weight of 1 from `low` to `high`, 0 outside, and a smooth step of width `edge` centred on each limit.
 
     Units: height m, slope rad, curvature 1 / m (positive on ridges), flow m^2 with an edge in powers of ten, relief,
     aspect, noise (-1 .. 1), layer and image (0 .. 1) none; layers.py has those of layers. `direction`: rad,
-    clockwise from north. `other`: the number of a layer before this one.
+    clockwise from north. `other`: index of an earlier layer.
     """
 
     of: str
@@ -63,8 +63,9 @@ class Rule:
 
 @dataclass(frozen=True)
 class Layer:
-    """`noise_size`: metres of the largest waves of its noise, 0 for none, which is then 0. `ragged`: by how many of
-    their edges noise moves the limits of rules, at most."""
+    """A layer with its rules. `noise_size`: longest wave of its noise in metres, 0 for no noise. `ragged`: largest
+    shift
+    of the rules' limits by noise, in widths of their edges."""
 
     name: str
     rules: tuple[Rule, ...] = ()
@@ -78,7 +79,7 @@ class Layer:
         keep_plain_numbers(self, "A splat layer's")
 
 
-# What the ground is without other layers: grass, scree and rock by slope, snow above two thirds of the relief.
+# Default layers: grass, scree and rock by slope, snow above two thirds of the relief.
 DEFAULT = (
     Layer("Grass"),
     Layer(
@@ -102,22 +103,22 @@ LAYERS = Parameter("layers", DEFAULT, 1, MOST_LAYERS, "layers", "The layers and 
 
 
 def covering(other: int) -> Rule:
-    """Where another layer covers the ground, and as much."""
+    """Return a rule whose weight is the cover of another layer."""
     return Rule(LAYER, low=0.5, edge=1.0, other=other)
 
 
 def painted(image: np.ndarray | Painted) -> Rule:
-    """Where an image is 1, and as much."""
+    """Return a rule whose weight is an image's value."""
     return Rule(IMAGE, low=0.5, edge=1.0, image=image if isinstance(image, Painted) else Painted(image))
 
 
 def reads(layers: tuple[Layer, ...]) -> tuple[str, ...]:
-    """Names of the effects that the rules of these layers are about."""
+    """Return the names of the attributes that the rules of these layers read."""
     return tuple(sorted({READ_FROM[rule.of] for layer in layers for rule in layer.rules if rule.of in READ_FROM}))
 
 
 def covers_nothing(rule: Rule) -> bool:
-    """Whether its low limit is so far above its high one that not even their edges meet."""
+    """Return whether the low limit is so far above the high one that their edges do not overlap."""
     if not rule.low > rule.high:
         return False
     if rule.of != FLOW:
@@ -126,30 +127,33 @@ def covers_nothing(rule: Rule) -> bool:
 
 
 def check(layers: tuple[Layer, ...]) -> None:
-    """Raise TerrainError for layers that cannot be."""
+    """Raise TerrainError for invalid layers."""
     if not 1 <= len(layers) <= MOST_LAYERS:
         raise TerrainError(
-            f"There are {len(layers)} splat layers; expected 1 to {MOST_LAYERS}: remove some, or add one."
+            f"There are {len(layers)} splat layers", expected=f"1 to {MOST_LAYERS}", fix="remove some or add one"
         )
     for number, layer in enumerate(layers):
         where = f"The splat layer {layer.name!r}"
         numbers = layer.strength, layer.noise_size, layer.ragged
-        if not all(0.0 <= value <= MOST for value in numbers):
+        if not all(0.0 <= value <= MAX_NUMBER for value in numbers):
             raise TerrainError(
-                f"{where} has a strength, noise size and ragged edge of {numbers}; expected 0 to {MOST:g}."
+                f"{where} has a strength, noise size and ragged edge of {numbers}", expected=f"0 to {MAX_NUMBER:g}"
             )
         for rule in layer.rules:
             if rule.of not in KINDS:
-                raise TerrainError(f"{where} has a rule about {rule.of!r}; expected one of: {', '.join(KINDS)}.")
-            band = rule.low, rule.high, rule.edge, rule.direction
-            if any(map(math.isnan, band)) or not 0.0 <= rule.edge <= MOST_EDGE or math.isinf(rule.direction):
+                raise TerrainError(f"{where} has a rule about {rule.of!r}", expected=f"one of: {', '.join(KINDS)}")
+            limits = rule.low, rule.high, rule.edge, rule.direction
+            if any(map(math.isnan, limits)) or not 0.0 <= rule.edge <= MOST_EDGE or math.isinf(rule.direction):
                 raise TerrainError(
-                    f"{where} has a rule about {rule.of} from {rule.low} to {rule.high} with an edge of {rule.edge}; "
-                    f"expected numbers, and an edge of 0 to {MOST_EDGE:g}."
+                    f"{where} has a rule about {rule.of} from {rule.low} to {rule.high} with an edge of {rule.edge}",
+                    expected=f"numbers, and an edge of 0 to {MOST_EDGE:g}",
                 )
             if rule.of == LAYER and not 0 <= rule.other < number:
                 raise TerrainError(
-                    f"{where} is layer {number} and asks for layer {rule.other}; expected one before it: move it down."
+                    f"{where} is layer {number} and has a rule about layer {rule.other}",
+                    expected="an earlier layer",
+                    fix="move it down",
                 )
             if rule.of == IMAGE and rule.image is None:
-                raise TerrainError(f"{where} has a painted rule without an image; choose one, or switch the rule off.")
+                problem = f"{where} has a painted rule without an image"
+                raise TerrainError(problem, fix="choose an image, or switch the rule off")

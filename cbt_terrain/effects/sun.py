@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sun: how much of the sun's disc is above the horizon."""
+"""Sun: the fraction of the sun's disc above the horizon."""
 
 import math
 from collections.abc import Mapping
@@ -12,12 +12,12 @@ from .effect import Effect, Evaluate, Parameter, Places, Wanted
 from .light import strips_of, strongest
 from .occluder import for_places, occluder_of
 
-# 45 degrees high in the south-west, and as wide as ours is: where no scene says where its suns are.
+# The default sun, 45 degrees high in the south-west, with the width of the real one.
 AFTERNOON = (-0.5, -0.5, 0.5 * math.sqrt(2.0), 0.00918)
 
 
 def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """See Make in effect.py."""
+    """Compute the requested values; implements `Make`."""
     sun = strongest(wanted["sun"]["suns"])
     strips = None if sun is None else strips_of(sun)
     out = np.zeros(len(places), np.float32)
@@ -29,7 +29,7 @@ def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict
 
 
 def example(evaluate: Evaluate) -> None:
-    """A wall of 20 m under a sun 45 degrees high in the east throws a shadow of 20 m to the west."""
+    """Assert that a wall of 20 m under a sun 45 degrees high in the east casts a shadow of 20 m to the west."""
     east = np.arange(41, dtype=np.float32) * 2.0
     wall = np.tile(np.where(east >= 50.0, np.float32(20.0), np.float32(0.0)), (41, 1))
     lit = evaluate("sun", wall, step=2.0, suns=((1.0, 0.0, 1.0, 0.00918),))

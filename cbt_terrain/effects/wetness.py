@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Wetness: where water gathers and stays."""
+"""Wetness: the topographic wetness index."""
 
 import math
 from collections.abc import Mapping
@@ -13,22 +13,22 @@ from ..run.buffers import flat, shared
 from .effect import Effect, Evaluate, Places, Wanted
 from .flow import routed_level
 
-# Ground is at least so steep, metres a metre: level ground would be infinitely wet.
-LEAST_TANGENT = 1e-3
+# Smallest tangent of the slope; level ground would be infinitely wet.
+MIN_TANGENT = 1e-3
 
 
 def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """See Make in effect.py."""
+    """Compute the requested values; implements `Make`."""
     lattice, out = places.field.lattice, np.empty(len(places), np.float32)
     width = math.sqrt(lattice.step_x * lattice.step_y) * 2 ** routed_level(places.field)
     arrays = flat(read["flow"], wp.float32), shared(read["detail_normal"], wp.vec3f), flat(out, wp.float32)
-    inputs = [width, LEAST_TANGENT, *arrays]
+    inputs = [width, MIN_TANGENT, *arrays]
     launch.spread(kernels.wetness_at, len(places), inputs, step="flow", threads=places.threads, cost=2)
     return {"wetness": out}
 
 
 def example(evaluate: Evaluate) -> None:
-    """A roof of 30 degrees: 2.5 samples of 10 m drain through the second below the ridge."""
+    """Assert the index of the second sample below the ridge of a roof of 30 degrees, which drains 2.5 samples."""
     x = np.arange(17, dtype=np.float32)
     slope = np.float32(10.0 * math.tan(math.radians(30)))
     wetness = evaluate("wetness", np.tile(-abs(x - 8.0) * slope, (9, 1)), step=10.0).reshape(5, 13)

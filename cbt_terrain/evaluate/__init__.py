@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is asked of effects, computed: a plan of which are needed, and why; each once; at the asker's scale.
+"""Evaluation of requested attributes: each once, at the scale of its readers.
 
-`plan.py` says which of them a scene's demand calls for; `evaluate.py` runs those.
+`plan.py` finds the attributes that requests need; `evaluate.py` computes them.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Evaluation of a plan of effects on a surface: each effect once, and only at points that the last surface lacks."""
+"""Evaluation of a plan on a surface: each attribute once, and only at points that the last surface lacks."""
 
 import time
 import weakref
@@ -18,11 +18,11 @@ from ..mesh.attributes import Attribute
 from ..mesh.surface import Surface
 from .plan import Plan, plan
 from .scale import fixed_level, footprint_levels
-from .values import EffectValues, Made
+from .values import EffectValues, ValueSource
 
-Group = list[Asked]  # what is made in one call
-# Bytes that the values of effects may take of one terrain, with those of the last surface. This surface's are held
-# whatever they take: the mesh is written from them.
+Group = list[Asked]  # attributes of one call
+# Limit of the bytes of one terrain's values, those of the last surface included. The values of this surface are always
+# held, since the mesh is written from them.
 MAX_BYTES = 1 << 28
 NUMBER = 4  # bytes of a number, float32
 ANY_LEVEL = "ANY_LEVEL"
@@ -31,8 +31,8 @@ BAND = 1 << 18  # samples that are evaluated together
 
 @dataclass(frozen=True)
 class Ran:
-    """What one effect of a plan took: milliseconds (shared evenly by those that were made together), bytes that it
-    holds, and for how many elements it was computed; 0 where all were known."""
+    """The cost of one step: milliseconds (an even share of a common call), bytes of its values, and the number of
+    computed elements, 0 if all were reused."""
 
     ms: float
     nbytes: int
@@ -41,8 +41,8 @@ class Ran:
 
 @dataclass(frozen=True)
 class EffectRequest:
-    """Which effects to evaluate on which surface; arguments as of `Terrain.update`. With no views, effects in pictures
-    are at the raster's own scale, and so are those in geometry unless `geometry_metres` gives another."""
+    """A plan and a surface; other arguments as of `Terrain.update`. Without views, attributes in pictures have the
+    raster's scale, and so have those in geometry unless `geometry_metres` sets another."""
 
     plan: Plan
     surface: Surface
@@ -62,8 +62,8 @@ class EffectRequest:
 
 @dataclass(frozen=True)
 class Evaluated:
-    """`attributes`: by name, in arrays that stay as they are until the next evaluation with the same history. `ran`: by
-    effect. `nbytes`: of all values that the history holds, those of the last surface too."""
+    """Attributes by name, whose arrays are valid until the next evaluation with the same history; the cost of each
+    step; and the bytes of all values in the history."""
 
     attributes: dict[str, Attribute]
     ran: dict[str, Ran]
@@ -77,26 +77,26 @@ def evaluate(
     threads: int = 1,
     max_bytes: int = MAX_BYTES,
 ) -> Evaluated:
-    """Evaluate effects on a surface.
+    """Evaluate attributes on a surface; points of the last surface reuse its values.
 
-    Values are functions of a point, a level, parameters and heights alone. So the bytes are the same whatever the
-    history, which saves the effects at points that the last surface has too. `max_bytes`: see MAX_BYTES.
+    Values are functions of a point, a level, parameters and heights alone, so that the bytes do not depend on the
+    history. `max_bytes`: see MAX_BYTES.
     """
     with history.alone():
-        values, history.values = history.values, None  # discarded where this is interrupted
+        values, history.values = history.values, None  # discarded if this is interrupted
         if not request.plan.steps:
             return Evaluated({}, {})
         values = EffectValues(threads) if values is None else values
-        last, key = values.made, request.key(heights)
+        last, key = values.source, request.key(heights)
         ran = {step.name: Ran(0.0, 0, 0) for step in request.plan.steps}
         if request.surface is not last.surface() or key != last.request:
             keys = _keys(request, heights)
             found = _values(heights, request, values, keys, max_bytes, ran)
             names = request.plan.attributes
             attributes = {name: Attribute(found[name], POINTS, EFFECTS[name].unit) for name in names}
-            values.made = Made(weakref.ref(request.surface), key, keys, attributes)
+            values.source = ValueSource(weakref.ref(request.surface), key, keys, attributes)
         history.values = values
-        return Evaluated(values.made.attributes, ran, values.nbytes)
+        return Evaluated(values.source.attributes, ran, values.nbytes)
 
 
 def _values(
@@ -107,8 +107,8 @@ def _values(
     max_bytes: int,
     ran: dict[str, Ran],
 ) -> dict[str, np.ndarray]:
-    """Return the values of all steps by name, and note in `ran` what they took."""
-    steps, last, scale = request.plan.steps, values.made, (request.vertical_scale, request.vertical_offset)
+    """Return the values of all steps by name, and record their costs in `ran`."""
+    steps, last, scale = request.plan.steps, values.source, (request.vertical_scale, request.vertical_offset)
     positions = values.move_to(request.surface.positions)
     places, fresh = {}, {}
     for family in sorted({step.family for step in steps}):
@@ -121,16 +121,16 @@ def _values(
         fresh[family] = values.fresh(levels, before)
     if not all(EFFECTS[step.name].scaled for step in steps):
         fresh[ANY_LEVEL] = values.new()
-    made = [step for step in steps if not EFFECTS[step.name].is_nothing(step.parameters)]
-    once = _held_once(made, len(positions), max_bytes)
+    nonzero = [step for step in steps if not EFFECTS[step.name].is_nothing(step.parameters)]
+    once = _held_once(nonzero, len(positions), max_bytes)
     values.forget(once)
-    reused = {step.name for step in made if last.keys.get(step.name) == keys[step.name]} - once
-    which = {step.name: fresh[step.family if EFFECTS[step.name].scaled else ANY_LEVEL] for step in made}
+    reused = {step.name for step in nonzero if last.keys.get(step.name) == keys[step.name]} - once
+    which = {step.name: fresh[step.family if EFFECTS[step.name].scaled else ANY_LEVEL] for step in nonzero}
     which |= dict.fromkeys(which.keys() - reused)
     found = values.reuse({name: EFFECTS[name].width for name, some in which.items() if some is not None})
-    for step in set(steps) - set(made):
+    for step in set(steps) - set(nonzero):
         found[step.name] = values.zeros(EFFECTS[step.name].width)
-    for group in _made_together(made, reused):
+    for group in _groups(nonzero, reused):
         start = time.perf_counter()
         computed = _make(group, places[group[0].family], which[group[0].name], found, values, once)
         ms = (time.perf_counter() - start) * 1e3 / len(group)
@@ -139,9 +139,9 @@ def _values(
     return found
 
 
-def values_at(places: Places, asked: Iterable[Asked]) -> dict[str, np.ndarray]:
-    """Effects, and what they read, at places that nothing is known of: by name, as `make` gives them."""
-    steps = list(plan(asked).steps)
+def values_at(places: Places, requests: Iterable[Asked]) -> dict[str, np.ndarray]:
+    """Return the values of attributes and of those that they read at points, by name, without a history."""
+    steps = list(plan(requests).steps)
     values: dict[str, np.ndarray] = {}
     while steps:
         make = EFFECTS[steps[0].name].make
@@ -153,15 +153,18 @@ def values_at(places: Places, asked: Iterable[Asked]) -> dict[str, np.ndarray]:
 
 def on_samples(
     field: HeightField,
-    asked: Iterable[Asked],
+    requests: Iterable[Asked],
     vertical_scale: float = 1.0,
     vertical_offset: float = 0.0,
     threads: int = 1,
     level: float = 0.0,
 ) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
-    """Some rows after the other, row 0 south, and the values there by name: float32 [rows, columns], or with an
-    effect's width. level: of the pyramid, 0 is the raster's own scale."""
-    lattice, asked = field.lattice, list(asked)
+    """Yield slices of rows, row 0 south, and the values there by name: float32 [rows, columns] or [rows, columns,
+    width].
+
+    level: of the pyramid, 0 is the raster's scale.
+    """
+    lattice, requests = field.lattice, list(requests)
     west, south, _, _ = lattice.rectangle()
     x = west + np.arange(lattice.width) * lattice.step_x
     at_once = max(1, BAND // lattice.width)
@@ -172,19 +175,21 @@ def on_samples(
         positions = np.stack([*np.meshgrid(x, y), z], -1).astype(np.float32)
         levels = np.full(z.size, level, np.float32)
         places = Places(field, positions.reshape(-1, 3), levels, vertical_scale, vertical_offset, threads)
-        yield rows, {name: v.reshape(*z.shape, *v.shape[1:]) for name, v in values_at(places, asked).items()}
+        yield rows, {name: v.reshape(*z.shape, *v.shape[1:]) for name, v in values_at(places, requests).items()}
 
 
 def _reads(step: Asked) -> set[str]:
     return set(EFFECTS[step.name].reads_with(step.parameters))
 
 
-def _held_once(steps: Sequence[Asked], count: int, most: int) -> set[str]:
-    """Names of the effects of which only this surface's values are held, because those of the last one, too, would take
-    more than `most` bytes at so many places: what is cheapest to compute for its size goes first."""
+def _held_once(steps: Sequence[Asked], count: int, max_bytes: int) -> set[str]:
+    """Return the attributes whose values of the last surface are dropped to keep `max_bytes` at `count` points.
+
+    Those that are cheapest to compute for their size are dropped first.
+    """
     effects = [EFFECTS[step.name] for step in steps]
-    # Two copies of places and of the levels of both families.
-    left = most - NUMBER * count * (2 * (3 + 2) + sum(int(effect.width) for effect in effects))
+    # Two copies of points and of the levels of both families.
+    left = max_bytes - NUMBER * count * (2 * (3 + 2) + sum(int(effect.width) for effect in effects))
     once = set()
     for effect in sorted(effects, key=lambda effect: (-effect.cost_ns / effect.width, effect.name)):
         left -= NUMBER * count * effect.width
@@ -194,7 +199,7 @@ def _held_once(steps: Sequence[Asked], count: int, most: int) -> set[str]:
 
 
 def _keys(request: EffectRequest, heights: HeightField) -> dict[str, tuple]:
-    """Return what the values of each step depend on, beside points and the levels of pictures."""
+    """Return everything that the values of each step depend on, except points and the levels of pictures."""
     keys: dict[str, tuple] = {}
     level = fixed_level(heights, request.geometry_metres)
     surface = heights.key, float(request.vertical_scale), float(request.vertical_offset)
@@ -207,8 +212,8 @@ def _keys(request: EffectRequest, heights: HeightField) -> dict[str, tuple]:
     return keys
 
 
-def _made_together(steps: Sequence[Asked], reused: set[str]) -> list[Group]:
-    """Return steps in groups that one call makes: of one function and family, known at the same points."""
+def _groups(steps: Sequence[Asked], reused: set[str]) -> list[Group]:
+    """Group steps that one call computes: they share the function, the family and the points to compute."""
     group_of: dict[str, int] = {}
     order: list[tuple[tuple, Group]] = []
     for step in steps:
@@ -223,7 +228,7 @@ def _made_together(steps: Sequence[Asked], reused: set[str]) -> list[Group]:
 
 
 def _computed(group: Sequence[Asked], places: Places, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the values of effects that one function makes. Raises TerrainError where one is not finite."""
+    """Return the values of attributes of one function. Raises TerrainError if a value is not finite."""
     wanted = {step.name: EFFECTS[step.name].defaults() | dict(step.parameters) for step in group}
     found = EFFECTS[group[0].name].make(places, wanted, read)
     for name, array in found.items():
@@ -240,8 +245,10 @@ def _make(
     values: EffectValues,
     once: set[str],
 ) -> int:
-    """Put the group's values into `found`; returns for how many elements they were computed. which: the points that are
-    not known, where `found` has the others; None for all of them. once: see `_held_once`."""
+    """Compute the group's values into `found` and return the number of computed elements.
+
+    which: points to compute, where `found` has the others; None for all. once: see `_held_once`.
+    """
     read = {name: found[name] for step in group for name in EFFECTS[step.name].reads_with(step.parameters)}
     if which is None:
         for name, array in _computed(group, places, read).items():

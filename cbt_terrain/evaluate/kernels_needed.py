@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which modules of kernels effects launch from, so that they can be loaded ahead.
+"""Kernel modules that attributes launch, so that they can be loaded ahead.
 
-Found by what the modules of the effects' functions name: themselves, or through other modules of effects, those on
-heights too. That may be a few too many, never one too few.
+They are found by the globals of the modules of the attributes' functions, and of other modules of attributes and height
+operators that these use. The result may have a few too many, but never misses one.
 """
 
 import sys
@@ -22,26 +22,26 @@ ROOMS = tuple(f"{HOUSE}.{room}." for room in ("effects", "evaluate", "land_effec
 
 
 def kernels_of(plan: Plan) -> list[ModuleType]:
-    """Modules of kernels that are launched for the steps of a plan; none for none."""
+    """Return the kernel modules that the steps of a plan launch."""
     makers = [EFFECTS[step.name].make.__module__ for step in plan.steps]
     return kernels_named_by([evaluate.__name__, *makers] if makers else [])
 
 
 def kernels_named_by(modules: Iterable[str]) -> list[ModuleType]:
-    """Modules of kernels that functions of these modules of effects launch."""
+    """Return the kernel modules that functions of these modules launch."""
     return others_named(frozenset().union(*map(_named_by, modules)))
 
 
 @cache
 def _named_by(module: str) -> frozenset[str]:
-    """Names of the modules that a module of effects has in hand, and those of effects that it uses."""
+    """Return the names of the modules that a module and the modules of attributes in its globals refer to."""
     found, waiting = set(), [module]
     while waiting:
         name = waiting.pop()
         if name in found:
             continue
         found.add(name)
-        # The evaluator knows every effect by the catalogue, and needs the kernels of none for that.
+        # The catalogue lists every attribute, which needs none of their kernels.
         if name.startswith(ROOMS) and name != EFFECTS_OF:
             waiting += {_home(value) for value in vars(sys.modules[name]).values()} - {None}
     return frozenset(found)
@@ -51,7 +51,7 @@ EFFECTS_OF = f"{HOUSE}.effects.catalogue"
 
 
 def _home(value: object) -> str | None:
-    """The name of the module that a global of a module is, or is from."""
+    """Return the name of the module that a global is, or comes from."""
     if isinstance(value, ModuleType):
         return value.__name__
     if isinstance(value, wp.Kernel):

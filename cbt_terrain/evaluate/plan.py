@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From what is read to what is run: the closure over what effects read themselves, in the order of making."""
+"""Plans: requested attributes and those that they read, in the order of computation."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -13,36 +13,36 @@ NOTHING_READS_IT = "nothing reads it"
 
 @dataclass(frozen=True)
 class Plan:
-    """`steps`: what is run, first things first: what is asked for, and what that is made from. `attributes`: the names
-    of those that somebody reads from the mesh. `skipped`: of every other effect why it is not run."""
+    """Steps in the order of computation, and the names of the attributes that are read from the mesh."""
 
     steps: tuple[Asked, ...] = ()
     attributes: tuple[str, ...] = ()
 
     @property
     def skipped(self) -> dict[str, str]:
+        """Attributes that are not computed, with the reason."""
         run = {step.name for step in self.steps}
         return {name: NOTHING_READS_IT for name in EFFECTS if name not in run}
 
 
-def plan(asked: Iterable[Asked]) -> Plan:
-    """What `asked` calls for. Names that are no effects are left out: they are attributes of others.
+def plan(requests: Iterable[Asked]) -> Plan:
+    """Return the plan of requests; names outside the catalogue are attributes of others and ignored.
 
-    Raises TerrainError for a parameter that an effect does not have, or not so.
+    Raises TerrainError for an unknown parameter or an invalid value.
     """
     found: dict[str, Asked] = {}
-    for item in asked:
-        if item.name in EFFECTS:
-            EFFECTS[item.name].check(dict(item.parameters))
-            found[item.name] = _both(found[item.name], item) if item.name in found else item
+    for request in requests:
+        if request.name in EFFECTS:
+            EFFECTS[request.name].check(dict(request.parameters))
+            found[request.name] = _merge(found[request.name], request) if request.name in found else request
     attributes = tuple(sorted(found))
     waiting = list(found.values())
     while waiting:
-        item = waiting.pop()
-        for name in EFFECTS[item.name].reads_with(item.parameters):
-            reader = f"effect {item.name}"
-            known = found.get(name) or Asked(name, (), item.family)
-            found[name] = _both(known, Asked(name, (reader,), item.family))
+        request = waiting.pop()
+        for name in EFFECTS[request.name].reads_with(request.parameters):
+            reader = f"effect {request.name}"
+            known = found.get(name) or Asked(name, (), request.family)
+            found[name] = _merge(known, Asked(name, (reader,), request.family))
             if found[name] != known:
                 waiting.append(found[name])
     reads = {name: EFFECTS[name].reads_with(found[name].parameters) for name in sorted(found)}
@@ -50,8 +50,8 @@ def plan(asked: Iterable[Asked]) -> Plan:
     return Plan(tuple(found[name] for name in order), attributes)
 
 
-def _both(one: Asked, other: Asked) -> Asked:
-    """The same effect, asked for twice. What geometry is made from has one scale, and so has what that reads."""
+def _merge(one: Asked, other: Asked) -> Asked:
+    """Merge two requests for an attribute. GEOMETRY wins, since geometry and everything it reads has one scale."""
     readers = tuple(dict.fromkeys((*one.readers, *other.readers)))
     family = GEOMETRY if GEOMETRY in (one.family, other.family) else one.family
     parameters = tuple(sorted((dict(one.parameters) | dict(other.parameters)).items()))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scale at which an effect is evaluated: a level of the pyramid for each place, in steps of 1/8, so that values
-stay bit for bit while the camera creeps."""
+"""The scale of attributes: a level of the pyramid for each point, in steps of 1/8, so that most values keep their bits
+under a slow camera."""
 
 import math
 from collections.abc import Sequence
@@ -21,14 +21,15 @@ STEPS_PER_LEVEL = 8
 
 
 def fixed_level(field: HeightField, metres: float = 0.0) -> float:
-    """The level whose samples are so many metres apart, in the terrain's own space; 0: those of the raster.
+    """Return the level with samples `metres` apart in the terrain's space, 0 for those of the raster.
 
-    Raises TerrainError for what is no distance.
+    Raises TerrainError for an invalid distance.
     """
     if not 0.0 <= metres < math.inf:
-        raise TerrainError(f"The scale of effects for geometry is {metres} m; expected a distance, or 0: the raster's.")
+        problem = f"The scale of effects for geometry is {metres} m"
+        raise TerrainError(problem, expected="a distance, or 0 for the raster's")
     steps = settled(math.log2(max(metres / _step(field), 1.0))) * STEPS_PER_LEVEL
-    return min(math.floor(steps + 0.5) / STEPS_PER_LEVEL, _most(field))
+    return min(math.floor(steps + 0.5) / STEPS_PER_LEVEL, _max_level(field))
 
 
 def footprint_levels(
@@ -39,12 +40,12 @@ def footprint_levels(
     threads: int = 1,
     out: np.ndarray | None = None,
 ) -> np.ndarray:
-    """float32 [n]: the level whose samples are as far apart as a pixel covers across the line of sight, of the view
-    that sees the place finest.
+    """Return the level of each point whose spacing is the finest pixel footprint of any view, float32 [n].
 
-    positions: float32 [n, 3], metres in the terrain's own space, which `placement` (4 x 4) takes to the world. The
-    footprint is by distance, not by depth: turning the camera changes nothing. Of a terrain that is stretched more one
-    way than the other it is that along the axis of least stretch: there a pixel covers most. With no views level 0.
+    positions: float32 [n, 3], metres in the terrain's space, which `placement` (4 x 4) maps to the world. The footprint
+    is across the line of sight and depends on the distance, not on the depth, so that rotating the camera changes
+    nothing. For an unevenly scaled terrain it is that along the axis of least scale, the largest. Without views level
+    0.
     """
     levels = np.empty(len(positions), np.float32) if out is None else out
     if not views:
@@ -52,26 +53,26 @@ def footprint_levels(
         return levels
     placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
     levels[:] = np.inf
-    eyes = wp.array([_eye(field, view, placement) for view in views], dtype=kernels.Eye, device=launch.DEVICE)
-    inputs = [shared(positions, wp.vec3f), eyes, _most(field), flat(levels, wp.float32)]
+    eyes = wp.array([_eye(field, view, placement) for view in views], dtype=kernels.FootprintEye, device=launch.DEVICE)
+    inputs = [shared(positions, wp.vec3f), eyes, _max_level(field), flat(levels, wp.float32)]
     blocks = -(-len(positions) // kernels.BLOCK)
     launch.spread(kernels.footprint_levels, blocks, inputs, step="footprint", threads=threads, cost=0.1 * kernels.BLOCK)
     return levels
 
 
-def _eye(field: HeightField, view: View, placement: np.ndarray) -> kernels.Eye:
+def _eye(field: HeightField, view: View, placement: np.ndarray) -> kernels.FootprintEye:
     to_camera = product(view.world_to_camera, placement)
-    eye = kernels.Eye()
+    eye = kernels.FootprintEye()
     eye.linear, eye.shift = wp.mat33d(to_camera[:3, :3]), wp.vec3d(to_camera[:3, 3])
     if view.kind == ORTHOGRAPHIC:
         eye.linear, eye.shift = wp.mat33d(), wp.vec3d(1.0, 0.0, 0.0)
-    samples = 1.0 / (view.pixels_per_unit * _least_stretch(to_camera[:3, :2]) * _step(field))
+    samples = 1.0 / (view.pixels_per_unit * _min_stretch(to_camera[:3, :2]) * _step(field))
     eye.pixel2 = samples * samples
     return eye
 
 
-def _least_stretch(across: np.ndarray) -> float:
-    """The least length that a level unit vector has in camera space: the smaller singular value of [3, 2]."""
+def _min_stretch(across: np.ndarray) -> float:
+    """Return the smallest length of a level unit vector in camera space, the smaller singular value of [3, 2]."""
     a, b = length(across[:, 0]), length(across[:, 1])
     dot = float(add_up(across[:, 0] * across[:, 1]))
     largest2 = (a * a + b * b + length((a * a - b * b, 2 * dot))) / 2
@@ -79,10 +80,10 @@ def _least_stretch(across: np.ndarray) -> float:
 
 
 def _step(field: HeightField) -> float:
-    """Metres between samples, the longer way."""
+    """Return the larger spacing of samples in metres."""
     return max(field.lattice.step_x, field.lattice.step_y)
 
 
-def _most(field: HeightField) -> int:
-    """The coarsest level."""
+def _max_level(field: HeightField) -> int:
+    """Return the coarsest level."""
     return len(shapes(field.lattice)) - 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Values of effects for a surface, and those of the last surface, in arrays that take turns."""
+"""Values of attributes for a surface and for the last one, in two sets of arrays that alternate."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -15,13 +15,12 @@ from ..run import launch
 from ..run.buffers import flat, shared
 
 PLACES = "places"
-MOST_FRESH = 0.75
+MAX_FRESH = 0.75
 
 
 @dataclass(frozen=True)
-class Made:
-    """What the values are of: the surface, all that was requested, what each effect's values depend on beside points
-    and levels, and the attributes."""
+class ValueSource:
+    """The origin of values: the surface, the request, the key of each attribute, and the attributes."""
 
     surface: "ref[Surface] | Callable[[], None]" = lambda: None
     request: tuple = ()
@@ -30,24 +29,24 @@ class Made:
 
 
 class EffectValues:
-    """Points of this surface and of the last one, which of them are the same, and the values of effects there. A frame
+    """Points of this surface and of the last one, their common points, and the values of attributes there. A frame
     history owns it."""
 
     def __init__(self, threads: int):
         self.threads = threads
-        self.made = Made()
-        self._arrays: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}  # room for this surface, for the last one
+        self.source = ValueSource()
+        self._arrays: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}  # of this surface, of the last one
         self._count = self._last_count = 0
         self._zeros: dict[int, np.ndarray] = {}  # by width
         self._runs = np.empty((0, 3), np.int32)
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all arrays, touched or not."""
+        """Bytes of all arrays."""
         return sum(array.nbytes for pair in self._arrays.values() for array in pair if array is not None)
 
     def move_to(self, positions: np.ndarray) -> np.ndarray:
-        """Begin another surface, float32 [V, 3]: this one becomes the last one. Returns a copy of its points."""
+        """Start another surface, float32 [V, 3]; this one becomes the last one. Return a copy of its points."""
         self._last_count, self._count = self._count, len(positions)
         places, last = self.turn(PLACES, 3)
         launch.together([lambda a=a, b=b: np.copyto(places[a:b], positions[a:b]) for a, b in self._pieces()])
@@ -55,7 +54,7 @@ class EffectValues:
         return places
 
     def turn(self, name: str, width: int = 1) -> tuple[np.ndarray, np.ndarray | None]:
-        """Return room for an array, float32 [V] or [V, width], and the last surface's array, or None."""
+        """Return an uninitialized array, float32 [V] or [V, width], and the last surface's array, or None."""
         now, before = self._arrays.get(name, (None, None))
         if before is None or len(before) < self._count:
             more = int(1.25 * self._count)
@@ -64,11 +63,11 @@ class EffectValues:
         return before[: self._count], None if now is None else now[: self._last_count]
 
     def put(self, name: str, values: np.ndarray, once: bool = False) -> None:
-        """Hold an array of this surface that was made as a whole. `once`: drop that of the last surface."""
+        """Store a whole array of this surface. `once`: drop that of the last surface."""
         self._arrays[name] = values, None if once else self._arrays.get(name, (None, None))[0]
 
     def reuse(self, widths: Mapping[str, int]) -> dict[str, np.ndarray]:
-        """Return room for several arrays as `turn` does, with the values of points that the last surface has too."""
+        """Return arrays as `turn` does, filled with the values of points that the last surface has."""
         turned = {name: self.turn(name, width) for name, width in widths.items()}
         pairs = [_pair(*both, widths[name]) for name, both in turned.items() if both[1] is not None]
         if len(self._runs) and pairs:
@@ -78,16 +77,16 @@ class EffectValues:
         return {name: values for name, (values, _) in turned.items()}
 
     def zeros(self, width: int) -> np.ndarray:
-        """Return zeros, float32 [V, width]. Nothing writes them, so they take no memory."""
+        """Return zeros, float32 [V, width], for reading only; unwritten pages take no memory."""
         held = self._zeros.get(width)
         if held is None or len(held) < self._count:
             self._zeros[width] = held = np.zeros((int(1.25 * self._count), width), np.float32)
         return held[: self._count]
 
     def fresh(self, levels: np.ndarray, last: np.ndarray | None) -> np.ndarray | None:
-        """Return the points that the last surface does not have, or not at their level, int32 [n].
+        """Return the points that the last surface lacks or has at another level, int32 [n].
 
-        None if most are so: it costs less to compute all than to put these among others.
+        None if they are more than MAX_FRESH of all, as it is faster then to compute all.
         """
         if last is None or not len(self._runs):
             return None
@@ -96,25 +95,25 @@ class EffectValues:
         arrays = [flat(array, wp.float32) for array in (levels, last)]
         inputs = [self._count, *runs, *arrays, flat(fresh, wp.int32), flat(found, wp.int32)]
         launch.once(kernels.list_fresh, inputs, step="kept")
-        return fresh[: found[0]] if found[0] <= MOST_FRESH * self._count else None
+        return fresh[: found[0]] if found[0] <= MAX_FRESH * self._count else None
 
     def new(self) -> np.ndarray:
-        """Return the points that the last surface does not have, whatever their levels, int32 [n]."""
+        """Return the points that the last surface lacks, int32 [n]."""
         change = np.zeros(self._count + 1, np.int8)
         change[self._runs[:, 0]] += 1
         np.subtract.at(change, self._runs[:, 0] + self._runs[:, 2], 1)
         return np.flatnonzero(np.cumsum(change[:-1], dtype=np.int8) == 0).astype(np.int32)
 
     def forget(self, names: set[str]) -> None:
-        """Drop these arrays, of both surfaces."""
+        """Drop these arrays of both surfaces."""
         self._arrays = {name: pair for name, pair in self._arrays.items() if name not in names}
 
     def forget_others(self, names: set[str]) -> None:
-        """Drop every array but the places and these."""
+        """Drop all arrays except the points and these."""
         self._arrays = {name: pair for name, pair in self._arrays.items() if name in names or name == PLACES}
 
     def _pieces(self) -> list[tuple[int, int]]:
-        """Ranges of places, for as many threads as pay."""
+        """Return ranges of points for a useful number of threads."""
         pieces = max(1, min(self.threads, self._count // launch.SLICE_ITEMS))
         return launch.ranges(self._count, pieces)
 
@@ -126,7 +125,7 @@ def _pair(values: np.ndarray, last: np.ndarray, width: int) -> kernels.Pair:
 
 
 def _runs(places: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """int32 [n, 3]: first place, first place of the last surface, how many."""
+    """Return the common runs, int32 [n, 3]: first point, first point of the last surface, count."""
     if not len(places) or not len(last):
         return np.empty((0, 3), np.int32)
     runs, found = np.empty((len(places), 3), np.int32), np.zeros(2, np.int32)
@@ -134,7 +133,7 @@ def _runs(places: np.ndarray, last: np.ndarray) -> np.ndarray:
     ends = [shared(runs, wp.vec3i), flat(found, wp.int32)]
     launch.once(kernels.match_in_order, [*arrays, *ends], step="kept")
     if found[1] < len(places):
-        bits = len(last).bit_length() + 1  # so that few places share a hash
+        bits = len(last).bit_length() + 1  # few points share a hash
         table = np.full(1 << bits, -1, np.int32)
         launch.once(kernels.match_anywhere, [*arrays, bits, flat(table, wp.int32), *ends], step="kept")
     return runs[: found[0]].copy()

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From drainage (routing.py) to catchment areas: lakes filled, flow shared among all lower neighbours."""
+"""Drainage areas from drainage (routing.py): filled lakes, and flow to all lower neighbours."""
 
 import warp as wp
 
 from .logarithm import natural_log
-from .routing import ROOT, Drainage, axis, towards
+from .routing import ROOT, DrainageArrays, axis, towards
 
 
 @wp.kernel
-def fill_lakes(d: Drainage):
-    """Serial. The least surface from which every sample drains: none lies below its receiver."""
+def fill_lakes(d: DrainageArrays):
+    """Compute the lowest surface from which every sample drains, serially: no sample is below its receiver."""
     n = d.grid.width * d.grid.height
     for q in range(n):
         i = d.order[n - 1 - q]
@@ -19,30 +19,32 @@ def fill_lakes(d: Drainage):
 
 
 @wp.func
-def part(d: Drainage, i: wp.int32, k: wp.int32) -> wp.float64:
-    """The weight of what flows from sample i in direction k, 0 for upwards."""
+def flow_weight(d: DrainageArrays, i: wp.int32, k: wp.int32) -> wp.float64:
+    """Return the weight of the flow from sample i in direction k, 0 for upwards."""
     fall = wp.float64(d.filled[i]) - wp.float64(d.filled[towards(i, k, d.grid.width)])
     return wp.max(fall, wp.float64(0.0)) * d.grid.share[axis(k)]
 
 
 @wp.kernel
-def gather_area(d: Drainage, rising: wp.array(dtype=wp.int32)):
-    """Serial. From above every sample gives its area to all lower neighbours by their slopes (Quinn et al. 1991); where
-    there is none, in lakes and on flats, to its receiver. `area`: each sample's own before, of all that drains through
-    it after. `rising`: by the filled surface, receivers before donors where that is level."""
+def gather_area(d: DrainageArrays, ascending: wp.array(dtype=wp.int32)):
+    """Pass every sample's area to all lower neighbours by their slopes (Quinn et al. 1991), serially from above.
+
+    In lakes and on flats, without a lower neighbour, it goes to the receiver. `area`: first the samples' weights, then
+    the drainage areas. `ascending`: samples by the filled surface, receivers before donors where it is level.
+    """
     n = d.grid.width * d.grid.height
     for q in range(n):
-        i = rising[n - 1 - q]
+        i = ascending[n - 1 - q]
         if d.to[i] != ROOT:
             total = wp.float64(0.0)
             for k in range(9):
                 if k != 4:
-                    total += part(d, i, k)
+                    total += flow_weight(d, i, k)
             if total > wp.float64(0.0):
                 per = d.area[i] / total
                 for k in range(9):
                     if k != 4:
-                        share = part(d, i, k)
+                        share = flow_weight(d, i, k)
                         if share > wp.float64(0.0):
                             j = towards(i, k, d.grid.width)
                             d.area[j] = d.area[j] + per * share
@@ -52,8 +54,8 @@ def gather_area(d: Drainage, rising: wp.array(dtype=wp.int32)):
 
 
 @wp.kernel
-def level_lakes(d: Drainage):
-    """Serial. A lake is one body of water: what is below its surface has the area of where that drains to."""
+def level_lakes(d: DrainageArrays):
+    """Set the area of all samples below the surface of a lake to that of its outlet, serially."""
     n = d.grid.width * d.grid.height
     for q in range(n):
         i = d.order[n - 1 - q]
@@ -63,6 +65,6 @@ def level_lakes(d: Drainage):
 
 @wp.kernel
 def take_logarithms(offset: int, cell: wp.float64, area: wp.array(dtype=wp.float64), out: wp.array(dtype=wp.float32)):
-    """Areas in samples of `cell` m^2 -> natural logarithms of m^2."""
+    """Convert areas in samples of `cell` m^2 to natural logarithms of m^2."""
     i = offset + wp.tid()
     out[i] = wp.float32(natural_log(area[i] * cell))

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Catchment areas, wetness and layers at places."""
+"""Drainage areas, wetness and layers at points."""
 
 import warp as wp
 
 from .logarithm import exponential, natural_log
-from .pyramid import Ground, filtered_height
+from .pyramid import Pyramid, filtered_height
 
 
 @wp.func
-def bilinear(ground: Ground, level: wp.int32, x: wp.float64, y: wp.float64) -> wp.float64:
-    """The value at x, y cells of a level from its first sample."""
+def bilinear(ground: Pyramid, level: wp.int32, x: wp.float64, y: wp.float64) -> wp.float64:
+    """Interpolate a level at x, y cells from its first sample."""
     columns = ground.columns[level]
     i = wp.min(wp.int32(x), columns - 2)
     j = wp.min(wp.int32(y), ground.rows[level] - 2)
@@ -26,33 +26,33 @@ def bilinear(ground: Ground, level: wp.int32, x: wp.float64, y: wp.float64) -> w
 
 
 @wp.func
-def value_at(ground: Ground, coarser_by: wp.float32, p: wp.vec3f, level: wp.float32) -> wp.float64:
-    """The value of a pyramid at a place and a level, which is `coarser_by` levels finer than those of `ground`."""
+def value_at(ground: Pyramid, coarser_by: wp.float32, p: wp.vec3f, level: wp.float32) -> wp.float64:
+    """Interpolate a pyramid at a point and a level; level `coarser_by` is its level 0."""
     last_x = wp.float64(ground.columns[0] - 1)
     last_y = wp.float64(ground.rows[0] - 1)
     x = wp.clamp((wp.float64(p[0]) - ground.west) / ground.step_x, wp.float64(0.0), last_x)
     y = wp.clamp((wp.float64(p[1]) - ground.south) / ground.step_y, wp.float64(0.0), last_y)
     scale = wp.clamp(level - coarser_by, wp.float32(0.0), wp.float32(ground.levels - 1))
     below = wp.int32(scale)
-    part = wp.float64(scale) - wp.float64(below)
+    fraction = wp.float64(scale) - wp.float64(below)
     per = wp.float64(1.0) / wp.float64(wp.int32(1) << below)
     value = bilinear(ground, below, x * per, y * per)
-    if part > wp.float64(0.0):
+    if fraction > wp.float64(0.0):
         per *= wp.float64(0.5)
-        value += (bilinear(ground, below + 1, x * per, y * per) - value) * part
+        value += (bilinear(ground, below + 1, x * per, y * per) - value) * fraction
     return value
 
 
 @wp.kernel
 def flow_at(
     offset: int,
-    ground: Ground,
+    ground: Pyramid,
     coarser_by: wp.float32,
     positions: wp.array(dtype=wp.vec3f),
     levels: wp.array(dtype=wp.float32),
     out: wp.array(dtype=wp.float32),
 ):
-    """m^2 at the places `positions` and their levels, from the pyramid of the areas' natural logarithms."""
+    """Compute drainage areas in m^2 at points, from the pyramid of their natural logarithms."""
     v = offset + wp.tid()
     out[v] = wp.float32(exponential(value_at(ground, coarser_by, positions[v], levels[v])))
 
@@ -60,12 +60,12 @@ def flow_at(
 @wp.kernel
 def layer_at(
     offset: int,
-    ground: Ground,
+    ground: Pyramid,
     positions: wp.array(dtype=wp.vec3f),
     levels: wp.array(dtype=wp.float32),
     out: wp.array(dtype=wp.float32),
 ):
-    """The layer whose pyramid is `ground` at the places `positions` and their levels."""
+    """Interpolate the layer with the pyramid `ground` at points."""
     v = offset + wp.tid()
     out[v] = wp.float32(value_at(ground, wp.float32(0.0), positions[v], levels[v]))
 
@@ -74,16 +74,15 @@ def layer_at(
 def wetness_at(
     offset: int,
     width: wp.float64,
-    least: wp.float64,
+    min_tangent: wp.float64,
     flow: wp.array(dtype=wp.float32),
     normal: wp.array(dtype=wp.vec3f),
     out: wp.array(dtype=wp.float32),
 ):
-    """ln(a / tan slope): a is the area a metre of contour, of cells so many metres wide, in metres; the tangent counts
-    as `least` at least."""
+    """Compute ln(a / tan slope), a: drainage area over contour length `width`, in metres (Beven and Kirkby 1979)."""
     v = offset + wp.tid()
     n = normal[v]
     x = wp.float64(n[0])
     y = wp.float64(n[1])
     tangent = wp.sqrt(x * x + y * y) / wp.max(wp.float64(n[2]), wp.float64(1e-30))
-    out[v] = wp.float32(natural_log(wp.float64(flow[v]) / (width * wp.max(tangent, least))))
+    out[v] = wp.float32(natural_log(wp.float64(flow[v]) / (width * wp.max(tangent, min_tangent))))

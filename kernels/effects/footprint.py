@@ -1,27 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The level of a pixel's footprint: the scale at which what pictures show is evaluated."""
+"""The level of a pixel's footprint: the scale of attributes that pictures show."""
 
 import warp as wp
 
-BLOCK = wp.constant(1024)  # places: their footprints stay in the first cache
+BLOCK = wp.constant(1024)  # points whose footprints fit into the L1 cache
 
 
 @wp.struct
-class Eye:
-    """A view, as the footprint has it."""
+class FootprintEye:
+    """A view for footprints."""
 
-    linear: wp.mat33d  # from the terrain's space to the camera's; of parallel rays 0, with a shift of length 1
+    linear: wp.mat33d  # from the terrain's space to the camera's; 0 for parallel rays, with a shift of length 1
     shift: wp.vec3d
     pixel2: wp.float64  # squared samples that a pixel covers at unit distance
 
 
-# Loops that are vectorised: 2 ns a place, and 10 in Warp. Eighths of a level are quarters of the power of two that a
-# squared footprint is: its exponent and, of its mantissa, how many of 2^(1/8), 2^(3/8), 2^(5/8) and 2^(7/8) it reaches.
-# By bits, so the same everywhere.
+# Vectorized loops take 2 ns for a point, Warp's 10. A level in eighths is log2 of the squared footprint in quarters:
+# its exponent, and the number of thresholds 2^(1/8), 2^(3/8), 2^(5/8) and 2^(7/8) that its mantissa reaches. Integer
+# comparisons of bits are the same on every machine.
 @wp.func_native("""
     const wp::vec3f* place = positions.data + first;
     float* __restrict out = levels.data + first;
-    const double largest = (double)(2ll << 2 * most);
+    const double largest = (double)(2ll << 2 * max_level);
     for (int e = 0; e < (int)eyes.shape[0]; ++e) {
         const auto& eye = eyes.data[e];
         const auto& m = eye.linear.data;
@@ -40,18 +40,18 @@ class Eye:
         const float squared = out[k] > 1.0f ? out[k] : 1.0f;
         int bits;
         __builtin_memcpy(&bits, &squared, 4);
-        const int part = bits & 0x7FFFFF;
-        const int steps = (part >= 0x0B95C2) + (part >= 0x25FED7) + (part >= 0x45672B) + (part >= 0x6AC0C7);
+        const int m = bits & 0x7FFFFF;
+        const int steps = (m >= 0x0B95C2) + (m >= 0x25FED7) + (m >= 0x45672B) + (m >= 0x6AC0C7);
         const int eighths = 4 * ((bits >> 23) - 127) + steps;
-        out[k] = (eighths < 8 * most ? eighths : 8 * most) * 0.125f;
+        out[k] = (eighths < 8 * max_level ? eighths : 8 * max_level) * 0.125f;
     }
 """)
 def levels_of(
     positions: wp.array(dtype=wp.vec3f),
     first: int,
     count: int,
-    eyes: wp.array(dtype=Eye),
-    most: int,
+    eyes: wp.array(dtype=FootprintEye),
+    max_level: int,
     levels: wp.array(dtype=wp.float32),
 ): ...
 
@@ -60,11 +60,13 @@ def levels_of(
 def footprint_levels(
     offset: int,
     positions: wp.array(dtype=wp.vec3f),
-    eyes: wp.array(dtype=Eye),
-    most: int,
+    eyes: wp.array(dtype=FootprintEye),
+    max_level: int,
     levels: wp.array(dtype=wp.float32),
 ):
-    """Block `offset + tid` of places, of the eye that sees each finest: 0 to `most`, in steps of 1/8. `levels` holds
-    infinity."""
+    """Compute the finest level of any eye for block `offset + tid` of points, 0 to `max_level` in steps of 1/8.
+
+    `levels` holds infinity before.
+    """
     first = (offset + wp.tid()) * BLOCK
-    levels_of(positions, first, wp.min(levels.shape[0] - first, BLOCK), eyes, most, levels)
+    levels_of(positions, first, wp.min(levels.shape[0] - first, BLOCK), eyes, max_level, levels)

@@ -1,25 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How high the ground stands against the sky, seen from a place on it: its horizon along one azimuth.
+"""The horizon of a point of the ground along one azimuth.
 
-The ground is the raster's profile over the azimuth: its crossings with the lines of the raster, and straight between
-them. A horizon is the largest slope, metres of height per metre of way, from the place to a crossing. A crossing is a
-function of its line and the ray alone, so any order of visits gives the same bits, and those that cannot count may be
-left out: blocks of 2^l cells a side whose highest sample stays below the horizon so far are skipped (Tevs, Ihrke and
-Seidel 2008, "Maximum mipmaps for fast, accurate, and scalable dynamic height field rendering"). A few crossings that
-are farther and farther apart are looked at first: they raise the horizon early, so that more is skipped.
+The ground is the raster's profile over the azimuth: its crossings with the lines of the raster, linear between them. A
+horizon is the largest slope from the point to a crossing. A crossing is a function of its line and the ray alone, so
+that the order of visits does not change bits, and crossings that cannot raise the horizon may be skipped: blocks of 2^l
+cells a side whose maximum is below the horizon so far (Tevs, Ihrke and Seidel 2008, "Maximum mipmaps for fast,
+accurate, and scalable dynamic height field rendering"). A few crossings at growing distances are visited first; they
+raise the horizon early.
 """
 
 import warp as wp
 
 from ..field.codes import Samples, corners_of
 
-# The smallest blocks have 2^FINEST cells a side; inside them crossings are visited one by one.
+# The smallest blocks have 2^FINEST cells a side; every crossing inside them is visited.
 FINEST = 2
 
 
 @wp.struct
 class Occluder:
-    """The raster, and the highest samples of its blocks. Heights count `scale` times, metres."""
+    """The raster and the maxima of its blocks; heights in metres are multiplied by `scale`."""
 
     samples: Samples
     west: wp.float64  # of the first sample, metres
@@ -27,17 +27,17 @@ class Occluder:
     step_x: wp.float64
     step_y: wp.float64
     scale: wp.float64
-    tops: wp.array(dtype=wp.float32)  # of a negative scale the lowest samples
-    first: wp.array(dtype=wp.int32)  # of level l from first[l] on
-    wide: wp.array(dtype=wp.int32)  # with wide[l] blocks in a row
-    levels: wp.int32  # l is below it; 0: no blocks, every crossing is visited
+    tops: wp.array(dtype=wp.float32)  # maxima of blocks, minima for a negative scale
+    first: wp.array(dtype=wp.int32)  # [levels]: first block of each level
+    wide: wp.array(dtype=wp.int32)  # [levels]: blocks in a row
+    levels: wp.int32  # 0 for no blocks; every crossing is visited then
     highest: wp.float64  # after scaling
-    margin: wp.float64  # metres, above what rounding can add to a height of the profile
+    margin: wp.float64  # metres, more than the rounding of a height of the profile
 
 
 @wp.func
 def surface(g: Occluder, x: wp.float64, y: wp.float64):
-    """Height, scaled, of the bilinear surface `x` and `y` cells from the first sample, inside the raster."""
+    """Return the scaled height of the bilinear surface `x` and `y` cells from the first sample, inside the raster."""
     i = wp.min(wp.int32(x), g.samples.columns - 2)
     j = wp.min(wp.int32(y), g.samples.rows - 2)
     p = corners_of(g.samples, i, j)
@@ -49,14 +49,14 @@ def surface(g: Occluder, x: wp.float64, y: wp.float64):
 
 @wp.func
 def cells_of(metres: wp.float64, origin: wp.float64, step: wp.float64, cells: wp.int32):
-    """Cells from the first sample; beyond the rim the rim, and 0 of what is not a number."""
+    """Convert metres to cells from the first sample, clamped to the raster; 0 for NaN."""
     at = (metres - origin) / step
     return wp.where(at >= wp.float64(0.0), wp.min(at, wp.float64(cells)), wp.float64(0.0))
 
 
 @wp.func
 def gradient(g: Occluder, x: wp.float64, y: wp.float64):
-    """Metres of height per metre east and north: central differences of one cell, one-sided at the rim."""
+    """Return the slopes to the east and north by central differences of one cell, one-sided at the border."""
     one = wp.float64(1.0)
     w = wp.max(x - one, wp.float64(0.0))
     e = wp.min(x + one, wp.float64(g.samples.columns - 1))
@@ -72,7 +72,7 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
 #pragma clang fp contract(off)
     const int FINEST = 2;
     const double dx = azimuth[0] / g.step_x, dy = azimuth[1] / g.step_y;  // cells a metre
-    // What is nearer is the place itself: positions are float32, and a difference of heights over nothing is no slope.
+    // Nearer crossings are the point itself: positions are float32, and a height over no distance is no slope.
     const double near = (g.step_x < g.step_y ? g.step_x : g.step_y) / 1024.0;
     // The ray against the lines of one direction. It runs from line cell + behind of a cell to line cell + ahead.
     struct Axis {
@@ -102,7 +102,7 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
     const float *const floats = g.samples.floats.data, *const tops = g.tops.data;
     const int *const first = g.first.data, *const wide = g.wide.data, levels = g.levels;
     const double highest = g.highest - z0 + g.margin, below = z0 - g.margin, scale = g.scale;
-    double best = least;
+    double best = lowest;
     auto height = [&](long long k) __attribute__((always_inline)) {
         return scale * (g.samples.coded
             ? (float)((double)(g.samples.numbers.data[k] + g.samples.first) * g.samples.scale + g.samples.offset)
@@ -138,7 +138,7 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
         const double out = to[d];
         if (l) {
             const double top = scale * tops[first[l] + block[1] * wide[l] + block[0]] - below;
-            // Of a horizon that falls the far end of the way through the block counts.
+            // For a negative horizon the far end of the path through the block counts.
             if (top > best * (best < 0.0 ? out : way)) {
                 l = l > FINEST ? l - 1 : 0;
                 continue;
@@ -162,13 +162,13 @@ def horizon(
     z0: wp.float64,
     azimuth: wp.vec2d,
     far: wp.float64,
-    least: wp.float64,
+    lowest: wp.float64,
     enough: wp.float64,
 ) -> wp.float64:
-    """The horizon, at least `least`, of crossings up to `far` metres off; the walk may stop at `enough`.
+    """Return the horizon, at least `lowest`, of crossings up to `far` metres away; the walk may stop at `enough`.
 
-    x0, y0: cells from the first sample, inside the raster; z0: metres, scaled. azimuth: unit length, in metres. Lines
-    are crossed in order, of two at the same distance the one that runs north first; a skip ends in the state in which a
-    visit of every crossing would be there, so none is lost and none is made up at a corner of cells.
+    x0, y0: cells from the first sample, inside the raster; z0: scaled metres. azimuth: unit length, in metres. Lines
+    are crossed in order, of two at the same distance the one that runs north first. A skip ends in the state of a walk
+    that visits every crossing, so that none is lost or added at a corner of cells.
     """
     ...

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Values of a jet: slope, aspect, curvatures and the normal; one kernel makes all that are wanted of them."""
+"""Slope, aspect, curvatures and the normal from a jet; one kernel computes all requested ones."""
 
 import warp as wp
 
-from .pyramid import Ground, Jet, jet_at
+from .pyramid import Jet, Pyramid, jet_at
 
 # Bits of Values.wanted.
 HEIGHT = wp.constant(1)
@@ -13,18 +13,18 @@ MEAN_CURVATURE = wp.constant(8)
 PROFILE_CURVATURE = wp.constant(16)
 PLAN_CURVATURE = wp.constant(32)
 NORMAL = wp.constant(64)
-# Those that need the length of the gradient, and of the normal.
+# Values that need the length of the gradient, or that of the normal.
 OF_GRADIENT = wp.constant(2 | 4 | 16 | 32)
 OF_SURFACE = wp.constant(8 | 16 | 64)
 
 HIGHEST = wp.constant(wp.float64(3.4028234663852886e38))
-# Ground that rises less than this, metres a metre, is level: it has no direction.
+# Ground of a smaller slope is level and has no direction.
 LEVEL_GROUND = wp.constant(wp.float64(1e-9))
 
 
 @wp.struct
 class Values:
-    """What is wanted, as bits, and where it goes: arrays of what is not wanted have no use."""
+    """The requested values as bits, and their arrays; others are unused."""
 
     wanted: wp.int32
     height: wp.array(dtype=wp.float32)
@@ -38,13 +38,13 @@ class Values:
 
 @wp.func
 def single(x: wp.float64) -> wp.float32:
-    """As float32, finite."""
+    """Convert to float32, clamped to finite values."""
     return wp.float32(wp.clamp(x, -HIGHEST, HIGHEST))
 
 
 @wp.func
 def arc_tangent(t: wp.float64) -> wp.float64:
-    """Of t >= 0, by arithmetic alone: the C library's last bits depend on the processor (Cephes, atan.c)."""
+    """Return atan(t), t >= 0, by arithmetic alone (Cephes, atan.c); bits of the C library differ by processor."""
     x = t
     base = wp.float64(0.0)
     if t > wp.float64(2.414213562373095):
@@ -68,35 +68,41 @@ def arc_tangent(t: wp.float64) -> wp.float64:
 
 @wp.func
 def mean_curvature_of(q: Jet, r: wp.float64) -> wp.float64:
-    """Of the surface, 1 / metre: positive where it is convex, as on a summit. r: 1 / sqrt(1 + squared gradient)."""
+    """Return -((1 + zy^2) zxx - 2 zx zy zxy + (1 + zx^2) zyy) / 2 r^3, 1/m, positive on a summit.
+
+    r: 1 / sqrt(1 + zx^2 + zy^2).
+    """
     one = wp.float64(1.0)
-    bend = (one + q[2] * q[2]) * q[3] - wp.float64(2.0) * q[1] * q[2] * q[4] + (one + q[1] * q[1]) * q[5]
-    return wp.float64(-0.5) * bend * (r * r * r)
+    sum = (one + q[2] * q[2]) * q[3] - wp.float64(2.0) * q[1] * q[2] * q[4] + (one + q[1] * q[1]) * q[5]
+    return wp.float64(-0.5) * sum * (r * r * r)
 
 
 @wp.func
 def profile_curvature_of(q: Jet, r: wp.float64, run: wp.float64) -> wp.float64:
-    """Down the slope, 1 / metre: positive where it steepens downhill. run: metres along a metre of rise, or 0."""
-    bend = q[3] * q[1] * q[1] + wp.float64(2.0) * q[4] * q[1] * q[2] + q[5] * q[2] * q[2]
-    return -bend * (run * run) * (r * r * r)
+    """Return -(zxx zx^2 + 2 zxy zx zy + zyy zy^2) run^2 r^3, 1/m, positive where the slope steepens downhill.
+
+    run: 1 / sqrt(zx^2 + zy^2), 0 on level ground.
+    """
+    sum = q[3] * q[1] * q[1] + wp.float64(2.0) * q[4] * q[1] * q[2] + q[5] * q[2] * q[2]
+    return -sum * (run * run) * (r * r * r)
 
 
 @wp.func
 def plan_curvature_of(q: Jet, run: wp.float64) -> wp.float64:
-    """Of the contour line, 1 / metre: positive on a ridge. run: metres along a metre of rise, or 0."""
-    bend = q[3] * q[2] * q[2] - wp.float64(2.0) * q[4] * q[1] * q[2] + q[5] * q[1] * q[1]
-    return -bend * (run * run) * run
+    """Return -(zxx zy^2 - 2 zxy zx zy + zyy zx^2) run^3, 1/m, positive on a ridge. run: see profile_curvature_of."""
+    sum = q[3] * q[2] * q[2] - wp.float64(2.0) * q[4] * q[1] * q[2] + q[5] * q[1] * q[1]
+    return -sum * (run * run) * run
 
 
 @wp.kernel
 def from_jets(
     offset: int,
-    ground: Ground,
+    ground: Pyramid,
     positions: wp.array(dtype=wp.vec3f),
     levels: wp.array(dtype=wp.float32),
     values: Values,
 ):
-    """What is wanted at the places `positions`, of which x and y are read, at their levels."""
+    """Compute the requested values at the x and y of `positions` and their levels."""
     v = offset + wp.tid()
     p = positions[v]
     level = levels[v]
@@ -122,8 +128,8 @@ def from_jets(
     if (values.wanted & PROFILE_CURVATURE) != 0:
         values.profile_curvature[v] = single(profile_curvature_of(q, r, run))
     if (values.wanted & PLAN_CURVATURE) != 0:
-        # A contour that turns within a sample of the level is not resolved.
-        most = wp.max(ground.per_x, ground.per_y) / wp.float64(wp.int32(1) << wp.int32(wp.max(level, 0.0)))
-        values.plan_curvature[v] = wp.float32(wp.clamp(plan_curvature_of(q, run), -most, most))
+        # A contour with a radius below the spacing of the level is not resolved.
+        limit = wp.max(ground.per_x, ground.per_y) / wp.float64(wp.int32(1) << wp.int32(wp.max(level, 0.0)))
+        values.plan_curvature[v] = wp.float32(wp.clamp(plan_curvature_of(q, run), -limit, limit))
     if (values.wanted & NORMAL) != 0:
         values.normal[v] = wp.vec3f(wp.float32(-q[1] * r), wp.float32(-q[2] * r), wp.float32(r))

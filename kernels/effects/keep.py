@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What stays of the values of the last surface: places that are in both are found, and their values copied.
+"""Reuse of the last surface's values: points in both surfaces are found, and their values copied.
 
-Vertices of both surfaces are in the order of the same curve, so what is in both is, as a rule, a few long runs. A run
-is (first place, first place of the last surface, how many). What is equal is so bit by bit.
+Vertices of both surfaces are in the order of the same curve, so that common points usually form a few long runs. A run
+is (first point, first point of the last surface, count). Equality is bit by bit.
 """
 
 import warp as wp
@@ -10,9 +10,9 @@ import warp as wp
 from ..field.noise import scramble
 from ..unchecked import copy_items, count_same_floats, count_same_vec3s, item_at, put
 
-# Five for each of 51 places of one hash in 64 that may be missed: of 3,000 places all are looked for.
+# Initial balance of `match_anywhere`, 5 for each of 51 sampled points without a match: up to 3,000 points are searched.
 ALWAYS = wp.constant(256)
-LOOK = wp.constant(32)  # places, of both surfaces together, that are skipped to find the next run
+LOOK = wp.constant(32)  # points of both surfaces together that may be skipped to find the next run
 
 
 @wp.func
@@ -24,7 +24,7 @@ def next_common(
     at: wp.int32,
     last_count: wp.int32,
 ):
-    """The fewest places to skip of both until they agree again; (-1, -1) where that is too many."""
+    """Return the fewest points to skip in both surfaces until they agree; (-1, -1) if they are more than LOOK."""
     skip = wp.vec2i(-1, -1)
     total = wp.int32(1)
     while total <= LOOK and skip[0] < 0:
@@ -45,7 +45,7 @@ def match_in_order(
     runs: wp.array(dtype=wp.vec3i),
     found: wp.array(dtype=wp.int32),
 ):
-    """Runs as far as they follow each other in both; `found` [2]: how many, and the first place that is not decided."""
+    """List runs while their order is the same in both. `found` [2]: their number, and the first undecided point."""
     v = wp.int32(0)
     at = wp.int32(0)
     k = wp.int32(0)
@@ -69,7 +69,7 @@ def match_in_order(
 
 @wp.func
 def slot_of(p: wp.vec3f, bits: wp.int32) -> wp.int32:
-    """Where a place belongs in a table of 2**bits."""
+    """Return the slot of a point in a hash table of 2**bits."""
     h = scramble(scramble(wp.cast(p[0], wp.uint32)) + wp.cast(p[1], wp.uint32))
     return wp.int32(h >> wp.uint32(32 - bits))
 
@@ -85,10 +85,10 @@ def match_anywhere(
     runs: wp.array(dtype=wp.vec3i),
     found: wp.array(dtype=wp.int32),
 ):
-    """The rest, wherever the last surface has it, if that is five eighths of it.
+    """List runs of the other points in any order, if the last surface has about five eighths of them.
 
-    `table` [2**bits] is -1: it keeps one place for each hash of x and y, so a run may begin late; none is wrong. Places
-    of one hash in 64 tell how much there is to find: after a cut it is too little to look for.
+    `table` [2**bits] is -1 before. It has one point for each hash of x and y, so that a run may begin late, but none is
+    wrong. Points of one hash in 64 estimate the fraction; after a cut it is too small to search.
     """
     for i in range(last_count):
         slot = slot_of(last[i], bits)
@@ -129,7 +129,7 @@ def list_fresh(
     fresh: wp.array(dtype=wp.int32),
     found: wp.array(dtype=wp.int32),
 ):
-    """Places that are in no run, or have another level than before; `found` [1]: how many."""
+    """List the points that are in no run or have another level than before; `found` [1]: their number."""
     n = wp.int32(0)
     v = wp.int32(0)
     for k in range(run_count + 1):
@@ -152,7 +152,7 @@ def list_fresh(
 
 @wp.struct
 class Pair:
-    """What the last surface had of one quantity, and room for what this one has: `width` numbers a place."""
+    """Values of one quantity of the last surface and of this one, `width` numbers for a point."""
 
     last: wp.array(dtype=wp.float32)
     values: wp.array(dtype=wp.float32)
@@ -167,7 +167,7 @@ def copy_runs(
     run_count: int,
     pairs: wp.array(dtype=Pair),
 ):
-    """Values of the places first .. end that are in a run, of every quantity."""
+    """Copy the values of the points first .. end that are in a run, for every quantity."""
     for p in range(pairs.shape[0]):
         pair = pairs[p]
         for k in range(run_count):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What light reaches a place: the part of the sky, or of the sun's disc, that stands above its horizons.
+"""Light at a point: the fraction of the sky, or of the sun's disc, above its horizons.
 
-Only + - * / and square roots, so that no machine's library of functions is in the bits.
+Only + - * / and square roots, so that bits do not depend on a machine's library of functions.
 """
 
 import warp as wp
@@ -14,17 +14,17 @@ HALF_PI = wp.constant(wp.float64(1.5707963267948966))
 
 @wp.func
 def elevation_of(slope: wp.float64) -> wp.float64:
-    """Radians above the horizontal."""
+    """Return the elevation of a slope in radians."""
     return wp.where(slope < wp.float64(0.0), -arc_tangent(-slope), arc_tangent(slope))
 
 
 @wp.func
-def open_part(slope: wp.float64, g: wp.vec2d, azimuth: wp.vec2d):
-    """Cosine-weighted share of the half plane over an azimuth above the horizon `slope`; 1 if nothing is in the way.
+def open_fraction(slope: wp.float64, g: wp.vec2d, azimuth: wp.vec2d):
+    """Return the cosine-weighted fraction of the half plane over an azimuth above the horizon `slope`, at most 1.
 
-    `g`: gradient of the ground, about whose normal n the cosine is. With w = (cos e azimuth, sin e) the share is twice
-    the integral of max(n . w, 0) cos e from the horizon's elevation to the zenith, in closed form (Timonen and
-    Westerholm 2010, section 3). The mean over all azimuths is the visible part of the sky.
+    The cosine is relative to the normal n of the ground with the gradient `g`. With w = (cos e azimuth, sin e) the
+    fraction is 2 * integral of max(n . w, 0) cos e de from the horizon's elevation to the zenith, in closed form
+    (Timonen and Westerholm 2010, section 3). The mean over all azimuths is the visible fraction of the sky.
     """
     one = wp.float64(1.0)
     up = one / wp.sqrt(one + wp.dot(g, g))
@@ -45,8 +45,10 @@ def sky_seen(
     places: wp.array(dtype=wp.vec3f),
     out: wp.array(dtype=wp.float32),
 ):
-    """Add to `out` what the azimuths `first` .. `end` show of the sky above ground up to `far` metres off; the last one
-    puts it into 0 .. 1. What is below the slope `lowest`, or below the place's own plane, counts as hidden."""
+    """Add the visible fraction of the sky in the azimuths `first` .. `end` to `out`; the last one clamps it to 0 .. 1.
+
+    Ground up to `far` metres counts. Everything below the slope `lowest` or the point's tangent plane is hidden.
+    """
     i = offset + wp.tid()
     count = azimuths.shape[0]
     x = cells_of(wp.float64(places[i][0]), occluder.west, occluder.step_x, occluder.samples.columns - 1)
@@ -56,17 +58,17 @@ def sky_seen(
     total = out[i]
     for k in range(first, end):
         azimuth = azimuths[k]
-        least = wp.max(wp.dot(g, azimuth), lowest)
-        slope = horizon(occluder, x, y, z, azimuth, far, least, wp.float64(1.0e300))
-        total += wp.float32(open_part(slope, g, azimuth)) / wp.float32(count)
+        start = wp.max(wp.dot(g, azimuth), lowest)
+        slope = horizon(occluder, x, y, z, azimuth, far, start, wp.float64(1.0e300))
+        total += wp.float32(open_fraction(slope, g, azimuth)) / wp.float32(count)
     if end == count:
         total = wp.clamp(total, wp.float32(0.0), wp.float32(1.0))
     out[i] = total
 
 
 @wp.struct
-class Strip:
-    """An upright strip of the sun's disc: where it stands, and half its height in radii of the disc."""
+class SunStrip:
+    """An upright strip of the sun's disc: its azimuth, and half its height in radii of the disc."""
 
     azimuth: wp.vec2d
     half: wp.float64
@@ -80,12 +82,15 @@ def sun_seen(
     radius: wp.float64,
     low: wp.float64,
     high: wp.float64,
-    strips: wp.array(dtype=Strip),
+    strips: wp.array(dtype=SunStrip),
     places: wp.array(dtype=wp.vec3f),
     out: wp.array(dtype=wp.float32),
 ):
-    """Part of the sun's disc above the horizon. `elevation`, `radius`: radians; `low`, `high`: slopes to just below and
-    just above the disc, between which a horizon hides a part of it."""
+    """Compute the fraction of the sun's disc above the horizon.
+
+    `elevation`, `radius`: radians. `low`, `high`: slopes just below and above the disc, between which a horizon hides a
+    part of it.
+    """
     i = offset + wp.tid()
     x = cells_of(wp.float64(places[i][0]), occluder.west, occluder.step_x, occluder.samples.columns - 1)
     y = cells_of(wp.float64(places[i][1]), occluder.south, occluder.step_y, occluder.samples.rows - 1)

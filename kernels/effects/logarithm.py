@@ -10,7 +10,7 @@ FRACTION_BITS = wp.constant(wp.int64(0x000FFFFFFFFFFFFF))
 
 @wp.func
 def natural_log(x: wp.float64) -> wp.float64:
-    """Of a normal number above 0: ln x = e ln 2 + 2 artanh((m - 1) / (m + 1)) for x = m 2^e, within 1e-15."""
+    """Return ln x = e ln 2 + 2 artanh((m - 1) / (m + 1)) of a normal number x = m 2^e > 0, within 1e-15."""
     bits = wp.cast(x, wp.int64)
     e = wp.float64((bits >> wp.int64(52)) - wp.int64(1023))
     m = wp.cast((bits & FRACTION_BITS) | ONE_BITS, wp.float64)
@@ -27,7 +27,7 @@ def natural_log(x: wp.float64) -> wp.float64:
 
 @wp.func
 def exponential(x: wp.float64) -> wp.float64:
-    """e^x for -700 < x < 700: 2^k e^r with |r| at most ln 2 / 2, within 1e-15 of its value."""
+    """Return e^x = 2^k e^r, |r| <= ln 2 / 2, for -700 < x < 700, within a relative 1e-15."""
     k = wp.floor(x / LN_2 + wp.float64(0.5))
     r = x - k * LN_2
     series = wp.float64(1.0)

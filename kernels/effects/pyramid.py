@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The pyramid of prefiltered heights, and the jet of the ground at a place and a scale.
+"""The pyramid of prefiltered heights, and the jet of the ground at a point and a scale.
 
 Level l has the samples at multiples of 2**l, each a mean of the level below with the weights [1 2 1] x [1 2 1] / 16
-(P. J. Burt, "Fast filter transforms for image processing", 1981). A jet is the height and its first and second
-derivatives, of the uniform cubic B-spline over 4 x 4 samples (its second derivatives are continuous), linear between
-two levels. At the rim heights go on in straight lines, h(-1) = 2 h(0) - h(1), so a plane stays one to the last sample.
+(P. J. Burt, "Fast filter transforms for image processing", 1981). A jet is the height with its first and second
+derivatives, of the uniform cubic B-spline over 4 x 4 samples (whose second derivatives are continuous), linear between
+two levels. Boundary: heights are extrapolated linearly, h(-1) = 2 h(0) - h(1), so that a plane is exact everywhere.
 """
 
 import warp as wp
@@ -17,28 +17,28 @@ Jet = wp.types.vector(length=6, dtype=wp.float64)
 
 
 @wp.struct
-class Ground:
-    """The prefiltered heights of a terrain, and where they are; memory is shared with the height field."""
+class Pyramid:
+    """The prefiltered heights of a terrain and their position; memory is shared with the height field."""
 
     samples: Samples  # level 0
-    coarser: wp.array(dtype=wp.float32)  # metres, the levels above it one after the other
-    first: wp.array(dtype=wp.int64)  # [levels]: the first sample of each level there; of level 0 no use
+    coarser: wp.array(dtype=wp.float32)  # metres, the coarser levels concatenated
+    first: wp.array(dtype=wp.int64)  # [levels]: index of the first sample of each level there; unused for level 0
     columns: wp.array(dtype=wp.int32)  # [levels]: samples in a row
     rows: wp.array(dtype=wp.int32)
     levels: wp.int32
     step_x: wp.float64  # metres between samples of level 0
     step_y: wp.float64
-    per_x: wp.float64  # samples of it in a metre
+    per_x: wp.float64  # 1 / step_x
     per_y: wp.float64
-    west: wp.float64  # metres, of the first sample
+    west: wp.float64  # position of the first sample in metres
     south: wp.float64
     height_scale: wp.float64
     height_offset: wp.float64
 
 
 @wp.func
-def filtered_height(ground: Ground, level: wp.int32, i: wp.int64) -> wp.float64:
-    """Sample `i` of a level, metres."""
+def filtered_height(ground: Pyramid, level: wp.int32, i: wp.int64) -> wp.float64:
+    """Return sample `i` of a level in metres."""
     h = wp.float32(0.0)
     if level == 0:
         h = sample_at(ground.samples, i)
@@ -48,8 +48,8 @@ def filtered_height(ground: Ground, level: wp.int32, i: wp.int64) -> wp.float64:
 
 
 @wp.func
-def row_height(ground: Ground, level: wp.int32, x: wp.int32, y: wp.int32) -> wp.float64:
-    """The same in row y; beyond its ends the row goes on as its image in the point of the last sample."""
+def row_height(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32) -> wp.float64:
+    """Return the sample x of row y; beyond its ends the row is mirrored in the point of its last sample."""
     last = ground.columns[level] - 1
     edge = wp.clamp(x, 0, last)
     row = wp.int64(y) * wp.int64(last + 1)
@@ -60,8 +60,8 @@ def row_height(ground: Ground, level: wp.int32, x: wp.int32, y: wp.int32) -> wp.
 
 
 @wp.func
-def extended_height(ground: Ground, level: wp.int32, x: wp.int32, y: wp.int32) -> wp.float64:
-    """The same beyond the first and the last row, too."""
+def extended_height(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32) -> wp.float64:
+    """Return the sample x of row y; beyond its borders the raster is mirrored in the points of its last samples."""
     edge = wp.clamp(y, 0, ground.rows[level] - 1)
     h = row_height(ground, level, x, edge)
     if y != edge:
@@ -70,8 +70,8 @@ def extended_height(ground: Ground, level: wp.int32, x: wp.int32, y: wp.int32) -
 
 
 @wp.func
-def filtered_row(ground: Ground, level: wp.int32, x: wp.int32, y: wp.int32, inner: wp.bool) -> wp.float64:
-    """Four times the mean along x at a sample."""
+def filtered_row(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32, inner: wp.bool) -> wp.float64:
+    """Return four times the [1 2 1] / 4 mean along x at a sample."""
     west = wp.float64(0.0)
     here = wp.float64(0.0)
     east = wp.float64(0.0)
@@ -88,9 +88,11 @@ def filtered_row(ground: Ground, level: wp.int32, x: wp.int32, y: wp.int32, inne
 
 
 @wp.kernel
-def halve(offset: int, ground: Ground, level: int, out: wp.array(dtype=wp.float32)):
-    """Row `offset + tid` of `level` from the level below it, which has at least two cells each way. `out` is
-    ground.coarser."""
+def halve(offset: int, ground: Pyramid, level: int, out: wp.array(dtype=wp.float32)):
+    """Compute row `offset + tid` of `level` from the finer level, which has at least two cells in each direction.
+
+    `out` is ground.coarser.
+    """
     row = offset + wp.tid()
     below = level - 1
     y = 2 * row
@@ -104,21 +106,21 @@ def halve(offset: int, ground: Ground, level: int, out: wp.array(dtype=wp.float3
         out[to + wp.int64(column)] = wp.float32(h * wp.float64(0.0625))
 
 
-# The jet at u, v of the cell whose sample is the second of the second row, of the samples x .. x + 3 of the rows
-# y .. y + 3: about that sample, in float32, so what rounds is differences of heights; derivatives per cell. The first
-# derivative is the quadratic spline of differences of neighbours, the second the linear one of theirs: a plane has one
-# slope, and no bend, but for the rounding of those. In C: with Warp's vectors it takes twice as long.
+# The jet at u, v of the cell of sample (x + 1, y + 1), from the samples x .. x + 3 of the rows y .. y + 3. Heights are
+# relative to that sample, in float32, so that only differences are rounded; derivatives are per cell. The first
+# derivative is the quadratic spline of neighbours' differences, the second the linear one of second differences, so
+# that a plane has one slope and no curvature but for rounding. C code, twice as fast as Warp's vectors.
 
 
 @wp.func_native("""
     typedef float four __attribute__((ext_vector_type(4), aligned(4)));
-    const auto& own = ground.samples;
-    const bool coded = level == 0 && own.coded;
-    const wp::uint16* numbers = own.numbers.data;
-    const float* floats = level ? ground.coarser.data + ground.first.data[level] : own.floats.data;
+    const auto& samples = ground.samples;
+    const bool coded = level == 0 && samples.coded;
+    const wp::uint16* numbers = samples.numbers.data;
+    const float* floats = level ? ground.coarser.data + ground.first.data[level] : samples.floats.data;
     const int columns = ground.columns.data[level], rows = ground.rows.data[level];
     auto height = [&](wp::int64 i) __attribute__((always_inline)) {
-        return coded ? (float)((numbers[i] + own.first) * own.scale + own.offset) : floats[i];
+        return coded ? (float)((numbers[i] + samples.first) * samples.scale + samples.offset) : floats[i];
     };
     four r[4];
     if (x >= 0 && x + 3 < columns && y >= 0 && y + 3 < rows)
@@ -158,32 +160,32 @@ def halve(offset: int, ground: Ground, level: int, out: wp.array(dtype=wp.float3
     q.c[5] = w0 * k[0] + w1 * k[1] + w2 * k[2] + w3 * k[3];
     return q;
 """)
-def jet_of(ground: Ground, level: int, x: int, y: int, u: wp.float32, v: wp.float32) -> Jet: ...
+def jet_of(ground: Pyramid, level: int, x: int, y: int, u: wp.float32, v: wp.float32) -> Jet: ...
 
 
 @wp.func
-def part_of(level: wp.int32) -> wp.float64:
-    """2**-level."""
+def inverse_power(level: wp.int32) -> wp.float64:
+    """Return 2**-level."""
     return wp.cast(wp.int64(1023 - level) << wp.int64(52), wp.float64)
 
 
 @wp.func
-def level_jet(ground: Ground, level: wp.int32, x: wp.float64, y: wp.float64) -> Jet:
-    """At x, y cells of a level from its first sample; derivatives per metre, of heights as they are in the field."""
+def level_jet(ground: Pyramid, level: wp.int32, x: wp.float64, y: wp.float64) -> Jet:
+    """Return the jet x, y cells of a level from its first sample; derivatives per metre, heights of the field."""
     i = wp.min(wp.int32(x), item_at(ground.columns, level) - 2)
     j = wp.min(wp.int32(y), item_at(ground.rows, level) - 2)
     q = jet_of(ground, level, i - 1, j - 1, wp.float32(x - wp.float64(i)), wp.float32(y - wp.float64(j)))
-    part = part_of(level)
-    per_x = ground.per_x * part
-    per_y = ground.per_y * part
+    scale = inverse_power(level)
+    per_x = ground.per_x * scale
+    per_y = ground.per_y * scale
     return Jet(q[0], q[1] * per_x, q[2] * per_y, q[3] * per_x * per_x, q[4] * per_x * per_y, q[5] * per_y * per_y)
 
 
 @wp.func
-def jet_at(ground: Ground, x: wp.float64, y: wp.float64, level: wp.float32) -> Jet:
-    """At x, y metres in the terrain's own space and a level that need not be whole; of heights as displaced.
+def jet_at(ground: Pyramid, x: wp.float64, y: wp.float64, level: wp.float32) -> Jet:
+    """Return the jet at x, y metres in the terrain's space and a fractional level, of displaced heights.
 
-    Beyond the raster it is that of the rim's nearest point.
+    Points outside the raster are clamped to its border.
     """
     last_x = wp.float64(ground.columns[0] - 1)
     last_y = wp.float64(ground.rows[0] - 1)
@@ -194,7 +196,7 @@ def jet_at(ground: Ground, x: wp.float64, y: wp.float64, level: wp.float32) -> J
     coarse = wp.float64(scale) - wp.float64(below)
     q = Jet()
     for k in range(wp.where(coarse > wp.float64(0.0), 2, 1)):
-        per = part_of(below + k)
+        per = inverse_power(below + k)
         share = wp.where(k == 0, wp.float64(1.0) - coarse, coarse)
         q += level_jet(ground, below + k, cell_x * per, cell_y * per) * share
     q *= ground.height_scale

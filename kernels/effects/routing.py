@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Drainage of a raster: where each sample's water goes, out of depressions and over flats, and in which order.
+"""Drainage of a raster: receivers, also out of depressions and over flats, and an order of samples.
 
-One byte a sample holds its receiver among the eight neighbours: 3 * (dy + 1) + dx + 1, and 4 for a root. `base` marks
-where water leaves: the raster's rim, so that whatever has a receiver has eight neighbours, and holes. Depressions are
-left over the lowest passes between their basins: the graph of Cordonnier, Bovy and Braun (2019), "A versatile, linear
-complexity algorithm for flow routing in topographies with depressions", section 2, here as a run of Kruskal's algorithm
-whose links turn the flow of a basin's own tree around, so that no graph is built. All steps but the sort are linear.
+One byte for each sample is its receiver among the eight neighbours, 3 * (dy + 1) + dx + 1, and 4 for a root. `base`
+marks outlets: holes, and the raster's border, so that every sample with a receiver has eight neighbours. Depressions
+drain over the lowest passes between their basins (Cordonnier, Bovy and Braun 2019, "A versatile, linear complexity
+algorithm for flow routing in topographies with depressions", section 2). Here Kruskal's algorithm links basins by
+reversing the flow in a basin's tree, so that no graph is built. All steps but the sort are linear.
 """
 
 import warp as wp
 
 from ..field.noise import scramble
 from .rows import (
-    Drainage,
+    DrainageArrays,
     count_donors_of_row,
     find_receivers_of_row,
     label_samples,
@@ -23,14 +23,16 @@ from .rows import (
 )
 
 ROOT = wp.constant(wp.uint8(4))
-# Added to the receiver of a flat's sample that stands in the queue of the first pass.
+# Added to the receiver of a flat's sample that is in the queue of the first pass.
 WAITING = wp.constant(wp.uint8(16))
 
 
 @wp.struct
 class Draw:
-    """Noise in the choice of receivers: every slope times 1 - jitter / 2 .. 1 + jitter / 2, which breaks the straight
-    lines of eight directions. By the place: `row`, `column` are those of the first sample in the whole raster."""
+    """Noise in the choice of receivers: slopes times 1 - jitter / 2 .. 1 + jitter / 2, which breaks straight lines.
+
+    It is a function of the position; `row`, `column`: position of the first sample in the whole raster.
+    """
 
     jitter: wp.float32
     seed: wp.uint32
@@ -40,25 +42,25 @@ class Draw:
 
 @wp.func
 def towards(i: wp.int32, k: wp.int32, width: wp.int32) -> wp.int32:
-    """The neighbour of sample i in direction k."""
+    """Return the neighbour of sample i in direction k."""
     return i + (k / 3 - 1) * width + (k % 3 - 1)
 
 
 @wp.func
 def axis(k: wp.int32) -> wp.int32:
-    """Which of the three weights direction k has."""
+    """Return the index of direction k's weight: 0 east-west, 1 north-south, 2 diagonal."""
     return wp.where(k % 2 == 0, 2, wp.where(k == 3 or k == 5, 0, 1))
 
 
 @wp.func
 def straight_first(q: wp.int32) -> wp.int32:
-    """The eight directions, the four along the axes first: q = 0 .. 7."""
+    """Return direction q = 0 .. 7, the four along the axes first."""
     return wp.where(q < 4, 2 * q + 1, wp.where(q < 6, 2 * (q - 4), 2 * (q - 3)))
 
 
 @wp.kernel
-def find_receivers(offset: int, d: Drainage, nearness: wp.vec3f, draw: Draw):
-    """Row `offset + tid`: each sample's steepest way down (O'Callaghan and Mark 1984), ROOT where there is none."""
+def find_receivers(offset: int, d: DrainageArrays, nearness: wp.vec3f, draw: Draw):
+    """Find the D8 receivers of row `offset + tid` (O'Callaghan and Mark 1984), ROOT without a lower neighbour."""
     y = offset + wp.tid()
     first = y * d.grid.width
     if y == 0 or y == d.grid.height - 1:
@@ -68,15 +70,14 @@ def find_receivers(offset: int, d: Drainage, nearness: wp.vec3f, draw: Draw):
         d.to[first] = ROOT
         d.to[first + d.grid.width - 1] = ROOT
         noise = scramble(wp.uint32(draw.row + y) + draw.seed) + wp.uint32(draw.column)
-        least = wp.float32(1.0) - draw.jitter * wp.float32(0.498046875)  # the mean of 256 steps is 1
+        lowest = wp.float32(1.0) - draw.jitter * wp.float32(0.498046875)  # the mean of 256 steps is 1
         step = draw.jitter * wp.float32(0.00390625)
-        find_receivers_of_row(d, y, nearness, least, step, noise)
+        find_receivers_of_row(d, y, nearness, lowest, step, noise)
 
 
 @wp.func
-def grow(d: Drainage, end: wp.int32):
-    """Level samples without a receiver flow towards those in the queue, each along one of the shortest ways. The queue
-    is the first `end` of `order`."""
+def grow(d: DrainageArrays, end: wp.int32):
+    """Route level samples without a receiver towards the queue, the first `end` of `order`, along shortest paths."""
     at = wp.int32(0)
     while at < end:
         i = d.order[at]
@@ -93,8 +94,8 @@ def grow(d: Drainage, end: wp.int32):
 
 
 @wp.kernel
-def cross_flats(d: Drainage, pits: wp.array(dtype=wp.int32)):
-    """Serial. A flat drains to where it has an outlet, the nearest one; without one, to its first sample, a pit.
+def cross_flats(d: DrainageArrays, pits: wp.array(dtype=wp.int32)):
+    """Drain flats to their nearest outlet, serially; a flat without one drains to its first sample, a pit.
 
     `order` is scratch, `pits` [1] becomes the number of pits, and `label` of each its number from 2 on.
     """
@@ -115,7 +116,7 @@ def cross_flats(d: Drainage, pits: wp.array(dtype=wp.int32)):
         i = next_pit(d, i + 1)
     grow(d, end)
     count = wp.int32(0)
-    # What flows to a pit has a receiver already when the scan comes to it.
+    # Samples that flow to a pit already have a receiver when the scan reaches them.
     i = next_pit(d, 0)
     while i < n:
         d.base[i] = wp.uint8(1)  # while it grows, so that nothing gives it a receiver
@@ -129,10 +130,10 @@ def cross_flats(d: Drainage, pits: wp.array(dtype=wp.int32)):
 
 
 @wp.kernel
-def label_basins(offset: int, block: int, d: Drainage):
-    """Block `offset + tid`: the number of the pit that each sample flows to, 1 for any of `base`; 0 before.
+def label_basins(offset: int, block: int, d: DrainageArrays):
+    """Set the labels of block `offset + tid`, 0 before, to the number of the pit downstream, 1 for `base`.
 
-    A thread may write labels of other blocks: all write the same, since a sample has one root.
+    A thread may write labels of other blocks; all write the same, since a sample has one root.
     """
     first = (offset + wp.tid()) * block
     label_samples(d, first, wp.min(first + block, d.grid.width * d.grid.height))
@@ -142,15 +143,15 @@ def label_basins(offset: int, block: int, d: Drainage):
 def find_passes(
     offset: int,
     emit: int,
-    d: Drainage,
+    d: DrainageArrays,
     start: wp.array(dtype=wp.int64),
     key: wp.array(dtype=wp.float32),
     edge: wp.array(dtype=wp.int32),
 ):
-    """Row `offset + tid`, which is not the last: its neighbours of other basins among those ahead (directions 5 - 8):
-    their number into `start`, or, with `emit`, from `start` on the height of each pass and 4 * sample + direction - 5.
+    """Count the passes of row `offset + tid` to other basins in directions 5 - 8 into `start`, or list them (`emit`).
 
-    Both ends of a pass in the last row are of `base`.
+    The list has the height of each pass and 4 * sample + direction - 5, from `start` on. The last row is left out, as
+    both ends of its passes are of `base`.
     """
     y = offset + wp.tid()
     if emit == 0:
@@ -161,6 +162,7 @@ def find_passes(
 
 @wp.func
 def representative(up: wp.array(dtype=wp.int32), a: wp.int32) -> wp.int32:
+    """Return the representative of the set of basin a (union-find with path halving)."""
     while up[a] != a:
         up[a] = up[up[a]]
         a = up[a]
@@ -169,7 +171,7 @@ def representative(up: wp.array(dtype=wp.int32), a: wp.int32) -> wp.int32:
 
 @wp.func
 def turn(to: wp.array(dtype=wp.uint8), i: wp.int32, k: wp.int32, width: wp.int32):
-    """Sample i flows in direction k from now on, and what it flowed to, down to the root, flows to it."""
+    """Set the receiver of sample i to direction k and reverse its old path to the root."""
     at = wp.int32(i)
     new = wp.int32(k)
     going = wp.int32(1)
@@ -184,10 +186,10 @@ def turn(to: wp.array(dtype=wp.uint8), i: wp.int32, k: wp.int32, width: wp.int32
 
 
 @wp.kernel
-def link_basins(count: int, pits: int, d: Drainage, edge: wp.array(dtype=wp.int32), up: wp.array(dtype=wp.int32)):
-    """Serial. From the lowest pass on: of two basins that are not linked yet one drains over it, never that of `base`.
+def link_basins(count: int, pits: int, d: DrainageArrays, edge: wp.array(dtype=wp.int32), up: wp.array(dtype=wp.int32)):
+    """Link basins over the passes in ascending order, serially: one of two unlinked basins drains over the pass.
 
-    `up` [pits + 2]: the sets of basins that are linked, each its own before.
+    It is never the one of `base`. `up` [pits + 2]: sets of linked basins, one for each basin before.
     """
     outside = wp.int32(1)
     left = wp.int32(pits)
@@ -200,7 +202,7 @@ def link_basins(count: int, pits: int, d: Drainage, edge: wp.array(dtype=wp.int3
         b = representative(up, d.label[j])
         if a != b:
             left -= 1
-            # The set of `outside` keeps its number, so that one comparison knows it.
+            # The set of `outside` keeps its number, so that one comparison identifies it.
             if a == outside:
                 turn(d.to, j, 8 - k, d.grid.width)
                 up[b] = a
@@ -211,8 +213,8 @@ def link_basins(count: int, pits: int, d: Drainage, edge: wp.array(dtype=wp.int3
 
 
 @wp.func
-def donors_at(d: Drainage, x: wp.int32, y: wp.int32) -> wp.uint8:
-    """How many neighbours flow to a sample of the rim."""
+def donors_at(d: DrainageArrays, x: wp.int32, y: wp.int32) -> wp.uint8:
+    """Return the number of donors of a sample on the border."""
     count = wp.int32(0)
     for k in range(9):
         xx = x + k % 3 - 1
@@ -224,8 +226,8 @@ def donors_at(d: Drainage, x: wp.int32, y: wp.int32) -> wp.uint8:
 
 
 @wp.kernel
-def count_donors(offset: int, d: Drainage):
-    """Row `offset + tid`: how many neighbours flow to each sample."""
+def count_donors(offset: int, d: DrainageArrays):
+    """Count the donors of each sample of row `offset + tid`."""
     y = offset + wp.tid()
     if y == 0 or y == d.grid.height - 1:
         for x in range(d.grid.width):
@@ -238,8 +240,10 @@ def count_donors(offset: int, d: Drainage):
 
 
 @wp.kernel
-def order_downstream(d: Drainage):
-    """Serial. All samples, each after those that flow to it (Zhou, Wei and Fu 2019): down from each spring as far as
-    no other branch is missing. `donors` is used up. `area`: what each sample counts before, the sum of all that drains
-    through it after."""
+def order_downstream(d: DrainageArrays):
+    """Order all samples, donors before receivers, serially (Zhou, Wei and Fu 2019).
+
+    It walks down from each spring until another branch is missing. Overwrites `donors`. `area`: first the weights of
+    samples, then their sums over all upstream samples.
+    """
     walk_downstream(d)

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A raster that drains, and snippets of C for the loops of routing that every sample passes;
-tests/kernels/test_routing_rows.py says in Python what each stands for. No product and sum stand in one statement:
-fused, they would round otherwise.
+"""Arrays of a raster's drainage, and C snippets for the loops of routing over all samples.
 
-Rows, which Warp's own loops leave scalar, and walks. Nanoseconds a sample of the island at 1025 x 1025, with them and
-in Warp alone: receivers 1.3 and 18, donors 0.2 and 11, passes 3 and 11, pits 1 and 7, basins 7 and 10, order with areas
-9 and 12.
+tests/kernels/test_routing_rows.py has each of them in Python. No statement has a product and a sum, which some
+processors would fuse and round differently. Nanoseconds for a sample of the island at 1025 x 1025, in C and in Warp:
+receivers 1.3 and 18, donors 0.2 and 11, passes 3 and 11, pits 1 and 7, basins 7 and 10, order with areas 9 and 12.
 """
 
 import warp as wp
@@ -13,9 +11,9 @@ import warp as wp
 
 @wp.struct
 class Grid:
-    """Samples in rows, and weights by direction: to east and west, to north and south, diagonally.
+    """Samples in rows, and weights by direction: east-west, north-south, diagonal.
 
-    `nearness`: one over the distance, 1 / m. `share`: of flow to several neighbours, for a metre of fall.
+    `nearness`: 1 / distance in 1/m. `share`: weight of the flow to several neighbours for a metre of fall.
     """
 
     width: wp.int32
@@ -25,18 +23,18 @@ class Grid:
 
 
 @wp.struct
-class Drainage:
-    """A raster and how it drains, [n]; see routing.py and catchment.py."""
+class DrainageArrays:
+    """A raster and its drainage, [n]; see routing.py and catchment.py."""
 
     grid: Grid
     h: wp.array(dtype=wp.float32)  # metres
     base: wp.array(dtype=wp.uint8)  # 1 where water leaves
-    to: wp.array(dtype=wp.uint8)  # the receiver, as a direction
-    label: wp.array(dtype=wp.int32)  # the number of the basin
-    donors: wp.array(dtype=wp.uint8)  # how many neighbours flow there
-    order: wp.array(dtype=wp.int32)  # samples after those that flow to them
-    area: wp.array(dtype=wp.float64)  # samples that drain through each
-    filled: wp.array(dtype=wp.float32)  # the surface with its lakes
+    to: wp.array(dtype=wp.uint8)  # direction of the receiver
+    label: wp.array(dtype=wp.int32)  # number of the basin
+    donors: wp.array(dtype=wp.uint8)  # number of donors
+    order: wp.array(dtype=wp.int32)  # samples, donors before receivers
+    area: wp.array(dtype=wp.float64)  # drainage area in samples
+    filled: wp.array(dtype=wp.float32)  # surface with lakes
 
 
 @wp.func_native("""
@@ -57,27 +55,27 @@ class Drainage:
         b = b ^ (b >> 16);
         float z = m[x], best = 0.0f, v, f;
         int k = 4;
-        f = (float)(int)(a & 255) * step; f = f + least; v = (z - s[x - 1]) * across; v = v * f;
+        f = (float)(int)(a & 255) * step; f = f + lowest; v = (z - s[x - 1]) * across; v = v * f;
         k = v > best ? 0 : k; best = v > best ? v : best;
-        f = (float)(int)((a >> 8) & 255) * step; f = f + least; v = (z - s[x]) * ns; v = v * f;
+        f = (float)(int)((a >> 8) & 255) * step; f = f + lowest; v = (z - s[x]) * ns; v = v * f;
         k = v > best ? 1 : k; best = v > best ? v : best;
-        f = (float)(int)((a >> 16) & 255) * step; f = f + least; v = (z - s[x + 1]) * across; v = v * f;
+        f = (float)(int)((a >> 16) & 255) * step; f = f + lowest; v = (z - s[x + 1]) * across; v = v * f;
         k = v > best ? 2 : k; best = v > best ? v : best;
-        f = (float)(int)(a >> 24) * step; f = f + least; v = (z - m[x - 1]) * ew; v = v * f;
+        f = (float)(int)(a >> 24) * step; f = f + lowest; v = (z - m[x - 1]) * ew; v = v * f;
         k = v > best ? 3 : k; best = v > best ? v : best;
-        f = (float)(int)(b & 255) * step; f = f + least; v = (z - m[x + 1]) * ew; v = v * f;
+        f = (float)(int)(b & 255) * step; f = f + lowest; v = (z - m[x + 1]) * ew; v = v * f;
         k = v > best ? 5 : k; best = v > best ? v : best;
-        f = (float)(int)((b >> 8) & 255) * step; f = f + least; v = (z - n[x - 1]) * across; v = v * f;
+        f = (float)(int)((b >> 8) & 255) * step; f = f + lowest; v = (z - n[x - 1]) * across; v = v * f;
         k = v > best ? 6 : k; best = v > best ? v : best;
-        f = (float)(int)((b >> 16) & 255) * step; f = f + least; v = (z - n[x]) * ns; v = v * f;
+        f = (float)(int)((b >> 16) & 255) * step; f = f + lowest; v = (z - n[x]) * ns; v = v * f;
         k = v > best ? 7 : k; best = v > best ? v : best;
-        f = (float)(int)(b >> 24) * step; f = f + least; v = (z - n[x + 1]) * across; v = v * f;
+        f = (float)(int)(b >> 24) * step; f = f + lowest; v = (z - n[x + 1]) * across; v = v * f;
         k = v > best ? 8 : k;
         out[x] = stops[x] ? 4 : (unsigned char)k;
     }
 """)
 def find_receivers_of_row(
-    d: Drainage, y: int, nearness: wp.vec3f, least: wp.float32, step: wp.float32, noise: wp.uint32
+    d: DrainageArrays, y: int, nearness: wp.vec3f, lowest: wp.float32, step: wp.float32, noise: wp.uint32
 ): ...
 
 
@@ -94,7 +92,7 @@ def find_receivers_of_row(
         out[x] = low + high;
     }
 """)
-def count_donors_of_row(d: Drainage, y: int): ...
+def count_donors_of_row(d: DrainageArrays, y: int): ...
 
 
 @wp.func_native("""
@@ -117,8 +115,8 @@ def count_donors_of_row(d: Drainage, y: int): ...
     }
     return n;
 """)
-def next_pit(d: Drainage, i: int) -> int:
-    """The first sample from i on without a receiver that is not of `base`; the number of samples if there is none."""
+def next_pit(d: DrainageArrays, i: int) -> int:
+    """Return the first sample from i on without a receiver that is not of `base`; the number of samples if none."""
     ...
 
 
@@ -139,7 +137,7 @@ def next_pit(d: Drainage, i: int) -> int:
         }
     }
 """)
-def label_samples(d: Drainage, first: int, end: int): ...
+def label_samples(d: DrainageArrays, first: int, end: int): ...
 
 
 @wp.func_native("""
@@ -153,8 +151,8 @@ def label_samples(d: Drainage, first: int, end: int): ...
     return count + (m[0] != m[1]) + (m[0] != n[0]) + (m[0] != n[1]) + (m[width - 1] != n[width - 2])
         + (m[width - 1] != n[width - 1]);
 """)
-def passes_of_row(d: Drainage, y: int) -> int:
-    """How many neighbours to the east and in the next row are of another basin."""
+def passes_of_row(d: DrainageArrays, y: int) -> int:
+    """Return the number of neighbours to the east and in the next row that are of another basin."""
     ...
 
 
@@ -190,7 +188,7 @@ def passes_of_row(d: Drainage, y: int) -> int:
     }
 """)
 def list_passes_of_row(
-    d: Drainage, y: int, at: wp.int64, key: wp.array(dtype=wp.float32), edge: wp.array(dtype=wp.int32)
+    d: DrainageArrays, y: int, at: wp.int64, key: wp.array(dtype=wp.float32), edge: wp.array(dtype=wp.int32)
 ): ...
 
 
@@ -215,4 +213,4 @@ def list_passes_of_row(
         }
     }
 """)
-def walk_downstream(d: Drainage): ...
+def walk_downstream(d: DrainageArrays): ...

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Weights of splat layers at places, from what their rules are about; see cbt_terrain/effects/splat_rules.py.
+"""Weights of splat layers at points by their rules; see cbt_terrain/effects/splat_rules.py.
 
-Weights are multiples of 2^-24 that add up to 1: whatever some of them add up to, in any order, is then exact in
-float32.
+Weights are multiples of 2^-24 that add up to 1, so that any sum of them is exact in float32.
 """
 
 import warp as wp
@@ -14,8 +13,8 @@ from .logarithm import natural_log
 MOST_LAYERS = wp.constant(12)
 Weights = wp.types.vector(length=12, dtype=wp.float32)
 
-# Kinds of rules: the value itself, its logarithm to the base 10, the part of a direction, the layer's noise, another
-# layer, an image.
+# Kinds of rules: a value, its decimal logarithm, the component in a direction, the layer's noise, another layer, an
+# image.
 VALUE = wp.constant(0)
 LOGARITHM = wp.constant(1)
 DIRECTION = wp.constant(2)
@@ -27,14 +26,14 @@ OCTAVES = wp.constant(4)
 GOLDEN = wp.constant(wp.uint32(0x9E3779B9))
 UNITS = wp.constant(wp.float32(16777216.0))  # 2^24
 UNIT = wp.constant(wp.float32(5.9604644775390625e-08))
-# A sum of weights below this is nothing: what would be shared has no digits left.
-LEAST = wp.constant(wp.float32(1e-12))
+# A sum of weights below this counts as 0.
+MIN_SUM = wp.constant(wp.float32(1e-12))
 
 
 @wp.struct
 class SplatRule:
-    """`at`: the row of `values`, the number of the layer, or the first sample of the image, which is [rows, columns].
-    `sine`, `cosine`: of the direction."""
+    """A rule. `at`: row of `values`, index of the layer, or first pixel of the image [rows, columns]. `sine`, `cosine`:
+    of the direction."""
 
     kind: wp.int32
     at: wp.int32
@@ -50,7 +49,7 @@ class SplatRule:
 
 @wp.struct
 class SplatLayer:
-    """Its rules are those from `first` to `end`. `noise_size`: metres, 0 for no noise."""
+    """A layer with the rules from `first` to `end`. `noise_size`: metres, 0 for no noise."""
 
     first: wp.int32
     end: wp.int32
@@ -63,9 +62,9 @@ class SplatLayer:
 
 @wp.struct
 class Splat:
-    """Layers, and what their rules read. `values`: a row of `count` numbers for each quantity; directions have two.
+    """Layers and the values that their rules read: a row of `count` numbers for each quantity, two for directions.
 
-    Places are in metres from the raster's south-west corner at `west`, `south`; it is `across` by `up` metres.
+    The raster's south-west corner is at `west`, `south`; it is `across` by `up` metres.
     """
 
     layers: wp.array(dtype=SplatLayer)
@@ -83,26 +82,26 @@ class Splat:
 
 @wp.func
 def smooth(x: wp.float32) -> wp.float32:
-    """0 below 0, 1 above 1."""
+    """Return the smoothstep, 0 below 0 and 1 above 1."""
     t = wp.clamp(x, 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
 
 @wp.func
 def corner(row: wp.uint32, i: wp.uint32) -> wp.float32:
-    """Value of the lattice point i of a hashed row, in -1 .. 1."""
+    """Return the value of lattice point i of a hashed row, -1 .. 1."""
     return wp.float32(wp.int32(scramble(row + i))) * 4.656612873077393e-10
 
 
 @wp.func
 def fade(t: wp.float32) -> wp.float32:
-    """Perlin's quintic ("Improving noise", 2002)."""
+    """Return Perlin's quintic ("Improving noise", 2002)."""
     return t * t * t * (t * (t * 6.0 - 15.0) + 10.0)
 
 
 @wp.func
 def wave(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float32:
-    """Value noise in -1 .. 1, lattice points one apart."""
+    """Return value noise in -1 .. 1 of lattice spacing 1."""
     column = wp.floor(x)
     row = wp.floor(y)
     i = wp.uint32(wp.int64(column))
@@ -117,12 +116,12 @@ def wave(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float32:
 
 @wp.func
 def noise_of(layer: SplatLayer, x: wp.float64, y: wp.float64, footprint: wp.float64) -> wp.float32:
-    """Noise in -1 .. 1 of octaves from the layer's size on, those that are shorter than two footprints fading out."""
+    """Return the layer's noise, -1 .. 1; octaves fade out below two footprints."""
     sum = wp.float32(0.0)
     if layer.noise_size > wp.float64(0.0):
         per = wp.float64(1.0) / layer.noise_size
         seen = wp.float32(layer.noise_size / footprint)  # footprints in a wave
-        amount = wp.float32(8.0 / 15.0)  # they add up to 1
+        amount = wp.float32(8.0 / 15.0)  # amplitudes add up to 1
         octave = wp.int32(0)
         while octave < OCTAVES and seen > 1.0:
             waves = wave(x * per, y * per, layer.seed + wp.uint32(octave) * GOLDEN)
@@ -136,7 +135,7 @@ def noise_of(layer: SplatLayer, x: wp.float64, y: wp.float64, footprint: wp.floa
 
 @wp.func
 def image_at(images: wp.array(dtype=wp.float32), r: SplatRule, u: wp.float64, v: wp.float64) -> wp.float32:
-    """Bilinear between the middles of pixels; u, v in 0 .. 1 over the image."""
+    """Interpolate an image bilinearly between pixel centres; u, v: 0 .. 1 over the image."""
     x = wp.clamp(u * wp.float64(r.columns) - wp.float64(0.5), wp.float64(0.0), wp.float64(r.columns - 1))
     y = wp.clamp(v * wp.float64(r.rows) - wp.float64(0.5), wp.float64(0.0), wp.float64(r.rows - 1))
     i = wp.int32(x)
@@ -153,29 +152,29 @@ def image_at(images: wp.array(dtype=wp.float32), r: SplatRule, u: wp.float64, v:
 
 @wp.func
 def covered(q: wp.float32, low: wp.float32, high: wp.float32, per_edge: wp.float32, kind: wp.int32) -> wp.float32:
-    """The band of a rule; straight edges where a quantity is a share itself."""
+    """Return the weight of a rule; its edges are linear if the quantity is a weight itself."""
     a = (q - low) * per_edge + 0.5
     b = (high - q) * per_edge + 0.5
-    least = wp.min(a, b)
-    part = wp.float32(1.0)
-    if least <= 0.0:
-        part = 0.0
-    elif least < 1.0 and kind >= LAYER:
-        part = wp.min(a, 1.0) * wp.min(b, 1.0)
-    elif least < 1.0:
-        part = smooth(a) * smooth(b)
-    return part
+    nearer = wp.min(a, b)
+    weight = wp.float32(1.0)
+    if nearer <= 0.0:
+        weight = 0.0
+    elif nearer < 1.0 and kind >= LAYER:
+        weight = wp.min(a, 1.0) * wp.min(b, 1.0)
+    elif nearer < 1.0:
+        weight = smooth(a) * smooth(b)
+    return weight
 
 
 @wp.func
 def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp.float64) -> Weights:
-    """How much of a place each layer covers by its own rules."""
+    """Return the cover of each layer by its own rules."""
     covers = Weights()
     for number in range(s.layer_count):
         layer = s.layers[number]
         noise = wp.float32(0.0)
         cover = layer.strength
-        # Noise is dear, and far from its limits it changes nothing of a rule: rules that need it have the second turn.
+        # Noise is expensive and does not matter far from a rule's limits: rules that need it have the second turn.
         turn = wp.int32(0)
         turns = wp.int32(1)
         while turn < turns and cover > 0.0:
@@ -215,7 +214,7 @@ def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp
 
 @wp.func
 def shares_of(w: Weights, count: wp.int32) -> Weights:
-    """The weights in proportion, as multiples of 2^-24 that add up to 1: the largest takes what rounding leaves."""
+    """Normalize weights to multiples of 2^-24 that add up to 1; the largest gets the rounding."""
     total = wp.float32(0.0)
     largest = wp.int32(0)
     for k in range(count):
@@ -224,7 +223,7 @@ def shares_of(w: Weights, count: wp.int32) -> Weights:
             largest = k
     rest = wp.int32(16777216)
     out = Weights()
-    if total > LEAST:
+    if total > MIN_SUM:
         scale = UNITS / total
         for k in range(count):
             if k != largest:
@@ -246,13 +245,13 @@ def splats(
     out_2: wp.array(dtype=wp.vec4f),
     out_3: wp.array(dtype=wp.vec4f),
 ):
-    """Weights at the places `positions` and their levels; bit k of `wanted` asks for the k-th four layers."""
+    """Compute weights at points and their levels; bit k of `wanted` requests layers 4 k to 4 k + 3."""
     v = offset + wp.tid()
     x = wp.float64(positions[v][0]) - s.west
     y = wp.float64(positions[v][1]) - s.south
     level = wp.clamp(levels[v], 0.0, 30.0)
     whole = wp.int32(level)
-    # Between two levels the footprint is taken linear: a power of two by the C library is not the same everywhere.
+    # The footprint is linear between two levels, since powers of the C library differ between machines.
     footprint = s.step * wp.float64(wp.int32(1) << whole) * wp.float64(1.0 + level - float(whole))
     covers = covers_at(s, v, x, y, footprint)
     w = Weights()
@@ -260,14 +259,14 @@ def splats(
     for k in range(s.layer_count):
         cover = covers[k]
         if s.layers[k].on_top != 0 and k > 0:
-            if sum <= LEAST:  # on bare ground, which is the first layer's
+            if sum <= MIN_SUM:  # bare ground has the first layer
                 w[0] = 1.0
                 sum = 1.0
-            part = wp.min(cover, 1.0)
-            left = (1.0 - part) / sum
+            weight = wp.min(cover, 1.0)
+            left = (1.0 - weight) / sum
             for below in range(k):
                 w[below] = w[below] * left
-            w[k] = part
+            w[k] = weight
             sum = wp.float32(1.0)
         else:
             w[k] = cover

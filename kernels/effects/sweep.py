@@ -1,29 +1,30 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Horizons of every sample of a raster along one azimuth, and the sky that they leave (Timonen and Westerholm 2010,
-"Scalable height field self-shadowing").
+"""Horizons of every sample of a raster along one azimuth, and the visible sky (Timonen and Westerholm 2010, "Scalable
+height field self-shadowing").
 
-Parallel lines run along the azimuth, one sample apart; a line's profile has one point at each sample of the direction
-that it is nearer to, between two samples of the other. From the far end to the near one each point's horizon is the
-last corner of the convex hull of those ahead, from which the points that later ones cannot see any more have been taken
-away: a few operations a point, however far it sees. A sample's horizon is between those of the two lines beside it.
+Parallel lines run along the azimuth, one sample apart. A line's profile has one point at each sample of the direction
+that it is nearer to, between two samples of the other. From the far end to the near one, each point's horizon is the
+last corner of the convex hull of the points ahead, from which hidden points have been removed: a few operations for a
+point, however far it sees. A sample's horizon is interpolated from the two lines next to it.
 """
 
 import warp as wp
 
 from .horizon import Occluder, cells_of, gradient
-from .light import open_part
+from .light import open_fraction
 
-LINES = 64  # of one item of work
+LINES = 64  # in an item of work
 
 
 @wp.struct
 class Sweep:
     """Heights and the lines over them. The *major* direction is the one that lines are nearer to.
 
-    A line has a point at each of `major` samples, and crosses `slope` of the `minor` ones from one to the next. Items
-    of work are LINES lines; each has its part of the scratch arrays."""
+    A line has a point at each of the `major` samples and moves by `slope` of the `minor` ones from one to the next. An
+    item of work has LINES lines and its own part of the scratch arrays.
+    """
 
-    heights: wp.array(dtype=wp.float32)  # metres; they count `scale` times
+    heights: wp.array(dtype=wp.float32)  # metres, multiplied by `scale`
     scale: wp.float64
     major: wp.int32
     minor: wp.int32
@@ -31,9 +32,9 @@ class Sweep:
     minor_stride: wp.int32
     backwards: wp.int32  # 1: the azimuth goes towards sample 0 of the major direction
     slope: wp.float64
-    phase: wp.float64  # samples by which lines are moved along the minor direction, 0 to 1
-    metres: wp.float64  # from a point of a line to the next
-    first: wp.int32  # number of the first line: where it is at the major sample 0
+    phase: wp.float64  # offset of lines along the minor direction in samples, 0 to 1
+    metres: wp.float64  # distance between points of a line
+    first: wp.int32  # number of the first line, its minor sample at the major sample 0
     lines: wp.int32
     profiles: wp.array(dtype=wp.float64)  # scratch, [major] of each item
     hulls: wp.array(dtype=wp.int32)  # likewise
@@ -59,17 +60,17 @@ class Sweep:
             if (!(at >= 0.0 && at <= m - 1)) continue;
             const int j = (int)at < m - 2 ? (int)at : m - 2;
             const float *p = s.heights.data + k * along + j * across;
-            const double own = s.scale * (p[0] + ((double)p[across] - p[0]) * (at - j));
+            const double height = s.scale * (p[0] + ((double)p[across] - p[0]) * (at - j));
             auto ahead = [&](int i) { return (double)(i > k ? i - k : k - i); };
             while (corners > 1) {
                 const int a = hull[corners - 1], b = hull[corners - 2];
-                if ((z[b] - own) * ahead(a) < (z[a] - own) * ahead(b)) break;
+                if ((z[b] - height) * ahead(a) < (z[a] - height) * ahead(b)) break;
                 corners--;
             }
             const int top = corners ? hull[corners - 1] : k;
-            const double rise = corners ? (z[top] - own) / (ahead(top) * s.metres) : 0.0;
+            const double rise = corners ? (z[top] - height) / (ahead(top) * s.metres) : 0.0;
             now[k] = rise > 0.0 ? (float)rise : 0.0f;
-            z[k] = own;
+            z[k] = height;
             hull[corners++] = k;
         }
         for (int k = 0; k < n && l && l >= item * LINES; k++) {  // samples between the line before and this one
@@ -88,19 +89,19 @@ def sweep_lines(s: Sweep, item: int): ...
 
 @wp.kernel
 def sweep(offset: int, s: Sweep):
-    """Lines of item `offset + tid`, and the one before, from which the horizons of the samples between lines are."""
+    """Compute the horizons of the lines of item `offset + tid`, and interpolate them at the samples between lines."""
     sweep_lines(s, offset + wp.tid())
 
 
 @wp.struct
 class Sky:
-    """What is over one azimuth of a raster's sky, in rows of `columns` samples."""
+    """The sky of a raster in one azimuth, rows of `columns` samples."""
 
     columns: wp.int32
     rows: wp.int32
-    per_cell: wp.vec2f  # the vertical scale by metres of a cell
+    per_cell: wp.vec2f  # vertical scale over the size of a cell in metres
     azimuth: wp.vec2f
-    share: wp.float32  # of the whole sky
+    share: wp.float32  # fraction of the whole sky
     heights: wp.array(dtype=wp.float32)
     horizons: wp.array(dtype=wp.float32)
     out: wp.array(dtype=wp.float32)  # the sky so far
@@ -133,20 +134,22 @@ class Sky:
     add(columns - 1, columns - 2, columns - 1, per_x);
 """)
 def add_row(sky: Sky, y: int):
-    """`open_part` of light.py for a row of samples, with their central differences, one-sided at the rim: in single
-    precision, and as C with vectors ten times faster than there."""
+    """Add `open_fraction` of light.py for a row of samples, by central differences, one-sided at the border.
+
+    Vectorized C in single precision, ten times as fast as there.
+    """
     ...
 
 
 @wp.kernel
 def add_sky(offset: int, sky: Sky):
-    """Row `offset + tid` of the raster: add the share that is over the azimuth."""
+    """Add the sky of one azimuth to row `offset + tid`."""
     add_row(sky, offset + wp.tid())
 
 
 @wp.struct
 class SkyLayer:
-    """Values at the samples of a raster, or of a coarser one."""
+    """Values at the samples of a raster or of one of its levels."""
 
     values: wp.array(dtype=wp.float32)
     columns: wp.int32
@@ -159,7 +162,7 @@ class SkyLayer:
 
 @wp.func
 def bilinear(layer: SkyLayer, first: wp.int64, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Of the values from `first` on, `x` and `y` samples from the first."""
+    """Interpolate the values from index `first` on, `x` and `y` samples from it."""
     i = wp.min(wp.int32(x), layer.columns - 2)
     j = wp.min(wp.int32(y), layer.rows - 2)
     at = first + wp.int64(j) * wp.int64(layer.columns) + wp.int64(i)
@@ -174,7 +177,7 @@ def bilinear(layer: SkyLayer, first: wp.int64, x: wp.float64, y: wp.float64) -> 
 
 @wp.kernel
 def take(offset: int, layer: SkyLayer, places: wp.array(dtype=wp.vec3f), out: wp.array(dtype=wp.float32)):
-    """The value of a layer at each place; beyond the rim that of the rim."""
+    """Interpolate a layer at each point, clamped to the raster."""
     i = offset + wp.tid()
     x = cells_of(wp.float64(places[i][0]), layer.west, layer.step_x, layer.columns - 1)
     y = cells_of(wp.float64(places[i][1]), layer.south, layer.step_y, layer.rows - 1)
@@ -190,7 +193,7 @@ def sky_between(
     places: wp.array(dtype=wp.vec3f),
     out: wp.array(dtype=wp.float32),
 ):
-    """The sky of each place from the horizons of a coarser raster, a layer each, and the ground's own normal."""
+    """Compute the sky of each point from the horizons of a coarser raster, a layer each, and the ground's normal."""
     i = offset + wp.tid()
     east = wp.float64(places[i][0])
     north = wp.float64(places[i][1])
@@ -203,5 +206,5 @@ def sky_between(
     total = wp.float64(0.0)
     for k in range(azimuths.shape[0]):
         slope = wp.max(bilinear(horizons, layer * wp.int64(k), x, y), wp.dot(g, azimuths[k]))
-        total += open_part(slope, g, azimuths[k])
+        total += open_fraction(slope, g, azimuths[k])
     out[i] = wp.clamp(wp.float32(total / wp.float64(azimuths.shape[0])), wp.float32(0.0), wp.float32(1.0))

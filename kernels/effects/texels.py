@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Texels of maps: where on the ground they are."""
+"""Positions of the texels of maps on the ground."""
 
 import warp as wp
 
 from ..field.codes import bilinear, corners_of
-from .pyramid import Ground
+from .pyramid import Pyramid
 
 
 @wp.struct
 class Texels:
-    """An image over the ground: the centre of its first texel, which is the north-western one, and its steps."""
+    """An image over the ground: the centre of its first, north-western texel, and its steps."""
 
     columns: wp.int32
     west: wp.float64
@@ -19,8 +19,8 @@ class Texels:
 
 
 @wp.kernel
-def texel_places(offset: int, first: int, ground: Ground, texels: Texels, out: wp.array(dtype=wp.vec3f)):
-    """The ground under texel `first + offset + tid`, bilinear between samples; of one beyond the raster, at its rim."""
+def texel_places(offset: int, first: int, ground: Pyramid, texels: Texels, out: wp.array(dtype=wp.vec3f)):
+    """Compute the ground under texel `first + offset + tid`, bilinear between samples, clamped to the raster."""
     i = offset + wp.tid()
     texel = first + i
     columns = ground.columns[0]

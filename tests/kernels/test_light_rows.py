@@ -137,10 +137,10 @@ def test_footprints_are_the_nearest_eighths_of_their_distances():
     """Of an eye that is turned and sheared: levels of float64 arithmetic, but where rounding decides between two."""
     rng, count = np.random.default_rng(6), 3 * int(footprint.BLOCK) + 17
     positions = (rng.standard_normal((count, 3)) * 10 ** rng.uniform(0, 4, (count, 1))).astype(F)
-    eye, linear, shift = footprint.Eye(), rng.standard_normal((3, 3)), rng.standard_normal(3)
+    eye, linear, shift = footprint.FootprintEye(), rng.standard_normal((3, 3)), rng.standard_normal(3)
     eye.linear, eye.shift, eye.pixel2 = wp.mat33d(linear), wp.vec3d(*shift), 1e-2
     levels = np.full(count, np.inf, F)
-    inputs = [shared(positions, wp.vec3f), wp.array([eye], dtype=footprint.Eye, device="cpu"), 6]
+    inputs = [shared(positions, wp.vec3f), wp.array([eye], dtype=footprint.FootprintEye, device="cpu"), 6]
     blocks = -(-count // int(footprint.BLOCK))
     launch.spread(footprint.footprint_levels, blocks, [*inputs, flat(levels, wp.float32)], step="test", threads=2)
     squared = ((positions.astype(float) @ linear.T + shift) ** 2).sum(1) * 1e-2

@@ -33,7 +33,7 @@ def noise(shape, draw):
 
 
 def found(h, base, steps, draw, threads):
-    to, d = np.empty(h.size, np.uint8), rows.Drainage()
+    to, d = np.empty(h.size, np.uint8), rows.DrainageArrays()
     d.grid = grid_of(*h.shape, *steps)
     d.h, d.base, d.to = flat(h, wp.float32), flat(base, wp.uint8), flat(to, wp.uint8)
     inputs = [d, d.grid.nearness, draw]

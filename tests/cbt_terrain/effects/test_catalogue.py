@@ -12,7 +12,7 @@ def test_the_example_of_a_declaration_holds(name):
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_a_declaration_says_what_it_is(name):
+def test_a_declaration_is_complete(name):
     effect = EFFECTS[name]
     assert effect.about and effect.source and effect.cost_ns > 0
     assert set(effect.reads) <= set(EFFECTS) - {name}

@@ -19,7 +19,7 @@ def plain(color, alpha=1.0, tilts=False, sides=(4, 4)):
     return picture(np.broadcast_to(np.float32([*color, alpha]), (*sides, 4)), tilts)
 
 
-def test_a_turned_decal_covers_what_is_below_it():
+def test_a_rotated_decal_covers_the_ground_below_it():
     corner, along, up = np.array([-60.0, -40.0]), np.array([80.0, 40.0]), np.array([-30.0, 60.0])
     decal = Decal("d", plain(RED, 0.25), tuple(corner), tuple(along), tuple(up), 0.5)
     colors = evaluate_on("color", FLAT, step=10.0, decals=(decal,), **GROUND)
@@ -39,7 +39,7 @@ def test_the_last_decal_is_on_top():
         assert (evaluate_on("color", FLAT, step=10.0, decals=decals, **GROUND)[16, 16] == top).all()
 
 
-def test_a_fine_pattern_is_its_mean_and_a_coarse_one_is_itself():
+def test_decals_are_filtered_by_scale():
     checker = np.ones((64, 48, 4), np.float32)
     checker[..., :3] = (np.indices((64, 48)).sum(0) % 2)[..., None]
     ends = (-200.0, -200.0), (400.0, 0.0), (0.0, 400.0)

@@ -51,13 +51,13 @@ def reference(field, places):
 
 
 @pytest.mark.parametrize("shape", [(65, 65), (64, 64), (100, 70)])
-def test_places_are_read_between_logarithms(shape):
+def test_logarithms_are_interpolated_at_points(shape):
     field = from_array(hills(shape[1], shape[0]), 10.0, 8.0)
     places = places_of(field)
     assert np.allclose(flow_at(places), reference(field, places), rtol=1e-5)
 
 
-def test_a_result_has_nothing_of_what_was_found_in_the_heights():
+def test_a_result_is_independent_of_caches_of_the_heights():
     field = from_array(hills(65, 65), 10.0, 8.0)
     field.found["sun"], field.layers["snow"] = "of the heights", field.samples
     areas = flow.logarithms(field, 1.0, 1)
@@ -86,7 +86,7 @@ def test_water_runs_the_other_way_on_inverted_ground():
     assert np.array_equal(flow_at(places_of(upright, scale=-3.0)), flow_at(places_of(inverted, scale=2.0)))
 
 
-def test_a_coded_store_with_holes_is_routed_as_its_heights_say(tmp_path):
+def test_a_coded_store_with_holes_is_routed_by_its_heights(tmp_path):
     heights = np.round(hills(80, 60)).astype(np.int16)
     heights[20:24, 30:40] = -999
     np.save(tmp_path / "map.npy", heights)
@@ -98,7 +98,7 @@ def test_a_coded_store_with_holes_is_routed_as_its_heights_say(tmp_path):
 
 def test_a_larger_raster_is_routed_at_a_coarser_level(monkeypatch):
     field = from_array(hills(130, 97), 10.0)
-    monkeypatch.setattr(flow, "MOST_SAMPLES", 66 * 49)
+    monkeypatch.setattr(flow, "MAX_SAMPLES", 66 * 49)
     assert flow.routed_level(field) == 1
     found = flow.logarithms(field, 1.0, 1)
     assert found.samples.shape == (49, 66) and found.lattice.step_x == 20.0
@@ -136,7 +136,7 @@ def stored(tmp_path):
     return imported(tmp_path, tmp_path / "map.npy", extent=(800.0, 600.0))[0]
 
 
-def test_a_result_is_made_once(stored, monkeypatch):
+def test_a_result_is_computed_once(stored, monkeypatch):
     runs = []
     route = flow.route
     monkeypatch.setattr(flow, "route", lambda *given: runs.append(1) or route(*given))
@@ -152,7 +152,7 @@ def test_a_result_is_made_once(stored, monkeypatch):
 
 
 @pytest.mark.parametrize("damage", ["byte", "short", "shape", "nan", "folder"])
-def test_a_damaged_file_is_made_again(stored, damage):
+def test_a_damaged_file_is_computed_again(stored, damage):
     first = flow_at(places_of(stored))
     file = next(store.data_folder(stored).glob("effect_flow_*.npy"))
     content = bytearray(file.read_bytes())
@@ -186,7 +186,7 @@ def test_a_store_with_results_is_still_one(stored):
 
 def test_memory_has_a_limit(monkeypatch):
     fields = [from_array(hills(64 + k, 64), 10.0) for k in range(4)]
-    monkeypatch.setattr(whole, "MOST_BYTES", int(2.5 * 64 * 70 * 4 * 4 / 3))
+    monkeypatch.setattr(whole, "MAX_BYTES", int(2.5 * 64 * 70 * 4 * 4 / 3))
     for field in fields:
         flow.logarithms(field, 1.0, 1)
-    assert len(whole._kept) == 2 and list(whole._kept)[-1].startswith(fields[-1].key)
+    assert len(whole._results) == 2 and list(whole._results)[-1].startswith(fields[-1].key)

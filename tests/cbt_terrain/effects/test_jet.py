@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.effects.effect import Places
-from adaptive_terrain.cbt_terrain.effects.jet import MADE, make
+from adaptive_terrain.cbt_terrain.effects.jet import OUTPUTS, make
 from adaptive_terrain.cbt_terrain.effects.pyramid import shapes
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -13,7 +13,7 @@ from adaptive_terrain.cbt_terrain.field.codes import Steps
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from padded import raster
 
-ALL = {name: {} for name in MADE}
+ALL = {name: {} for name in OUTPUTS}
 
 
 def made(field, x, y, level=0.0, scale=1.0, offset=0.0, threads=1) -> dict[str, np.ndarray]:
@@ -33,7 +33,7 @@ def places_in(field, count: int, inset: float = 0.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("shape", [(65, 65), (40, 99), (2, 2), (3, 50)])
-def test_a_plane_is_one_everywhere_at_every_level(shape):
+def test_a_plane_is_exact_at_every_level(shape):
     """Steps differ, the vertical scale turns it over: the slope, direction and normal are those of the plane."""
     y, x = np.mgrid[: shape[0], : shape[1]]
     field = from_array((100 + 6.0 * x + 10.0 * y).astype(np.float32), 10.0, 20.0)
@@ -60,7 +60,7 @@ def hill(x, y):
 
 
 @pytest.mark.parametrize(("level", "accuracy"), [(0.0, 1.0), (1.0, 5.5), (1.625, 16.8)])
-def test_a_hill_has_the_values_of_its_derivatives(level, accuracy):
+def test_a_hill_has_its_analytic_derivatives(level, accuracy):
     """Away from samples, which are 2 m apart. `accuracy`: the variance of what a level weighs, of level 0 the spline's
     (1/3 squared samples), of level 1 [1 2 1]'s (1/2) and that of a spline of twice the width (4/3), and so on."""
     i, j = np.meshgrid(np.arange(401) - 200.0, np.arange(301) - 150.0)
@@ -83,7 +83,7 @@ def test_a_hill_has_the_values_of_its_derivatives(level, accuracy):
     np.testing.assert_allclose(found["aspect"][steep], downhill[steep], atol=1e-3 * accuracy)
 
 
-def test_on_samples_of_rough_ground_it_is_the_spline_by_sums():
+def test_jets_at_samples_equal_the_spline_by_sums():
     """Weights 1/6, 4/6, 1/6 of heights; differences of neighbours; of rows alike: all in float64."""
     z = raster(70, 50).astype(np.float64)
     field = from_array(z.astype(np.float32), 5.0)
@@ -112,7 +112,7 @@ def test_on_samples_of_rough_ground_it_is_the_spline_by_sums():
     np.testing.assert_allclose(found["mean_curvature"], curvature, atol=1e-6)
 
 
-def test_second_derivatives_are_continuous_between_cells_and_levels():
+def test_second_derivatives_are_continuous():
     field = from_array(raster(64, 64), 10.0)
     west, south, _, _ = field.lattice.rectangle()
     edge = west + 10.0 * np.arange(5, 50)
@@ -138,7 +138,7 @@ def fields():
 
 
 @pytest.mark.parametrize(("field", "scale"), [(f, s) for _, f, s in fields()], ids=[name for name, _, _ in fields()])
-def test_values_are_finite_at_every_vertex_and_the_same_on_all_threads(field, scale):
+def test_values_are_finite_and_the_same_on_all_threads(field, scale):
     surface = Terrain(field).update(Criterion(error_px=0, error_m=float(np.ptp(field.heights())) / 50), **scale).surface
     level = np.random.default_rng(3).integers(0, 90, len(surface.positions)).astype(np.float32) / 8
     one, two = (Places(field, surface.positions, level, *scale.values(), threads=threads) for threads in (1, 3))
@@ -152,11 +152,11 @@ def test_values_are_finite_at_every_vertex_and_the_same_on_all_threads(field, sc
     assert np.isin(np.rint(turned * 1e5), [0, 1e5]).all()
 
 
-def test_what_is_not_wanted_is_not_made_and_the_rest_is_the_same():
+def test_values_that_are_not_requested_are_not_computed():
     field = from_array(raster(64, 64), 10.0)
     x, y = places_in(field, 100)
     everything = made(field, x, y, 0.625)
     positions = np.stack([x, y, 0 * x], 1).astype(np.float32)
-    for name in MADE:
+    for name in OUTPUTS:
         alone = make(Places(field, positions, np.full(100, 0.625, np.float32)), {name: {}}, {})
         assert alone.keys() == {name} and alone[name].tobytes() == everything[name].tobytes()

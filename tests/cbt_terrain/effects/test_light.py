@@ -67,7 +67,7 @@ def test_the_bottom_of_a_round_pit_sees_half():
         assert found[60, 60] == pytest.approx(0.5, abs=0.01)
 
 
-def test_a_plane_and_a_summit_see_all_that_is_over_the_horizontal():
+def test_a_plane_and_a_summit_see_the_whole_upper_half():
     """The summit and a level plane all of it, exactly; a slope of the angle a (1 + cos a) / 2."""
     y, x = np.mgrid[-30:31, -30:31].astype(float)
     for summit in both_skies(from_array(-0.02 * (x * x + y * y), 3.0)):
@@ -128,7 +128,7 @@ def test_the_strongest_sun_counts():
 
 
 @pytest.mark.parametrize("sun", [(0, 0, 0, 0.1), (1, 0, math.nan, 0.1), (1, 0, 0, -0.1), (1, 0, 0, 4.0), (1, 0, 0)])
-def test_what_is_no_sun_is_refused(sun):
+def test_invalid_suns_are_refused(sun):
     with pytest.raises(TerrainError, match="expected the direction towards it"):
         made("sun", every_sample(rough(5, 5)), suns=(sun,))
 
@@ -182,7 +182,7 @@ def test_the_sweep_sees_what_rays_see(size, steps, scale):
 
 
 @pytest.mark.parametrize("azimuth", light.azimuths()[[0, 3, 5, 9, 14]])
-def test_a_sweeps_horizons_on_the_lines_of_samples_are_those_of_all_samples_ahead(azimuth):
+def test_a_sweep_along_samples_finds_their_largest_slopes(azimuth):
     """Along a diagonal of samples no interpolation is left: the largest slope to any of them."""
     h = raster(50, 50).astype(np.float64)
     towards = np.sign(azimuth) / math.sqrt(2.0)
@@ -222,7 +222,7 @@ def test_four_passes_of_four_azimuths_are_one_of_sixteen():
     assert np.array_equal(out, sky.seen_from(places))
 
 
-def test_who_is_stopped_in_a_sweep_goes_on_to_the_same_bits(monkeypatch):
+def test_an_interrupted_sweep_continues_with_the_same_bits(monkeypatch):
     field, calls = from_array(raster(120, 90), 2.0), []
 
     def stop_at_the_sixth():
@@ -239,7 +239,7 @@ def test_who_is_stopped_in_a_sweep_goes_on_to_the_same_bits(monkeypatch):
     assert np.array_equal(made("sky", every_sample(field)), whole) and sky_layer.is_known(field, 1.0)
 
 
-def test_a_preview_is_near_and_the_same_before_and_after_the_layer_is_known():
+def test_a_preview_is_near_and_independent_of_the_layer():
     field = rough(257, 300, relief=80.0)
     places = every_sample(field)
     first = made("sky", places, quality=sky.PREVIEW)
@@ -248,11 +248,11 @@ def test_a_preview_is_near_and_the_same_before_and_after_the_layer_is_known():
     assert np.sqrt(((first - full) ** 2).mean()) < 0.1 and not np.array_equal(first, full)
 
 
-def test_the_sky_of_a_large_raster_is_that_of_a_coarser_one_in_steps(monkeypatch):
+def test_the_sky_of_a_large_raster_is_that_of_a_coarser_one(monkeypatch):
     """Of heights of 2 x 2 cells, made in sixteen steps that can be stopped after each; near the truth."""
     field = rough(81, 60)
     places = every_sample(field)
-    monkeypatch.setattr(sky_layer, "MOST_SAMPLES", 41 * 31)
+    monkeypatch.setattr(sky_layer, "MAX_SAMPLES", 41 * 31)
     assert sky_layer.layer_level(field) == 1 and not sky_layer.is_known(field, 1.0)
     assert [sky_layer.advance(field, 1.0, 2) for _ in range(16)] == [False] * 15 + [True]
     assert sky_layer.is_known(field, 1.0)
@@ -267,7 +267,7 @@ def sky_layer_of(field):
     return field.found["sky", 1.0]["sky"]
 
 
-def test_the_sky_is_kept_in_the_store_and_made_again_where_it_is_damaged(tmp_path):
+def test_the_sky_is_stored_and_computed_again_if_damaged(tmp_path):
     """The next process has it at once; of three vertical scales the store keeps the last two."""
     folder = tmp_path / "store"
     draft = Draft(folder)
@@ -299,7 +299,7 @@ def test_the_sky_is_kept_in_the_store_and_made_again_where_it_is_damaged(tmp_pat
 
 
 @pytest.mark.parametrize("name", ["sky", "ambient_occlusion", "sun"])
-def test_light_is_a_function_of_the_place_alone(name):
+def test_light_is_a_function_of_the_point_alone(name):
     """Of the same place among others, on a bicubic surface too, and at any level."""
     field = from_array(raster(70, 50), 4.0)
     places = every_sample(field)
@@ -320,7 +320,7 @@ def test_holes_and_hostile_heights_give_numbers_from_0_to_1():
                 assert np.isfinite(found).all() and found.min() >= 0.0 and found.max() <= 1.0
 
 
-def test_the_sky_is_kept_under_the_last_two_vertical_scales():
+def test_the_sky_of_the_last_two_vertical_scales_is_cached():
     field = from_array(raster(70, 60), 3.0)
     for scale in (1.0, 1.1, 1.2, 1.3):
         places = every_sample(field, scale)

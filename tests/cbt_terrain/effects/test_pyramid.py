@@ -47,7 +47,7 @@ def test_planes_stay_planes_to_the_last_sample(shape):
         assert abs(found - (700.0 + 3.0 * x - 2.0 * y)).max() < 1e-3
 
 
-def test_it_is_made_once_in_a_third_of_the_memory_the_same_on_all_threads():
+def test_a_pyramid_is_computed_once_in_a_third_of_the_memory():
     one, two = from_array(raster(300, 200), 10.0), from_array(raster(300, 200), 10.0)
     ground(one, 1.0, 0.0, 1), ground(two, 1.0, 0.0, 3)
     [made] = one.prefiltered

@@ -160,7 +160,7 @@ def test_threads_change_no_bit():
 @pytest.mark.parametrize(
     ("steps", "most", "rms"), [((8, 8), 1.6, 1.1), ((10, 8), 2.6, 1.6), ((6, 12), 7.5, 3.7), ((15, 5), 12.0, 6.0)]
 )
-def test_with_noise_the_mean_way_down_a_plane_is_its_fall(steps, most, rms):
+def test_with_noise_the_mean_path_down_a_plane_is_its_fall(steps, most, rms):
     """In degrees, over planes that fall anywhere: where samples lie in squares 3.4 at most if diagonals counted fully;
     where they do not 7, 19 and 28 if steps along both axes counted alike. Without noise it would be up to 22."""
     y, x = np.indices((200, 200)) * np.array(steps)[::-1, None, None]

@@ -110,7 +110,7 @@ def test_flow_is_compared_by_its_logarithm():
         (Rule("flow", 1e5, 0.0, 9.0), True),
     ],
 )
-def test_limits_in_the_wrong_order_cover_nothing(rule, nothing):
+def test_reversed_limits_cover_nothing(rule, nothing):
     count = 20_001
     places = replace(places_of(FIELD), positions=np.zeros((count, 3), np.float32), level=np.zeros(count, np.float32))
     read = {"slope": np.linspace(0.5, 1.0, count, dtype=np.float32), "flow": np.geomspace(1e3, 1e6, count, dtype="f4")}
@@ -119,7 +119,7 @@ def test_limits_in_the_wrong_order_cover_nothing(rule, nothing):
     assert covers_nothing(rule) == nothing == (not found.any())
 
 
-def test_aspect_is_about_a_direction():
+def test_aspect_rules_compare_a_direction():
     read, direction = random_values(), math.radians(200)
     rule = Rule("aspect", low=math.cos(math.radians(50)), edge=0.3, direction=direction)
     found = share_on_top(Layer("x", (rule,), on_top=True), places_of(FIELD), read)
@@ -201,7 +201,7 @@ def test_bare_ground_is_the_first_layers():
     assert (weights(places_of(FIELD), layers[:2], random_values())[:, :2] == (1.0, 0.0)).all()
 
 
-def test_noise_makes_patches_and_ragged_edges_and_fades_when_it_is_too_small_to_see():
+def test_noise_makes_ragged_edges_and_fades_with_distance():
     patches = Layer("x", (Rule("noise", 0.0),), on_top=True, noise_size=80.0, seed=3)
     found = share_on_top(patches, places_of(FIELD), {})
     assert 0.3 < found.mean() < 0.7 and set(np.unique(found)) <= {0.0, 0.5, 1.0}
@@ -264,7 +264,7 @@ def test_weights_add_up_to_one_in_any_order():
             assert (total == 1).all()
 
 
-def test_what_is_wanted_alone_is_the_same():
+def test_weights_do_not_depend_on_other_requests():
     layers = random_layers(np.random.default_rng(8))
     read, places = random_values(), places_of(FIELD, 0.375)
     together = weights(places, layers, read)
@@ -276,7 +276,7 @@ def test_what_is_wanted_alone_is_the_same():
     assert np.array_equal(weights(places_of(FIELD, 0.375, threads=3), layers, read), together)
 
 
-def test_only_what_rules_are_about_is_read():
+def test_only_attributes_of_rules_are_read():
     ground = Layer("ground")
     flow = Layer("river", (Rule("flow", 1e6),), on_top=True)
     assert reads((ground,)) == () and reads((ground, flow)) == ("flow",)
@@ -306,11 +306,11 @@ def test_two_lists_of_layers_do_not_mix():
         ((Layer("a", (Rule("steepness"),)),), "a rule about 'steepness'; expected one of"),
         ((Layer("a", (Rule("slope", math.nan),)),), "from nan"),
         ((Layer("a", (Rule("slope", edge=-1.0),)),), "edge of -1"),
-        ((Layer("a", (covering(0),)),), "asks for layer 0; expected one before it"),
+        ((Layer("a", (covering(0),)),), "a rule about layer 0; expected an earlier layer: move"),
         ((Layer("a", (Rule("image"),)),), "painted rule without an image"),
     ],
 )
-def test_layers_that_cannot_be_are_refused(layers, said):
+def test_invalid_layers_are_refused(layers, said):
     with pytest.raises(TerrainError, match=said):
         check(layers)
     with pytest.raises(TerrainError):
@@ -318,7 +318,7 @@ def test_layers_that_cannot_be_are_refused(layers, said):
 
 
 @pytest.mark.parametrize("image", [np.zeros(4), np.zeros((0, 4)), np.full((2, 2), np.nan)])
-def test_images_that_cannot_be_are_refused(image):
+def test_invalid_images_are_refused(image):
     with pytest.raises(TerrainError, match="painted image"):
         painted(image)
 

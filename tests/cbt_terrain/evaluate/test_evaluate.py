@@ -16,7 +16,7 @@ from adaptive_terrain.cbt_terrain.terrain import Terrain
 from evaluations import Evaluations
 from padded import raster
 
-EVERY = plan([Asked(name, ("a material",)) for name in jet.MADE])
+EVERY = plan([Asked(name, ("a material",)) for name in jet.OUTPUTS])
 
 
 def field():
@@ -48,7 +48,7 @@ def test_any_history_gives_the_bytes_of_none(seed, monkeypatch):
         now = View(matrix, now.projection, now.resolution, now.kind, now.clip, now.radians_per_pixel)
         views = [now] if rng.random() < 0.9 else [now, view(rng)]
         if frame == 0 or rng.random() < 0.4:
-            names = rng.permutation(list(jet.MADE))[: rng.integers(1, 8)]
+            names = rng.permutation(list(jet.OUTPUTS))[: rng.integers(1, 8)]
             families = [PICTURE if rng.random() < 0.7 else GEOMETRY for _ in names]
             wanted = plan([Asked(name, ("x",), family) for name, family in zip(names, families, strict=True)])
         placement = np.diag([1.0, 2.0, 0.5, 1.0]) if rng.random() < 0.1 else None
@@ -69,7 +69,7 @@ def flown(evaluator: Evaluations, heights, terrain: Terrain, x: float, wanted: P
     return evaluator.attributes(wanted, heights, surface, views), surface, views
 
 
-def test_a_small_step_computes_little_and_the_same_surface_nothing():
+def test_a_small_step_computes_little():
     heights, evaluator = field(), Evaluations()
     terrain = Terrain(heights)
     _, surface, views = flown(evaluator, heights, terrain, 0.0)
@@ -85,14 +85,14 @@ def test_a_small_step_computes_little_and_the_same_surface_nothing():
     assert set(evaluator.runs.values()) == {2} and evaluator.ran["slope"].computed == 0
 
 
-def test_what_nobody_reads_is_never_computed_and_one_call_makes_what_belongs_together(monkeypatch):
+def test_unused_effects_are_not_computed_and_calls_are_shared(monkeypatch):
     calls = []
 
     def counted(places, wanted, read):
         calls.append(sorted(wanted))
         return jet.make(places, wanted, read)
 
-    for name in jet.MADE:
+    for name in jet.OUTPUTS:
         effect = EFFECTS[name]
         values = {key: getattr(effect, key) for key in Effect.__dataclass_fields__}
         monkeypatch.setitem(EFFECTS, name, Effect(**(values | {"make": counted})))
@@ -108,7 +108,7 @@ def test_what_nobody_reads_is_never_computed_and_one_call_makes_what_belongs_tog
     assert found == {} and len(calls) == 2
 
 
-def test_splats_of_layers_that_are_not_there_are_zeros_that_nobody_makes():
+def test_splats_without_layers_are_zeros_without_a_call():
     """Whatever layers came before, and at every step of a flight."""
     heights, evaluator = field(), Evaluations(threads=2)
     terrain = Terrain(heights)
@@ -141,7 +141,7 @@ def test_for_geometry_no_value_depends_on_the_camera():
     assert (fine != one).any()
 
 
-def test_results_stay_until_the_next_call_and_a_failure_leaves_nothing_behind(monkeypatch):
+def test_results_stay_until_the_next_call_or_failure(monkeypatch):
     heights, evaluator = field(), Evaluations()
     terrain = Terrain(heights)
     flown(evaluator, heights, terrain, 0.0)
@@ -166,7 +166,7 @@ def test_another_field_of_the_same_places_takes_over_nothing():
     assert (evaluator.attributes(EVERY, other, surface)["slope"].array > 0.09).all()
 
 
-def test_values_beyond_the_limit_are_held_once_the_costliest_last():
+def test_values_beyond_the_limit_are_held_once():
     """Half of a flight's memory without a limit: what is cheapest to make for its size is made anew, with the same
     bytes, and the rest is taken over."""
     heights, eye = field(), np.array([-900.0, -700.0, 600.0])

@@ -34,7 +34,7 @@ def test_a_mask_is_the_weight_of_its_layer():
     assert np.abs(turned.mask.values.astype(int) - coat.mask.values[:, ::-1]).max() <= 1
 
 
-def test_masks_are_made_once_and_the_same_by_any_threads_and_bands(monkeypatch):
+def test_masks_are_cached_and_independent_of_threads(monkeypatch):
     heights = rough(50, 37, relief=80.0).heights()
     ground = LayeredDetail(Detail(0.05), (Layer("Grass"), STEEP, HIGH), ((1, Detail(0.3)), (2, Detail(0.1, 9.0))))
     field = from_array(heights, 10.0)
@@ -55,7 +55,7 @@ def test_the_bound_holds_on_layers_with_detail():
 
 
 def test_a_raster_too_large_for_masks_is_refused(monkeypatch):
-    monkeypatch.setattr(layered_detail, "MOST_SAMPLES", 100)
+    monkeypatch.setattr(layered_detail, "MAX_SAMPLES", 100)
     ground = LayeredDetail(None, (Layer("Grass"),), ((0, Detail(0.3)),))
-    with pytest.raises(TerrainError, match="has 11 x 11 samples; expected 100 at most for detail of splat layers"):
+    with pytest.raises(TerrainError, match="has 11 x 11 samples; expected at most 100 for detail of splat layers"):
         laid(from_array(np.zeros((11, 11), np.float32), 1.0), ground, 1.0, 0.0, 1)

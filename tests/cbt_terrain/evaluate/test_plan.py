@@ -7,7 +7,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.evaluate.plan import NOTHING_READS_IT, plan
 
 
-def test_who_asks_twice_is_named_twice_and_geometry_decides_the_scale():
+def test_two_requests_merge_and_geometry_decides_the_scale():
     made = plan([Asked("slope", ("material Rock",)), Asked("slope", ("modifier Trees",), GEOMETRY)])
     assert made.steps == (Asked("slope", ("material Rock", "modifier Trees"), GEOMETRY),)
     assert plan([Asked("slope", ("material Rock",))]).steps[0].family == PICTURE

@@ -87,7 +87,7 @@ def test_where_camera_and_terrain_go_together_nothing_changes():
     agree(found, distance((150, -300, 90)) / LOOK.pixels_per_unit)
 
 
-def test_of_a_scaled_terrain_a_pixel_covers_most_along_its_least_stretched_axis():
+def test_the_footprint_is_along_the_least_scaled_axis():
     """Distances are the world's, footprints the terrain's own metres; how heights are stretched does not count."""
     matrix = turned((4.0, 0.5, 0.01))
     eye = np.array([5e4 + 900, -3e4, 400.0])

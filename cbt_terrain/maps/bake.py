@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Baking maps: effects at the texels of tiles, each tile only where it is not there already.
+"""Baking of maps: attributes at the texels of tiles that are missing or out of date.
 
-A file carries the key of its content: the effect and what it reads, their versions and parameters, the heights, the
-place, the resolution and the coding. What has the key that is asked for stays. The new ones are made in a private
-folder and take their names when all are complete.
+A file contains the key of its content: the attributes with their versions and parameters, the heights, the tile, the
+resolution and the coding. Files with the requested key stay. New ones are written in a private folder and renamed when
+all are complete.
 """
 
 import hashlib
@@ -36,17 +36,17 @@ from .coding import PNG, Coding, coding_of
 from .folder import JSON_NAME, UDIM, VERSION, file_name, files_of, read_index
 from .tiling import Tiling, tiling_of
 
-# Levels. What looks an image up interpolates, which smooths as well: the shading of the island is off by 5.43 of 255
-# without it, by 5.05 with it.
+# Levels by which maps are sharper, since interpolation of the image smooths too: the shading of the island is off by
+# 5.43 of 255 without it, by 5.05 with it.
 SHARPER = 0.5
-# IEC 61966-2-1 at even steps from 0 to 1: off by a hundredth of a byte's step at most between them.
+# IEC 61966-2-1 at even steps from 0 to 1; interpolation is off by at most a hundredth of a byte's step.
 SRGB = [12.92 * x if x <= 0.0031308 else 1.055 * x ** (1 / 2.4) - 0.055 for x in (k / 4096 for k in range(4097))]
-BAND_TEXELS = 1 << 19  # what is made at a time: some megabytes, and a thirtieth of a second
+BAND_TEXELS = 1 << 19  # texels of a band: some megabytes, and a thirtieth of a second
 
 
 @dataclass(frozen=True)
 class Baked:
-    """What a bake has done. `index`: of the folder, as its maps.json has it. `made`, `kept`: how many images."""
+    """The result of a bake: the content of maps.json, and the numbers of written and unchanged images."""
 
     index: dict
     made: int
@@ -55,10 +55,10 @@ class Baked:
 
 @dataclass(frozen=True)
 class _Image:
-    """One image to be: of which tile, of which map, under which name, with which content."""
+    """An image to bake: its tile, attribute, coding, side in texels, file name and content key."""
 
     tile: int
-    asked: Asked
+    request: Asked
     coding: Coding
     side: int
     file: str
@@ -67,7 +67,7 @@ class _Image:
 
 def bake(
     field: HeightField,
-    asked: Iterable[Asked],
+    requests: Iterable[Asked],
     folder: str | os.PathLike,
     resolutions: Sequence[int],
     *,
@@ -78,17 +78,17 @@ def bake(
     on_progress: Callable[[float], None] = lambda _fraction: None,
     lock: AbstractContextManager | None = None,
 ) -> Baked:
-    """Bring maps of the effects `asked` in `folder` up to date; `resolutions`: texels along a side of each tile.
+    """Update the maps of requested attributes in `folder`; `resolutions`: texels along a side of each tile.
 
-    Heights become `height * vertical_scale + vertical_offset` metres. `on_progress` gets the fraction done and may
-    raise, which cancels: the folder is then as it was. `lock` is held for each band of texels. Raises TerrainError.
+    Heights are `height * vertical_scale + vertical_offset` metres. `on_progress` gets the finished fraction and may
+    raise, which cancels without a change of the folder. `lock` is held for each band of texels. Raises TerrainError.
     """
     folder, tiling = Path(folder), tiling_of(field.lattice)
     place = _Place(field, tiling, vertical_scale, vertical_offset, threads or launch.default_threads())
     images = [
-        _image(place, item, tile, side, form)
+        _image(place, request, tile, side, form)
         for tile, side in enumerate(resolutions)
-        for item in sorted(asked, key=lambda item: item.name)
+        for request in sorted(requests, key=lambda request: request.name)
     ]
     try:
         with open_folder(folder, make=True, may_be_link=True):
@@ -103,22 +103,21 @@ def bake(
         with partial_files.private_folder(folder) as partial:
             _bake_images(place, missing, partial, on_progress, lock or nullcontext())
             (partial / JSON_NAME).write_text(json.dumps(index, indent=1), encoding="utf-8")
-            with open_folder(folder, may_be_link=True) as target, open_folder(partial) as made:
+            with open_folder(folder, may_be_link=True) as target, open_folder(partial) as complete:
                 for file in [image.file for image in missing] + [JSON_NAME]:
-                    target.replace(file, made, file)
+                    target.replace(file, complete, file)
         for file in listed - files_of(index):
-            if _key_in(folder / file) is not None:  # else it is not the image that was baked
+            if _key_in(folder / file) is not None:  # otherwise it is not a baked image
                 owned_files.remove_file(folder / file, may_be_link=True)
     except OSError as reason:
-        raise TerrainError(
-            f"The maps cannot be written into {folder} ({reason.strerror or reason}); choose another folder."
-        ) from reason
+        problem = f"The maps cannot be written into {folder} ({reason.strerror or reason})"
+        raise TerrainError(problem, fix="choose another folder") from reason
     return Baked(index, len(missing), len(images) - len(missing))
 
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """What all images of a bake have in common."""
+    """The ground of all images of a bake."""
 
     field: HeightField
     tiling: Tiling
@@ -127,19 +126,19 @@ class _Place:
     threads: int
 
     def level(self, side: int) -> float:
-        """Of the pyramid, for an image of so many texels a side: samples as far apart as texels, but for SHARPER."""
+        """Return the level of the pyramid for `side` texels along a side: the spacing of texels, less SHARPER."""
         return max(self.image_level(side), 0.0)
 
     def image_level(self, side: int) -> float:
-        """The same of images that are laid on the ground, which may be finer than samples."""
+        """Return the level for decals, which may be finer than samples."""
         lattice = self.field.lattice
         finer = max(self.tiling.texel(side)) / max(lattice.step_x, lattice.step_y)
         return round((math.log2(finer) - SHARPER) * STEPS_PER_LEVEL) / STEPS_PER_LEVEL
 
 
-def _image(place: _Place, asked: Asked, tile: int, side: int, form: str) -> _Image:
-    coding = coding_of(EFFECTS[asked.name], form)
-    steps = plan([asked]).steps
+def _image(place: _Place, request: Asked, tile: int, side: int, form: str) -> _Image:
+    coding = coding_of(EFFECTS[request.name], form)
+    steps = plan([request]).steps
     content = (
         VERSION,
         [(step.name, EFFECTS[step.name].version, sorted(step.parameters)) for step in steps],
@@ -149,21 +148,21 @@ def _image(place: _Place, asked: Asked, tile: int, side: int, form: str) -> _Ima
     )
     key = hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
     number = place.tiling.number(tile) if len(place.tiling) > 1 else None
-    return _Image(tile, asked, coding, side, file_name(asked.name, coding.form, number), key)
+    return _Image(tile, request, coding, side, file_name(request.name, coding.form, number), key)
 
 
 def _check_replaceable(file: Path, listed: set[str]) -> None:
-    """Raise TerrainError where something stands in the place of an image that no bake has put there. listed: names of
-    the images in the folder's maps.json."""
+    """Raise TerrainError if a file has the name of an image but was not baked. listed: images of the maps.json."""
     if os.path.lexists(file) and file.name not in listed and _key_in(file) is None:
         raise TerrainError(
-            f"{file} was not baked by Adaptive Terrain; expected a folder without other images of that name: move it, "
-            "or choose another folder."
+            f"{file} was not baked by Adaptive Terrain",
+            expected="a folder without other images of that name",
+            fix="move it, or choose another folder",
         )
 
 
 def _key_in(file: Path) -> str | None:
-    """Return the key that a complete image carries; None of anything else, as of a link."""
+    """Return the key in a complete image, None for anything else, such as a link."""
     if not owned_files.is_real_file(file):
         return None
     return png.text_of(file) if file.suffix == ".png" else exr.text_of(file)
@@ -182,9 +181,9 @@ def _bake_images(place: _Place, images: list[_Image], folder: Path, on_progress,
                 for first in range(0, side, _band(side)):
                     with lock:
                         texels = _texel_places(place, tile, side, first, _band(side))
-                        values = values_at(texels, [image.asked for image in together])
+                        values = values_at(texels, [image.request for image in together])
                     for image, file in zip(together, files, strict=True):
-                        file.add(_coded(values[image.asked.name], image))
+                        file.add(_coded(values[image.request.name], image))
                     done += _band(side) * side
                     on_progress(done / total)
                 for file in files:
@@ -192,7 +191,7 @@ def _bake_images(place: _Place, images: list[_Image], folder: Path, on_progress,
 
 
 def _band(side: int) -> int:
-    """Rows that are made together: whole blocks of an EXR file."""
+    """Return the rows of a band: whole blocks of an EXR file."""
     return min(max(BAND_TEXELS // side, exr.BLOCK), side)
 
 
@@ -204,7 +203,7 @@ def _opened(folder: Path, image: _Image, pool, stack: ExitStack):
 
 
 def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) -> Places:
-    """The ground under `rows` rows of the texels of a tile's image of `side` texels a side, from row `first`."""
+    """Return the ground under `rows` rows of texels from row `first`, for an image of `side` texels along a side."""
     ground, grid, tiling = packed(place.field, np.empty(1, np.float32)), kernels.Texels(), place.tiling
     ground.height_scale, ground.height_offset = place.vertical_scale, place.vertical_offset
     grid.columns = side
@@ -219,13 +218,13 @@ def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) ->
 
 
 def _coded(values: np.ndarray, image: _Image) -> np.ndarray:
-    """A band as its file takes it: steps from `low` to the nearest, or the numbers; channels without a value are 0."""
+    """Encode a band for its file: rounded steps from `low`, or the numbers; channels without a value are 0."""
     coding, kind = image.coding, np.dtype(np.float32)
     if coding.form == PNG:
-        most, kind = (255, np.dtype(np.uint8)) if coding.depth == 8 else (65535, np.dtype(">u2"))
+        limit, kind = (255, np.dtype(np.uint8)) if coding.depth == 8 else (65535, np.dtype(">u2"))
         values = _srgb(values) if coding.srgb else values
-        steps = (values - np.float32(coding.low)) * np.float32(most / (coding.high - coding.low))
-        values = (np.clip(steps, 0, most) + np.float32(0.5)).astype(np.uint16)
+        steps = (values - np.float32(coding.low)) * np.float32(limit / (coding.high - coding.low))
+        values = (np.clip(steps, 0, limit) + np.float32(0.5)).astype(np.uint16)
     out = np.zeros((len(values), coding.channels), kind)
     out[:, : values.size // len(values)] = values.reshape(len(values), -1)
     rows = out.reshape(-1, image.side, coding.channels)
@@ -233,12 +232,12 @@ def _coded(values: np.ndarray, image: _Image) -> np.ndarray:
 
 
 def _srgb(linear: np.ndarray) -> np.ndarray:
-    """From the table, since numpy's own powers differ in the last bits by processor."""
+    """Apply the sRGB curve by a table, since the last bits of numpy's powers differ by processor."""
     return np.interp(linear, np.arange(len(SRGB)) / (len(SRGB) - 1), SRGB).astype(np.float32)
 
 
 def _index(place: _Place, images: list[_Image], before: dict | None) -> dict:
-    """What the folder will hold: these maps, and those of the same ground that are there and were not asked for."""
+    """Return the index of the folder: these maps, and other existing ones of the same ground."""
     lattice, tiling = place.field.lattice, place.tiling
     west, south, east, north = lattice.rectangle()
     index = {
@@ -256,14 +255,14 @@ def _index(place: _Place, images: list[_Image], before: dict | None) -> dict:
     }
     same = before is not None and all(before.get(name) == value for name, value in index.items())
     maps = dict(before["maps"]) if same else {}
-    for name in sorted({image.asked.name for image in images}):
-        maps[name] = _entry(place, [image for image in images if image.asked.name == name])
+    for name in sorted({image.request.name for image in images}):
+        maps[name] = _entry(place, [image for image in images if image.request.name == name])
     return index | {"maps": {name: maps[name] for name in sorted(maps)}}
 
 
 def _entry(place: _Place, images: list[_Image]) -> dict:
-    """A map, as JSON holds it."""
-    effect, coding, tiling = EFFECTS[images[0].asked.name], images[0].coding, place.tiling
+    """Return the JSON entry of a map."""
+    effect, coding, tiling = EFFECTS[images[0].request.name], images[0].coding, place.tiling
     coded = {
         "channels": coding.channels,
         "bits": coding.depth,

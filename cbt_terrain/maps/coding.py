@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How the numbers of an effect are kept in an image."""
+"""Encoding of an attribute's numbers in an image."""
 
 from dataclasses import dataclass
 
@@ -8,16 +8,15 @@ from ..errors import TerrainError
 
 FORMS = PNG, EXR = "png", "exr"
 NO_UNIT = ("", "1", LINEAR_RGB)
-# Channels of an image -> bytes of a texel in Blender: bytes stay bytes, everything else becomes four floats.
+# Bytes of a texel in Blender: 8-bit images stay so, all others become four floats.
 SHALLOW_BYTES, DEEP_BYTES = 4, 16
 
 
 @dataclass(frozen=True)
 class Coding:
-    """`form`: one of FORMS. `channels`: 1, 3 or 4, of which the effect's numbers are the first. `depth`: bits of each.
+    """A format of FORMS, its channels (1, 3 or 4, the attribute's numbers first) and their depth in bits.
 
-    In a PNG file a channel's 0 .. 1 stands for `low` .. `high`, by the curve of sRGB where `srgb`; an EXR file has the
-    numbers themselves.
+    A PNG file maps `low` .. `high` to 0 .. 1, by the sRGB curve if `srgb`; an EXR file has the numbers themselves.
     """
 
     form: str
@@ -33,13 +32,13 @@ class Coding:
 
 
 def coding_of(effect: Effect, form: str = PNG) -> Coding:
-    """Bytes for what has no unit (directions, shares, weights) and for colours, 16 bits for measures; halves where EXR
-    is asked for.
+    """Return the coding of an attribute: 8 bits without a unit and for colours, 16 bits for measures, half floats in
+    EXR.
 
-    What has no known span is kept as floats of 32 bits in EXR files, whatever is asked for.
+    Attributes without a known span are 32-bit floats in EXR files, whatever the form. Raises TerrainError.
     """
     if form not in FORMS:
-        raise TerrainError(f"The format of the maps is {form!r}; expected one of {', '.join(FORMS)}.")
+        raise TerrainError(f"The format of the maps is {form!r}", expected=f"one of {', '.join(FORMS)}")
     channels = 3 if effect.width == 2 else effect.width  # no format has two
     if effect.span is None:
         return Coding(EXR, channels, 32, 0.0, 1.0)

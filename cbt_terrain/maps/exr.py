@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""OpenEXR files, written band by band: nothing of the library, which cannot live beside Blender's own.
+"""OpenEXR files, written band by band, without the library, which clashes with Blender's.
 
-Scan lines in blocks of 16, squeezed by zlib (Technical Introduction to OpenEXR; OpenEXR File Layout).
+Scan lines in blocks of 16, compressed by zlib (Technical Introduction to OpenEXR; OpenEXR File Layout).
 """
 
 import struct
@@ -22,15 +22,12 @@ COMMENT = "comments"
 
 
 class ExrFile:
-    """A file of `side` x `side` texels of so many channels, of `depth` bits (16: half, 32: float), from the top; where
-    `lines` is given, of `side` x `lines`.
-
-    `text`, `pool`: as of PngFile.
-    """
+    """A file of `side` x `side` texels, or `side` x `lines`, written from the top. `depth`: 16 for half floats, 32 for
+    floats. `text`, `pool`: see PngFile."""
 
     def __init__(self, path: Path, side: int, channels: int, depth: int, text: str, pool: Executor, lines: int = 0):
         names = sorted(NAMES[channels])
-        self._order = [NAMES[channels].index(name) for name in names]  # channels are kept by the alphabet
+        self._order = [NAMES[channels].index(name) for name in names]  # channels are in alphabetical order
         self._dtype, self._pool, self._waiting = np.dtype(f"<f{depth // 8}"), pool, []
         kind = HALF if depth == 16 else FLOAT
         listed = b"".join(name.encode() + b"\0" + struct.pack("<iiii", kind, 0, 1, 1) for name in names) + b"\0"
@@ -52,15 +49,16 @@ class ExrFile:
         self._file.write(bytes(8 * -(-(lines or side) // BLOCK)))
 
     def add(self, values: np.ndarray) -> None:
-        """The next lines, float32 [lines, side, channels]; whole blocks of them, but for the last."""
-        most = np.finfo(self._dtype).max
-        lines = np.clip(values, -most, most).astype(self._dtype).transpose(0, 2, 1)[:, self._order]
+        """Write the next lines, float32 [lines, side, channels]; whole blocks except for the last."""
+        limit = np.finfo(self._dtype).max
+        lines = np.clip(values, -limit, limit).astype(self._dtype).transpose(0, 2, 1)[:, self._order]
         for first in range(0, len(lines), BLOCK):
-            self._waiting.append(self._pool.submit(_squeezed, lines[first : first + BLOCK].tobytes()))
+            self._waiting.append(self._pool.submit(_compress, lines[first : first + BLOCK].tobytes()))
         while len(self._waiting) > 64:
             self._put()
 
     def close(self) -> None:
+        """Complete the file."""
         while self._waiting:
             self._put()
         self._file.seek(self._table)
@@ -68,7 +66,7 @@ class ExrFile:
         self._file.close()
 
     def leave(self) -> None:
-        """Close it as it is."""
+        """Close the file without completing it."""
         for future in self._waiting:
             future.cancel()
         self._file.close()
@@ -80,13 +78,13 @@ class ExrFile:
         self._line += BLOCK
 
 
-def _squeezed(data: bytes) -> bytes:
-    """Even bytes, then odd ones, each as the difference from the one before; as it is where that saves nothing."""
+def _compress(data: bytes) -> bytes:
+    """Compress differences of the even bytes and then of the odd ones; return `data` if that saves nothing."""
     raw = np.frombuffer(data, np.uint8)
-    parted = np.concatenate([raw[::2], raw[1::2]])
-    parted[1:] = parted[1:] - parted[:-1] + np.uint8(128)
-    squeezed = zlib.compress(parted.tobytes(), LEVEL)
-    return squeezed if len(squeezed) < len(data) else data
+    split = np.concatenate([raw[::2], raw[1::2]])
+    split[1:] = split[1:] - split[:-1] + np.uint8(128)
+    compressed = zlib.compress(split.tobytes(), LEVEL)
+    return compressed if len(compressed) < len(data) else data
 
 
 def _entry(name: str, kind: str, value: bytes) -> bytes:
@@ -94,7 +92,7 @@ def _entry(name: str, kind: str, value: bytes) -> bytes:
 
 
 def text_of(path: Path) -> str | None:
-    """The text in a file that an ExrFile has written to its end; None if it is no such file."""
+    """Return the text of a complete ExrFile, None for any other file."""
     try:
         with open_regular(path, links=True) as file:
             head = file.read(4096)
@@ -106,7 +104,7 @@ def text_of(path: Path) -> str | None:
             (length,) = struct.unpack("<i", head[at : at + 4])
             window = head.find(b"dataWindow\0box2i\0") + 21
             side = struct.unpack("<iiii", head[window : window + 16])[2] + 1
-            # The table of blocks is written last: the block that it names last ends with the file.
+            # The table of blocks is written last, and its last block ends with the file.
             file.seek(end + 33 + 8 * (side // BLOCK - 1))
             (last,) = struct.unpack("<Q", file.read(8))
             file.seek(last + 4)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a folder of maps holds: images, and one JSON file that says what they are.
+"""Folders of maps: images and one JSON file.
 
-maps.json                where the tiles are, and of each map its unit, coding and tiles
-NAME.1001.png ...        the tiles of a map; NAME.png of a small terrain, which is one tile
+maps.json                positions of the tiles; unit, coding and tiles of each map
+NAME.1001.png ...        tiles of a map; NAME.png for a small terrain with one tile
 """
 
 import json
@@ -16,40 +16,37 @@ from ..run.named_file import cause, read_regular
 JSON_NAME = "maps.json"
 VERSION = 1
 UDIM = "<UDIM>"
-MOST_BYTES = 1 << 24
+MAX_BYTES = 1 << 24
+BAKE_AGAIN = "remove the file and bake them again"
 _FILE = re.compile(r"[a-z0-9_]+(\.<UDIM>|\.\d{4})?\.(png|exr)")
 
 
 def file_name(name: str, form: str, number: int | None) -> str:
-    """Of the tile with a number, or of the only one."""
+    """Return the file name of the tile with a number, None for the only one."""
     return f"{name}.{form}" if number is None else f"{name}.{number}.{form}"
 
 
 def read_index(folder: str | os.PathLike) -> dict | None:
-    """The content of a folder's maps.json; None where there is none. Raises TerrainError if it is damaged."""
+    """Return the content of a folder's maps.json, None without one. Raises TerrainError if it is damaged."""
     file = Path(folder) / JSON_NAME
     try:
-        content = json.loads(read_regular(file, MOST_BYTES).decode("utf-8"))
+        content = json.loads(read_regular(file, MAX_BYTES).decode("utf-8"))
     except FileNotFoundError:
         return None
     except (OSError, ValueError, RecursionError) as reason:
-        raise TerrainError(
-            f"The maps {file} cannot be read ({cause(reason)}): remove the file and bake them again."
-        ) from None
+        raise TerrainError(f"The maps {file} cannot be read ({cause(reason)})", fix=BAKE_AGAIN) from None
     if not _is_index(content):
-        raise TerrainError(
-            f"The maps {file} are damaged, or of another version than {VERSION}: remove the file and bake them again."
-        )
+        raise TerrainError(f"The maps {file} are damaged, or of another version than {VERSION}", fix=BAKE_AGAIN)
     return content
 
 
 def files_of(index: dict) -> set[str]:
-    """Every image that an index names."""
+    """Return the images of an index."""
     return {tile["file"] for entry in index["maps"].values() for tile in entry["tiles"]}
 
 
 def _is_index(content) -> bool:
-    """Whether a JSON value has what a reader relies on; names of files stay inside the folder."""
+    """Return whether a JSON value is a valid index; file names stay inside the folder."""
     try:
         numbers = [content[name] for name in ("columns", "rows", "margin", "vertical_scale", "vertical_offset")]
         maps = content["maps"].values()

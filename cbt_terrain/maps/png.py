@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""PNG files, written band by band and squeezed on several threads (PNG specification, sections 5 to 11)."""
+"""PNG files, written band by band and compressed on several threads (PNG specification, sections 5 to 11)."""
 
 import struct
 import zlib
@@ -13,17 +13,15 @@ from ..run.named_file import open_regular
 # Channels -> colour type.
 COLOUR = {1: 0, 3: 2, 4: 6}
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
-LEVEL = 1  # of zlib: twice as fast as the next, for a twentieth more bytes
+LEVEL = 1  # of zlib, twice as fast as the next one for a twentieth more bytes
 NO_FILTER, UP = 0, 2
 KEYWORD = b"Comment"
 END = struct.pack(">I", 0) + b"IEND" + struct.pack(">I", zlib.crc32(b"IEND"))
 
 
 class PngFile:
-    """A file of `side` x `side` texels of so many channels, of `depth` bits, that is written from the top.
-
-    `text`: kept in the file. `pool`: where bands are squeezed, while the next are made.
-    """
+    """A file of `side` x `side` texels with channels of `depth` bits, written from the top. `text`: a comment in the
+    file. `pool`: compresses bands while the next ones are computed."""
 
     def __init__(self, path: Path, side: int, channels: int, depth: int, text: str, pool: Executor):
         self._pool, self._waiting = pool, []
@@ -35,17 +33,18 @@ class PngFile:
         self._chunk(b"IDAT", b"\x78\x01")  # the head of a zlib stream
 
     def add(self, rows: np.ndarray) -> None:
-        """The next rows, uint8 [rows, bytes of a row]: numbers of 16 bits have their higher byte first."""
+        """Write the next rows, uint8 [rows, bytes of a row], 16-bit numbers with the higher byte first."""
         filtered = np.empty((len(rows), 1 + rows.shape[1]), np.uint8)
-        filtered[:, 0], filtered[0, 0] = UP, NO_FILTER  # a band knows nothing of the one before
+        filtered[:, 0], filtered[0, 0] = UP, NO_FILTER  # bands are independent
         filtered[0, 1:] = rows[0]
         np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
         self._length -= filtered.size
-        self._waiting.append(self._pool.submit(_squeezed, filtered, self._length == 0))
+        self._waiting.append(self._pool.submit(_compress, filtered, self._length == 0))
         while len(self._waiting) > 4:
             self._put()
 
     def close(self) -> None:
+        """Complete the file."""
         while self._waiting:
             self._put()
         self._chunk(b"IDAT", struct.pack(">I", self._adler))
@@ -53,7 +52,7 @@ class PngFile:
         self._file.close()
 
     def leave(self) -> None:
-        """Close it as it is."""
+        """Close the file without completing it."""
         for future in self._waiting:
             future.cancel()
         self._file.close()
@@ -69,14 +68,14 @@ class PngFile:
         self._file.write(struct.pack(">I", zlib.crc32(data, zlib.crc32(kind))))
 
 
-def _squeezed(rows: np.ndarray, last: bool) -> tuple[bytes, np.ndarray]:
-    squeeze = zlib.compressobj(LEVEL, zlib.DEFLATED, -15)
-    data = squeeze.compress(rows)
-    return data + squeeze.flush(zlib.Z_FINISH if last else zlib.Z_SYNC_FLUSH), rows
+def _compress(rows: np.ndarray, last: bool) -> tuple[bytes, np.ndarray]:
+    compressor = zlib.compressobj(LEVEL, zlib.DEFLATED, -15)
+    data = compressor.compress(rows)
+    return data + compressor.flush(zlib.Z_FINISH if last else zlib.Z_SYNC_FLUSH), rows
 
 
 def text_of(path: Path) -> str | None:
-    """The text in a file that a PngFile has written to its end; None if it is no such file."""
+    """Return the text of a complete PngFile, None for any other file."""
     try:
         with open_regular(path, links=True) as file:
             head = file.read(4096)

@@ -12,7 +12,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.lattice import fit
 from adaptive_terrain.cbt_terrain.maps import sizing, tiling
-from adaptive_terrain.cbt_terrain.maps.tiling import MOST, tiling_of
+from adaptive_terrain.cbt_terrain.maps.tiling import MAX_SIDE, tiling_of
 from fields import rough
 
 
@@ -182,6 +182,6 @@ def test_a_tile_is_as_fine_as_the_decals_on_it(small_tiles):
     assert all((shown[k] == 0.5) == (k in touched) and shown[k] in (0.5, 10.0) for k in range(len(tiles)))
     sides = sizing.resolutions(tiles, shown, shown, 4)
     texels = [max(tiles.texel(side)) for side in sides]
-    assert all(texels[k] <= 0.5 or sides[k] == MOST for k in touched)
+    assert all(texels[k] <= 0.5 or sides[k] == MAX_SIDE for k in touched)
     far = sizing.resolutions(tiles, np.full(len(tiles), 40.0), shown, 4)
     assert max(far) <= min(sides) < max(sides), "what looks from afar needs no more"

@@ -95,7 +95,7 @@ def test_a_normal_map_shades_a_coarse_mesh_like_the_full_one(terrain, tmp_path, 
 
 
 def test_only_what_a_nearer_camera_needs_is_baked_again(terrain, small_tiles, monkeypatch):
-    monkeypatch.setattr(sizing, "LEAST", 8)
+    monkeypatch.setattr(sizing, "MIN_SIDE", 8)
     camera = bpy.context.scene.camera
     camera.location *= 20.0
     bake(terrain)

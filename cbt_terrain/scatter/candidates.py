@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Candidates of a scatter that are on the ground: later frames find them by their squares."""
+"""Cached candidates of a scatter on the ground, which later frames find by their squares."""
 
 import numpy as np
 import warp as wp
@@ -7,53 +7,54 @@ import warp as wp
 from ...kernels.scatter import points as kernels
 from ..run.buffers import flat, shared
 
-SPARE = 2.0  # room for candidates over their number
+SPARE = 2.0  # capacity over the number of candidates
 
 
 class Candidates:
-    """Runs of candidates in a few long arrays, found by int64 keys. `positions`, `normals`: float32 [room, 3];
-    `density`: float32 [room]."""
+    """Runs of candidates in a few long arrays, found by int64 keys. `positions`, `normals`: float32 [capacity, 3];
+    `density`: float32 [capacity]."""
 
     def __init__(self):
         self._used = 0
         self._keys = np.empty(0, np.int64)  # ascending
-        self._at = np.empty(0, np.int64)  # where the run of each begins
+        self._at = np.empty(0, np.int64)  # first candidate of each run
         self._count = np.empty(0, np.int64)
-        self._make(0)
+        self._allocate(0)
 
     @property
     def nbytes(self) -> int:
         return self.positions.nbytes + self.normals.nbytes + self.density.nbytes
 
-    def packed(self) -> kernels.Kept:
-        made = kernels.Kept()
-        made.positions, made.normals = shared(self.positions, wp.vec3f), shared(self.normals, wp.vec3f)
-        made.density = flat(self.density, wp.float32)
-        return made
+    def packed(self) -> kernels.CandidateArrays:
+        """Return the arrays for kernels, which share the memory."""
+        arrays = kernels.CandidateArrays()
+        arrays.positions, arrays.normals = shared(self.positions, wp.vec3f), shared(self.normals, wp.vec3f)
+        arrays.density = flat(self.density, wp.float32)
+        return arrays
 
     def find(self, keys: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return where the run of each key begins, int64 [n], and whether it has `count` candidates, bool [n]."""
+        """Return the first candidate of each key's run, int64 [n], and whether the run has `count`, bool [n]."""
         if not len(self._keys):
             return np.zeros(len(keys), np.int64), np.zeros(len(keys), bool)
         number = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
         return self._at[number], (self._keys[number] == keys) & (self._count[number] >= count)
 
     def reserve(self, count: int, keys: np.ndarray) -> int:
-        """Return where `count` more begin. If there is no room, only the runs of the known `keys` stay."""
+        """Reserve `count` candidates and return the first. Without room, only the runs of the known `keys` stay."""
         if self._used + count > len(self.density):
             number = np.searchsorted(self._keys, np.sort(keys))
             held, before = self._count[number], (self.positions, self.normals, self.density)
             ends = np.cumsum(held)
             used = int(ends[-1]) if len(ends) else 0
             which = np.arange(used) + np.repeat(self._at[number] - (ends - held), held)
-            self._make(int(SPARE * (used + count)))
-            for own, other in zip((self.positions, self.normals, self.density), before, strict=True):
-                own[:used] = other[which]
+            self._allocate(int(SPARE * (used + count)))
+            for array, old in zip((self.positions, self.normals, self.density), before, strict=True):
+                array[:used] = old[which]
             self._keys, self._at, self._count, self._used = self._keys[number], ends - held, held, used
         return self._used
 
     def add(self, keys: np.ndarray, count: np.ndarray) -> None:
-        """Add runs of so many candidates each, which were reserved and written. They replace those of the same keys."""
+        """Add reserved and written runs of `count` candidates each; they replace those of the same keys."""
         at = self._used + np.cumsum(count) - count
         others = ~np.isin(self._keys, keys)
         both = [np.concatenate([a[others], b]) for a, b in ((self._keys, keys), (self._at, at), (self._count, count))]
@@ -61,6 +62,6 @@ class Candidates:
         self._keys, self._at, self._count = (array[order] for array in both)
         self._used += int(count.sum())
 
-    def _make(self, room: int) -> None:
-        self.positions, self.normals = np.empty((room, 3), np.float32), np.empty((room, 3), np.float32)
-        self.density = np.empty(room, np.float32)
+    def _allocate(self, capacity: int) -> None:
+        self.positions, self.normals = np.empty((capacity, 3), np.float32), np.empty((capacity, 3), np.float32)
+        self.density = np.empty(capacity, np.float32)

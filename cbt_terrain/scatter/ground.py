@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The ground of a scatter: its pattern laid over a placed field, and the candidates that stand on it."""
+"""The ground of a scatter: its pattern over a placed field, and the candidates on it."""
 
 import math
 from dataclasses import dataclass, field
@@ -24,16 +24,16 @@ from ..run import launch
 from ..run.buffers import flat, shared
 from ..terrain import box_of
 from .candidates import Candidates
-from .scatter import MOST_TILES, Scatter
+from .scatter import MAX_TILES, Scatter
 from .squares import Squares
 from .tile import FINEST, POINTS, tile
 
-SPARE = 1.25  # times what is wanted of a square, that is put on the ground: a camera that creeps wants a little more
+SPARE = 1.25  # candidates placed over those needed, since a slow camera needs a few more in the next frame
 
 
 @dataclass(eq=False)
 class ScatterGround:
-    """A scatter on a placed field, which no view changes. A frame history owns it."""
+    """A scatter on a placed field, independent of views. A frame history owns it."""
 
     field: HeightField
     scatter: Scatter
@@ -45,31 +45,34 @@ class ScatterGround:
     valid: wp.array
     pattern: Pattern
     tiles: int
-    look: kernels.Look
+    style: kernels.ScatterStyle
     candidates: Candidates = field(default_factory=Candidates)
 
     @classmethod
     def of(cls, field: HeightField, request) -> "ScatterGround":
-        """Lay the pattern of a ScatterRequest; nothing stands on the ground yet."""
+        """Return the ground of a ScatterRequest without candidates."""
         scale = vertical(request.vertical_scale, request.vertical_offset)
         valid = np.empty(0, np.uint8) if field.valid is None else field.valid
         box, domain = box_of(field, *scale), make_domain(field, 0, *scale)
         detail = coats.packed(field.detail, field.finest_edge, field.lattice)
-        pattern, tiles = _laid(field, request.scatter)
-        flags, look = flat(np.ascontiguousarray(valid), wp.uint8), _look(request.scatter, tiles)
-        return cls(field, request.scatter, scale, request.boundary, box, domain, detail, flags, pattern, tiles, look)
+        pattern, tiles = _pattern(field, request.scatter)
+        flags, style = flat(np.ascontiguousarray(valid), wp.uint8), _style(request.scatter, tiles)
+        return cls(field, request.scatter, scale, request.boundary, box, domain, detail, flags, pattern, tiles, style)
 
     def is_of(self, field: HeightField, request) -> bool:
-        """Return whether the candidates of a ScatterRequest stand here."""
-        scale, own, other = (request.vertical_scale, request.vertical_offset), self.boundary, request.boundary
-        alike = field is self.field and request.scatter == self.scatter and scale == self.scale
-        return alike and (own is other or (own is not None and other is not None and np.array_equal(own, other)))
+        """Return whether this is the ground of a ScatterRequest."""
+        scale, one, other = (request.vertical_scale, request.vertical_offset), self.boundary, request.boundary
+        same = field is self.field and request.scatter == self.scatter and scale == self.scale
+        return same and (one is other or (one is not None and other is not None and np.array_equal(one, other)))
 
     def runs(self, squares: Squares, views: int, threads: int) -> np.ndarray:
-        """Return the runs of squares that so many views want, on the ground then: Run's numpy dtype [n]."""
+        """Return the runs of squares with their candidates on the ground; numpy dtype of CandidateRun [n].
+
+        views: number of views.
+        """
         tiles, window = squares.of_tile(self.scatter.seed)
-        runs = np.zeros(len(window), kernels.Run.numpy_dtype())
-        first, most = tile().runs(squares.halvings, window)
+        runs = np.zeros(len(window), kernels.CandidateRun.numpy_dtype())
+        first, available = tile().runs(squares.halvings, window)
         runs["tile_x"], runs["tile_y"], runs["first"], runs["count"] = *tiles.T, first, squares.count
         runs["out"] = np.cumsum(squares.count) - squares.count
         runs["clear"] = squares.clear if views == 1 else 0
@@ -77,16 +80,17 @@ class ScatterGround:
         at, known = self.candidates.find(keys, squares.count)
         if not known.all():
             fresh, count = runs[~known], squares.count[~known]
-            fresh["count"] = count = np.minimum((SPARE * count).astype(np.int64) + 8, most[~known])
+            fresh["count"] = count = np.minimum((SPARE * count).astype(np.int64) + 8, available[~known])
             begin = self.candidates.reserve(int(count.sum()), keys[known])
             fresh["at"] = begin + np.cumsum(count) - count
-            self._put_on_ground(fresh, slice(begin, begin + int(count.sum())), threads)
+            self._place(fresh, slice(begin, begin + int(count.sum())), threads)
             self.candidates.add(keys[~known], count)
             at, _ = self.candidates.find(keys, squares.count)
         runs["at"] = at
         return runs
 
-    def _put_on_ground(self, runs: np.ndarray, where: slice, threads: int) -> None:
+    def _place(self, runs: np.ndarray, where: slice, threads: int) -> None:
+        """Compute positions, normals and densities of the candidates of runs; `where`: their slice of the arrays."""
         inputs = [self.domain, self.detail, self.valid, self.pattern, listed_runs(runs), self.candidates.packed()]
         launch.slices(kernels.place, [[*piece, *inputs] for piece in pieces_of(runs["count"], threads)], step="place")
         positions, density = self.candidates.positions[where], self.candidates.density[where]
@@ -98,12 +102,12 @@ class ScatterGround:
         there = np.flatnonzero(density) if reads else np.empty(0, np.int64)
         if len(there):
             places = Places(self.field, positions[there], np.zeros(len(there), np.float32), *self.scale, threads)
-            for asked, column in reads:
-                density[there] *= values_at(places, [asked])[asked.name][:, column]
+            for request, column in reads:
+                density[there] *= values_at(places, [request])[request.name][:, column]
 
 
 def pieces_of(counts: np.ndarray, threads: int) -> list[tuple[int, int]]:
-    """Return ranges of runs with as many candidates each, for as many threads as pay."""
+    """Return ranges of runs with equal numbers of candidates, for a useful number of threads."""
     ends = np.cumsum(counts)
     total = int(ends[-1]) if len(ends) else 0
     pieces = max(1, min(threads, total // launch.SLICE_ITEMS))
@@ -112,35 +116,36 @@ def pieces_of(counts: np.ndarray, threads: int) -> list[tuple[int, int]]:
 
 
 def listed_runs(runs: np.ndarray) -> wp.array:
-    """Return runs as the kernels read them."""
-    return wp.array(runs, dtype=kernels.Run, device=launch.DEVICE, copy=False)
+    """Return runs for kernels."""
+    return wp.array(runs, dtype=kernels.CandidateRun, device=launch.DEVICE, copy=False)
 
 
-def _laid(field: HeightField, scatter: Scatter) -> tuple[Pattern, int]:
-    """Tiles laid over the raster, moved by the seed, and how many there are in a row."""
+def _pattern(field: HeightField, scatter: Scatter) -> tuple[Pattern, int]:
+    """Return the pattern over the raster, shifted by the seed, and the number of tiles in a row."""
     west, south, east, north = field.lattice.rectangle()
     side, pattern = scatter.tile_side, Pattern()
     tiles = int(max(east - west, north - south) / side) + 2
-    if tiles > MOST_TILES:
+    if tiles > MAX_TILES:
         raise TerrainError(
-            f"The scatter's spacing is {scatter.spacing:g} m on a terrain of {max(east - west, north - south):g} m; "
-            "expected more: it is finer than a mesh can hold."
+            f"The scatter's spacing is {scatter.spacing:g} m on a terrain of {max(east - west, north - south):g} m, "
+            "which is finer than a mesh can hold",
+            fix="increase it",
         )
-    # Parts of a side by which scatters of other seeds lie elsewhere (R2 of Roberts, 2018).
-    parts = (scatter.seed * 0.7548776662466927) % 1.0, (scatter.seed * 0.5698402909980532) % 1.0
-    pattern.west, pattern.south = west - side * parts[0], south - side * parts[1]
-    pattern.side, pattern.seed, own = side, scatter.seed, tile()
-    pattern.place = shared(own.place, wp.vec2i)
-    pattern.order = flat(np.concatenate(own.order), wp.int32)
-    pattern.first = flat((own.length - POINTS + own.first[FINEST]).astype(np.int32), wp.int32)
+    # Shifts for each seed in fractions of a side (R2 of Roberts, 2018).
+    shift = (scatter.seed * 0.7548776662466927) % 1.0, (scatter.seed * 0.5698402909980532) % 1.0
+    pattern.west, pattern.south = west - side * shift[0], south - side * shift[1]
+    pattern.side, pattern.seed, points = side, scatter.seed, tile()
+    pattern.place = shared(points.place, wp.vec2i)
+    pattern.order = flat(np.concatenate(points.order), wp.int32)
+    pattern.first = flat((points.length - POINTS + points.first[FINEST]).astype(np.int32), wp.int32)
     return pattern, tiles
 
 
-def _look(scatter: Scatter, tiles: int) -> kernels.Look:
-    look = kernels.Look()
-    look.seed, look.tiles = scatter.seed, tiles
-    look.size, look.variation, look.align = scatter.size, scatter.variation, scatter.align
+def _style(scatter: Scatter, tiles: int) -> kernels.ScatterStyle:
+    style = kernels.ScatterStyle()
+    style.seed, style.tiles = scatter.seed, tiles
+    style.size, style.variation, style.align = scatter.size, scatter.variation, scatter.align
     half = [math.pi * k / int(kernels.TURNS) for k in range(int(kernels.TURNS))]
-    for name, of in (("cosine", math.cos), ("sine", math.sin)):
-        setattr(look, name, flat(np.array([settled(of(angle)) for angle in half], np.float32), wp.float32))
-    return look
+    for name, function in (("cosine", math.cos), ("sine", math.sin)):
+        setattr(style, name, flat(np.array([settled(function(angle)) for angle in half], np.float32), wp.float32))
+    return style

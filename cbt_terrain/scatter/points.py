@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scatter that stands still: each frame's points are a function of the declaration, the terrain and the views alone.
+"""Stable scatter: the points of each frame are a function of the declaration, the terrain and the views alone.
 
-A point has a rank r in 0 .. 1, and is whole where a view wants as much: its density, times what is left of it at that
-distance. Where a little less is wanted it is there and grows from nothing. So points come and go one by one; none
-moves.
+A point has a rank r in 0 .. 1. It has its full size where the density at its distance is at least r, and is smaller,
+down to 0, where the density is a little less. Points therefore appear and vanish one by one, and none moves.
 """
 
 import math
@@ -29,7 +28,7 @@ from ..run.buffers import flat
 from ..terrain import Terrain
 from .ground import ScatterGround, listed_runs, pieces_of
 from .scatter import Scatter
-from .squares import TOO_MANY, squares_wanted
+from .squares import squares_in_view, too_many
 
 ARRAYS = {
     "positions": wp.vec3f,
@@ -43,10 +42,10 @@ ARRAYS = {
 
 @dataclass(frozen=True)
 class Points:
-    """Points of a frame. `positions`: float32 [n, 3], metres in the terrain's own space. `normals`: float32 [n, 3] of
-    the ground. `size`: float32 [n], 0 where a point begins. `id`: int64 [n], the same for a point in every frame.
-    `variant`: int32 [n], any number from 0 to 2^31 - 1, for a choice. `rotation`: float32 [n, 4], quaternions w, x, y,
-    z. `tested`: how many candidates were looked at. The arrays are read-only."""
+    """Points of a frame. `positions`: float32 [n, 3], metres in the terrain's space. `normals`: float32 [n, 3], of the
+    ground. `size`: float32 [n], from 0 on. `id`: int64 [n], the same for a point in every frame. `variant`: int32 [n],
+    a random number from 0 to 2^31 - 1. `rotation`: float32 [n, 4], quaternions w, x, y, z. `tested`: number of tested
+    candidates. The arrays are read-only."""
 
     positions: np.ndarray
     normals: np.ndarray
@@ -60,19 +59,18 @@ class Points:
         return len(self.positions)
 
     def only(self, which: np.ndarray) -> "Points":
-        """Those of the numbers `which`, or where that is true."""
+        """Return the points with the indices, or the mask, `which`."""
         return Points(*(getattr(self, name)[which] for name in ARRAYS), self.tested)
 
 
 @dataclass(frozen=True, eq=False)
 class ScatterRequest:
-    """Which points are wanted: those that views see, the terrain standing at `placement` (4 x 4, to the world); without
-    a view all of them, at full density.
+    """A request for the points that views see, or without views for all points at full density.
 
-    `boundary`: points are above or below one of these triangles, float64 [n, 3, 2], x and y in the terrain's space.
-    `horizon`: of Terrain.horizon for the same views; squares of the plan that are hidden from all of them, with
-    everything that reaches `margin_m` out of them, have no points then. The others are the same as without it. `most`:
-    the maximum number of points, and whose limit that is, for the message.
+    `placement`: 4 x 4 matrix to the world. `boundary`: triangles that points are above or below, float64 [n, 3, 2], x
+    and y in the terrain's space. `horizon`: Terrain.horizon for the same views; squares of the plan that are hidden
+    from all of them, including everything within `margin_m`, have no points then. The other points do not change.
+    `most`: the maximum number of points and the name of the limit for the message.
     """
 
     scatter: Scatter
@@ -88,23 +86,22 @@ class ScatterRequest:
 def scatter_points(
     field: HeightField, scatter: Scatter, views: Iterable[View] = (), threads: int | None = None, **placed
 ) -> Points:
-    """Return the points that views see; without a view all of them, at full density. Other arguments as of
-    ScatterRequest."""
+    """Return the points that views see, or without views all points at full density. placed: see ScatterRequest."""
     return place_points(field, ScatterRequest(scatter, views, **placed), FrameHistory(), threads)
 
 
 def place_points(
     field: HeightField, request: ScatterRequest, history: FrameHistory, threads: int | None = None
 ) -> Points:
-    """Return the points of a request. The history holds candidates on the ground for later frames; they depend on no
-    view, so the points are the same whatever it is.
+    """Return the points of a request. The history caches candidates, which depend on no view, so that the points do not
+    depend on it.
 
-    Raises TerrainError for a view that cannot be, for the horizon of other views, for more candidates than memory
-    should hold, for more points than `most` and for heights that are not finite.
+    Raises TerrainError for an invalid view, the horizon of other views, too many candidates for the memory, more points
+    than `most`, and heights that are not finite.
     """
     views, threads = listed_views(request.views), launch.checked_threads(threads)
     with history.alone():
-        ground, history.ground = history.ground, None  # discarded where this is interrupted
+        ground, history.ground = history.ground, None  # discarded if this is interrupted
         if ground is None or not ground.is_of(field, request):
             ground = ScatterGround.of(field, request)
         points = _points(request, views, ground, history, threads)
@@ -118,8 +115,8 @@ def _points(
     scratch = history.scratch
     seen, pattern, scatter = _seen(request, views, ground), ground.pattern, request.scatter
     placed = pattern.west, pattern.south, pattern.side, scatter.seed
-    densest = min(scatter.where.strength, 1.0)  # of its layer's part, all rules holding
-    squares = squares_wanted(ground.field, ground.domain, seen, *placed, densest, threads)
+    max_density = min(scatter.where.strength, 1.0)  # where all rules hold
+    squares = squares_in_view(ground.field, ground.domain, seen, *placed, max_density, threads)
     runs, tested = ground.runs(squares, len(views), threads), int(squares.count.sum())
     listed, candidates = listed_runs(runs), ground.candidates.packed()
     chosen = kernels.Chosen()
@@ -128,18 +125,18 @@ def _points(
     inputs = [[*piece, seen, pattern, listed, candidates, chosen] for piece in pieces_of(squares.count, threads)]
     launch.slices(kernels.choose, inputs, step="choose")
     counts = scratch.numpy("counts")[: len(runs)].astype(np.int64)
-    most = request.most
-    if most is not None and counts.sum() > most[0]:
-        raise TerrainError(TOO_MANY.format(f"{counts.sum():,}", f", expected {most[0]:,} at most, {most[1]}"))
+    if request.most is not None and counts.sum() > request.most[0]:
+        max_points, limit = request.most
+        raise too_many(f"{counts.sum():,}", f"at most {max_points:,}, {limit}")
     total = int(counts.sum())
     first = flat((np.cumsum(counts) - counts).astype(np.int32), wp.int32)
-    inputs = [listed, first, candidates, chosen, ground.look, _room(history, total)]
-    launch.slices(kernels.tell, [[*piece, *inputs] for piece in pieces_of(counts, threads)], step="tell")
+    inputs = [listed, first, candidates, chosen, ground.style, _room(history, total)]
+    launch.slices(kernels.fill_points, [[*piece, *inputs] for piece in pieces_of(counts, threads)], step="tell")
     return Points(*(history.lend(history.points, name, total) for name in ARRAYS), tested)
 
 
 def _seen(request: ScatterRequest, views: list[View], ground: ScatterGround) -> Views:
-    """Return the views as the kernels read them."""
+    """Return the views for kernels."""
     scatter, horizon, seen, local = request.scatter, request.horizon, Views(), []
     placement = np.eye(4) if request.placement is None else np.asarray(request.placement, np.float64)
     criterion, margins = Criterion(), (scatter.margin_deg, scatter.margin_deg)
@@ -152,7 +149,7 @@ def _seen(request: ScatterRequest, views: list[View], ground: ScatterGround) -> 
     if horizon is not None:
         _hide(local, horizon)
         seen.slopes, linear = horizon.slopes, placement[:3, :3]
-        # A ball of the world is an ellipsoid in the terrain's space, this its box.
+        # The box of the ellipsoid that a ball of the world is in the terrain's space.
         seen.reach = scatter.margin_m * lengths(solve(linear, np.eye(3)).T) * (1 + 1e-9)
     seen.count, seen.full2 = len(local), scatter.full_until * scatter.full_until if scatter.full_until else math.inf
     seen.views = wp.array(local or [LocalView()], dtype=LocalView, device=launch.DEVICE)
@@ -160,10 +157,7 @@ def _seen(request: ScatterRequest, views: list[View], ground: ScatterGround) -> 
 
 
 def on_mesh(points: Points, terrain: Terrain, surface: Surface) -> Points:
-    """The points at the heights that the terrain's last surface has there; normals stay those of the ground.
-
-    Where that has no triangle they stay where they are.
-    """
+    """Move points to the heights of the terrain's last surface, where it has a triangle; normals do not change."""
     places = points.positions[:, :2].astype(np.float64)
     number = terrain.triangles_at(places)
     there = np.flatnonzero(number >= 0)
@@ -177,17 +171,17 @@ def on_mesh(points: Points, terrain: Terrain, surface: Surface) -> Points:
 
 
 def _hide(views: list[LocalView], horizon: Asked) -> None:
-    """Give views the rings of their horizons. Raises TerrainError for those of others."""
+    """Set the horizon rings of views. Raises TerrainError for the horizon of other views."""
     others = horizon.views.numpy()[: horizon.view_count]
     if len(others) != len(views) or any(list(v.eye) != o["eye"].tolist() for v, o in zip(views, others, strict=True)):
-        raise TerrainError("The horizon is one of other views; update the terrain for those of the scatter first.")
+        raise TerrainError("The horizon is one of other views", fix="update the terrain for the scatter's views first")
     for view, other in zip(views, others, strict=True):
         view.rings.first, view.rings.count, view.rings.at = (int(number) for number in other["rings"])
 
 
-def _room(history: FrameHistory, count: int) -> kernels.Points:
-    """Return memory for so many points that no caller reads."""
-    room, arrays = kernels.Points(), history.room_for_points()
+def _room(history: FrameHistory, count: int) -> kernels.PointArrays:
+    """Return memory for `count` points that no caller reads."""
+    room, arrays = kernels.PointArrays(), history.room_for_points()
     for name, dtype in ARRAYS.items():
         setattr(room, name, arrays.get(name, count, dtype))
     return room

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a scatter is: how many points, where, and what they look like. Hashable, so that it is part of keys."""
+"""The declaration of a scatter: density, rules and style of its points. It is hashable and part of keys."""
 
 import math
 from dataclasses import dataclass, replace
@@ -13,22 +13,26 @@ from .tile import POINTS
 
 ANYWHERE = Layer("Anywhere")
 LARGEST = 1e9
-# Tiles in a raster's side, at most: what lies between two points then is still a lattice unit or more.
-MOST_TILES = 1 << 20
+# Limit of tiles along a raster's side, which keeps points at least a lattice unit apart.
+MAX_TILES = 1 << 20
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """Points that stand on a terrain.
+    """Points on a terrain.
 
-    `spacing`: at full density there is one on `spacing` x `spacing` metres of the terrain's own space. `full_until`:
-    metres of the world from the eye up to which density is full; further away it falls with the square of the distance,
-    so that as many points a pixel are seen; 0: full everywhere. A quarter more points are there, which grow. `where`:
-    density by rules, those of a splat layer. `layers`, `on`: splat layers of the terrain, and the number of the one
-    whose part of the ground counts too, -1: none. `size`: of points that are full-grown; it varies by `variation` of
-    itself either way. `align`: 0 upright, 1 along the normal. `margin_deg`, `margin_m`: how far outside the frame
-    points still are, degrees and metres of the world: what stands there may reach or shine into it. `seed` gives other
-    points.
+    Attributes:
+        spacing: full density is one point on `spacing` x `spacing` metres in the terrain's space.
+        full_until: distance from the eye in metres of the world up to which density is full; beyond, it falls with the
+            square of the distance, for a constant number of points in a pixel. 0 for full density everywhere. A quarter
+            more points are there with sizes from 0 on.
+        where: density by the rules of a splat layer.
+        layers, on: splat layers of the terrain, and the index of the one whose weight multiplies the density, or -1.
+        size, variation: full size, and its variation as a fraction in both directions.
+        align: 0 for upright, 1 for along the normal.
+        margin_deg, margin_m: margin around the frame in degrees and metres of the world, for objects that reach or cast
+            light into it.
+        seed: selects other points.
     """
 
     spacing: float = 10.0
@@ -57,29 +61,28 @@ class Scatter:
             check_number(f"The scatter's {name}", getattr(self, name), low, high, unit)
         check_seed("The scatter's seed", self.seed)
         if not -1 <= self.on < len(self.layers):
-            raise TerrainError(
-                f"The scatter stands on splat layer {self.on}, and there are {len(self.layers)}; choose one of them."
-            )
-        check(self._own_layers())
+            problem = f"The scatter stands on splat layer {self.on}, and there are {len(self.layers)}"
+            raise TerrainError(problem, fix="choose one of them")
+        check(self._density_layers())
         if self.layers:
             check(self.layers)
 
     @property
     def tile_side(self) -> float:
-        """Metres after which the pattern repeats."""
+        """Side of a tile of the pattern in metres."""
         return self.spacing * math.sqrt(POINTS)
 
     def reads(self) -> list[tuple[Asked, int]]:
-        """Effects whose product is the density, each with the column of its values that counts; none for 1."""
+        """Return the attributes whose product is the density, each with the column of its values; none for 1."""
         found = []
         if self.where.rules or self.where.strength != 1.0:
-            found.append((_splat(0, self._own_layers()), 1))
+            found.append((_splat(0, self._density_layers()), 1))
         if self.on >= 0:
             found.append((_splat(self.on // 4, self.layers), self.on % 4))
         return found
 
-    def _own_layers(self) -> tuple[Layer, ...]:
-        """What lies on top of the rest takes just what its own rules give."""
+    def _density_layers(self) -> tuple[Layer, ...]:
+        """Return two layers, of which the upper one has the weight of its own rules."""
         return ANYWHERE, replace(self.where, on_top=True)
 
 

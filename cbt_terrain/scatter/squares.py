@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which squares of the plan views may want points of, and how many ranks of each.
+"""The squares of the plan whose points views may show, and the number of ranks of each.
 
-A quadtree over the plan: tiles in its middle, above them squares of 2 x 2 tiles and so on, below them the squares that
-the tile is cut into. A square is taken whole where few points of it are wanted, or about as many all over it.
+It walks a quadtree over the plan: in its middle are tiles, above them squares of 2 x 2 tiles and so on, below them the
+parts of tiles. A square is not divided if it needs few points or an about constant density.
 """
 
 from dataclasses import dataclass
@@ -22,22 +22,18 @@ from ..run import launch
 from ..run.buffers import shared
 from .tile import FINEST, POINTS, shifts, tile
 
-FEW = 64  # points of a square that is not worth cutting
-EVEN = 1.5  # times the least that is wanted of a square, the most of one that is not cut
-MOST_CANDIDATES = 1 << 26  # 3.4 GB
-MOST_CUT = MOST_CANDIDATES // (4 * FEW)  # of a size; each has more points than a few
-TOO_MANY = (
-    "The scatter has {} points in view{}: make its spacing larger, or let its full density end nearer to the camera "
-    "(Full Until; at 0 it never ends)."
-)
+FEW = 64  # points of a square that is not divided
+EVEN = 1.5  # largest ratio of the densities of a square that is not divided
+MAX_CANDIDATES = 1 << 26  # 3.4 GB
+MAX_DIVIDED = MAX_CANDIDATES // (4 * FEW)  # squares of one size; each has more points than FEW
 NOTHING = np.empty(0, np.int32), np.empty((0, 2), np.int32), np.empty(0, np.int64), np.empty(0, bool)
 
 
 @dataclass(frozen=True)
 class Squares:
-    """`halvings`: int32 [n], of the tile's side. `number`: int32 [n, 2], column and row among the squares of that size,
-    those of tile (0, 0) first. `count`: int64 [n], how many points of each square may be wanted: those of the lowest
-    ranks. `clear`: bool [n], whether a frame has all of it."""
+    """Squares of the plan. `halvings`: int32 [n], of the tile's side. `number`: int32 [n, 2], column and row among the
+    squares of that size, from tile (0, 0) on. `count`: int64 [n], number of points, of the lowest ranks, that views may
+    show. `clear`: bool [n], whether it is completely inside a frame."""
 
     halvings: np.ndarray
     number: np.ndarray
@@ -45,13 +41,19 @@ class Squares:
     clear: np.ndarray
 
     def of_tile(self, seed: int) -> tuple[np.ndarray, np.ndarray]:
-        """int32 [n, 2], int64 [n]: the tile of each square, and the number of its window."""
+        """Return the tile of each square, int32 [n, 2], and the number of its window, int64 [n]."""
         tiles = self.number >> self.halvings[:, None]
         inside = self.number & ((1 << self.halvings) - 1)[:, None]
         return tiles, tile().windows(self.halvings, inside, shifts(tiles, seed))
 
 
-def squares_wanted(
+def too_many(count: str, expected: str = "") -> TerrainError:
+    """Return the error for too many points in view."""
+    fix = "increase its spacing, or let its full density end nearer to the camera (Full Until; at 0 it never ends)"
+    return TerrainError(f"The scatter has {count} points in view", expected=expected, fix=fix)
+
+
+def squares_in_view(
     field: HeightField,
     domain: Domain,
     views: Views,
@@ -59,13 +61,13 @@ def squares_wanted(
     south: float,
     side: float,
     seed: int,
-    densest: float,
+    max_density: float,
     threads: int,
 ) -> Squares:
-    """Of tiles of `side` metres, the first of which has its south-western corner at `west`, `south`; density is
-    `densest` at most, 0 .. 1.
+    """Return the squares that views may show, for tiles of `side` metres and a density of at most `max_density`.
 
-    Raises TerrainError for more than MOST_CANDIDATES points.
+    The south-western corner of tile (0, 0) is at `west`, `south`. Raises TerrainError for more than MAX_CANDIDATES
+    points.
     """
     _, _, east, north = field.lattice.rectangle()
     tiles = max(1.0, (east - west) / side, (north - south) / side)
@@ -76,37 +78,37 @@ def squares_wanted(
         q = _packed(field, west, south, side * 2.0**-halvings)
         arrays = [shared(numbers, wp.vec2i), wp.array(wanted, dtype=wp.vec2d, device=launch.DEVICE, copy=False)]
         inputs = [domain, views, q, wp.float64(east), wp.float64(north), *arrays]
-        launch.spread(kernels.look, len(numbers), inputs, step="squares", threads=threads, cost=10.0)
-        most, least = wanted.T
-        # Ranks r = (rank + 1/2) / POINTS that are there or growing, and what rounding of a density could add.
-        there = most * densest * (float(GROWING) * (1 + 1e-6))
-        ranks = np.minimum(np.ceil(there * POINTS - 0.5), POINTS).astype(np.int64)
-        cut = ranks > 0
+        launch.spread(kernels.density_range, len(numbers), inputs, step="squares", threads=threads, cost=10.0)
+        high, low = wanted.T
+        # Ranks r = (rank + 1/2) / POINTS of full or partial size, with a margin for the rounding of densities.
+        growing = high * max_density * (float(GROWING) * (1 + 1e-6))
+        ranks = np.minimum(np.ceil(growing * POINTS - 0.5), POINTS).astype(np.int64)
+        divided = ranks > 0
         if halvings >= 0:
             depth = np.full(len(numbers), halvings, np.int32)
-            count = tile().count(halvings, Squares(depth, numbers, ranks, cut).of_tile(seed)[1], ranks)
-            cut &= (count > FEW) & (most > EVEN * least) & (halvings < FINEST)
-            taken = ~cut & (count > 0)
-            found.append((depth[taken], numbers[taken], count[taken], least[taken] > 0))
-        if cut.sum() > MOST_CUT:
-            raise TerrainError(TOO_MANY.format(f"more than {MOST_CANDIDATES:,}", ""))
-        numbers = _children(numbers[cut])
+            count = tile().count(halvings, Squares(depth, numbers, ranks, divided).of_tile(seed)[1], ranks)
+            divided &= (count > FEW) & (high > EVEN * low) & (halvings < FINEST)
+            final = ~divided & (count > 0)
+            found.append((depth[final], numbers[final], count[final], low[final] > 0))
+        if divided.sum() > MAX_DIVIDED:
+            raise too_many(f"more than {MAX_CANDIDATES:,}")
+        numbers = _children(numbers[divided])
         halvings += 1
     squares = Squares(*map(np.concatenate, zip(NOTHING, *found, strict=True)))
-    if squares.count.sum() > MOST_CANDIDATES:
-        raise TerrainError(TOO_MANY.format(f"more than {MOST_CANDIDATES:,}", ""))
+    if squares.count.sum() > MAX_CANDIDATES:
+        raise too_many(f"more than {MAX_CANDIDATES:,}")
     return squares
 
 
 def _children(numbers: np.ndarray) -> np.ndarray:
-    """int32 [4 n, 2]: the quarters of squares."""
+    """Return the quarters of squares, int32 [4 n, 2]."""
     quarters = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], np.int32)
     return (2 * numbers[:, None] + quarters).reshape(-1, 2)
 
 
-def _packed(field: HeightField, west: float, south: float, side: float) -> kernels.Squares:
-    """Squares of a size, with the ranges of heights of the smallest lattice cells that are no smaller."""
-    lattice, q = field.lattice, kernels.Squares()
+def _packed(field: HeightField, west: float, south: float, side: float) -> kernels.ScatterSquares:
+    """Return squares of a size for kernels, with the height ranges of the smallest lattice cells that are as large."""
+    lattice, q = field.lattice, kernels.ScatterSquares()
     q.west, q.south, q.side, q.low, q.high = west, south, side, field.min_height, field.max_height
     cells = max(side / min(lattice.step_x, lattice.step_y), 4.0)  # ranges are of 4 x 4 cells and more
     bits = int(np.ceil(np.log2(cells * (1 + 1e-9))))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tile that a scatter is laid out with: one progressive blue-noise set on a torus, listed by windows of it.
+"""The tile of a scatter: one progressive blue-noise set on a torus, listed by windows.
 
-Every tile of the plan shows it shifted otherwise, by a number drawn for its place. So nothing repeats, however few of
-the points are wanted. A square of a tile is a window of the set, which may lie across the set's own border.
+Every tile of the plan shows it with a random shift, so that nothing repeats, whatever the density. A square of a tile
+is a window of the set, which may wrap around.
 """
 
 from dataclasses import dataclass
@@ -16,19 +16,21 @@ from ...kernels.scatter import tile as kernels
 from ..run import launch
 from ..run.buffers import flat, shared
 
-POINTS = 1 << 14  # of a tile
+POINTS = 1 << 14  # points of a tile
 FINEST = int(seams.SQUARE_BITS)  # halvings of a side; the smallest squares have 64 points
-UNITS = 1 << int(seams.UNIT_BITS)  # of a side, in which points are
-SHIFTS = 1 << int(seams.SHIFT_BITS)  # each way
-# Windows begin at so many places of a side, for each halving. All of a tile is the same ranks wherever it begins.
+UNITS = 1 << int(seams.UNIT_BITS)  # units of a side, in which positions are
+SHIFTS = 1 << int(seams.SHIFT_BITS)  # shifts along each axis
+# Number of window positions along a side for each halving. A whole tile has one, as it has all ranks wherever it
+# starts.
 STARTS = np.array([1, *(max(SHIFTS, 1 << halvings) for halvings in range(1, FINEST + 1))])
 
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """`place`: int32 [POINTS, 2], the point of each rank, in units. Of each halving (0 .. FINEST) with its windows (row
-    by row from the south-west): `order`, int32, ranks window by window, in a window from low to high; `first`, int64
-    [windows + 1], where those of a window begin; `keys`, int64, ascending: window and rank in one number."""
+    """`place`: int32 [POINTS, 2], the point of each rank in units. For each halving (0 .. FINEST) and its windows, row
+    by row from the south-west: `order`, int32, ascending ranks of each window; `first`, int64 [windows + 1], index of
+    each
+    window's first rank; `keys`, int64, ascending: window and rank in one number."""
 
     place: np.ndarray
     order: list[np.ndarray]
@@ -37,22 +39,21 @@ class Tile:
 
     @property
     def length(self) -> int:
-        """Of all of `order`, one halving after the other."""
+        """Number of ranks in `order`, all halvings concatenated."""
         return sum(map(len, self.order))
 
     def windows(self, halvings: np.ndarray, square: np.ndarray, shift: np.ndarray) -> np.ndarray:
-        """int64 [n]: which windows squares (int [n, 2]: column and row) of tiles with these shifts are."""
+        """Return the windows of squares (int [n, 2]: column and row) in tiles with these shifts, int64 [n]."""
         starts = STARTS[halvings][:, None]
         column, row = ((square * (starts >> halvings[:, None]) - shift * starts // SHIFTS) % starts).T
         return row * starts[:, 0] + column
 
     def count(self, halvings: int, window: np.ndarray, ranks: np.ndarray) -> np.ndarray:
-        """int64 [n]: how many points of windows have a rank below `ranks`; both int64 [n]."""
+        """Return the number of points of each window with a rank below `ranks`, int64 [n]."""
         return np.searchsorted(self.keys[halvings], _key(window, ranks)) - self.first[halvings][window]
 
     def runs(self, halvings: np.ndarray, window: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """int64 [n], int64 [n]: where the ranks of windows begin in all of `order`, and how many there are. halvings,
-        window: int [n]."""
+        """Return the first index of each window in all of `order`, and its number of ranks, int64 [n] each."""
         ends = np.concatenate(self.first)
         row = (np.cumsum([0, *map(len, self.first)]))[halvings] + window
         before = np.cumsum([0, *map(len, self.order)])[halvings]
@@ -61,13 +62,13 @@ class Tile:
 
 @cache
 def tile() -> Tile:
-    """The one tile, made when it is first asked for: whole numbers, so the same on every machine."""
+    """Return the one tile, computed on first use in integers, so that it is the same on every machine."""
     side = 1 << int(kernels.BITS)
     near, place = np.full(side * side, side * side, np.int32), np.empty((POINTS, 2), np.int32)
     launch.once(kernels.best_candidates, [POINTS, flat(near, wp.int32), shared(place, wp.vec2i)], step="scatter tile")
     order, first, keys = [], [], []
     for halvings, starts in enumerate(STARTS.tolist()):
-        # Each point is in as many windows a side as a window has steps between starts.
+        # Each point is in several windows, one for each step between starts inside a window.
         column, row = (place[:, :, None] * starts // UNITS - np.arange(starts >> halvings)).transpose(1, 0, 2) % starts
         window = (row[:, :, None] * starts + column[:, None, :]).reshape(-1).astype(np.int64)
         keys.append(np.sort(_key(window, np.repeat(np.arange(POINTS), (starts >> halvings) ** 2))))
@@ -77,8 +78,7 @@ def tile() -> Tile:
 
 
 def shifts(tiles: np.ndarray, seed: int) -> np.ndarray:
-    """int32 [n, 2]: by how many parts of SHIFTS of a side tiles (int32 [n, 2]: column and row) show the set further
-    east and north."""
+    """Return the shifts of tiles (int32 [n, 2]: column, row) to the east and north in sides / SHIFTS, int32 [n, 2]."""
     found = np.empty_like(tiles)
     inputs = [wp.uint32(seed), shared(tiles, wp.vec2i), shared(found, wp.vec2i)]
     launch.spread(seams.shifts, len(tiles), inputs, step="squares")

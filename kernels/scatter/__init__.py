@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Points that stand still: the tile that they repeat, which of it a view may see, and where they are on the ground."""
+"""Kernels of stable scatter: the tile of points, the squares that views may show, and positions on the ground."""

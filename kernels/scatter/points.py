@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Points of a scatter: their places on the ground, which of them views want, and what is told of those.
+"""Points of a scatter: candidates on the ground, the choice of those in view, and their attributes.
 
-Every square of the plan has a run of candidates: the points of the tile's square from rank 0 on. Where they are on the
-ground depends on no view; that is kept from frame to frame.
+Every square of the plan has a run of candidates: the points of the tile's square from rank 0 on. Their positions depend
+on no view and are cached from frame to frame.
 """
 
 import warp as wp
@@ -16,18 +16,18 @@ from ..mesh.displace import surface_at
 from .seams import PER_RANK, Pattern, drawn_for, shift_of, shifted, unhindered
 from .seen import Views, wanted_at
 
-UNIT = wp.constant(wp.float64(1.52587890625e-05))  # 2^-16: points of the tile are so many of its sides
+UNIT = wp.constant(wp.float64(1.52587890625e-05))  # 2^-16 sides of a tile
 RANKS = wp.constant(wp.int64(16384))
-# Points are there up to so many times what is wanted; those up to what is wanted are whole.
+# Points have a size above 0 up to this times the density, and their full size up to the density.
 GROWING = wp.constant(wp.float64(1.25))
-TURNS = wp.constant(1024)  # directions that points are turned to
+TURNS = wp.constant(1024)  # number of rotations about the upright axis
 
 
 @wp.struct
-class Run:
-    """The candidates of a square. `tile_x`, `tile_y`: the tile's number. `first`: of its window's ranks in `order`.
-    `at`: of the first candidate among those that are kept. `out`: of the first place for those that are wanted.
-    `clear`: 1 where all of the square is in the frame of the one view."""
+class CandidateRun:
+    """The candidates of a square of tile (`tile_x`, `tile_y`). `first`: index of its window's first rank in `order`.
+    `at`: first candidate in the arrays. `out`: first index for the chosen ones. `clear`: 1 if the whole square is in
+    the frame of the only view."""
 
     tile_x: wp.int32
     tile_y: wp.int32
@@ -39,8 +39,8 @@ class Run:
 
 
 @wp.struct
-class Kept:
-    """Candidates on the ground. `density`: 0 .. 1, how many of all ranks there are."""
+class CandidateArrays:
+    """Arrays of candidates on the ground. `density`: 0 .. 1, the fraction of all ranks that exist there."""
 
     positions: wp.array(dtype=wp.vec3f)
     normals: wp.array(dtype=wp.vec3f)
@@ -49,7 +49,7 @@ class Kept:
 
 @wp.struct
 class Chosen:
-    """Candidates that views want, run by run: which, and how far each has grown."""
+    """Candidates in view, run by run: indices, ranks and sizes from 0 to 1 (`grown`)."""
 
     which: wp.array(dtype=wp.int32)
     rank: wp.array(dtype=wp.int32)
@@ -58,12 +58,12 @@ class Chosen:
 
 
 @wp.struct
-class Look:
-    """What points have beside their places. `cosine`, `sine`: of half of each turn."""
+class ScatterStyle:
+    """Sizes and rotations of points. `cosine`, `sine`: of half of each rotation angle."""
 
     seed: wp.uint32
     size: wp.float32
-    variation: wp.float32  # part of the size by which it varies either way
+    variation: wp.float32  # variation of the size as a fraction, in both directions
     align: wp.float32  # 0: upright; 1: along the normal
     tiles: wp.int64  # in a row
     cosine: wp.array(dtype=wp.float32)
@@ -71,8 +71,8 @@ class Look:
 
 
 @wp.struct
-class Points:
-    """What is told of points."""
+class PointArrays:
+    """The output arrays of points."""
 
     positions: wp.array(dtype=wp.vec3f)
     normals: wp.array(dtype=wp.vec3f)
@@ -84,7 +84,7 @@ class Points:
 
 @wp.func
 def is_ground(domain: Domain, valid: wp.array(dtype=wp.uint8), p: wp.vec2i) -> wp.bool:
-    """Whether a lattice point is on the raster and in no hole."""
+    """Return whether a lattice point is on the raster and in no hole."""
     bits = domain.unit_bits - domain.levels
     i = wp.min(p[0] >> bits, domain.samples.columns - 2)
     j = wp.min(p[1] >> bits, domain.samples.rows - 2)
@@ -97,7 +97,7 @@ def is_ground(domain: Domain, valid: wp.array(dtype=wp.uint8), p: wp.vec2i) -> w
 
 @wp.func
 def nearest(units: wp.float64, samples: wp.int32, domain: Domain) -> wp.int32:
-    """The lattice coordinate; of what is further out than the raster one beyond it."""
+    """Return the nearest lattice coordinate, clamped to one outside of the raster."""
     end = wp.float64((samples - 1) << (domain.unit_bits - domain.levels)) + wp.float64(1.0)
     return wp.int32(wp.floor(wp.clamp(units, wp.float64(-1.0), end) + wp.float64(0.5)))
 
@@ -107,16 +107,15 @@ def place(
     begin: wp.int32,
     end: wp.int32,
     domain: Domain,
-    coats: Coats,
+    displacement: Coats,
     valid: wp.array(dtype=wp.uint8),
     pattern: Pattern,
-    runs: wp.array(dtype=Run),
-    kept: Kept,
+    runs: wp.array(dtype=CandidateRun),
+    candidates: CandidateArrays,
 ):
-    """Put the candidates of a run on the surface, at the lattice point that is nearest; density 1, less where tiles
-    meet, 0 off the ground.
+    """Place the candidates of runs on the surface, at the nearest lattice points; in float64, cast to float32 last.
 
-    All in float64, cast to float32 last.
+    Density is 1, less at seams of tiles, and 0 off the ground.
     """
     units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     slope_x = domain.height_scale / (domain.unit_x * units)
@@ -138,8 +137,8 @@ def place(
             if is_ground(domain, valid, p):
                 density = wp.float32(unhindered(pattern, run.tile_x, run.tile_y, rank, q))
                 g = surface_at(domain, p)
-                if coats.count > 0:
-                    g = with_detail(domain, coats, p, g)
+                if displacement.count > 0:
+                    g = with_detail(domain, displacement, p, g)
                 px = domain.west + wp.float64(p[0]) * domain.unit_x
                 py = domain.south + wp.float64(p[1]) * domain.unit_y
                 pz = g[0] * domain.height_scale + domain.height_offset
@@ -148,9 +147,9 @@ def place(
                 nz = wp.float64(1.0) / wp.sqrt(nx * nx + ny * ny + wp.float64(1.0))
                 position = wp.vec3f(wp.float32(px), wp.float32(py), wp.float32(pz))
                 normal = wp.vec3f(wp.float32(nx * nz), wp.float32(ny * nz), wp.float32(nz))
-            kept.positions[run.at + k] = position
-            kept.normals[run.at + k] = normal
-            kept.density[run.at + k] = density
+            candidates.positions[run.at + k] = position
+            candidates.normals[run.at + k] = normal
+            candidates.density[run.at + k] = density
 
 
 @wp.kernel
@@ -159,14 +158,14 @@ def choose(
     end: wp.int32,
     views: Views,
     pattern: Pattern,
-    runs: wp.array(dtype=Run),
-    kept: Kept,
+    runs: wp.array(dtype=CandidateRun),
+    candidates: CandidateArrays,
     chosen: Chosen,
 ):
-    """List those of runs whose rank is below what is wanted at their places, or a quarter more.
+    """List the candidates of runs whose rank is below GROWING times the density of views at their positions.
 
-    A point begins with nothing and is whole where its rank is wanted. The quarter is the same for all ranks, so that
-    the last ones do not appear at once where density becomes full.
+    A point has size 0 at that limit and its full size where its rank is below the density. The factor is the same for
+    all ranks, so that the last ones do not appear all at once where the density reaches 1.
     """
     for t in range(begin, end):
         run = runs[t]
@@ -175,9 +174,9 @@ def choose(
             at = run.at + k
             rank = pattern.order[run.first + k]
             r = (wp.float64(rank) + wp.float64(0.5)) * PER_RANK
-            density = GROWING * wp.float64(kept.density[at])
+            density = GROWING * wp.float64(candidates.density[at])
             if density > r:
-                p = kept.positions[at]
+                p = candidates.positions[at]
                 p3 = wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2]))
                 want = density * wanted_at(views, p3, run.clear)
                 if want > r:
@@ -190,34 +189,34 @@ def choose(
 
 
 @wp.func
-def turned(look: Look, normal: wp.vec3f, turn: wp.int32) -> wp.vec4f:
-    """Quaternion (w, x, y, z): about the upright axis by a turn, and that axis then the short way to its direction."""
-    x = normal[0] * look.align
-    y = normal[1] * look.align
-    z = normal[2] * look.align + (1.0 - look.align)
+def rotation_of(style: ScatterStyle, normal: wp.vec3f, turn: wp.int32) -> wp.vec4f:
+    """Return a rotation about the upright axis, and then of this axis the short way, as a quaternion (w, x, y, z)."""
+    x = normal[0] * style.align
+    y = normal[1] * style.align
+    z = normal[2] * style.align + (1.0 - style.align)
     w = wp.sqrt(x * x + y * y + z * z) + z
-    c = look.cosine[turn]
-    s = look.sine[turn]
+    c = style.cosine[turn]
+    s = style.sine[turn]
     q = wp.vec4f(w * c, x * s - y * c, x * c + y * s, w * s)
     return q / wp.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
 
 
 @wp.kernel
-def tell(
+def fill_points(
     begin: wp.int32,
     end: wp.int32,
-    runs: wp.array(dtype=Run),
+    runs: wp.array(dtype=CandidateRun),
     first: wp.array(dtype=wp.int32),
-    kept: Kept,
+    candidates: CandidateArrays,
     chosen: Chosen,
-    look: Look,
-    points: Points,
+    style: ScatterStyle,
+    points: PointArrays,
 ):
-    """Fill in the points of runs, those of each from number first[run] on."""
+    """Fill the output arrays with the chosen points of runs, each from index first[run] on."""
     for t in range(begin, end):
         run = runs[t]
-        tile = wp.int64(run.tile_y) * look.tiles + wp.int64(run.tile_x)
-        row = drawn_for(look.seed, run.tile_x, run.tile_y)
+        tile = wp.int64(run.tile_y) * style.tiles + wp.int64(run.tile_x)
+        row = drawn_for(style.seed, run.tile_x, run.tile_y)
         for k in range(chosen.counts[t]):
             n = first[t] + k
             at = chosen.which[run.out + k]
@@ -225,9 +224,10 @@ def tell(
             drawn = scramble(row + wp.uint32(rank))
             other = scramble(drawn + wp.uint32(1))
             vary = wp.float32(wp.int32(other)) * 4.656612873077393e-10  # -1 .. 1
-            points.positions[n] = kept.positions[at]
-            points.normals[n] = kept.normals[at]
-            points.size[n] = look.size * (1.0 + look.variation * vary) * chosen.grown[run.out + k]
+            points.positions[n] = candidates.positions[at]
+            points.normals[n] = candidates.normals[at]
+            points.size[n] = style.size * (1.0 + style.variation * vary) * chosen.grown[run.out + k]
             points.id[n] = tile * RANKS + wp.int64(rank)
             points.variant[n] = wp.int32(drawn >> wp.uint32(1))
-            points.rotation[n] = turned(look, kept.normals[at], wp.int32(scramble(other) >> wp.uint32(22)))
+            turn = wp.int32(scramble(other) >> wp.uint32(22))
+            points.rotation[n] = rotation_of(style, candidates.normals[at], turn)

@@ -1,26 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tiles side by side: each shows the pattern shifted otherwise, so that nothing repeats, and their points keep apart.
+"""Seams of tiles: each tile shows the pattern with another shift, and their points keep a distance.
 
-A point too near to one of another tile that has a lower rank has to wait: it comes where so many points are wanted that
-all of them may be as near. So the points up to any rank keep apart over seams as well.
+A point that is too near to one of lower rank in another tile appears only at a density where all points may be as near,
+so that points up to any rank keep their distance over seams, too.
 """
 
 import warp as wp
 
 from ..field.noise import scramble
 
-UNIT_BITS = wp.constant(16)  # a side is so many halvings of units
+UNIT_BITS = wp.constant(16)  # a side has 2^16 units
 SHIFT_BITS = wp.constant(3)  # shifts are eighths of a side
 SQUARE_BITS = wp.constant(4)  # the smallest squares are sixteenths
-PER_RANK = wp.constant(wp.float64(6.103515625e-05))  # 2^-14: the tile has so many points
-# Of n points of a tile no two that seams part are nearer than this / sqrt(n), in sides; those inside of one hardly are.
+PER_RANK = wp.constant(wp.float64(6.103515625e-05))  # 2^-14, 1 / points of the tile
+# With n points in a tile, the least distance over seams is this / sqrt(n) sides; inside of a tile few are nearer.
 APART = wp.constant(wp.float64(0.6))
 
 
 @wp.struct
 class Pattern:
-    """The tile, and how it is laid. `place`: of each rank, in units. `order`: ranks of windows (see Tile), from low to
-    high in each. `first`: where those of the smallest squares begin in it."""
+    """The tile and its position. `place`: position of each rank in units. `order`: ascending ranks of each window (see
+    Tile). `first`: indices there of the smallest squares."""
 
     place: wp.array(dtype=wp.vec2i)
     order: wp.array(dtype=wp.int32)
@@ -33,20 +33,20 @@ class Pattern:
 
 @wp.func
 def drawn_for(seed: wp.uint32, x: wp.int32, y: wp.int32) -> wp.uint32:
-    """A random number of tile (x, y)."""
+    """Return a random number for tile (x, y)."""
     return scramble(scramble(wp.uint32(y) + seed) + wp.uint32(x))
 
 
 @wp.func
 def shift_of(seed: wp.uint32, x: wp.int32, y: wp.int32) -> wp.vec2i:
-    """By how many eighths of a side tile (x, y) shows the pattern further east and north."""
+    """Return the shift of the pattern in tile (x, y) to the east and north, in eighths of a side."""
     drawn = wp.int32(drawn_for(seed, x, y) >> wp.uint32(32 - 2 * SHIFT_BITS))
     return wp.vec2i(drawn & ((1 << SHIFT_BITS) - 1), drawn >> SHIFT_BITS)
 
 
 @wp.func
 def shifted(q: wp.vec2i, shift: wp.vec2i) -> wp.vec2i:
-    """Where a tile with that shift has a point of the pattern, in units."""
+    """Return the position of a point of the pattern in a tile with that shift, in units."""
     bits = UNIT_BITS - SHIFT_BITS
     last = (1 << UNIT_BITS) - 1
     return wp.vec2i((q[0] + (shift[0] << bits)) & last, (q[1] + (shift[1] << bits)) & last)
@@ -54,23 +54,24 @@ def shifted(q: wp.vec2i, shift: wp.vec2i) -> wp.vec2i:
 
 @wp.kernel
 def shifts(offset: int, seed: wp.uint32, tiles: wp.array(dtype=wp.vec2i), found: wp.array(dtype=wp.vec2i)):
+    """Compute the shift of each tile."""
     t = offset + wp.tid()
     found[t] = shift_of(seed, tiles[t][0], tiles[t][1])
 
 
 @wp.func
 def outside(at: wp.int32) -> wp.int32:
-    """How far a coordinate in units is from those of a tile."""
+    """Return the distance of a coordinate from a tile in units."""
     return wp.max(wp.max(-at, at - (1 << UNIT_BITS)), 0)
 
 
 @wp.func
-def nearest2(pattern: Pattern, shift: wp.vec2i, q: wp.vec2i, ranks: wp.int32, least: wp.float64) -> wp.float64:
-    """Squared units from q to the nearest of the points up to some rank of a tile; `least` where none is nearer."""
-    found = least
+def nearest2(pattern: Pattern, shift: wp.vec2i, q: wp.vec2i, ranks: wp.int32, limit: wp.float64) -> wp.float64:
+    """Return the squared distance from q to the nearest point of a tile with a rank below `ranks`, at most `limit`."""
+    found = limit
     bits = UNIT_BITS - SQUARE_BITS
     last = (1 << SQUARE_BITS) - 1
-    reach = wp.int32(wp.sqrt(least))
+    reach = wp.int32(wp.sqrt(limit))
     turn_x = shift[0] << (SQUARE_BITS - SHIFT_BITS)
     turn_y = shift[1] << (SQUARE_BITS - SHIFT_BITS)
     for j in range(wp.max((q[1] - reach) >> bits, 0), wp.min((q[1] + reach) >> bits, last) + 1):
@@ -89,23 +90,25 @@ def nearest2(pattern: Pattern, shift: wp.vec2i, q: wp.vec2i, ranks: wp.int32, le
 
 @wp.func
 def unhindered(pattern: Pattern, x: wp.int32, y: wp.int32, rank: wp.int32, q: wp.vec2i) -> wp.float64:
-    """The part of all density that counts for the point of a rank, which tile (x, y) has at q: 1, less where others are
-    too near for so few points, 0 where they are so for all."""
+    """Return the density factor of the point of a rank at q in tile (x, y).
+
+    It is 1, less if points of other tiles are too near for its rank, and 0 if they are so for all ranks.
+    """
     side = wp.int32(1) << UNIT_BITS
     number = wp.float64(rank) + wp.float64(0.5)
     apart2 = APART * APART * wp.float64(side) * wp.float64(side) / number
     inside = wp.float64(wp.min(wp.min(q[0], q[1]), side - wp.max(q[0], q[1])))
     if inside * inside >= apart2:
         return wp.float64(1.0)
-    least = apart2
+    nearest = apart2
     for j in range(wp.max(y - 1, 0), y + 2):
         for i in range(wp.max(x - 1, 0), x + 2):
             p = wp.vec2i(q[0] + ((x - i) << UNIT_BITS), q[1] + ((y - j) << UNIT_BITS))
             away_x = wp.float64(outside(p[0]))
             away_y = wp.float64(outside(p[1]))
-            if (i != x or j != y) and away_x * away_x + away_y * away_y < least:
-                # Of two points of one rank that of the tile further south or west comes first.
+            if (i != x or j != y) and away_x * away_x + away_y * away_y < nearest:
+                # Of two points of one rank, the one of the tile further south or west comes first.
                 ranks = rank + wp.where(j < y or (j == y and i < x), 1, 0)
-                least = nearest2(pattern, shift_of(pattern.seed, i, j), p, ranks, least)
-    part = least / apart2
-    return wp.where(number * PER_RANK > part, wp.float64(0.0), part)
+                nearest = nearest2(pattern, shift_of(pattern.seed, i, j), p, ranks, nearest)
+    factor = nearest / apart2
+    return wp.where(number * PER_RANK > factor, wp.float64(0.0), factor)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How much of a scatter views want at a place, and at most and at least over a box: 1 is full density.
+"""The density of a scatter by views at a point, and its range over a box; 1 is full density.
 
-Full up to a distance, then falling with its square, so that as many points a pixel are seen as at that distance. Of a
-box that nearer ground hides from all views nothing is wanted; of others no less, so all that is seen stays as it is.
+It is full up to a distance and then falls with its square, for a constant number of points in a pixel. It is 0 in boxes
+that nearer ground hides from all views; other boxes are not affected, so that visible points do not change.
 """
 
 import warp as wp
@@ -14,8 +14,9 @@ from ..refine.pixels import CLEAR, ORTHOGRAPHIC, OUTSIDE, LocalView, most_inside
 
 @wp.struct
 class Views:
-    """`full2`: squared metres up to which density is full. No views: it is so everywhere. `slopes`: the map of what
-    ground hides, see kernels/refine/hiding.py. `reach`: metres of the terrain's space that what stands there takes."""
+    """Views; without any the density is 1 everywhere. `full2`: squared distance up to which it is full. `slopes`: map
+    of
+    hidden ground, see kernels/refine/hiding.py. `reach`: size of scattered objects in metres of the terrain's space."""
 
     count: wp.int32
     full2: wp.float64
@@ -26,19 +27,20 @@ class Views:
 
 @wp.func
 def ramp(full2: wp.float64, far2: wp.float64) -> wp.float64:
+    """Return the density at a squared distance."""
     return wp.where(far2 > full2, full2 / far2, wp.float64(1.0))
 
 
 @wp.func
 def distance2(view: LocalView, x: wp.float64, y: wp.float64, z: wp.float64) -> wp.float64:
-    """Squared metres from the eye, differences from which are x, y, z; 0 of parallel rays, which have no eye."""
+    """Return the squared distance of the offset (x, y, z) from the eye, 0 for parallel rays."""
     far2 = view.weight[0] * (x * x) + view.weight[1] * (y * y) + view.weight[2] * (z * z)
     return wp.where(view.kind == ORTHOGRAPHIC, wp.float64(0.0), far2)
 
 
 @wp.func
 def wanted_by(full2: wp.float64, view: LocalView, p: wp.vec3d, clear: wp.int32) -> wp.float64:
-    """Of a view at a place that is in its frame with the margin (`clear`: which is known); 0 elsewhere."""
+    """Return the density of a view at a point in its frame with the margin (`clear`: known to be so); 0 elsewhere."""
     inside = wp.float64(0.0)
     if clear == 0:
         inside = most_inside(view, p, p)
@@ -50,7 +52,7 @@ def wanted_by(full2: wp.float64, view: LocalView, p: wp.vec3d, clear: wp.int32) 
 
 @wp.func
 def wanted_at(views: Views, p: wp.vec3d, clear: wp.int32) -> wp.float64:
-    """The most of all views."""
+    """Return the largest density of all views."""
     want = wp.where(views.count == 0, wp.float64(1.0), wp.float64(0.0))
     for v in range(views.count):
         want = larger(want, wanted_by(views.full2, views.views[v], p, clear))
@@ -59,10 +61,10 @@ def wanted_at(views: Views, p: wp.vec3d, clear: wp.int32) -> wp.float64:
 
 @wp.func
 def wanted_over(views: Views, low: wp.vec3d, high: wp.vec3d):
-    """The most that a place of a box may have; the least, 0 where a frame ends in it and where ground may hide some."""
+    """Return bounds (high, low) of the density in a box; low is 0 if a frame ends in it or ground may hide a part."""
     zero = wp.float64(0.0)
-    most = wp.where(views.count == 0, wp.float64(1.0), zero)
-    least = most
+    high_density = wp.where(views.count == 0, wp.float64(1.0), zero)
+    low_density = high_density
     seen = wp.bool(views.count == 0)
     for v in range(views.count):
         view = views.views[v]
@@ -73,8 +75,8 @@ def wanted_over(views: Views, low: wp.vec3d, high: wp.vec3d):
             seen = seen or not is_hidden(view.rings, views.slopes, a - views.reach, b + views.reach)
             near2 = distance2(view, larger(larger(a[0], -b[0]), zero), larger(larger(a[1], -b[1]), zero),
                               larger(larger(a[2], -b[2]), zero))  # fmt: skip
-            most = larger(most, ramp(views.full2, near2))
+            high_density = larger(high_density, ramp(views.full2, near2))
             if stand == CLEAR and view.rings.count == 0:
                 far2 = distance2(view, larger(-a[0], b[0]), larger(-a[1], b[1]), larger(-a[2], b[2]))
-                least = larger(least, ramp(views.full2, far2))
-    return wp.where(seen, most, zero), least
+                low_density = larger(low_density, ramp(views.full2, far2))
+    return wp.where(seen, high_density, zero), low_density

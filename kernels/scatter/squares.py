@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What views want of squares of the plan, by the boxes that the stored ranges of heights give them."""
+"""The densities of views over squares of the plan, whose boxes come from the stored ranges of heights."""
 
 import warp as wp
 
@@ -9,18 +9,18 @@ from ..refine.diamond import larger, smaller
 from ..unchecked import item_at
 from .seen import Views, wanted_over
 
-# Relative to what is furthest out: more than float32 positions and places that are rounded to the lattice are off.
+# Relative to the largest coordinate, more than the rounding of positions to float32 and to the lattice.
 ROUNDING = wp.constant(wp.float64(1e-6))
 
 
 @wp.struct
-class Squares:
-    """Squares of one size. Number (0, 0) has its south-western corner at `west`, `south`, metres."""
+class ScatterSquares:
+    """Squares of one size; the south-western corner of (0, 0) is at `west`, `south` in metres."""
 
     west: wp.float64
     south: wp.float64
     side: wp.float64
-    # Ranges of heights of lattice cells that are no smaller, `cell_x` by `cell_y` metres; without any `low`, `high`.
+    # Height ranges of lattice cells of at least this size, `cell_x` by `cell_y` metres; without any, `low` and `high`.
     ranges: Depth
     cell_x: wp.float64
     cell_y: wp.float64
@@ -29,8 +29,8 @@ class Squares:
 
 
 @wp.func
-def heights_over(domain: Domain, q: Squares, x0: wp.float64, y0: wp.float64, x1: wp.float64, y1: wp.float64):
-    """Lowest and highest metres, before scaling, over a part of the raster of a square's size at most."""
+def heights_over(domain: Domain, q: ScatterSquares, x0: wp.float64, y0: wp.float64, x1: wp.float64, y1: wp.float64):
+    """Return the lowest and highest metres, before scaling, over a part of the raster of at most a square's size."""
     low = q.low
     high = q.high
     if q.ranges.columns > 0:
@@ -49,17 +49,17 @@ def heights_over(domain: Domain, q: Squares, x0: wp.float64, y0: wp.float64, x1:
 
 
 @wp.kernel
-def look(
+def density_range(
     offset: int,
     domain: Domain,
     views: Views,
-    q: Squares,
+    q: ScatterSquares,
     east: wp.float64,
     north: wp.float64,
     numbers: wp.array(dtype=wp.vec2i),
     wanted: wp.array(dtype=wp.vec2d),
 ):
-    """The most and the least that views want of a square (column, row); nothing of one beyond the raster's rim."""
+    """Compute the bounds (high, low) of the density of views in each square (column, row); 0 outside of the raster."""
     t = offset + wp.tid()
     more = ROUNDING * (east - domain.west + north - domain.south)
     x0 = q.west + wp.float64(numbers[t][0]) * q.side
@@ -74,10 +74,10 @@ def look(
         z0 = low * domain.height_scale + domain.height_offset
         z1 = high * domain.height_scale + domain.height_offset
         beside = ROUNDING * (wp.abs(z0) + wp.abs(z1))
-        most, least = wanted_over(
+        high_density, low_density = wanted_over(
             views,
             wp.vec3d(x0 - more, y0 - more, smaller(z0, z1) - beside),
             wp.vec3d(x1 + more, y1 + more, larger(z0, z1) + beside),
         )
-        found = wp.vec2d(most, least)
+        found = wp.vec2d(high_density, low_density)
     wanted[t] = found

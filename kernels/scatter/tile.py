@@ -1,31 +1,31 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A progressive blue-noise set on a torus: the points up to any rank keep apart as well as those up to any other.
+"""A progressive blue-noise set on a torus: the points up to any rank are evenly spaced.
 
-Mitchell's best candidate ("Spectrally optimal sampling for distribution ray tracing", 1991): of so many random places
-the one that is furthest from all points so far. A map of squared distances, in whole pixels, answers that in one look,
-so there may be thousands of candidates. (The furthest place of all would be a lattice: its holes repeat.)
+Mitchell's best candidate ("Spectrally optimal sampling for distribution ray tracing", 1991): each point is the one of
+many random candidates that is farthest from all points so far. A map of squared distances, in whole pixels, gives this
+distance in one read, which allows thousands of candidates. (Always the farthest position would give a lattice.)
 """
 
 import warp as wp
 
 from ..field.noise import scramble
 
-BITS = wp.constant(10)  # of a side of the map
-FINE_BITS = wp.constant(6)  # by which a point is more exact than its pixel
-CANDIDATES, MOST_CANDIDATES = wp.constant(8), wp.constant(2000)  # for each point so far, at most
+BITS = wp.constant(10)  # a side of the map has 2^10 pixels
+FINE_BITS = wp.constant(6)  # further bits of a point's position
+CANDIDATES, MAX_CANDIDATES = wp.constant(8), wp.constant(2000)  # candidates for each point so far, and their limit
 
 
 @wp.kernel
 def best_candidates(count: wp.int32, near: wp.array(dtype=wp.int32), points: wp.array(dtype=wp.vec2i)):
-    """Fill `points` (in 2^-16 of the side). near: squared distances of pixels from the nearest point, all the most."""
+    """Fill `points`, in 2^-16 of the side. near: squared distances of pixels to the nearest point, at first maximal."""
     side = wp.int32(1) << BITS
     p = wp.vec2i(0, 0)
     draw = wp.uint32(0)
     for k in range(count):
         fine = wp.int32(scramble(wp.uint32(k) + wp.uint32(0x40000000)))
-        part = (wp.int32(1) << FINE_BITS) - 1
-        points[k] = wp.vec2i((p[0] << FINE_BITS) + (fine & part), (p[1] << FINE_BITS) + ((fine >> 8) & part))
-        # Nothing is further from all points than 1.5 of their mean distance: what lies beyond keeps its nearest.
+        low = (wp.int32(1) << FINE_BITS) - 1
+        points[k] = wp.vec2i((p[0] << FINE_BITS) + (fine & low), (p[1] << FINE_BITS) + ((fine >> 8) & low))
+        # No pixel is farther from all points than 1.5 of their mean distance; farther pixels keep their nearest point.
         reach = wp.min(wp.int32(1.5 * wp.float32(side) / wp.sqrt(wp.float32(k + 1))) + 2, side / 2)
         for dy in range(-reach, reach + 1):
             row = ((p[1] + dy) & (side - 1)) << BITS
@@ -34,7 +34,7 @@ def best_candidates(count: wp.int32, near: wp.array(dtype=wp.int32), points: wp.
                 near[i] = wp.min(near[i], dx * dx + dy * dy)
         best = wp.int32(-1)
         at = wp.int32(0)
-        for _ in range(wp.min(CANDIDATES * (k + 1), MOST_CANDIDATES)):
+        for _ in range(wp.min(CANDIDATES * (k + 1), MAX_CANDIDATES)):
             i = wp.int32(scramble(draw) >> wp.uint32(32 - 2 * BITS))
             draw += wp.uint32(1)
             if near[i] > best:

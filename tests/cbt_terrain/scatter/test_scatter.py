@@ -61,7 +61,7 @@ def arrays(points):
 
 @pytest.mark.parametrize("placement", [np.eye(4), turned_and_scaled()], ids=["plain", "turned"])
 @pytest.mark.parametrize("views", VIEWS.values(), ids=VIEWS)
-def test_the_points_are_those_of_every_place_that_is_asked(field, by_hand, views, placement):
+def test_the_points_equal_those_of_a_test_by_hand(field, by_hand, views, placement):
     """Ids, places and sizes; only what is within a centimetre of a frame's rim or just begins may differ."""
     points = scatter_points(
         field, SCATTER, views, placement=placement, vertical_scale=0.7, vertical_offset=5.0, threads=2
@@ -88,7 +88,7 @@ def test_a_frame_alone_is_a_frame_of_a_sequence_on_any_threads(field, eager_thre
         assert all(arrays(row.points([view])) == alone for row in rows)
 
 
-def test_what_is_kept_is_used_again(field):
+def test_cached_candidates_are_used_again(field):
     scatterer, moved = ScatteredFrames(field, SCATTER), View.look((-419.9, -300.0, 160.0), (0, 0, 0), clip=(1.0, 700.0))
     scatterer.points([NEAR])
     with launch.stopwatch() as ms:
@@ -103,7 +103,7 @@ def test_points_keep_within_a_margin_of_the_frame(field):
         assert len(more) > 1.1 * len(plain) and np.isin(plain.id, more.id).all()
 
 
-def test_no_point_is_in_a_hole_or_beyond_the_rim():
+def test_no_point_is_in_a_hole_or_outside_of_the_border():
     rng = np.random.default_rng(5)
     raster = (20 * rng.random((33, 47))).astype(np.float32)
     raster[8:14, 20:31] = np.nan
@@ -151,7 +151,7 @@ def test_density_follows_rules_layers_and_paint(field):
     assert steepness[1] > steepness[0] + 0.1
 
 
-def test_turns_take_upright_to_the_mix_with_the_normal(field):
+def test_rotations_align_points_with_the_normal(field):
     points = scatter_points(field, Scatter(spacing=5.0, align=0.6))
     w, x, y, z = points.rotation.astype(float).T
     up = np.column_stack([2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z])
@@ -173,7 +173,7 @@ def test_seeds_and_variants_differ(field):
 
 @pytest.mark.parametrize("count", [64, 400, POINTS])
 def test_every_prefix_of_the_tile_keeps_apart_and_is_no_lattice(count):
-    """Distances to the nearest of nine tiles' points, in parts of the densest packing's."""
+    """Measure distances to the nearest point of nine tiles in units of the densest packing."""
     place = tile().place[:count].astype(np.float64) / UNITS
     some = place[:: max(1, count // 400)]
     apart = np.abs(some[:, None] - place)
@@ -198,7 +198,7 @@ def test_windows_have_the_ranks_of_their_parts_of_the_tile():
 
 
 @pytest.mark.parametrize("few, tiles", [(1, 24), (4, 16), (64, 6)])
-def test_a_thin_scatter_neither_repeats_nor_is_closer_where_tiles_meet(few, tiles):
+def test_a_thin_scatter_neither_repeats_nor_has_close_points(few, tiles):
     """Tiles seen from so far above that so many points of each are wanted: of those that are moved on by a tile, by a
     half or both hardly one is on another. They keep as far apart as inside of a tile, and few are missing."""
     field, above = from_array(np.zeros((9, 9), np.float32), 16.0 * tiles), View.look((0, 0, 1e6), (0, 0, 0), fov_deg=1)
@@ -232,7 +232,7 @@ def test_a_thin_scatter_neither_repeats_nor_is_closer_where_tiles_meet(few, tile
         ({"where": Layer("A", (Rule("colour"),))}, "rule about 'colour'"),
     ],
 )
-def test_what_cannot_be_is_refused(wrong, said):
+def test_invalid_scatters_are_refused(wrong, said):
     with pytest.raises(TerrainError, match=said):
         Scatter(**wrong)
 
@@ -244,7 +244,7 @@ def test_too_many_points_are_refused(field):
         scatter_points(from_array(np.zeros((5, 5), np.float32), 1e6), Scatter(spacing=1e-4))
 
 
-def test_damaged_heights_are_told(field):
+def test_damaged_heights_are_refused(field):
     samples = field.samples.copy()
     samples[30, 40] = np.inf
     with pytest.raises(TerrainError, match="not finite"):

@@ -80,7 +80,7 @@ def check_what_is_left_out(scene, **asked) -> tuple[int, int]:
     return len(left), len(whole)
 
 
-def test_what_is_left_out_nobody_sees():
+def test_no_omitted_point_is_visible():
     """Views from low over the ground, from inside and below it, of terrains that are turned, stretched and sheared;
     meshes of any criterion, with hidden ground coarser, rising and within a triangle limit."""
     others = {}, {"hidden_factor": 50.0}, {"morph": 1.5}, {"max_triangles": 3000, "morph": 1.5}
@@ -89,7 +89,7 @@ def test_what_is_left_out_nobody_sees():
     assert sum(fewer) > 6 and sum(a > 0 for a, _ in counts) > 18, counts
 
 
-def test_what_looks_over_a_ridge_is_left():
+def test_objects_that_reach_over_a_ridge_stay():
     """A ridge of 100 m, 130 m from an eye at 112 m: behind it is ground that one does not see and whose trees one does.
     Of a coarse mesh the ridge may be lower than that of the heights, and hides less."""
     y, x = np.arange(300)[:, None] - 100.0, np.arange(200)[None, :]
@@ -101,7 +101,7 @@ def test_what_looks_over_a_ridge_is_left():
         assert 0 < fine < coarse < 0.99 * whole
 
 
-def test_what_one_of_several_views_sees_is_left():
+def test_points_in_one_of_several_views_stay():
     counts = [check_what_is_left_out(scene) for views in (2, 3) for scene in low_scenes(170 + views, 6, views)]
     assert sum(a < b for a, b in counts) > 4, counts
 
@@ -111,7 +111,7 @@ def a_wall() -> tuple:
     return from_array(z, 8.0), Criterion(), [view], np.eye(4), (1.0, 0.0)
 
 
-def test_what_reaches_out_of_its_square_is_left():
+def test_objects_that_reach_out_of_their_square_stay():
     """Reaching further leaves more: 150 m in many places over the wall."""
     scene = a_wall()
     horizon, counts = meshed(scene).horizon(), []
@@ -134,7 +134,7 @@ def test_a_frame_alone_is_a_frame_of_a_sequence_on_any_threads(monkeypatch):
             assert [a.tobytes() for a in arrays(flown)] == [a.tobytes() for a in arrays(alone)]
 
 
-def test_where_nothing_is_known_to_be_hidden_all_points_are_left():
+def test_without_hidden_ground_all_points_stay():
     """Holes, a mesh of edges alone, a saved tree, no views; an orthographic view has no eye."""
     field, criterion, views, placement, heights = a_wall()
     holed = field.heights().copy()

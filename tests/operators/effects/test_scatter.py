@@ -192,7 +192,7 @@ def test_the_panel_says_how_many_and_what_they_took(terrain, scatter):
 def test_a_viewport_refuses_more_points_than_a_render(scene, terrain, scatter, monkeypatch):
     monkeypatch.setattr(scatters, "MAX_IN_VIEWPORT", 100)
     with pytest.raises(
-        TerrainError, match=r"has [\d,]+ points in view, expected 100 at most, the maximum of a viewport"
+        TerrainError, match=r"has [\d,]+ points in view; expected at most 100, the maximum of a viewport"
     ):
         session.update_object(terrain)
     assert len(scatter.data.vertices) == 0
@@ -201,7 +201,7 @@ def test_a_viewport_refuses_more_points_than_a_render(scene, terrain, scatter, m
     monkeypatch.setattr(scatters, "physical_memory", lambda: 4 * scatters.POINT_BYTES * 60 // 3)
     for mode in "VIEWPORT", "RENDER":
         scatter.adaptive_scatter.seed += 1
-        with pytest.raises(TerrainError, match="expected 60 at most, the maximum of this machine's memory"):
+        with pytest.raises(TerrainError, match="expected at most 60, the maximum of this machine's memory"):
             session.update_object(terrain, mode=mode)
 
 

@@ -102,7 +102,7 @@ class LevelWork:
             whole=level.shape,
             size=self.plan.levels[0].size,
             level=level.number,
-            asked=None if target is None else within(target, window),
+            target=None if target is None else within(target, window),
             missing=None if source.missing is None else np.ascontiguousarray(source.missing[window]),
             mask=None if mask is None else np.ascontiguousarray(mask),
             layers={name: self._layer(name, land) for name in names},
@@ -147,7 +147,7 @@ def _key(entry: Entry, ground: Ground, coarser: np.ndarray | None, kind: str) ->
     """Return a digest of everything that determines a result."""
     effect = entry.declaration
     method = METHOD, kind, effect.name, effect.version, sorted(entry.values.items()), ground.seed
-    position = ground.first, ground.whole, ground.level, ground.step_x, ground.step_y, ground.size, ground.asked
+    position = ground.first, ground.whole, ground.level, ground.step_x, ground.step_y, ground.size, ground.target
     mask = ground.mask if effect.masks else None
     arrays = [ground.heights, ground.missing, mask, coarser]
     layers = [item for name in sorted(ground.layers) for item in (name, ground.layers[name])]
@@ -166,19 +166,19 @@ def _names(effect: LandEffect) -> list[str]:
 
 def num_arrays(effect: LandEffect, level: Level) -> int:
     """Return the number of arrays of a change: heights, layers and, but at level 0, the operator's state."""
-    return 1 + len(effect.layers) + (len(effect.kept) if level.number else 0)
+    return 1 + len(effect.layers) + (len(effect.state) if level.number else 0)
 
 
 def unpacked(effect: LandEffect, change: Sequence[np.ndarray]) -> Change:
     """Return a change from its arrays, each float32 [rows, columns], in the order of `num_arrays`."""
     end = 1 + len(effect.layers)
-    state = dict(zip(effect.kept, change[end:], strict=True)) if len(change) > end else {}
+    state = dict(zip(effect.state, change[end:], strict=True)) if len(change) > end else {}
     return Change(change[0], dict(zip(_names(effect), change[1:end], strict=True)), state)
 
 
 def _pack(effect: LandEffect, change: Change, count: int) -> np.ndarray:
-    none, found = np.zeros_like(change.heights), change.layers | change.kept
-    names = [*_names(effect), *effect.kept][: count - 1]
+    none, found = np.zeros_like(change.heights), change.layers | change.state
+    names = [*_names(effect), *effect.state][: count - 1]
     return np.stack([change.heights, *(found.get(name, none) for name in names)], dtype=np.float32)
 
 
@@ -221,7 +221,7 @@ def apply_tile(
 
     def compute() -> np.ndarray:
         change = _pack(effect, effect.apply(ground, entry.values, unpacked(effect, coarser)), count)
-        return change[(slice(None), *ground.asked)]
+        return change[(slice(None), *ground.target)]
 
     shape = count, *(axis.stop - axis.start for axis in target)
     return work.cache.take(effect.name, _key(entry, ground, coarser, "tile"), shape, compute)

@@ -120,9 +120,9 @@ def _tiles(rain: kernels.DropletRain, ground: Ground) -> list[np.ndarray]:
     These are the tiles within reach of the target, and the tiles of earlier colours within reach of them.
     """
     numbers, near = [], []
-    asked = ground.asked or [slice(0, n) for n in ground.heights.shape]
+    target = ground.target or [slice(0, n) for n in ground.heights.shape]
     for first, count, whole, side, part in zip(
-        ground.first, ground.heights.shape, _whole(ground), (rain.rows, rain.columns), asked, strict=True
+        ground.first, ground.heights.shape, _whole(ground), (rain.rows, rain.columns), target, strict=True
     ):
         last = min(first + count, whole) - 1
         found = np.arange(first // side, last // side + 1)

@@ -81,10 +81,10 @@ def still(
     # The sum of depth and bed, both of single precision, is exact in float64, so that still water stays still.
     under = float(np.float32(sea)) - bed.astype(np.float64)
     depth = np.where((under > 0.0) & ~holes, under + surge, 0.0)
-    rim = holes.copy()
-    rim[[0, -1]] = True
-    rim[:, [0, -1]] = True
-    outlets = np.flatnonzero(rim)
+    border = holes.copy()
+    border[[0, -1]] = True
+    border[:, [0, -1]] = True
+    outlets = np.flatnonzero(border)
     deep = np.where(holes, 0.0, np.maximum(under, 0.0)).reshape(-1)[outlets]
     fluxes = [np.zeros((2, bed.shape[0] + 2, bed.shape[1])) for _ in range(2)]
     rains = np.ascontiguousarray(np.broadcast_to(np.float32(rain), bed.shape))

@@ -24,10 +24,10 @@ def keep_outlets(bed: Bed, ground: Ground, coarser: Change) -> None:
     """Set the bed's path to the samples along the outlets of lakes, and lower its heights where there are dams."""
     every = tuple(slice(first % 2, None, 2) for first in ground.first)
     floor = np.ascontiguousarray((ground.heights + coarser.heights)[every])
-    fixed, wet = bed.fixed.reshape(bed.shape)[every], coarser.kept[LAKE][every] > 0.0
+    fixed, wet = bed.fixed.reshape(bed.shape)[every], coarser.state[LAKE][every] > 0.0
     if not wet.any():
         return
-    surface = floor + coarser.kept[LAKE][every]
+    surface = floor + coarser.state[LAKE][every]
     to = route(surface, 2 * ground.step_x, 2 * ground.step_y, fixed, ground.threads).to.reshape(floor.shape)
     flow = coarser.layers["flow"][every] / np.float32(ground.step_x * ground.step_y)
     found, free = (np.full(bed.shape, np.inf, np.float32) for _ in range(2))

@@ -40,7 +40,7 @@ class Ground:
             is multiplied by it.
         layers: layers of earlier operators and of the source, float32 [rows, columns] each.
         progress: called with the finished fraction, 0 to 1; raises to stop the work.
-        asked: rows and columns whose change is needed, None for all.
+        target: rows and columns whose change is needed, None for all.
         size: metres from the raster's first row and column to its last, beyond which a coarser level may extend;
             None for the extent of the level.
     """
@@ -57,7 +57,7 @@ class Ground:
     seed: int = 0
     threads: int = 1
     progress: Callable[[float], None] = lambda _part: None
-    asked: tuple[slice, slice] | None = None
+    target: tuple[slice, slice] | None = None
     size: tuple[float, float] | None = None
 
     @property
@@ -71,13 +71,13 @@ class Ground:
 class Change:
     """The result of an operator: metres to add and layers, float32 [rows, columns] each.
 
-    Changes are separate from heights, since small ones would be lost in large heights. `kept`: further arrays for the
+    Changes are separate from heights, since small ones would be lost in large heights. `state`: further arrays for the
     operator's next finer level; empty at level 0.
     """
 
     heights: np.ndarray
     layers: dict[str, np.ndarray] = field(default_factory=dict)
-    kept: dict[str, np.ndarray] = field(default_factory=dict)
+    state: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 # (ground before the operator, parameters, its change of the next coarser level interpolated to this one's samples, None
@@ -98,7 +98,7 @@ class LandEffect:
         example: evaluates it on ground with a known result and asserts that.
         parameters: in metres, years, degrees.
         layers: its by-products. reads: layers of others that it reads.
-        kept: names of the arrays in `Change.kept`.
+        state: names of the arrays in `Change.state`.
         halo: returns the metres around a tile that finer levels read, from the parameters and the spacing; inf if they
             read the whole level.
         doubts: returns whether finer levels must be computed in one piece, from the interpolated coarser change, the
@@ -120,9 +120,9 @@ class LandEffect:
     parameters: tuple[Parameter, ...] = ()
     layers: tuple[LandLayer, ...] = ()
     reads: tuple[str, ...] = ()
-    kept: tuple[str, ...] = ()
+    state: tuple[str, ...] = ()
     halo: Callable[[Mapping[str, float], float], float] = lambda _values, _step: 0.0
-    doubts: Callable[[Change, Change, float], bool] = lambda _coarser, _own, _cell: False
+    doubts: Callable[[Change, Change, float], bool] = lambda _coarser, _change, _cell: False
     finest: int = 0
     masks: bool = False
     limit: str = ""

@@ -43,8 +43,8 @@ def finer_window(samples: np.ndarray, rows: slice, columns: slice) -> np.ndarray
 
 def finer_change(change: Change, shape: tuple[int, int]) -> Change:
     """Interpolate all arrays of a change to the next finer level."""
-    layers, kept = ({name: finer(a, shape) for name, a in arrays.items()} for arrays in (change.layers, change.kept))
-    return Change(finer(change.heights, shape), layers, kept)
+    layers, state = ({name: finer(a, shape) for name, a in arrays.items()} for arrays in (change.layers, change.state))
+    return Change(finer(change.heights, shape), layers, state)
 
 
 def apply_by_levels(effect: LandEffect, ground: Ground, values: Mapping[str, float]) -> Change:
@@ -74,7 +74,7 @@ def masked(effect: LandEffect, change: Change, mask: np.ndarray | None) -> Chang
         return change
     depths = {layer.name for layer in effect.layers if layer.per_metre}
     layers = {name: layer * mask if name in depths else layer for name, layer in change.layers.items()}
-    return Change(change.heights * mask, layers, change.kept)
+    return Change(change.heights * mask, layers, change.state)
 
 
 def _coarser_ground(ground: Ground) -> Ground:

@@ -14,7 +14,7 @@ from ..effects.routing import route
 from .fluvial import Bed
 from .land_effect import Change, Ground
 
-# Arrays for the next finer level (Change.kept): depth of lakes in m, and sediment that comes to a sample, m3 a year.
+# Arrays for the next finer level (Change.state): depth of lakes in m, and sediment that comes to a sample, m3 a year.
 LAKE, LOAD = "lake", "load"
 # Metres that water would have to rise to leave where it enters.
 WALL = 1e4
@@ -143,14 +143,14 @@ def _coarse_samples(bed: Bed, ground: Ground, coarser: Change) -> _Coarse:
     odd = tuple(first % 2 for first in ground.first)
     every, per = tuple(slice(n, None, 2) for n in odd), 1.0 / (ground.step_x * ground.step_y)
     floor = np.ascontiguousarray((ground.heights + coarser.heights)[every])
-    lake, fixed = coarser.kept[LAKE][every], bed.fixed.reshape(bed.shape)[every]
+    lake, fixed = coarser.state[LAKE][every], bed.fixed.reshape(bed.shape)[every]
     surface, wet = floor + lake, lake > 0.0
     steps = 2 * ground.step_x, 2 * ground.step_y
     ways = (route(heights, *steps, fixed, ground.threads).to.reshape(floor.shape) for heights in (surface, floor))
     inside = np.zeros(floor.shape, bool)
     south, north, west, east = (0 if border else 2 for border in ground.rims)
     inside[south : len(floor) - north, west : floor.shape[1] - east] = True
-    flow, load = ((array[every] * per).astype(np.float64) for array in (coarser.layers["flow"], coarser.kept[LOAD]))
+    flow, load = ((array[every] * per).astype(np.float64) for array in (coarser.layers["flow"], coarser.state[LOAD]))
     to = np.where(wet, *reversed([*ways])).astype(int)
     at, cut = _around(to.shape, ground.rims, 0)
     for j, i in zip(*(n[cut & ~fixed[at]] for n in at), strict=True):

@@ -66,10 +66,10 @@ def _change(bed: Bed, ground: Ground, values: Mapping[str, float], origin: np.nd
         wear.reshape(bed.shape)[side] = (bed.sediment - change).reshape(bed.shape)[side]
     wear[bed.fixed] = 0.0
     layers = {"sediment": bed.sediment, "wear": np.maximum(wear, 0.0), "flow": drainage.catchments * cell}
-    kept = {}
+    state = {}
     if ground.level:
-        kept = {LAKE: drainage.filled() - drainage.heights, LOAD: load * cell}
-    shaped = ({k: a.reshape(bed.shape).astype(np.float32) for k, a in some.items()} for some in (layers, kept))
+        state = {LAKE: drainage.filled() - drainage.heights, LOAD: load * cell}
+    shaped = ({k: a.reshape(bed.shape).astype(np.float32) for k, a in some.items()} for some in (layers, state))
     return Change(change.reshape(bed.shape), *shaped)
 
 
@@ -219,7 +219,7 @@ RIVERS = LandEffect(
         LandLayer("wear", "m", "Depth of rock that rivers have removed"),
         LandLayer("flow", "m2", "Land that drains through a place, along single paths", per_metre=False),
     ),
-    kept=(LAKE, LOAD),
+    state=(LAKE, LOAD),
     reads=("uplift",),
     halo=lambda _values, spacing: HALO * spacing,
     doubts=doubts,

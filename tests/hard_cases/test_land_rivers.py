@@ -88,14 +88,14 @@ def test_case_57_a_tile_of_rivers_is_as_the_whole():
     whole = Ground(fine, spacing, spacing, whole=fine.shape, seed=3)
     below = replace(whole, heights=coarser(fine), step_x=2 * spacing, step_y=2 * spacing, level=1)
     coarse = apply_by_levels(RIVERS, below, values)
-    up = {k: finer(a, fine.shape) for k, a in (coarse.layers | coarse.kept).items()}
-    up = Change(finer(coarse.heights, fine.shape), {k: up[k] for k in coarse.layers}, {k: up[k] for k in coarse.kept})
+    up = {k: finer(a, fine.shape) for k, a in (coarse.layers | coarse.state).items()}
+    up = Change(finer(coarse.heights, fine.shape), {k: up[k] for k in coarse.layers}, {k: up[k] for k in coarse.state})
     full = RIVERS.apply(whole, values, up)
     halo = round(RIVERS.halo(values, spacing) / spacing)
     for row, column, side in ((211, 197, 64), (230, 239, 80)):
         cut = np.s_[row - halo : row + side + halo, column - halo : column + side + halo]
         tile = replace(whole, heights=np.ascontiguousarray(fine[cut]), first=(row - halo, column - halo))
-        below = Change(up.heights[cut], *({k: a[cut] for k, a in of.items()} for of in (up.layers, up.kept)))
+        below = Change(up.heights[cut], *({k: a[cut] for k, a in of.items()} for of in (up.layers, up.state)))
         alone = RIVERS.apply(tile, values, below)
         inner = np.s_[halo:-halo, halo:-halo]
         error = (alone.heights - full.heights[cut])[inner].astype(np.float64)

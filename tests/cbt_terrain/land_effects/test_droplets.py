@@ -103,7 +103,7 @@ def test_a_tile_with_its_halo_has_the_bytes_of_the_whole(steps, corner):
     window = tuple(slice(max(c.start - n, 0), c.stop + n) for c, n in zip(core, around, strict=True))
     first = tuple(part.start for part in window)
     asked = tuple(slice(c.start - f, c.stop - f) for c, f in zip(core, first, strict=True))
-    ground = Ground(heights[window].copy(), *steps, first, heights.shape, asked=asked)
+    ground = Ground(heights[window].copy(), *steps, first, heights.shape, target=asked)
     tile = droplets.apply(ground, numbers, None).heights[asked]
     assert np.abs(tile).max() > 0.2 and tile.tobytes() == whole[tuple(core)].tobytes()
     runs, there = (sum(map(len, droplets._tiles(droplets._rain(g, numbers), g))) for g in (ground, whole_ground))

@@ -48,7 +48,7 @@ def _squares(asked: Asked) -> list[float]:
 
 def move(motion: Motion, before: LocalView, now: LocalView, drift: float) -> None:
     """Fill in how the view has moved."""
-    motion.eye, motion.depth, motion.drift = before.eye, before.depth, drift
+    motion.eye, motion.depth, motion.planes, motion.drift = before.eye, before.depth, before.planes, drift
     offsets = zip(now.weight, now.eye, before.eye, strict=True)
     motion.step = math.sqrt(add_up(float(w) * (float(a) - float(b)) * (float(a) - float(b)) for w, a, b in offsets))
     motion.slant_x, motion.slant_y, motion.max_gain2 = before.slant_x, before.slant_y, before.max_gain2

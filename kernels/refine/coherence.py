@@ -12,6 +12,7 @@ import warp as wp
 from .diamond import larger, smaller
 from .pixels import (
     CLEAR,
+    CROSSED,
     ORTHOGRAPHIC,
     OUTSIDE,
     PERSPECTIVE,
@@ -19,15 +20,18 @@ from .pixels import (
     LocalView,
     ends_of,
     farthest_far2,
+    fringe_at,
     least_of,
     most_of,
     nearest_far2,
+    planes_type,
     sizes_of,
     slants2_of,
     steady_stand_of,
 )
 
 NEAR = wp.constant(wp.float64(1.01))  # with what `Motion.drift` may be
+FADED = wp.constant(2)  # stand of a subtree of which a part or all is in the fringe of the frustum
 ROUNDED = wp.constant(wp.float64(1e-9))  # relative: far above what rounding does to spans
 
 
@@ -37,7 +41,7 @@ class Subtree:
 
     cell: wp.uint64  # first deepest cell, all squares in a row
     depth: wp.int32
-    stands: wp.int32  # in the frustum or outside: CLEAR or OUTSIDE
+    stands: wp.int32  # in the frustum, outside or across its fringe: CLEAR, OUTSIDE or FADED
     leaves: wp.int32
     vertices: wp.int32  # new ones
     edges: wp.int32
@@ -58,6 +62,7 @@ class Motion:
 
     eye: wp.vec3d  # before, as in LocalView
     depth: wp.vec4d
+    planes: planes_type
     step: wp.float64  # metres of camera space that the eye has moved
     slant_x: wp.vec2d  # ... as are these
     slant_y: wp.vec2d
@@ -196,6 +201,48 @@ def span_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d,
 
 
 @wp.func
+def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
+    """Bound the factor by which the fringe makes pixels coarser in any box inside this one: by what it has changed
+    (lower, upper), its size now (smallest, largest), and whether that is known.
+
+    The factor is (1 + fade part)^4, where `part` is how far the box is beyond the planes over the width of the fringe,
+    0 to 1. Both change linearly, the width with the depth.
+    """
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    planes = view.planes
+    before = motion.planes
+    inf = wp.float64(wp.inf)
+    nearest = inf  # metres inside the planes, of the outermost and the innermost point
+    deepest = inf
+    before_deepest = inf
+    outwards = zero  # metres that a point may have moved out and in
+    inwards = zero
+    for p in range(view.plane_count):
+        nearest = smaller(least_of(planes[p], low, high), nearest)
+        deepest = smaller(most_of(planes[p], low, high), deepest)
+        before_deepest = smaller(most_of(before[p], low, high), before_deepest)
+    for p in range(view.plane_count):  # but for planes that are not the nearest one of any point
+        if least_of(planes[p], low, high) <= deepest or least_of(before[p], low, high) <= before_deepest:
+            outwards = larger(-least_of(planes[p] - before[p], low, high), outwards)
+            inwards = larger(most_of(planes[p] - before[p], low, high), inwards)
+    narrow = fringe_at(view, least_of(view.depth, low, high))
+    wide = fringe_at(view, most_of(view.depth, low, high))
+    if view.kind == PERSPECTIVE:
+        change = view.depth - motion.depth
+        outwards += view.fringe * larger(-least_of(change, low, high), zero)
+        inwards += view.fringe * larger(most_of(change, low, high), zero)
+    known = wp.where(narrow > zero and wide < inf, 1, 0)
+    finest = one + view.fade * wp.clamp(-deepest / wide, zero, one)
+    coarsest = one + view.fade * wp.clamp(-nearest / narrow, zero, one)
+    before_finest = larger(finest - view.fade * outwards / narrow, one)
+    fall = larger(one - view.fade * inwards / (narrow * before_finest), zero)
+    rise = one + view.fade * outwards / (narrow * before_finest)
+    bounds = wp.vec4d(fall * fall, rise * rise, finest * finest, coarsest * coarsest)
+    return wp.cw_mul(bounds, bounds), known
+
+
+@wp.func
 def span_change(view: LocalView, motion: Motion, kept: Subtree):
     """By how much, least and most, spans have grown in any box of the subtree, metres; and whether that is known."""
     one = wp.float64(1.0)
@@ -210,16 +257,32 @@ def span_change(view: LocalView, motion: Motion, kept: Subtree):
     if view.max_gain2 > one or motion.max_gain2 > one:
         lowest, highest, gain2, sure = span_factors(view, motion, kept.low, kept.high, least, most)
         known = wp.min(known, sure)
+    faded = wp.vec4d(one, one, one, one)
     if kept.stands == OUTSIDE:
         gain2 = gain2 * view.off_screen2
+    if kept.stands == FADED:
+        faded, sure = fade_change(view, motion, kept.low, kept.high)
+        known = wp.min(known, sure)
     span = wp.sqrt(view.pixel2) * wp.sqrt(gain2)
-    fall = motion.ratio * lowest - one
-    rise = motion.ratio * highest - one
+    fall = motion.ratio * lowest * faded[0] - one
+    rise = motion.ratio * highest * faded[1] - one
+    zero = wp.float64(0.0)
+    least = least * wp.where(least < zero, faded[3], faded[2])
+    most = most * wp.where(most > zero, faded[3], faded[2])
     # Spans drift, and so do those at which diamonds are decided otherwise.
     rounded = (ROUNDED + wp.float64(4.0) * motion.drift) * kept.coarse
     least = least * span + smaller(fall * kept.fine, fall * kept.coarse) - rounded
     most = most * span + larger(rise * kept.fine, rise * kept.coarse) + rounded
     return least, most, known
+
+
+@wp.func
+def stands_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
+    """Return how a subtree stands to the frustum: CLEAR, OUTSIDE or FADED; CROSSED if it cannot be cached."""
+    stands = steady_stand_of(view, low, high)
+    if stands == CROSSED and view.fade > wp.float64(0.0):
+        stands = FADED
+    return stands
 
 
 @wp.func
@@ -234,7 +297,7 @@ def carried(asked: Asked, motion: Motion, kept: Subtree, in_frame: wp.int32):
     rounded = ROUNDED * kept.coarse
     if not (kept.fall > rounded and kept.rise > rounded and kept.fine + least > rounded):
         holds = 0
-    if holds == 1:
+    if holds == 1 and kept.stands != FADED:
         stands = CLEAR
         if in_frame == 0:
             stands = steady_stand_of(asked.view, kept.low, kept.high)

@@ -6,10 +6,10 @@ import warp as wp
 from ..unchecked import copy_codes, copy_items
 from .band import DOUBT, REUSED, Band, Limits, Measured, too_coarse, turning_span
 from .block import MAX_BISECTIONS
-from .coherence import Subtree, carried
+from .coherence import Subtree, carried, stands_of
 from .diamond import smaller
 from .emit import stands_alone
-from .pixels import CROSSED, Asked, coarsest, steady_stand_of
+from .pixels import CROSSED, Asked, coarsest
 from .reuse_state import Reuse, ReuseCursor
 from .steps import STOPPED, size_of
 from .walk_state import Cursor, Square, Walk, Written
@@ -151,7 +151,7 @@ def open_subtree(asked: Asked, w: Walk, r: Reuse, q: Square, c: Cursor, m: Measu
         few = m.own <= ERRORS_CACHED * band.leaf_up_to and band.leaf_depth - c.depth <= MAX_BISECTIONS
         opens = few or w.max_depth - c.depth <= LAST_LEVELS
     if opens:
-        stands = steady_stand_of(asked.view, m.diamond.low, m.diamond.high)
+        stands = stands_of(asked.view, m.diamond.low, m.diamond.high)
         if stands_alone(w, q, c):
             r.cursor[k].end = q.base + c.cell + size_of(w, c.depth)
             r.cursor[k].before = n

@@ -3,9 +3,9 @@
 
 import warp as wp
 
-from .coherence import Motion, Subtree, span_change
+from .coherence import FADED, Motion, Subtree, span_change
 from .diamond import Diamond
-from .pixels import Asked, LocalView, least_of, nearest_pixel2
+from .pixels import Asked, LocalView, finest_in
 
 
 @wp.kernel
@@ -25,10 +25,9 @@ def spans_of_boxes(
         d = Diamond()
         d.low = boxes[2 * k]
         d.high = boxes[2 * k + 1]
-        deep = least_of(before.depth, d.low, d.high)
-        spans[k, 0] = wp.sqrt(nearest_pixel2(before, d.low, d.high, deep))
-        deep = least_of(asked.view.depth, d.low, d.high)
-        spans[k, 1] = wp.sqrt(nearest_pixel2(asked.view, d.low, d.high, deep))
+        in_frame = wp.where(subtree.stands == FADED, 0, 1)
+        spans[k, 0] = wp.sqrt(finest_in(before, asked.slopes, d, in_frame))
+        spans[k, 1] = wp.sqrt(finest_in(asked.view, asked.slopes, d, in_frame))
         subtree.fine = wp.min(subtree.fine, spans[k, 0])
         subtree.coarse = wp.max(subtree.coarse, spans[k, 0])
     least, most, valid = span_change(asked.view, motion, subtree)

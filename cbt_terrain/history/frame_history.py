@@ -28,7 +28,7 @@ from .frame import Frame, Leaves
 # Arrays of a frame that a walk writes, and those of its vertices; a surface is made of the ones in DISPLACED.
 LEAF_ARRAYS = ("code", "point", "cached", "cached_counts")
 DISPLACED = ("positions", "normals", "uv")
-VERTEX_ARRAYS = (*DISPLACED, "known", "leaf_level")
+VERTEX_ARRAYS = (*DISPLACED, "known", "relief", "ends", "leaf_level")
 
 
 @dataclass

@@ -3,11 +3,13 @@
 
 from dataclasses import dataclass
 
-from ...kernels.morph import residual as kernels
-from ...kernels.morph.residual import PENDING, REMEMBERED, Known, Memory, Pending, Risen
+from ...kernels.morph import state as kernels
+from ...kernels.morph.state import PENDING, REMEMBERED, Ends, Known, Memory, Pending, Relief, Risen
 from ...kernels.refine.pixels import Asked
 from ..history.frame_history import FrameHistory
 from ..run.buffers import Buffers, bind
+
+RECORDS = {"known": Known, "relief": Relief, "ends": Ends}
 
 
 @dataclass(frozen=True)
@@ -31,8 +33,9 @@ class Rising:
         ramp.bisections = 2 * meshlet
         if coats:
             ramp.coats = coats
-        known, last = history.next.arrays.get("known", vertices, Known), history.last.arrays.get("known", 1, Known)
-        bind(rising, known=known, last_known=last)
+        for name, dtype in RECORDS.items():
+            written, last = history.next.arrays.get(name, vertices, dtype), history.last.arrays.get(name, 1, dtype)
+            bind(rising, **{name: written, f"last_{name}": last})
         return rising
 
 

@@ -150,6 +150,15 @@ def find_run(points: Points, run: wp.int64, run_end: wp.int64, v: wp.int32, end:
 
 
 @wp.func
+def next_new(points: Points, run: wp.int64, run_end: wp.int64, stop: wp.int32, end: wp.int32, point_base: wp.int64):
+    """Return the end of the points from `stop` to the next run, of AHEAD at most: they are to be fetched."""
+    begin = wp.min(stop + AHEAD, end)
+    if run < run_end:
+        begin = wp.min(begin, wp.int32(points.taken.runs[run].first - point_base))
+    return begin
+
+
+@wp.func
 def take_run(points: Points, at: wp.int64, begin: wp.int32, stop: wp.int32, vertex_base: wp.int32):
     """Copy what the last frame has of points, from its vertex `at` on."""
     if stop > begin:

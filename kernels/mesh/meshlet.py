@@ -11,7 +11,7 @@ each side, those inside. Side 0 runs from left to apex, 1 from apex to right, 2 
 import warp as wp
 
 from ..refine.curve import DEEPEST
-from ..refine.runs import Run
+from ..refine.runs import NOT_CLEAR, Run
 from ..unchecked import item_at, look_up, number_row, put
 
 
@@ -175,6 +175,7 @@ def points_that_stay(
                 runs[found].before = wp.int64(last_first) + wp.int64(points) * wp.int64(j)
                 runs[found].count = wp.int64(0)
                 runs[found].coarse = wp.float64(wp.inf)
+                runs[found].clear_below = NOT_CLEAR
                 found += wp.int64(1)
             runs[found - wp.int64(1)].count = runs[found - wp.int64(1)].count + wp.int64(points)
         goes_on = stays

@@ -1,21 +1,38 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Displacement of points that rise to their places, with normals that turn to those of the surface."""
+"""Displacement of geomorphing points, with normals that turn to those of the surface."""
 
 import warp as wp
 
 from ..field.domain import Domain
-from ..mesh.displace import AHEAD, HIGHEST, Points, fetch_samples, find_run, put_vertex, runs_of, take_run
+from ..mesh.displace import AHEAD, HIGHEST, Points, fetch_samples, find_run, next_new, put_vertex, runs_of, take_run
+from ..refine.diamond import fetch_range
+from ..refine.runs import NOT_CLEAR
+from ..refine.stored_errors import fetch_ahead
 from ..unchecked import item_at, put
-from .residual import Memory, Rising, forget_all, has_settled, risen, settled_from
+from .lattice import depth_of
+from .residual import forget_all, has_settled, risen, settled_from
+from .state import Memory, Rising, fetch_records
+
+RECORDS_AHEAD = wp.constant(wp.int64(8))
 
 
 @wp.func
 def put_height(points: Points, o: wp.int32, domain: Domain, height: wp.float64):
-    """The height of vertex `o`, of which all else is there: as `put_vertex` in kernels/mesh/displace.py."""
+    """Write the height of vertex `o`, which is complete otherwise, as `put_vertex` in kernels/mesh/displace.py does."""
     z = height * domain.height_scale + domain.height_offset
     if not (wp.abs(z) < HIGHEST):
         points.not_finite[0] = 1
     points.positions[o][2] = wp.float32(z)
+
+
+@wp.func
+def fetch_point(domain: Domain, p: wp.vec2i):
+    """Bring the samples about a lattice point, and what is stored of its diamond, into the cache; nothing is read."""
+    fetch_samples(domain, p)
+    depth = depth_of(domain.unit_bits, p)
+    if depth > 0 and depth < 2 * domain.levels - 1:
+        fetch_ahead(domain, p[0], p[1], depth)
+        fetch_range(domain, p[0], p[1], depth)
 
 
 @wp.kernel
@@ -30,31 +47,40 @@ def displace_rising(
     rising: Rising,
     memory: Memory,
 ):
-    """As `displace` in kernels/mesh/displace.py. Points of the last frame get new heights and normals, but for those
-    that were in their places and are."""
+    """Displace points as `displace` in kernels/mesh/displace.py does. Give points of the last frame new heights and
+    normals unless they were settled and still are."""
     forget_all(memory)
-    last = point_base + wp.int64(end - 1)
     run, run_end = runs_of(points, slot)
     v = first
     while v < end:
         begin, stop, at = find_run(points, run, run_end, v, end, point_base)
         take_run(points, at, begin, stop, vertex_base)
         settled = wp.float64(wp.inf)
+        taken_clear_below = NOT_CLEAR
         if stop > begin:
-            settled = settled_from(rising, points.taken.runs[run].coarse)
+            taken = points.taken.runs[run]
+            settled = settled_from(rising, taken.coarse * taken.coarse)
+            taken_clear_below = taken.clear_below
         run += wp.int64(1)
+        next_end = next_new(points, run, run_end, stop, end, point_base)
+        for ahead in range(stop, next_end):
+            fetch_point(domain, item_at(points.point, point_base + wp.int64(ahead)))
+        gap_end = point_base + wp.int64(begin)
         for u in range(v, stop):
             k = point_base + wp.int64(u)
             p = item_at(points.point, k)
             last_vertex = wp.int64(-1)
             rises = wp.bool(True)
+            clear_below = NOT_CLEAR
             if u >= begin:
+                clear_below = taken_clear_below
                 last_vertex = at + wp.int64(u - begin)
+                fetch_records(rising, last_vertex + RECORDS_AHEAD)
                 rises = not has_settled(rising, memory, p, vertex_base + u, last_vertex, settled)
-            else:
-                fetch_samples(domain, item_at(points.point, wp.min(k + wp.int64(AHEAD), last)))
+            elif k + wp.int64(AHEAD) < gap_end:
+                fetch_point(domain, item_at(points.point, k + wp.int64(AHEAD)))
             if rises:
-                there, surface = risen(domain, rising, memory, p, vertex_base + u, last_vertex)
+                there, surface = risen(domain, rising, memory, p, vertex_base + u, last_vertex, clear_below)
                 if u < begin:
                     put_vertex(points, vertex_base + u, domain, p, wp.vec3d(there.z, surface[1], surface[2]))
                 else:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where a point of the lattice stands while it rises to its place, and the normal that it has there.
+"""Height and normal of a point of the lattice while it geomorphs.
 
-A split vertex rises by W of its surplus, which is its height less the mean of the ends of the edge that it splits:
+A split vertex v rises by W of its surplus, which is its height less the mean of the ends of the edge that it splits:
 
     z(v) = (z(l) + z(r)) / 2 + W(ratio(v)) (h(v) - (h(l) + h(r)) / 2)
 
@@ -9,7 +9,9 @@ Its normal turns by the same weight, from the mean of the two ends' normals to t
 
     N(v) = unit((1 - W) (N(l) + N(r)) / 2 + W n(v))
 
-Ratios are nested: what v comes from is nearer to its place than v is. Where W is 1 the recursion ends.
+A point whose W is 1 is *settled*: z = h and N = n. Ratios are nested, so the ends of a settled point are settled, and
+the recursion ends there. Sums over two settled ends depend on the terrain only. The next frame reuses them while both
+ends are certainly settled.
 
 Warp passes structs by value, and the compiler undoes that only of a function with one caller: here all have one.
 """
@@ -21,93 +23,16 @@ from ..field.detail import Coats
 from ..field.domain import Domain
 from ..mesh.displace import normal_of, surface_at
 from ..refine.band import ABOVE
-from ..refine.diamond import Diamond, diamond_at, larger, metres2_of, rest_of
+from ..refine.diamond import Diamond, diamond_at, larger, metres2_of, rest_of, smaller
 from ..refine.pixels import Asked, finest, sizes
 from ..refine.stored_errors import error_at, reach_of
-from .lattice import SplitVertex, above, split_vertex
-
-REMEMBERED = wp.constant(1 << 12)  # points in a table: neighbours on the curve come from the same ones
-PENDING = wp.constant(64)  # points that wait for those they come from: at most one of each depth
-NOWHERE = wp.constant(-1)
-
-
-@wp.struct
-class Ramp:
-    """Where W rises from 0 to 1."""
-
-    limit: wp.float64  # squares of ratios are those to what is asked over this
-    end2: wp.float64  # squared ratio k at which a point is in its place
-    steep: wp.float64  # 1 / (1 - 1 / k)
-    bisections: wp.int32  # of meshlets: a point is judged by the diamond so many bisections above
-    coats: Coats  # none: there is no detail
-
-
-@wp.struct
-class Known:
-    """What no view changes of a point: of the diamond that it is judged by, and of itself."""
-
-    low: wp.float64  # heights of the diamond's box, metres; infinite beyond the rim
-    high: wp.float64
-    rise: wp.float64  # as in Diamond
-    metres2: wp.float64  # see `metres2_of`
-    height: wp.float64  # of the surface at the point itself, metres before scaling
-    normal: wp.vec3f  # of the surface there
-    is_settled: wp.int32  # 1: its W was 1 in the frame that this is known of
-
-
-@wp.struct
-class Rising:
-    """What points rise by; and what is known of each vertex, for the next frame and from the last one."""
-
-    asked: Asked
-    ramp: Ramp
-    known: wp.array(dtype=Known)
-    last_known: wp.array(dtype=Known)
-
-
-@wp.struct
-class Risen:
-    """Where a point is."""
-
-    point: wp.vec2i
-    height: wp.float64  # of the surface, metres before scaling
-    z: wp.float64  # of the point, metres before scaling
-    normal: wp.vec3f
-
-
-@wp.struct
-class Ends:
-    """Sums over the two ends of the edge that a point splits."""
-
-    height: wp.float64
-    z: wp.float64
-    normal: wp.vec3d
-
-
-@wp.struct
-class Pending:
-    """A point that waits for the two that it comes from."""
-
-    left: wp.vec2i
-    right: wp.vec2i
-    own: Risen  # in its place
-    weight: wp.float64  # its W
-    seen: wp.int32  # how many of the two are in the sums
-    ends: Ends
-
-
-@wp.struct
-class Memory:
-    """Scratch of one thread: both begin at entry `slot` times their size."""
-
-    slot: wp.int32
-    points: wp.array(dtype=Risen)  # at NOWHERE: none
-    pending: wp.array(dtype=Pending)
+from .lattice import SplitVertex, above, depth_of, half_edge, split_vertex
+from .state import NOWHERE, PENDING, REMEMBERED, Ends, Known, Memory, Pending, Ramp, Relief, Risen, Rising
 
 
 @wp.func
 def surface_of(domain: Domain, coats: Coats, p: wp.vec2i) -> wp.vec3d:
-    """Height and gradient (metres a cell) of the surface with its detail."""
+    """Return height and gradient (metres a cell) of the surface with its detail."""
     g = surface_at(domain, p)
     if coats.count > 0:
         g = with_detail(domain, coats, p, g)
@@ -115,46 +40,45 @@ def surface_of(domain: Domain, coats: Coats, p: wp.vec2i) -> wp.vec3d:
 
 
 @wp.func
-def known_of(domain: Domain, a: SplitVertex) -> Known:
-    """What can be known of a point that is judged by the diamond of `a` before any view sees it."""
-    k = Known()
+def relief_of(domain: Domain, a: SplitVertex):
+    """Return the relief of the diamond split at a vertex, and its `metres2`."""
+    r = Relief()
     d = diamond_at(domain, a.point[0], a.point[1], a.depth)
-    k.low = wp.where(d.rim == 2, wp.float64(wp.inf), d.low[2])
-    k.high = wp.where(d.rim == 2, wp.float64(wp.inf), d.high[2])
-    k.rise = d.rise
-    k.metres2 = metres2_of(domain, error_at(domain, a.point[0], a.point[1], a.depth), rest_of(domain, d))
-    return k
+    r.low = wp.where(d.rim == 2, wp.float64(wp.inf), d.low[2])
+    r.high = d.high[2]
+    r.rise = d.rise
+    return r, metres2_of(domain, error_at(domain, a.point[0], a.point[1], a.depth), rest_of(domain, d))
 
 
 @wp.func
-def ratio2_of(domain: Domain, asked: Asked, a: SplitVertex, k: Known) -> wp.float64:
-    """Squared: how many times too coarse the diamond of `a` would be, by what is asked for the most of."""
+def ratio2_of(domain: Domain, asked: Asked, a: SplitVertex, r: Relief, metres2: wp.float64, in_frame: wp.int32):
+    """Return the squared ratio of the diamond of `a`, the largest of all criteria, and its finest squared pixel."""
     reach = reach_of(domain.unit_bits, a.depth)
     d = Diamond()
     d.low = wp.vec3d(
         domain.west + wp.float64(a.point[0] - reach) * domain.unit_x,
         domain.south + wp.float64(a.point[1] - reach) * domain.unit_y,
-        k.low,
+        r.low,
     )
     d.high = wp.vec3d(
         domain.west + wp.float64(a.point[0] + reach) * domain.unit_x,
         domain.south + wp.float64(a.point[1] + reach) * domain.unit_y,
-        k.high,
+        r.high,
     )
-    d.rim = wp.where(k.low == wp.float64(wp.inf), 2, 0)
-    pixel2 = finest(asked, d, 0)
-    found = larger(k.metres2 / asked.metres2, k.metres2 / (pixel2 * asked.error_px2))
+    d.rim = wp.where(r.low == wp.float64(wp.inf), 2, 0)
+    pixel2 = finest(asked, d, in_frame)
+    found = larger(metres2 / asked.metres2, metres2 / (pixel2 * asked.error_px2))
     if asked.measures_edges == 1:
         long2, legs2 = sizes(asked, domain.unit_bits, a.depth)
-        climb2 = k.rise * k.rise
+        climb2 = r.rise * r.rise
         found = larger((long2 + climb2) / (pixel2 * asked.edge_px2), found)
         found = larger((legs2 + climb2) / (pixel2 * asked.area_px2), found)
-    return found
+    return found, pixel2
 
 
 @wp.func
 def weight_of(ramp: Ramp, ratio2: wp.float64) -> wp.float64:
-    """W: 0 up to a ratio of 1, 1 from k on."""
+    """Return W: 0 up to a ratio of 1, 1 from k on."""
     one = wp.float64(1.0)
     weight = one
     if ratio2 < ramp.end2:
@@ -172,39 +96,68 @@ def entry_of(memory: Memory, p: wp.vec2i) -> wp.int32:
 
 @wp.func
 def forget_all(memory: Memory):
+    """Empty the table of points."""
     for k in range(REMEMBERED):
         memory.points[memory.slot * REMEMBERED + k].point = wp.vec2i(NOWHERE, NOWHERE)
 
 
 @wp.func
-def see(domain: Domain, rising: Rising, v: SplitVertex, is_own: wp.bool, vertex: wp.int32, last: wp.int64):
-    """Return a point's W, what is known of it, and the surface there (not of a vertex of the last frame). What is known
-    of the vertex at hand itself is kept."""
+def see(
+    domain: Domain,
+    rising: Rising,
+    at: wp.vec2i,
+    depth: wp.int32,
+    is_own: wp.bool,
+    vertex: wp.int32,
+    last: wp.int64,
+    clear_below: wp.int32,
+):
+    """Return a point's W, its record, the surface there (not of a vertex of the last frame), and the squared metres of
+    the finest pixel on its diamond. Write the record and the relief of the vertex itself."""
     weight = wp.float64(1.0)
+    pixel2 = wp.float64(0.0)
     surface = wp.vec3d()
     known = Known()
+    known.metres2 = wp.float64(wp.inf)
     was_there = is_own and last >= wp.int64(0)
     if was_there:
         known = rising.last_known[last]
-    if v.depth > rising.ramp.bisections:
-        judged = above(domain.unit_bits, v, rising.ramp.bisections)
-        if not was_there:
-            known = known_of(domain, judged)
-        weight = weight_of(rising.ramp, ratio2_of(domain, rising.asked, judged, known) / rising.ramp.limit)
+    if depth > rising.ramp.bisections:
+        judged = SplitVertex()
+        judged.point = at
+        judged.depth = depth
+        if rising.ramp.bisections > 0:
+            judged = above(domain.unit_bits, split_vertex(domain.unit_bits, at), rising.ramp.bisections)
+        relief = Relief()
+        if was_there and known.is_settled == 0:
+            relief = rising.last_relief[last]
+        else:
+            relief, metres2 = relief_of(domain, judged)
+            known.metres2 = metres2
+        in_frame = wp.where(is_own and depth > clear_below, 1, 0)
+        ratio2, finest2 = ratio2_of(domain, rising.asked, judged, relief, known.metres2, in_frame)
+        if rising.ramp.limit != wp.float64(1.0):
+            ratio2 = ratio2 / rising.ramp.limit
+        weight = weight_of(rising.ramp, ratio2)
+        pixel2 = finest2
+        if is_own and weight < wp.float64(1.0):
+            rising.relief[vertex] = relief
     if not was_there:
-        surface = surface_of(domain, rising.ramp.coats, v.point)
+        surface = surface_of(domain, rising.ramp.coats, at)
         known.height = surface[0]
         known.normal = normal_of(domain, surface)
     known.is_settled = wp.where(weight < wp.float64(1.0), 0, 1)
     if is_own:
         rising.known[vertex] = known
-    return weight, known, surface
+    return weight, known, surface, pixel2
 
 
 @wp.func
 def with_end(ends: Ends, end: Risen) -> Ends:
+    """Add an end to the sums."""
     ends.height += end.height
     ends.z += end.z
+    ends.settled_metres2 = smaller(ends.settled_metres2, end.settled_metres2)
     n = wp.vec3d(wp.float64(end.normal[0]), wp.float64(end.normal[1]), wp.float64(end.normal[2]))
     ends.normal = ends.normal + n
     return ends
@@ -212,7 +165,7 @@ def with_end(ends: Ends, end: Risen) -> Ends:
 
 @wp.func
 def between(own: Risen, weight: wp.float64, ends: Ends) -> Risen:
-    """Return where a point is whose place, W and two ends are known."""
+    """Return a point in this frame from its surface, W and two ends."""
     half = wp.float64(0.5)
     found = own
     found.z = half * ends.z + weight * (own.height - half * ends.height)
@@ -225,16 +178,17 @@ def between(own: Risen, weight: wp.float64, ends: Ends) -> Risen:
 
 
 @wp.func
-def settled_from(rising: Rising, coarse: wp.float64) -> wp.float64:
-    """From how many `metres2` on points are in their places where no pixel spans more than `coarse` metres."""
-    return coarse * coarse * rising.ramp.end2 * rising.ramp.limit * rising.asked.error_px2 * ABOVE
+def settled_from(rising: Rising, pixel2: wp.float64) -> wp.float64:
+    """Return the `metres2` above which points are settled if no pixel on their diamonds spans more than `pixel2`,
+    squared metres."""
+    return pixel2 * rising.ramp.end2 * rising.ramp.limit * rising.asked.error_px2 * ABOVE
 
 
 @wp.func
 def has_settled(
     rising: Rising, memory: Memory, p: wp.vec2i, vertex: wp.int32, last: wp.int64, settled: wp.float64
 ) -> wp.bool:
-    """Whether the vertex `last` of the last frame was in its place, and is: then what is known of it is kept."""
+    """Return whether the vertex `last` of the last frame was settled and still is; then copy its record."""
     known = rising.last_known[last]
     found = known.is_settled == 1 and known.metres2 > settled
     if found:
@@ -242,6 +196,7 @@ def has_settled(
         there.point = p
         there.height = known.height
         there.z = known.height
+        there.settled_metres2 = known.metres2
         there.normal = known.normal
         memory.points[entry_of(memory, p)] = there
         rising.known[vertex] = known
@@ -249,57 +204,90 @@ def has_settled(
 
 
 @wp.func
-def risen(domain: Domain, rising: Rising, memory: Memory, p: wp.vec2i, vertex: wp.int32, last: wp.int64):
-    """Return where a vertex at the lattice point p is, and the surface there (not of a vertex of the last frame).
+def was_unsettled(rising: Rising, last: wp.int64) -> wp.bool:
+    """Return whether the ends of the vertex `last` of the last frame are recorded."""
+    found = wp.bool(False)
+    if last >= wp.int64(0):
+        found = rising.last_known[last].is_settled == 0
+    return found
 
-    `last`: which vertex of the last frame it was, -1: none.
+
+@wp.func
+def no_ends() -> Ends:
+    """Return sums over nothing."""
+    ends = Ends()
+    ends.settled_metres2 = wp.float64(wp.inf)
+    return ends
+
+
+@wp.func
+def risen(
+    domain: Domain, rising: Rising, memory: Memory, p: wp.vec2i, vertex: wp.int32, last: wp.int64, clear_below: wp.int32
+):
+    """Return a vertex at the lattice point p in this frame, and the surface there (not of a vertex of the last frame).
+
+    `last`: its number in the last frame, -1: none. `clear_below`: if it is deeper, the frustums hold its diamond.
     """
     first = memory.slot * PENDING
     top = first - 1  # the last of the points that wait
     at = p
     there = Risen()
+    ends = Ends()
     own_surface = wp.vec3d()
+    own_settled = wp.bool(True)
     is_own = wp.bool(True)
     goes_on = wp.bool(True)
     while goes_on:
         entry = entry_of(memory, at)
-        there = memory.points[entry]
-        is_known = wp.bool(True)
-        if is_own or not (there.point == at):
-            v = split_vertex(domain.unit_bits, at)
-            weight, known, surface = see(domain, rising, v, is_own, vertex, last)
-            if is_own:
-                own_surface = surface
-            is_own = False
+        is_known = wp.bool(False)
+        if not is_own:
+            there = memory.points[entry]
+            is_known = there.point == at
+        if not is_known:
+            depth = depth_of(domain.unit_bits, at)
+            weight, known, surface, pixel2 = see(domain, rising, at, depth, is_own, vertex, last, clear_below)
+            is_known = weight >= wp.float64(1.0)
             there.point = at
             there.height = known.height
             there.z = known.height
+            there.settled_metres2 = wp.where(is_known, known.metres2, wp.float64(0.0))
             there.normal = known.normal
-            is_known = weight >= wp.float64(1.0)
             if not is_known:
-                # Most often both ends are remembered.
-                left = memory.points[entry_of(memory, v.left)]
-                right = memory.points[entry_of(memory, v.right)]
-                is_known = left.point == v.left and right.point == v.right
+                if is_own and was_unsettled(rising, last):
+                    # Pixels on the diamonds of the two ends are no coarser than on this one.
+                    ends = rising.last_ends[last]
+                    is_known = ends.settled_metres2 > settled_from(rising, pixel2)
+                if not is_known:  # Most often both ends are remembered.
+                    along = half_edge(domain.unit_bits, at, depth)
+                    left = memory.points[entry_of(memory, at - along)]
+                    right = memory.points[entry_of(memory, at + along)]
+                    is_known = left.point == at - along and right.point == at + along
+                    ends = with_end(with_end(no_ends(), left), right)
+                    if not is_known:
+                        top += 1
+                        waiting = Pending()
+                        waiting.left = at - along
+                        waiting.right = at + along
+                        waiting.own = there
+                        waiting.weight = weight
+                        waiting.ends = no_ends()
+                        memory.pending[top] = waiting
                 if is_known:
-                    there = between(there, weight, with_end(with_end(Ends(), left), right))
-                else:
-                    top += 1
-                    waiting = Pending()
-                    waiting.left = v.left
-                    waiting.right = v.right
-                    waiting.own = there
-                    waiting.weight = weight
-                    memory.pending[top] = waiting
+                    there = between(there, weight, ends)
             if is_known:
                 memory.points[entry] = there
+            if is_own:
+                own_surface = surface
+                own_settled = weight >= wp.float64(1.0)
+            is_own = False
         while is_known and top >= first:
             waiting = memory.pending[top]
-            waiting.ends = with_end(waiting.ends, there)
+            ends = with_end(waiting.ends, there)
+            waiting.ends = ends
             waiting.seen += 1
             is_known = waiting.seen == 2
             if is_known:
-                there = between(waiting.own, waiting.weight, waiting.ends)
+                there = between(waiting.own, waiting.weight, ends)
                 memory.points[entry_of(memory, there.point)] = there
                 top -= 1
             else:
@@ -307,4 +295,6 @@ def risen(domain: Domain, rising: Rising, memory: Memory, p: wp.vec2i, vertex: w
         goes_on = top >= first
         if goes_on:
             at = wp.where(memory.pending[top].seen == 0, memory.pending[top].left, memory.pending[top].right)
+    if not own_settled:
+        rising.ends[vertex] = ends
     return there, own_surface

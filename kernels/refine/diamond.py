@@ -11,7 +11,7 @@ import warp as wp
 from ..field.codes import sample_at
 from ..field.domain import Domain
 from ..field.layout import tile_index
-from ..unchecked import item_at
+from ..unchecked import item_at, prefetch
 from .stored_errors import is_beyond, reach_of
 
 
@@ -68,16 +68,28 @@ def heights_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j
 
 
 @wp.func
+def range_entry(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32) -> wp.int64:
+    """Return where the range of a diamond is stored, `finer` bisections above the finest that are."""
+    group = finer >> 2
+    shift = domain.unit_bits - domain.levels + 1 + 2 * group
+    entry = tile_index(x >> shift, y >> shift, item_at(domain.range_pages, group))
+    return wp.int64(2) * (item_at(domain.range_first, group) + entry)
+
+
+@wp.func
+def fetch_range(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
+    """Bring the range of the diamond split at (x, y) into the cache, of a depth that is stored; nothing is read."""
+    prefetch(domain.ranges, range_entry(domain, x, y, 2 * domain.levels - 2 - depth))
+
+
+@wp.func
 def narrowed(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32, r: wp.vec2i) -> wp.vec2i:
     """What the range `r` and the stored one of a diamond, `finer` bisections above the finest that are, have in common.
 
     That of a diamond beside the domain is all heights.
     """
     if x >= 0 and y >= 0 and x <= (domain.columns << domain.unit_bits) and y <= (domain.rows << domain.unit_bits):
-        group = finer >> 2
-        shift = domain.unit_bits - domain.levels + 1 + 2 * group
-        entry = tile_index(x >> shift, y >> shift, item_at(domain.range_pages, group))
-        index = wp.int64(2) * (item_at(domain.range_first, group) + entry)
+        index = range_entry(domain, x, y, finer)
         low = wp.int32(item_at(domain.ranges, index))
         high = wp.int32(item_at(domain.ranges, index + wp.int64(1)))
         r = wp.vec2i(wp.max(r[0], low), wp.min(r[1], high))

@@ -9,8 +9,9 @@ from .block import MAX_BISECTIONS
 from .coherence import Subtree, carried, stands_of
 from .diamond import smaller
 from .emit import stands_alone
-from .pixels import CROSSED, Asked, coarsest
+from .pixels import CLEAR, CROSSED, Asked, coarsest
 from .reuse_state import Reuse, ReuseCursor
+from .runs import NOT_CLEAR
 from .steps import STOPPED, size_of
 from .walk_state import Cursor, Square, Walk, Written
 
@@ -65,6 +66,7 @@ def note_reused(r: Reuse, slot: wp.int32, subtree: Subtree, leaf: wp.int64, poin
         r.point_runs[entry].before = subtree.first_vertex
         r.point_runs[entry].count = wp.int64(subtree.vertices)
         r.point_runs[entry].coarse = subtree.coarse
+        r.point_runs[entry].clear_below = wp.where(subtree.stands == CLEAR, subtree.depth, NOT_CLEAR)
         r.same[entry].first = leaf
         r.same[entry].count = subtree.leaves
         r.same[entry].depth = subtree.depth

@@ -3,6 +3,8 @@
 
 import warp as wp
 
+NOT_CLEAR = wp.constant(1 << 30)  # no diamond is so deep
+
 
 @wp.struct
 class Run:
@@ -12,6 +14,7 @@ class Run:
     before: wp.int64  # ... and in the old one
     count: wp.int64
     coarse: wp.float64  # metres that a pixel spans at most on the diamonds of points; infinity: not known
+    clear_below: wp.int32  # depth: the frustums hold the boxes of all deeper diamonds of points
 
 
 @wp.struct

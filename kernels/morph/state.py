@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""State of geomorphing: the ramp, records of vertices that the next frame reuses, and scratch of one thread."""
+
+import warp as wp
+
+from ..field.detail import Coats
+from ..refine.pixels import Asked
+
+REMEMBERED = wp.constant(1 << 12)  # points in a table: neighbours on the curve come from the same ones
+PENDING = wp.constant(64)  # points that wait for those they come from: at most one of each depth
+NOWHERE = wp.constant(-1)
+
+
+@wp.struct
+class Ramp:
+    """Where W rises from 0 to 1."""
+
+    limit: wp.float64  # squares of ratios are those to what is asked over this
+    end2: wp.float64  # squared ratio k at which a point is in its place
+    steep: wp.float64  # 1 / (1 - 1 / k)
+    bisections: wp.int32  # of meshlets: a point is judged by the diamond so many bisections above
+    coats: Coats  # none: there is no detail
+
+
+@wp.struct
+class Known:
+    """Surface at a vertex and the error of its diamond. No view changes them."""
+
+    metres2: wp.float64  # see `metres2_of`; infinite: its W is always 1
+    height: wp.float64  # of the surface at the vertex, metres before scaling
+    normal: wp.vec3f  # of the surface there
+    is_settled: wp.int32  # 1: its W was 1 in the frame of this record
+
+
+@wp.struct
+class Risen:
+    """Height and normal of a point in this frame."""
+
+    point: wp.vec2i
+    height: wp.float64  # of the surface, metres before scaling
+    z: wp.float64  # of the point, metres before scaling
+    settled_metres2: wp.float64  # its `metres2` if its W is 1, else 0
+    normal: wp.vec3f
+
+
+@wp.struct
+class Ends:
+    """Sums over the two ends of the edge that a point splits."""
+
+    height: wp.float64
+    z: wp.float64
+    normal: wp.vec3d
+    settled_metres2: wp.float64  # minimum of the two
+
+
+@wp.struct
+class Relief:
+    """Heights of the diamond that a vertex is judged by, metres; `low` is infinite beyond the rim."""
+
+    low: wp.float64
+    high: wp.float64
+    rise: wp.float64  # as in Diamond
+
+
+@wp.struct
+class Rising:
+    """The ramp, and records of each vertex for the next frame and from the last one."""
+
+    asked: Asked
+    ramp: Ramp
+    known: wp.array(dtype=Known)
+    last_known: wp.array(dtype=Known)
+    relief: wp.array(dtype=Relief)  # only of vertices that are not settled, as are their ends
+    last_relief: wp.array(dtype=Relief)
+    ends: wp.array(dtype=Ends)
+    last_ends: wp.array(dtype=Ends)
+
+
+@wp.struct
+class Pending:
+    """A point that waits for the two that it comes from."""
+
+    left: wp.vec2i
+    right: wp.vec2i
+    own: Risen  # in its place
+    weight: wp.float64  # its W
+    seen: wp.int32  # how many of the two are in the sums
+    ends: Ends
+
+
+@wp.struct
+class Memory:
+    """Scratch of one thread: both begin at entry `slot` times their size."""
+
+    slot: wp.int32
+    points: wp.array(dtype=Risen)  # at NOWHERE: none
+    pending: wp.array(dtype=Pending)
+
+
+for record in (Known, Relief, Ends):
+
+    @wp.func_native("__builtin_prefetch(a.data + i);")
+    def fetch(a: wp.array(dtype=record), i: wp.int64): ...
+
+
+@wp.func
+def fetch_records(rising: Rising, last: wp.int64):
+    """Bring the records of a vertex of the last frame into the cache; nothing is read."""
+    fetch(rising.last_known, last)
+    fetch(rising.last_relief, last)
+    fetch(rising.last_ends, last)

@@ -58,7 +58,7 @@ def displace(
     kernel, detail = displace_kernels.displace, field.packed_detail
     if rising:
         packed = rising.pack(detail, meshlet, vertices, history)
-        kernel, own = rising_kernels.displace_rising, memories(scratch, len(inputs))
+        kernel, own = rising_kernels.displace_morphing, memories(scratch, len(inputs))
         inputs = [[*values, packed, memory] for values, memory in zip(inputs, own, strict=True)]
     elif detail:
         kernel, inputs = detail_kernels.displace_detail, [[*values, detail] for values in inputs]

@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 from ...kernels.morph import state as kernels
-from ...kernels.morph.state import PENDING, REMEMBERED, Ends, Known, Memory, Pending, Relief, Risen
+from ...kernels.morph.state import PENDING, REMEMBERED, Ends, Known, Memory, MorphedPoint, Pending, Relief
 from ...kernels.refine.pixels import Asked
 from ..history.frame_history import FrameHistory
 from ..run.buffers import Buffers, bind
@@ -21,9 +21,9 @@ class Rising:
     end: float
     relaxed: float
 
-    def pack(self, coats, meshlet: int, vertices: int, history: FrameHistory) -> kernels.Rising:
+    def pack(self, coats, meshlet: int, vertices: int, history: FrameHistory) -> kernels.Morphing:
         """Return what the kernel reads. `coats`: of the detail, or None."""
-        rising = kernels.Rising()
+        rising = kernels.Morphing()
         rising.asked, ramp = self.asked, rising.ramp
         ramp.limit, ramp.end2, ramp.steep = (
             self.relaxed * self.relaxed,
@@ -42,7 +42,7 @@ class Rising:
 def memories(buffers: Buffers, threads: int) -> list[Memory]:
     """Scratch of so many threads."""
     arrays = {
-        "points": buffers.get("rising_points", threads * int(REMEMBERED), Risen),
+        "points": buffers.get("rising_points", threads * int(REMEMBERED), MorphedPoint),
         "pending": buffers.get("rising_pending", threads * int(PENDING), Pending),
     }
     made = [Memory() for _ in range(threads)]

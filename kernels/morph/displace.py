@@ -10,8 +10,8 @@ from ..refine.runs import NOT_CLEAR
 from ..refine.stored_errors import fetch_ahead
 from ..unchecked import item_at, put
 from .lattice import depth_of
-from .residual import forget_all, has_settled, risen, settled_from
-from .state import Memory, Rising, fetch_records
+from .residual import forget_all, has_settled, morphed_point, settled_from
+from .state import Memory, Morphing, fetch_records
 
 RECORDS_AHEAD = wp.constant(wp.int64(8))
 
@@ -36,7 +36,7 @@ def fetch_point(domain: Domain, p: wp.vec2i):
 
 
 @wp.kernel
-def displace_rising(
+def displace_morphing(
     first: wp.int32,
     end: wp.int32,
     point_base: wp.int64,
@@ -44,7 +44,7 @@ def displace_rising(
     slot: wp.int32,
     domain: Domain,
     points: Points,
-    rising: Rising,
+    morphing: Morphing,
     memory: Memory,
 ):
     """Displace points as `displace` in kernels/mesh/displace.py does. Give points of the last frame new heights and
@@ -56,11 +56,11 @@ def displace_rising(
         begin, stop, at = find_run(points, run, run_end, v, end, point_base)
         take_run(points, at, begin, stop, vertex_base)
         settled = wp.float64(wp.inf)
-        taken_clear_below = NOT_CLEAR
+        run_clear_below = NOT_CLEAR
         if stop > begin:
-            taken = points.taken.runs[run]
-            settled = settled_from(rising, taken.coarse * taken.coarse)
-            taken_clear_below = taken.clear_below
+            reused = points.taken.runs[run]
+            settled = settled_from(morphing, reused.coarse * reused.coarse)
+            run_clear_below = reused.clear_below
         run += wp.int64(1)
         next_end = next_new(points, run, run_end, stop, end, point_base)
         for ahead in range(stop, next_end):
@@ -70,17 +70,17 @@ def displace_rising(
             k = point_base + wp.int64(u)
             p = item_at(points.point, k)
             last_vertex = wp.int64(-1)
-            rises = wp.bool(True)
+            morphs = wp.bool(True)
             clear_below = NOT_CLEAR
             if u >= begin:
-                clear_below = taken_clear_below
+                clear_below = run_clear_below
                 last_vertex = at + wp.int64(u - begin)
-                fetch_records(rising, last_vertex + RECORDS_AHEAD)
-                rises = not has_settled(rising, memory, p, vertex_base + u, last_vertex, settled)
+                fetch_records(morphing, last_vertex + RECORDS_AHEAD)
+                morphs = not has_settled(morphing, memory, p, vertex_base + u, last_vertex, settled)
             elif k + wp.int64(AHEAD) < gap_end:
                 fetch_point(domain, item_at(points.point, k + wp.int64(AHEAD)))
-            if rises:
-                there, surface = risen(domain, rising, memory, p, vertex_base + u, last_vertex, clear_below)
+            if morphs:
+                there, surface = morphed_point(domain, morphing, memory, p, vertex_base + u, last_vertex, clear_below)
                 if u < begin:
                     put_vertex(points, vertex_base + u, domain, p, wp.vec3d(there.z, surface[1], surface[2]))
                 else:

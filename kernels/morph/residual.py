@@ -27,7 +27,7 @@ from ..refine.diamond import Diamond, diamond_at, larger, metres2_of, rest_of, s
 from ..refine.pixels import Asked, finest, sizes
 from ..refine.stored_errors import error_at, reach_of
 from .lattice import SplitVertex, above, depth_of, half_edge, split_vertex
-from .state import NOWHERE, PENDING, REMEMBERED, Ends, Known, Memory, Pending, Ramp, Relief, Risen, Rising
+from .state import NOWHERE, PENDING, REMEMBERED, Ends, Known, Memory, MorphedPoint, Morphing, Pending, Ramp, Relief
 
 
 @wp.func
@@ -104,7 +104,7 @@ def forget_all(memory: Memory):
 @wp.func
 def see(
     domain: Domain,
-    rising: Rising,
+    morphing: Morphing,
     at: wp.vec2i,
     depth: wp.int32,
     is_own: wp.bool,
@@ -121,39 +121,39 @@ def see(
     known.metres2 = wp.float64(wp.inf)
     was_there = is_own and last >= wp.int64(0)
     if was_there:
-        known = rising.last_known[last]
-    if depth > rising.ramp.bisections:
+        known = morphing.last_known[last]
+    if depth > morphing.ramp.bisections:
         judged = SplitVertex()
         judged.point = at
         judged.depth = depth
-        if rising.ramp.bisections > 0:
-            judged = above(domain.unit_bits, split_vertex(domain.unit_bits, at), rising.ramp.bisections)
+        if morphing.ramp.bisections > 0:
+            judged = above(domain.unit_bits, split_vertex(domain.unit_bits, at), morphing.ramp.bisections)
         relief = Relief()
         if was_there and known.is_settled == 0:
-            relief = rising.last_relief[last]
+            relief = morphing.last_relief[last]
         else:
             relief, metres2 = relief_of(domain, judged)
             known.metres2 = metres2
         in_frame = wp.where(is_own and depth > clear_below, 1, 0)
-        ratio2, finest2 = ratio2_of(domain, rising.asked, judged, relief, known.metres2, in_frame)
-        if rising.ramp.limit != wp.float64(1.0):
-            ratio2 = ratio2 / rising.ramp.limit
-        weight = weight_of(rising.ramp, ratio2)
+        ratio2, finest2 = ratio2_of(domain, morphing.asked, judged, relief, known.metres2, in_frame)
+        if morphing.ramp.limit != wp.float64(1.0):
+            ratio2 = ratio2 / morphing.ramp.limit
+        weight = weight_of(morphing.ramp, ratio2)
         pixel2 = finest2
         if is_own and weight < wp.float64(1.0):
-            rising.relief[vertex] = relief
+            morphing.relief[vertex] = relief
     if not was_there:
-        surface = surface_of(domain, rising.ramp.coats, at)
+        surface = surface_of(domain, morphing.ramp.coats, at)
         known.height = surface[0]
         known.normal = normal_of(domain, surface)
     known.is_settled = wp.where(weight < wp.float64(1.0), 0, 1)
     if is_own:
-        rising.known[vertex] = known
+        morphing.known[vertex] = known
     return weight, known, surface, pixel2
 
 
 @wp.func
-def with_end(ends: Ends, end: Risen) -> Ends:
+def with_end(ends: Ends, end: MorphedPoint) -> Ends:
     """Add an end to the sums."""
     ends.height += end.height
     ends.z += end.z
@@ -164,7 +164,7 @@ def with_end(ends: Ends, end: Risen) -> Ends:
 
 
 @wp.func
-def between(own: Risen, weight: wp.float64, ends: Ends) -> Risen:
+def between(own: MorphedPoint, weight: wp.float64, ends: Ends) -> MorphedPoint:
     """Return a point in this frame from its surface, W and two ends."""
     half = wp.float64(0.5)
     found = own
@@ -178,37 +178,37 @@ def between(own: Risen, weight: wp.float64, ends: Ends) -> Risen:
 
 
 @wp.func
-def settled_from(rising: Rising, pixel2: wp.float64) -> wp.float64:
+def settled_from(morphing: Morphing, pixel2: wp.float64) -> wp.float64:
     """Return the `metres2` above which points are settled if no pixel on their diamonds spans more than `pixel2`,
     squared metres."""
-    return pixel2 * rising.ramp.end2 * rising.ramp.limit * rising.asked.error_px2 * ABOVE
+    return pixel2 * morphing.ramp.end2 * morphing.ramp.limit * morphing.asked.error_px2 * ABOVE
 
 
 @wp.func
 def has_settled(
-    rising: Rising, memory: Memory, p: wp.vec2i, vertex: wp.int32, last: wp.int64, settled: wp.float64
+    morphing: Morphing, memory: Memory, p: wp.vec2i, vertex: wp.int32, last: wp.int64, settled: wp.float64
 ) -> wp.bool:
     """Return whether the vertex `last` of the last frame was settled and still is; then copy its record."""
-    known = rising.last_known[last]
+    known = morphing.last_known[last]
     found = known.is_settled == 1 and known.metres2 > settled
     if found:
-        there = Risen()
+        there = MorphedPoint()
         there.point = p
         there.height = known.height
         there.z = known.height
         there.settled_metres2 = known.metres2
         there.normal = known.normal
         memory.points[entry_of(memory, p)] = there
-        rising.known[vertex] = known
+        morphing.known[vertex] = known
     return found
 
 
 @wp.func
-def was_unsettled(rising: Rising, last: wp.int64) -> wp.bool:
+def was_unsettled(morphing: Morphing, last: wp.int64) -> wp.bool:
     """Return whether the ends of the vertex `last` of the last frame are recorded."""
     found = wp.bool(False)
     if last >= wp.int64(0):
-        found = rising.last_known[last].is_settled == 0
+        found = morphing.last_known[last].is_settled == 0
     return found
 
 
@@ -221,8 +221,14 @@ def no_ends() -> Ends:
 
 
 @wp.func
-def risen(
-    domain: Domain, rising: Rising, memory: Memory, p: wp.vec2i, vertex: wp.int32, last: wp.int64, clear_below: wp.int32
+def morphed_point(
+    domain: Domain,
+    morphing: Morphing,
+    memory: Memory,
+    p: wp.vec2i,
+    vertex: wp.int32,
+    last: wp.int64,
+    clear_below: wp.int32,
 ):
     """Return a vertex at the lattice point p in this frame, and the surface there (not of a vertex of the last frame).
 
@@ -231,10 +237,10 @@ def risen(
     first = memory.slot * PENDING
     top = first - 1  # the last of the points that wait
     at = p
-    there = Risen()
+    there = MorphedPoint()
     ends = Ends()
-    own_surface = wp.vec3d()
-    own_settled = wp.bool(True)
+    vertex_surface = wp.vec3d()
+    is_settled = wp.bool(True)
     is_own = wp.bool(True)
     goes_on = wp.bool(True)
     while goes_on:
@@ -245,7 +251,7 @@ def risen(
             is_known = there.point == at
         if not is_known:
             depth = depth_of(domain.unit_bits, at)
-            weight, known, surface, pixel2 = see(domain, rising, at, depth, is_own, vertex, last, clear_below)
+            weight, known, surface, pixel2 = see(domain, morphing, at, depth, is_own, vertex, last, clear_below)
             is_known = weight >= wp.float64(1.0)
             there.point = at
             there.height = known.height
@@ -253,10 +259,10 @@ def risen(
             there.settled_metres2 = wp.where(is_known, known.metres2, wp.float64(0.0))
             there.normal = known.normal
             if not is_known:
-                if is_own and was_unsettled(rising, last):
+                if is_own and was_unsettled(morphing, last):
                     # Pixels on the diamonds of the two ends are no coarser than on this one.
-                    ends = rising.last_ends[last]
-                    is_known = ends.settled_metres2 > settled_from(rising, pixel2)
+                    ends = morphing.last_ends[last]
+                    is_known = ends.settled_metres2 > settled_from(morphing, pixel2)
                 if not is_known:  # Most often both ends are remembered.
                     along = half_edge(domain.unit_bits, at, depth)
                     left = memory.points[entry_of(memory, at - along)]
@@ -277,8 +283,8 @@ def risen(
             if is_known:
                 memory.points[entry] = there
             if is_own:
-                own_surface = surface
-                own_settled = weight >= wp.float64(1.0)
+                vertex_surface = surface
+                is_settled = weight >= wp.float64(1.0)
             is_own = False
         while is_known and top >= first:
             waiting = memory.pending[top]
@@ -295,6 +301,6 @@ def risen(
         goes_on = top >= first
         if goes_on:
             at = wp.where(memory.pending[top].seen == 0, memory.pending[top].left, memory.pending[top].right)
-    if not own_settled:
-        rising.ends[vertex] = ends
-    return there, own_surface
+    if not is_settled:
+        morphing.ends[vertex] = ends
+    return there, vertex_surface

@@ -13,7 +13,7 @@ NOWHERE = wp.constant(-1)
 
 @wp.struct
 class Ramp:
-    """Where W rises from 0 to 1."""
+    """Parameters of the ramp on which W rises from 0 to 1."""
 
     limit: wp.float64  # squares of ratios are those to what is asked over this
     end2: wp.float64  # squared ratio k at which a point is in its place
@@ -33,7 +33,7 @@ class Known:
 
 
 @wp.struct
-class Risen:
+class MorphedPoint:
     """Height and normal of a point in this frame."""
 
     point: wp.vec2i
@@ -63,7 +63,7 @@ class Relief:
 
 
 @wp.struct
-class Rising:
+class Morphing:
     """The ramp, and records of each vertex for the next frame and from the last one."""
 
     asked: Asked
@@ -82,7 +82,7 @@ class Pending:
 
     left: wp.vec2i
     right: wp.vec2i
-    own: Risen  # in its place
+    own: MorphedPoint  # in its place
     weight: wp.float64  # its W
     seen: wp.int32  # how many of the two are in the sums
     ends: Ends
@@ -93,7 +93,7 @@ class Memory:
     """Scratch of one thread: both begin at entry `slot` times their size."""
 
     slot: wp.int32
-    points: wp.array(dtype=Risen)  # at NOWHERE: none
+    points: wp.array(dtype=MorphedPoint)  # at NOWHERE: none
     pending: wp.array(dtype=Pending)
 
 
@@ -104,8 +104,8 @@ for record in (Known, Relief, Ends):
 
 
 @wp.func
-def fetch_records(rising: Rising, last: wp.int64):
+def fetch_records(morphing: Morphing, last: wp.int64):
     """Bring the records of a vertex of the last frame into the cache; nothing is read."""
-    fetch(rising.last_known, last)
-    fetch(rising.last_relief, last)
-    fetch(rising.last_ends, last)
+    fetch(morphing.last_known, last)
+    fetch(morphing.last_relief, last)
+    fetch(morphing.last_ends, last)

@@ -12,11 +12,12 @@ SMOKE := $(addprefix tests/cbt_terrain/,field/test_store.py importing/test_impor
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: demo test smoke test-all kernels fuzz hard-cases bench accuracy effects animation fly-over figures docs lint types format extension release clean help
+.PHONY: demo test test-core smoke test-all kernels fuzz hard-cases bench accuracy effects animation fly-over figures docs lint types format extension release clean help
 
 help:
 	@echo "make demo       the built-in island, 24 frames, pictures and a page in demo/"
 	@echo "make test       every test (TESTS=tests/... for some)"
+	@echo "make test-core  the engine alone, in two processes (after make kernels)"
 	@echo "make smoke      a few tests of everything, two minutes"
 	@echo "make test-all   every test on Python 3.11 and 3.13 and in the real Blender program (Debian, root)"
 	@echo "make kernels    compile all kernels now, so that nothing waits for them later"
@@ -41,6 +42,13 @@ test: $(READY)
 
 smoke: $(READY)
 	$(PY) -m pytest $(SMOKE)
+
+# The engine without the rooms that measure accuracy, shape land and bake maps, in two processes. A new room is in the second.
+CORE_FIRST := tests/kernels $(addprefix tests/cbt_terrain/,field effects)
+CORE_LEFT_OUT := $(addprefix --ignore=tests/cbt_terrain/,field effects accuracy land land_effects maps)
+test-core: $(READY)
+	$(PY) -m pytest -q -p no:cacheprovider $(CORE_FIRST) & first=$$!; \
+	$(PY) -m pytest -q -p no:cacheprovider tests/cbt_terrain $(CORE_LEFT_OUT); second=$$?; wait $$first && exit $$second
 
 test-all: $(READY)
 	tools/get_blender.sh trixie .cache/blender

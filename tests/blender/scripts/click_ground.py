@@ -1,23 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pick the ground with the mouse in a window, move the terrain under kept objects, and write a report: FOLDER.
 
-Run with --enable-event-simulate. Every step is a turn of a timer, because Blender handles events and draws between
-turns only.
+Run with --enable-event-simulate.
 """
 
 import importlib
-import json
 import sys
-import time
-import traceback
 from pathlib import Path
 
 import bpy
 from bpy_extras import view3d_utils
 
-[folder] = sys.argv[sys.argv.index("--") + 1 :]
-folder = Path(folder)
-WAIT_S = 900.0  # only so that a hang ends
+sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
+from window_steps import click, only_open, parts, picture, run, take_steps, until  # noqa: E402
+
 PACKAGE = bpy.types.Object.adaptive_terrain.keywords["type"].__module__.partition(".operators")[0]
 OPEN = {"ADAPTIVE_TERRAIN_PT_main", "ADAPTIVE_TERRAIN_PT_on_ground"}
 result = {"version": bpy.app.version_string}
@@ -25,45 +21,10 @@ panels = importlib.import_module(f"{PACKAGE}.operators.ui.panels")
 warmup = importlib.import_module(f"{PACKAGE}.cbt_terrain.run.warmup")
 
 
-def parts(kind: str):
-    window = bpy.context.window_manager.windows[0]
-    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
-    return window, area, next(region for region in area.regions if region.type == kind)
-
-
-def until(condition):
-    end = time.monotonic() + WAIT_S
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError("waited in vain")
-        yield 0.05
-
-
-def run(operator, *how, **asked):
-    window, area, region = parts("WINDOW")
-    with bpy.context.temp_override(window=window, area=area, region=region):
-        return operator(*how, **asked)
-
-
-def click(x: int, y: int):
-    window = parts("WINDOW")[0]
-    for kind, value in (("MOUSEMOVE", "NOTHING"), ("LEFTMOUSE", "PRESS"), ("LEFTMOUSE", "RELEASE")):
-        window.event_simulate(type=kind, value=value, x=x, y=y)
-        yield 0.1
-
-
-def only_ground_is_open():
-    panels.unregister()
-    for cls in panels.CLASSES:
-        if issubclass(cls, bpy.types.Panel) and not getattr(cls, "preset_subdir", ""):
-            cls.bl_options = set() if cls.bl_idname in OPEN else {"DEFAULT_CLOSED"}
-    panels.register()
-
-
 def steps():
     _, area, region = parts("WINDOW")
     bpy.data.objects.remove(bpy.data.objects["Cube"])
-    only_ground_is_open()
+    only_open(panels, OPEN)
     run(bpy.ops.mesh.adaptive_terrain_add, size=2000.0)
     terrain = bpy.context.object
     yield from until(lambda: len(terrain.data.polygons) > 0 and not warmup.preparing())
@@ -94,21 +55,7 @@ def steps():
         run(bpy.ops.adaptive_terrain.pick_ground, origin=(at.x, at.y, 9000.0), direction=(0.0, 0.0, -1.0))
         result["kept"].append([at.x, at.y, at.z, bpy.context.scene.cursor.location.z])
     yield 1.0
-    (folder / "ground").touch()
-    yield from until((folder / "ground_pictured").exists)
+    yield from picture("ground")
 
 
-def turn():
-    try:
-        return next(_steps)
-    except StopIteration:
-        pass
-    except Exception:
-        result["error"] = traceback.format_exc()
-    (folder / "done.json").write_text(json.dumps(result))
-    (folder / "ground").touch()
-    return None
-
-
-_steps = steps()
-bpy.app.timers.register(turn, first_interval=2.0)
+take_steps(steps(), result, first_interval=2.0)

@@ -1,23 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Add rivers to the island by a click, preview, shape, undo and hide, and write a report: FOLDER.
 
-Run with a window and --enable-event-simulate. Every step is a turn of a timer, because Blender handles events and draws
-between turns only.
+Run with a window and --enable-event-simulate.
 """
 
 import importlib
-import json
 import sys
 import time
-import traceback
 from pathlib import Path
 
 import bpy
 import mathutils
 
-[folder] = sys.argv[sys.argv.index("--") + 1 :]
-folder = Path(folder)
-WAIT_S = 900.0  # only so that a hang ends
+sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
+from window_steps import WAIT_S, only_open, parts, picture, take_steps, terrain, until  # noqa: E402
+
 SIDE = 32_000.0  # metres: of the island itself
 PACKAGE = bpy.types.Object.adaptive_terrain.keywords["type"].__module__.partition(".operators")[0]
 result = {"version": bpy.app.version_string}
@@ -34,16 +31,6 @@ warmup, panels = module("cbt_terrain.run.warmup"), module("operators.ui.panels")
 OPEN = {"ADAPTIVE_TERRAIN_PT_main", "ADAPTIVE_TERRAIN_PT_land", "ADAPTIVE_TERRAIN_PT_land_effect"}
 
 
-def parts():
-    window = bpy.context.window_manager.windows[0]
-    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
-    return window, area, next(region for region in area.regions if region.type == "UI")
-
-
-def terrain():
-    return next((item for item in bpy.data.objects if item.adaptive_terrain.enabled), None)
-
-
 def shown() -> str:
     return shaped_land.state_of(terrain()).shown
 
@@ -53,14 +40,6 @@ def mean_height() -> float:
     record = session.record_of(terrain())
     assert record.status.field_key == record.field.key
     return float(record.field.heights().mean())
-
-
-def until(condition):
-    end = time.monotonic() + WAIT_S
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError(f"waited in vain: {shown()}, {session.record_of(terrain()).status.error}")
-        yield 0.1
 
 
 def turns(condition):
@@ -81,24 +60,9 @@ def run(operator, *how, **asked):
         return operator(*how, **asked)
 
 
-def picture(name: str):
-    (folder / name).touch()
-    end = time.monotonic() + WAIT_S
-    while not (folder / f"{name}_pictured").exists() and time.monotonic() < end:
-        yield 0.1
-
-
-def only_land_is_open():
-    panels.unregister()
-    for cls in panels.CLASSES:
-        if issubclass(cls, bpy.types.Panel) and not getattr(cls, "preset_subdir", ""):
-            cls.bl_options = set() if cls.bl_idname in OPEN else {"DEFAULT_CLOSED"}
-    panels.register()
-
-
 def steps():
     yield 2.0
-    only_land_is_open()
+    only_open(panels, OPEN)
     window, area, region = parts()
     area.spaces.active.show_region_ui = True
     bpy.data.objects.remove(bpy.data.objects["Cube"])
@@ -119,7 +83,6 @@ def steps():
     yield from it_is_baked_by_a_button()
     yield from undo_and_hide()
     yield from it_gets_finer_while_it_rests()
-    (folder / "done.json").write_text(json.dumps(result))
 
 
 def look_closer():
@@ -188,6 +151,11 @@ def it_is_baked_by_a_button():
     result["baked"] = [settings.store.endswith("_baked"), len(settings.land.entries)]
     yield from until(lambda: session.record_of(terrain()).status.request.land is None)
     result["baked_differs_m"] = abs(mean_height() - before)
+    yield from undo()
+
+
+def undo():
+    """Return to the shaped land with three entries."""
     window, area, region = parts()
     with bpy.context.temp_override(window=window, area=area, region=region):
         bpy.ops.ed.undo()
@@ -199,10 +167,7 @@ def undo_and_hide():
     bpy.ops.ed.undo_push(message="Relief")
     yield from until(lambda: shown() == "Preview")
     stores = derived_store.counts["stores"]
-    window, area, region = parts()
-    with bpy.context.temp_override(window=window, area=area, region=region):
-        bpy.ops.ed.undo()
-    yield from until(lambda: len(terrain().adaptive_terrain.land.entries) == 3 and shown() == "Shaped")
+    yield from undo()
     result["stores_for_undo"] = derived_store.counts["stores"] - stores
     terrain().hide_set(True)
     terrain().hide_render = True
@@ -235,20 +200,4 @@ def it_gets_finer_while_it_rests():
     yield from picture("finer")
 
 
-running = steps()
-
-
-def turn():
-    try:
-        return next(running)
-    except StopIteration:
-        return None
-    except Exception as error:
-        traceback.print_exc()
-        for moment in ("preview", "shaping", "shaped", "finer"):  # ends waiting for them
-            (folder / moment).touch()
-        (folder / "done.json").write_text(json.dumps(result | {"error": repr(error)}))
-        return None
-
-
-bpy.app.timers.register(turn, first_interval=1.0)
+take_steps(steps(), result, first_interval=1.0)

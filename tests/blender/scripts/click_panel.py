@@ -1,25 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Click Add and Update in the panel as a user does, write a report, and stay open for the pictures: FOLDER.
 
-Run with a window and --enable-event-simulate. Every step is a turn of a timer, because Blender handles events and draws
-between turns only.
+Run with a window and --enable-event-simulate.
 """
 
 import json
 import math
 import sys
 import time
-import traceback
 from pathlib import Path
 
 import bpy
 
-[folder] = sys.argv[sys.argv.index("--") + 1 :]
-folder = Path(folder)
+sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
+from window_steps import click, folder, parts, picture, take_steps, terrain, until  # noqa: E402
+
 # Below the region's top, in pixels of a 1.0 interface: tabs' margin, the panel's header, half a button.
 FIRST_BUTTON_BELOW_TOP = 40
 SMALL = 257  # samples a side
-WAIT_S = 900.0  # only so that a hang ends
 HUD_S = 30.0  # an interface that is drawn at all is drawn within this
 [warmup] = [module for name, module in sys.modules.items() if name.endswith("cbt_terrain.run.warmup")]
 [subjects] = [module for name, module in sys.modules.items() if name.endswith("operators.report.accuracy_subject")]
@@ -35,37 +33,10 @@ result = {"version": bpy.app.version_string, "background": bpy.app.background}
 result["preparing_at_start"] = warmup.preparing()
 
 
-def parts():
-    window = bpy.context.window_manager.windows[0]
-    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
-    region = next(region for region in area.regions if region.type == "UI")
-    return window, area, region
-
-
-def terrain():
-    return next((item for item in bpy.data.objects if item.adaptive_terrain.enabled), None)
-
-
-def click(x: int, y: int):
-    """Move the mouse, press and release the left button, one event a turn."""
-    window = parts()[0]
-    for kind, value in (("MOUSEMOVE", "NOTHING"), ("LEFTMOUSE", "PRESS"), ("LEFTMOUSE", "RELEASE")):
-        window.event_simulate(type=kind, value=value, x=x, y=y)
-        yield 0.2
-
-
 def click_first_button():
     region = parts()[2]
     scale = bpy.context.preferences.system.ui_scale
     yield from click(region.x + region.width // 4, int(region.y + region.height - FIRST_BUTTON_BELOW_TOP * scale))
-
-
-def until(condition):
-    end = time.monotonic() + WAIT_S
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError("waited in vain")
-        yield 0.1
 
 
 def shows_the_tab() -> bool:
@@ -111,8 +82,7 @@ def steps():
     yield from until(lambda: len(terrain().data.polygons) != result["not_live_triangles"])
     result["updated_triangles"] = len(terrain().data.polygons)
     yield 1.0
-    (folder / "updated").touch()
-    yield from until((folder / "updated_pictured").exists)
+    yield from picture("updated")
     yield from take_a_small_island()
     yield from measure_accuracy()
     yield from write_a_report()
@@ -124,13 +94,6 @@ def steps():
     yield from cancel_an_import()
     yield from render_in_the_window()
     yield from render_the_viewport()
-    write_result()
-
-
-def write_result() -> None:
-    """Write it whole under another name first: the test reads the file as soon as it is there."""
-    (folder / "done.json.part").write_text(json.dumps(result))
-    (folder / "done.json.part").rename(folder / "done.json")
 
 
 def hud_shown() -> bool:
@@ -195,8 +158,7 @@ def write_a_report():
     with bpy.context.temp_override(window=parts()[0], area=parts()[1]):
         operators.sweep_accuracy("INVOKE_DEFAULT")
     yield 4.0
-    (folder / "sweeping").touch()
-    yield from until((folder / "sweeping_pictured").exists)
+    yield from picture("sweeping")
     operators.cancel_job(kind="MEASURE")
     yield from until(operators.sweep_accuracy.poll)
     result["report_after_cancel"] = report.exists()
@@ -210,8 +172,7 @@ def write_a_report():
     result["report"] = sorted(path.suffix for path in report.parent.iterdir())
     result["meshes_left_by_sweep"] = len(bpy.data.meshes) - meshes
     yield 1.0
-    (folder / "reported").touch()
-    yield from until((folder / "reported_pictured").exists)
+    yield from picture("reported")
     bpy.context.scene.render.resolution_percentage = 40
     scroll_panel(-10_000)
 
@@ -238,8 +199,7 @@ def keep_to_a_time():
     yield from until(lambda: len(terrain().data.polygons) != before)
     yield 1.0
     result["budget"] = {"measured": curve["triangles"][point], "mesh": [len(terrain().data.polygons)]}
-    (folder / "budget").touch()
-    yield from until((folder / "budget_pictured").exists)
+    yield from picture("budget")
     detail.error_px = 1.0
     yield 1.0
     result["budget"]["mesh"].append(len(terrain().data.polygons))
@@ -286,8 +246,7 @@ def show_the_error():
         bpy.ops.adaptive_terrain.show_overlay()
     yield 1.0
     result["error_px"] = max(item.value for item in terrain().data.attributes["error_px"].data)
-    (folder / "measured").touch()
-    yield from until((folder / "measured_pictured").exists)
+    yield from picture("measured")
     settings.overlay = "NONE"
     yield from until(lambda: "error_px" not in terrain().data.attributes)
 
@@ -387,18 +346,4 @@ def render_the_viewport():
     bpy.app.handlers.frame_change_post.remove(look)
 
 
-_steps = steps()
-
-
-def turn():
-    try:
-        return next(_steps)
-    except StopIteration:
-        return None
-    except Exception as error:
-        result["error"] = "".join(traceback.format_exception(error))
-        write_result()
-        return None
-
-
-bpy.app.timers.register(turn, first_interval=0.5)
+take_steps(steps(), result)

@@ -4,35 +4,21 @@
 Argument: a folder for the result. The window is a Shader Editor; the terrain follows its settings by itself.
 """
 
-import json
 import sys
-import time
 from pathlib import Path
 
 import bpy
 from bl_ext.user_default.adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
 from bl_ext.user_default.adaptive_terrain.operators.scene import session
 
-[folder] = sys.argv[sys.argv.index("--") + 1 :]
-folder = Path(folder)
-WAIT_S = 900.0  # only so that a hang ends
+sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
+from window_steps import picture, take_steps, terrain, until  # noqa: E402
+
 result = {"version": bpy.app.version_string}
-
-
-def terrain():
-    return next((item for item in bpy.data.objects if item.adaptive_terrain.enabled), None)
 
 
 def made():
     return [name for name in EFFECTS if name in terrain().data.attributes]
-
-
-def until(condition):
-    end = time.monotonic() + WAIT_S
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError("waited in vain")
-        yield 0.1
 
 
 def note(moment):
@@ -111,30 +97,13 @@ def steps():
     yield 1.5
     # Between the nodes there is the link alone: the view shows them all, so it passes the middle.
     x = region.x + region.width // 2
-    (folder / "linked").touch()
-    yield from until((folder / "linked_pictured").exists)
+    yield from picture("linked")
     yield from cut(x, region.y + region.height - 60, region.y + 60)
     result["links"] = len(tree.links)
     yield from until(lambda: made() == [])
     yield 1.0
     note("cut")
-    (folder / "unlinked").touch()
-    yield from until((folder / "unlinked_pictured").exists)
-    (folder / "done.json").write_text(json.dumps(result))
+    yield from picture("unlinked")
 
 
-_steps = steps()
-
-
-def turn():
-    try:
-        return next(_steps)
-    except StopIteration:
-        return None
-    except Exception as error:
-        result["error"] = repr(error)
-        (folder / "done.json").write_text(json.dumps(result))
-        return None
-
-
-bpy.app.timers.register(turn, first_interval=0.5)
+take_steps(steps(), result)

@@ -6,28 +6,18 @@ The report has the viewport's place and view after the import, and with the clip
 
 import json
 import sys
-import time
 from pathlib import Path
 
 import bpy
 
-folder, file = sys.argv[sys.argv.index("--") + 1 :]
-folder = Path(folder)
-WAIT_S = 900.0  # only so that a hang ends
+sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
+from window_steps import folder, parts, until  # noqa: E402
 
-
-def until(condition):
-    end = time.monotonic() + WAIT_S
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError("waited in vain")
-        yield 0.1
+file = sys.argv[-1]
 
 
 def steps():
-    window = bpy.context.window_manager.windows[0]
-    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
-    region = next(region for region in area.regions if region.type == "WINDOW")
+    window, area, region = parts("WINDOW")
     space, view = area.spaces.active, area.spaces.active.region_3d
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     factory = space.clip_start, space.clip_end, view.view_distance, view.view_location.copy()

@@ -6,6 +6,7 @@ for each act, then done.json. With a window every step is a turn of a timer, so 
 follows; without one the steps follow each other.
 """
 
+import functools
 import json
 import os
 import sys
@@ -20,18 +21,17 @@ from bl_ext.user_default.adaptive_terrain.operators.scene import session
 from bl_ext.user_default.adaptive_terrain.operators.viewport import live
 from bpy.app.handlers import persistent
 
-folder, counts = sys.argv[sys.argv.index("--") + 1 :]
-folder, counts = Path(folder), json.loads(counts)
+sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
+import window_steps  # noqa: E402
+from window_steps import WAIT_S, folder, parts, terrain  # noqa: E402
+
+counts = json.loads(sys.argv[-1])
+until = functools.partial(window_steps.until, pause_s=0.005)
 SAMPLES = 100  # maximum per act
 RENDERED = 12  # every 12th frame of a flight in the window is rendered
 SIDE = 100  # pixels from the window's lower left corner, where a key is pressed
 _rendered: list[int] = []  # frames that a window has rendered
 CYCLE = 48  # frames until the camera returns
-WAIT_S = 900.0  # ends a hang
-
-
-def terrain():
-    return next((item for item in bpy.data.objects if item.adaptive_terrain.enabled), None)
 
 
 def held() -> dict[str, int]:
@@ -53,14 +53,6 @@ def held() -> dict[str, int]:
     }
 
 
-def until(condition):
-    end = time.monotonic() + WAIT_S
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError("waited in vain")
-        yield 0.005
-
-
 def settled():
     """Wait until the terrain has followed a change, which happens at once without a window."""
     if not bpy.app.background:
@@ -69,9 +61,7 @@ def settled():
 
 
 def viewport():
-    window = bpy.context.window_manager.windows[0]
-    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
-    region = next(region for region in area.regions if region.type == "WINDOW")
+    window, area, region = parts("WINDOW")
     return bpy.context.temp_override(window=window, area=area, region=region, screen=window.screen)
 
 

@@ -4,10 +4,7 @@
 Run with a window and --enable-event-simulate: Blender handles keys between the turns of a timer.
 """
 
-import json
 import sys
-import time
-import traceback
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,38 +12,17 @@ import bpy
 from bl_ext.user_default.adaptive_terrain.operators import jobs
 from bl_ext.user_default.adaptive_terrain.operators.importing import import_terrain
 
-[folder] = sys.argv[sys.argv.index("--") + 1 :]
-folder = Path(folder)
-WAIT_S = 900.0  # ends a hang
+sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
+from window_steps import parts, run, take_steps, terrain, until  # noqa: E402
+
 result = {}
 # An import may end within one turn of the window. `held` delays its end, as kernels that are still being compiled do.
 held = [True]
 jobs.warmup = SimpleNamespace(preparing=lambda: held[0], wait=lambda: None)
 
 
-def terrain():
-    return next((item for item in bpy.data.objects if item.adaptive_terrain.enabled), None)
-
-
-def until(condition):
-    end = time.monotonic() + WAIT_S
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError("waited in vain")
-        yield 0.05
-
-
-def run(operator, *how, **asked):
-    window = bpy.context.window_manager.windows[0]
-    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
-    region = next(region for region in area.regions if region.type == "WINDOW")
-    with bpy.context.temp_override(window=window, area=area, region=region):
-        return operator(*how, **asked)
-
-
 def press_z(**keys):
-    window = bpy.context.window_manager.windows[0]
-    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+    window, area, _ = parts()
     place = {"x": area.x + area.width // 3, "y": area.y + area.height // 2}
     window.event_simulate(type="MOUSEMOVE", value="NOTHING", **place)
     for value in ("PRESS", "RELEASE"):
@@ -93,18 +69,4 @@ def steps():
     result["left"] = [len(jobs.running), len(import_terrain._gone)]
 
 
-_steps = steps()
-
-
-def turn():
-    try:
-        return next(_steps)
-    except StopIteration:
-        pass
-    except Exception:
-        result["error"] = traceback.format_exc()
-    (folder / "done.json").write_text(json.dumps(result))
-    return None
-
-
-bpy.app.timers.register(turn, first_interval=0.5)
+take_steps(steps(), result)

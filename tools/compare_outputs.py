@@ -283,8 +283,7 @@ def main() -> int:
         if arguments.record:
             arguments.record.write_text(json.dumps(hashes, indent=1, sort_keys=True) + "\n")
             if (work / "scene").exists():
-                shutil.rmtree(f"{arguments.record}.scene", ignore_errors=True)
-                shutil.copytree(work / "scene", f"{arguments.record}.scene")
+                shutil.copytree(work / "scene", f"{arguments.record}.scene", dirs_exist_ok=True)
     before = json.loads(arguments.against.read_text()) if arguments.against else hashes
     different = 0
     for path in sorted(before.keys() | hashes.keys()):

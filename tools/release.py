@@ -63,8 +63,8 @@ def main() -> int:
     parser.add_argument("--output", type=Path, default=ROOT / "dist" / "repository", help="(dist/repository)")
     arguments = parser.parse_args()
     version = check_version(ROOT)
-    for old in arguments.output.glob("*.zip"):
-        old.unlink()
+    if any(arguments.output.glob("*.zip")):
+        sys.exit(f"{arguments.output} has zips; expected a folder without: move them away or choose another --output.")
     cache = ROOT / ".cache"
     cache.mkdir(exist_ok=True)
     for platform in arguments.platform:

@@ -227,7 +227,7 @@ def preview_of(land: Land) -> Preview | None:
 def remove_old(land: Land) -> None:
     """Remove derived stores of a source beyond MAX_BYTES, oldest use first, except `land` and land in use."""
     found = land_folder.shaped_stores(land.source)
-    total = sum(size for _, size in found)
+    total = sum(int(size) for _, size in found)
     for folder, size in found:
         if total > MAX_BYTES and not is_in_use(folder) and str(folder) != land.folder:
             land_folder.remove(folder)

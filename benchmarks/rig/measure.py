@@ -3,7 +3,8 @@
 
 Blocks of our runs and blocks of baseline runs alternate, so that a busy machine slows both. Blocks of a single run
 would treat the baseline unfairly: with cold caches before every run it is about a fifth slower at 50,000 leaves, and
-ours is not. Every figure is the median of all runs but the first, which finds cold memory and is reported separately.
+ours is not. Every figure is the median of the runs in blocks. The first run, which finds cold memory, is reported
+separately.
 """
 
 import statistics
@@ -62,11 +63,12 @@ class Timed:
 
 def alternate(ours: Callable[[], dict[str, float]], theirs: Callable[[], float] | None = None) -> Timed:
     """Run both in alternating blocks; `ours` returns milliseconds by step, `theirs` milliseconds."""
-    first, first_baseline = ours(), theirs() if theirs else 0.0
-    longest = max(first.values())
-    our_runs, baseline_runs = count_runs(longest), count_runs(first_baseline)
+    first, _ = ours(), theirs() if theirs else 0.0
+    # The first runs find cold memory, so the second ones decide how many fit into a block.
+    longest, baseline_ms = max(ours().values()), theirs() if theirs else 0.0
+    our_runs, baseline_runs = count_runs(longest), count_runs(baseline_ms)
     blocks = SHORT_BLOCKS if longest < SHORT_MS else BLOCKS
-    blocks_per_baseline = 1 if first_baseline < SHORT_MS else blocks // BLOCKS
+    blocks_per_baseline = 1 if baseline_ms < SHORT_MS else blocks // BLOCKS
     our_times, baseline_times = [], []
     for number in range(blocks):
         if theirs and number % blocks_per_baseline == 0:

@@ -120,21 +120,21 @@ def test_our_runs_and_the_baselines_alternate():
         return float(len(turns))
 
     timed = alternate(ours, theirs)
-    assert "".join(turns) == "ab" + 3 * (5 * "b" + 5 * "a")
-    assert timed == Timed({"refine": 30.0, "weld": 0.0}, {"refine": 11.0}, 15.0)
+    assert "".join(turns) == "abab" + 3 * (5 * "b" + 5 * "a")
+    assert timed == Timed({"refine": 32.0, "weld": 0.0}, {"refine": 11.0}, 17.0)
     assert alternate(ours).baseline_ms is None
     short = []
     alternate(lambda: short.append(1) or {"total": 0.1})
-    assert len(short) == 1 + 15 * 5
+    assert len(short) == 2 + 15 * 5
 
 
 @pytest.mark.parametrize(
     ("ms", "other_ms", "expected"),
     [
-        (0.1, 0.1, "ab" + 15 * (5 * "b" + 5 * "a")),
-        (0.1, 20.0, "ab" + 3 * (5 * "b" + 25 * "a")),  # more blocks of a short measurement, not of the baseline
-        (30.0, 240.0, "ab" + 3 * (2 * "b" + 5 * "a")),
-        (900.0, 170.0, "ab" + 3 * (2 * "b" + "a")),
+        (0.1, 0.1, "abab" + 15 * (5 * "b" + 5 * "a")),
+        (0.1, 20.0, "abab" + 3 * (5 * "b" + 25 * "a")),  # more blocks of a short measurement, not of the baseline
+        (30.0, 240.0, "abab" + 3 * (2 * "b" + 5 * "a")),
+        (900.0, 170.0, "abab" + 3 * (2 * "b" + "a")),
     ],
 )
 def test_blocks_have_fewer_long_runs(ms, other_ms, expected):

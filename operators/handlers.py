@@ -14,15 +14,16 @@ from bpy.app.handlers import persistent
 
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.run import stopping
-from .demand import kept
+from .accuracy import measuring
+from .accuracy import report as accuracy_report
+from .bridge import freed_memory
+from .bridge.demand import kept
 from .ground import keep_ground
 from .importing import import_terrain
-from .mesh import freed_memory
-from .report import accuracy_report, measuring
-from .request.request import RENDER, VIEWPORT
-from .scene import pauses, session, stale_renders
+from .land import resting_land
+from .session import live, pauses, session, stale_renders
+from .terrain.request import RENDER, VIEWPORT
 from .text.console import print_line
-from .viewport import live, resting_land
 
 # A terrain's mesh depends on no other, nor does what is read of it.
 SEEN_TYPES = bpy.types.Object, bpy.types.Camera, bpy.types.Scene, *kept.TYPES

@@ -5,8 +5,8 @@ import time
 
 from ..cbt_terrain.run import stopping
 from . import jobs
-from .scene import session
-from .scene.polls import on_terrain
+from .session import session
+from .session.polls import on_terrain
 
 
 class JobOperator:

@@ -20,7 +20,7 @@ import bpy
 from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.importing.store_job import ChildJob
 from ..cbt_terrain.run import warmup
-from .scene import session
+from .session import session
 
 POLL_S = 0.1
 CALL_S = 0.02  # between looks for calls that a thread waits for

@@ -7,18 +7,29 @@ import gc
 import bpy
 
 from . import handlers, jobs
-from .effects import add_scatter, bake_maps, splat_layers, terrain_material
+from .accuracy import measure as measure_accuracy
+from .accuracy import sweep as sweep_accuracy
+from .attributes import panel as effects_panel
+from .bridge import freed_memory
+from .export import bake_terrain, export_terrain
 from .farm import submit_to_farm
 from .ground import add_collider, drop_to_ground, keep_above, keep_ground, pick_ground, profile_curve, viewshed
+from .ground import properties as keep_properties
 from .importing import add_terrain, import_terrain, move_stores, pack_store, store_paths
-from .land import land_cache, land_list, land_presets, shape_land, water_surface
-from .mesh import freed_memory
-from .output import bake_land, bake_terrain, export_terrain
-from .properties import keep_properties, layer_images, properties
-from .report import measure_accuracy, sweep_accuracy
-from .scene import freeze_detail, session, update_terrain
-from .ui import effects_panel, overlay_panel, panels, scatter_panel, status_bar, status_row
-from .viewport import frame_terrain, live
+from .land import bake_land, shape_land, water_surface
+from .land import cache as land_cache
+from .land import presets as land_presets
+from .land import stack_list as land_list
+from .layers import images as layer_images
+from .layers import operators as splat_layers
+from .layers import terrain_material
+from .maps import operators as bake_maps
+from .overlay import panel as overlay_panel
+from .scatter import operators as add_scatter
+from .scatter import panel as scatter_panel
+from .session import live, session
+from .terrain import frame_terrain, freeze_detail, properties, update_terrain
+from .ui import panels, status_bar, status_row
 
 MODULES = (
     properties,

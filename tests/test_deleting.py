@@ -11,7 +11,7 @@ HOUSES = ("kernels", "cbt_terrain", "operators", "benchmarks", "tools", "example
 OWNER = ROOT / "cbt_terrain" / "run" / "owned_files.py"
 DELETING = {"rmtree", "unlink", "rmdir", "removedirs"}
 # Folders that the user names for results.
-MAY_MAKE = {"operators/output/exporting.py", "operators/farm/guard.py"}
+MAY_MAKE = {"operators/export/exporting.py", "operators/farm/guard.py"}
 FILES = sorted(f for house in HOUSES for f in (ROOT / house).rglob("*.py") if f != OWNER) + [ROOT / "__init__.py"]
 
 

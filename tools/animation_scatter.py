@@ -14,7 +14,7 @@ from adaptive_terrain.cbt_terrain.scatter.points import Points, ScatterRequest, 
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.operators.blender import need_bpy
-from adaptive_terrain.operators.effects.nodes import Nodes
+from adaptive_terrain.operators.bridge.nodes import Nodes
 from adaptive_terrain.operators.text.page_blocks import Heading, Table, Text
 
 FRAMES, STEP = 200, 2.0  # metres a frame

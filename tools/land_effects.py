@@ -23,7 +23,7 @@ from adaptive_terrain.cbt_terrain.land_effects.land_effect import LandEffect
 from adaptive_terrain.operators.text.numbers import plain
 from PIL import Image
 
-PRESETS = Path(__file__).resolve().parents[1] / "operators" / "effects" / "presets" / "adaptive_terrain" / "land"
+PRESETS = Path(__file__).resolve().parents[1] / "operators" / "presets" / "adaptive_terrain" / "land"
 SIZE = 1025
 WIDE = 480  # pixels, of each half of a picture
 # What is shown of each effect: parameters that differ, the part of the island that is looked at (west, south, side, of

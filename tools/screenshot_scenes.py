@@ -62,7 +62,7 @@ def open_panels(names: set[str]) -> None:
 
 def settle(terrain):
     """Move the camera by half a metre until an update is not disturbed by other programs; then let the window draw."""
-    record = module("operators.scene.session").record_of(terrain)
+    record = module("operators.session.session").record_of(terrain)
     for _ in range(MOVES):
         bpy.context.scene.camera.location.x += 0.5
         yield 0.5
@@ -119,7 +119,7 @@ def land_scene():
     yield from until(lambda: len(terrain.data.polygons) > 0)
     yield 3.0
     run(bpy.ops.adaptive_terrain.shape, "INVOKE_DEFAULT")
-    jobs, shaped = module("operators.jobs"), module("operators.scene.shaped_land")
+    jobs, shaped = module("operators.jobs"), module("operators.land.shaped_land")
     yield 2.0
     yield from until(lambda: not jobs.running and not shaped.state_of(terrain).wanted)
     run(bpy.ops.screen.screen_full_area)

@@ -17,11 +17,12 @@ from adaptive_terrain.cbt_terrain.ask.camera_path import read_camera_path
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ISLAND, ImportSettings
+from adaptive_terrain.operators.accuracy import page as accuracy_page
+from adaptive_terrain.operators.accuracy import report as accuracy_report
+from adaptive_terrain.operators.accuracy.subject import Subject, store_subject
 from adaptive_terrain.operators.cli import accuracy_command
 from adaptive_terrain.operators.demo.demo import FLIGHT
-from adaptive_terrain.operators.output.exporting import write_files, write_text
-from adaptive_terrain.operators.report import accuracy_page, accuracy_report
-from adaptive_terrain.operators.report.accuracy_subject import Subject, store_subject
+from adaptive_terrain.operators.export.exporting import write_files, write_text
 from adaptive_terrain.operators.text.console import Progress
 from adaptive_terrain.operators.text.machine import machine
 from adaptive_terrain.operators.text.page_blocks import Text, as_markdown

@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.operators.output.exporting import write_text
+from adaptive_terrain.operators.export.exporting import write_text
 from adaptive_terrain.operators.text.machine import machine
 from adaptive_terrain.operators.text.page_blocks import Heading, Plot, Text, as_markdown
 from animation_hidden import hidden_section

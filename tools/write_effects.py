@@ -32,7 +32,7 @@ from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.operators.blender import need_bpy
 from adaptive_terrain.operators.demo.demo import FLIGHT
 from adaptive_terrain.operators.demo.stack import ISLAND_SEED, STACK
-from adaptive_terrain.operators.output.exporting import write_files
+from adaptive_terrain.operators.export.exporting import write_files
 from adaptive_terrain.operators.text.machine import machine
 from adaptive_terrain.operators.text.numbers import plain
 from land_effects import land_section
@@ -205,8 +205,8 @@ def of_demo(folder: Path) -> Demo:
     """Measure the demo's frame."""
     need_bpy("The demo")
     from adaptive_terrain.operators.demo import scene as demo_scene
-    from adaptive_terrain.operators.properties.layer_properties import color_given
-    from adaptive_terrain.operators.scene import session
+    from adaptive_terrain.operators.layers.properties import color_given
+    from adaptive_terrain.operators.session import session
 
     (folder / "flight.json").write_text(json.dumps(FLIGHT), encoding="utf-8")
     flight = read_camera_path(folder / "flight.json")

@@ -76,7 +76,7 @@ def set_up_render(scene, zenith: float = HIGH) -> None:
     """Set up one sample of direct sunlight on the processor, so that pictures show geometry and no noise."""
     import bpy
 
-    from ...operators.demand.trees import tree_of_new
+    from ...operators.bridge.demand.trees import tree_of_new
 
     scene.render.engine = "CYCLES"
     scene.cycles.device, scene.cycles.samples, scene.cycles.max_bounces = "CPU", 1, 0
@@ -105,7 +105,7 @@ def _shade_by_map(material, obj) -> None:
     """Bake the default map of *Bake Maps*, and connect it to the normals of a material's shader."""
     import bpy
 
-    from ...operators.effects.map_images import map_image, map_vector
+    from ...operators.maps.images import map_image, map_vector
 
     bpy.context.view_layer.objects.active = obj
     with quiet():
@@ -181,7 +181,7 @@ def _material(tiff: str | None):
     """Return a grey diffuse material, displaced by the heights of `tiff` in metres if it is given."""
     import bpy
 
-    from ...operators.demand.trees import tree_of_new
+    from ...operators.bridge.demand.trees import tree_of_new
 
     material = bpy.data.materials.new("Ground")
     tree = tree_of_new(material)

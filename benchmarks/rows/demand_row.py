@@ -14,7 +14,7 @@ def demand_row(rough: HeightField) -> BenchmarkRow:
     """Measure the search through the demo's sky, its sea and one material, against the update of a flight."""
     import bpy
 
-    from ...operators.demand.demand import demand
+    from ...operators.bridge.demand.demand import demand
     from ...operators.demo.materials import water_material
     from ...operators.demo.scene import add_sky, sun_direction
     from ...operators.demo.water import add_sea
@@ -36,7 +36,7 @@ def material(nodes: int):
     """Return a material of `nodes` nodes, half of which read an attribute each."""
     import bpy
 
-    from ...operators.demand.trees import tree_of_new
+    from ...operators.bridge.demand.trees import tree_of_new
 
     result = bpy.data.materials.new(f"{nodes} nodes")
     tree, last = tree_of_new(result), None

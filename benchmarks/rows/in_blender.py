@@ -42,7 +42,7 @@ def frames(rough: HeightField, store: Path, size: int) -> tuple[Callable, Callab
     """Return a function that shows the next frame, and one that ingests a mesh of that size the plain way."""
     import bpy
 
-    from ...operators.scene import session
+    from ...operators.session import session
 
     px = _scene_px(rough, size)
     surface = Terrain(rough).update(scenes.errors(px), [_camera_view()]).surface.copy()
@@ -79,7 +79,7 @@ def flight_scene(resolution: tuple[int, int] = RESOLUTION):
     import bpy
     from mathutils import Vector
 
-    from ...operators.output.frame_sources import open_empty_file
+    from ...operators.export.frame_sources import open_empty_file
 
     open_empty_file()
     scene = bpy.context.scene

@@ -3,10 +3,10 @@
 
 Renderers interpolate within a tile's image, not across its border, and EEVEE, which packs tiles of several sizes next
 to each other, mixes in texels of other tiles. So every image has a margin of its neighbours' ground, MARGIN of its side
-and at least one texel, which lookups avoid (operators/effects/map_images.py).
+and at least one texel, which lookups avoid (operators/maps/images.py).
 
 A terrain that fits into one image has one tile. EEVEE takes the jump between tiles for the derivative of the position
-and shows a line of the coarsest mip there; the terrain's material uses no mips there (operators/effects/material.py).
+and shows a line of the coarsest mip there; the terrain's material uses no mips there (operators/layers/material.py).
 Cycles has no mips and shows no line. A single image has no margin, and the mesh's UV are positions in it.
 """
 

@@ -6,9 +6,10 @@ from pathlib import Path
 
 from ...cbt_terrain.accuracy.sweep import sweep
 from ...cbt_terrain.errors import TerrainError
+from ..accuracy import page as accuracy_page
+from ..accuracy import report as accuracy_report
+from ..accuracy.subject import Subject
 from ..blender import need_bpy
-from ..report import accuracy_page, accuracy_report
-from ..report.accuracy_subject import Subject
 from ..text.console import Progress, print_line
 
 

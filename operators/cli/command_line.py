@@ -184,7 +184,7 @@ def _add_info(subparsers) -> None:
 
 def _add_bake(subparsers) -> None:
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
-    from ..output.formats import FORMATS
+    from ..export.formats import FORMATS
 
     verb = _verb(subparsers, "bake", "write one static mesh with a given largest vertical error", verbs.run_bake)
     verb.add_argument("--store", type=path, required=True, metavar="DIR")
@@ -199,7 +199,7 @@ def _add_bake(subparsers) -> None:
 
 def _add_export(subparsers) -> None:
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
-    from ..output.formats import FORMATS, parse_formats
+    from ..export.formats import FORMATS, parse_formats
 
     verb = _verb(subparsers, "export", "write the terrain's mesh for each frame", verbs.run_export)
     _add_views(verb, "a store, seen along --path; npz needs no Blender", frames_required=True)
@@ -248,7 +248,7 @@ def _add_effects(subparsers) -> None:
 
 
 def _add_shape(subparsers) -> None:
-    from ..output.formats import parse_frames
+    from ..export.formats import parse_frames
 
     verb = _verb(subparsers, "shape", "apply a stack of effects on heights to a store, into another", verbs.run_shape)
     verb.epilog = SHAPE_EXAMPLE
@@ -288,7 +288,7 @@ def _add_demo(subparsers) -> None:
 
 
 def _add_farm(subparsers) -> None:
-    from ..output.formats import parse_formats, parse_frames
+    from ..export.formats import parse_formats, parse_frames
 
     formats, frames = argument(parse_formats), argument(parse_frames)
     scene = {"type": path, "metavar": "X.blend", "required": True}
@@ -354,7 +354,7 @@ def _verb(subparsers, name: str, summary: str, run) -> argparse.ArgumentParser:
 
 def _add_views(verb: argparse.ArgumentParser, store: str, frames_required: bool = False) -> None:
     """Add the options of a scene or a store, and of the views of it. `store`: help of the second."""
-    from ..output.formats import parse_frames
+    from ..export.formats import parse_frames
 
     source = verb.add_mutually_exclusive_group(required=True)
     source.add_argument("--scene", type=path, metavar="X.blend", help="the terrains and the camera of a .blend file")

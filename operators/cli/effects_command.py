@@ -46,8 +46,8 @@ def _alone(name: str, field, surface):
 def of_scene(blend: Path, camera: str | None = None) -> list[str]:
     """Return lines for each terrain of a .blend file, at its frame and the render's detail: effects that are read, and
     others."""
-    from ..output.frame_sources import SceneFrames
-    from ..scene import session
+    from ..export.frame_sources import SceneFrames
+    from ..session import session
 
     scene = SceneFrames(blend, camera, None)
     lines = []

@@ -12,9 +12,9 @@ def run_prepare(arguments) -> None:
     from ..blender import need_bpy
 
     need_bpy("A .blend file")
-    from ..output.frame_sources import open_scene
-    from ..output.preparing import PARTS, prepare
-    from ..scene.shot import frames_of
+    from ..export.frame_sources import open_scene
+    from ..export.preparing import PARTS, prepare
+    from ..session.shot import frames_of
 
     scene, objects = open_scene(arguments.scene)
     parts = [arguments.only] if arguments.only else list(PARTS)
@@ -29,9 +29,9 @@ def run_render(arguments) -> None:
     from ..blender import need_bpy
 
     need_bpy("A .blend file")
-    from ..output.file_outputs import folders_outside
-    from ..output.frame_sources import SceneFrames
-    from ..output.rendering import render_frames
+    from ..export.file_outputs import folders_outside
+    from ..export.frame_sources import SceneFrames
+    from ..export.rendering import render_frames
 
     source = SceneFrames(arguments.scene, None, None)
     for folder in folders_outside(source.scene, Path(arguments.scene).parent, arguments.out):
@@ -41,7 +41,7 @@ def run_render(arguments) -> None:
 
 
 def run_verify(arguments) -> None:
-    from ..output.verifying import verify_frames
+    from ..export.verifying import verify_frames
 
     summaries, missing = verify_frames(arguments.folder, arguments.frames)
     terrains = [terrain for summary in summaries for terrain in summary["terrains"]]
@@ -58,8 +58,8 @@ def run_submit(arguments) -> None:
     from ..blender import need_bpy
 
     need_bpy("A .blend file")
+    from ..export.frame_sources import open_scene
     from ..farm.submit import submit
-    from ..output.frame_sources import open_scene
 
     scene, objects = open_scene(arguments.scene)
     for line in submit(

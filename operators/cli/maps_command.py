@@ -12,8 +12,8 @@ from ...cbt_terrain.effects.effect import Asked
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.maps.folder import JSON_NAME
-from ..effects.map_baking import MapRequest, carry_out, known, summary
-from ..output.frame_sources import SceneFrames, StoreFrames, file_name
+from ..export.frame_sources import SceneFrames, StoreFrames, file_name
+from ..maps.baking import MapRequest, carry_out, known, summary
 from ..text.console import Progress
 
 READER = "this command"
@@ -84,8 +84,8 @@ def scene_subjects(
     source = SceneFrames(blend, camera, resolution)
 
     from ...cbt_terrain.land.derived_store import raster_of
-    from ..effects.map_request import gathered
-    from ..scene import session
+    from ..maps.request import gathered
+    from ..session import session
 
     look = {"camera": source.camera, "resolution": resolution}
     subjects = []

@@ -14,7 +14,7 @@ from ...cbt_terrain.importing.placing import placing_of
 from ...cbt_terrain.query.ground import ground_at, profile
 from ...cbt_terrain.run.named_file import read_named
 from ...cbt_terrain.run.partial_files import written_beside
-from ..output.exporting import check_target
+from ..export.exporting import check_target
 from ..text.console import print_line
 from .point_table import parse_points
 

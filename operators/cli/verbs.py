@@ -91,9 +91,9 @@ def _import_settings(arguments, **more):
 
 def run_bake(arguments) -> None:
     from ...cbt_terrain.run.partial_files import remove_abandoned
-    from ..output.exporting import check_target, figures, write_piece
-    from ..output.formats import format_of
-    from ..output.frame_sources import baked_piece
+    from ..export.exporting import check_target, figures, write_piece
+    from ..export.formats import format_of
+    from ..export.frame_sources import baked_piece
 
     try:
         form = format_of(arguments.out)
@@ -129,7 +129,7 @@ def _displacement(arguments):
 
 
 def run_export(arguments) -> None:
-    from ..output.exporting import export_frames
+    from ..export.exporting import export_frames
 
     source = _export_source(arguments)
     with frame_reporter(arguments, "export") as on_frame:
@@ -159,9 +159,9 @@ def _export_source(arguments):
     from ...cbt_terrain.ask.criterion import Criterion
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
     from ..blender import need_bpy
-    from ..output.formats import needs_blender
-    from ..output.frame_sources import SceneFrames, StoreFrames
-    from ..request.overrides import Overrides
+    from ..export.formats import needs_blender
+    from ..export.frame_sources import SceneFrames, StoreFrames
+    from ..terrain.overrides import Overrides
     from .argument_types import given_settings
 
     _check_source(arguments)
@@ -265,8 +265,8 @@ def run_query(arguments) -> None:
 
 
 def run_accuracy(arguments) -> None:
+    from ..accuracy import subject as accuracy_subject
     from ..blender import need_bpy
-    from ..report import accuracy_subject
     from . import accuracy_command
 
     _check_source(arguments)

@@ -19,8 +19,8 @@ from ...cbt_terrain.land.tiles import whole_land
 from ...cbt_terrain.run import warmup
 from ...cbt_terrain.terrain import Terrain
 from ..blender import need_bpy
-from ..output.exporting import export_frames, make_folder, write_text
-from ..output.frame_sources import StoreFrames
+from ..export.exporting import export_frames, make_folder, write_text
+from ..export.frame_sources import StoreFrames
 from ..text.console import Progress
 from .page import write_page
 from .stack import ISLAND_SEED, STACK
@@ -78,7 +78,7 @@ def run(out: Path, show_progress: bool | None = None) -> None:
         flight = read_camera_path(out / "flight.json")
         shown = crops(Terrain(open_store(store)), Frame([flight.view(LEVELS_FRAME, RESOLUTION)]), CROPS_PX)
         done("Pictures of four errors", f"crops: {', '.join(f'{px:g}' for px in CROPS_PX)} px", WEIGHT["crops"])
-        from ..scene import session
+        from ..session import session
         from . import scene as demo_scene
 
         scene, obj = demo_scene.build(out, store, flight, FRAMES, RESOLUTION, criterion)

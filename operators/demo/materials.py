@@ -6,8 +6,8 @@ import math
 import bpy
 
 from ...cbt_terrain.mesh.attributes import LEVEL
-from ..demand.trees import tree_of_new
-from ..effects.nodes import Nodes
+from ..bridge.demand.trees import tree_of_new
+from ..bridge.nodes import Nodes
 
 # The sky at the horizon away from the sun and towards it, and at the zenith.
 AWAY, SUNWARD, ZENITH = (0.40, 0.53, 0.72, 1.0), (1.00, 0.80, 0.60, 1.0), (0.055, 0.15, 0.40, 1.0)

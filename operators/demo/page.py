@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ...cbt_terrain.accuracy.crops import Crop
-from ..output.exporting import write_text
+from ..export.exporting import write_text
 from ..text.numbers import plain
 from ..text.page_blocks import (
     Code,

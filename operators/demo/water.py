@@ -7,7 +7,7 @@ import numpy as np
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.lattice import Lattice, fit
 from ...cbt_terrain.land.water_surface import NAMES, sea_depth, water_surface
-from ..mesh.writer import write_mesh
+from ..bridge.writer import write_mesh
 
 MIN_DEPTH_M = 0.25  # shallower rivers are not drawn
 OPEN_SEA_M, OPEN_DEPTH_M = 200_000.0, 1000.0  # half the side of the open sea, and its depth

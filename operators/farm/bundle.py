@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError, shown
-from ..output.exporting import write_files
+from ..export.exporting import write_files
 
 HERE = Path(__file__).parent
 TEMPLATE, VALUES, ASSETS = "template.yaml", "parameter_values.yaml", "asset_references.yaml"

@@ -13,15 +13,15 @@ from ...cbt_terrain.importing.sidecars import sidecars
 from ...cbt_terrain.land.land_folder import folder_beside
 from ...cbt_terrain.run.owned_files import check_folder, real_path
 from ...cbt_terrain.run.partial_files import written_beside
-from ..effects.map_request import read_as_images
+from ..export.exporting import make_folder
+from ..export.file_outputs import output_folders
+from ..export.preparing import is_missing, store_of
+from ..export.scene_files import scene_files
 from ..importing.import_terrain import settings_of
-from ..output.exporting import make_folder
-from ..output.file_outputs import output_folders
-from ..output.preparing import is_missing, store_of
-from ..output.scene_files import scene_files
-from ..properties.map_properties import map_folder
-from ..properties.properties import land_of
-from ..scene.shot import frames_of
+from ..maps.properties import map_folder
+from ..maps.request import read_as_images
+from ..session.shot import frames_of
+from ..terrain.properties import land_of
 from .bundle import FarmJob, openjd_command, write_bundle
 from .outside_files import check_outside, named_some
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
-from ..output.formats import parse_frames
-from ..properties.properties import PATH_OPTIONS
-from ..properties.scene_paths import absolute_path
-from ..scene import session
+from ..bridge.scene_paths import absolute_path
+from ..export.formats import parse_frames
+from ..session import session
+from ..terrain.properties import PATH_OPTIONS
 from .submit import INSTALLED, NOTE, submit
 
 

@@ -6,9 +6,9 @@ import bpy
 from ...cbt_terrain.ask.linear import lengths
 from ...cbt_terrain.fit.fit import bake
 from ...cbt_terrain.run import warmup
-from ..mesh.writer import write_mesh
-from ..scene import session
-from ..scene.polls import cancelled_by_errors, on_terrain_object
+from ..bridge.writer import write_mesh
+from ..session import session
+from ..session.polls import cancelled_by_errors, on_terrain_object
 from ..text.numbers import length_text
 from ..text.shown_bounds import limit_text
 from . import world_ground

@@ -4,8 +4,8 @@
 import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
-from ..scene import session
-from ..scene.polls import IN_A_MODE
+from ..session import session
+from ..session.polls import IN_A_MODE
 from . import world_ground
 
 NO_TERRAIN = "The scene has no terrain; add one"

@@ -9,13 +9,13 @@ import numpy as np
 from mathutils import Matrix, Quaternion, Vector
 
 from ...cbt_terrain.errors import TerrainError
-from ..properties.keep_properties import ON
-from ..scene.polls import cancelled_by_errors
+from ..session.polls import cancelled_by_errors
 from . import keep_ground, world_ground
 from . import vertical_moves as moves
 from .bounds import corners_of
 from .chosen import active_terrain, grounds, has_ground, movers, selected
 from .drop_points import drop_points
+from .properties import ON
 
 ORIGIN, BOUNDS = "ORIGIN", "BOUNDS"
 HELD = "does not reach the ground: a constraint holds it"

@@ -6,12 +6,12 @@ import math
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
-from ..properties.keep_properties import ABOVE
-from ..request import camera as cameras
-from ..scene.polls import cancelled_by_errors
+from ..bridge import camera as cameras
+from ..session.polls import cancelled_by_errors
 from . import keep_ground
 from . import vertical_moves as moves
 from .chosen import active_terrain, has_ground, movers, selected
+from .properties import ABOVE
 
 
 class KeepAboveGround(bpy.types.Operator):

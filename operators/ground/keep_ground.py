@@ -16,10 +16,10 @@ from bpy.app.handlers import persistent
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
 from ...kernels.query import ground, rays
-from ..properties.keep_properties import ON, any_kept
-from ..request.request import RENDER, VIEWPORT
+from ..terrain.request import RENDER, VIEWPORT
 from . import vertical_moves as moves
 from . import world_ground
+from .properties import ON, any_kept
 
 MAX_MOVES = 3  # of an object; further ones correct float32 rounding
 _settled: dict[int, tuple] = {}  # session_uid of a scene -> key of its settled state in the viewport

@@ -7,8 +7,8 @@ import bpy
 from bpy_extras import view3d_utils
 
 from ...cbt_terrain.errors import TerrainError
-from ..request import camera as cameras
-from ..scene.polls import cancelled_by_errors
+from ..bridge import camera as cameras
+from ..session.polls import cancelled_by_errors
 from ..text.numbers import plain
 from . import vertical_moves as moves
 from . import world_ground

@@ -10,8 +10,8 @@ from mathutils import Vector
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.query.ground import profile
 from ...cbt_terrain.run.partial_files import written_beside
-from ..properties.scene_paths import absolute_path
-from ..scene.polls import cancelled_by_errors
+from ..bridge.scene_paths import absolute_path
+from ..session.polls import cancelled_by_errors
 from ..text import profile_plot
 from ..text.numbers import length_text
 from .chosen import has_ground, terrain_at

@@ -5,7 +5,7 @@ import numpy as np
 from mathutils import Matrix, Quaternion, Vector
 
 from ...cbt_terrain.errors import TerrainError
-from ..demand.trees import animated_paths
+from ..bridge.demand.trees import animated_paths
 
 # Constraints that do not move an object.
 STAY = {"TRACK_TO", "DAMPED_TRACK", "LOCKED_TRACK", "COPY_ROTATION", "LIMIT_ROTATION", "COPY_SCALE", "LIMIT_SCALE",

@@ -5,9 +5,9 @@ import bpy
 import numpy as np
 
 from ...cbt_terrain.query.viewshed import viewshed
-from ..mesh.writer import UV_LAYER
-from ..request import camera as cameras
-from ..scene.polls import cancelled_by_errors
+from ..bridge import camera as cameras
+from ..bridge.writer import UV_LAYER
+from ..session.polls import cancelled_by_errors
 from .chosen import has_ground, selected, terrain_at
 
 NAME = "viewshed"

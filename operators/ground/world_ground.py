@@ -16,10 +16,10 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.query.ground import ground_at
 from ...cbt_terrain.query.rays import pick
-from ..properties.land_properties import SEEN
-from ..request.overrides import Overrides
-from ..request.request import RENDER, VIEWPORT, gather
-from ..scene import session
+from ..land.properties import SEEN
+from ..session import session
+from ..terrain.overrides import Overrides
+from ..terrain.request import RENDER, VIEWPORT, gather
 
 ANY = Criterion(error_px=0.0, error_m=1.0)  # needs no camera; the triangles do not matter
 HEADROOM = 0.01  # fraction of a terrain's height: rays down start this far above it

@@ -6,9 +6,9 @@ from bpy_extras.object_utils import AddObjectHelper, object_data_add
 
 from ...cbt_terrain.field.island import DEFAULT_SEED
 from ...cbt_terrain.field.lands import LANDS
-from ..properties.properties import ISLAND, land_items, land_of
-from ..request.land_entries import PRESETS
-from ..scene import session
+from ..land.entries import PRESETS
+from ..session import session
+from ..terrain.properties import ISLAND, land_items, land_of
 
 
 class AddTerrain(bpy.types.Operator, AddObjectHelper):

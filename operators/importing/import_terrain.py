@@ -13,13 +13,13 @@ from ...cbt_terrain.importing.import_process import ImportJob
 from ...cbt_terrain.importing.raster import ImportSettings
 from ...cbt_terrain.importing.source_formats import BAND, RAW, suffixes_with
 from .. import jobs
+from ..bridge.scene_paths import absolute_path
 from ..job_operator import JobOperator
-from ..properties.properties import land_of
-from ..properties.scene_paths import absolute_path
-from ..request import imported
-from ..scene import session
+from ..session import live, session
+from ..terrain import frame_terrain
+from ..terrain.properties import land_of
 from ..text.numbers import SMALLEST, plain
-from ..viewport import frame_terrain, live
+from . import imported
 from .placement_notes import neighbour_notes, picture_note
 from .store_location import elsewhere, store_folder
 

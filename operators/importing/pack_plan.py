@@ -18,10 +18,10 @@ from ...cbt_terrain.land import requested_tiles
 from ...cbt_terrain.land.land_folder import bytes_in
 from ...cbt_terrain.land.land_folder import folder_beside as land_beside
 from ...cbt_terrain.run.owned_files import MAPS, open_folder, real_path
-from ..properties.map_properties import map_folder
-from ..properties.scene_paths import absolute_path
-from ..request.land_request import land_of
-from ..scene import session
+from ..bridge.scene_paths import absolute_path
+from ..land.request import land_of
+from ..maps.properties import map_folder
+from ..session import session
 from ..text.numbers import plain
 from .store_location import folder_beside, lies_beside, source_name
 

@@ -15,9 +15,9 @@ from bpy.app.handlers import persistent
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run.owned_files import real_path
 from .. import jobs
+from ..bridge.scene_paths import absolute_path
 from ..job_operator import JobOperator
-from ..properties.scene_paths import absolute_path
-from ..scene import session
+from ..session import session
 from .pack_plan import PackPlan, find_strays, plan, room_text
 
 OFFER_S = 0.2

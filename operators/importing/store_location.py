@@ -13,8 +13,8 @@ import bpy
 from ...cbt_terrain.importing.build_store import source_digest
 from ...cbt_terrain.importing.raster import ImportSettings
 from ...cbt_terrain.run.owned_files import check_folder, real_path
-from ..properties.scene_paths import absolute_path
-from ..request.imported import imported_of
+from ..bridge.scene_paths import absolute_path
+from .imported import imported_of
 
 RELATIVE = "//"
 BAKED = "_baked"

@@ -7,8 +7,8 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ...cbt_terrain.field.moving import find_moved
-from ..properties.scene_paths import absolute_path
-from ..scene import session
+from ..bridge.scene_paths import absolute_path
+from ..session import session
 from ..text.console import print_line
 from .store_location import RELATIVE, data_folder, deleted_folder
 

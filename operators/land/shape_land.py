@@ -13,11 +13,10 @@ from ...cbt_terrain.land.derived_store import Land
 from ...cbt_terrain.land.requested_tiles import SeenTiles
 from .. import jobs
 from ..job_operator import JobOperator
-from ..properties.land_properties import SEEN
-from ..request.land_request import land_of
-from ..scene import session
-from ..scene.shot import frames_of, look_through
-from ..viewport import live
+from ..session import live, session
+from ..session.shot import frames_of, look_through
+from .properties import SEEN
+from .request import land_of
 
 
 def wanted_land(obj, depsgraph, views: list[View] = ()) -> Land:

@@ -11,12 +11,12 @@ from ...cbt_terrain.land.derived_store import raster_of
 from ...cbt_terrain.land.water_surface import water_of
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
-from ..demand.trees import tree_of_new
-from ..mesh.writer import write_mesh
-from ..properties.scene_paths import absolute_path
-from ..request.land_request import land_of
-from ..scene import session
-from ..scene.polls import on_terrain_object
+from ..bridge.demand.trees import tree_of_new
+from ..bridge.scene_paths import absolute_path
+from ..bridge.writer import write_mesh
+from ..session import session
+from ..session.polls import on_terrain_object
+from .request import land_of
 from .shape_land import check_is_shaped
 
 MARK = "adaptive_terrain_water"  # a property of the object, by which it is found again under any name

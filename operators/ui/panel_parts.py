@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Parts that the panels of the tab "Terrain" share."""
 
-from ..scene import session
+from ..session import session
 
 LINE_LENGTH = 36
 LIMITS = ("low", "high", "edge")  # the numbers of a band, for draw_band

@@ -4,21 +4,19 @@
 import bpy
 
 from ...cbt_terrain.run import warmup
-from ..properties.properties import CHOSEN_CAMERA
-from ..scene import session
-from ..scene.polls import LEFT_ALONE
-from . import (
-    detail_panel,
-    effects_panel,
-    ground_panel,
-    height_map_panel,
-    land_panel,
-    layers_panel,
-    maps_panel,
-    overlay_panel,
-    scatter_panel,
-    statistics_panel,
-)
+from ..accuracy import panel as statistics_panel
+from ..attributes import panel as effects_panel
+from ..ground import panel as ground_panel
+from ..importing import panel as height_map_panel
+from ..land import panel as land_panel
+from ..layers import panel as layers_panel
+from ..maps import panel as maps_panel
+from ..overlay import panel as overlay_panel
+from ..scatter import panel as scatter_panel
+from ..session import session
+from ..session.polls import LEFT_ALONE
+from ..terrain import panel as detail_panel
+from ..terrain.properties import CHOSEN_CAMERA
 from .panel_parts import TerrainSubpanel, figures, message, switched
 from .status_row import draw_preparation, draw_status
 

@@ -7,7 +7,7 @@ import bpy
 
 from ...cbt_terrain.run import warmup
 from .. import jobs
-from ..viewport import live
+from ..session import live
 
 TURN_S = 0.1
 WIDTH = 14  # in the interface's units, so that the bar does not move with its text

@@ -10,10 +10,10 @@ import numpy as np
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
 from .. import jobs
-from ..request import camera as cameras
-from ..request.scatters import is_scatter
-from ..scene import session
-from ..viewport import sight
+from ..bridge import camera as cameras
+from ..scatter.request import is_scatter
+from ..session import session
+from ..terrain import sight
 from .panel_parts import wrapped
 
 POPUP_LINE = 80

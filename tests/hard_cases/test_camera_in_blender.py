@@ -9,8 +9,8 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from adaptive_terrain.cbt_terrain.errors import TerrainError  # noqa: E402
-from adaptive_terrain.operators.request.request import VIEWPORT, gather  # noqa: E402
-from adaptive_terrain.operators.scene import session  # noqa: E402
+from adaptive_terrain.operators.session import session  # noqa: E402
+from adaptive_terrain.operators.terrain.request import VIEWPORT, gather  # noqa: E402
 from fields import scattered, screen_error  # noqa: E402
 from invariants import assert_blender_invariants  # noqa: E402
 from live_windows import positions  # noqa: E402

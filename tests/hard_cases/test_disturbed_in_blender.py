@@ -14,8 +14,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from adaptive_terrain.cbt_terrain.errors import TerrainError  # noqa: E402
-from adaptive_terrain.operators.scene import session  # noqa: E402
-from adaptive_terrain.operators.viewport import live  # noqa: E402
+from adaptive_terrain.operators.session import live, session  # noqa: E402
 from blender_meshes import digest  # noqa: E402
 from live_windows import positions, show_window  # noqa: E402
 from rasters import hills, imported  # noqa: E402

@@ -10,8 +10,8 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.operators.cli import command_line
-from adaptive_terrain.operators.request.request import RENDER
-from adaptive_terrain.operators.scene import session
+from adaptive_terrain.operators.session import session
+from adaptive_terrain.operators.terrain.request import RENDER
 from mesh_files import read_mesh
 
 FORMATS = ("npz", "ply", "obj", "glb", "stl", "blend")

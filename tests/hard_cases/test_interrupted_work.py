@@ -28,7 +28,7 @@ PROGRAM = """
 import os, sys
 if sys.argv[1] == "accuracy":
     from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
-    from adaptive_terrain.operators.report import accuracy_subject
+    from adaptive_terrain.operators.accuracy import subject as accuracy_subject
     few = [Setting("px", 4.0), Setting("px", 1.0, meshlet=1), Setting("m", 2.0, interpolation="bicubic")]
     accuracy_subject.settings_for = lambda heights, frame, morph: few
 if sys.argv[1] == "demo":
@@ -36,7 +36,7 @@ if sys.argv[1] == "demo":
     demo.SIZE, demo.FRAMES, demo.PICTURE_FRAMES, demo.LEVELS_FRAME = 129, range(1, 4), (1,), 2
     demo.RESOLUTION, demo.PLAN_RESOLUTION = (64, 36), (48, 48)
 if sys.argv[1] in ("bake", "export"):
-    from adaptive_terrain.operators.output import exporting
+    from adaptive_terrain.operators.export import exporting
 from adaptive_terrain.operators.cli.command_line import program
 os.write(2, b"begun\\n")
 program()

@@ -21,7 +21,7 @@ from adaptive_terrain.cbt_terrain.land.tiles import BAND, all_tiles, levels_of, 
 from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
 from land_effects import SMOOTH, bumpy, ragged
 
-PRESETS = Path(__file__).resolve().parents[2] / "operators/effects/presets/adaptive_terrain/land"
+PRESETS = Path(__file__).resolve().parents[2] / "operators/presets/adaptive_terrain/land"
 # The largest difference of tiles, as a fraction of the change by fine levels. 0: they read nothing beyond their halo.
 BOUNDS = {"smooth": 0.0, "relief": 0.0, "droplets": 0.0, "thermal": 0.001, "rivers": 0.05, "snow": 0.05}
 PARAMETERS = {"droplets": {"droplets": 400.0, "strength": 10.0}}

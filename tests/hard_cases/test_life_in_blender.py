@@ -8,7 +8,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from adaptive_terrain.cbt_terrain.errors import TerrainError  # noqa: E402
-from adaptive_terrain.operators.scene import session  # noqa: E402
+from adaptive_terrain.operators.session import session  # noqa: E402
 from blender_meshes import digest, digest_alone  # noqa: E402
 
 

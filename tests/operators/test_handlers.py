@@ -7,9 +7,8 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.operators import handlers, jobs
-from adaptive_terrain.operators.scene import session, stale_renders
+from adaptive_terrain.operators.session import live, session, stale_renders
 from adaptive_terrain.operators.ui import status_bar
-from adaptive_terrain.operators.viewport import live
 
 
 def positions(obj):

@@ -45,7 +45,7 @@ def test_every_handler_is_there_once_and_survives_loading(empty, tmp_path):
 
 
 def test_a_terrain_survives_disabling_the_extension(scene, add_terrain):
-    from adaptive_terrain.operators.scene import session
+    from adaptive_terrain.operators.session import session
 
     terrain = add_terrain()
     terrain.adaptive_terrain.viewport.error_px = 3.5

@@ -86,7 +86,7 @@ def arrays(surface: Surface) -> dict[str, bytes]:
 
 def assert_blender_invariants(obj, meshlet: int = 0) -> None:
     """Assert I1 .. I6 for the mesh that a Blender object holds, read back from Blender, and Blender's own check."""
-    from adaptive_terrain.operators.scene import session
+    from adaptive_terrain.operators.session import session
 
     assert obj.data.validate(verbose=True) is False
     assert_invariants(surface_of(obj.data), session.record_of(obj).terrain.field.lattice, meshlet)

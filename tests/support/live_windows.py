@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import bpy
 import numpy as np
-from adaptive_terrain.operators.viewport import live
+from adaptive_terrain.operators.session import live
 
 
 def show_window(monkeypatch, scene=None, view_layer=None) -> None:

@@ -4,7 +4,7 @@
 import bpy
 import pytest
 from adaptive_terrain.cbt_terrain.maps.folder import read_index
-from adaptive_terrain.operators.effects import map_images
+from adaptive_terrain.operators.maps import images as map_images
 
 
 @pytest.fixture

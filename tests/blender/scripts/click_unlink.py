@@ -9,7 +9,7 @@ from pathlib import Path
 
 import bpy
 from bl_ext.user_default.adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
-from bl_ext.user_default.adaptive_terrain.operators.scene import session
+from bl_ext.user_default.adaptive_terrain.operators.session import session
 
 sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
 from window_steps import picture, take_steps, terrain, until  # noqa: E402

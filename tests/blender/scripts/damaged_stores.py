@@ -38,7 +38,7 @@ def main(folder: Path, seed: int, count: int, wholes: list[str]) -> None:
     settings = terrain.adaptive_terrain
     settings.enabled = True
     session = next(
-        module for name, module in sys.modules.items() if name.endswith("adaptive_terrain.operators.scene.session")
+        module for name, module in sys.modules.items() if name.endswith("adaptive_terrain.operators.session.session")
     )
     mutant = folder / "mutant"
     for k in range(seed, seed + count):

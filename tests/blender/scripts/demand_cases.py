@@ -5,7 +5,7 @@ import json
 import sys
 
 import bpy
-from bl_ext.user_default.adaptive_terrain.operators.demand.demand import demand
+from bl_ext.user_default.adaptive_terrain.operators.bridge.demand.demand import demand
 
 [support] = sys.argv[sys.argv.index("--") + 1 :]
 sys.path.insert(0, support)

@@ -12,5 +12,5 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "support"))
 import freed  # noqa: E402
 
 [package] = [name for name in bpy.context.preferences.addons.keys() if name.endswith(".adaptive_terrain")]
-found = freed.measured(import_module(package + ".operators.mesh.freed_memory"))
+found = freed.measured(import_module(package + ".operators.bridge.freed_memory"))
 print("RESULT " + json.dumps(found | {"version": bpy.app.version[:2]}))

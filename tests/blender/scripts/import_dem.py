@@ -35,7 +35,7 @@ for file in files:
     vertices = [v.co.z for v in mesh.vertices]
     session, panel = (
         next(module for name, module in sys.modules.items() if name.endswith(f"adaptive_terrain.operators.{part}"))
-        for part in ("scene.session", "ui.statistics_panel")
+        for part in ("session.session", "accuracy.panel")
     )
     result["terrains"][file] = {
         "import_s": time.perf_counter() - start,

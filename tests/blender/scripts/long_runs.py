@@ -17,8 +17,8 @@ from pathlib import Path
 import bpy
 from bl_ext.user_default.adaptive_terrain.cbt_terrain.run import warmup
 from bl_ext.user_default.adaptive_terrain.operators import jobs
-from bl_ext.user_default.adaptive_terrain.operators.scene import session
-from bl_ext.user_default.adaptive_terrain.operators.viewport import live
+from bl_ext.user_default.adaptive_terrain.operators.session import session
+from bl_ext.user_default.adaptive_terrain.operators.session import live
 from bpy.app.handlers import persistent
 
 sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts

@@ -15,7 +15,7 @@ package = "bl_ext.user_default.adaptive_terrain"
 step, folder = sys.argv[sys.argv.index("--") + 1 :]
 folder = Path(folder)
 location = sys.modules[f"{package}.operators.importing.store_location"]
-session = sys.modules[f"{package}.operators.scene.session"]
+session = sys.modules[f"{package}.operators.session.session"]
 derived_store = sys.modules[f"{package}.cbt_terrain.land.derived_store"]
 notices = sys.modules[f"{package}.operators.importing.store_paths"].notices
 

@@ -21,7 +21,7 @@ OWN = {
     ("cbt_terrain/run/partial_files.py", "_BOOT.read_text()"),
     ("cbt_terrain/run/named_file.py", "Path(file).open('rb')"),
     ("operators/farm/bundle.py", "(HERE / name).read_text(encoding='utf-8')"),
-    ("operators/output/blender_exporters.py", "np.fromfile(file, face, faces)"),
+    ("operators/export/blender_exporters.py", "np.fromfile(file, face, faces)"),
     ("operators/text/machine.py", "open('/proc/cpuinfo', encoding='utf-8')"),
 }
 

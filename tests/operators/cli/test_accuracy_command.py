@@ -21,9 +21,10 @@ from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
 from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.operators.accuracy import plots as accuracy_plots
+from adaptive_terrain.operators.accuracy import subject as accuracy_subject
 from adaptive_terrain.operators.cli import accuracy_command, command_line
-from adaptive_terrain.operators.output.exporting import write_files
-from adaptive_terrain.operators.report import accuracy_plots, accuracy_subject
+from adaptive_terrain.operators.export.exporting import write_files
 from browser import needs_chromium, opened
 from PIL import Image
 

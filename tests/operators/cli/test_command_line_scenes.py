@@ -11,7 +11,7 @@ from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.operators.cli import command_line
-from adaptive_terrain.operators.request.overrides import Overrides
+from adaptive_terrain.operators.terrain.overrides import Overrides
 
 
 @pytest.mark.parametrize("form", ["ply", "obj", "glb", "stl", "blend"])
@@ -116,7 +116,7 @@ def test_options_of_a_store_are_the_criterion(export, store):
 
 def test_an_error_replaces_a_time_budget(scene, add_terrain):
     import bpy
-    from adaptive_terrain.operators.request.request import RENDER, gather
+    from adaptive_terrain.operators.terrain.request import RENDER, gather
 
     terrain = add_terrain("Hills")
     terrain.adaptive_terrain.render.limit_time = True

@@ -4,7 +4,7 @@
 import pytest
 from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.cli.verbs import print_fields
-from adaptive_terrain.operators.output.formats import parse_formats, parse_frames
+from adaptive_terrain.operators.export.formats import parse_formats, parse_frames
 from adaptive_terrain.operators.text.console import Progress, duration
 
 

@@ -17,8 +17,8 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.land import derived_store
 from adaptive_terrain.operators.cli import command_line
+from adaptive_terrain.operators.export import preparing
 from adaptive_terrain.operators.farm import bundle
-from adaptive_terrain.operators.output import preparing
 from openjd.model import IntRangeExpr, create_job, decode_job_template, preprocess_job_parameters
 
 ROOT = Path(__file__).resolve().parents[3]

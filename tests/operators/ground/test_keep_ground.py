@@ -8,11 +8,11 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.run import warmup
+from adaptive_terrain.operators.export.frame_sources import scene_piece
 from adaptive_terrain.operators.ground import keep_ground, world_ground
-from adaptive_terrain.operators.output.frame_sources import scene_piece
-from adaptive_terrain.operators.scene import session
-from adaptive_terrain.operators.scene.pauses import paused
-from adaptive_terrain.operators.ui import ground_panel
+from adaptive_terrain.operators.ground import panel as ground_panel
+from adaptive_terrain.operators.session import session
+from adaptive_terrain.operators.session.pauses import paused
 from ground_scenes import Cast, added, cube, only
 from mathutils import Vector
 

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.operators.ground import add_collider
-from adaptive_terrain.operators.scene import session
+from adaptive_terrain.operators.session import session
 from adaptive_terrain.operators.text import profile_plot
 from ground_scenes import ASKEW, COLUMNS, ROWS, STEP, Cast, added, cube, hills, only, place
 from mathutils import Matrix, Vector

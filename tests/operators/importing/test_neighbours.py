@@ -7,8 +7,8 @@ import pytest
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.query.ground import ground_at
+from adaptive_terrain.operators.importing.imported import tag_object
 from adaptive_terrain.operators.importing.placement_notes import neighbour_notes
-from adaptive_terrain.operators.request.imported import tag_object
 from rasters import hills, imported, write_raster
 
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.land import derived_store, land_folder, requested_tiles
-from adaptive_terrain.operators.effects import map_images
 from adaptive_terrain.operators.importing import pack_store
 from adaptive_terrain.operators.importing.store_location import lies_beside
-from adaptive_terrain.operators.land import shape_land
-from adaptive_terrain.operators.properties.map_properties import map_folder
-from adaptive_terrain.operators.scene import session, shaped_land
+from adaptive_terrain.operators.land import shape_land, shaped_land
+from adaptive_terrain.operators.maps import images as map_images
+from adaptive_terrain.operators.maps.properties import map_folder
+from adaptive_terrain.operators.session import session
 from land_scenes import add
 
 

@@ -8,10 +8,10 @@ from unittest.mock import Mock
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.operators.importing.imported import imported_of
+from adaptive_terrain.operators.importing.panel import ImportedPanel
 from adaptive_terrain.operators.importing.placement_notes import picture_note
-from adaptive_terrain.operators.request.imported import imported_of
-from adaptive_terrain.operators.scene import session
-from adaptive_terrain.operators.ui.height_map_panel import ImportedPanel
+from adaptive_terrain.operators.session import session
 from rasters import hills, imported, write_raster
 
 WEST, SOUTH, CELL = 600_000.0, 5_199_700.0, 10.0

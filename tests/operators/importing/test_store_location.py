@@ -10,8 +10,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.operators.importing import move_stores, store_location, store_paths
 from adaptive_terrain.operators.importing.import_terrain import settings_of
-from adaptive_terrain.operators.land import shape_land
-from adaptive_terrain.operators.output import bake_land
+from adaptive_terrain.operators.land import bake_land, shape_land
 from land_scenes import add
 
 

@@ -16,7 +16,8 @@ from adaptive_terrain.cbt_terrain.field.store_arrays import BLOCK_BYTES, PAGE_BY
 from adaptive_terrain.cbt_terrain.land import derived_store, land_folder, requested_tiles
 from adaptive_terrain.cbt_terrain.land.tile_cache import TileCache
 from adaptive_terrain.cbt_terrain.run import owned_files
-from adaptive_terrain.operators.scene import session, shaped_land
+from adaptive_terrain.operators.land import shaped_land
+from adaptive_terrain.operators.session import session
 from land_scenes import add
 
 

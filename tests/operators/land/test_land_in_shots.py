@@ -7,7 +7,8 @@ import bpy
 import numpy as np
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.land import derived_store, land_folder
-from adaptive_terrain.operators.scene import session, shaped_land
+from adaptive_terrain.operators.land import shaped_land
+from adaptive_terrain.operators.session import session
 from land_scenes import add
 
 

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import store as stores
 from adaptive_terrain.cbt_terrain.land import derived_store, land_folder, requested_tiles
-from adaptive_terrain.operators.request import land_request
-from adaptive_terrain.operators.scene import session, shaped_land
+from adaptive_terrain.operators.land import request as land_request
+from adaptive_terrain.operators.land import shaped_land
+from adaptive_terrain.operators.session import session
 from land_scenes import add
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="Windows lets only some users make symbolic links")

@@ -10,9 +10,10 @@ import pytest
 from adaptive_terrain.cbt_terrain.field import lands
 from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
 from adaptive_terrain.operators.importing import store_location
-from adaptive_terrain.operators.properties import land_properties
-from adaptive_terrain.operators.request.land_entries import free_name
-from adaptive_terrain.operators.scene import session, shaped_land
+from adaptive_terrain.operators.land import properties as land_properties
+from adaptive_terrain.operators.land import shaped_land
+from adaptive_terrain.operators.land.entries import free_name
+from adaptive_terrain.operators.session import session
 from land_scenes import add, names, stack_now
 
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.land.stack import stack_from
 from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
-from adaptive_terrain.operators.properties.land_properties import GROUPS
-from adaptive_terrain.operators.request import land_stack
-from adaptive_terrain.operators.request.imported import imported_of
-from adaptive_terrain.operators.request.land_entries import PRESETS
+from adaptive_terrain.operators.importing.imported import imported_of
+from adaptive_terrain.operators.land import stack as land_stack
+from adaptive_terrain.operators.land.entries import PRESETS
+from adaptive_terrain.operators.land.properties import GROUPS
 from land_scenes import add, names
 
 

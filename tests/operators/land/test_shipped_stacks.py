@@ -12,7 +12,7 @@ from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.land.stack import read_stack
 
-FOLDER = Path(__file__).resolve().parents[3] / "operators/effects/presets/adaptive_terrain/land"
+FOLDER = Path(__file__).resolve().parents[3] / "operators/presets/adaptive_terrain/land"
 NAMES = ("alpine", "desert", "great_range", "old_hills", "volcanic_island")
 SIZE = 201
 

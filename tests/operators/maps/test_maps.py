@@ -8,11 +8,12 @@ from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.maps import sizing, tiling
 from adaptive_terrain.cbt_terrain.maps.folder import read_index
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.operators.bridge.demand.trees import tree_of_new
+from adaptive_terrain.operators.bridge.writer import write_mesh
 from adaptive_terrain.operators.cli.command_line import main
-from adaptive_terrain.operators.demand.trees import tree_of_new
-from adaptive_terrain.operators.effects import map_images, map_request
-from adaptive_terrain.operators.mesh.writer import write_mesh
-from adaptive_terrain.operators.scene import session
+from adaptive_terrain.operators.maps import images as map_images
+from adaptive_terrain.operators.maps import request as map_request
+from adaptive_terrain.operators.session import session
 from map_scenes import bake, keys
 
 

@@ -6,8 +6,9 @@ import time
 import bpy
 import pytest
 from adaptive_terrain.operators import jobs
-from adaptive_terrain.operators.effects import map_images, map_request
-from adaptive_terrain.operators.effects.bake_maps import BakeMaps
+from adaptive_terrain.operators.maps import images as map_images
+from adaptive_terrain.operators.maps import request as map_request
+from adaptive_terrain.operators.maps.operators import BakeMaps
 from map_scenes import bake, keys
 from modal_runs import running, to_the_end, turn
 

@@ -11,16 +11,16 @@ from adaptive_terrain.cbt_terrain.ask.criterion import LARGEST
 from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.island import SIDE
-from adaptive_terrain.operators.request.request import gather
-from adaptive_terrain.operators.scene import session
-from adaptive_terrain.operators.scene.update_terrain import UpdateTerrain
+from adaptive_terrain.operators.accuracy.panel import statistics_lines, summary_lines
+from adaptive_terrain.operators.importing.panel import ImportedPanel
+from adaptive_terrain.operators.session import session
+from adaptive_terrain.operators.terrain.panel import RenderPanel, ViewportPanel
+from adaptive_terrain.operators.terrain.request import gather
+from adaptive_terrain.operators.terrain.update_terrain import UpdateTerrain
 from adaptive_terrain.operators.text.shown_bounds import NO_BOUND
 from adaptive_terrain.operators.ui import status_bar
-from adaptive_terrain.operators.ui.detail_panel import RenderPanel, ViewportPanel
-from adaptive_terrain.operators.ui.height_map_panel import ImportedPanel
 from adaptive_terrain.operators.ui.panel_parts import wrapped
 from adaptive_terrain.operators.ui.panels import OutputPanel, TerrainPanel
-from adaptive_terrain.operators.ui.statistics_panel import statistics_lines, summary_lines
 from modal_runs import RunningOperator, running, turn
 
 
@@ -130,7 +130,7 @@ def test_stores_of_unsaved_files_do_not_meet(scene, add_terrain, tmp_path):
 
 def test_the_panel_tells_that_stores_were_moved(scene, add_terrain, monkeypatch):
     from adaptive_terrain.operators.importing import store_paths
-    from adaptive_terrain.operators.ui.height_map_panel import ImportedPanel
+    from adaptive_terrain.operators.importing.panel import ImportedPanel
 
     add_terrain()
     assert "were moved" not in str(draw(ImportedPanel).mock_calls)
@@ -162,7 +162,7 @@ def test_lock_interface_button(scene):
 
 
 def test_a_failed_export_keeps_the_viewports_detail(scene, add_terrain, tmp_path, monkeypatch):
-    from adaptive_terrain.operators.output import exporting
+    from adaptive_terrain.operators.export import exporting
 
     terrain = add_terrain()
     terrain.adaptive_terrain.viewport.error_px = 8.0

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Measure what errors cost on a terrain, and how large they are, as it is set."""
+
+import json
+from dataclasses import asdict, dataclass, replace
+
+import bpy
+
+from ...cbt_terrain.accuracy import Measured, measure
+from ...cbt_terrain.accuracy.cost_curve import CostCurve
+from ...cbt_terrain.accuracy.sweep import is_unsteady, spread_of, unsteady_text, worst
+from ...cbt_terrain.accuracy.sweep_settings import PIXELS, metre_steps
+from ...cbt_terrain.accuracy.timed_runs import Frame, fastest, timed_runs
+from ...cbt_terrain.ask.criterion import unit_asked
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.terrain import Terrain
+from ..session import session
+from ..terrain.request import RENDER, VIEWPORT, Request, gather
+from .measuring import MeasuringOperator
+
+MAX_TRIANGLES = 1 << 22  # a finer error is left out of the curve: it would take long, and memory that the scene needs
+TRIES = 3  # measurements of an error whose runs differ too much: the window is drawn by this process, too
+DETAIL = {VIEWPORT: "viewport", RENDER: "render"}  # mode -> property group of its settings
+
+
+@dataclass(frozen=True)
+class Result:
+    """Of one mode: what errors cost, and the errors of the mesh (named by Request.digest) that its settings give.
+
+    `curve`: None where runs of the same update differ too much, for the reason `no_curve`.
+    """
+
+    curve: CostCurve | None
+    measured: Measured
+    digest: str
+    no_curve: str = ""
+
+    def store(self, detail) -> None:
+        """Write the result into a DetailSettings, which the .blend file keeps."""
+        detail.measured = json.dumps({"digest": self.digest, **asdict(self.measured)})
+        detail.no_curve = self.no_curve
+        detail.curve = "" if self.curve is None else self.curve.to_json()
+
+
+def read_measured(detail) -> dict:
+    """Read what `Result.store` wrote: accuracy.Measured as a dict, and "digest"; {} if it is missing or damaged."""
+    try:
+        measured = json.loads(detail.measured)
+    except (ValueError, RecursionError):
+        return {}
+    names = {"digest", *Measured.__dataclass_fields__}
+    return measured if isinstance(measured, dict) and measured.keys() >= names else {}
+
+
+def errors_text(measured: Measured) -> str:
+    """Describe the largest measured errors: of visible points in pixels, if there is a view, and of heights."""
+    seen = "" if measured.screen_px is None else f"{measured.screen_px.max:.3g} px on screen, "
+    return f"measured at most {seen}{measured.vertical_max_m:.3g} m of height"
+
+
+def measure_requests(requests: dict[str, Request], on_progress) -> dict[str, Result]:
+    """Measure each mode's request, without touching Blender; `on_progress`: see `measure_request`."""
+    results = {}
+    for i, (mode, request) in enumerate(requests.items()):
+        with session.engine_lock:
+            field = session.field_of(request)
+
+        def on_part(fraction: float, message: str, i: int = i, mode: str = mode) -> None:
+            on_progress((i + fraction) / len(requests), f"{DETAIL[mode].capitalize()}: {message}")
+
+        results[mode] = measure_request(field, request, on_part)
+    return results
+
+
+def measure_request(field, request: Request, on_progress) -> Result:
+    """Measure the cost of errors with everything else as in `request`, and the errors of its mesh.
+
+    `on_progress` gets the fraction done and a message; what it raises ends the measurement.
+    """
+    request = replace(request, frozen="")  # what errors cost is of a mesh that follows its camera
+    unit = unit_asked(request.criterion)
+    name = f"error_{unit}"
+    relief_m = (field.max_height - field.min_height) * abs(request.vertical_scale)
+    swept = PIXELS if unit == "px" else metre_steps(relief_m)
+    errors = sorted({getattr(request.criterion, name), *swept}, reverse=True)
+    frame = Frame(request.views, request.placement, request.vertical_scale, request.vertical_offset)
+    views = frame.views or [None]
+    steps = len(errors) + len(views)
+    terrain, points, no_curve = Terrain(field), [], ""
+    for i, error in enumerate(errors):
+
+        def on_run(_surface=None, done: int = i, error: float = error) -> float:
+            on_progress(done / steps, f"time at {error:.3g} {unit}")
+            return 0.0  # nothing is written
+
+        on_run()
+        criterion = replace(request.criterion, **{name: error}, max_triangles=MAX_TRIANGLES)
+        update = terrain.update(criterion, frame.views, *frame.heights)
+        if update.relaxed > 1:
+            break
+        for _ in range(TRIES):
+            runs = timed_runs(terrain, criterion, frame, write=on_run)
+            spread = spread_of([run["cpu"] for run in runs])
+            if not is_unsteady(spread):
+                break
+        else:
+            no_curve = no_curve or f"No curve of errors against time: {unsteady_text(f'{error:g} {unit}', spread)}"
+        points.append((error, update.triangles, fastest(runs)["total"]))
+    if len(points) < 2:
+        raise TerrainError(
+            f"An error of {errors[len(points)]:g} {unit} takes more than {MAX_TRIANGLES:,} triangles with these "
+            "settings, too many to measure",
+            fix="make Meshlet Level, Edge Length or Triangle Area coarser",
+        )
+    curve = None if no_curve else CostCurve.through(unit, points)
+    if curve is not None and request.max_ms is not None:  # from now on this curve says which error fits
+        request = replace(request, criterion=replace(request.criterion, **{name: curve.error_for_ms(request.max_ms)}))
+    surface = terrain.update(request.criterion, frame.views, *frame.heights).surface
+    found = []
+    for i, view in enumerate(views, len(errors)):
+
+        def on_part(fraction: float, done: int = i) -> None:
+            on_progress((done + fraction) / steps, "errors")
+
+        found.append(measure(field, surface, view, *frame.heights, on_progress=on_part))
+    on_progress(1.0, "done")
+    return Result(curve, worst(found), request.digest(field.key), no_curve)
+
+
+def _requests(obj, depsgraph) -> tuple[dict[str, Request], list[str]]:
+    """Return the requests that can be measured, and why the others cannot. Raises TerrainError if none can."""
+    requests, problems = {}, []
+    for mode in DETAIL:
+        try:
+            request = gather(obj, depsgraph, mode)
+            unit = unit_asked(request.criterion)
+            if not unit:
+                raise TerrainError("Measure Accuracy has no error to vary", fix="set Screen Error or Vertical Error")
+            # Without its time budget, whose curve is about to be replaced.
+            detail = getattr(obj.evaluated_get(depsgraph).adaptive_terrain, DETAIL[mode])
+            error = {f"error_{unit}": getattr(detail, f"error_{unit}")}
+            requests[mode] = replace(request, criterion=replace(request.criterion, **error))
+        except TerrainError as error:
+            problems.append(f"{DETAIL[mode].capitalize()}: {error}")
+    if not requests:
+        raise TerrainError(problems[0])
+    return requests, problems
+
+
+class MeasureAccuracy(MeasuringOperator, bpy.types.Operator):
+    """Measure the errors of the mesh and what finer and coarser ones cost, for this camera: once with the viewport's
+    detail and once with the render's own camera, resolution and detail. Leave the view alone meanwhile, so that the
+    times are right; measure again after large changes"""
+
+    bl_idname = "adaptive_terrain.measure_accuracy"
+    bl_label = "Measure Accuracy"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def prepare(self, context):
+        requests, problems = _requests(context.object, context.evaluated_depsgraph_get())
+        for problem in problems:
+            self.report({"WARNING"}, problem)
+        return lambda job: measure_requests(requests, job.progress)
+
+    def finish(self, _context, obj, results: dict[str, Result]) -> None:
+        for mode, result in results.items():
+            result.store(getattr(obj.adaptive_terrain, DETAIL[mode]))
+            if result.no_curve:
+                self.report({"WARNING"}, f"{DETAIL[mode].capitalize()}: {result.no_curve}")
+            self.report({"INFO"}, f"{DETAIL[mode].capitalize()}: {errors_text(result.measured)}")
+
+
+register, unregister = bpy.utils.register_classes_factory((MeasureAccuracy,))

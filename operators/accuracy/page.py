@@ -1,0 +1,368 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What `accuracy` writes: one table as CSV and JSON, and the same pages as HTML and Markdown, with their plots."""
+
+import csv
+import io
+import json
+
+from ...cbt_terrain.accuracy import interpolation
+from ...cbt_terrain.accuracy.sweep import STEPS, TERMS, Row, curve_of, curve_rows, unsteady_row, unsteady_text
+from ...cbt_terrain.accuracy.sweep_settings import Setting
+from ...cbt_terrain.ask.criterion import LARGEST
+from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+from ..text.numbers import number
+from ..text.page_blocks import Figures, Heading, Lead, Picture, Plot, Strip, Table, Text, Words, as_html, as_markdown
+from ..text.png import png
+from ..text.shown_bounds import bound_text, limit_text
+from .land_section import land_section
+from .plots import label, pareto_rows, plots
+from .transitions_section import transitions_section
+
+TITLE = "What accuracy costs"
+# Part of a time within which two measurements of the same differ.
+NOISE = 0.05
+# Errors in pixels that the strip shows, where they were measured.
+STRIP_PX = (4.0, 2.0, 1.0, 0.5)
+WORDS = [
+    ("asked", "The error that the mesh was refined for."),
+    (
+        "bound",
+        "What the refinement promises: no visible point of the terrain (pixels), no point at all (metres) is further "
+        "from its place. What float32 rounds and what the source had rounded are in it.",
+    ),
+    (
+        "measured",
+        "The largest error that was found against the height field of the store, which has the source's rounding in "
+        "it. In pixels: over visible points, at least one a pixel and every sample in view. In metres: the exact "
+        "largest distance in height between mesh and reference surface.",
+    ),
+    (
+        "ms",
+        "Elapsed time of the fastest of several warm updates, between which the camera moves by two thousandths of the "
+        "terrain, as in a flight. A fit is made once; its time is that run.",
+    ),
+    (
+        "ms of CPU",
+        "Processor time of all threads, of the same update: by it runs are compared, and it is what plots and what is "
+        "said of half the error show. A pale bar goes from the fastest to the slowest run. Where these differ by more "
+        "than a factor of 2 there is no curve.",
+    ),
+    ("depth", "A limit of bisections of a root square."),
+    ("meshlet m", "Each leaf is drawn as 4^m triangles."),
+    ("smooth, not smooth", "With Geomorph, or without it, where the other rows are the other way round."),
+    ("fitted", "Vertices are moved off the surface, within the bound."),
+    (
+        "geometric, precision, source",
+        "The parts of a bound: what is given to the triangles, what float32 positions take, and what the source's own "
+        "rounding takes.",
+    ),
+    ("hidden", "Points that lie in the picture behind other ground."),
+    (
+        "silhouette",
+        "How far the outline is displaced. It is followed by rays a pixel apart, so it alone may pass the bound where "
+        "outlines are finer than that.",
+    ),
+    ("popping", "How far points jump from one frame's mesh to the next frame's; no figure where no frame follows."),
+    (
+        "shading change",
+        "The largest change of a pixel's shading from one frame's mesh to the next frame's: 255 times the distance "
+        "between the two unit normals, the most that any light shows on white ground.",
+    ),
+    ("rounding", "What float32 has changed of the measured error."),
+    ("faces, shading", "Angles of triangles to the surface's normals, and of the normals that are rendered."),
+    (
+        "Pareto front",
+        "Rings in a plot. Every setting that costs less, with the same interpolation, has an error that is larger by a "
+        "fiftieth at least. Fits, which are made once, take part for triangles only.",
+    ),
+    (
+        "the triangle limit",
+        "A sweep makes no mesh of more than 8.4 million triangles; finer rows are held back by that.",
+    ),
+    (
+        "steps",
+        "refine decides and lists the leaves; mark writes the tree; weld makes vertices and edges; displace positions "
+        "and normals; ingest Blender's mesh. engine is all but ingest, with what lies between its steps.",
+    ),
+]
+
+
+def files(subjects, machine: dict[str, str]) -> dict[str, str | bytes]:
+    """Return every file of a report by its name. `subjects`: measured accuracy_subject.Subject."""
+    title, blocks = title_of(subjects), page(subjects, machine)
+    return pictures(blocks) | {
+        "accuracy.csv": as_csv(subjects),
+        "accuracy.json": as_json(subjects, machine),
+        "accuracy.md": as_markdown(title, blocks),
+        "index.html": as_html(title, blocks),
+    }
+
+
+def pictures(blocks: list) -> dict[str, str | bytes]:
+    """Return the files that a page's Markdown shows, by name."""
+    drawn = {block.name: block.svg for block in blocks if isinstance(block, Plot)}
+    return drawn | {p.name: p.png for block in blocks if isinstance(block, Strip) for p in block.pictures}
+
+
+def title_of(subjects) -> str:
+    return " and ".join(subject.title for subject in subjects)
+
+
+def as_csv(subjects) -> str:
+    """Return a table with a line for each row; a field is empty where nothing was measured."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    lines = [{"terrain": subject.name} | row.figures() for subject in subjects for row in subject.rows]
+    writer.writerow(lines[0])
+    writer.writerows(line.values() for line in lines)
+    return text.getvalue()
+
+
+def as_json(subjects, machine: dict[str, str]) -> str:
+    terrains = [
+        {
+            "name": s.name,
+            "height_field": s.heights.key,
+            "seen": s.seen,
+            "frames": s.numbers,
+            "current": None if s.current is None else label(s.current),
+            "notes": s.notes + timing_notes(s),
+            "curves": [json.loads(curve.to_json()) for curve in curves(s)],
+            "rows": [row.figures() for row in s.rows],
+        }
+        for s in subjects
+    ]
+    content = {"generator": "Adaptive Terrain", "machine": machine, "terrains": terrains}
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def page(subjects, machine: dict[str, str], prefix: str = "") -> list:
+    """Return the page as blocks: first the figures for artists, then tables, definitions last.
+
+    `prefix` begins the names of its plots and pictures.
+    """
+    several, blocks = len(subjects) > 1, []
+    for subject in subjects:
+        blocks += [Heading(subject.title)] if several else []
+        blocks += front(subject, prefix)
+    for subject in subjects:
+        blocks += tables(subject, f" of {subject.title}" if several else "", prefix)
+    measured_on = "Measured on: " + ", ".join(f"{name} {value}" for name, value in machine.items()) + "."
+    return [*blocks, Heading("What the words mean"), Words(WORDS), Text(measured_on)]
+
+
+def front(subject, prefix: str) -> list:
+    """Five figures, what errors look like, what they cost."""
+    rows = subject.rows
+    current = next((row for row in rows if row.setting == subject.current), None)
+    shown = current or next((row for row in rows if row.setting.plain), rows[0])
+    frames = f", frame{'s' * (len(subject.numbers) > 1)} {', '.join(map(str, subject.numbers))}"
+    lattice = subject.heights.lattice
+    across, up = (lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y
+    blocks = [
+        Lead(
+            f"{across:,.0f} x {up:,.0f} m of ground from {lattice.width:,} x {lattice.height:,} samples, seen "
+            f"{subject.seen}{frames if subject.numbers else ''}."
+        ),
+        Figures(figures(shown)),
+        *strip(subject, prefix),
+        *(Text(sentence) for sentence in sentences(subject)),
+    ]
+    for unit in dict.fromkeys(row.setting.unit for row in rows):
+        blocks += plots(subject, unit, current, prefix)
+    return blocks + [Text(note) for note in subject.notes + timing_notes(subject)]
+
+
+def figures(row: Row) -> list[tuple[str, str]]:
+    """Return the five main figures of one setting."""
+    unit = row.setting.unit
+    return [
+        (f"{row.triangles:,}", "triangles"),
+        (f"{row.whole_ms:.3g} ms", "a frame, from the camera to the finished mesh"),
+        (bound_text(row.bound, unit), f"the bound, for {label(row.setting)} asked"),
+        (f"{row.error:.3g} {unit}", "the largest error that was measured"),
+        (f"{row.surface_mb:.3g} MB", "the mesh in memory"),
+    ]
+
+
+def strip(subject, prefix: str) -> list[Strip]:
+    """Return the same part of the picture at several errors, with the cost of each; [] if nothing was drawn."""
+    costs = {row.setting.error: row for row in strip_rows(subject)}
+    shown = [
+        Picture(
+            f"{prefix}{subject.name}_{crop.error_px:g}px.png",
+            f"{costs[crop.error_px].triangles:,} triangles, {costs[crop.error_px].whole_ms:.3g} ms a frame",
+            f"{crop.error_px:g} px",
+            png(crop.pixels),
+        )
+        for crop in subject.crops
+    ]
+    where = f"frame {subject.numbers[0]}" if subject.numbers else "the picture"
+    text = (
+        f"The part of {where} in which these errors differ most, pixel by pixel. The edges of the triangles are drawn "
+        f"in its lower left half.{' Triangles and times are medians of all frames.' if subject.numbers[1:] else ''}"
+    )
+    return [Strip(shown), Text(text)] if shown else []
+
+
+def strip_rows(subject) -> list[Row]:
+    """Return the rows that the strip has pictures of, the coarsest first."""
+    plain = {row.setting: row for row in subject.rows if row.setting.plain}
+    settings = [Setting("px", error, interpolation=subject.heights.interpolation) for error in STRIP_PX]
+    return [plain[setting] for setting in settings if setting in plain]
+
+
+def tables(subject, of: str, prefix: str) -> list:
+    """Return every figure of one terrain. `of`: its name in headings if there are others. `prefix`: see `page`."""
+    heights, rows = subject.heights, subject.rows
+    relief = heights.max_height - heights.min_height
+    origin = heights.provenance
+    source = f" (from {origin['format']}, {origin['stored']})" if {"format", "stored"} <= set(origin) else ""
+    several = (
+        " Of several frames errors are the largest, triangles and times the median." if subject.numbers[1:] else ""
+    )
+    between = interpolation(heights)
+    return [
+        Heading(f"Every row{of}"),
+        Text(f"{relief:,.5g} m from the lowest to the highest{source}.{several}"),
+        Text(
+            f"Errors are those against the {heights.interpolation} surface through the samples, of rows marked "
+            f"{other_interpolation(heights)} against that one; between samples the two are up to {between.max:.3g} m "
+            f"apart (95 % of places within {between.p95:.3g} m)." + imported_text(heights)
+        ),
+        overview(rows, subject.current),
+        Heading(f"What the errors{of} are made of"),
+        *error_tables(rows),
+        Heading(f"Where the time{of} goes"),
+        steps_table(rows),
+        *transitions_section(rows, of, f"{prefix}{subject.name}_popping.svg"),
+        *land_section(heights, of),
+    ]
+
+
+def other_interpolation(heights) -> str:
+    """Return the interpolation that only some rows have."""
+    return next(name for name in INTERPOLATIONS if name != heights.interpolation)
+
+
+def imported_text(heights) -> str:
+    """Describe the rounding of the source, "" if there is none."""
+    if not heights.source_max:
+        return ""
+    return f" The source's own rounding may have moved the surface by up to {heights.source_max:.2g} m."
+
+
+def curves(subject) -> list:
+    """Return the cost curve of each unit with at least two errors within all limits, if its runs agree."""
+    of_unit = [rows for rows in by_unit(subject.rows).values() if unsteady_row(rows) is None]
+    return [curve_of(rows) for rows in of_unit if len({row.setting.error for row in curve_rows(rows)}) > 1]
+
+
+def by_unit(rows: list[Row]) -> dict[str, list[Row]]:
+    units = dict.fromkeys(row.setting.unit for row in rows)
+    return {unit: [row for row in rows if row.setting.unit == unit] for unit in units}
+
+
+def timing_notes(subject) -> list[str]:
+    """Return why a cost curve is left out, a sentence for each unit where its runs disagree."""
+    notes = []
+    for unit, rows in by_unit(subject.rows).items():
+        if (row := unsteady_row(rows)) is not None:
+            reason = unsteady_text(label(row.setting), row.spread_ms)
+            notes.append(f"The curve of errors in {unit} against time is left out: {reason}")
+    return notes
+
+
+def sentences(subject) -> list[str]:
+    """Describe the cost of half and twice the error, at the current setting or in the middle of the sweep."""
+    text = []
+    for curve in curves(subject):
+        unit, error = curve.unit, curve.error[len(curve.error) // 2]
+        if subject.current is not None and subject.current.unit == unit:
+            error = subject.current.error
+        (less, faster), (triangles, ms), (more, slower) = (curve.at(error * factor) for factor in (2, 1, 0.5))
+        text.append(
+            f"Halving the error from {error:g} {unit} to {error / 2:g} {unit} costs "
+            f"{time_text(slower - ms, ms)} of CPU and {more - triangles:,.0f} triangles; doubling it "
+            f"to {error * 2:g} {unit} saves {time_text(ms - faster, ms)} of CPU and {triangles - less:,.0f} triangles."
+        )
+        if not curve.error[-1] <= error / 2 < error * 2 <= curve.error[0]:
+            text[-1] += " Part of that is extrapolated: it lies beyond what was measured."
+    return text
+
+
+def time_text(difference_ms: float, whole_ms: float) -> str:
+    """Describe a difference of times; one within the noise of a measurement gets no figure."""
+    return f"{difference_ms:.3g} ms" if difference_ms > NOISE * whole_ms else "no time that could be measured"
+
+
+def overview(rows: list[Row], current: Setting | None) -> Table:
+    """Asked, bound, measured, cost; and which rows are on the Pareto fronts of their unit."""
+    fronts = {}
+    for unit in dict.fromkeys(row.setting.unit for row in rows):
+        for cost in ("triangles",) if unsteady_row(by_unit(rows)[unit]) else ("ms", "triangles"):
+            front = pareto_rows([row for row in rows if row.setting.unit == unit], cost)
+            fronts[cost] = fronts.get(cost, []) + [row.setting for row in front]
+    head = ["setting", "bound", "measured", "measured / asked", "triangles", "ms", "mesh, MB", "buffers, MB"]
+    lines = []
+    for row in rows:
+        unit, name = row.setting.unit, label(row.setting) + (" (current)" if row.setting == current else "")
+        fronts_text = ", ".join(cost for cost, settings in fronts.items() if row.setting in settings)
+        numbers = [bound_text(row.bound, unit), f"{number(row.error)} {unit}", f"{row.error / row.setting.error:.2f}"]
+        numbers += [f"{row.triangles:,}", number(row.whole_ms), number(row.surface_mb), number(row.buffers_mb)]
+        lines.append([name, *numbers, limit_text(row.limited), fronts_text])
+    return Table([*head, "held back by", "Pareto front"], lines)
+
+
+def error_tables(rows: list[Row]) -> list[Table]:
+    """Return the terms of the bound, then all measurements: height, screen, silhouette, popping, normals, rounding."""
+    blocks = [bound_table(rows)]
+    on_screen = [row for row in rows if row.measured.screen_px is not None]
+    if on_screen:
+        names = ("screen_px", "hidden_px", "silhouette_px", "popping_px")
+        head = ["pixels", "visible: max", "p95", "mean", "hidden: max", "silhouette: max", "p95", "popping: max", "p95"]
+        lines = []
+        for row in on_screen:
+            seen, hidden, outline, popped = (getattr(row if n == "popping_px" else row.measured, n) for n in names)
+            cells = [seen.max, seen.p95, seen.mean, *(part and part.max for part in (hidden, outline))]
+            cells += [outline and outline.p95, popped and popped.max, popped and popped.p95]
+            lines.append([label(row.setting), *map(number, cells)])
+        blocks.append(Table(head, lines))
+    head = ["metres, degrees", "height: max", "p95", "rms", "rounding: max", "faces: p95", "max", "shading: p95", "max"]
+    lines = []
+    for row in rows:
+        m = row.measured
+        cells = [m.vertical_max_m, m.vertical_m.p95, m.vertical_m.rms, m.rounding_m]
+        cells += [m.facet_deg.p95, m.facet_deg.max, m.shading_deg.p95, m.shading_deg.max]
+        lines.append([label(row.setting), *map(number, cells)])
+    return [*blocks, Table(head, lines)]
+
+
+def bound_table(rows: list[Row]) -> Table:
+    """Return the terms of the bound at the leaf that decides it."""
+    head = ["parts of the bound", "in all", *TERMS, "measured, of the bound"]
+    lines = []
+    for row in rows:
+        bounded = row.bound < LARGEST
+        parts = [getattr(row.terms, part, None) if bounded else None for part in TERMS]
+        used = f"{row.error / row.bound:.0%}" if row.bound and bounded else ""
+        lines.append([label(row.setting), bound_text(row.bound, row.setting.unit), *map(number, parts), used])
+    return Table(head, lines)
+
+
+def steps_table(rows: list[Row]) -> Table:
+    steps = [step for step in STEPS if any(row.ms.get(step) for row in rows)]
+    lines = []
+    for row in rows:
+        times = [row.cpu_ms, row.whole_ms, row.ms["total"], *(row.ms.get(step) for step in steps)]
+        lines.append([label(row.setting), *map(number, times)])
+    return Table(["ms", "CPU", "finished mesh", "engine", *steps], lines)
+
+
+def row_line(row: Row) -> str:
+    """Return one row as a line for the terminal."""
+    unit = row.setting.unit
+    return (
+        f"{label(row.setting)}: bound {bound_text(row.bound, unit)}, measured {row.error:.3g} {unit}, "
+        f"{row.triangles:,} triangles, {row.whole_ms:.3g} ms"
+    )

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Result and cost of the last update, its measured errors, and the cost of other errors."""
+
+import os
+
+import bpy
+
+from ...cbt_terrain.accuracy.cost_curve import CostCurve
+from ...cbt_terrain.ask.criterion import LARGEST, unit_asked
+from ...cbt_terrain.ask.settings import BOUNDS
+from ...cbt_terrain.errors import TerrainError, shown
+from .. import jobs
+from ..session import session
+from ..text.numbers import SMALLEST, plain
+from ..text.shown_bounds import NO_BOUND, bound_text, limit_text
+from ..ui.panel_parts import TerrainSubpanel, figures, message
+from . import measure as measure_accuracy
+from . import sweep as sweep_accuracy
+from .report import PAGE
+
+TERMS = {
+    "geometric": "by triangles",
+    "precision": "by precision",
+    "source": "by the source",
+}
+STEPS = {"total": "Engine in all", "mesh": "Into Blender"}
+
+
+class StatisticsPanel(TerrainSubpanel, bpy.types.Panel):
+    """Grows and shrinks with what there is to tell, so it is the last panel, and closed until someone asks."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_PT_statistics"
+    bl_label = "Accuracy of Last Update"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        column = self._columns()
+        obj = context.object
+        status = session.record_of(obj).status
+        if status.error:
+            message(column, status.error, "ERROR")
+        if status.mode and status.request.note:
+            message(column, status.request.note, "INFO")
+        figures(column, statistics_lines(status))
+        if status.mode:
+            detail = getattr(obj.adaptive_terrain, measure_accuracy.DETAIL[status.mode])
+            self._draw_measured(column, status, detail)
+        _draw_measuring(column, "adaptive_terrain.measure_accuracy", "DRIVER_DISTANCE")
+
+    def _draw_measured(self, column, status, detail):
+        measured = measure_accuracy.read_measured(detail)
+        lines = measured_lines(measured) if measured.get("digest") == status.digest else []
+        if lines:
+            column.separator()
+            figures(column, lines)
+        try:
+            curve = CostCurve.from_json(detail.curve) if detail.curve else None
+        except TerrainError as damaged:
+            message(column, str(damaged), "INFO")
+            return
+        if detail.no_curve:
+            message(column, shown(detail.no_curve, 400), "INFO")
+        predicted = prediction_lines(status, curve, exact=bool(lines)) if curve else []
+        if predicted:
+            column.separator()
+        for line in predicted:
+            column.label(text=line)
+
+
+class AccuracyReportPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_accuracy_report"
+    bl_label = "Accuracy Report"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_statistics"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        column = self._columns()
+        obj = context.object
+        column.prop(obj.adaptive_terrain, "reports")
+        _draw_measuring(column, "adaptive_terrain.sweep_accuracy", "GRAPH")
+        try:
+            page = sweep_accuracy.report_folder(obj) / PAGE
+        except TerrainError as error:
+            message(column, str(error), "INFO")
+            return
+        if os.path.isfile(page):  # which raises for no folder
+            column.operator("wm.path_open", text="Open Report", icon="URL").filepath = str(page)
+
+
+def _draw_measuring(column, operator: str, icon: str) -> None:
+    """Draw the button of a measurement, or the progress of the one that runs."""
+    job = jobs.find(jobs.MEASURE)
+    if job is None:
+        column.operator(operator, icon=icon)
+    else:
+        jobs.draw_progress(column, job)
+
+
+def _bounds(status) -> list[tuple[str, float, str, object]]:
+    """Return label, value, unit and terms of every bound of the last update, the most important first."""
+    bounds = []
+    for name, (label, unit) in BOUNDS.items():
+        if (value := getattr(status, name)) is not None:
+            terms = getattr(status, name.replace("bound", "terms"), None)
+            bounds.append((label, value, unit.partition(" ")[0], terms))
+    return bounds
+
+
+def _bound(value: float, unit: str, digits: int) -> str:
+    """Return the text of a bound, rounded up; 0 if nothing is in view."""
+    shown = max(value, SMALLEST) if value else 0.0
+    return f"≤ {bound_text(shown, unit, digits)}" if value < LARGEST else NO_BOUND
+
+
+def summary_lines(status) -> list[tuple[str, str]]:
+    """Return the three lines at the panel's top, also before the first update."""
+    if not status.mode:
+        return [("Triangles", "-"), ("Error bound", "-"), ("Update", "-")]
+    name, value, unit, _ = (_bounds(status) or [("Error bound", None, "", None)])[0]
+    bound = "-" if value is None else _bound(value, unit, 3)
+    ms = sum(status.ms.get(step, 0.0) for step in ("total", "overlay", "mesh"))
+    return [("Triangles", f"{status.left:,}"), (name, bound), ("Update", f"{plain(ms)} ms")]
+
+
+def statistics_lines(status) -> list[tuple[str, str]]:
+    """Return names and figures of the last update, each figure with its unit."""
+    if not status.mode:
+        return [("No update yet", "")]
+    unit = unit_asked(status.request.criterion)
+    lines = [("Asked", f"{plain(getattr(status.request.criterion, f'error_{unit}'), 4)} {unit}")] if unit else []
+    for name, value, unit, terms in _bounds(status):
+        lines.append((name, _bound(value, unit, 4)))
+        parts = {label: getattr(terms, term) for term, label in TERMS.items()} if terms and value < LARGEST else {}
+        lines += [(f"    {label}", f"{plain(part)} {unit}") for label, part in parts.items() if part]
+    if status.limited:
+        lines.append(("Held back by", limit_text(status.limited)))
+    if status.relaxed != 1.0:
+        lines.append(("Coarser than asked", f"{plain(status.relaxed)} times"))
+    lines += [("Leaves", f"{status.leaves:,}"), ("Triangles", f"{status.triangles:,}")]
+    if status.left != status.triangles:
+        lines.append(("Left by clean-up", f"{status.left:,}"))
+    return lines + [(STEPS.get(step, step.capitalize()), f"{ms:.2f} ms") for step, ms in status.ms.items()]
+
+
+def measured_lines(measured: dict) -> list[tuple[str, str, str]]:
+    """Return the measured errors: name and unit, largest (of height: anywhere), 95 %."""
+    distributions = [
+        ("Screen (px)", "screen_px"),
+        ("Hidden (px)", "hidden_px"),
+        ("Silhouette (px)", "silhouette_px"),
+        ("Vertical (m)", "vertical_m"),
+        ("Facet normal (°)", "facet_deg"),
+        ("Shading normal (°)", "shading_deg"),
+    ]
+    lines = [("Measured", "largest", "95 %")]
+    for name, key in distributions:
+        errors = measured[key]
+        if errors and errors["count"]:
+            largest = measured["vertical_max_m"] if key == "vertical_m" else errors["max"]
+            lines.append((name, plain(largest), plain(errors["p95"])))
+    return [*lines, ("Rounding (m)", plain(measured["rounding_m"]), "")]
+
+
+def prediction_lines(status, curve: CostCurve, exact: bool) -> list[str]:
+    """Return what half and twice the error of the last update would cost, by the measured curve: a line each.
+
+    exact: the update is the measured one. Any other scales the curve to go through its own point.
+    """
+    error = getattr(status.request.criterion, f"error_{curve.unit}") * status.relaxed
+    if not error:
+        return []
+    triangles, ms = curve.at(error)
+    more, longer = 1.0, 1.0
+    if not exact:
+        more = status.triangles / triangles
+        if status.changed and "total" in status.ms:  # the time of a mesh that stayed says nothing
+            longer = status.ms["total"] / ms
+    lines = []
+    for other in (error / 2, error * 2):
+        triangles, ms = curve.at(other)
+        cost = f"~{_rounded(triangles * more)} triangles, ~{_rounded(ms * longer)} ms"
+        lines.append(f"{plain(other)} {curve.unit}: {cost}")
+    return lines
+
+
+def _rounded(value: float) -> str:
+    """Return a number with two digits: a prediction is no better."""
+    return plain(float(f"{value:.2g}"))
+
+
+CLASSES = (StatisticsPanel, AccuracyReportPanel)

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The terrains of a store or a scene whose accuracy is measured, and their views."""
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from ...cbt_terrain.accuracy.crops import Crop
+from ...cbt_terrain.accuracy.sweep import Row
+from ...cbt_terrain.accuracy.sweep_settings import Setting, settings_for
+from ...cbt_terrain.accuracy.timed_runs import Frame
+from ...cbt_terrain.ask.camera_path import read_camera_path
+from ...cbt_terrain.ask.criterion import Criterion, unit_asked
+from ...cbt_terrain.ask.linear import length
+from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.evaluate.plan import Plan, plan
+from ...cbt_terrain.field.heightfield import HeightField
+from ...cbt_terrain.field.store import open_store
+from ..export.frame_sources import SceneFrames, file_name
+from ..session.pauses import paused
+
+# Number of frames of a camera path that are measured if none are named.
+SPREAD = 4
+# The view where none is given: from the south-west, a third of a right angle above the horizon.
+LOOK_FROM, FOV_DEG = (-0.6, -0.65, 0.47), 50.0
+
+
+@dataclass
+class Subject:
+    """One terrain that is measured.
+
+    Attributes:
+        numbers: numbers of the frames.
+        seen: the camera, in words.
+        current: the setting that the scene (or an export) uses, None if it has no error.
+        base: the criterion that gives guard band and culling.
+        crops: pictures of some of the errors.
+        called: the object's name, "" for a store.
+        effects: the attributes that the scene reads.
+    """
+
+    name: str
+    heights: HeightField
+    frames: list[Frame]
+    numbers: list[int]
+    seen: str
+    current: Setting | None
+    base: Criterion = field(default_factory=Criterion)
+    rows: list[Row] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    crops: list[Crop] = field(default_factory=list)
+    called: str = ""
+    effects: Plan = Plan()
+
+    @property
+    def title(self) -> str:
+        """The name of the source file, and that of the object if it differs."""
+        file = Path(self.heights.provenance.get("settings", {}).get("source", "")).name or self.name
+        return file if slug(self.called or Path(file).stem) == slug(Path(file).stem) else f"{file}: {self.called}"
+
+    @property
+    def settings(self) -> list[Setting]:
+        """The settings of a whole sweep, after the current one if the sweep lacks it."""
+        settings = settings_for(self.heights, self.frames[0], self.base.morph)
+        return settings if self.current is None or self.current in settings else [self.current, *settings]
+
+
+def store_subject(store: Path, path: Path | None, frames: Sequence[int] | None, resolution: tuple[int, int]) -> Subject:
+    """Return a store seen along a camera path, or from a position that shows all of it."""
+    heights = open_store(store)
+    name, current = slug(Path(store).stem), Setting("px", Criterion().error_px)
+    size = f"{resolution[0]} x {resolution[1]} pixels"
+    if path is None:
+        view = overview(heights, resolution)
+        return Subject(name, heights, [Frame([view])], [], f"as a whole from the south-west, {size}", current)
+    flight = read_camera_path(path)
+    last = math.floor(flight.frames[-1])
+    numbers = list(frames or spread(math.ceil(flight.frames[0]), last))
+
+    def at(frame: int) -> Frame:
+        return Frame([flight.view(frame, resolution)])
+
+    shown = [Frame(at(n).views, after=at(n + 1) if n + 1 <= last else None) for n in numbers]
+    return Subject(name, heights, shown, numbers, f"along {Path(path).name}, {size}", current)
+
+
+def scene_subjects(
+    blend: Path, camera: str | None, frames: Sequence[int] | None, resolution: tuple[int, int] | None
+) -> list[Subject]:
+    """Return the terrains of a .blend file at the detail of the render; without `frames`, at the file's current frame.
+
+    Triangles that a clean-up cuts away are measured too: they change no error of the others.
+    """
+    source = SceneFrames(blend, camera, resolution)
+    import bpy
+
+    numbers = list(frames or [source.scene.frame_current])
+    look = {"camera": source.camera, "resolution": resolution}
+    found = look_at(source.scene, bpy.context.view_layer, source.objects, numbers, **look)
+    return [shown.subject(f"the camera of {Path(blend).name}") for shown in found]
+
+
+@dataclass(frozen=True)
+class Look:
+    """The request of a terrain at the first of some frames, and the terrain as each frame shows it."""
+
+    name: str
+    request: object
+    frames: list[Frame]
+    numbers: list[int]
+
+    def subject(self, through: str) -> Subject:
+        """Open the terrain, seen `through` a camera (in words), without touching Blender."""
+        from ..session import session
+
+        size = " x ".join(f"{pixels:g}" for pixels in self.frames[0].views[0].resolution)
+        request, seen = self.request, f"through {through}, {size} pixels"
+        heights, current = session.field_of(request), current_setting(request)
+        found = Subject(self.name, heights, self.frames, self.numbers, seen, current, request.criterion)
+        found.called, found.effects = self.name, plan(request.effects.asked)
+        found.notes += notes_on(request.criterion)
+        return found
+
+
+def look_at(scene, view_layer, objects, numbers: Sequence[int], **look) -> list[Look]:
+    """Return the view of the terrains `objects` at the frames `numbers` of `scene`, which are visited.
+
+    `look`: further arguments of `request.gather`. Each frame is followed by the next one, if the scene has one.
+    """
+    from ..terrain.request import RENDER, gather
+
+    requests, shown = {}, {}
+    with paused():
+        for number in sorted({n + step for n in numbers for step in (0, 1) if n + step <= max(scene.frame_end, n)}):
+            scene.frame_set(number)
+            for obj in objects:
+                request = gather(obj, view_layer.depsgraph, RENDER, **look)
+                # A criterion in metres needs no view, but its errors are measured on screen too.
+                views = request.views or gather(obj, view_layer.depsgraph, RENDER, criterion=Criterion(), **look).views
+                requests[obj.name, number] = request
+                shown[obj.name, number] = Frame(
+                    views, request.placement, request.vertical_scale, request.vertical_offset
+                )
+    return [
+        Look(
+            file_name(obj),
+            requests[obj.name, numbers[0]],
+            [replace(shown[obj.name, n], after=shown.get((obj.name, n + 1))) for n in numbers],
+            list(numbers),
+        )
+        for obj in objects
+    ]
+
+
+def current_setting(request) -> Setting | None:
+    """Return the part of a request that a sweep varies: its error in pixels or metres, limits, interpolation."""
+    criterion = request.criterion
+    unit = unit_asked(criterion)
+    if not unit:
+        return None
+    limits = criterion.max_depth, criterion.meshlet
+    return Setting(unit, getattr(criterion, f"error_{unit}"), *limits, interpolation=request.interpolation)
+
+
+def notes_on(criterion: Criterion) -> list[str]:
+    """Describe the parts of a criterion that a sweep leaves out."""
+    notes = []
+    if not unit_asked(criterion):
+        notes.append("The terrain asks for no error, so no setting is marked as the current one.")
+    if criterion.error_px and criterion.error_m:
+        notes.append("The terrain asks for metres too; the setting marked as current is its error in pixels alone.")
+    if criterion.edge_px or criterion.area_px or criterion.max_triangles is not None:
+        notes.append("Edge lengths, areas and limits of triangles that the terrain asks for are left out here.")
+    return notes
+
+
+def overview(heights: HeightField, resolution: tuple[int, int]) -> View:
+    """Return a view from three quarters above that shows the whole terrain."""
+    lattice = heights.lattice
+    x, y = (lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y
+    radius = 0.5 * math.hypot(x, y, heights.max_height - heights.min_height)
+    middle = np.array([0.0, 0.0, 0.5 * (heights.max_height + heights.min_height)])
+    half = math.atan(math.tan(math.radians(FOV_DEG) / 2) * min(resolution) / max(resolution))
+    distance = radius / math.sin(half)
+    eye = middle + distance * np.array(LOOK_FROM) / length(LOOK_FROM)
+    return View.look(eye, middle, fov_deg=FOV_DEG, resolution=resolution, clip=(1e-3 * distance, 10 * distance))
+
+
+def spread(first: int, last: int) -> list[int]:
+    """Return at most SPREAD whole frames from first to last, evenly spaced."""
+    count = min(SPREAD, max(last, first) - first + 1)
+    return sorted({round(n) for n in np.linspace(first, max(last, first), count)})
+
+
+def slug(name: str) -> str:
+    """Return the name in a form that a file's name can hold."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", name).strip("_").lower() or "terrain"

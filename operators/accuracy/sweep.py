@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sweep everything that an error can be asked with, and write the report that `adaptive-terrain accuracy` writes."""
+
+import os
+from contextlib import contextmanager
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.accuracy.sweep import sweep
+from ...cbt_terrain.ask.criterion import Criterion
+from ...cbt_terrain.errors import TerrainError
+from ..bridge.scene_paths import absolute_path
+from ..export.frame_sources import file_name
+from ..jobs import BackgroundJob
+from ..session import session
+from ..session.pauses import paused
+from ..terrain.request import RENDER, gather
+from . import report as accuracy_report
+from .measuring import MeasuringOperator
+from .plots import label
+from .subject import Look, Subject, look_at
+
+BESIDE = "//accuracy/"
+NOT_FOLLOWED = (
+    "the scene by a driver that looks at the scene itself; then popping here is that of a next frame in which that "
+    "stands still. The command measures it."
+)
+
+
+def report_folder(obj) -> Path:
+    """Return the terrain's folder for reports, in the folder that its settings name. Raises TerrainError."""
+    folder = obj.adaptive_terrain.reports
+    if folder.startswith("//") and not bpy.data.filepath:
+        raise TerrainError(
+            f"Reports go into {folder!r}, relative to the .blend file, which is not saved yet",
+            fix="save the file, or choose another folder",
+        )
+    path = Path(os.path.expanduser(absolute_path(folder)))
+    if not path.is_absolute():
+        raise TerrainError(
+            f"Reports go into {folder!r}, which is not a whole path", fix=f"choose a folder, or {BESIDE!r}"
+        )
+    return path / file_name(obj)
+
+
+def need_folder_of_its_own(obj) -> None:
+    """Raise TerrainError where another terrain's report would be written over this one's."""
+    place = obj.adaptive_terrain.reports, file_name(obj).casefold()
+    for other in session.all_terrains():
+        if other != obj and (other.adaptive_terrain.reports, file_name(other).casefold()) == place:
+            raise TerrainError(
+                f"The reports of {obj.name!r} and {other.name!r} would both be written to {file_name(obj)!r}",
+                fix="rename one of the terrains, or choose another folder",
+            )
+
+
+@contextmanager
+def beside(scene, view_layer):
+    """Yield a copy of the scene, and its view layer, that may go to other frames.
+
+    The scene itself stays at its frame, with changes that have no keyframe.
+    """
+    copy = scene.copy()
+    try:
+        yield copy, copy.view_layers[view_layer.name]
+    finally:
+        with paused():  # objects are shared: handlers of other extensions may have moved them
+            copy.frame_set(scene.frame_current, subframe=scene.frame_subframe)
+        bpy.data.scenes.remove(copy)
+
+
+def readers_of(scene) -> list[str]:
+    """Return the names of data that reads the scene itself, as some drivers do: in a copy they see the original's
+    frame."""
+    users = bpy.data.user_map(subset=[scene])[scene]
+    return sorted(user.name for user in users if user.id_type not in ("WINDOWMANAGER", "SCREEN", "WORKSPACE"))
+
+
+def measured(look: Look, through: str, job: BackgroundJob) -> Subject:
+    """Return the terrain with every row of a whole sweep; only meshes are written on the main thread."""
+    with session.engine_lock:
+        subject = look.subject(through)
+    settings = subject.settings
+
+    def on_progress(fraction: float) -> None:
+        at = min(int(fraction * len(settings)), len(settings) - 1)
+        job.progress(fraction, f"Report: {label(settings[at])}")
+
+    subject.rows = sweep(
+        subject.heights,
+        settings,
+        subject.frames,
+        base=subject.base,
+        effects=subject.effects,
+        write=lambda surface: job.call_on_main(lambda: accuracy_report.ingest_ms(surface)),
+        on_progress=on_progress,
+    )
+    accuracy_report.draw(subject)
+    return subject
+
+
+class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
+    """Measure this terrain at the detail of the render for every kind of setting: errors in pixels and metres, depth,
+    meshlets, interpolation and fit. Writes a page with plots and tables, and the same as CSV; takes a minute or more"""
+
+    bl_idname = "adaptive_terrain.sweep_accuracy"
+    bl_label = "Write Accuracy Report"
+    bl_options = {"REGISTER"}
+
+    def prepare(self, context):
+        obj, scene = context.object, context.scene
+        folder = report_folder(obj)
+        need_folder_of_its_own(obj)
+        # Raises errors that name this scene, not its copy.
+        gather(obj, context.evaluated_depsgraph_get(), RENDER, criterion=Criterion())
+        with beside(scene, context.view_layer) as (copy, view_layer):
+            [look] = look_at(copy, view_layer, [obj], [scene.frame_current])
+        accuracy_report.prepare(folder)
+        readers = readers_of(scene)
+        through = f"the camera of {Path(bpy.data.filepath).name or 'the scene'}"
+
+        def carry_out(job: BackgroundJob) -> tuple[Path, Subject]:
+            subject = measured(look, through, job)
+            if readers:
+                subject.notes.append(f"{' and '.join(readers)} may follow {NOT_FOLLOWED}")
+            job.progress(1.0, "Report: writing")
+            accuracy_report.write([subject], folder)
+            accuracy_report.check_bounds([subject])
+            return folder, subject
+
+        return carry_out
+
+    def clean_up(self):
+        accuracy_report.ingest_end()
+
+    def finish(self, _context, _obj, result: tuple[Path, Subject]) -> None:
+        folder, subject = result
+        self.report({"INFO"}, f"{folder / accuracy_report.PAGE}: {len(subject.rows)} settings measured")
+
+
+register, unregister = bpy.utils.register_classes_factory((SweepAccuracy,))

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Settings of effects: `object.adaptive_terrain.effects.<name>`, made from the effects' declarations."""
+
+import bpy
+import numpy as np
+from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty
+
+from ...cbt_terrain.effects.catalogue import EFFECTS
+from ...cbt_terrain.effects.effect import Effect, Parameter
+from ..terrain.detail_properties import changed
+
+ON_DEMAND, PINNED, OFF = "DEMAND", "PINNED", "OFF"
+WHEN = [
+    (ON_DEMAND, "On Demand", "Computed where a material, a modifier, a driver or an export reads it", "LINKED", 0),
+    (PINNED, "Pinned", "Computed always: for scripts, whose reads cannot be detected", "PINNED", 1),
+    (OFF, "Off", "Never given to a reader; other effects may still use it", "CANCEL", 2),
+]
+
+
+def is_number(parameter: Parameter) -> bool:
+    """Tell whether a parameter is a setting; others are gathered from the scene."""
+    return isinstance(parameter.default, int | float)
+
+
+def numbers_of(settings, name: str) -> tuple[tuple[str, float], ...]:
+    """Return the parameters of an effect that differ from their defaults in a terrain's evaluated settings."""
+    group, found = getattr(settings.effects, name), []
+    for parameter in filter(is_number, EFFECTS[name].parameters):
+        value = getattr(group, parameter.name)
+        if np.float32(value) != np.float32(parameter.default):  # as Blender keeps it
+            found.append((parameter.name, min(max(value, parameter.least), parameter.most)))
+    return tuple(found)
+
+
+def _property(parameter: Parameter):
+    about = f"{parameter.about} ({parameter.unit})" if parameter.unit else parameter.about
+    label = parameter.name.replace("_", " ").title()
+    words = {"name": label, "description": about, "default": parameter.default, "update": changed}
+    if isinstance(parameter.default, int):
+        return IntProperty(**words, min=int(parameter.least), max=int(parameter.most))
+    return FloatProperty(**words, min=parameter.least, max=parameter.most, precision=3)
+
+
+def _settings_of(effect: Effect) -> type:
+    """Return a property group with when the effect is computed, and its numbers."""
+    when = EnumProperty(name=effect.name, description=effect.about, items=WHEN, update=changed)
+    numbers = {parameter.name: _property(parameter) for parameter in filter(is_number, effect.parameters)}
+    members = {"__annotations__": {"when": when} | numbers, "__doc__": effect.about}
+    return type(f"AdaptiveTerrainEffect_{effect.name}", (bpy.types.PropertyGroup,), members)
+
+
+GROUPS = {name: _settings_of(effect) for name, effect in EFFECTS.items()}
+_scale = FloatProperty(
+    name="Geometry Scale",
+    description="The scale in metres at which modifiers and geometry nodes read effects, whatever the camera sees; 0 "
+    "is the height map's group spacing",
+    default=0.0, min=0.0, soft_max=1000.0, precision=2, unit="LENGTH", update=changed,
+)  # fmt: skip
+EffectsSettings = type(
+    "AdaptiveTerrainEffects",
+    (bpy.types.PropertyGroup,),
+    {
+        "__annotations__": {"geometry_metres": _scale}
+        | {name: PointerProperty(type=group) for name, group in GROUPS.items()},
+        "__doc__": "When effects are computed, and with which numbers; a member for each, of the effect's name.",
+    },
+)
+CLASSES = (*GROUPS.values(), EffectsSettings)

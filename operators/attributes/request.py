@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The effects that a terrain computes: those that its scene reads or that are pinned, without those switched off."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from ...cbt_terrain.effects.catalogue import EFFECTS
+from ...cbt_terrain.effects.effect import GEOMETRY, PICTURE, Asked
+from ...cbt_terrain.effects.layers import lacks
+from ...cbt_terrain.effects.splat import NAMES
+from ...cbt_terrain.evaluate.evaluate import Ran
+from ...cbt_terrain.evaluate.plan import Plan
+from ...cbt_terrain.field.heightfield import HeightField
+from ..bridge.demand import kept
+from ..bridge.demand.found import ACTIVE_COLOR, ALL, Demand, Reader
+from ..layers.decals import decals_given
+from ..layers.properties import barren, color_given, layers_given
+from .properties import OFF, PINNED, numbers_of
+from .sun_lamps import suns_over
+
+PIN = Reader("a pin", PICTURE)
+
+
+@dataclass(frozen=True)
+class Effects:
+    """`asked`: effects to compute. `off`: those that are switched off, by name, with who would read them.
+    `geometry_metres`: the scale of what geometry is made from; 0 is the raster's own."""
+
+    asked: tuple[Asked, ...] = ()
+    off: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    geometry_metres: float = 0.0
+
+
+@dataclass(frozen=True)
+class EffectStatus:
+    """State of an effect after the last update. `readers`: in words. `skipped`: why it was not computed, or "". `ms`,
+    `nbytes` and `computed`: as of Ran in evaluate/evaluate.py. `note`: what else there is to know."""
+
+    readers: tuple[str, ...] = ()
+    family: str = ""
+    ms: float = 0.0
+    nbytes: int = 0
+    computed: int = 0
+    skipped: str = ""
+    note: str = ""
+
+
+# Parameters that are no numbers of the settings: by effect, made from (evaluated terrain, its placement, dependency
+# graph) if the effect is computed.
+Given = Callable[[object, np.ndarray, object], Mapping[str, object]]
+GIVEN: dict[str, Given] = {"sun": lambda _terrain, placement, depsgraph: {"suns": suns_over(placement, depsgraph)}}
+GIVEN |= dict.fromkeys(NAMES, lambda terrain, _placement, _depsgraph: layers_given(terrain.adaptive_terrain))
+
+GIVEN["detail_normal"] = partial(decals_given, tilts=True)
+GIVEN["color"] = lambda terrain, placement, depsgraph: (
+    color_given(terrain.adaptive_terrain) | decals_given(terrain, placement, depsgraph, tilts=False)
+)
+
+
+def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, names: Iterable[str] | None) -> Effects:
+    """Return the effects of the terrain `obj`. `names`: effects of an export, in place of those that the scene
+    reads."""
+    settings = evaluated.adaptive_terrain
+    found = _read(obj, depsgraph, mode) if names is None else {n: [Reader("the export", GEOMETRY)] for n in names}
+    asked, off = [], []
+    for name in EFFECTS:
+        readers, when = found.get(name, []), getattr(settings.effects, name).when
+        if when == PINNED and names is None:
+            readers = [*readers, PIN]
+        words = tuple(dict.fromkeys(reader.words for reader in readers))
+        if when == OFF and names is None:
+            off.append((name, words))
+        elif readers:
+            family = GEOMETRY if any(reader.family == GEOMETRY for reader in readers) else PICTURE
+            given = GIVEN[name](evaluated, placement, depsgraph) if name in GIVEN else {}
+            parameters = tuple(sorted((*numbers_of(settings, name), *given.items())))
+            asked.append(Asked(name, words, family, parameters))
+    return Effects(tuple(asked), tuple(off), settings.effects.geometry_metres)
+
+
+def statuses(effects: Effects, plan: Plan, ran: Mapping[str, Ran], heights: HeightField) -> dict[str, EffectStatus]:
+    """Return the status of each effect on a terrain by its name."""
+    found = {}
+    for step in plan.steps:
+        took = ran.get(step.name, Ran(0.0, 0, 0))
+        found[step.name] = EffectStatus(step.readers, step.family, took.ms, took.nbytes, took.computed)
+        found[step.name] = replace(found[step.name], note=_note(step, heights))
+    off = dict(effects.off)
+    for name, why in plan.skipped.items():
+        found[name] = EffectStatus(off.get(name, ()), skipped=_switched_off(off[name]) if name in off else why)
+    return {name: found[name] for name in EFFECTS}
+
+
+def _note(step: Asked, heights: HeightField) -> str:
+    """Why an effect is nothing where one may not expect it, or ""."""
+    if why := lacks(heights, step.name):
+        return f"0, since {why}"
+    given = dict(step.parameters)
+    if given.get("suns") == ():
+        return "0, since no sun lamp shines in the scene"
+    return barren(given.get("layers", ()))
+
+
+def _switched_off(readers: tuple[str, ...]) -> str:
+    return f"switched off, read by {' and '.join(readers)}" if readers else "switched off"
+
+
+def _read(obj, depsgraph, mode: str) -> dict[str, list[Reader]]:
+    """Return the readers in the scene by the name of the effect, with "everything" and the active colours resolved."""
+    demand = kept.demand_of(obj, depsgraph, mode)
+    found = Demand({name: list(readers) for name, readers in demand.items()})
+    everything = {name: demand.get(ALL, []) for name in EFFECTS}
+    colours = {obj.data.attributes.active_color_name, obj.data.attributes.default_color_name}
+    found.merge(Demand(everything | {name: demand.get(ACTIVE_COLOR, []) for name in colours if name}))
+    return found

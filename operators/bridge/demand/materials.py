@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Attributes that materials read of their mesh, and that rays of other shaders read of it."""
+
+from dataclasses import dataclass, field
+from itertools import islice
+
+import bpy
+import numpy as np
+
+from ....cbt_terrain.effects.effect import PICTURE
+from .found import ACTIVE_COLOR, ACTIVE_UV, ALL, Demand
+from .readers import HIT
+from .trees import Trees, nodes_inside
+from .walk import NodeWalk
+
+# The material output that an engine uses.
+ENGINES = {"CYCLES": "CYCLES", "BLENDER_EEVEE": "EEVEE", "BLENDER_EEVEE_NEXT": "EEVEE"}
+WORKBENCH = "BLENDER_WORKBENCH"
+MAX_AOVS = 1000
+HAS_RAYS = bpy.app.version >= (5, 1)
+
+
+@dataclass
+class Shading:
+    """How a scene shows materials.
+
+    Attributes:
+        targets: the used outputs.
+        aovs: names of the view layers' AOVs.
+        osl: whether OSL scripts run.
+        trees: node trees read so far.
+    """
+
+    targets: set[str]
+    aovs: set[str]
+    osl: bool
+    trees: Trees = field(default_factory=Trees)
+
+
+def shading_of(scene, layers, preview: bool) -> Shading:
+    """Return how a scene shows materials. `preview`: include EEVEE, which a viewport may show at any time."""
+    engine = scene.render.engine
+    targets = set() if engine == WORKBENCH else {ENGINES[engine]} if engine in ENGINES else {"ALL", "CYCLES", "EEVEE"}
+    if preview:
+        targets |= {"EEVEE"}
+    osl = engine == "CYCLES" and bool(getattr(getattr(scene, "cycles", None), "shading_system", False))
+    return Shading(targets, {aov.name for layer in layers for aov in layer.aovs}, osl)
+
+
+def read_material(found: Demand, material, shading: Shading) -> None:
+    """Add the attributes that a material reads of its mesh."""
+    tree = material.node_tree
+    if tree is None or bpy.app.version < (5, 0) and not material.use_nodes:
+        return
+    _read_shader(found, tree, f"material {material.name}", shading)
+
+
+def read_rays(found: Demand, materials: set, shading: Shading) -> None:
+    """Add the attributes that rays of any shader, except the mesh's `materials`, read where they hit the mesh."""
+    if not HAS_RAYS:
+        return
+    blocks = [(block, kind) for kind in ("material", "world", "light") for block in getattr(bpy.data, kind + "s")]
+    for block, kind in blocks:
+        tree = block.node_tree
+        if tree is None or block in materials or not any(_hits_others(node) for node in nodes_inside(tree)):
+            continue
+        everything = Demand()
+        _read_shader(everything, tree, f"{kind} {block.name}", shading)
+        for name, readers in everything.items():
+            for reader in readers:
+                if HIT in reader.words:
+                    found.add(name, *reader)
+
+
+def read_workbench(found: Demand, shading, words: str) -> None:
+    """Add the attribute that Workbench reads for a solid shading."""
+    name = {"VERTEX": ACTIVE_COLOR, "TEXTURE": ACTIVE_UV}.get(shading.color_type)
+    if name:
+        found.add(name, words, PICTURE)
+
+
+def used_slots(obj) -> set[int]:
+    """Return the numbers of the material slots that faces use."""
+    last = len(obj.material_slots) - 1
+    numbers = obj.data.attributes.get("material_index") if hasattr(obj.data, "attributes") else None
+    if last < 0 or numbers is None or numbers.domain != "FACE":
+        return {0} if last >= 0 else set()
+    used = np.zeros(len(numbers.data), np.int32)
+    numbers.data.foreach_get("value", used)
+    return set(np.unique(np.clip(used, 0, last)).tolist())
+
+
+def _hits_others(node) -> bool:
+    return node.bl_idname == "ShaderNodeRaycast" and not node.only_local and len(node.sample_attribute_items) > 0
+
+
+def _read_shader(found: Demand, tree, words: str, shading: Shading) -> None:
+    walk = NodeWalk(found, words, PICTURE, shading.trees, osl=shading.osl)
+    ends = {end.as_pointer(): (end, ()) for target in shading.targets if (end := tree.get_output_node(target))}
+    aovs = list(islice(_aov_ends(tree, shading.aovs, ()), MAX_AOVS)) if shading.aovs else []
+    if len(aovs) == MAX_AOVS:
+        found.add(ALL, f"{words} (too many AOV outputs to follow)", PICTURE)
+    for end, context in [*ends.values(), *aovs]:
+        for socket in end.inputs:
+            walk.visit(end, socket, context)
+
+
+def _aov_ends(tree, names: set[str], context: tuple):
+    """Yield the AOV outputs of a tree and of its groups, each with its context."""
+
+    def is_one(node) -> bool:
+        return node.bl_idname == "ShaderNodeOutputAOV" and node.aov_name in names and not node.mute
+
+    for node in tree.nodes:
+        inner = None if node.mute else getattr(node, "node_tree", None)
+        if is_one(node):
+            yield node, context
+        elif inner is not None and any(map(is_one, nodes_inside(inner))):
+            yield from _aov_ends(inner, names, (*context, node))

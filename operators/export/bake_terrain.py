@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bake a static mesh: one vertical error everywhere, no camera."""
+
+import bpy
+
+from ...cbt_terrain.ask.criterion import Criterion
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.fit.fit import bake as bake_mesh
+from ...cbt_terrain.fit.fit import check_interpolation
+from ...cbt_terrain.run import warmup
+from ..bridge.cleanup import clean_up
+from ..bridge.writer import write_mesh
+from ..session import session
+from ..session.polls import on_terrain_object
+from ..terrain.request import gather
+from ..text.shown_bounds import bound_text, limit_text
+
+
+def bake(obj, depsgraph, error_m: float, fitted: bool = False):
+    """Add an ordinary object beside the terrain `obj`, whose mesh is at most `error_m` metres off in height.
+
+    Return it with the engine's Update. The triangle limit is that of the render settings, and so is the meshlet level
+    unless the mesh is `fitted`: then its vertices leave the surface to save triangles, and each leaf is one triangle.
+    """
+    detail = obj.adaptive_terrain.render
+    criterion = Criterion(
+        error_px=0.0,
+        error_m=error_m,
+        meshlet=detail.meshlet,
+        max_triangles=detail.max_triangles if detail.limit_triangles else None,
+    )
+    request = gather(obj, depsgraph, criterion=criterion)
+    if fitted:
+        check_interpolation(request.interpolation)
+    warmup.wait()
+    with session.engine_lock:
+        update = bake_mesh(
+            session.field_of(request),
+            error_m,
+            fitted=fitted,
+            max_triangles=criterion.max_triangles,
+            meshlet=criterion.meshlet,
+            vertical_scale=request.vertical_scale,
+            vertical_offset=request.vertical_offset,
+        )
+        mesh = bpy.data.meshes.new(f"{obj.name} baked")
+        write_mesh(mesh, clean_up(update.surface, request.cleanup), smooth=request.smooth)
+    for material in obj.data.materials:
+        mesh.materials.append(material)
+    baked = bpy.data.objects.new(mesh.name, mesh)
+    baked.matrix_world = obj.matrix_world
+    for collection in obj.users_collection:
+        collection.objects.link(baked)
+    return baked, update
+
+
+class BakeTerrain(bpy.types.Operator):
+    """Make an ordinary mesh object with one vertical error everywhere, independent of any camera"""
+
+    bl_idname = "adaptive_terrain.bake"
+    bl_label = "Bake Static Mesh"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        return on_terrain_object(cls, context)
+
+    def execute(self, context):
+        obj = context.object
+        settings = obj.adaptive_terrain
+        try:
+            baked, update = bake(obj, context.evaluated_depsgraph_get(), settings.bake_error_m, settings.bake_fit)
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        message = f"{len(baked.data.polygons):,} triangles, at most {bound_text(update.bound_m, 'm')} off"
+        if update.limited:
+            self.report({"WARNING"}, f"{message}: held back by {limit_text(update.limited)}")
+        else:
+            self.report({"INFO"}, message)
+        return {"FINISHED"}
+
+
+register, unregister = bpy.utils.register_classes_factory((BakeTerrain,))

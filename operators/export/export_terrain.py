@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Export the terrain of the current frame, at the detail of the render."""
+
+from pathlib import Path
+
+import bpy
+from bpy_extras.io_utils import ExportHelper
+
+from ...cbt_terrain.errors import TerrainError
+from ..session import session
+from ..session.polls import on_terrain_object
+from ..terrain.request import RENDER
+from .formats import FORMATS, format_of
+
+GLOB = ";".join(f"*.{name}" for name, form in FORMATS.items() if not form.is_whole_scene)
+
+
+class ExportTerrain(bpy.types.Operator, ExportHelper):
+    """Write the terrain as the camera sees it at this frame, at the detail of the render, to a file"""
+
+    bl_idname = "adaptive_terrain.export"
+    bl_label = "Export"
+
+    filename_ext = ".ply"
+    check_extension = None  # the suffix that the user types is the format
+    filter_glob: bpy.props.StringProperty(default=GLOB, options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context):
+        return on_terrain_object(cls, context)
+
+    def execute(self, context):
+        try:
+            self._write(context, Path(self.filepath))
+        except (TerrainError, OSError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        finally:
+            self._restore_viewport(context.object)
+        return {"FINISHED"}
+
+    def _write(self, context, path: Path):
+        from ...cbt_terrain.run.partial_files import remove_abandoned
+        from .exporting import check_target, figures, write_piece
+        from .frame_sources import scene_piece
+
+        try:
+            format_of(path)
+        except ValueError as error:
+            raise TerrainError(f"The file {error}") from None
+        check_target(path)
+        remove_abandoned(path.parent)
+        piece = scene_piece(context.object, context.evaluated_depsgraph_get(), context.scene.frame_current)
+        write_piece(piece, path)
+        triangles = figures(piece)["triangles"]
+        if triangles:
+            self.report({"INFO"}, f"{path.name}: {triangles:,} triangles")
+        else:
+            self.report({"WARNING"}, f"{path.name}: nothing is left of the terrain; check its clean-up, and its holes")
+
+    def _restore_viewport(self, obj):
+        """Give the viewport its detail back, also after a failed export."""
+        if session.record_of(obj).status.mode != RENDER:
+            return
+        try:
+            session.update_object(obj)
+        except TerrainError as error:
+            self.report({"WARNING"}, str(error))
+
+
+register, unregister = bpy.utils.register_classes_factory((ExportTerrain,))

@@ -1,0 +1,323 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Frames to files: each written beside and renamed, each frame closed by a summary that says that it is complete."""
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, contextmanager
+from functools import cache
+from pathlib import Path
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.mesh.archive import finite_json, write_npz
+from ...cbt_terrain.run import stopping
+from ...cbt_terrain.run.owned_files import real_path, remove_file
+from ...cbt_terrain.run.partial_files import (
+    final_names,
+    is_device,
+    private_folder,
+    remove_abandoned,
+    written_among,
+    written_beside,
+)
+from ..session.pauses import paused
+from ..text.console import quiet
+from .blender_exporters import only_selected
+from .formats import FORMATS, format_of
+from .frame_sources import Piece, bounds_of
+from .read_back import count_triangles
+from .summaries import (
+    closed_summary,
+    complete_summary,
+    content_digest,
+    file_sizes,
+    input_name,
+    settings_digest,
+    summary_name,
+)
+
+# More than the blocks in which Blender's exporters write.
+PROBE_BYTES = 1 << 16
+
+
+def export_frames(
+    source,
+    frames: Sequence[int],
+    formats: Sequence[str],
+    out: Path,
+    *,
+    resume: bool = False,
+    on_frame: Callable[[int, dict, bool], None] = lambda frame, summary, skipped: None,
+) -> None:
+    """Write every frame of `source` (a StoreFrames or SceneFrames) into the folder `out`.
+
+    A frame's files are `NAME_FRAME.FORMAT`; `frame_FRAME.json`, written last, holds its figures and digests. With
+    `resume`, frames are left as they are if settings, inputs and files agree with the digests in their summaries.
+    Several processes may write into one folder at once.
+    """
+    write_frames(
+        lambda frame: _export_frame(source, frame, formats, out),
+        source.settings,
+        source.inputs,
+        frames,
+        out,
+        formats=formats,
+        resume=resume,
+        on_frame=on_frame,
+    )
+
+
+def write_frames(
+    write: Callable[[int], dict],
+    settings: dict,
+    inputs: Callable[[int], Sequence[Path]],
+    frames: Sequence[int],
+    out: Path,
+    *,
+    formats: Sequence[str] = (),
+    resume: bool,
+    on_frame: Callable[[int, dict, bool], None],
+) -> None:
+    """Have `write` write each frame's files into `out`, and close the frame with the dict that it returns: "files"
+    (sizes in bytes by name), "terrains" (their figures) and "elapsed_ms".
+
+    `settings`: what all frames have in common, as JSON. `inputs`: the files that a frame is made of. They are read
+    once, before the first frame that needs them: Blender keeps them, too, and a later change is none of these frames'.
+    """
+    make_folder(out)
+    settings, contents = settings_digest(settings), cache(content_digest)
+    for frame in frames:
+        stopping.check()
+        summary_path = out / summary_name(frame)
+        digests = {input_name(path, out): contents(path) for path in inputs(frame)}
+        complete = complete_summary(out, frame, settings, digests, formats)
+        if complete is not None and resume:
+            on_frame(frame, complete, True)
+            continue
+        if complete is None:  # it would describe the old files
+            _remove_summary(summary_path)
+        summary = {"frame": frame, "settings": settings, "inputs": digests, **write(frame)}
+        summary = closed_summary(summary, out)
+        write_text(summary_path, finite_json(summary, str(summary_path), indent=1) + "\n")
+        on_frame(frame, summary, False)
+
+
+def _remove_summary(path: Path) -> None:
+    """Remove the summary of a frame that is about to be written again. Raises TerrainError."""
+    try:
+        _replace_special(path)
+        remove_file(path, may_be_link=True)
+    except OSError as error:
+        raise TerrainError(
+            f"{path} cannot be replaced ({error.strerror})",
+            expected="a folder with files that can be changed",
+            fix="choose another",
+        ) from None
+
+
+def _replace_special(path: Path) -> None:
+    """Put an empty file in the place of a link, a pipe or a socket, whatever a link leads to."""
+    if path.is_symlink() or path.is_fifo() or path.is_socket():
+        with private_folder(path.parent) as folder:
+            (folder / path.name).touch()
+            os.replace(folder / path.name, path)
+
+
+def make_folder(path: Path) -> None:
+    """Make the folder and its missing parents, and remove what killed processes have left in it.
+
+    Raises TerrainError.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise TerrainError(f"{path} is, or is inside, a file", expected="a folder", fix="choose another path") from None
+    except OSError as error:
+        raise TerrainError(f"The folder {path} cannot be made ({error.strerror})", fix="choose another path") from None
+    remove_abandoned(path)
+
+
+def check_target(path: Path) -> None:
+    """Raise TerrainError where a file cannot be written to `path` because of what stands, or does not stand, there."""
+    if path.parent.is_file():
+        raise TerrainError(
+            f"{path.parent} is a file", expected=f"a folder to write {path.name} into", fix="choose another"
+        )
+    if not os.path.isdir(path.parent):
+        raise TerrainError(
+            f"There is no folder {path.parent} to write {path.name} into", fix="make it, or choose another"
+        )
+    if os.path.isdir(path):  # which raises for no name
+        raise TerrainError(f"{path} is a folder", expected="a file to write", fix="choose another name")
+    if is_device(path):
+        raise TerrainError(f"{path} is a device or a pipe", expected="a file to write", fix="choose another name")
+
+
+@contextmanager
+def named_failures(path: Path):
+    """Turn failures of the block to write `path` into one sentence that names it."""
+    check_target(path)
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+    except RuntimeError as error:  # what Blender's exporters report; of a traceback, the last line
+        lines = [line for line in str(error).strip().splitlines() if not line.startswith("Location: ")]
+        reason = (lines or ["no reason given"])[-1].removeprefix("Error: ")
+    else:
+        return
+    raise TerrainError(
+        f"{path} cannot be written ({final_names(str(reason))})", fix="check the disk, or choose another folder"
+    )
+
+
+def check_room(path: Path, size: int) -> None:
+    """Raise TerrainError where `size` bytes cannot be written beside `path`."""
+    with named_failures(path), private_folder(path.parent) as folder:
+        (folder / path.name).write_bytes(bytes(size))
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, atomically; raises TerrainError where that cannot be."""
+    write_files(path.parent, {path.name: text})
+
+
+def write_files(folder: Path, contents: dict[str, str | bytes]) -> None:
+    """Write files, by name, into a folder: old ones are replaced once all are written, else none."""
+    with ExitStack() as stack:
+        for path, content in ((folder / name, content) for name, content in contents.items()):
+            stack.enter_context(named_failures(path))
+            whole = content if isinstance(content, bytes) else content.encode()
+            stack.enter_context(written_beside(path)).write_bytes(whole)
+
+
+def _export_frame(source, frame: int, formats: Sequence[str], out: Path) -> dict:
+    """Write one frame's files; returns sizes in bytes by file name, and each terrain's figures."""
+    start = time.perf_counter()
+    files, pieces = [], []
+    for piece in source.pieces(frame):
+        for form in formats:
+            if not FORMATS[form].is_whole_scene:
+                files.append(out / f"{piece.name}_{frame:04d}.{form}")
+                write_piece(piece, files[-1])
+        if source.with_scatters:
+            files += _write_scatters(piece, frame, out)
+        pieces.append(piece)
+    for form in formats:
+        if FORMATS[form].is_whole_scene:
+            files.append(out / f"{source.name}_{frame:04d}.{form}")
+            FORMATS[form].call("write", pieces, files[-1])
+    elapsed = (time.perf_counter() - start) * 1e3
+    return {
+        "files": file_sizes(files, out),
+        "terrains": [figures(piece) for piece in pieces],
+        "elapsed_ms": round(elapsed, 3),
+    }
+
+
+def _write_scatters(piece: Piece, frame: int, out: Path) -> list[Path]:
+    """Write the scatters of a piece; returns the files."""
+    from .scatter_files import write_points_csv
+
+    files = []
+    for name, (points, placement) in piece.scatters.items():
+        files.append(out / f"{name}_{frame:04d}.csv")
+        with named_failures(files[-1]):
+            write_points_csv(files[-1], points, placement)
+    return files
+
+
+def figures(piece: Piece) -> dict:
+    """Return the figures of one terrain for the summary, with times, which nothing else of an export has."""
+    update = piece.update
+    return {
+        "name": piece.name,
+        "triangles": len(piece.surface.triangles),
+        "vertices": len(piece.surface.positions),
+        **bounds_of(update),
+        "ms": {step: round(ms, 3) for step, ms in update.ms.items()},
+    }
+
+
+def write_piece(piece: Piece, path: Path) -> None:
+    """Write one terrain to `path`; the suffix is the format."""
+    format_of(path).call("write", [piece], path)
+
+
+def write_arrays(pieces: Sequence[Piece], path: Path) -> None:
+    """Write one terrain's arrays to an .npz."""
+    [piece] = pieces
+    with named_failures(path):
+        write_npz(path, piece.surface, piece.origin, piece.info, piece.tree)
+
+
+@contextmanager
+def _written_by_blender(path: Path, written=written_beside):
+    """Write a file by Blender's exporters, which print tracebacks: find out first whether it can be written at all.
+
+    No handler of this extension runs meanwhile: an exporter may change the frame while it reads the mesh.
+    """
+    with written(path) as partial, paused():
+        partial.touch()
+        remove_file(partial, may_be_link=True)
+        yield partial
+
+
+def _need_all_written(path: Path) -> None:
+    """Raise OSError where a file cannot grow, RuntimeError where there is none: Blender's PLY, OBJ and STL writers do
+    not say that a full disk, a quota or a limit has cut theirs short."""
+    if not path.exists():
+        raise RuntimeError("Blender wrote nothing")
+    with path.open("r+b") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.write(bytes(PROBE_BYTES))
+        file.flush()
+        os.fsync(file.fileno())
+        file.truncate(size)
+
+
+def write_blend(pieces: Sequence[Piece], path: Path) -> None:
+    """Save a copy of the open file, which keeps its path.
+
+    To read it back takes as long as to write it, so the meshes of `pieces` are counted before Blender copies them.
+    """
+    import bpy
+
+    path = real_path(path)
+    for piece in pieces:
+        _need_count(piece, path, len(piece.obj.data.polygons))
+    with named_failures(path), _written_by_blender(path, written_among) as partial, quiet():
+        bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, compress=True)
+        _need_all_written(partial)
+
+
+def write_with_blender(pieces: Sequence[Piece], path: Path) -> None:
+    """Write one terrain by Blender's own exporter, in that exporter's usual axes: glb and obj have y up, the rest z.
+
+    The file holds the terrain's own mesh, whose bound is known, without modifiers. It is read back before it gets its
+    name.
+    """
+    [piece] = pieces
+    form = format_of(path)
+    with named_failures(path), _written_by_blender(path) as partial:
+        with only_selected(piece.obj), quiet(1, 2):  # the OBJ exporter prints on stderr; errors are raised too
+            form.call("export", piece.obj, str(real_path(partial)))
+        _need_all_written(partial)
+        try:
+            found = count_triangles(partial)
+        except ValueError as reason:
+            raise RuntimeError(str(reason)) from None
+        _need_count(piece, path, found)
+        if form.finish:
+            form.call("finish", piece, partial)
+
+
+def _need_count(piece: Piece, path: Path, found: int) -> None:
+    """Raise TerrainError where a file would hold another mesh than its summary says."""
+    expected = len(piece.surface.triangles)
+    if found != expected:
+        raise TerrainError(
+            f"{path} would hold {found:,} triangles where the terrain {piece.name!r} has {expected:,}, and is not "
+            "written",
+            fix="remove what changes or multiplies its mesh in Blender (instances, handlers of other extensions)",
+        )

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pictures of the compositor's File Output nodes: written into a private folder while a frame is rendered, and moved to
+their places when it is complete."""
+
+import itertools
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError, shown
+from ...cbt_terrain.run.owned_files import real_path
+from ...cbt_terrain.run.partial_files import written_beside
+from ..bridge.scene_paths import absolute_path
+from .exporting import check_target, make_folder, named_failures
+
+FOLDER_PROPERTIES = ("directory", "base_path")  # of a File Output node: from Blender 5.0 on, and before
+FRAME_NUMBER = "####"  # which Blender replaces
+
+
+@contextmanager
+def redirected_outputs(scene, folder: Path) -> Iterator[None]:
+    """Let the File Output nodes of a scene write below `folder` during the block: each to its whole path, from there.
+
+    So Blender still fills in the names in braces that stand in a node's own path. From 5.0 on it leaves the frame's
+    number out of the names while it renders one frame; here they get it, as in a render of all frames.
+    """
+    nodes = output_nodes(scene)
+    for node in nodes:
+        _need_names_below(node)
+    before = [node_folder(node) for node in nodes]
+    names = [(node, _names_of(node)) for node in nodes if hasattr(node, "file_name")]
+    try:
+        for node, path in zip(nodes, before, strict=True):
+            drive, tail = os.path.splitdrive(_whole(path))
+            below = os.path.join(literal(folder / _drive_name(drive)), tail.lstrip("/\\"))
+            _set_folder(node, below)
+            _check_whole(node, below, node_folder(node))
+        for node, (name, items) in names:
+            numbered = _numbered_names(node, name, items)
+            _set_names(node, *numbered)
+            _check_whole(node, numbered, _names_of(node))
+        yield
+    finally:
+        for node, path in zip(nodes, before, strict=True):
+            _set_folder(node, path)
+        for node, (name, items) in names:
+            _set_names(node, name, items)
+
+
+def publish_outputs(scene, folder: Path) -> list[Path]:
+    """Move the files that nodes have written below `folder` to their places; returns these. Raises TerrainError."""
+    moves = []
+    for drive in sorted({os.path.splitdrive(_whole(node_folder(node)))[0] for node in output_nodes(scene)}):
+        below = folder / _drive_name(drive)
+        files = sorted(Path(inner) / name for inner, _, names in os.walk(below) for name in names)
+        moves += [(file, Path(drive + os.sep) / file.relative_to(below)) for file in files]
+    for _, place in moves:
+        make_folder(place.parent)
+        check_target(place)
+    for file, place in moves:
+        with named_failures(place), written_beside(place) as partial:
+            shutil.move(file, partial)  # a rename, or a copy where the place is on another disk
+    return [place for _, place in moves]
+
+
+def output_nodes(scene) -> list:
+    """List the File Output nodes of a scene's compositor, also those in its groups."""
+    if hasattr(scene, "compositing_node_group"):  # from Blender 5.0 on
+        trees = [scene.compositing_node_group]
+    else:
+        trees = [scene.node_tree if scene.use_nodes else None]
+    trees, nodes = [tree for tree in trees if tree], []
+    for tree in trees:
+        nodes += [node for node in tree.nodes if node.type == "OUTPUT_FILE"]
+        inner = (getattr(node, "node_tree", None) for node in tree.nodes)
+        trees += [tree for tree in inner if tree and tree not in trees]
+    return nodes
+
+
+def output_folders(scene) -> list[Path]:
+    """List the folders that File Output nodes write to, as far as they are the same for all frames."""
+    found = []
+    for node in output_nodes(scene):
+        path = os.path.abspath(absolute_path(node_folder(node)))
+        is_file = hasattr(node, "base_path") and node.format.file_format == "OPEN_EXR_MULTILAYER"
+        parts = Path(os.path.dirname(path) if is_file else path).parts
+        found.append(Path(*itertools.takewhile(lambda part: not set("{#") & set(part), parts)))
+    return list(dict.fromkeys(found))
+
+
+def folders_outside(scene, *homes: Path) -> list[Path]:
+    """List the folders that File Output nodes write to and that are in none of `homes`, links resolved."""
+    homes = [real_path(home) for home in homes]
+    return [
+        folder for folder in output_folders(scene) if not any(real_path(folder).is_relative_to(home) for home in homes)
+    ]
+
+
+def node_folder(node) -> str:
+    """Return the path that a File Output node writes to, as the file has it."""
+    return next(getattr(node, name) for name in FOLDER_PROPERTIES if hasattr(node, name))
+
+
+def literal(path: Path) -> str:
+    """Return a path for Blender to write to: from 4.5 on it puts values in the place of names in braces."""
+    return str(path) if bpy.app.version < (4, 5, 0) else str(path).replace("{", "{{").replace("}", "}}")
+
+
+def _set_folder(node, path: str) -> None:
+    setattr(node, next(name for name in FOLDER_PROPERTIES if hasattr(node, name)), path)
+
+
+def _check_whole(node, wanted, actual) -> None:
+    """Raise TerrainError where Blender has cut a name short, as it does without a word."""
+    if actual != wanted:
+        raise TerrainError(
+            f"The path or a name of the File Output node {shown(node.name)!r} is too long for Blender with the frame's "
+            f"folder and number; it was cut to {shown(actual, 100)}",
+            fix="shorten it, or choose another --out",
+        )
+
+
+def _need_names_below(node) -> None:
+    """Raise TerrainError for a name of a file that leads out of the node's folder: nothing would find that file."""
+    if hasattr(node, "base_path"):  # before Blender 5.0
+        names = [slot.path for slot in node.file_slots]
+    else:
+        name, items = _names_of(node)
+        names = [name, *items]
+    wrong = next((name for name in names if ".." in name.replace("\\", "/").split("/")), None)
+    if wrong is not None:
+        raise TerrainError(
+            f"The File Output node {shown(node.name)!r} has the name {shown(wrong)!r}, which leads out of its folder",
+            expected="a name below it",
+            fix="put the folder into the node's path",
+        )
+
+
+def _names_of(node) -> tuple[str, list[str]]:
+    return node.file_name, [item.name for item in node.file_output_items]
+
+
+def _set_names(node, name: str, items: list[str]) -> None:
+    node.file_name = name
+    for item, item_name in zip(node.file_output_items, items, strict=True):
+        if item.name != item_name:  # which would make new sockets
+            item.name = item_name
+
+
+def _numbered_names(node, name: str, items: list[str]) -> tuple[str, list[str]]:
+    """Return the names of a node's file and items with a place for the frame's number, which may have one already."""
+    if node.format.media_type == "MULTI_LAYER_IMAGE":  # items are layers of one file
+        return _numbered(name), items
+    return name, [_numbered(name + item)[len(name) :] for item in items]
+
+
+def _numbered(name: str) -> str:
+    return name if "#" in name.rsplit("/", 1)[-1] else name + FRAME_NUMBER
+
+
+def _whole(path: str) -> str:
+    """Return an absolute path; a separator at its end, after which Blender puts a file's name, stays."""
+    if path.startswith("//"):
+        path = os.path.join(literal(Path(bpy.data.filepath).parent), path[2:])
+    end = os.sep if path.endswith(("/", "\\")) else ""
+    return os.path.abspath(path) + end
+
+
+def _drive_name(drive: str) -> str:
+    return "files_" + "".join(c if c.isalnum() else "_" for c in drive)

@@ -1,0 +1,363 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where exported frames come from: a store seen along a camera path, or the terrains of a .blend file."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...cbt_terrain.ask.camera_path import read_camera_path
+from ...cbt_terrain.ask.criterion import Criterion
+from ...cbt_terrain.ask.settings import BOUNDS
+from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.effects.effect import GEOMETRY, Asked
+from ...cbt_terrain.errors import TerrainError, shown
+from ...cbt_terrain.evaluate.evaluate import EffectRequest, evaluate
+from ...cbt_terrain.evaluate.plan import plan
+from ...cbt_terrain.field.bicubic import interpolated
+from ...cbt_terrain.field.detail import Detail
+from ...cbt_terrain.field.heightfield import INTERPOLATIONS, with_detail
+from ...cbt_terrain.field.store import open_store
+from ...cbt_terrain.mesh.surface import Surface
+from ...cbt_terrain.run.named_file import blocks_reader
+from ...cbt_terrain.run.owned_files import real_path
+from ...cbt_terrain.scatter.points import Points
+from ...cbt_terrain.terrain import Terrain, Update
+from ..bridge.scene_paths import absolute_path
+from ..session.pauses import paused
+from ..terrain.overrides import NO_OVERRIDES, Overrides
+from ..text.console import quiet
+from .summaries import content_digest
+
+MAX_NAME_BYTES = 180  # of 255 that file systems allow; frame, kind and suffix take the others
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One terrain at one frame.
+
+    Attributes:
+        surface: arrays of the mesh. Those of a scene's terrain are copies, because anything in Blender may update a
+            terrain; those of a store's terrain are valid until the next frame is refined.
+        origin: float64 [3], metres, of which the positions are relative.
+        info: see `describe`.
+        obj: the Blender object that shows it, None without Blender.
+        tree: the saved tree for `Terrain.restore`; b"" of a baked mesh.
+        scatters: points and their placement (float64 [4, 4]) by the name of their file.
+    """
+
+    name: str
+    surface: Surface
+    origin: np.ndarray
+    update: Update
+    info: dict
+    obj: Any = None
+    tree: bytes = b""
+    scatters: dict[str, tuple[Points, np.ndarray]] = field(default_factory=dict)
+
+
+class StoreFrames:
+    """A store seen along a camera path; needs no bpy unless a format does."""
+
+    name, with_scatters = "terrain", False
+
+    def __init__(
+        self,
+        store: Path,
+        path: Path,
+        criterion: Criterion,
+        resolution: tuple[int, int],
+        in_blender: bool,
+        interpolation: str = INTERPOLATIONS[0],
+        effects: Sequence[str] = (),
+        detail: Detail | None = None,
+    ):
+        """Open a store and a camera path; `effects`: attributes that the mesh gets, at the raster's scale."""
+        self.files = [Path(store), Path(path)]
+        self.path = read_camera_path(path)
+        self.criterion, self.resolution = criterion, resolution
+        self.field = with_detail(interpolated(open_store(store), interpolation), detail)
+        self.terrain = Terrain(self.field)
+        self.effects = plan(Asked(name, ("the export",), GEOMETRY) for name in effects)
+        self.obj = new_object(self.name) if in_blender else None
+        self.settings = {
+            "store": field_identity(self.field),
+            "path": content_digest(path),
+            "resolution": list(resolution),
+            "criterion": asdict(criterion),
+            "effects": sorted(effects),
+        }
+
+    def inputs(self, frame: int) -> list[Path]:
+        """List the files, and the folder of the store, that a frame is made of."""
+        return self.files
+
+    def pieces(self, frame: int) -> Iterator[Piece]:
+        """Yield the terrain as the path's camera sees it at `frame`."""
+        view = self.path.view(frame, self.resolution)
+        update = self.terrain.update(self.criterion, [view])
+        tree, how = self.terrain.saved()
+        request = EffectRequest(self.effects, update.surface)
+        evaluated = evaluate(self.field, request, self.terrain.history, self.terrain.threads)
+        surface = update.surface.with_attributes(evaluated.attributes)
+        info = describe(update, self.criterion, [view], self.field) | {"frame": frame, "tree": how}
+        if self.obj is not None:
+            from ..bridge.writer import write_mesh
+
+            write_mesh(self.obj.data, surface)
+        yield Piece(self.name, surface, self.field.origin, update, info, self.obj, tree)
+
+
+class SceneFrames:
+    """The terrains of a .blend file, each with its render settings, refined for the file's camera at each frame.
+
+    `camera` names another camera; `overrides` replace settings of all objects. `with_scatters`: their points are
+    written too.
+    """
+
+    def __init__(
+        self,
+        blend: Path,
+        camera: str | None,
+        resolution: tuple[int, int] | None,
+        overrides: Overrides = NO_OVERRIDES,
+        with_scatters: bool = False,
+    ):
+        content = content_digest(blend)  # before Blender reads it: a later change makes the frames stale
+        self.scene, self.objects = open_scene(blend)
+
+        from ..scatter.request import scatters_of
+
+        self.name, self.with_scatters = Path(blend).stem, with_scatters
+        self.resolution, self.overrides = resolution, overrides
+        _need_distinct_names(self.objects)
+        if with_scatters:
+            _need_distinct_names([scatter for obj in self.objects for scatter in scatters_of(obj)])
+        self.camera = None
+        if camera is not None:
+            local = (obj for obj in self.scene.objects if obj.name == camera and obj.library is None)
+            self.camera = next(local, self.scene.objects.get(camera))  # a library's may have the same name
+            if self.camera is None or self.camera.type != "CAMERA":
+                cameras = ", ".join(sorted(o.name for o in self.scene.objects if o.type == "CAMERA")) or "none"
+                raise TerrainError(
+                    f"The scene {self.scene.name!r} has no camera {camera!r}; it has {cameras}", fix="choose one"
+                )
+        asked = {"camera": camera, "resolution": resolution, "scatters": with_scatters, **overrides.to_json()}
+        stores = {obj.name: obj.adaptive_terrain.store for obj in self.objects}
+        fields = {name: field_identity(open_store(absolute_path(path))) for name, path in stores.items() if path}
+        self.settings = {"scene": content, "height_fields": fields, **asked}
+        self.files = [Path(blend), *(Path(absolute_path(path)) for path in stores.values() if path)]
+
+    def inputs(self, frame: int) -> list[Path]:
+        """List the files, and the folders of stores, that a frame is made of."""
+        from .scene_files import color_config, scene_files
+
+        return [*self.files, *color_config(), *scene_files([frame])]
+
+    def pieces(self, frame: int) -> Iterator[Piece]:
+        """Yield every terrain of the scene at `frame`, with its mesh written."""
+        import bpy
+
+        with paused():  # an export updates each terrain once, for the render
+            self.scene.frame_set(frame)
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        for obj in self.objects:
+            asked = {"camera": self.camera, "resolution": self.resolution, "overrides": self.overrides}
+            yield scene_piece(obj, depsgraph, frame, **asked)
+
+
+def scene_piece(obj, depsgraph, frame: int, **asked) -> Piece:
+    """Write the mesh of the terrain `obj` at the render's detail. `asked`: arguments of `request.gather`."""
+    from ..bridge.cleanup import clean_up
+    from ..scatter.request import scatters_of
+    from ..session import session
+    from ..terrain.request import RENDER, gather
+
+    with session.engine_lock:  # the live update's thread would go on with the same engine
+        update = session.update_object(obj, depsgraph, RENDER, **asked)
+        request = gather(obj, depsgraph, RENDER, **asked)
+        record = session.record_of(obj)
+        surface = clean_up(session.shown_surface(record, update), request.cleanup).copy()
+        heights, (tree, how) = record.field, record.terrain.saved()
+        children, scatters = {child.session_uid: child for child in scatters_of(obj)}, {}
+        for asked_one in request.scatters.asked:
+            child = children[asked_one.uid]
+            stands = np.array(child.evaluated_get(depsgraph).matrix_world, np.float64)
+            scatters[file_name(child)] = record.scatters[asked_one.uid].points, stands
+    info = describe(update, request.criterion, request.views, heights, request.placement)
+    info |= {"frame": frame, **counts(surface), "tree": how, "frozen": bool(request.frozen)}
+    return Piece(file_name(obj), surface, heights.origin, update, info, obj, tree, scatters)
+
+
+def baked_piece(
+    store: Path,
+    max_error_m: float,
+    budget: int | None,
+    in_blender: bool,
+    interpolation: str,
+    detail: Detail | None,
+    fitted: bool,
+    on_progress: Callable[[float], None],
+) -> Piece:
+    """Return a static mesh that is at most `max_error_m` metres of height off its store's height field.
+
+    `fitted`: vertices leave the surface to save triangles, which `on_progress` follows (0 .. 1); the info then has the
+    measured maximum.
+    """
+    from ...cbt_terrain.fit.fit import bake, check_interpolation
+
+    if fitted:
+        check_interpolation(interpolation)
+    field = with_detail(interpolated(open_store(store), interpolation), detail)
+    criterion = Criterion(error_px=0.0, error_m=max_error_m, max_triangles=budget)
+    update = bake(field, max_error_m, fitted=fitted, max_triangles=budget, on_progress=on_progress)
+    more = {"fitted": update.rounds > 0, "measured_max_m": update.worst_m} if fitted else {}
+    obj = new_object(StoreFrames.name) if in_blender else None
+    if obj is not None:
+        from ..bridge.writer import write_mesh
+
+        write_mesh(obj.data, update.surface)
+    info = describe(update, criterion, [], field) | more
+    return Piece(StoreFrames.name, update.surface, field.origin, update, info, obj)
+
+
+def describe(update: Update, criterion: Criterion, views: list[View], field, placement=None) -> dict:
+    """Return the info of a piece for JSON: a function of the frame alone, so without times."""
+    return {
+        "generator": "Adaptive Terrain",
+        "units": {"positions": "m", "origin": "those of crs", "error_px": "px", "error_m": "m"},
+        "asked": asdict(criterion),
+        **bounds_of(update),
+        "leaves": update.leaves,
+        **counts(update.surface),
+        "views": [_view(view) for view in views],
+        "placement": np.eye(4).tolist() if placement is None else placement.tolist(),
+        "crs": field.crs,
+        "height_field": field.key,
+        "interpolation": field.interpolation,
+        "detail": asdict(field.detail) if isinstance(field.detail, Detail) else field.detail and field.detail.key,
+    }
+
+
+def counts(surface: Surface) -> dict:
+    """Return the counts of a mesh's elements for JSON."""
+    return {"vertices": len(surface.positions), "edges": len(surface.edges), "triangles": len(surface.triangles)}
+
+
+def bounds_of(update: Update) -> dict:
+    """Return the bounds of an update and their terms for JSON; None for a bound that was not requested."""
+    return {
+        **{name: getattr(update, name) for name in BOUNDS},
+        "terms_px": update.terms_px and asdict(update.terms_px),
+        "terms_m": update.terms_m and asdict(update.terms_m),
+        "relaxed": update.relaxed,
+        "limited": update.limited,
+    }
+
+
+def _view(view: View) -> dict:
+    return {
+        "kind": view.kind,
+        "world_to_camera": view.world_to_camera.tolist(),
+        "projection": None if view.projection is None else view.projection.tolist(),
+        "resolution": list(view.resolution),
+        "clip": list(view.clip),
+    }
+
+
+def open_scene(blend: Path) -> tuple:
+    """Open a .blend file; returns its scene and the scene's terrains, one at least. Raises TerrainError."""
+    bpy = import_bpy("A .blend file")
+    from ..session import session
+
+    if not Path(blend).is_file():
+        raise TerrainError(f"There is no scene at {blend}", expected="a .blend file")
+    try:
+        with quiet():
+            bpy.ops.wm.open_mainfile(filepath=str(real_path(blend)), load_ui=False)
+    except RuntimeError as error:
+        raise TerrainError(f"Blender cannot open {blend}: {str(error).strip()}") from None
+    check_named_files(blend)
+    scene = bpy.context.scene
+    objects = session.terrains_of(scene)
+    if not objects:
+        raise TerrainError(
+            f"The scene {scene.name!r} in {blend} has no adaptive terrain", fix="add one and save the file"
+        )
+    return scene, objects
+
+
+def check_named_files(blend: Path) -> None:
+    """Raise TerrainError where the open scene names a pipe, a socket or a device: Blender would wait for it."""
+    import bpy
+
+    from ..layers.images import numbered_files
+
+    paths = {Path(path) for path in bpy.utils.blend_paths(absolute=True, packed=False, local=False)}
+    for path in sorted(paths):
+        waiting = next(filter(blocks_reader, [path, *numbered_files(path, "TILED")]), None)
+        if waiting is not None:
+            raise TerrainError(
+                f"The scene {shown(blend)} names {shown(waiting)}, a pipe, a socket or a device",
+                expected="a file",
+                fix="choose another in Blender",
+            )
+
+
+def import_bpy(what: str):
+    """Return the bpy module. Raises TerrainError if it is missing; `what`: names what needs it."""
+    try:
+        with quiet():
+            import bpy
+    except ImportError:
+        raise TerrainError(
+            f"{what} needs Blender's Python module",
+            fix="run `pip install bpy` (the version that is made for this Python), or `blender --command "
+            "adaptive_terrain`",
+        ) from None
+    return bpy
+
+
+def new_object(name: str):
+    """Add a mesh object to an otherwise empty Blender file."""
+    bpy = import_bpy("This format")
+    open_empty_file()
+    obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+    bpy.context.collection.objects.link(obj)
+    return obj
+
+
+def open_empty_file() -> None:
+    """Open an empty file, and keep the preferences.
+
+    Factory settings would disable this extension, and Blender would delete its wheels.
+    """
+    import bpy
+
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+
+
+def field_identity(field) -> list:
+    """Return what an export depends on in a height field; the key covers heights and spacing."""
+    return [field.key, field.origin.tolist(), field.crs]
+
+
+def file_name(obj) -> str:
+    """Return the object's name, shortened and without characters that a file name cannot hold."""
+    import bpy
+
+    return bpy.path.clean_name(obj.name).encode()[:MAX_NAME_BYTES].decode(errors="ignore")
+
+
+def _need_distinct_names(objects) -> None:
+    """Some file systems take upper and lower case for the same."""
+    seen = {}
+    for obj in objects:
+        other = seen.setdefault(file_name(obj).casefold(), obj)
+        if other != obj:
+            raise TerrainError(
+                f"The objects {other.name!r} and {obj.name!r} would both be written to {file_name(obj)!r} files",
+                fix="rename one of them",
+            )

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Frames to pictures, as `blender -f` renders them: each is whole under its final name or not there, and is closed by a
+summary as the frame of an export is."""
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.run import stopping
+from ...cbt_terrain.run.owned_files import NotOursError
+from ...cbt_terrain.run.partial_files import private_folder
+from ..land.request import land_of
+from ..session import session, stale_renders
+from ..session.pauses import paused
+from ..terrain.request import RENDER
+from .exporting import check_room, check_target, write_frames
+from .file_outputs import literal, publish_outputs, redirected_outputs
+from .frame_sources import SceneFrames, bounds_of
+from .summaries import file_sizes
+
+# Blender does not say that a picture found no room. But then there is none for this: more than a file's buffer, which
+# comes last, and is as large as a network folder's block.
+ROOM = 1 << 20
+
+
+def render_frames(
+    source: SceneFrames,
+    frames: Sequence[int],
+    out: Path,
+    *,
+    resume: bool = False,
+    on_frame: Callable[[int, dict, bool], None] = lambda frame, summary, skipped: None,
+) -> None:
+    """Render every frame of the scene that is open into `out`: `frame_FRAME` with the suffix of the scene's format.
+
+    `resume` and `on_frame` as for `export_frames`. Raises TerrainError where a frame's mesh would be stale.
+    """
+    render = source.scene.render
+    if render.is_movie_format:
+        raise TerrainError(
+            f"The scene {source.scene.name!r} is rendered into a movie ({render.image_settings.file_format})",
+            expected="a picture a frame",
+            fix="choose an image format under Output",
+        )
+    settings = source.settings | {"picture": [bpy.app.version_string, render.engine]}
+    write = partial(_render, source, out)
+    write_frames(write, settings, source.inputs, frames, out, resume=resume, on_frame=on_frame)
+
+
+def _render(source: SceneFrames, out: Path, frame: int) -> dict:
+    """Render one frame: a picture for each of its views, and those of the compositor's File Output nodes."""
+    start = time.perf_counter()
+    scene, terrains = source.scene, []
+    with paused():  # the render sets it again, and then updates each terrain once
+        scene.frame_set(frame)
+    _check_land(source.objects, frame)
+    with private_folder(out) as folder:
+        single, others = folder / "pictures", folder / "outputs"
+        scene.render.filepath = literal(single / f"frame_{frame:04d}")
+        scene.render.use_file_extension = True
+        with _noted(terrains, source.objects), redirected_outputs(scene, others), stale_renders.raising():
+            try:
+                bpy.ops.render.render(write_still=True)
+            except RuntimeError as error:
+                raise TerrainError(f"Blender cannot render frame {frame}: {str(error).strip()}") from None
+        stopping.check()
+        pictures = sorted(single.iterdir()) if single.is_dir() else []
+        if pictures:
+            check_room(out / pictures[0].name, ROOM)
+        for picture in pictures:
+            check_target(out / picture.name)
+        files = publish_outputs(scene, others)
+        for picture in pictures:
+            os.replace(picture, out / picture.name)
+    if not pictures:
+        raise TerrainError(
+            f"Blender wrote no picture of frame {frame} into {out}", fix="check the disk and Blender's messages"
+        )
+    sizes = file_sizes([*(out / picture.name for picture in pictures), *files], out)
+    return {"files": sizes, "terrains": terrains, "elapsed_ms": round((time.perf_counter() - start) * 1e3, 3)}
+
+
+def _check_land(objects: list, frame: int) -> None:
+    """Raise TerrainError if a link replaces a terrain's land: before a picture is begun, which may take
+    long."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    for obj in objects:
+        try:
+            if not obj.hide_render:
+                land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
+        except NotOursError as error:
+            raise TerrainError(f"Frame {frame} is not rendered, since its mesh would be stale. {error}") from None
+        except TerrainError:
+            pass  # the render finds it too, if it needs the land
+
+
+@contextmanager
+def _noted(terrains: list[dict], objects: list):
+    """Put the figures of the meshes that are rendered into `terrains`, before the viewport gets its own back."""
+
+    def note(_scene, _unused=None) -> None:
+        shown = {obj.name: session.record_of(obj).status for obj in objects}
+        terrains[:] = [_figures(name, status) for name, status in shown.items() if status.mode == RENDER]
+
+    bpy.app.handlers.render_post.append(note)
+    try:
+        yield
+    finally:
+        bpy.app.handlers.render_post.remove(note)
+
+
+def _figures(name: str, status: session.Status) -> dict:
+    """Return the same figures as `exporting.figures`, of the mesh that was rendered."""
+    ms = {step: round(ms, 3) for step, ms in status.ms.items()}
+    return {"name": name, "triangles": status.left, **bounds_of(status), "ms": ms}

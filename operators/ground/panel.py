@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panel *Ground*: objects on the terrain, and measurements. It is shown for any object."""
+
+import bpy
+
+from ..session import session
+from ..text.numbers import length_text
+from ..ui.panel_parts import message
+from . import add_collider, keep_ground
+from .properties import ON
+
+
+class GroundPanel(bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_on_ground"
+    bl_label = "Ground"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "Terrain"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context):
+        return any(obj.adaptive_terrain.enabled for obj in context.scene.objects)
+
+    def draw(self, context):
+        layout, obj = self.layout, context.object
+        column = layout.column(align=True)
+        column.operator("adaptive_terrain.drop_to_ground", icon="TRIA_DOWN_BAR")
+        column.operator("adaptive_terrain.keep_above_ground", icon="TRIA_UP_BAR")
+        if obj is not None and obj.adaptive_terrain_keep.keep:
+            self._draw_keeping(layout.box(), obj)
+        row = layout.row(align=True)
+        row.operator("adaptive_terrain.pick_ground", icon="EYEDROPPER")
+        row.operator("adaptive_terrain.pick_ground", text="", icon="OBJECT_ORIGIN").moves = "OBJECT"
+        column = layout.column(align=True)
+        column.operator("adaptive_terrain.profile", icon="IPO_EASE_IN_OUT")
+        column.operator("adaptive_terrain.viewshed", icon="HIDE_OFF")
+        if obj is not None and session.is_terrain(obj):
+            self._draw_collider(layout, obj)
+
+    def _draw_keeping(self, box, obj):
+        settings = obj.adaptive_terrain_keep
+        box.row().prop(settings, "how", expand=True)
+        box.use_property_split, box.use_property_decorate = True, False
+        if settings.how == ON:
+            box.prop(settings, "offset")
+            box.prop(settings, "align")
+        else:
+            box.prop(settings, "clearance")
+        box.prop(settings, "terrain")
+        box.operator("adaptive_terrain.let_go", icon="UNLINKED")
+        for text in notes(obj):
+            message(box, text, "ERROR")
+
+    def _draw_collider(self, layout, terrain):
+        column = layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        column.prop(terrain.adaptive_terrain, "collider_error_m")
+        collider = add_collider.collider_of(terrain)
+        text = "Add Collider" if collider is None else "Update Collider"
+        column.operator("adaptive_terrain.add_collider", text=text, icon="PHYSICS")
+        if collider is not None:
+            bound = length_text(collider[add_collider.MARK])
+            column.label(text=f"{len(collider.data.polygons):,} triangles, ≤ {bound} off")
+
+
+def notes(obj) -> list[str]:
+    """Return notes on how an object is kept on the ground."""
+    text = keep_ground.note_of(obj)
+    return [text] if text else []

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The source of a terrain's store, for the panel and for the object's custom properties."""
+
+import dataclasses
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...cbt_terrain.errors import TerrainError, shown
+from ...cbt_terrain.field import store as stores
+from ...cbt_terrain.field.georeference import LARGEST_EXTENT
+from ...cbt_terrain.field.lands import LANDS
+from ...cbt_terrain.importing.raster import ImportSettings
+from ..bridge.scene_paths import absolute_path
+from ..text.numbers import length_text
+
+# Custom properties as BlenderGIS has them on its scenes: the coordinate system, and where in it the local origin lies.
+SRID, CRS_X, CRS_Y = "SRID", "crs x", "crs y"
+LONGEST_CRS = 10_000
+MAX_WARNINGS, LONGEST_WARNING = 8, 500
+
+
+@dataclass(frozen=True)
+class Imported:
+    """Of a store: `settings` it was imported with ({}: unknown), `crs` ("": none), `origin` in the CRS's unit, samples
+    of the raster, metres of the extent and between samples, the lowest and the highest height, and the import's
+    warnings."""
+
+    settings: dict
+    crs: str
+    origin: tuple[float, float]
+    raster: tuple[int, int]
+    extent_m: tuple[float, float]
+    step_m: tuple[float, float]
+    heights_m: tuple[float, float]
+    warnings: tuple[str, ...] = ()
+
+
+def imported_of(settings) -> Imported | None:
+    """Return the contents of the store of a terrain's settings; None without a store that can be read."""
+    if not settings.store:
+        return None
+    folder = Path(absolute_path(settings.store))
+    try:
+        return _read(str(folder), (folder / stores.JSON_NAME).stat().st_mtime_ns)
+    except (OSError, ValueError):
+        return None
+
+
+@functools.lru_cache(maxsize=64)
+def _read(folder: str, _changed_ns: int) -> Imported | None:
+    """`_changed_ns`: when the store's JSON was changed, so that another import is read anew."""
+    try:
+        content = stores.read_json(Path(folder))
+    except TerrainError:
+        return None
+    lattice, report = stores.fit(**content["lattice"]), content["report"]
+    raster = _pair(report, "raster") or (lattice.width, lattice.height)
+    size = lattice.step_x * lattice.cells_x, lattice.step_y * lattice.cells_y
+    extent = _pair(report, "extent_m") or size
+    return Imported(
+        settings=content["provenance"].get("settings", {}),
+        crs=content["crs"],
+        origin=(content["origin"][0], content["origin"][1]),
+        raster=raster,
+        extent_m=extent,
+        step_m=(lattice.step_x, lattice.step_y),
+        heights_m=(content["min_height"], content["max_height"]),
+        warnings=tuple(shown(text, LONGEST_WARNING) for text in report.get("warnings", [])[:MAX_WARNINGS]),
+    )
+
+
+def _pair(report: dict, name: str) -> tuple | None:
+    """Return two counts or lengths of an unchecked report; None if they are not valid."""
+    value = report.get(name)
+    good = isinstance(value, list) and len(value) == 2
+    return tuple(value) if good and all(type(v) in (int, float) and 0 < v < LARGEST_EXTENT for v in value) else None
+
+
+def lines_of(imported: Imported | None) -> list[tuple[str, str]]:
+    """Return names and figures, always the same number: nothing below them moves when a store is written."""
+    names = ("From", "CRS", "Origin", "Raster", "Extent", "Spacing")
+    if imported is None:
+        return [(name, "-") for name in names]
+    source = imported.settings.get("source", "")
+    figures = (
+        LANDS[source].label if source in LANDS else shown(Path(source).name) or "unknown",
+        _crs_name(imported.crs),
+        ", ".join(map(_coordinate, imported.origin)) if imported.crs else "none",
+        f"{imported.raster[0]:,} x {imported.raster[1]:,}",
+        _both([length_text(length) for length in imported.extent_m]),
+        _both([length_text(length) for length in imported.step_m]),
+    )
+    return list(zip(names, figures, strict=True))
+
+
+def _crs_name(crs: str) -> str:
+    """`EPSG:4326`, or the name in a CRS's definition."""
+    if not crs:
+        return "none"
+    return shown(crs.split('"')[1] if '["' in crs else crs)
+
+
+def _coordinate(value: float) -> str:
+    """Return a coordinate with digits down to about a metre, also in degrees."""
+    return f"{value:.0f}" if abs(value) > 360.0 else f"{value:.5f}"
+
+
+def _both(texts: list[str]) -> str:
+    """Return `31.9 x 29.9 km`: the unit once, if it is the same."""
+    (first, unit), (second, other) = (text.rsplit(" ", 1) for text in texts)
+    return f"{first} x {second} {unit}" if unit == other else " x ".join(texts)
+
+
+def changed_settings(settings: ImportSettings, imported: Imported | None) -> list[str]:
+    """Return the names of the import settings that differ from those of the store; [] if those are unknown."""
+    if imported is None or not imported.settings:
+        return []
+    defaults = {item.name: item.default for item in dataclasses.fields(settings)}
+    changed = []
+    for name, value in dataclasses.asdict(settings).items():
+        before = imported.settings.get(name, defaults[name])
+        if name == "source":
+            same = _same_file(value, before)
+        elif name == "no_data":  # kept as a text, which NaN is too
+            same = str(value) == str(before)
+        else:
+            same = (list(value) if isinstance(value, tuple) else value) == before
+        if not same:
+            changed.append(name)
+    return changed
+
+
+def _same_file(path: str, before: object) -> bool:
+    """Tell whether two paths name one file. A file that is missing at its old place may have moved with its .blend
+    file."""
+    if path == before or not isinstance(before, str):
+        return path == before
+    return not {path, before} & set(LANDS) and Path(path).name == Path(before).name and not Path(before).exists()
+
+
+def tag_object(obj) -> None:
+    """Write the coordinate system and the origin of the store as custom properties on the object, or take them off."""
+    imported = imported_of(obj.adaptive_terrain)
+    for name in (SRID, CRS_X, CRS_Y):
+        if name in obj:
+            del obj[name]
+    if imported is not None and imported.crs:
+        obj[SRID], (obj[CRS_X], obj[CRS_Y]) = shown(imported.crs, LONGEST_CRS), imported.origin

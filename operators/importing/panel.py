@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panels of the height map: the import and its settings, the imported store, and its surface in the scene."""
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.importing.source_formats import CHANNEL, suffixes_with
+from .. import jobs
+from ..terrain.properties import FILE
+from ..ui.panel_parts import TerrainSubpanel, draw_ground, figures, message, switched
+from . import import_terrain, store_paths
+from .imported import changed_settings, imported_of, lines_of
+from .placement_notes import picture_note
+
+
+class SourcePanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_source"
+    bl_label = "Height Map"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+
+    def draw(self, context):
+        column = self._columns()
+        obj = context.object
+        settings = obj.adaptive_terrain
+        column.prop(settings, "source")
+        if settings.source == FILE:
+            _draw_file(column, settings)
+        else:
+            column.prop(settings, "island_size")
+            column.prop(settings, "seed")
+        switched(column, settings, "use_extent", "extent")
+        column.prop(settings, "height_scale")
+        column.prop(settings, "height_offset")
+        job = jobs.find(jobs.IMPORT, obj)
+        if job is not None:
+            jobs.draw_progress(column, job)
+            return
+        again = is_stale(obj)
+        text = "Import Again: settings changed" if again else "Import"
+        column.operator("adaptive_terrain.import_source", text=text, icon="FILE_REFRESH" if again else "IMPORT")
+
+
+def is_stale(obj) -> bool:
+    """Tell whether another import would give another terrain."""
+    imported = imported_of(obj.adaptive_terrain)
+    try:
+        return imported is not None and bool(changed_settings(import_terrain.settings_of(obj), imported))
+    except TerrainError:  # no file is chosen yet
+        return True
+
+
+def _draw_file(column, settings) -> None:
+    column.prop(settings, "source_path")
+    if import_terrain.is_raw(settings.source_path):
+        column.prop(settings, "raw_size")
+        column.prop(settings, "raw_dtype")
+        column.prop(settings, "raw_little_endian")
+    elif settings.source_path.lower().endswith(suffixes_with(CHANNEL)):
+        column.prop(settings, "channel")
+    else:
+        column.prop(settings, "band")
+    column.prop(settings, "first_row_south")
+    if import_terrain.placed(settings.source_path):
+        column.prop(settings, "project")
+    switched(column, settings, "use_no_data", "no_data")
+    column.prop(settings, "holes")
+
+
+class ImportedPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_imported"
+    bl_label = "Imported"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_source"
+
+    def draw(self, context):
+        column = self._columns()
+        settings = context.object.adaptive_terrain
+        imported = imported_of(settings)
+        figures(column, lines_of(imported), factor=0.28)
+        column.separator()
+        column.prop(settings, "store")
+        column.operator("adaptive_terrain.pack_store", icon="PACKAGE")
+        for notice in store_paths.notices.values():
+            message(self.layout, notice, "INFO")
+        notes = (*imported.warnings, picture_note(imported)) if imported is not None else ()
+        for text in filter(None, notes):
+            message(column, text, "INFO")
+
+
+class SurfacePanel(TerrainSubpanel, bpy.types.Panel):
+    """What acts at once, without another import."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_PT_surface"
+    bl_label = "Surface"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+
+    def draw(self, context):
+        column = self._columns()
+        settings = context.object.adaptive_terrain
+        column.prop(settings, "vertical_scale")
+        column.prop(settings, "vertical_offset")
+        column.prop(settings, "interpolation")
+
+
+class DisplacementPanel(TerrainSubpanel, bpy.types.Panel):
+    """Relief finer than the height map."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_PT_ground"
+    bl_label = "Displacement"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_surface"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        draw_ground(self._columns(), context.object.adaptive_terrain.ground)
+
+
+CLASSES = (SourcePanel, ImportedPanel, SurfacePanel, DisplacementPanel)

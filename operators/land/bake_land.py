@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The shaped land as a store that needs no stack, and as rasters for other programs."""
+
+from pathlib import Path
+
+import bpy
+from bpy_extras.io_utils import ExportHelper
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.packing import copy_store
+from ...cbt_terrain.land import derived_store
+from ...cbt_terrain.land.export import WRITERS, check_export, export_raster
+from ..bridge.scene_paths import absolute_path
+from ..importing import imported
+from ..importing.store_location import baked_folder
+from ..session import session
+from ..session.polls import on_terrain_object
+from . import shape_land
+from .request import land_of
+
+GLOB = ";".join(f"*{suffix}" for suffix in WRITERS)
+
+
+class _LandOperator:
+    @classmethod
+    def poll(cls, context):
+        return on_terrain_object(cls, context)
+
+    def invoke(self, context, event):
+        try:
+            shape_land.check_is_shaped(context.object, context.evaluated_depsgraph_get())
+        except TerrainError as error:
+            return self._failed(error)
+        return super().invoke(context, event) if isinstance(self, ExportHelper) else self.execute(context)
+
+    def execute(self, context):
+        try:
+            return self._carry_out(context.object, context.evaluated_depsgraph_get())
+        except (TerrainError, OSError) as error:
+            return self._failed(error)
+
+    def _failed(self, error):
+        self.report({"ERROR"}, str(error))
+        return {"CANCELLED"}
+
+
+class BakeLand(_LandOperator, bpy.types.Operator):
+    """Make the shaped land the terrain's own height field, and empty its stack; the store it was made from stays"""
+
+    bl_idname = "adaptive_terrain.bake_land"
+    bl_label = "Bake to Store"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        if not super().poll(context):
+            return False
+        cls.poll_message_set("There is nothing to bake: the stack is empty or switched off")
+        return any(entry.on for entry in context.object.adaptive_terrain.land.entries)
+
+    def _carry_out(self, obj, depsgraph):
+        land = shape_land.wanted_land(obj, depsgraph)
+        derived_store.raster_of("", land, session.open_field, verified=True)
+        settings = obj.adaptive_terrain
+        folder = free_folder(baked_folder(obj))
+        copy_store(land.folder, absolute_path(folder))
+        settings.store, settings.frozen, settings.land.active = folder, "", 0
+        settings.land.entries.clear()
+        derived_store.release(obj.session_uid)
+        imported.tag_object(obj)
+        obj.update_tag()
+        self.report({"INFO"}, f"The land is in {folder}; Clear Land Cache frees what shaping it has left elsewhere")
+        return {"FINISHED"}
+
+
+def free_folder(wanted: str) -> str:
+    """Return `wanted`, or with a number the first that is free; a path may begin with the .blend file's folder."""
+    number, folder = 1, wanted
+    while Path(absolute_path(folder)).exists():
+        number += 1
+        folder = f"{wanted}_{number}"
+    return folder
+
+
+class ExportHeights(_LandOperator, bpy.types.Operator, ExportHelper):
+    """Write the heights of the land as a float32 raster with its place on Earth, GeoTIFF or EXR, and each by-product of
+    its stack in a file beside it"""
+
+    bl_idname = "adaptive_terrain.export_heights"
+    bl_label = "Export Heights"
+
+    filename_ext = ".tif"
+    check_extension = None  # the suffix that the user types is the format
+    filter_glob: bpy.props.StringProperty(default=GLOB, options={"HIDDEN"})
+
+    def _carry_out(self, obj, depsgraph):
+        store = absolute_path(obj.adaptive_terrain.store)
+        if not store:
+            raise TerrainError(f"The terrain {obj.name!r} has no height field", fix="import one from its panel")
+        check_export(self.filepath)
+        land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
+        derived_store.raster_of(store, land, session.open_field, verified=True)
+        files = export_raster(store if land is None else land.folder, self.filepath)
+        self.report({"INFO"}, f"Written: {', '.join(file.name for file in files)}")
+        return {"FINISHED"}
+
+
+CLASSES = (BakeLand, ExportHeights)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

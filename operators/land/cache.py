@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Clear Land Cache: what shaped land takes on disk, and room for other things."""
+
+from contextlib import suppress
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field import store as stores
+from ...cbt_terrain.field import store_folder
+from ...cbt_terrain.land.derived_store import is_in_use
+from ...cbt_terrain.land.land_folder import bytes_in, folder_beside, remove, shaped_stores
+from ...cbt_terrain.run.owned_files import check_folder
+from .. import jobs
+from ..bridge.scene_paths import absolute_path
+from ..session import session
+from ..session.polls import on_terrain
+from ..text.numbers import plain
+
+
+def stored_land(store: str) -> list[tuple[str, Path, int]]:
+    """List what stacks on a store, and on the store that it was baked from, keep and could make again.
+
+    Each item is its kind, its folder and its size in bytes. Raises TerrainError for a link.
+    """
+    session.all_terrains()  # forgets removed objects
+    found = []
+    for source in _sources(store):
+        found += [("shown" if is_in_use(f) else "not shown now", f, size) for f, size in shaped_stores(source)]
+        tiles = folder_beside(source) / store_folder.TILES
+        check_folder(tiles.parent, tiles.name)
+        found += [("tiles", tiles, bytes_in(tiles))] if tiles.is_dir() else []
+    return found
+
+
+def _sources(store: str) -> list[str]:
+    """Return the store, and the one that it was baked from, if it is at its old path or was moved along."""
+    with suppress(TerrainError, OSError, ValueError, KeyError, TypeError):  # a provenance may hold anything
+        shaped = stores.read_json(Path(store))["provenance"]["shaped"]
+        before = Path(str(shaped["source"]))
+        for folder in (before, Path(store).with_name(before.name)):
+            if stores.changed_ns(folder) and stores.read_json(folder)["key"] == shaped["source_key"]:
+                return [store, str(folder)]
+    return [store]
+
+
+def lines(store: str) -> list[str]:
+    """Return the lines of the dialog: the folders, and the size of each kind of data."""
+    parts, messages = stored_land(store), [str(folder_beside(source)) for source in _sources(store)]
+    for what, about in (("shown", "Land that is shown, and stays"), ("not shown now", "Land of other settings"),
+                        ("tiles", "Tiles, which spare time when settings change a little")):  # fmt: skip
+        sizes = [size for kind, _, size in parts if kind == what]
+        messages.append(f"{about}: {megabytes(sum(sizes))}" + (f", stores: {len(sizes)}" if what != "tiles" else ""))
+    return messages
+
+
+def megabytes(size: float) -> str:
+    return f"{plain(size / 1e6)} MB"
+
+
+class ClearLandCache(bpy.types.Operator):
+    """Remove shaped land that no open terrain shows, and tiles, also of what this one was baked from; it can all be
+    made again"""
+
+    bl_idname = "adaptive_terrain.land_clear"
+    bl_label = "Clear Land Cache"
+
+    @classmethod
+    def poll(cls, context):
+        if not on_terrain(cls, context) or not context.object.adaptive_terrain.store:
+            return False
+        if jobs.find(jobs.SHAPE):
+            cls.poll_message_set("Land is being shaped, which reads its tiles")
+            return False
+        return True
+
+    def invoke(self, context, _event):
+        try:
+            self.messages = lines(self._store(context))
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return context.window_manager.invoke_props_dialog(self, width=460, confirm_text="Clear")
+
+    def draw(self, _context):
+        for line in self.messages:
+            self.layout.label(text=line)
+
+    def execute(self, context):
+        freed = 0
+        try:
+            for what, folder, size in stored_land(self._store(context)):
+                if what == "tiles":
+                    store_folder.remove_tiles(folder)
+                elif what != "shown":
+                    remove(folder)
+                freed += size - bytes_in(folder)
+        except (TerrainError, OSError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"{megabytes(freed)} freed")
+        return {"FINISHED"}
+
+    def _store(self, context) -> str:
+        return absolute_path(context.object.adaptive_terrain.store)
+
+
+register, unregister = bpy.utils.register_classes_factory((ClearLandCache,))

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Images and objects' shadows as files that masks of land effects are read from: arrays named for their content."""
+
+import hashlib
+import math
+from pathlib import Path
+
+import numpy as np
+from mathutils import Matrix
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.run.owned_files import is_real_file, open_folder
+from ...cbt_terrain.run.partial_files import written_beside
+from ..bridge.cleanup import plan_triangles
+from ..bridge.evaluated import found_in
+from ..layers.images import painted_of
+
+SHADOW_SIDE = 512  # samples of a shadow along the terrain's longer side
+FINE = 4  # points along a side of each of them, which count alike: its rim is soft
+
+
+def of_image(image, folder: Path) -> str:
+    """Write the red of an image to a file, first row in the north; return its path."""
+    painted = painted_of(image, "of a mask")
+    return _written(folder, painted.digest, lambda: painted.values[::-1])
+
+
+def of_shadow(obj, terrain, extent_m: tuple[float, float], depsgraph, folder: Path) -> str:
+    """Write a file that is 1 below and above the mesh `obj` on the plan of the evaluated `terrain`, 0 elsewhere; return
+    its path.
+
+    extent_m: metres from west to east and from south to north.
+    """
+    found, matrix = found_in(depsgraph, obj, "mask")
+    triangles = plan_triangles(found, matrix, Matrix(terrain.matrix_world).inverted_safe(), "mask")
+    content = repr(extent_m).encode() + triangles.tobytes()
+    digest = hashlib.blake2b(content, digest_size=16).hexdigest()
+    return _written(folder, digest, lambda: shadow(triangles, extent_m)[::-1])
+
+
+def _written(folder: Path, digest: str, make) -> str:
+    path = folder / f"{digest}.npy"
+    if is_real_file(path):
+        return str(path)
+    try:
+        with open_folder(folder, make=True):
+            pass
+        with written_beside(path) as partial, open(partial, "wb") as file:
+            np.save(file, np.ascontiguousarray(make(), np.float32))
+    except OSError as reason:
+        raise TerrainError(
+            f"The mask {path} cannot be written ({reason.strerror or reason})",
+            fix="make room, or pack the store into a folder that can be written",
+        ) from reason
+    return str(path)
+
+
+def shadow(triangles: np.ndarray, extent_m: tuple[float, float]) -> np.ndarray:
+    """float32 [rows, columns], row 0 south: the part of each sample that lies inside a triangle.
+
+    triangles: float64 [n, 3, 2] metres from the middle of the terrain.
+    """
+    longer = max(extent_m)
+    columns, rows = (max(2, math.ceil(SHADOW_SIDE * length / longer)) for length in extent_m)
+    covered = np.zeros((rows * FINE, columns * FINE), bool)
+    scale = np.array([columns * FINE / extent_m[0], rows * FINE / extent_m[1]])
+    corners = (triangles + np.array(extent_m) / 2) * scale - 0.5  # point [0, 0] lies half a distance inside
+    for triangle in corners:
+        _cover(covered, triangle)
+    return covered.reshape(rows, FINE, columns, FINE).mean(axis=(1, 3), dtype=np.float32)
+
+
+def _cover(covered: np.ndarray, triangle: np.ndarray) -> None:
+    """Mark the points of a grid inside a triangle, float64 [3, 2] in columns and rows."""
+    limit = np.array(covered.shape[::-1])
+    low = np.clip(np.ceil(triangle.min(axis=0)), 0, limit).astype(int)
+    high = np.clip(np.floor(triangle.max(axis=0)) + 1, 0, limit).astype(int)
+    if (low >= high).any():
+        return
+    x, y = np.arange(low[0], high[0])[None, :], np.arange(low[1], high[1])[:, None]
+    sides = []
+    for (ax, ay), (bx, by) in zip(triangle, np.roll(triangle, -1, axis=0), strict=True):
+        sides.append((bx - ax) * (y - ay) - (by - ay) * (x - ax))
+    inside = np.logical_and.reduce([side >= 0 for side in sides]) | np.logical_and.reduce([side <= 0 for side in sides])
+    covered[low[1] : high[1], low[0] : high[0]] |= inside

@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panel *Land*: the stack of height operators, its state, and its by-products.
+
+The list and the rows below it have a fixed number: nothing moves while a user aims at it.
+"""
+
+import bpy
+from bl_ui.utils import PresetPanel
+
+from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from .. import jobs
+from ..session import session
+from ..text.numbers import length_text, time_text, unit_text
+from ..ui.panel_parts import LIMITS, TerrainSubpanel, draw_band, figures, fixed_lines
+from . import shaped_land
+from . import stack as land_stack
+from .presets import PRESET_PANEL, PRESETS
+from .properties import BY_IMAGE, BY_OBJECT, BY_RULE, RULES
+
+NAME_WIDTH = 0.7  # of a row of the list
+ABOUT_LINES = NOTE_LINES = 3
+ALWAYS = ("height", "slope")  # the rules that are shown though they are switched off
+
+
+class LandList(bpy.types.UIList):
+    """A row for each effect: a switch, its name, its time."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_UL_land"
+
+    def draw_item(self, context, layout, _data, entry, _icon, _active_data, _active_name, index):
+        row = layout.row(align=True)
+        row.prop(entry, "on", text="", icon="CHECKBOX_HLT" if entry.on else "CHECKBOX_DEHLT", emboss=False)
+        row = row.split(factor=NAME_WIDTH, align=True)
+        left = row.row(align=True)
+        left.active = entry.on
+        known = entry.effect in LAND_EFFECTS
+        left.prop(entry, "name", text="", emboss=False, icon="NONE" if known else "ERROR")
+        if entry.mask.kind != "NONE":
+            left.label(icon="MOD_MASK")
+        took = row.row()
+        took.alignment = "RIGHT"
+        took.label(text=time_text(shaped_land.state_of(context.object).ms.get(index)))
+
+
+class LandPresets(PresetPanel, bpy.types.Panel):
+    bl_label = "Land Presets"
+    preset_subdir = PRESETS
+    preset_extensions = {".json"}
+    preset_operator = "adaptive_terrain.land_preset"
+    preset_add_operator = "adaptive_terrain.land_preset_add"
+
+
+# Blender finds the panel by the name of its class.
+LandPresets.__name__ = LandPresets.bl_idname = PRESET_PANEL
+
+
+class AddLandMenu(bpy.types.Menu):
+    """Effects on heights, with what each is"""
+
+    bl_idname = "ADAPTIVE_TERRAIN_MT_land_add"
+    bl_label = "Add Land Effect"
+
+    def draw(self, _context):
+        self.layout.operator_enum("adaptive_terrain.land_add", "effect")
+
+
+class LandPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_land"
+    bl_label = "Land"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_header_preset(self, _context):
+        LandPresets.draw_panel_header(self.layout)
+
+    def draw(self, context):
+        obj = context.object
+        land, state = obj.adaptive_terrain.land, shaped_land.state_of(obj)
+        row = self.layout.row()
+        row.template_list(LandList.bl_idname, "", land, "entries", land, "active", rows=6)
+        buttons = row.column(align=True)
+        buttons.menu(AddLandMenu.bl_idname, text="", icon="ADD")
+        buttons.operator("adaptive_terrain.land_remove", text="", icon="REMOVE")
+        buttons.separator()
+        buttons.operator("adaptive_terrain.land_duplicate", text="", icon="DUPLICATE")
+        buttons.separator()
+        buttons.operator("adaptive_terrain.land_move", text="", icon="TRIA_UP").by = -1
+        buttons.operator("adaptive_terrain.land_move", text="", icon="TRIA_DOWN").by = 1
+        self._columns().prop(land, "where")
+        _draw_shaping(self.layout.row(align=True), obj, state)
+        box = self.layout.box().column(align=True)
+        figures(box, status_lines(state), factor=0.3)
+        fixed_lines(box, state.note, NOTE_LINES)
+
+
+def _draw_shaping(row, obj, state) -> None:
+    """Draw one row: the button, or the progress of shaping with the buttons that end it."""
+    job = jobs.find(jobs.SHAPE, obj)
+    if job is None:
+        row.enabled = wanted = state.wanted or state.active and bool(session.record_of(obj).status.error)
+        text = "Shape Now" if wanted else "Shaped" if state.active else "Nothing to Shape"
+        row.operator("adaptive_terrain.shape", text=text, icon="RNDCURVE" if wanted else "CHECKMARK")
+        return
+    row = jobs.draw_progress(row, job)
+    row.operator("adaptive_terrain.shape_finish", text="", icon="CHECKMARK")
+
+
+def status_lines(state) -> list[tuple[str, str]]:
+    """Return three lines, whatever the state."""
+    tiles = f"{state.tiles[0]:,} of {state.tiles[1]:,}" if state.tiles else "-"
+    spacing = f", {length_text(state.step_m)} apart" if state.step_m else ""
+    return [("Shown", f"{state.shown}{spacing}"), ("Tiles", tiles), ("Time", time_text(state.total_ms))]
+
+
+class LandEffectPanel(TerrainSubpanel, bpy.types.Panel):
+    """The chosen effect: its numbers, where it acts."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_PT_land_effect"
+    bl_label = "Effect"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_land"
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and 0 <= (land := context.object.adaptive_terrain.land).active < len(land.entries)
+
+    def draw(self, context):
+        land = context.object.adaptive_terrain.land
+        entry = land.entries[land.active]
+        effect = LAND_EFFECTS.get(entry.effect)
+        if effect is None:
+            fixed_lines(self.layout.column(align=True), land_stack.unknown(entry.effect), 4)
+            return
+        fixed_lines(self.layout.column(align=True), effect.about, ABOUT_LINES)
+        column = self._columns()
+        column.active = entry.on
+        for parameter in effect.parameters:
+            column.prop(getattr(entry, effect.name), parameter.name)
+        column.separator()
+        column.prop(entry, "seed")
+        _draw_mask(column, entry.mask)
+
+
+def _draw_mask(column, mask) -> None:
+    column.separator()
+    column.prop(mask, "kind")
+    if mask.kind == BY_IMAGE:
+        column.prop(mask, "image")
+    elif mask.kind == BY_OBJECT:
+        column.prop(mask, "object")
+    elif mask.kind == BY_RULE:
+        for of in RULES:
+            if of in ALWAYS or getattr(mask, of).use:
+                draw_band(column, getattr(mask, of), LIMITS)
+        draw_band(column, mask.aspect, ("direction", "within", "edge"))
+        column.operator_menu_enum("adaptive_terrain.land_rule_add", "of", icon="ADD")
+    if mask.kind != "NONE":
+        column.prop(mask, "factor")
+
+
+class LandLayersPanel(TerrainSubpanel, bpy.types.Panel):
+    """Layers that the stack leaves, and their readers."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_PT_land_layers"
+    bl_label = "By-Products"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_land"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        statuses = session.record_of(context.object).status.effects
+        column = self.layout.column(align=True)
+        layers = shaped_land.layers_of(context.object.adaptive_terrain.land)
+        for layer in layers:
+            row = column.split(factor=0.55)
+            row.label(text=f"{layer.name} ({unit_text(layer.unit)})" if layer.unit else layer.name)
+            row.label(text=_reading(statuses.get(layer.name)))
+        if not layers:
+            column.label(text="None", icon="INFO")
+
+
+def _reading(status) -> str:
+    """Return how many readers a layer has; the panel *Effects* names them."""
+    if status is None:
+        return "No update yet"
+    count = len(status.readers)
+    if status.skipped:
+        return "Switched off" if count else "No reader"
+    return f"{count} reader{'s' if count > 1 else ''}"
+
+
+class LandOutputPanel(TerrainSubpanel, bpy.types.Panel):
+    """The shaped land for other programs, or as a store that needs no stack."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_PT_land_output"
+    bl_label = "Water, Export, Cache"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_land"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, _context):
+        column = self._columns()
+        column.operator("adaptive_terrain.water_surface", icon="MOD_OCEAN")
+        column.operator("adaptive_terrain.bake_land", icon="FILE_TICK")
+        column.operator("adaptive_terrain.export_heights", icon="EXPORT")
+        column.operator("adaptive_terrain.land_clear", icon="TRASH")
+
+
+CLASSES = (*(LandList, LandPresets, AddLandMenu, LandPanel, LandEffectPanel, LandLayersPanel, LandOutputPanel),)

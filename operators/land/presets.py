@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Presets of stacks of land effects: the JSON files that the command `shape` takes, too."""
+
+import os
+from pathlib import Path
+
+import bpy
+from bl_operators.presets import AddPresetBase
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.land.fitted import fitted
+from ...cbt_terrain.land.stack import read_stack, write_stack
+from ...cbt_terrain.run.owned_files import remove_file
+from ..importing.imported import imported_of
+from ..session.polls import on_terrain
+from ..text.numbers import plain
+from . import stack as land_stack
+from .entries import PRESETS
+from .properties import BY_OBJECT
+
+PRESET_PANEL = "ADAPTIVE_TERRAIN_PT_land_presets"
+SUFFIX = ".json"
+
+
+class ApplyLandPreset(bpy.types.Operator):
+    """Replace the stack by that of a file"""
+
+    bl_idname = "adaptive_terrain.land_preset"
+    bl_label = "Land Preset"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context):
+        return on_terrain(cls, context)
+
+    def execute(self, context):
+        try:
+            stack = read_stack(self.filepath)
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        imported = imported_of(context.object.adaptive_terrain)
+        if stack.heights is not None and imported is not None:
+            designed_for, stack = stack.heights, fitted(stack, *imported.heights_m)
+            if stack.heights != designed_for:
+                low, high, *here = (plain(v, 3) for v in (*designed_for, *stack.heights))
+                note = f"Made for land from {low} to {high} m: heights and uplift fitted to {here[0]} to {here[1]} m"
+                self.report({"INFO"}, note)
+        for left_out in land_stack.fill(context.object.adaptive_terrain.land, stack):
+            self.report({"WARNING"}, left_out)
+        context.object.update_tag()
+        return {"FINISHED"}
+
+
+class AddLandPreset(AddPresetBase, bpy.types.Operator):
+    """Save the stack as a preset, or remove one"""
+
+    bl_idname = "adaptive_terrain.land_preset_add"
+    bl_label = "Add Land Preset"
+    preset_menu = PRESET_PANEL
+    preset_subdir = PRESETS
+
+    @classmethod
+    def poll(cls, context):
+        return on_terrain(cls, context)
+
+    def execute(self, context):
+        """Load a preset, as Blender's operator does for Python and XML files only."""
+        name = self.as_filename(self.name)
+        if not name:
+            return {"FINISHED"}
+        found = bpy.utils.preset_find(name, PRESETS, ext=SUFFIX)
+        try:
+            if self.remove_name:
+                return self._remove(found)
+            if found:
+                raise TerrainError(f"There is a preset {self.name!r} already", fix="choose another name")
+            folder = bpy.utils.user_resource("SCRIPTS", path=os.path.join("presets", PRESETS), create=True)
+            land = context.object.adaptive_terrain.land
+            write_stack(land_stack.preset_of(land), Path(folder, name + SUFFIX))
+            for entry in land.entries:
+                if entry.mask.kind == BY_OBJECT:
+                    note = f"{entry.name} is masked by an object, which a preset cannot hold: there it acts everywhere"
+                    self.report({"WARNING"}, note)
+        except (TerrainError, OSError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+    def _remove(self, found: str | None):
+        user = bpy.utils.user_resource("SCRIPTS", path="presets")
+        if not found or not Path(found).is_relative_to(user):
+            raise TerrainError(f"The preset {self.name!r} is not one of yours, and stays")
+        remove_file(found, may_be_link=True)
+        return {"FINISHED"}
+
+
+CLASSES = (ApplyLandPreset, AddLandPreset)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

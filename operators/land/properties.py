@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Settings of the stack that shapes the land: `object.adaptive_terrain.land`, made from the effects' declarations."""
+
+import math
+
+import bpy
+import numpy as np
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from ...cbt_terrain.effects import splat_rules as rules
+from ...cbt_terrain.effects.effect import Parameter
+from ...cbt_terrain.land.mask import HEIGHT, SLOPE
+from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from ...cbt_terrain.land_effects.land_effect import LandEffect
+from ..layers.properties import BANDS, AspectSettings, band
+from ..terrain.detail_properties import changed
+from ..text.numbers import unit_text
+
+EVERYWHERE, BY_RULE, BY_IMAGE, BY_OBJECT = "NONE", "RULE", "IMAGE", "OBJECT"
+EVERYWHERE_FINE, SEEN = "WHOLE", "SEEN"
+DEGREES = "degrees"
+# Blender's name for the unit of a declaration; other units are written into the label.
+UNITS = {
+    "m": {"unit": "LENGTH"},
+    "m2": {"unit": "AREA"},
+    "m3": {"unit": "VOLUME"},
+    "m/s": {"unit": "VELOCITY"},
+    DEGREES: {"subtype": "ANGLE"},
+}
+LABEL = 15  # characters of a name that a panel of the usual width shows
+MAX_SEED = 2**31 - 1
+# Nothing here is animated: other numbers are another land, which takes its time.
+STILL = {"update": changed, "options": set()}
+
+
+def number_of(parameter: Parameter, group) -> float:
+    """Return a parameter's number in a property group, in the declaration's unit and within its range. Blender stores
+    24 bits: a number that agrees with the default to 24 bits is the default."""
+    value = getattr(group, parameter.name)
+    if isinstance(parameter.default, int):
+        return min(max(value, int(parameter.least)), int(parameter.most))
+    if np.float32(value) == np.float32(_stored(parameter, parameter.default)) or not math.isfinite(value):
+        return parameter.default
+    value = math.degrees(value) if parameter.unit == DEGREES else value
+    return min(max(float(f"{value:.7g}"), parameter.least), parameter.most)
+
+
+def set_number(parameter: Parameter, group, value: float) -> None:
+    """Set a parameter's number in a property group, in the declaration's unit."""
+    setattr(group, parameter.name, value if isinstance(parameter.default, int) else _stored(parameter, value))
+
+
+def _stored(parameter: Parameter, value: float) -> float:
+    return math.radians(value) if parameter.unit == DEGREES else value
+
+
+def _property(parameter: Parameter):
+    known, about = UNITS.get(parameter.unit, {}), parameter.about
+    label = parameter.name.replace("_", " ").title()
+    if parameter.unit and not known and parameter.unit != parameter.name:
+        unit = unit_text(parameter.unit)
+        with_unit = f"{label} ({unit})"
+        label, about = (with_unit, about) if len(with_unit) <= LABEL else (label, f"{about}, {unit}")
+    words = {"name": label, "description": about[:1].upper() + about[1:]} | STILL
+    if isinstance(parameter.default, int):
+        return IntProperty(**words, default=parameter.default, min=int(parameter.least), max=int(parameter.most))
+    low, high, default = (_stored(parameter, value) for value in (parameter.least, parameter.most, parameter.default))
+    if not parameter.unit and (low, high) == (0.0, 1.0):
+        known = {"subtype": "FACTOR"}
+    # About as many digits of a default of 2e-6 as of one of 300,000; where it is 0, of all that is usual.
+    digits = min(6, max(0 if default else 3, 3 - math.floor(math.log10(abs(default) or high))))
+    return FloatProperty(**words, default=default, min=low, max=high, precision=digits, **known)
+
+
+def _settings_of(effect: LandEffect) -> type:
+    numbers = {parameter.name: _property(parameter) for parameter in effect.parameters}
+    members = {"__annotations__": numbers, "__doc__": effect.about}
+    return type(f"AdaptiveTerrainLand_{effect.name}", (bpy.types.PropertyGroup,), members)
+
+
+GROUPS = {name: _settings_of(effect) for name, effect in LAND_EFFECTS.items()}
+
+
+# What rules of masks are about -> its group, in the order of the menu.
+RULES = {
+    HEIGHT: BANDS[rules.HEIGHT],
+    SLOPE: BANDS[rules.SLOPE],
+    "mean_curvature": BANDS[rules.CURVATURE],
+    "profile_curvature": band("Profile Curvature", "1 / m: above 0 where it steepens downhill", 0, 10, 0.01, (-10, 10)),
+    "plan_curvature": band("Plan Curvature", "of contours, 1 / m: above 0 on ridges", 0, 10, 0.01, (-10, 10)),
+    "flow": BANDS[rules.FLOW],
+    "wetness": BANDS[rules.WETNESS],
+    "sky": band("Sky", "part of the sky that is seen: 1 on open level ground, less in gorges", 0.8, 1, 0.1, (0, 1)),
+    **{name: BANDS[name] for name in ("wear", "sediment", "scree", "snow", "water_depth")},
+    "slides": band("Slides", "snow that slides have brought, m; below 0, taken", 0.5, 1e4, 0.5, (-1e4, 1e4)),
+    "water_speed": band("Water Speed", "of the water, m/s", 0.5, 1e3, 0.5, (0, 1e3)),
+    "discharge": band("Discharge", "water that passes, m³/s; the edge in powers of ten", 1, 1e6, 1, (0, 1e6), step=100),
+}
+
+
+class LandMask(bpy.types.PropertyGroup):
+    """Where an effect acts, and how much."""
+
+    kind: EnumProperty(
+        name="Mask",
+        items=[(EVERYWHERE, "Everywhere", "The effect acts on the whole terrain"),
+               (BY_RULE, "Rule", "It acts where the ground that it finds is within limits: of height, slope, aspect, "
+                "curvature, flow, sky, or of what effects above it have left"),
+               (BY_IMAGE, "Image", "It acts where a painted image over the terrain is bright"),
+               (BY_OBJECT, "Object", "It acts below and above an object: inside its shadow on the plan")],
+        **STILL,
+    )  # fmt: skip
+    factor: FloatProperty(
+        name="Amount", description="Part of the effect that is wanted", default=1.0, min=0.0, max=1.0,
+        subtype="FACTOR", **STILL,
+    )  # fmt: skip
+    image: PointerProperty(
+        name="Image",
+        description="Over the whole terrain, north up; its red is how much of the effect is wanted",
+        type=bpy.types.Image, poll=lambda self, item: item.source in {"FILE", "GENERATED"}, **STILL,
+    )  # fmt: skip
+    object: PointerProperty(
+        name="Object", description="A mesh seen from above",
+        type=bpy.types.Object, poll=lambda self, item: item.type == "MESH" and item != self.id_data, **STILL,
+    )  # fmt: skip
+    aspect: PointerProperty(type=AspectSettings)
+
+
+for _name, _group in RULES.items():
+    LandMask.__annotations__[_name] = PointerProperty(type=_group)
+
+
+class LandEntry(bpy.types.PropertyGroup):
+    """One effect of the stack. Its numbers are in the member of the effect's name."""
+
+    name: StringProperty(name="Name", description="As the list shows it")
+    effect: StringProperty(name="Effect", description="Which effect on heights it is", **STILL)
+    on: BoolProperty(name="Switched On", description="Shape the land with it", default=True, **STILL)
+    seed: IntProperty(name="Seed", description="Another seed is other chance", default=0, min=0, max=MAX_SEED, **STILL)
+    mask: PointerProperty(type=LandMask)
+
+
+for _name, _group in GROUPS.items():
+    LandEntry.__annotations__[_name] = PointerProperty(type=_group)
+
+
+class LandSettings(bpy.types.PropertyGroup):
+    """Effects on heights, in the order in which they act."""
+
+    entries: CollectionProperty(type=LandEntry)
+    where: EnumProperty(
+        name="Detail",
+        description="Where the finer levels are made",
+        items=[(EVERYWHERE_FINE, "Everywhere", "The whole terrain as fine as its height map"),
+               (SEEN, "In the Shot", "As fine as the frames of the scene show it; coarser levels elsewhere")],
+        **STILL,
+    )  # fmt: skip
+    active: IntProperty(name="Active", options=set())
+
+
+OWN_RULES = [group for group in RULES.values() if group not in BANDS.values()]
+CLASSES = (*GROUPS.values(), *OWN_RULES, LandMask, LandEntry, LandSettings)

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The shaped land that a terrain's settings ask for."""
+
+from ...cbt_terrain.field import store_folder
+from ...cbt_terrain.land import derived_store
+from ...cbt_terrain.land.derived_store import Land
+from ...cbt_terrain.land.land_folder import MASKS, folder_beside
+from ...cbt_terrain.run import owned_files
+from ..bridge.scene_paths import absolute_path
+from ..text.console import print_line
+from . import stack as land_stack
+from .properties import SEEN
+
+
+def _notify(sentence: str) -> None:
+    print_line(f"Adaptive Terrain: {sentence}")
+
+
+derived_store.notify = _notify
+
+
+def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
+    """Return the land that a terrain's stack makes of its source; None without a stack.
+
+    None, too, for a terrain that the viewport does not show, unless the caller waits for the store: no preview is made
+    for it. Raises TerrainError.
+    """
+    settings = evaluated.adaptive_terrain
+    if not settings.store or not any(entry.on for entry in settings.land.entries):
+        derived_store.release(obj.session_uid)
+        return None
+    if not waits and not obj.visible_get(view_layer=depsgraph.view_layer):
+        return None
+    source = absolute_path(settings.store)
+    folder = folder_beside(source)
+    owned_files.check_folder(folder, MASKS, store_folder.TILES)
+    stack = land_stack.stack_of(evaluated, depsgraph, folder / MASKS)
+    if not stack.active:
+        return None
+    land = Land.of(source, stack, waits)
+    derived_store.use(obj.session_uid, land)
+    return land.of_views_alone if settings.land.where == SEEN else land

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Finer land in view while nothing changes: a child process makes the tiles that a preview leaves out.
+
+This refines the land of terrains with Live Update, at a low priority and only for the tiles that their views need. A
+change of the land's settings ends it at once; another view gets its tiles when it rests in turn. *Shape Now* and
+renders reuse these tiles.
+"""
+
+import time
+from collections.abc import Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.land import derived_store, requested_tiles
+from ...cbt_terrain.land.derived_store import Land
+from ...cbt_terrain.land.land_folder import is_of_views
+from ...cbt_terrain.land.shape_process import ShapeJob
+from .. import jobs
+from ..session import session
+from ..terrain.request import Request
+from .request import land_of
+
+REST_S = 2.0  # without a change before it begins
+LOOK_S = 0.5  # between looks at the terrains for one that rests: a scene may have many objects
+CHOOSING = "Choosing tiles"
+
+
+@dataclass
+class _Rest:
+    """A terrain that rests with the request `key` since a time in seconds. `done`: no tile is missing."""
+
+    key: tuple
+    since: float
+    done: bool = False
+
+
+@dataclass
+class _Making:
+    """The land that is being made for a terrain with the request `key`. `begun`: result of `_begin`."""
+
+    uid: int
+    key: tuple
+    land: Land
+    job: jobs.BackgroundJob
+    begun: Future
+
+
+_rests: dict[int, _Rest] = {}
+_looked = 0.0  # when the terrains were last looked at
+_making: _Making | None = None
+_left: set[str] = set()  # land that the user has stopped, or that failed: not begun again
+_chooser: ThreadPoolExecutor | None = None  # tiles are chosen by all heights: too long for the main thread
+
+
+def concerned() -> bool:
+    """Return whether `turn` has work: the terrains of many scenes have no land."""
+    global _looked
+    if _making is not None:
+        return True
+    if time.monotonic() - _looked < LOOK_S or not any(_may_be_finer(*known) for known in session.records()):
+        return False
+    _looked = time.monotonic()
+    return True
+
+
+def _may_be_finer(uid: int, record: session.Record) -> bool:
+    request, rest = record.status.request, _rests.get(uid)
+    if request is None or record.live_key is None or rest is not None and rest.done and rest.key == record.live_key:
+        return False
+    return request.land is not None or is_of_views(request.store)
+
+
+def turn(shown: Iterable[tuple], idle: bool) -> bool:
+    """Advance the job that runs, or begin one; return whether meshes have to be updated.
+
+    shown: dependency graph and object of every terrain in a window. idle: no update is under way.
+    """
+    global _making
+    terrains = {obj.session_uid: (depsgraph, obj) for depsgraph, obj in shown}
+    if _making is not None:
+        return _look_after(terrains.get(_making.uid))
+    for uid, (depsgraph, obj) in terrains.items() if idle else ():
+        if jobs.find(jobs.SHAPE, obj) is None and _rests_long(obj) and (land := _land(obj, depsgraph)) is not None:
+            begun = _pool().submit(_begin, land)
+            job = jobs.BackgroundJob(jobs.SHAPE, uid, lambda job, land=land, begun=begun: _steps(job, land, begun))
+            job.message = CHOOSING
+            _making = _Making(uid, _rests[uid].key, land, job, begun)
+            break
+    return False
+
+
+def stop() -> None:
+    """End the job: another file is opened, or the extension is disabled."""
+    global _making
+    if _making is not None:
+        _end(_making)
+    _rests.clear()
+    _left.clear()
+
+
+def _pool() -> ThreadPoolExecutor:
+    global _chooser
+    if _chooser is None:
+        _chooser = ThreadPoolExecutor(max_workers=1, thread_name_prefix="adaptive_terrain_land")
+    return _chooser
+
+
+def _rests_long(obj) -> bool:
+    """Return whether the terrain has shown the same for REST_S, and its land may get finer."""
+    record, settings = session.record_of(obj), obj.adaptive_terrain
+    if not settings.live or settings.frozen or record.status.error or not _may_be_finer(obj.session_uid, record):
+        return False
+    rest = _rests.get(obj.session_uid)
+    if rest is None or rest.key != record.live_key:
+        _rests[obj.session_uid] = rest = _Rest(record.live_key, time.monotonic())
+    return not rest.done and time.monotonic() - rest.since >= REST_S
+
+
+def _land(obj, depsgraph) -> Land | None:
+    """Return the land to make for the views of the last update; None if there is none."""
+    request = session.record_of(obj).status.request
+    land = _of_settings(obj, depsgraph)
+    if land is None or land.is_shaped and not land.of_views or land.of_views_alone.folder in _left:
+        _rests[obj.session_uid].done = True
+        return None
+    return replace(land.of_views_alone, seen=_seen(request))
+
+
+def _of_settings(obj, depsgraph) -> Land | None:
+    try:
+        return land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=False)
+    except TerrainError:
+        return None  # the update reports the error
+
+
+def _seen(request: Request) -> requested_tiles.SeenTiles:
+    scale = request.vertical_scale, request.vertical_offset
+    return requested_tiles.SeenTiles(
+        tuple(request.views), np.array(request.placement), request.criterion.error_px, *scale
+    )
+
+
+def _begin(land: Land) -> tuple[ShapeJob, requested_tiles.Tiles] | None:
+    """Return a new job and its tiles, None if all tiles exist. Slow: call it on another thread."""
+    wanted = derived_store.wanted_tiles(land, session.open_field)
+    if derived_store.is_whole(land, session.open_field) and requested_tiles.has(land.folder, wanted):
+        return None
+    return derived_store.begin_shaping(land, session.open_field, gentle=True)
+
+
+def _steps(job: jobs.BackgroundJob, land: Land, begun: Future) -> jobs.Steps:
+    """Return whether there was land to make."""
+    while not begun.done():
+        yield
+    if begun.result() is None:
+        return False
+    child, wanted = begun.result()
+    yield from jobs.run_in_child(job, child)
+    derived_store.finish(land, wanted)
+    return True
+
+
+def _look_after(terrain: tuple | None) -> bool:
+    """Advance the job that runs, and return whether its land exists now."""
+    making, job = _making, _making.job
+    if terrain is None or not terrain[1].adaptive_terrain.live or job.stopped or _is_other(terrain):
+        if job.stopped:
+            _left.add(making.land.folder)
+        _end(making)
+        return False
+    if not job.advance():
+        return False
+    _end(making)
+    if job.error:
+        _left.add(making.land.folder)
+        session.record_of(terrain[1]).status.error = job.error
+    elif not job.result:
+        _rests[making.uid].done = True
+    return bool(job.result)
+
+
+def _is_other(terrain: tuple) -> bool:
+    """Return whether the terrain's settings mean another land by now."""
+    key = session.record_of(terrain[1]).live_key
+    if key == _making.key:
+        return False
+    _making.key, land = key, _of_settings(terrain[1], terrain[0])
+    return land is None or land.of_views_alone.folder != _making.land.folder
+
+
+def _end(making: _Making) -> None:
+    """End the job, even if its child process has not started yet."""
+    global _making
+    _making = None
+    making.job.close()
+    making.begun.add_done_callback(_stop_late)
+
+
+def _stop_late(begun: Future) -> None:
+    if not begun.cancelled() and begun.exception() is None and begun.result() is not None:
+        begun.result()[0].cancel()

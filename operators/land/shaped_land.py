@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The state of a terrain's land for the panel: the stack in its mesh, its cost and its layers."""
+
+import functools
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field import store as stores
+from ...cbt_terrain.land.derived_store import preview_of
+from ...cbt_terrain.land.land_folder import folder_beside, is_of_views
+from ...cbt_terrain.land.level_plan import MOST_WHOLE
+from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from ...cbt_terrain.land_effects.land_effect import LandLayer
+from ..bridge.scene_paths import absolute_path
+from ..importing.imported import imported_of
+from ..session import session
+from ..text.numbers import length_text, plain
+from .properties import EVERYWHERE
+
+SOURCE, PREVIEW, SHAPED = "Source", "Preview", "Shaped"
+FAILED = "Failed"
+SMALL_M = 500.0
+NOTES = {
+    SOURCE: "Not shown: hidden, frozen, or without Live Update",
+    FAILED: "Not shown: see the error above",
+    PREVIEW: "Refined in view while nothing changes; a render has all of it",
+}
+
+DOUBTFUL = "{} may not fit from tile to tile: "
+DOUBTFUL += f"harder rock may help, or {MOST_WHOLE:,} samples a side at most"
+WHOLE = ", except {}, whose tiles would not fit"
+
+
+@dataclass(frozen=True)
+class LandState:
+    """The state of a terrain's land.
+
+    Attributes:
+        active: any entry is on.
+        shown: SOURCE, PREVIEW or SHAPED: the data of the mesh.
+        step_m: metres between the samples that the stack was applied to.
+        tiles: number of built and of all tiles.
+        ms: milliseconds by the entries' numbers.
+        finished_early: finer levels were not computed.
+        seen: only the land in view of a shot is fine, and the shot may have changed.
+    """
+
+    active: bool = False
+    shown: str = SOURCE
+    step_m: float = 0.0
+    tiles: tuple[int, int] | None = None
+    ms: dict[int, float] = field(default_factory=dict)
+    note: str = ""
+    finished_early: bool = False
+    seen: bool = False
+
+    @property
+    def total_ms(self) -> float | None:
+        return sum(self.ms.values()) if self.ms else None
+
+    @property
+    def wanted(self) -> bool:
+        """Return whether Shape Now would do anything."""
+        return self.active and (self.shown != SHAPED or self.finished_early or self.seen)
+
+
+def store_of(obj) -> str:
+    """Return the store of a terrain's mesh, or its source if it shows a preview or nothing."""
+    source = absolute_path(obj.adaptive_terrain.store)
+    request = session.record_of(obj).status.request
+    shown = _shown(request) if request is not None else ""
+    return shown if Path(shown).parent == folder_beside(source) else source
+
+
+def _shown(request) -> str:
+    """Return the store of a request's mesh, "" for a preview."""
+    if request.land is None:
+        return request.store
+    return request.land.folder if request.land.waits else ""
+
+
+def active_numbers(land) -> list[int]:
+    """Return the numbers of the entries that are on and not masked out."""
+    return [n for n, e in enumerate(land.entries) if e.on and (e.mask.kind == EVERYWHERE or e.mask.factor > 0.0)]
+
+
+def state_of(obj) -> LandState:
+    """Return the state after the last update of the terrain."""
+    numbers = active_numbers(obj.adaptive_terrain.land)
+    if not numbers:
+        return LandState()
+    state, found = _as_updated(obj, numbers), imported_of(obj.adaptive_terrain)
+    state = replace(state, seen=is_of_views(store_of(obj)))
+    longer = max(found.extent_m) if found is not None else SMALL_M
+    if longer < SMALL_M:  # such as the terrain of the Add menu
+        note = f"Effects are in metres, and the terrain measures {length_text(longer)}: set its Size"
+        state = replace(state, note=note)
+    return state
+
+
+def _as_updated(obj, numbers: list[int]) -> LandState:
+    request = session.record_of(obj).status.request
+    if request is not None and request.land is not None and not request.land.waits:
+        found = preview_of(request.land)
+        if found is not None:
+            note = f"{found.without} takes too long for a preview: Shape Now" if found.without else NOTES[PREVIEW]
+            return LandState(True, PREVIEW, found.step_m, None, _by_number(numbers, found.ms), note)
+    info = _shaping_info(_shown(request)) if request is not None and _shown(request) else None
+    if info is None:
+        return LandState(True, note=NOTES[FAILED if session.record_of(obj).status.error else SOURCE])
+    tiles, note = (sum(map(len, info.tiles)), sum(info.tile_counts)), ""
+    if info.doubtful:
+        note = DOUBTFUL.format(info.doubtful)
+    elif info.left_out_max_m > 0.0:
+        exception = WHOLE.format(info.whole_effect) if info.whole_effect else ""
+        size = f"about {plain(info.left_out_rms_m)} m, {plain(info.left_out_max_m)} m at most"
+        note = f"Finer levels are left out{exception}: {size}"
+    return LandState(True, SHAPED, info.step_m, tiles, _by_number(numbers, info.ms), note, info.finished_early)
+
+
+def _by_number(numbers: list[int], ms) -> dict[int, float]:
+    return dict(zip(numbers, ms, strict=False))  # the list may have changed since the update
+
+
+@dataclass(frozen=True)
+class _ShapingInfo:
+    """The provenance of a shaped store; see Shaped in land/shape.py."""
+
+    step_m: float
+    ms: tuple[float, ...]
+    tiles: list
+    tile_counts: list
+    left_out_rms_m: float
+    left_out_max_m: float
+    finished_early: bool
+    doubtful: str  # an effect whose tiles may not fit, or ""
+    whole_effect: str  # an effect that computes whole levels though only some tiles were requested, or ""
+
+
+def _shaping_info(store: str) -> _ShapingInfo | None:
+    """Return the provenance of a shaped store, None for a source's store."""
+    try:
+        return _read(store, (Path(store) / stores.JSON_NAME).stat().st_mtime_ns)
+    except OSError:
+        return None
+
+
+@functools.lru_cache(maxsize=64)
+def _read(store: str, _changed_ns: int) -> _ShapingInfo | None:
+    try:
+        shaped = stores.read_json(Path(store))["provenance"]["shaped"]
+        ms = [0.0] * (1 + max((added["entry"] for added in shaped["added"]), default=-1))
+        for added in shaped["added"]:
+            ms[added["entry"]] += added["ms"]
+        names = ("tiles", "tile_counts", "left_out_rms_m", "left_out_most_m", "finished_early")
+        step_m = min((added["spacing_m"] for added in shaped["added"]), default=0.0)
+        some = {level for level, tiles in enumerate(shaped["tiles"]) if len(tiles) < shaped["tile_counts"][level]}
+        whole = (_label(added["effect"]) for added in shaped["added"] if added["whole"] and added["level"] in some)
+        doubtful = next((_label(added["effect"]) for added in shaped["added"] if added.get("doubtful", False)), "")
+        return _ShapingInfo(step_m, tuple(ms), *(shaped[name] for name in names), doubtful, next(whole, ""))
+    except (TerrainError, KeyError, IndexError, TypeError, AttributeError):  # a provenance may hold anything
+        return None
+
+
+def _label(effect: str) -> str:
+    return LAND_EFFECTS[effect].label if effect in LAND_EFFECTS else effect
+
+
+def layers_of(land) -> list[LandLayer]:
+    """Return the layers of the active entries, each once."""
+    effects = [
+        LAND_EFFECTS[land.entries[n].effect] for n in active_numbers(land) if land.entries[n].effect in LAND_EFFECTS
+    ]
+    return list({layer.name: layer for effect in effects for layer in effect.layers}.values())

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A terrain's stack of land effects: its settings as the engine's data, and the engine's data as settings."""
+
+import math
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.land.mask import ASPECT, LIMITS, SLOPE, GroundRule, Mask
+from ...cbt_terrain.land.stack import Entry, Stack
+from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from ...cbt_terrain.run.named_file import blocks_reader
+from ..bridge.scene_paths import absolute_path
+from ..importing.imported import imported_of
+from . import masks as land_masks
+from .entries import add_entry
+from .properties import BY_IMAGE, BY_OBJECT, BY_RULE, EVERYWHERE, RULES, number_of, set_number
+
+
+def unknown(effect: str) -> str:
+    """Return the message for an entry whose effect this version does not have."""
+    return (
+        f"The effect {effect!r} is not one of this version's: {', '.join(LAND_EFFECTS)}; remove it, switch it off, or "
+        "open the file with the version that made it."
+    )
+
+
+def stack_of(terrain, depsgraph, masks: Path) -> Stack:
+    """Return the stack of the evaluated `terrain`: the entries that are on. Raises TerrainError for one that is not
+    valid.
+
+    masks: the folder that images and shadows of objects are written to.
+    """
+    entries = [entry for entry in terrain.adaptive_terrain.land.entries if entry.on]
+    stack = Stack(tuple(_entry(entry, terrain, depsgraph, masks) for entry in entries))
+    stack.check(f"The stack of {terrain.name!r}")
+    return stack
+
+
+def _entry(entry, terrain, depsgraph, masks: Path) -> Entry:
+    if entry.effect not in LAND_EFFECTS:
+        raise TerrainError(unknown(entry.effect))
+    mask = _mask(entry, terrain, depsgraph, masks)
+    return Entry(entry.effect, _parameters(entry), entry.seed, True, mask, entry.name)
+
+
+def _parameters(entry) -> dict[str, float]:
+    """Return the parameters that differ from their defaults."""
+    declared = LAND_EFFECTS[entry.effect].parameters
+    numbers = [(parameter, number_of(parameter, getattr(entry, entry.effect))) for parameter in declared]
+    return {parameter.name: number for parameter, number in numbers if number != parameter.default}
+
+
+def _mask(entry, terrain, depsgraph, masks: Path) -> Mask | None:
+    mask = entry.mask
+    if mask.kind == EVERYWHERE:
+        return None
+    chosen = {BY_IMAGE: mask.image, BY_OBJECT: mask.object}
+    if mask.kind in chosen and chosen[mask.kind] is None:
+        what = "image" if mask.kind == BY_IMAGE else "object"
+        raise TerrainError(
+            f"The effect {entry.name!r} of {terrain.name!r} is masked by an {what}, and none is chosen",
+            fix="choose one, or let the effect act everywhere",
+        )
+    if mask.kind == BY_OBJECT and mask.object.original == terrain.original:
+        raise TerrainError(
+            f"The effect {entry.name!r} of {terrain.name!r} is masked by the terrain itself, which it changes",
+            fix="choose another object",
+        )
+    file = ""
+    if mask.kind == BY_IMAGE:
+        file = land_masks.of_image(mask.image, masks)
+    elif mask.kind == BY_OBJECT:
+        file = land_masks.of_shadow(mask.object, terrain, _extent_of(terrain), depsgraph, masks)
+    return Mask(file, _rules(mask) if mask.kind == BY_RULE else (), mask.factor)
+
+
+def _extent_of(terrain) -> tuple[float, float]:
+    found = imported_of(terrain.adaptive_terrain)
+    if found is None:
+        raise TerrainError(f"The terrain {terrain.name!r} has no height field", fix="import one from its panel")
+    return found.extent_m
+
+
+def _rules(mask) -> tuple[GroundRule, ...]:
+    found = []
+    for of in RULES:
+        band = getattr(mask, of)
+        if band.use:
+            limits, turn = band.bl_rna.properties["low"], _slope_degrees if of == SLOPE else float
+            low = -math.inf if band.low <= limits.hard_min else turn(band.low)
+            high = math.inf if band.high >= limits.hard_max else turn(band.high)
+            found.append(GroundRule(of, low, high, turn(band.edge)))
+    if mask.aspect.use:
+        aspect = mask.aspect
+        direction = math.degrees(aspect.direction)
+        found.append(GroundRule(ASPECT, math.cos(aspect.within), edge=aspect.edge, direction=direction))
+    return tuple(found)
+
+
+def _slope_degrees(radians: float) -> float:
+    """Return degrees, at most 90: Blender's right angle, a float32, is larger."""
+    return min(math.degrees(radians), LIMITS[SLOPE])
+
+
+def preset_of(land) -> Stack:
+    """Return the whole stack of a terrain's settings for a file: with entries that are off, without masks by
+    objects."""
+    found = []
+    for entry in land.entries:
+        if entry.effect not in LAND_EFFECTS:
+            raise TerrainError(unknown(entry.effect))
+        mask, kind = None, entry.mask.kind
+        if kind == BY_IMAGE and entry.mask.image is not None:
+            image = absolute_path(entry.mask.image.filepath)
+            if not Path(image).is_file():
+                raise TerrainError(
+                    f"The image {entry.mask.image.name!r}, which masks {entry.name!r}, has no file, and a preset names "
+                    "files",
+                    fix="save it with Image > Save As",
+                )
+            mask = Mask(image, (), entry.mask.factor)
+        elif kind == BY_RULE:
+            mask = Mask("", _rules(entry.mask), entry.mask.factor)
+        found.append(Entry(entry.effect, _parameters(entry), entry.seed, entry.on, mask, entry.name))
+    stack = Stack(tuple(found))
+    stack.check()
+    return stack
+
+
+def fill(land, stack: Stack) -> list[str]:
+    """Replace the stack of a terrain's settings by the engine's; return sentences about lost parts."""
+    land.entries.clear()
+    left_out = []
+    for number, given in enumerate(stack.entries, 1):
+        entry = add_entry(land, given.effect)
+        entry.on, entry.seed = given.on, given.seed
+        if given.name:
+            entry.name = given.name
+        for parameter in given.declaration.parameters:
+            if parameter.name in given.parameters:
+                set_number(parameter, getattr(entry, given.effect), given.parameters[parameter.name])
+        if given.mask is not None:
+            left_out += [f"Entry {number}, {entry.name}: {what}" for what in _fill_mask(entry.mask, given.mask)]
+    land.active = 0
+    return left_out
+
+
+def _fill_mask(mask, given: Mask) -> list[str]:
+    left_out = []
+    mask.kind, mask.factor = BY_RULE, given.factor
+    if given.image:
+        mask.kind = BY_IMAGE
+        try:
+            if blocks_reader(given.image):
+                raise RuntimeError("it is a pipe, a socket or a device")
+            mask.image = bpy.data.images.load(given.image, check_existing=True)
+        except RuntimeError:
+            left_out.append(f"the image {given.image} of its mask cannot be read; choose another")
+        if given.rules:
+            left_out.append("its mask has an image and rules; the rules are left out")
+        return left_out
+    for number, rule in enumerate(given.rules):
+        if any(rule.of == other.of for other in given.rules[:number]):
+            left_out.append(f"its mask has two rules about {rule.of}; the first counts")
+        elif rule.of == ASPECT:
+            aspect = mask.aspect
+            if rule.high < 1.0:
+                left_out.append("its mask has a high limit of aspect, which is left out")
+            aspect.use, aspect.direction = True, math.radians(rule.direction % 360.0)
+            aspect.within, aspect.edge = math.acos(min(max(rule.low, -1.0), 1.0)), rule.edge
+        else:
+            band, turn = getattr(mask, rule.of), math.radians if rule.of == SLOPE else float
+            limits = band.bl_rna.properties["low"]
+            band.use, band.edge = True, turn(rule.edge)
+            band.low = limits.hard_min if math.isinf(rule.low) else turn(rule.low)
+            band.high = limits.hard_max if math.isinf(rule.high) else turn(rule.high)
+    return left_out

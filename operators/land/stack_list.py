@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The stack of land effects of a terrain: add, remove, move, duplicate."""
+
+import bpy
+
+from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from ..session.polls import on_terrain
+from .entries import add_entry, copy_group, free_name
+from .properties import RULES
+
+MAX_ENTRIES = 32
+# Where a new rule begins whose range is open otherwise: ridges; streams; valley floors.
+STARTS = {"mean_curvature": 0.0, "flow": 1e5, "wetness": 8.0}
+
+
+def _items(_self, _context):
+    return _ITEMS
+
+
+# Blender keeps no reference to the texts of items that a function gives.
+_ITEMS = [(name, effect.label, effect.about) for name, effect in LAND_EFFECTS.items()]
+
+
+class _StackOperator:
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        return on_terrain(cls, context)
+
+    def execute(self, context):
+        land = context.object.adaptive_terrain.land
+        done = self._change(land)
+        if done:
+            context.object.update_tag()
+        return {"FINISHED"} if done else {"CANCELLED"}
+
+
+class _EntryOperator(_StackOperator):
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and 0 <= (land := context.object.adaptive_terrain.land).active < len(land.entries)
+
+
+def _has_room(operator, land) -> bool:
+    if len(land.entries) < MAX_ENTRIES:
+        return True
+    operator.report({"ERROR"}, f"The stack has {MAX_ENTRIES} effects, which is the most: remove one first.")
+    return False
+
+
+class AddLandEffect(_StackOperator, bpy.types.Operator):
+    """Add an effect on heights after the chosen one; it acts on the ground that those above it leave"""
+
+    bl_idname = "adaptive_terrain.land_add"
+    bl_label = "Add Land Effect"
+
+    effect: bpy.props.EnumProperty(name="Effect", description="Which effect on heights", items=_items)
+
+    def _change(self, land) -> bool:
+        if not _has_room(self, land):
+            return False
+        add_entry(land, self.effect)
+        _place_last(land)
+        return True
+
+
+class DuplicateLandEffect(_EntryOperator, bpy.types.Operator):
+    """Add a copy of the chosen effect below it"""
+
+    bl_idname = "adaptive_terrain.land_duplicate"
+    bl_label = "Duplicate Land Effect"
+
+    def _change(self, land) -> bool:
+        if not _has_room(self, land):
+            return False
+        number = land.active
+        name = free_name(land.entries[number].name, {entry.name for entry in land.entries})
+        copy = add_entry(land, land.entries[number].effect)
+        copy_group(land.entries[number], copy)
+        copy.name = name
+        _place_last(land)
+        return True
+
+
+class RemoveLandEffect(_EntryOperator, bpy.types.Operator):
+    """Remove the chosen effect"""
+
+    bl_idname = "adaptive_terrain.land_remove"
+    bl_label = "Remove Land Effect"
+
+    def _change(self, land) -> bool:
+        land.entries.remove(land.active)
+        land.active = max(0, min(land.active, len(land.entries) - 1))
+        return True
+
+
+class MoveLandEffect(_EntryOperator, bpy.types.Operator):
+    """Move the chosen effect in the stack: each acts on the ground that those above it leave"""
+
+    bl_idname = "adaptive_terrain.land_move"
+    bl_label = "Move Land Effect"
+
+    by: bpy.props.IntProperty(name="By", default=1, min=-MAX_ENTRIES, max=MAX_ENTRIES)
+
+    def _change(self, land) -> bool:
+        to = land.active + self.by
+        if not 0 <= to < len(land.entries):
+            return False
+        land.entries.move(land.active, to)
+        land.active = to
+        return True
+
+
+class AddLandRule(_EntryOperator, bpy.types.Operator):
+    """Let the mask depend on one quantity more"""
+
+    bl_idname = "adaptive_terrain.land_rule_add"
+    bl_label = "Add Rule"
+
+    of: bpy.props.EnumProperty(
+        name="Quantity",
+        items=[(of, *(group.__annotations__["use"].keywords[key] for key in ("name", "description")))
+               for of, group in RULES.items()],
+    )  # fmt: skip
+
+    def _change(self, land) -> bool:
+        rule = getattr(land.entries[land.active].mask, self.of)
+        rule.use = True
+        if self.of in STARTS and not rule.is_property_set("low"):
+            rule.low = STARTS[self.of]
+        return True
+
+
+def _place_last(land) -> None:
+    """Move the last entry below the chosen one, and choose it."""
+    last = len(land.entries) - 1
+    to = min(land.active + 1, last)
+    land.entries.move(last, to)
+    land.active = to
+
+
+CLASSES = (AddLandEffect, DuplicateLandEffect, RemoveLandEffect, MoveLandEffect, AddLandRule)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Decals of a terrain: image empties that are parented to it, as effects take them. Its Z axis projects them.
+
+An image whose colour space is data (Non-Color) is a normal map, any other shows colours. Higher decals are on top.
+"""
+
+import numpy as np
+
+from ...cbt_terrain.ask.linear import inverse, length, product
+from ...cbt_terrain.effects.decals import Decal, Picture, picture
+from ..bridge.evaluated import found_in
+from .images import cached_value
+
+# IEC 61966-2-1, of each byte.
+LINEAR = np.array([c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (k / 255 for k in range(256))])
+
+
+def decals_given(terrain, placement: np.ndarray, depsgraph, tilts: bool) -> dict[str, object]:
+    """Return the parameter "decals" of effects, if there are any: normal maps if `tilts`, else colours.
+
+    placement: of the terrain, float64 [4, 4]. Raises TerrainError for an empty that stands upright, for an image
+    without pixels, and for a hidden one that Blender would have to move.
+    """
+    found = []
+    for child in terrain.original.children_recursive:
+        if child.type == "EMPTY" and child.empty_display_type == "IMAGE" and _tilts(child.data) == tilts:
+            empty, matrix = found_in(depsgraph, child, "decal")
+            if not empty.hide_render:
+                matrix = product(inverse(placement), np.array(matrix, np.float64))
+                found.append((float(matrix[2, 3]), child.name_full, _decal(child.name, empty, matrix)))
+    return {"decals": tuple(decal for *_, decal in sorted(found, key=lambda item: item[:2]))} if found else {}
+
+
+def _decal(name: str, empty, matrix: np.ndarray) -> Decal:
+    """`matrix`: from the empty's space to the terrain's. The longer side of an image is as long as the empty's size."""
+    image = empty.data.original
+    picture = cached_value(image, Picture, f"of the decal {name!r}", _picture)
+    sides = np.array(image.size, np.float64) * np.array(image.display_aspect, np.float64)
+    sides *= empty.empty_display_size / sides.max()
+    along, up = matrix[:2, 0] * sides[0], matrix[:2, 1] * sides[1]
+    upwards = np.cross(matrix[:3, 0], matrix[:3, 1])
+    up = up * (abs(upwards[2]) > 1e-5 * length(upwards))  # of one that stands upright there are rounding errors left
+    corner = matrix[:2, 3] + along * empty.empty_image_offset[0] + up * empty.empty_image_offset[1]
+    opacity = empty.color[3] if empty.use_empty_image_alpha else 1.0
+    return Decal(name, picture, *(tuple(v.tolist()) for v in (corner, along, up)), float(opacity))
+
+
+def _tilts(image) -> bool | None:
+    return None if image is None else image.colorspace_settings.is_data
+
+
+def _picture(image, pixels: np.ndarray) -> Picture:
+    """Return a picture of float32 pixels [rows, columns, channels], as Blender stores them."""
+    channels = pixels.shape[2]
+    alpha = pixels[..., 3:] if channels == 4 and image.alpha_mode != "NONE" else np.ones_like(pixels[..., :1])
+    colors = pixels[..., :3] if channels >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
+    if image.is_float and image.alpha_mode in ("STRAIGHT", "PREMUL"):  # which Blender holds times alpha
+        colors = colors / np.maximum(alpha, np.float32(1e-6))
+    elif not image.is_float and image.colorspace_settings.name == "sRGB":
+        colors = LINEAR[(np.clip(colors, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)]
+    return picture(np.concatenate([colors, alpha], axis=2), _tilts(image))

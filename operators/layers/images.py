@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Images of splat layers and decals: values computed from their pixels, cached until an image changes."""
+
+import glob
+import io
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+
+from ...cbt_terrain.effects.splat_rules import Painted
+from ...cbt_terrain.errors import TerrainError, shown
+from ...cbt_terrain.importing.png_file import png_damage
+from ...cbt_terrain.run.named_file import blocks_reader, open_regular
+from ..bridge.scene_paths import absolute_path
+
+T = TypeVar("T")
+# By image name and kind of value: the state of the image, and the value.
+_read: dict[tuple[str, type], tuple[tuple, object]] = {}
+
+
+def painted_of(image, whose: str = "of a splat layer") -> Painted:
+    """Return the red of an image, row 0 south. Raises TerrainError for an image without pixels."""
+    return cached_value(image, Painted, whose, _painted)
+
+
+def _painted(_image, pixels: np.ndarray) -> Painted:
+    return Painted(np.clip(np.nan_to_num(pixels[..., 0]), 0.0, 1.0))
+
+
+def cached_value(image, kind: type[T], whose: str, make: Callable[[object, np.ndarray], T]) -> T:
+    """Return `make(image, pixels)`, cached until the image changes.
+
+    pixels: float32 [rows, columns, channels], row 0 at the lower edge. Raises TerrainError for an image without pixels,
+    or with a truncated file.
+    """
+    image = image.original
+    check_image_files(image, whose)
+    mark = *image.size, image.filepath, image.channels, image.colorspace_settings.name, image.alpha_mode
+    cached = _read.get((image.name_full, kind))
+    if cached is None or cached[0] != mark:
+        _check_whole(image, whose)
+        columns, rows = image.size
+        if not image.channels or not rows * columns:
+            raise TerrainError(
+                f"The image {image.name!r} {whose} has no pixels",
+                expected="an image file that can be read",
+                fix="find it, or choose another",
+            )
+        pixels = np.empty(rows * columns * image.channels, np.float32)
+        image.pixels.foreach_get(pixels)
+        cached = mark, make(image, pixels.reshape(rows, columns, image.channels))
+        _read[image.name_full, kind] = cached
+    return cached[1]
+
+
+def check_image_files(image, whose: str) -> None:
+    """Raise TerrainError where Blender would wait for the pixels of an image: its file is a pipe or a device."""
+    if image.source == "GENERATED" or image.packed_file is not None:
+        return
+    path = Path(absolute_path(image.filepath_raw, library=image.library))
+    waiting = next(filter(blocks_reader, [path, *numbered_files(path, image.source)]), None)
+    if waiting is not None:
+        raise TerrainError(
+            f"The image {image.name!r} {whose} is {shown(waiting)}, a pipe, a socket or a device",
+            expected="an image file",
+            fix="choose another",
+        )
+
+
+def numbered_files(path: Path, source: str) -> list[Path]:
+    """Return the files of a tiled image or of a sequence, of which `path` names one or the pattern."""
+    number = {"TILED": r"<UDIM>|<UVTILE>|\d{4}(?=\.\w+$)", "SEQUENCE": r"\d+(?=\D*$)", "MOVIE": None}.get(source)
+    if number is None or not path.name:
+        return []
+    return list(path.parent.glob("*".join(map(glob.escape, re.split(number, path.name)))))
+
+
+def _check_whole(image, whose: str) -> None:
+    """Raise TerrainError for a truncated PNG, of which Blender shows the missing part in black."""
+    if image.is_dirty or image.source != "FILE":
+        return  # painted: the file does not matter
+    path = Path(absolute_path(image.filepath_raw, library=image.library))
+    try:
+        packed = image.packed_file
+        with open_regular(path, links=True) if packed is None else io.BytesIO(packed.data) as file:
+            damage = png_damage(file)
+    except OSError:
+        return  # a file that was read once may be gone by now
+    if damage:
+        raise TerrainError(
+            f"The image {image.name!r} {whose} is damaged ({damage})",
+            expected="a whole PNG",
+            fix="get the file again, and reload the image",
+        )
+
+
+@persistent
+def forget_changed(_scene, depsgraph) -> None:
+    """Drop the cached values of images that have changed, and tag the terrains that read them."""
+    changed = {update.id.name_full for update in depsgraph.updates if isinstance(update.id, bpy.types.Image)}
+    read = [key for key in _read if key[0] in changed]
+    if not read:
+        return
+    for key in read:
+        del _read[key]
+    for obj in bpy.data.objects:
+        settings = obj.adaptive_terrain
+        images = [settings.ground.image, *(i for layer in settings.layers for i in (layer.image, layer.detail.image))]
+        if any(image is not None and image.name_full in changed for image in images):
+            obj.update_tag()
+
+
+@persistent
+def _forget(_file) -> None:
+    _read.clear()
+
+
+def register() -> None:
+    bpy.app.handlers.depsgraph_update_post.append(forget_changed)
+    bpy.app.handlers.load_post.append(_forget)
+
+
+def unregister() -> None:
+    bpy.app.handlers.depsgraph_update_post.remove(forget_changed)
+    bpy.app.handlers.load_post.remove(_forget)
+    _read.clear()

@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The node group "Terrain Layers": the layers' colours by their weights, varied, darkened where little sky is seen.
+
+It is built from what there is: as many layers as the terrain has, and of each source the baked map where there is one,
+else the attribute. It reads nothing else, so nothing else is computed.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain, count
+
+import bpy
+
+from ...cbt_terrain.maps.tiling import MARGIN
+from ..bridge.demand.trees import tree_of_new
+from ..bridge.nodes import Nodes
+
+GROUP = "Terrain Layers"
+PLAIN = (0.2, 0.19, 0.17)  # without any layer
+MARK = "adaptive_terrain"  # a property of the group, by which it is found again under any name
+FIELDS = 100.0  # in the terrain's longer side: how large the variation is at first
+A_GROUP = 4  # layers in one attribute or map
+COLORS, NORMAL, SKY, SUN = "color", "detail_normal", "sky", "sun"
+VARIATION, SIZE, OCCLUSION, SHADOW = "Variation", "Variation Size", "Occlusion", "Shadow"
+COLOUR = "Color"
+# How far noise moves the border of two layers: 0 not at all, 1 until one of them is gone.
+RAGGED = 0.9
+# The noise in heights is finer, so that cliffs are banded and level ground is not.
+BANDED = 6.0
+# What the noise does to a colour.
+LIGHTER, WARMER = (0.9, 0.85, 0.8), (0.14, 0.02, -0.14)
+# How far from a seam of tiles a pixel may reach, as a part of its distance.
+SEAM = 0.01
+# Octaves of the variation, by its size, and how far each is seen, in its own size.
+BROAD, FINE, SEEN = 3.0, 0.12, 500.0
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What the group reads. `layers`: name and colour (linear RGB) of each, none where there is a map of COLORS.
+    `light`: which of SKY and SUN darken the colours. `maps`: baked images by effect; what has none is read as an
+    attribute. `place`: adds nodes to a tree that give the place in them; returns their output. `tile`: metres of the
+    world across an image of several that make a map."""
+
+    layers: Sequence[tuple[str, tuple[float, float, float]]]
+    light: Sequence[str] = ()
+    maps: Mapping[str, bpy.types.Image] = field(default_factory=dict)
+    place: Callable[[bpy.types.NodeTree], bpy.types.NodeSocket] | None = None
+    tile: float = 0.0
+
+
+def reads(sources: Sources) -> tuple[str, ...]:
+    """Names of the effects that the group reads as attributes."""
+    groups = range(-(-len(sources.layers) // A_GROUP))
+    names = [f"splat_{group + 1}" for group in groups] + list(sources.light)
+    return tuple(name for name in names if name not in sources.maps)
+
+
+def dress(obj, sources: Sources) -> bpy.types.Material:
+    """Give the object a material with the group, or build the group of the one that it has again.
+
+    What another object wears too, or another file has, stays as it is: the object gets a copy.
+    """
+    material, node = _found(obj) or _made(obj)
+    names = _socket_names([name for name, _ in sources.layers])
+    layers = [(name, colour) for name, (_, colour) in zip(names, sources.layers, strict=True)]
+    sources = replace(sources, layers=layers)
+    low, high = obj.bound_box[0], obj.bound_box[6]
+    side = max(high[0] - low[0], high[1] - low[1])
+    had = set(node.inputs.keys())
+    build_group(node.node_tree, sources, side / FIELDS if side > 0 else 1.0)
+    for item in _inputs(node.node_tree):
+        if item.name not in had:  # the node's own socket was made before this had its value
+            node.inputs[item.name].default_value = item.default_value
+    for name, colour in sources.layers:
+        node.inputs[name].default_value = (*colour, 1.0)
+    tree, normal = material.node_tree, node.outputs.get("Normal")
+    for shader in {link.to_node for link in node.outputs[COLOUR].links} if normal is not None else ():
+        if "Normal" in shader.inputs and not shader.inputs["Normal"].is_linked:
+            tree.links.new(normal, shader.inputs["Normal"])
+    return material
+
+
+def _found(obj) -> tuple[bpy.types.Material, bpy.types.Node] | None:
+    """The first material of the object that has the group, and its node."""
+    for slot in obj.material_slots:
+        node = _group_node(slot.material)
+        if node is not None:
+            if slot.material.library is not None or _is_worn_by_others(slot.material, obj):
+                slot.material = slot.material.copy()
+                node = _group_node(slot.material)
+                node.node_tree = node.node_tree.copy()
+            return slot.material, node
+    return None
+
+
+def _group_node(material) -> bpy.types.Node | None:
+    for node in material.node_tree.nodes if material is not None and material.node_tree else ():
+        if node.type == "GROUP" and node.node_tree is not None and MARK in node.node_tree:
+            return node
+    return None
+
+
+def _is_worn_by_others(material, obj) -> bool:
+    others = (other for other in bpy.data.objects if other.data != obj.data)
+    return any(slot.material == material for other in others for slot in other.material_slots)
+
+
+def _made(obj) -> tuple[bpy.types.Material, bpy.types.Node]:
+    """A new material, in the object's first slot."""
+    material = bpy.data.materials.new(f"{obj.name} Material")
+    tree = tree_of_new(material)
+    tree.nodes.clear()
+    group = bpy.data.node_groups.new(GROUP, "ShaderNodeTree")
+    group[MARK] = True
+    group.interface.new_socket(COLOUR, in_out="OUTPUT", socket_type="NodeSocketColor")
+    n = Nodes(tree)
+    node = n.add("ShaderNodeGroup", node_tree=group)
+    inputs = {"Base Color": node.outputs[COLOUR], "Roughness": 0.9, "Specular IOR Level": 0.2}
+    n.add("ShaderNodeOutputMaterial", {"Surface": n.add("ShaderNodeBsdfPrincipled", inputs).outputs[0]})
+    n.arrange()
+    node.width = 200.0
+    if obj.material_slots:
+        obj.material_slots[0].material = material  # of the object or of its mesh, as the slot has it
+    else:
+        obj.data.materials.append(material)
+    return material, node
+
+
+def _socket_names(names: Sequence[str]) -> list[str]:
+    """Of layers: each once, and none that the group has for something else."""
+    taken = [VARIATION, SIZE, OCCLUSION, SHADOW]
+    for name in names:
+        numbered = (f"{name or 'Layer'} {number}" for number in count(2))
+        taken.append(next(free for free in chain([name or "Layer"], numbered) if free not in taken))
+    return taken[4:]
+
+
+def build_group(tree, sources: Sources, size: float) -> None:
+    """Fill the node group `tree`; its inputs keep their links where it is built again.
+
+    `size`: metres, of the variation at first.
+    """
+    names = [name for name, _ in sources.layers]
+    light = {SKY: OCCLUSION, SUN: SHADOW}
+    inputs = {name: "NodeSocketColor" for name in names}
+    inputs |= {name: "NodeSocketFloat" for name in (VARIATION, SIZE, *(light[name] for name in sources.light))}
+    outputs = {COLOUR: "NodeSocketColor"} | ({"Normal": "NodeSocketVector"} if NORMAL in sources.maps else {})
+    _set_interface(tree, inputs, outputs)
+    tree.nodes.clear()
+    n = Nodes(tree)
+    given = n.add("NodeGroupInput").outputs
+    noise = _noise(n, given[SIZE])
+    colour = _mixed(n, sources, [given[name] for name in names], noise) if names else PLAIN
+    if COLORS in sources.maps:
+        colour = _texture(n, sources, COLORS)["Color"]
+    colour = _varied(n, colour, noise, given[VARIATION])
+    for name in sources.light:
+        seen = _value(n, sources, name)
+        darker = n.math("SUBTRACT", 1.0, n.math("MULTIPLY", given[light[name]], n.math("SUBTRACT", 1.0, seen)))
+        colour = n.scaled(colour, darker)
+    out = n.add("NodeGroupOutput", {COLOUR: colour})
+    if NORMAL in sources.maps:
+        normal = n.add("ShaderNodeNormalMap", {"Color": _texture(n, sources, NORMAL)["Color"]}, space="OBJECT")
+        tree.links.new(normal.outputs[0], out.inputs["Normal"])
+    n.arrange()
+    for item in _inputs(tree):
+        if item.socket_type == "NodeSocketFloat":
+            item.min_value, item.max_value = 0.0, 1e6 if item.name == SIZE else 1.0
+            item.default_value = {VARIATION: 0.5, SIZE: size, OCCLUSION: 0.4, SHADOW: 0.0}[item.name]
+
+
+def _set_interface(tree, inputs: Mapping[str, str], outputs: Mapping[str, str]) -> None:
+    """The sockets asked for, in that order; those that are there already stay, with what is linked to them."""
+    for panel in [item for item in tree.interface.items_tree if item.item_type == "PANEL"]:
+        tree.interface.remove(panel)
+    wanted = [(name, kind, "OUTPUT") for name, kind in outputs.items()]  # which Blender keeps before the inputs
+    wanted += [(name, kind, "INPUT") for name, kind in inputs.items()]
+    have = {(item.name, item.socket_type, item.in_out): item for item in tree.interface.items_tree}
+    for key in have.keys() - set(wanted):
+        tree.interface.remove(have[key])
+    for place, (name, kind, way) in enumerate(wanted):
+        item = have.get((name, kind, way)) or tree.interface.new_socket(name, in_out=way, socket_type=kind)
+        tree.interface.move(item, place)
+
+
+def _inputs(tree) -> list:
+    items = tree.interface.items_tree
+    return [item for item in items if item.item_type == "SOCKET" and item.in_out == "INPUT"]
+
+
+def _value(n: Nodes, sources: Sources, name: str):
+    """A number of an effect, from its map or its attribute."""
+    if name in sources.maps:
+        return n.add("ShaderNodeSeparateColor", {0: _texture(n, sources, name)["Color"]}).outputs[0]
+    return n.add("ShaderNodeAttribute", attribute_name=name).outputs["Fac"]
+
+
+def _texture(n: Nodes, sources: Sources, name: str):
+    """The image of a map, at the terrain's own place: its Color and Alpha.
+
+    Where two tiles meet EEVEE takes the jump from one to the other for the derivative of the place, and shows the mean
+    of a whole tile in a line of a pixel or two. So there it gets the image without mips: with cubic interpolation.
+    """
+    place = sources.place(n.tree) if sources.place else None
+    inputs = {"Vector": place} if place else {}
+    given = {"image": sources.maps[name], "extension": "EXTEND"}
+    found = n.add("ShaderNodeTexImage", inputs, **given).outputs
+    if place is None or given["image"].source != "TILED":
+        return {name: found[name] for name in ("Color", "Alpha")}
+    sharp = n.add("ShaderNodeTexImage", inputs, interpolation="Cubic", **given).outputs
+    near = _near_seams(n, place, sources.tile)
+    alpha = n.math("MULTIPLY_ADD", near, n.math("SUBTRACT", sharp["Alpha"], found["Alpha"]), found["Alpha"])
+    return {"Color": n.mix(near, found["Color"], sharp["Color"]), "Alpha": alpha}
+
+
+def _near_seams(n: Nodes, place, tile: float):
+    """1 within a few pixels of where tiles of `tile` metres meet, else 0."""
+    off = n.vector("ABSOLUTE", n.vector("SUBTRACT", n.vector("FRACTION", place), (0.5, 0.5, 0.5)))
+    x, y, _ = n.add("ShaderNodeSeparateXYZ", {0: off}).outputs
+    inside = n.math("SUBTRACT", 0.5 - MARGIN, n.math("MAXIMUM", x, y))
+    away = n.add("ShaderNodeCameraData").outputs["View Distance"]
+    return n.math("LESS_THAN", inside, n.math("MULTIPLY", away, SEAM / max(tile, 1e-9)))
+
+
+def _weights(n: Nodes, sources: Sources, group: int):
+    """Three weights as a vector, and the fourth, of four layers."""
+    name = f"splat_{group + 1}"
+    if name in sources.maps:
+        outputs = _texture(n, sources, name)
+    else:
+        outputs = n.add("ShaderNodeAttribute", attribute_name=name).outputs
+    return outputs["Color"], outputs["Alpha"]
+
+
+def _noise(n: Nodes, size):
+    """Three numbers of about -1 .. 1, no two alike, from two noises, of which the fine one is lost in the distance."""
+    place = n.vector("MULTIPLY", n.add("ShaderNodeTexCoord").outputs["Object"], (1.0, 1.0, BANDED))
+    away = n.add("ShaderNodeCameraData").outputs["View Distance"]
+    parts = []
+    for share in (BROAD, FINE):
+        length = n.math("MULTIPLY", size, share)
+        inputs = {"Vector": n.vector("DIVIDE", place, length), "Scale": 1.0, "Detail": 4.0, "Roughness": 0.7}
+        noise = n.math("SUBTRACT", n.add("ShaderNodeTexNoise", inputs).outputs[0], 0.5)
+        seen = n.math("POWER", 0.5, n.math("DIVIDE", away, n.math("MULTIPLY", length, SEEN)))
+        parts.append(n.math("MULTIPLY", noise, n.math("MULTIPLY", seen, 4.0)))
+    both = n.math("ADD", *parts)
+    inputs = {0: both, 1: n.math("MULTIPLY", both, -1.0), 2: n.math("SUBTRACT", *parts)}
+    return n.add("ShaderNodeCombineXYZ", inputs).outputs[0]
+
+
+def _mixed(n: Nodes, sources: Sources, colours: Sequence, noise):
+    """The layers' colours by their weights, whose borders the noise makes ragged."""
+    three = n.vector("MULTIPLY_ADD", noise, (RAGGED, RAGGED, RAGGED), (1.0, 1.0, 1.0))
+    three = n.vector("MAXIMUM", three, (1.0 - RAGGED,) * 3)
+    opposite = n.math("SUBTRACT", 2.0, n.add("ShaderNodeSeparateXYZ", {0: three}).outputs[0])
+    fourth = n.math("MAXIMUM", opposite, 1.0 - RAGGED)
+    colour = total = None
+    for first in range(0, len(colours), A_GROUP):
+        vector, alpha = _weights(n, sources, first // A_GROUP)
+        shares = list(n.add("ShaderNodeSeparateXYZ", {0: n.vector("MULTIPLY", vector, three)}).outputs)
+        shares.append(n.math("MULTIPLY", alpha, fourth))
+        for share, layer in zip(shares, colours[first : first + A_GROUP], strict=False):
+            part = n.scaled(layer, share)
+            colour = part if colour is None else n.vector("ADD", colour, part)
+            total = share if total is None else n.math("ADD", total, share)
+    return n.scaled(colour, n.math("DIVIDE", 1.0, n.math("MAXIMUM", total, 1e-6)))
+
+
+def _varied(n: Nodes, colour, noise, variation):
+    """Lighter and darker, warmer and colder."""
+    first, _, third = n.add("ShaderNodeSeparateXYZ", {0: noise}).outputs
+    grey, warm = n.scaled(LIGHTER, first), n.scaled(WARMER, third)
+    factor = n.vector("ADD", (1.0, 1.0, 1.0), n.scaled(n.vector("ADD", grey, warm), variation))
+    return n.vector("MULTIPLY", colour, n.vector("MAXIMUM", factor, (0.15, 0.15, 0.15)))

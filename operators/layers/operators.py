@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Splat layers of a terrain: add, remove, move, and presets as files."""
+
+from pathlib import Path
+
+import bpy
+from bl_operators.presets import AddPresetBase
+
+from ...cbt_terrain.effects.splat_rules import MOST_LAYERS
+from ..session.polls import on_terrain
+
+PRESETS = "adaptive_terrain/layers"
+PRESET_PANEL = "ADAPTIVE_TERRAIN_PT_layer_presets"
+# The folder that holds "presets", as Blender wants to know it.
+FOLDER = str(Path(__file__).parents[1])
+
+
+class _LayerOperator:
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        return on_terrain(cls, context)
+
+
+class AddLayer(_LayerOperator, bpy.types.Operator):
+    """Add a layer below the chosen one; it lies on top of those above it in the list"""
+
+    bl_idname = "adaptive_terrain.layer_add"
+    bl_label = "Add Layer"
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and len(context.object.adaptive_terrain.layers) < MOST_LAYERS
+
+    def execute(self, context):
+        settings = context.object.adaptive_terrain
+        layers, names = settings.layers, {layer.name for layer in settings.layers}
+        layer = layers.add()
+        layer.name = next(name for number in range(1, 14) if (name := f"Layer {number}") not in names)
+        layer.seed = len(layers)
+        at = min(settings.active_layer + 1, len(layers) - 1)
+        layers.move(len(layers) - 1, at)
+        settings.active_layer = at
+        return {"FINISHED"}
+
+
+class RemoveLayer(_LayerOperator, bpy.types.Operator):
+    """Remove the chosen layer"""
+
+    bl_idname = "adaptive_terrain.layer_remove"
+    bl_label = "Remove Layer"
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and len(context.object.adaptive_terrain.layers) > 0
+
+    def execute(self, context):
+        settings = context.object.adaptive_terrain
+        settings.layers.remove(settings.active_layer)
+        settings.active_layer = max(0, min(settings.active_layer, len(settings.layers) - 1))
+        context.object.update_tag()
+        return {"FINISHED"}
+
+
+class MoveLayer(_LayerOperator, bpy.types.Operator):
+    """Move the chosen layer in the list: layers further down lie on those above"""
+
+    bl_idname = "adaptive_terrain.layer_move"
+    bl_label = "Move Layer"
+
+    by: bpy.props.IntProperty(name="By", default=1, min=-MOST_LAYERS, max=MOST_LAYERS)
+
+    def execute(self, context):
+        settings = context.object.adaptive_terrain
+        to = settings.active_layer + self.by
+        if not 0 <= to < len(settings.layers):
+            return {"CANCELLED"}
+        settings.layers.move(settings.active_layer, to)
+        settings.active_layer = to
+        context.object.update_tag()
+        return {"FINISHED"}
+
+
+class AddPreset(AddPresetBase, bpy.types.Operator):
+    """Save the layers as a preset, or remove one"""
+
+    bl_idname = "adaptive_terrain.layer_preset_add"
+    bl_label = "Add Layer Preset"
+    preset_menu = PRESET_PANEL
+    preset_subdir = PRESETS
+
+    @classmethod
+    def poll(cls, context):
+        return on_terrain(cls, context)
+
+    def add(self, context, filepath: str) -> None:
+        Path(filepath).write_text(preset_text(context.object.adaptive_terrain.layers), encoding="utf-8")
+
+
+def preset_text(layers) -> str:
+    """A preset file: Python that makes these layers of the active object. Painted images stay with their file."""
+    lines = ["import bpy", "", "settings = bpy.context.object.adaptive_terrain", "settings.layers.clear()"]
+    for layer in layers:
+        lines += ["", "layer = settings.layers.add()", *_assignments("layer", layer)]
+    lines += ["", "settings.active_layer = 0", "bpy.context.object.update_tag()", ""]
+    return "\n".join(lines)
+
+
+def _assignments(path: str, group) -> list[str]:
+    """Those of a property group's members that differ from their defaults."""
+    lines = []
+    names = dict.fromkeys(group.bl_rna.properties.keys())  # one that replaces another is there twice
+    for item in (group.bl_rna.properties[name] for name in names if name != "rna_type"):
+        value = getattr(group, item.identifier)
+        if item.type == "POINTER":
+            if isinstance(value, bpy.types.PropertyGroup):
+                lines += _assignments(f"{path}.{item.identifier}", value)
+        elif group.is_property_set(item.identifier) and not (item.is_readonly or item.is_hidden):
+            value = tuple(value) if getattr(item, "is_array", False) else value
+            lines.append(f"{path}.{item.identifier} = {_shown(value)}")
+    return lines
+
+
+def _shown(value) -> str:
+    """Numbers as short as Blender keeps them, in float32."""
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_shown, value))})"
+    return f"{value:.7g}" if isinstance(value, float) else repr(value)
+
+
+CLASSES = (AddLayer, RemoveLayer, MoveLayer, AddPreset)
+
+
+def register() -> None:
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.utils.register_preset_path(FOLDER)
+
+
+def unregister() -> None:
+    bpy.utils.unregister_preset_path(FOLDER)
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Settings of the splat layers of a terrain (`object.adaptive_terrain.layers`), and the one place that reads them."""
+
+import math
+from dataclasses import replace
+
+import bpy
+import numpy as np
+from bpy.props import (
+    BoolProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from ...cbt_terrain.effects import splat_rules as rules
+from ...cbt_terrain.effects.color import DEFAULT_COLORS
+from ...cbt_terrain.errors import TerrainError
+from ..terrain.detail_properties import changed
+from ..terrain.displacement_properties import DisplacementSettings, is_gray
+from .images import painted_of
+
+
+def band(
+    label: str,
+    about: str,
+    low: float,
+    high: float,
+    edge: float,
+    ends: tuple[float, float],
+    decades: bool = False,
+    **options,
+) -> type:
+    """Return a property group with a switch and the limits of one quantity.
+
+    ends: the range; a limit at its end is open. decades: the edge is in powers of ten, which have no unit.
+    """
+    lowest, highest = ends
+    options = {"update": changed, "precision": 3} | options
+    without = {name: value for name, value in options.items() if not (decades and name == "unit")}
+    limits = {
+        "use": BoolProperty(name=label, description=f"It depends on this: {about}", update=changed),
+        "low": FloatProperty(name="From", description=about, default=low, min=lowest, max=highest, **options),
+        "high": FloatProperty(name="To", description=about, default=high, min=lowest, max=highest, **options),
+        "edge": FloatProperty(
+            name="Edge",
+            description="How wide each limit is, from nothing to all, about its place",
+            default=edge, min=0.0, max=min(highest - lowest, rules.MOST_EDGE), **without,
+        ),
+    }  # fmt: skip
+    members = {"__annotations__": limits, "__doc__": about}
+    return type(f"AdaptiveTerrainLayer{label.replace(' ', '')}", (bpy.types.PropertyGroup,), members)
+
+
+_HALF_TURN = math.pi / 2
+MAX_FLOAT = float(np.finfo(np.float32).max)  # panels show it as "inf"
+# Kind of rule -> its group. The order is that of the panel.
+BANDS = {
+    rules.RELIEF: band("Relief", "height, 0 at the terrain's lowest place and 1 at its highest", 0, 1, 0.1, (0, 1)),
+    rules.HEIGHT: band("Height", "height", -1e5, 1e5, 50.0, (-1e5, 1e5), unit="LENGTH"),
+    rules.SLOPE: band("Slope", "slope", 0, _HALF_TURN, 0.15, (0, _HALF_TURN), subtype="ANGLE"),
+    rules.CURVATURE: band("Curvature", "mean curvature, 1 / m: above 0 on ridges, below in hollows",
+                           -10, 10, 0.01, (-10, 10)),
+    rules.FLOW: band("Flow", "land that drains through; the edge in powers of ten", 0, MAX_FLOAT, 1.0,
+                     (0, MAX_FLOAT), decades=True, unit="AREA", step=100),
+    rules.WETNESS: band("Wetness", "topographic wetness, about 3 on slopes and 12 in valleys", -50, 50, 2, (-50, 50)),
+    **{
+        name: band(label, f"depth of {what}, which effects on heights leave", 0.5, 1e4, 0.5, (0, 1e4), unit="LENGTH")
+        for name, label, what in (
+            ("wear", "Wear", "rock that erosion has removed"),
+            ("sediment", "Sediment", "what rivers have laid down"),
+            ("scree", "Scree", "scree"),
+            ("snow", "Snow", "snow"),
+            ("water_depth", "Water Depth", "water"),
+        )
+    },
+    rules.NOISE: band("Patches", "the layer's noise, -1 to 1", 0, 1, 0.3, (-1, 1)),
+}  # fmt: skip
+
+
+class AspectSettings(bpy.types.PropertyGroup):
+    """Which way the ground faces."""
+
+    use: BoolProperty(name="Aspect", description="The layer depends on which way the ground faces", update=changed)
+    direction: FloatProperty(
+        name="Towards",
+        description="Compass direction downhill, clockwise from north",
+        min=0.0, max=math.tau, subtype="ANGLE", update=changed,
+    )  # fmt: skip
+    within: FloatProperty(
+        name="Within",
+        description="How far from that direction",
+        default=math.radians(60), min=0.0, max=math.pi, subtype="ANGLE", update=changed,
+    )  # fmt: skip
+    edge: FloatProperty(
+        name="Edge",
+        description="How wide the limit is, in cosines of the angle",
+        default=0.4, min=0.0, max=2.0, precision=3, update=changed,
+    )  # fmt: skip
+
+
+def _renamed(self, context) -> None:
+    """Give the layer's new name to the masks of other layers and to the scatters that name it."""
+    terrain, before = self.id_data, self.last_name
+    self.last_name = self.name
+    layers = terrain.adaptive_terrain.layers
+    if before and before not in [layer.name for layer in layers]:
+        for layer in layers:
+            if layer.mask == before:
+                layer.mask = self.name
+        for child in terrain.children:
+            if child.adaptive_scatter.layer == before:
+                child.adaptive_scatter.layer = self.name
+    changed(self, context)
+
+
+class LayerSettings(bpy.types.PropertyGroup):
+    """A splat layer: its colour, and the rules for the ground that it covers."""
+
+    name: StringProperty(name="Name", default="Layer", update=_renamed)
+    last_name: StringProperty(options={"HIDDEN"})
+    color: FloatVectorProperty(
+        name="Color",
+        description="Of the terrain's material, where the layer lies",
+        subtype="COLOR", size=3, min=0.0, max=1.0, default=(0.3, 0.3, 0.3),
+    )  # fmt: skip
+    strength: FloatProperty(
+        name="Strength", description="How much it covers where its rules hold", default=1.0, min=0.0, max=1.0,
+        subtype="FACTOR", update=changed,
+    )  # fmt: skip
+    on_top: BoolProperty(
+        name="On Top",
+        description="It takes its part from the layers above it in the list; otherwise it shares the ground with them",
+        default=True, update=changed,
+    )  # fmt: skip
+    noise_size: FloatProperty(
+        name="Noise Size", description="Of the largest waves of the layer's noise", default=200.0, min=0.001, max=1e6,
+        unit="LENGTH", update=changed,
+    )  # fmt: skip
+    ragged: FloatProperty(
+        name="Ragged Edges", description="By how many of their widths noise moves the limits", default=0.8, min=0.0,
+        max=100.0, soft_max=2.0, precision=2, update=changed,
+    )  # fmt: skip
+    seed: IntProperty(name="Seed", description="Another seed is other noise", default=0, min=0, update=changed)
+    aspect: PointerProperty(type=AspectSettings)
+    mask: StringProperty(
+        name="Mask", description="A layer above this one in the list: this one lies only where that one does",
+        update=changed,
+    )  # fmt: skip
+    image: PointerProperty(
+        name="Painted",
+        description="An image over the whole terrain, north up: the layer lies where its red is 1",
+        type=bpy.types.Image, poll=is_gray, update=changed,
+    )  # fmt: skip
+    detail: PointerProperty(type=DisplacementSettings)
+
+
+for _kind, _group in BANDS.items():
+    LayerSettings.__annotations__[_kind] = PointerProperty(type=_group)
+
+
+def layers_of(settings) -> tuple[rules.Layer, ...]:
+    """Return the layers of a terrain's settings for the effects, empty for none. Raises TerrainError for one that is
+    not valid."""
+    found = tuple(_layer(settings.layers, number) for number in range(len(settings.layers)))
+    if found:
+        rules.check(found)
+    return found
+
+
+def layers_given(settings) -> dict[str, object]:
+    """Return the parameters of the splat effects that differ from their defaults."""
+    layers = layers_of(settings)
+    return {"layers": layers} if layers else {}
+
+
+def color_given(settings) -> dict[str, object]:
+    """Return the parameters of the effect "color" that come from the layers and differ from their defaults."""
+    layers = layers_given(settings)
+    return layers | {"colors": tuple(color for _, color in colors_of(settings))} if layers else {}
+
+
+def colors_of(settings) -> list[tuple[str, tuple[float, float, float]]]:
+    """Return name and linear RGB of the layers of `layers_of`, or of the default layers if there are none."""
+    if not len(settings.layers):
+        return list(zip((layer.name for layer in rules.DEFAULT), DEFAULT_COLORS, strict=True))
+    return [(layer.name, tuple(layer.color)) for layer in settings.layers]
+
+
+def _layer(layers, number: int) -> rules.Layer:
+    settings = layers[number]
+    alone = layer_alone(settings)
+    if not settings.mask:
+        return alone
+    return replace(alone, rules=(*alone.rules, rules.covering(_number_of(layers, settings.mask, number))))
+
+
+def layer_alone(settings) -> rules.Layer:
+    """Return the layer of a LayerSettings without masks by other layers."""
+    found = []
+    for kind in BANDS:
+        band = getattr(settings, kind)
+        if band.use:
+            found.append(rule_of(kind, band))
+    if settings.aspect.use:
+        aspect = settings.aspect
+        found.append(rules.Rule(rules.ASPECT, math.cos(aspect.within), edge=aspect.edge, direction=aspect.direction))
+    if settings.image is not None:
+        found.append(rules.painted(painted_of(settings.image)))
+    numbers = settings.strength, settings.on_top, settings.noise_size, settings.ragged
+    return rules.Layer(settings.name, tuple(found), *numbers, settings.seed)
+
+
+def rule_of(kind: str, band) -> rules.Rule:
+    """Return the rule of a band of BANDS, whether or not it is switched on."""
+    limits = band.bl_rna.properties["low"]
+    low = -math.inf if band.low <= limits.hard_min else band.low
+    high = math.inf if band.high >= limits.hard_max else band.high
+    return rules.Rule(kind, low, high, band.edge)
+
+
+def barren(layers: tuple[rules.Layer, ...]) -> str:
+    """Name the layers that cover nothing anywhere, and why; "" if all may cover something."""
+    said = []
+    for layer in layers:
+        kinds = [rule.of for rule in layer.rules if rules.covers_nothing(rule)]
+        labels = [BANDS[kind].bl_rna.properties["use"].name for kind in kinds]
+        said += [f"{layer.name} covers nothing: From is above To in {' and '.join(labels)}"] if kinds else []
+    return "; ".join(said)
+
+
+def _number_of(layers, name: str, before: int) -> int:
+    for number in range(before):
+        if layers[number].name == name:
+            return number
+    raise TerrainError(
+        f"The splat layer {layers[before].name!r} is masked by {name!r}",
+        expected="a layer above it in the list",
+        fix="move that one up, or choose another",
+    )
+
+
+CLASSES = (*BANDS.values(), AspectSettings, DisplacementSettings, LayerSettings)

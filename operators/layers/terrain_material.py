@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The button *Terrain Material*."""
+
+import bpy
+
+from ...cbt_terrain.effects.splat import NAMES
+from ...cbt_terrain.errors import TerrainError
+from ..maps.images import map_image, map_vector, tile_metres
+from ..session.polls import on_terrain_object
+from .material import A_GROUP, COLORS, NORMAL, SKY, SUN, Sources, dress
+from .properties import colors_of
+
+
+class TerrainMaterial(bpy.types.Operator):
+    """Give the terrain a material of its layers and light, made from what there is. Press it again when layers were
+    added or maps baked: links and settings stay"""
+
+    bl_idname = "adaptive_terrain.terrain_material"
+    bl_label = "Terrain Material"
+    bl_options = {"REGISTER", "UNDO"}
+
+    sky: bpy.props.BoolProperty(
+        name="Sky",
+        description="Darken what sees little of the sky. A baked map of it is taken in any case; without one, a large "
+        "height map takes seconds",
+    )
+    sun: bpy.props.BoolProperty(
+        name="Sun", description="Darken what the sun does not reach, by the group's Shadow: for lamps that cast none"
+    )
+
+    @classmethod
+    def poll(cls, context):
+        return on_terrain_object(cls, context)
+
+    def execute(self, context):
+        light = [name for name, on in ((SKY, self.sky), (SUN, self.sun)) if on]
+        try:
+            material = dress(context.object, sources_of(context.object, light))
+        except TerrainError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"{material.name} is the material of {context.object.name}")
+        return {"FINISHED"}
+
+
+def sources_of(obj, light) -> Sources:
+    """What there is of the terrain: its layers, the light that is asked for, the maps that are baked."""
+    layers = colors_of(obj.adaptive_terrain)
+    names = (COLORS, NORMAL, SKY, SUN, *NAMES[: -(-len(layers) // A_GROUP)])
+    maps = {name: image for name in names if (image := map_image(obj, name)) is not None}
+    layers = [] if COLORS in maps else layers  # they are in it
+    light = [name for name in (SKY, SUN) if name in light or name in maps]
+    return Sources(layers, light, maps, lambda tree: map_vector(tree, obj), tile_metres(obj))
+
+
+register, unregister = bpy.utils.register_classes_factory((TerrainMaterial,))

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Baked maps as Blender's images, and how a material finds its place in them.
+
+    node.image, node.extension = map_image(obj, "detail_normal"), "EXTEND"
+    tree.links.new(map_vector(tree, obj), node.inputs["Vector"])
+
+The values are 0 .. 1; the "coding" of `index_of` says what they stand for. A normal map goes through a Normal Map node
+whose space is Object.
+"""
+
+import secrets
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.maps.folder import UDIM, read_index
+from ...cbt_terrain.maps.tiling import MARGIN
+from ...cbt_terrain.run.named_file import blocks_reader
+from ..bridge.scene_paths import absolute_path
+from ..bridge.writer import UV_LAYER
+from ..land.shaped_land import store_of
+from ..session.session import all_terrains, open_field
+from .properties import map_folder
+
+GROUP = "Terrain Map UV"
+_marks: dict[int, str] = {}  # by session_uid
+
+
+def own_folder(obj) -> None:
+    """Make sure that no other terrain, of the same name in this file or another, has its maps in the same folder.
+
+    A mark that an undo has removed is restored: the maps still exist.
+    """
+    maps = obj.adaptive_terrain.maps
+    maps.mark = maps.mark or _marks.get(obj.session_uid, "")
+    others = {str(map_folder(other)).casefold() for other in all_terrains() if other != obj}
+    while obj.library is None and (not maps.mark or str(map_folder(obj)).casefold() in others):
+        maps.mark = f"{obj.name}_{secrets.token_hex(4)}"  # that name stays: materials show the images under it
+    _marks[obj.session_uid] = maps.mark
+
+
+def index_of(obj) -> dict | None:
+    """Return the maps of a terrain as maps.json of its folder lists them; None if they are not of its height map."""
+    settings = obj.adaptive_terrain
+    if not settings.store:
+        return None
+    index = read_index(map_folder(obj))
+    if index is None or index["height_field"] != open_field(store_of(obj)).raster_key:
+        return None
+    return index
+
+
+def map_image(obj, name: str) -> bpy.types.Image | None:
+    """Return the image of a terrain's map `name`; None if it is not baked, or its files are gone.
+
+    The image is tiled (source TILED) unless the terrain is one tile.
+    """
+    index, folder = index_of(obj), map_folder(obj)
+    entry = index and index["maps"].get(name)
+    files = [folder / tile["file"] for tile in entry["tiles"]] if entry else []
+    if not files or not files[0].is_file() or any(map(blocks_reader, files)):
+        return None
+    image = _loaded(folder / entry["file"]) or bpy.data.images.load(str(files[0]))
+    if UDIM in entry["file"] and image.source != "TILED":
+        image.source = "TILED"
+        image.filepath = str(folder / entry["file"])
+        image.reload()
+    if obj.adaptive_terrain.store.startswith("//") and not image.filepath.startswith("//"):
+        image.filepath = bpy.path.relpath(image.filepath)
+    image.name = f"{obj.name} {name}"
+    image.colorspace_settings.name = "sRGB" if entry["coding"].get("srgb") else "Non-Color"
+    image.alpha_mode = "CHANNEL_PACKED" if entry["coding"]["channels"] == 4 else "NONE"
+    return image
+
+
+def reload(folder: Path, files: set[str]) -> None:
+    """Have Blender read the images of a folder again whose files are among `files`, the new ones."""
+    for image in bpy.data.images:
+        path = Path(absolute_path(image.filepath)) if image.filepath else None
+        if path is not None and path.parent == folder and path.name in files:
+            image.reload()
+
+
+def map_vector(tree, obj) -> bpy.types.NodeSocket:
+    """Add a node that gives the position in the maps of `obj` to image textures; return its output."""
+    index = index_of(obj) or {"columns": 1, "rows": 1, "margin": 0.0}
+    node = tree.nodes.new("ShaderNodeGroup")
+    node.node_tree = _lookup_group(index["columns"], index["rows"])
+    return node.outputs["Vector"]
+
+
+def tile_metres(obj) -> float:
+    """Return the metres of the world that an image of a map of several covers; 0 without maps."""
+    index = index_of(obj)
+    if index is None:
+        return 0.0
+    place = index["place"]
+    across = min((place["east"] - place["west"]) / index["columns"], (place["north"] - place["south"]) / index["rows"])
+    return across / (1.0 - 2.0 * index["margin"]) * max(obj.matrix_world.to_scale()[:2], key=abs)
+
+
+def _loaded(path: Path) -> bpy.types.Image | None:
+    return next((i for i in bpy.data.images if i.filepath and Path(absolute_path(i.filepath)) == path), None)
+
+
+def _lookup_group(columns: int, rows: int) -> bpy.types.NodeTree:
+    """Return nodes that turn the mesh's UV into a position in the images: in the tile, clear of its margin."""
+    name = f"{GROUP} {columns} x {rows}"
+    group = bpy.data.node_groups.get(name)
+    if group is not None and group.nodes:
+        return group
+    group = bpy.data.node_groups.new(name, "ShaderNodeTree")
+    group.interface.new_socket(name="Vector", in_out="OUTPUT", socket_type="NodeSocketVector")
+    place = group.nodes.new("ShaderNodeUVMap")
+    place.uv_map = UV_LAYER
+    vector = place.outputs["UV"]
+    if columns * rows > 1:
+        counts = (float(columns), float(rows), 1.0)
+        scaled = _vector_math(group, "MULTIPLY", vector, counts)
+        whole = _vector_math(group, "FLOOR", scaled)
+        tile = _vector_math(group, "MINIMUM", whole, (columns - 1.0, rows - 1.0, 0.0))
+        inside = _vector_math(group, "MULTIPLY_ADD", scaled, (1.0 - 2.0 * MARGIN,) * 3, (MARGIN,) * 3)
+        vector = _vector_math(group, "MULTIPLY_ADD", tile, (2.0 * MARGIN,) * 3, inside)
+    group.links.new(vector, group.nodes.new("NodeGroupOutput").inputs["Vector"])
+    return group
+
+
+def _vector_math(tree, operation: str, *values) -> bpy.types.NodeSocket:
+    node = tree.nodes.new("ShaderNodeVectorMath")
+    node.operation = operation
+    for socket, value in zip(node.inputs, values, strict=False):
+        if isinstance(value, bpy.types.NodeSocket):
+            tree.links.new(value, socket)
+        else:
+            socket.default_value = value
+    return node.outputs["Vector"]

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bake maps of a terrain into images beside the window."""
+
+import bpy
+
+from ...cbt_terrain.land.derived_store import raster_of
+from ...cbt_terrain.maps.bake import Baked
+from ...cbt_terrain.maps.folder import files_of
+from .. import jobs
+from ..job_operator import JobOperator
+from ..session import session
+from . import images as map_images
+from .baking import MapRequest, carry_out, summary
+from .request import gathered
+
+
+class BakeMaps(JobOperator, bpy.types.Operator):
+    """Bake effects into images, from the height map itself: shading then does not depend on the triangles. Only images
+    that are not there yet, or that something has changed for, are made"""
+
+    bl_idname = "adaptive_terrain.bake_maps"
+    bl_label = "Bake Maps"
+    bl_options = {"REGISTER", "UNDO"}  # without an undo step, the next Undo would take the folder from the terrain
+
+    kind = jobs.BAKE
+
+    def stops_on_escape(self) -> bool:
+        return True
+
+    def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
+        request = yield from jobs.visit_frames(job, gathered(context.object, context.scene))
+        job.progress(0.0)
+        yield from jobs.wait_for_kernels(job)
+        return (yield from jobs.run_on_thread(job, lambda: _bake(request, job)))
+
+    def finish(self, _context, obj, baked: Baked) -> None:
+        map_images.own_folder(obj)  # an undo may have removed it
+        map_images.reload(map_images.map_folder(obj), _image_files(baked))
+        self.report({"INFO"}, summary(baked, obj.name))
+
+
+def _bake(request: MapRequest, job: jobs.BackgroundJob) -> Baked:
+    with session.engine_lock:
+        field = raster_of(request.store, request.land, session.open_field, verified=True)
+    return carry_out(request, field, job.progress, session.engine_lock)
+
+
+def _image_files(baked: Baked) -> set[str]:
+    """Return the file names that images of Blender may have: of single files, and of all tiles together."""
+    return files_of(baked.index) | {entry["file"] for entry in baked.index["maps"].values()}
+
+
+register, unregister = bpy.utils.register_classes_factory((BakeMaps,))

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panel *Maps*: effects baked into images."""
+
+import bpy
+
+from .. import jobs
+from ..ui.panel_parts import TerrainSubpanel, switched
+from .properties import CHOSEN
+
+
+class MapsPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_maps"
+    bl_label = "Maps"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        column = self._columns()
+        settings = context.object.adaptive_terrain.maps
+        column.row().prop(settings, "frames", expand=True)
+        column.row().prop(settings, "which", expand=True)
+        if settings.which == CHOSEN:
+            grid = column.grid_flow(columns=2, align=True)
+            grid.use_property_split = False
+            grid.prop(settings, "chosen")
+        switched(column, settings, "use_budget", "budget_mb")
+        column.row().prop(settings, "form", expand=True)
+        column.prop(settings, "folder")
+        job = jobs.find(jobs.BAKE)
+        if job is None:
+            column.operator("adaptive_terrain.bake_maps", icon="RENDER_STILL")
+        else:
+            jobs.draw_progress(column, job)

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Settings of the maps that are baked of a terrain (`object.adaptive_terrain.maps`)."""
+
+from pathlib import Path
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
+
+from ...cbt_terrain.effects.catalogue import EFFECTS
+from ...cbt_terrain.maps.coding import EXR, PNG
+from ...cbt_terrain.run.owned_files import MAPS
+from ..bridge.scene_paths import absolute_path
+
+FRAME, SHOT, WHOLE = "FRAME", "SHOT", "WHOLE"
+READ, CHOSEN = "READ", "CHOSEN"
+# Paths may begin with "//", the .blend file's folder; from Blender 4.5 on a property has to declare it.
+PATH_OPTIONS = {"ANIMATABLE"} | ({"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set())
+
+
+def map_folder(obj) -> Path:
+    """Return the folder of a terrain's maps: the one that its settings name, or one next to its store."""
+    settings = obj.adaptive_terrain
+    store = Path(absolute_path(settings.store))
+    folder = settings.maps.folder
+    above = Path(absolute_path(folder)) if folder else store.with_name(store.name + MAPS)
+    return above / bpy.path.clean_name(settings.maps.mark)
+
+
+def label(name: str) -> str:
+    """Return the label of an effect in a panel."""
+    return name.replace("_", " ").title()
+
+
+class MapSettings(bpy.types.PropertyGroup):
+    """Which maps are baked, how fine, and where they are kept."""
+
+    frames: EnumProperty(
+        name="For",
+        description="The views for which the maps have to be fine enough",
+        items=[
+            (FRAME, "Frame", "The render's camera where it is now, whichever way it turns"),
+            (SHOT, "Shot", "All frames of the scene; ground that is in none of them gets the coarsest images"),
+            (WHOLE, "Whole", "The height map's own detail everywhere"),
+        ],
+    )
+    which: EnumProperty(
+        name="Maps",
+        items=[
+            (READ, "Read", "Those that the materials read"),
+            (CHOSEN, "Chosen", "Those chosen below"),
+        ],
+        default=CHOSEN,
+    )
+    chosen: EnumProperty(
+        name="Chosen",
+        options={"ENUM_FLAG"},
+        items=[(name, label(name), EFFECTS[name].about) for name in sorted(EFFECTS)],
+        default={"detail_normal"} & set(EFFECTS),
+    )
+    use_budget: BoolProperty(name="Limit Memory", description="Make all maps coarser alike until they fit")
+    budget_mb: FloatProperty(
+        name="Memory", description="Of the images in Blender, in megabytes", default=500.0, min=1.0, soft_max=16000.0
+    )
+    form: EnumProperty(
+        name="Format",
+        items=[
+            (PNG, "PNG", "8 bits for directions and shares, 16 for measures"),
+            (EXR, "OpenEXR", "Floats: four times the memory"),
+        ],
+    )
+    folder: StringProperty(
+        name="Folder",
+        description="Where the images are kept, in a folder for each terrain; without one, beside the store",
+        subtype="DIR_PATH",
+        options=PATH_OPTIONS,
+    )
+    mark: StringProperty(
+        name="Mark", description="What this terrain's folder is called, unlike those of others", options={"HIDDEN"}
+    )

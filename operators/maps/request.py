@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a bake of maps is asked for: a scene and its settings in, plain numbers for the engine out."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.ask.criterion import Criterion
+from ...cbt_terrain.effects.catalogue import EFFECTS
+from ...cbt_terrain.effects.effect import PICTURE
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.run.owned_files import check_folder
+from ..bridge.scene_paths import absolute_path
+from ..session.shot import frames_of, look_through
+from ..terrain.overrides import Overrides
+from ..terrain.request import RENDER, gather
+from . import images as map_images
+from .baking import MapRequest, known
+from .properties import CHOSEN, FRAME, SHOT, map_folder
+
+WITHOUT_VIEW = Criterion(error_px=0.0, error_m=1.0)  # the whole terrain needs no camera
+
+
+def names_of(obj, depsgraph) -> set[str]:
+    """Return the attributes whose maps the terrain's settings choose. Raises TerrainError if nothing reads a map."""
+    settings = obj.adaptive_terrain.maps
+    if settings.which == CHOSEN:
+        return set(settings.chosen)
+    asked = gather(obj, depsgraph, RENDER).effects.asked
+    read = {item.name for item in asked if item.family == PICTURE} | read_as_images(obj)
+    if not read:
+        raise TerrainError(
+            f"No material of {obj.name!r} reads an attribute or a map",
+            fix="choose the maps, or make a Terrain Material",
+        )
+    return read
+
+
+def read_as_images(obj) -> set[str]:
+    """Return the maps of a terrain, baked or not, that its materials show by image textures."""
+    folder = map_folder(obj)
+    waiting = [slot.material.node_tree for slot in obj.material_slots if slot.material and slot.material.node_tree]
+    seen, found = set(), set()
+    while waiting:
+        tree = waiting.pop()
+        if tree in seen:
+            continue
+        seen.add(tree)
+        for node in tree.nodes:
+            inner, image = getattr(node, "node_tree", None), getattr(node, "image", None)
+            waiting += [inner] if inner is not None else []
+            path = Path(absolute_path(image.filepath)) if image is not None and image.filepath else None
+            found |= {path.name.partition(".")[0]} if path is not None and path.parent == folder else set()
+    return found & set(EFFECTS)
+
+
+def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[int] | None = None, **look) -> Iterator:
+    """Visit the frames of the terrain's settings, or `frames`; yield the fraction done after each, then the MapRequest.
+
+    The scene is then at its frame again. `names`: maps that replace those of the settings. `look`: further arguments of
+    `request.gather`. Raises TerrainError.
+    """
+    settings, depsgraph = obj.adaptive_terrain.maps, bpy.context.evaluated_depsgraph_get()
+    map_images.own_folder(obj)
+    for folder in (map_images.map_folder(obj).parent, map_images.map_folder(obj)):
+        check_folder(folder)  # a scene's own: what it is baked into must not lead elsewhere
+    names = known(names_of(obj, depsgraph) if names is None else names)
+    if settings.folder.startswith("//") and not bpy.data.filepath:
+        raise TerrainError(
+            f"The folder of the maps, {settings.folder!r}, is relative to a .blend file that was never saved",
+            fix="save the file, or choose another folder",
+        )
+    first = gather(obj, depsgraph, RENDER, criterion=WITHOUT_VIEW, overrides=Overrides(effects=names), **look)
+    seen = {"only_seen": frames is not None or settings.frames == SHOT}
+    if frames is None:
+        frames = {FRAME: [scene.frame_current], SHOT: frames_of(scene)}
+        frames = frames.get(settings.frames, [])
+    views = []
+    for views in look_through(obj, scene, frames, first.placement, **look):
+        if isinstance(views, float):
+            yield views
+    budget = settings.budget_mb if settings.use_budget else None
+    yield MapRequest(
+        asked=first.effects.asked,
+        folder=map_folder(obj),
+        views=tuple(views),
+        placement=first.placement,
+        budget_mb=budget,
+        form=settings.form,
+        vertical_scale=first.vertical_scale,
+        vertical_offset=first.vertical_offset,
+        store=first.store,
+        land=first.land,
+        **seen,
+    )

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The overlay's panel: which colours, where they are shown, what they mean."""
+
+import bpy
+import bpy.utils.previews
+
+from ..session import session
+from ..terrain.properties import NO_OVERLAY
+from ..ui.panel_parts import TerrainSubpanel
+from .colors import LEGEND_LINES
+
+SWATCH_SIZE = 8
+_swatches = None  # a preview collection: an icon for each colour, by its name
+
+
+class OverlayPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_overlay"
+    bl_label = "Overlay"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        column = self._columns()
+        obj = context.object
+        column.prop(obj.adaptive_terrain, "overlay")
+        if obj.adaptive_terrain.overlay == NO_OVERLAY:
+            return
+        column.operator("adaptive_terrain.show_overlay", icon="SHADING_SOLID")
+        overlay = session.record_of(obj).overlay
+        legend = overlay.legend if overlay else []
+        for text, colour in legend:
+            column.label(text=text, icon_value=swatch(colour))
+        for _ in range(LEGEND_LINES + 1 - len(legend)):  # rows below do not move
+            column.label(text="")
+
+
+def swatch(colour: tuple[float, float, float]) -> int:
+    """Return the icon of an sRGB colour; 0 without a window."""
+    name = "{:.3f} {:.3f} {:.3f}".format(*colour)
+    if name not in _swatches:
+        preview = _swatches.new(name)
+        preview.icon_size = SWATCH_SIZE, SWATCH_SIZE
+        preview.icon_pixels_float = (*colour, 1.0) * SWATCH_SIZE**2
+    return _swatches[name].icon_id
+
+
+class ShowOverlay(bpy.types.Operator):
+    """Let every 3D viewport of this window draw solid, in the colours of the overlay"""
+
+    bl_idname = "adaptive_terrain.show_overlay"
+    bl_label = "Show in Viewport"
+
+    def execute(self, context):
+        for area in context.screen.areas:
+            if area.type == "VIEW_3D":
+                area.spaces.active.shading.type = "SOLID"
+                area.spaces.active.shading.color_type = "VERTEX"
+        return {"FINISHED"}
+
+
+def register() -> None:
+    global _swatches
+    _swatches = bpy.utils.previews.new()
+    bpy.utils.register_class(ShowOverlay)
+
+
+def unregister() -> None:
+    global _swatches
+    bpy.utils.unregister_class(ShowOverlay)
+    bpy.utils.previews.remove(_swatches)
+    _swatches = None

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scatters: those of a terrain with what they take, and the settings of the one that is selected."""
+
+import bpy
+from mathutils import Matrix
+
+from ..layers.panel import draw_rules
+from ..session import session
+from ..text.numbers import time_text
+from ..text.shown_bounds import bound_text
+from ..ui.panel_parts import TerrainSubpanel, figures, message
+from ..ui.status_row import draw_failure
+from .properties import MESH
+from .request import ScatterRecord, is_scatter, scatters_of
+
+ORPHAN = "Its parent is no terrain, so its points stay as they are: parent it to one, or delete it."
+LABELS = {"margin_deg": {"text": "Margin (°)"}}  # of what Blender knows no unit
+STANDING = Matrix()  # the place of a scatter in its terrain's space, in which its points are written
+
+
+class ScattersPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_scatters"
+    bl_label = "Scatter"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        terrain = context.object
+        column = self.layout.column(align=True)
+        for obj in scatters_of(terrain):
+            points, took = summary(session.record_of(terrain).scatters.get(obj.session_uid))
+            row = column.row()
+            row.label(text=obj.name, icon="OUTLINER_OB_POINTCLOUD")
+            row.prop(obj, "hide_viewport", text="", emboss=False)
+            column.label(text=f"{points} points, {took}", icon="BLANK1")
+        self.layout.operator("adaptive_terrain.scatter_add", icon="ADD")
+
+
+class ScatterPanel(bpy.types.Panel):
+    """Of a scatter that is selected."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_PT_scatter"
+    bl_label = "Adaptive Scatter"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "Terrain"
+
+    @classmethod
+    def poll(cls, context):
+        obj = context.object
+        return obj is not None and is_scatter(obj)
+
+    def draw(self, context):
+        obj, terrain = context.object, context.object.parent
+        if terrain is None or not session.is_terrain(terrain):
+            message(self.layout, ORPHAN, "ERROR")
+            return
+        settings, record = obj.adaptive_scatter, session.record_of(terrain)
+        self.layout.use_property_split, self.layout.use_property_decorate = True, False
+        box = self.layout.box().column(align=True)
+        figures(box, scatter_lines(settings, record.scatters.get(obj.session_uid), record.status))
+        if not draw_failure(box, terrain):
+            box.label(text=f"On {terrain.name}", icon="CHECKMARK")
+        column = self.layout.column()
+        for name in ("spacing", "full_until", "size", "variation", "align", "roots", "margin_deg", "margin_m"):
+            column.prop(settings, name, **LABELS.get(name, {}))
+        row = column.row()
+        row.active = settings.roots != MESH
+        row.prop(settings, "cull_hidden")
+        column.prop(settings, "seed")
+        column.separator()
+        column.prop_search(settings, "layer", terrain.adaptive_terrain, "layers")
+        draw_rules(column, settings.where)
+
+
+def summary(scatter: ScatterRecord | None) -> tuple[str, str]:
+    """Return the number of points and the time of the last update of a scatter."""
+    if scatter is None or scatter.points is None:
+        return "-", "-"
+    return f"{len(scatter.points):,}", time_text(sum(scatter.ms.values()))
+
+
+def scatter_lines(settings, scatter: ScatterRecord | None, status) -> list[tuple[str, str]]:
+    """Return the four lines at the panel's top."""
+    points, took = summary(scatter)
+    tested, off = "-", "-"
+    if points != "-":
+        tested = f"{scatter.points.tested:,}"
+        bound = (status.bound_px, "px") if status.bound_px is not None else (status.bound_m or 0.0, "m")
+        off = "0 (on the mesh)" if settings.roots == MESH else f"≤ {bound_text(*bound)}"
+        if settings.id_data.matrix_local != STANDING:
+            off = "moved: clear its transforms"
+    return [("Points", points), ("Looked at", tested), ("Update", took), ("Off the mesh", off)]
+
+
+CLASSES = (ScattersPanel,)
+register, unregister = bpy.utils.register_classes_factory((ScatterPanel,))

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Settings of a scatter (`object.adaptive_scatter`), and the one place that reads them."""
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.scatter.scatter import Scatter
+from ..layers.properties import LayerSettings, layer_alone, layers_of
+from ..terrain.detail_properties import changed
+
+SURFACE, MESH = "SURFACE", "MESH"
+
+
+class ScatterSettings(bpy.types.PropertyGroup):
+    """Points on the terrain that is the object's parent."""
+
+    enabled: BoolProperty(name="Adaptive Scatter", description="This object's points are written by Adaptive Terrain")
+    spacing: FloatProperty(
+        name="Spacing",
+        description="At full density there is one point on a square of this side, in the terrain's own space",
+        default=10.0, min=1e-3, soft_max=1000.0, precision=2, unit="LENGTH", update=changed,
+    )  # fmt: skip
+    full_until: FloatProperty(
+        name="Full Until",
+        description="Distance from the camera up to which there are all points; further away as many a pixel as there. "
+        "0: all points everywhere",
+        default=500.0, min=0.0, soft_max=10_000.0, precision=1, unit="LENGTH", update=changed,
+    )  # fmt: skip
+    layer: StringProperty(
+        name="On Layer", description="A layer of the terrain: as dense as it covers the ground", update=changed
+    )
+    where: PointerProperty(type=LayerSettings)
+    size: FloatProperty(
+        name="Size",
+        description="How many times as large as itself an object stands there, when it is full-grown",
+        default=1.0, min=0.0, soft_max=100.0, update=changed,
+    )  # fmt: skip
+    variation: FloatProperty(
+        name="Variation", description="Part of the size by which it varies either way", default=0.2, min=0.0, max=1.0,
+        subtype="FACTOR", update=changed,
+    )  # fmt: skip
+    align: FloatProperty(
+        name="Align to Ground", description="0 stands upright, 1 along the ground's normal", default=0.0, min=0.0,
+        max=1.0, subtype="FACTOR", update=changed,
+    )  # fmt: skip
+    roots: EnumProperty(
+        name="Roots On",
+        items=[(SURFACE, "Ground", "At the heights of the height map: a point never moves, and is as far from the mesh "
+                "as the terrain's error allows"),
+               (MESH, "Mesh", "On the triangles that are drawn: a point goes up and down with them")],
+        update=changed,
+    )  # fmt: skip
+    margin_deg: FloatProperty(
+        name="Margin", description="How far outside the frame points still are, degrees", default=5.0, min=0.0,
+        max=89.0, precision=1, update=changed,
+    )  # fmt: skip
+    margin_m: FloatProperty(
+        name="Reach", description="The same in metres: how far what stands there reaches, with its shadow",
+        default=0.0, min=0.0, soft_max=100.0, unit="LENGTH", update=changed,
+    )  # fmt: skip
+    cull_hidden: BoolProperty(
+        name="Cull Hidden", description="No points where the terrain in front hides them from the camera, with what "
+        "stands there: set Reach to its height. It may still throw a shadow into view, or be seen in a mirror: keep "
+        "this off where that matters. Needs a Screen Error of the terrain, roots on the ground, and nothing cut away",
+        default=False, update=changed,
+    )  # fmt: skip
+    seed: IntProperty(name="Seed", description="Random seed", default=0, min=0, update=changed)
+
+
+def scatter_of(settings, terrain_settings) -> Scatter:
+    """Return the scatter of evaluated settings on a terrain with `terrain_settings`. Raises TerrainError."""
+    layers, on = (), -1
+    if settings.layer:
+        layers = layers_of(terrain_settings)
+        names = [layer.name for layer in layers]
+        if settings.layer not in names:
+            raise TerrainError(f"Its layer {settings.layer!r} is none of the terrain's", fix="choose another")
+        on = names.index(settings.layer)
+    numbers = {name: getattr(settings, name) for name in ("spacing", "full_until", "size", "variation", "align")}
+    margins = {"margin_deg": settings.margin_deg, "margin_m": settings.margin_m}
+    return Scatter(where=layer_alone(settings.where), layers=layers, on=on, seed=settings.seed, **numbers, **margins)
+
+
+CLASSES = (ScatterSettings,)

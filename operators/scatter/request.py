@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scatters of a terrain: objects parented to it whose points follow its updates. Hidden ones are left alone."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+
+from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.heightfield import HeightField
+from ...cbt_terrain.history.frame_history import FrameHistory
+from ...cbt_terrain.run.memory import physical_memory
+from ...cbt_terrain.scatter.points import Points, ScatterRequest, on_mesh, place_points
+from ...cbt_terrain.scatter.scatter import Scatter
+from ..bridge.point_writer import write_points
+from .properties import MESH, scatter_of
+
+# Of memory at most, as instances: measured in Blender 5.2, in a viewport and in Cycles.
+POINT_BYTES = 1500
+# A viewport draws them in every frame, and they come with every move of a slider.
+MAX_IN_VIEWPORT = 4_000_000
+
+
+@dataclass(frozen=True)
+class AskedScatter:
+    """A scatter that is to be shown. `uid`: session_uid of its object; `name`: of that, for messages. `culls`: without
+    the points that the terrain hides."""
+
+    uid: int
+    name: str
+    scatter: Scatter
+    on_mesh: bool
+    culls: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Scatters:
+    """Visible scatters of a terrain, and the views that they are for; without a view, everywhere. `max_points`:
+    of each scatter, and what limits it."""
+
+    asked: tuple[AskedScatter, ...] = ()
+    views: tuple[View, ...] = ()
+    max_points: tuple[int, str] | None = None
+
+    def key(self) -> tuple:
+        return self.asked, tuple(view.key() for view in self.views)
+
+
+@dataclass
+class ScatterRecord:
+    """The last points of a scatter. `key`: what they depend on. `shown`: which points its mesh has. `ms`: of the last
+    points; `runs`: how often points were made. `history`: holds candidates on the ground for later frames."""
+
+    history: FrameHistory = field(default_factory=FrameHistory)
+    key: tuple = ()
+    points: Points | None = None
+    shown: tuple = ()
+    ms: dict[str, float] = field(default_factory=dict)
+    runs: int = 0
+
+
+def is_scatter(obj) -> bool:
+    return obj.type == "MESH" and obj.adaptive_scatter.enabled and obj.library is None and obj.data.library is None
+
+
+def scatters_of(terrain) -> list:
+    return [child for child in terrain.children if is_scatter(child)]
+
+
+def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[View]]) -> Scatters:
+    """Return the requests of a terrain's scatters that are visible in a render or in the viewport. `views` is called
+    only if there is one."""
+    settings, asked = terrain.evaluated_get(depsgraph).adaptive_terrain, []
+    for obj in scatters_of(terrain):
+        evaluated = obj.evaluated_get(depsgraph)
+        if not (evaluated.is_evaluated and (render or obj.visible_get(view_layer=depsgraph.view_layer))):
+            continue
+        own = evaluated.adaptive_scatter
+        on_mesh = own.roots == MESH
+        culls = own.cull_hidden and not on_mesh  # hidden triangles may be coarse, and carry points up into sight
+        try:
+            asked.append(AskedScatter(obj.session_uid, obj.name, scatter_of(own, settings), on_mesh, culls))
+        except TerrainError as error:
+            raise TerrainError(f"The scatter {obj.name!r} cannot be made. {error}") from None
+    return Scatters(tuple(asked), tuple(views()), max_points(render)) if asked else Scatters()
+
+
+def max_points(render: bool) -> tuple[int, str]:
+    """Return how many points a scatter may have, and what limits them: Blender crashes when its memory ends."""
+    held = physical_memory() * 3 // 4 // POINT_BYTES
+    if not render and held > MAX_IN_VIEWPORT:
+        return MAX_IN_VIEWPORT, "the maximum of a viewport (hide it there, and renders have them all)"
+    return held, "the maximum of this machine's memory"
+
+
+def make_points(
+    records: dict[int, ScatterRecord], request, heights: HeightField, terrain, surface, serial: int
+) -> None:
+    """Compute the points of all scatters of a request, on the terrain's `surface` with the number `serial`.
+
+    Uses nothing of Blender. Points that the last request already had are reused.
+    """
+    scatters, scale = request.scatters, (request.vertical_scale, request.vertical_offset)
+    views = tuple(view.key() for view in scatters.views)
+    below, outline = request.cleanup.key()
+    whole = not request.cleanup.active  # through the cut one sees ground that it would hide
+    horizon = cache(terrain.horizon)  # one for all scatters
+    for asked in scatters.asked:
+        record = records.setdefault(asked.uid, ScatterRecord())
+        key = (
+            asked.scatter,
+            heights.key,
+            scale,
+            outline,
+            views,
+            request.placement.tobytes(),
+            below,
+            asked.on_mesh and serial,
+        )
+        culls = asked.culls and whole
+        key += (culls and (request.criterion, request.frozen),)
+        if key == record.key:
+            continue
+        start, record.key = time.perf_counter(), ()
+        try:
+            boundary, hidden_by = request.cleanup.boundary, horizon() if culls else None
+            placed = scatters.views, request.placement, *scale, boundary, hidden_by, scatters.max_points
+            points = place_points(heights, ScatterRequest(asked.scatter, *placed), record.history, terrain.threads)
+        except TerrainError as error:
+            raise TerrainError(f"The scatter {asked.name!r} cannot be made. {error}") from None
+        if asked.on_mesh:
+            points = on_mesh(points, terrain, surface)
+        if below is not None:  # the ground there is cut away
+            points = points.only(np.flatnonzero(points.positions[:, 2] >= below))
+        record.points, record.key, record.runs = points, key, record.runs + 1
+        record.ms = {"points": (time.perf_counter() - start) * 1e3}
+
+
+def show_points(terrain, records: dict[int, ScatterRecord], request) -> None:
+    """Write the points of a request into the meshes of their objects, unless they are there already."""
+    asked = {item.uid for item in request.scatters.asked}
+    children = {obj.session_uid: obj for obj in scatters_of(terrain)}
+    for uid in set(records) - set(children):
+        del records[uid]
+    for uid in asked & set(children):
+        record, mesh = records[uid], children[uid].data
+        shown = record.key, mesh.session_uid, len(mesh.vertices)
+        if record.points is None or shown == record.shown:
+            continue
+        start = time.perf_counter()
+        if mesh.users > 1:
+            children[uid].data = mesh = mesh.copy()
+        write_points(mesh, record.points)
+        record.shown = record.key, mesh.session_uid, len(mesh.vertices)
+        record.ms["mesh"] = (time.perf_counter() - start) * 1e3

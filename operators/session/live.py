@@ -1,0 +1,288 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Live updates: the viewport's mesh follows its camera, and the viewport never waits.
+
+Slow effects start with a preview. While nothing changes, short steps refine them to the values of a render.
+
+Handlers only set a flag. A timer on the main thread reads the properties, passes plain numbers to a worker thread, and
+writes the mesh when the worker is done. A result is dropped if its terrain was updated by other means, undone, deleted
+or replaced in the meantime. A camera that has moved in the meantime gets the next update.
+"""
+
+import time
+import traceback
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import bpy
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.land import derived_store
+from ...cbt_terrain.run import warmup
+from .. import jobs
+from ..bridge.demand.screens import screens_key
+from ..ground import keep_ground
+from ..land import resting_land
+from ..terrain.kernels_needed import kernels_for
+from ..terrain.request import RENDER, VIEWPORT, Request, corrected, follows_viewport, gather, record_time
+from . import previews, session
+
+IDLE_S, BUSY_S, RENDERING_S = 0.05, 0.005, 0.25
+
+
+@dataclass
+class LiveUpdate:
+    """A running update: the terrain's session_uid and generation, and the request."""
+
+    uid: int
+    generation: int
+    request: Request
+    future: Future | None  # None once its result is shown
+
+
+_dirty = False
+_unrefined: dict[int, LiveUpdate] = {}  # last updates whose meshes show a preview, by session_uid
+_job: LiveUpdate | None = None
+_worker: ThreadPoolExecutor | None = None
+_draw_handle = None
+_follows_viewport = False
+_screens: tuple = ()  # key of the attributes that open windows read
+_started = 0.0  # start of the running job
+_stage = ""  # current work of the worker, for the status bar
+
+
+def mark_dirty() -> None:
+    """Request an update after a change that a terrain may depend on. Any thread may call it."""
+    global _dirty
+    _dirty = True
+
+
+def tick() -> float:
+    """Run one turn of the timer, and return the seconds until the next."""
+    try:
+        return _turn()
+    except Exception:  # Blender silently removes a timer that raises
+        traceback.print_exc()
+        return IDLE_S
+
+
+def _turn() -> float:
+    global _dirty, _job
+    if warmup.preparing():
+        return IDLE_S
+    if bpy.app.is_job_running("RENDER"):
+        return RENDERING_S
+    if _job is not None:
+        if not _job.future.done():
+            return BUSY_S
+        job, _job = _job, None
+        _finish(job)
+        del job  # frees its surface for the next update
+    idle = not _dirty and not _windows_changed()
+    if idle:
+        _job = _refinement()
+    _dirty |= _rest(idle and _job is None)
+    if idle:
+        return IDLE_S if _job is None else BUSY_S
+    _dirty = False  # before reading the properties, so that no later change is missed
+    _job = _next_job()
+    if _job is None:
+        return IDLE_S
+    _dirty = True  # another terrain may be waiting
+    return BUSY_S
+
+
+def _rest(idle: bool) -> bool:
+    """Run a turn of resting land, and return whether any has become finer."""
+    if not resting_land.concerned():
+        return False
+    before = jobs.progress_shown()
+    made = resting_land.turn(_shown(), idle)
+    if jobs.progress_shown() != before:
+        jobs.redraw_panels()
+    return made
+
+
+def _windows_changed() -> bool:
+    """Return whether other windows are open, since opening a spreadsheet calls no handler."""
+    global _screens
+    before, _screens = _screens, screens_key()
+    return before != _screens
+
+
+def seconds_under_way() -> float:
+    """Return for how long the worker has been busy with an update; 0 when it is idle."""
+    return time.monotonic() - _started if _job is not None and not _job.future.done() else 0.0
+
+
+def stage() -> str:
+    """Return the current work of the worker, for the status bar."""
+    return _stage
+
+
+def _next_job() -> LiveUpdate | None:
+    """Start an update of the first terrain with a new request; return None if there is none."""
+    global _follows_viewport, _started
+    for window in _windows():
+        if not keep_ground.settle_shown(window.scene, window.view_layer.depsgraph):
+            mark_dirty()
+    shown = _shown()
+    _follows_viewport = any(
+        depsgraph is not None and follows_viewport(obj.adaptive_terrain, depsgraph.scene) for depsgraph, obj in shown
+    )
+    for depsgraph, obj in shown:
+        record = session.record_of(obj)
+        wanted = obj.adaptive_terrain.live or record.status.mode == RENDER
+        if depsgraph is None or not wanted or obj.mode != "OBJECT":
+            continue
+        try:
+            request = gather(obj, depsgraph, VIEWPORT)
+        except Exception as error:
+            record.live_key = None  # the next request may equal the last one
+            _report(record, error)
+            if not isinstance(error, TerrainError):
+                traceback.print_exc()
+            continue
+        if request.key() != record.live_key:
+            if not _is_prepared(record, request):
+                return None
+            record.live_key, _started = request.key(), time.monotonic()
+            request = corrected(request, record.time_correction)  # not in the key: a still camera gets one mesh
+            return LiveUpdate(obj.session_uid, record.generation, request, _worker.submit(_solve, record, request))
+    return None
+
+
+def _shown() -> list[tuple]:
+    """Return dependency graph and object of the terrains in windows.
+
+    A terrain in windows of several scenes follows the first: its one mesh would otherwise alternate between cameras.
+    """
+    found = {}
+    for window in _windows():
+        for obj in session.terrains_of(window.scene):
+            if found.get(obj.session_uid, (None,))[0] is None:
+                found[obj.session_uid] = window.view_layer.depsgraph, obj
+    return list(found.values())
+
+
+def _is_prepared(record: session.Record, request: Request) -> bool:
+    """Return whether the kernels of a request are loaded; if not, start loading them for the next turns."""
+    try:
+        ready = warmup.ask(kernels_for(request))
+    except TerrainError as error:
+        _report(record, error)
+        return True  # the update will fail with the same error
+    if not ready:
+        mark_dirty()
+    return ready
+
+
+def _refinement() -> LiveUpdate | None:
+    """Start a refinement step of the first mesh that shows a preview; return None if there is none."""
+    global _started
+    if not _unrefined:
+        return None
+    terrains = {obj.session_uid: obj for obj in session.all_terrains()}
+    for uid, job in list(_unrefined.items()):
+        obj = terrains.get(uid)
+        if obj is None or session.record_of(obj).generation != job.generation:
+            del _unrefined[uid]
+        elif obj.mode == "OBJECT":  # otherwise its mesh cannot be written
+            _started = time.monotonic()
+            future = _worker.submit(_refine, session.record_of(obj), job.request)
+            return LiveUpdate(uid, job.generation, job.request, future)
+    return None
+
+
+def _windows():
+    return bpy.context.window_manager.windows
+
+
+def _solve(record: session.Record, request: Request):
+    global _stage
+    _stage = "Refining"
+    with session.engine_lock:
+        first = previews.begun(request, session.field_of(request))
+        return _carry_out(record, first), record.serial, first is request
+
+
+def _refine(record: session.Record, request: Request):
+    """Run one refinement step; return None if more are needed before the mesh changes."""
+    global _stage
+    _stage = "Refining effects"
+    if not previews.refine(request, session.field_of(request)):
+        return None
+    with session.engine_lock:
+        return _carry_out(record, request), record.serial, True
+
+
+def _carry_out(record: session.Record, request: Request):
+    global _stage
+    update = session.solve(record, request)
+    _stage = "Making the overlay"
+    session.paint(record, request, update)
+    return update
+
+
+def _finish(job: LiveUpdate) -> None:
+    obj = next((item for item in session.all_terrains() if item.session_uid == job.uid), None)
+    if obj is None or obj.mode != "OBJECT":
+        return
+    record = session.record_of(obj)
+    try:
+        done = job.future.result()
+        if done is None:
+            return
+        update, serial, whole = done
+        with session.engine_lock:
+            # Another update may have been shown since then.
+            if record.generation == job.generation and record.serial == serial:
+                session.show(obj, record, job.request, update, VIEWPORT)
+                if update.changed:
+                    record_time(job.request, update.ms["total"], record.time_correction)
+        _unrefined.pop(job.uid, None)
+        if not whole:
+            _unrefined[job.uid] = replace(job, future=None)
+    except Exception as error:
+        _unrefined.pop(job.uid, None)
+        if isinstance(error, TerrainError) and error.code == derived_store.DAMAGED:
+            mark_dirty()
+        else:
+            _report(record, error)
+        if not isinstance(error, TerrainError):
+            raise
+    jobs.redraw_panels()
+
+
+def _report(record: session.Record, error: Exception) -> None:
+    if record.status.error != session.explain(error):
+        record.status.error = session.explain(error)
+        jobs.redraw_panels()
+
+
+def _on_draw() -> None:
+    """Check terrains that follow the viewport after each draw, since turning the view calls no handler."""
+    if _follows_viewport:
+        mark_dirty()
+
+
+def register() -> None:
+    global _worker, _draw_handle
+    _worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="adaptive_terrain_live")
+    if not bpy.app.background:
+        warmup.start()
+        bpy.app.timers.register(tick, first_interval=IDLE_S, persistent=True)
+        _draw_handle = bpy.types.SpaceView3D.draw_handler_add(_on_draw, (), "WINDOW", "POST_PIXEL")
+
+
+def unregister() -> None:
+    global _worker, _job, _dirty, _draw_handle
+    warmup.stop()
+    if bpy.app.timers.is_registered(tick):
+        bpy.app.timers.unregister(tick)
+    if _draw_handle is not None:
+        bpy.types.SpaceView3D.draw_handler_remove(_draw_handle, "WINDOW")
+        _draw_handle = None
+    _worker.shutdown(wait=True)
+    _worker, _job, _dirty = None, None, False
+    resting_land.stop()
+    _unrefined.clear()

@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Previews of slow effects in a viewport, refined to the values of a render while it rests."""
+
+from dataclasses import replace
+
+from ...cbt_terrain.effects import sky, sky_layer
+from ...cbt_terrain.effects.effect import Asked
+from ...cbt_terrain.field.heightfield import HeightField
+from ...cbt_terrain.run import launch
+from ..terrain.request import Request
+
+
+def begun(request: Request, heights: HeightField) -> Request:
+    """Replace slow effects without a cached value by previews; return the same request if there are none."""
+    names = [item.name for item in request.effects.asked]
+    if sky.SKY.name not in names or sky_layer.is_known(heights, request.vertical_scale):
+        return request
+    items = tuple(_preview(item) if item.name == sky.SKY.name else item for item in request.effects.asked)
+    return replace(request, effects=replace(request.effects, asked=items))
+
+
+def refine(request: Request, heights: HeightField) -> bool:
+    """Compute one step of the slow effects of the full request, and return whether all are done."""
+    return sky_layer.advance(heights, request.vertical_scale, launch.default_threads())
+
+
+def _preview(item: Asked) -> Asked:
+    return replace(item, parameters=tuple(sorted((dict(item.parameters) | {"quality": sky.PREVIEW}).items())))

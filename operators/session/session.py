@@ -1,0 +1,368 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The state of terrains in a running Blender: height fields, engines, and the surface that each mesh shows.
+
+Records hold no reference to Blender data, which undo and loading invalidate. Their key is the object's `session_uid`.
+"""
+
+import dataclasses
+import threading
+import time
+from collections import Counter
+
+import bpy
+
+from ...cbt_terrain.accuracy.time_correction import TimeCorrection
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.evaluate.evaluate import EffectRequest, evaluate
+from ...cbt_terrain.evaluate.layered_detail import laid
+from ...cbt_terrain.evaluate.plan import plan
+from ...cbt_terrain.field.bicubic import interpolated
+from ...cbt_terrain.field.heightfield import HeightField
+from ...cbt_terrain.field.store import changed_ns, is_intact, open_store
+from ...cbt_terrain.land import derived_store
+from ...cbt_terrain.mesh.attributes import Attribute
+from ...cbt_terrain.mesh.surface import Surface
+from ...cbt_terrain.refine.terms import Terms
+from ...cbt_terrain.run import launch, warmup
+from ...cbt_terrain.run.owned_files import real_path
+from ...cbt_terrain.terrain import Terrain
+from ..attributes.request import EffectStatus, statuses
+from ..bridge import freed_memory
+from ..bridge.cleanup import clean_up
+from ..bridge.demand import kept
+from ..bridge.writer import write_mesh
+from ..overlay.colors import Overlay, make_overlay
+from ..scatter.request import ScatterRecord, make_points, show_points
+from ..terrain import frozen
+from ..terrain.properties import ERROR_OVERLAY, NO_OVERLAY
+from ..terrain.request import VIEWPORT, Request, gather
+
+
+@dataclasses.dataclass
+class Status:
+    """The last update as the panel shows it.
+
+    Attributes:
+        request: the request, None before the first update.
+        field_key: key of the height field.
+        bound_px, bound_m, bound_edge_px, bound_area_px: None without that criterion.
+        left: triangles after the clean-up.
+        ms: milliseconds by step.
+        effects: status by name.
+        effects_bytes: memory of all effects, including their cache for the next update.
+    """
+
+    mode: str = ""
+    request: Request | None = None
+    field_key: str = ""
+    changed: bool = False
+    leaves: int = 0
+    triangles: int = 0
+    bound_px: float | None = None
+    bound_m: float | None = None
+    bound_edge_px: float | None = None
+    bound_area_px: float | None = None
+    terms_px: Terms | None = None
+    terms_m: Terms | None = None
+    limited: str = ""
+    relaxed: float = 1.0
+    left: int = 0
+    ms: dict[str, float] = dataclasses.field(default_factory=dict)
+    effects: dict[str, EffectStatus] = dataclasses.field(default_factory=dict)
+    effects_bytes: int = 0
+    error: str = ""
+
+    @property
+    def digest(self) -> str:
+        """Identify the mesh and its views."""
+        return self.request.digest(self.field_key) if self.request else ""
+
+
+_NOT_OF_UPDATE = ("mode", "request", "field_key", "left", "ms", "effects", "effects_bytes", "error")
+FIGURES = [item.name for item in dataclasses.fields(Status) if item.name not in _NOT_OF_UPDATE]  # copied from an Update
+
+
+@dataclasses.dataclass
+class Record:
+    """One terrain's engine and its last results.
+
+    Attributes:
+        serial: number of the current surface.
+        shown: key of the surface in the mesh and of how it was written.
+        overlay: None while it is off; `overlay_key` identifies its inputs, `overlay_ms` its time.
+        effects: attributes in arrays of the terrain's history, which holds `effects_bytes`.
+        effects_serial: number of the current values.
+        effects_status: status by name.
+        effects_runs: how often each was computed.
+        live_key: key of the last live request.
+        time_correction: from updates of the live viewport.
+        scatters: by the session_uid of their objects.
+        generation: changes with everything that makes a running update stale.
+    """
+
+    terrain: Terrain | None = None
+    field: object = None
+    serial: int = 0
+    shown: tuple | None = None
+    overlay: Overlay | None = None
+    overlay_key: tuple | None = None
+    overlay_ms: float = 0.0
+    effects: dict[str, Attribute] = dataclasses.field(default_factory=dict)
+    effects_serial: int = 0
+    effects_status: dict[str, EffectStatus] = dataclasses.field(default_factory=dict)
+    effects_bytes: int = 0
+    effects_runs: Counter = dataclasses.field(default_factory=Counter)
+    live_key: tuple | None = None
+    time_correction: TimeCorrection = dataclasses.field(default_factory=TimeCorrection)
+    scatters: dict[int, ScatterRecord] = dataclasses.field(default_factory=dict)
+    generation: int = 0
+    status: Status = dataclasses.field(default_factory=Status)
+
+
+# Hold the lock during an update: two would share the same cores. Effect values are valid until the next update, so copy
+# them for longer use.
+engine_lock = threading.RLock()
+_records: dict[int, Record] = {}
+_fields: dict[tuple[str, int], object] = {}
+
+
+def is_terrain(obj) -> bool:
+    """Return whether the object is a terrain whose mesh may be written.
+
+    Neither may be linked from a library or be an override: Cycles crashes on an override whose mesh is written.
+    """
+    if obj.type != "MESH" or not obj.adaptive_terrain.enabled:
+        return False
+    return all(block.library is None and block.override_library is None for block in (obj, obj.data))
+
+
+def all_terrains() -> list:
+    """Return every terrain of the open file, and drop the records of deleted objects."""
+    found = [obj for obj in bpy.data.objects if is_terrain(obj)]
+    for uid in set(_records) - {obj.session_uid for obj in found}:
+        del _records[uid]
+        derived_store.release(uid)
+    return found
+
+
+def terrains_of(scene) -> list:
+    return [obj for obj in all_terrains() if _is_in(scene, obj)]
+
+
+def _is_in(scene, obj) -> bool:
+    """Look up an object by its name, which is fast, and compare, since a linked object may have the same name."""
+    found = scene.objects.get(obj.name)
+    return found == obj or found is not None and any(other == obj for other in scene.objects)
+
+
+def record_of(obj) -> Record:
+    return _records.setdefault(obj.session_uid, Record())
+
+
+def records() -> list[tuple[int, Record]]:
+    """Return (session_uid, record) of all terrains."""
+    return list(_records.items())
+
+
+def update_object(obj, depsgraph=None, mode: str = VIEWPORT, **options):
+    """Refine the terrain `obj` for its camera, write its mesh if it changed, and return the engine's Update.
+
+    Args:
+        depsgraph: the evaluated dependency graph, the context's by default.
+        options: further arguments of `request.gather`.
+
+    Raises:
+        TerrainError: the update failed. The panel shows the error, and the mesh stays.
+    """
+    record = record_of(obj)
+    record.generation += 1
+    try:
+        try:
+            return _update(obj, record, depsgraph, mode, options)
+        except TerrainError as error:
+            if error.code != derived_store.DAMAGED:
+                raise
+            return _update(obj, record, depsgraph, mode, options)
+    except Exception as error:
+        record.status.error = explain(error)
+        raise
+
+
+def _update(obj, record: Record, depsgraph, mode: str, options: dict):
+    request = gather(obj, depsgraph or bpy.context.evaluated_depsgraph_get(), mode, **options)
+    with engine_lock:
+        update = solve(record, request)
+        paint(record, request, update)
+        show(obj, record, request, update, mode)
+    record.live_key = request.key() if mode == VIEWPORT else None
+    return update
+
+
+def explain(error: Exception) -> str:
+    """Return the panel's text for a failed update."""
+    if isinstance(error, TerrainError):
+        return str(error)
+    return f"The update failed unexpectedly ({type(error).__name__}: {error}), and the mesh has not changed."
+
+
+def solve(record: Record, request: Request):
+    """Run the engine. It uses no Blender data, so any thread that holds `engine_lock` may call it.
+
+    It waits for kernels that are being prepared, as a render must.
+    """
+    warmup.wait()
+    heights = field_of(request)
+    try:
+        return _refine(record, request, heights)
+    except TerrainError as error:
+        derived_store.check_after(str(heights.path), error)
+        raise
+
+
+def _refine(record: Record, request: Request, heights: HeightField):
+    if record.terrain is None or record.field is not heights:
+        record.terrain, record.field, record.serial = Terrain(heights), heights, record.serial + 1
+    placed = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
+    if request.frozen:
+        tree, meshlet = frozen.from_text(request.frozen)
+        update = record.terrain.restore(tree, meshlet=meshlet, **placed)
+    else:
+        update = record.terrain.update(request.criterion, request.views, request.placement, **placed)
+    record.serial += bool(update.changed)
+    _make_effects(record, request, update, placed)
+    make_points(record.scatters, request, record.field, record.terrain, update.surface, record.serial)
+    return update
+
+
+def _make_effects(record: Record, request: Request, update, placed: dict[str, float]) -> None:
+    """Compute the attributes of the request on the surface of an update."""
+    names, planned = set(record.effects), plan(request.effects.asked)
+    effects = EffectRequest(
+        planned,
+        update.surface,
+        request.views,
+        request.placement,
+        **placed,
+        geometry_metres=request.effects.geometry_metres,
+    )
+    result = evaluate(record.field, effects, record.terrain.history, record.terrain.threads)
+    record.effects, record.effects_bytes = result.attributes, result.nbytes
+    for name, ran in result.ran.items():
+        record.effects_runs[name] += ran.computed > 0
+    record.effects_serial += names != set(record.effects) or any(step.computed for step in result.ran.values())
+    record.effects_status = statuses(request.effects, planned, result.ran, record.field)
+
+
+def freeze(obj) -> str:
+    """Update the terrain for the viewport, and return its triangles as the text of its property `frozen`."""
+    with engine_lock:
+        update_object(obj)
+        tree, how = record_of(obj).terrain.saved()
+        return frozen.to_text(tree, how["meshlet"])
+
+
+def paint(record: Record, request: Request, update) -> None:
+    """Make or drop the overlay of the request, after `solve` and on any thread."""
+    key = None
+    if request.overlay != NO_OVERLAY:
+        # the error depends on the view, also on the same mesh
+        key = (record.serial, request.overlay, request.key() if request.overlay == ERROR_OVERLAY else None)
+    if key != record.overlay_key:
+        if key is not None:
+            warmup.wait(overlay=True)
+        start = time.perf_counter()
+        record.overlay = None if key is None else make_overlay(record.field, request, update.surface)
+        record.overlay_key, record.overlay_ms = key, (time.perf_counter() - start) * 1e3
+
+
+def field_of(request: Request):
+    """Return the height field of a request with its interpolation and its displacement layers."""
+    raster = derived_store.raster_of(request.store, request.land, open_field)
+    field = interpolated(raster, request.interpolation)
+    placed = request.vertical_scale, request.vertical_offset
+    return laid(field, request.ground, *placed, launch.default_threads())
+
+
+def open_field(store: str):
+    """Return the height field of a store folder, opened again only if the folder changed or a file was truncated."""
+    changed = changed_ns(store)
+    if not changed:
+        raise TerrainError(
+            f"There is no terrain store at {store!r}", fix="choose its folder under Store, or import again"
+        )
+    key = str(real_path(store)), changed
+    if key not in _fields or not is_intact(_fields[key]):
+        for old in [other for other in _fields if other[0] == key[0]]:
+            del _fields[old]
+        _fields[key] = open_store(store)
+    return _fields[key]
+
+
+def show(obj, record: Record, request: Request, update, mode: str) -> bool:
+    """Write the mesh unless it already shows this surface; return whether it was written."""
+    _make_mesh_single_user(obj)
+    written = record.shown != _what_is_shown(obj.data, record, request)
+    ms = dict(update.ms)
+    if written:
+        start = time.perf_counter()
+        if mode == VIEWPORT and update.triangles >= freed_memory.LARGE:
+            freed_memory.hold()
+        record.shown = None
+        write_mesh(obj.data, clean_up(shown_surface(record, update), request.cleanup), smooth=request.smooth)
+        record.shown = _what_is_shown(obj.data, record, request)
+        ms["mesh"] = (time.perf_counter() - start) * 1e3
+        if record.overlay is not None:
+            ms["overlay"] = record.overlay_ms
+    show_points(obj, record.scatters, request)
+    if record.effects:
+        ms["effects"] = sum(status.ms for status in record.effects_status.values())
+    record.status = Status(
+        mode=mode,
+        request=request,
+        field_key=record.field.key,
+        left=len(obj.data.polygons),
+        ms=ms,
+        effects=record.effects_status,
+        effects_bytes=record.effects_bytes,
+        **{name: getattr(update, name) for name in FIGURES},
+    )
+    return written
+
+
+def shown_surface(record: Record, update) -> Surface:
+    """Return the updated surface with effect and overlay attributes."""
+    return update.surface.with_attributes(record.effects | (record.overlay.attributes if record.overlay else {}))
+
+
+def _what_is_shown(mesh, record: Record, request: Request) -> tuple:
+    counts = len(mesh.vertices), len(mesh.edges), len(mesh.polygons)
+    attributes = tuple(name in mesh.attributes for name in record.effects)  # a user may remove some
+    serials = record.serial, record.overlay_key, record.effects_serial, attributes
+    return mesh.session_uid, counts, request.smooth, request.cleanup.key(), *serials
+
+
+def _make_mesh_single_user(obj) -> None:
+    """Copy a shared mesh: another location needs another refinement, and other objects must not change."""
+    if obj.data.users > 1 and any(other.data == obj.data and other != obj for other in bpy.data.objects):
+        obj.data = obj.data.copy()
+
+
+def forget_shown() -> None:
+    """After undo, write each mesh again at its next update, and drop running updates."""
+    kept.forget()
+    for record in _records.values():
+        record.shown = record.live_key = None
+        for scatter in record.scatters.values():
+            scatter.shown = ()
+        record.generation += 1
+
+
+def clear() -> None:
+    """Drop every terrain and height field, after another file or before the extension is disabled."""
+    kept.forget()
+    with engine_lock:
+        for record in _records.values():
+            record.generation += 1
+        _records.clear()
+        _fields.clear()
+        derived_store.forget()

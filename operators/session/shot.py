@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The views of a terrain in all frames of a shot."""
+
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+
+import bpy
+import numpy as np
+
+from ...cbt_terrain.ask.linear import inverse, product
+from ...cbt_terrain.ask.view import View
+from ..terrain.request import RENDER, gather
+from .pauses import paused
+
+
+def frames_of(scene) -> range:
+    return range(scene.frame_start, scene.frame_end + 1)
+
+
+def look_through(obj, scene, frames: Iterable[int], placement: np.ndarray, **look) -> Iterator[float | list[View]]:
+    """Step through frames; yield the fraction done after each, and at the end the list of all views.
+
+    The views are relative to a terrain that stays at `placement`. The scene then returns to its frame. `look`: further
+    arguments of `request.gather`. Raises TerrainError.
+    """
+    views, now, frames = [], (scene.frame_current, scene.frame_subframe), list(frames)
+    try:
+        for number, frame in enumerate(frames):
+            if frame != scene.frame_current:
+                with paused():
+                    scene.frame_set(frame)
+            moved = gather(obj, bpy.context.evaluated_depsgraph_get(), RENDER, **look)
+            views += [_as_seen_from(view, moved.placement, placement) for view in moved.views]
+            yield number / len(frames)
+    finally:
+        with suppress(ReferenceError):  # undo or another file removed the scene between two steps
+            if (scene.frame_current, scene.frame_subframe) != now:
+                with paused():
+                    scene.frame_set(now[0], subframe=now[1])
+    yield views
+
+
+def _as_seen_from(view: View, placement: np.ndarray, first: np.ndarray) -> View:
+    """Convert a view of a terrain at `placement` to one of the terrain at `first`."""
+    if np.array_equal(placement, first):
+        return view
+    return replace(view, world_to_camera=product(product(view.world_to_camera, placement), inverse(first)))

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bring a terrain into view: move viewports and extend clip ranges.
+
+Viewports move without turning; one in camera view stays there. Cameras never move: their clip range grows, and the
+panel warns if they do not see the terrain.
+"""
+
+import bpy
+import numpy as np
+
+from ..bridge import camera as cameras
+from ..session import session
+from ..session.polls import cancelled_by_errors
+from ..text.numbers import length_text
+from . import sight
+
+MARGIN = 1.08
+HALF_SENSOR_MM = 36.0  # of a viewport, which is twice as wide as a camera with the same lens
+NEAREST_CAMERA_START = 1.0  # metres: the largest clip start, so that near objects stay visible
+
+
+def frame(obj, depsgraph, viewports: list[tuple], always: bool) -> list[str]:
+    """Frame the terrain in `viewports` (see camera.viewports) and extend the camera's clip range to it.
+
+    Args:
+        always: also move a viewport that already shows the whole terrain.
+
+    Returns:
+        What was done, in words.
+
+    Raises:
+        TerrainError: the terrain has no store or no finite box.
+    """
+    box = sight.box_of(obj, depsgraph)
+    done = _widen_camera(obj, depsgraph, box)
+    for _window, area, region, region_3d in viewports:
+        space = area.spaces.active
+        if space.local_view is not None and not obj.local_view_get(space):
+            done.append("a viewport in local view stays as it is")
+            continue
+        if region_3d.view_perspective == "CAMERA":
+            done.append("a viewport in camera view stays there")
+        elif always or not sight.shows_all(box, cameras.view_from_region(space, region, region_3d)):
+            _move_view(space, region, region_3d, box, _visible_part(area, region, space))
+        towards = region_3d.view_rotation.to_matrix().col[2]
+        eye = np.array(region_3d.view_location + towards * region_3d.view_distance)
+        furthest = float(np.linalg.norm(box - eye, axis=1).max())
+        space.clip_start, space.clip_end = sight.clip_that_shows(box, furthest, (space.clip_start, space.clip_end))
+        area.tag_redraw()
+    return list(dict.fromkeys(done))
+
+
+def shown_viewports(window_manager, scene) -> list[tuple]:
+    """Return the viewports of every window that shows the scene; none in the background."""
+    if bpy.app.background:
+        return []
+    return [viewport for viewport in cameras.viewports(window_manager) if viewport[0].scene == scene]
+
+
+def _widen_camera(obj, depsgraph, box: np.ndarray) -> list[str]:
+    camera = sight.camera_of(obj, depsgraph.scene)
+    if camera is None:
+        return []
+    camera, data = camera.original, camera.original.data
+    eye = np.array(camera.evaluated_get(depsgraph).matrix_world.translation)
+    furthest = float(np.linalg.norm(box - eye, axis=1).max())
+    before = data.clip_start, data.clip_end
+    if not np.isfinite(furthest) or before[1] >= max(furthest, sight.diagonal(box)):
+        return []
+    if data.library is not None:
+        return [f"the camera {camera.name!r} is linked: raise its Clip End in its own file"]
+    start, end = sight.clip_that_shows(box, furthest, before)
+    data.clip_start, data.clip_end = max(before[0], min(start, NEAREST_CAMERA_START)), end
+    return [f"the camera {camera.name!r} now sees from {length_text(data.clip_start)} to {length_text(end)}"]
+
+
+def _visible_part(area, region, space) -> tuple[float, float, float, float]:
+    """Return left, right, bottom and top (-1 .. 1) of the region without the sidebar, toolbar and headers over it."""
+    left, right, bottom, top = region.x, region.x + region.width, region.y, region.y + region.height
+    if not space.region_quadviews and bpy.context.preferences.system.use_region_overlap:
+        for other in area.regions:
+            if other.type == "WINDOW" or min(other.width, other.height) <= 1:
+                continue
+            if other.width > region.width / 2:
+                if other.y > region.y + region.height / 2:
+                    top = min(top, other.y)
+                else:
+                    bottom = max(bottom, other.y + other.height)
+            elif other.height > region.height / 2:
+                if other.x > region.x + region.width / 2:
+                    right = min(right, other.x)
+                else:
+                    left = max(left, other.x + other.width)
+    if right - left < region.width / 4 or top - bottom < region.height / 4:
+        return -1.0, 1.0, -1.0, 1.0
+    width, height = region.width / 2, region.height / 2
+    return (
+        (left - region.x) / width - 1,
+        (right - region.x) / width - 1,
+        (bottom - region.y) / height - 1,
+        (top - region.y) / height - 1,
+    )
+
+
+def _move_view(space, region, region_3d, box: np.ndarray, visible: tuple[float, float, float, float]) -> None:
+    """Move the view along its direction until the box fills the visible part of the region."""
+    axes = np.array(region_3d.view_rotation.to_matrix(), np.float64)  # columns: right, up, towards the eye
+    middle = (box.min(axis=0) + box.max(axis=0)) / 2
+    across, up, towards = ((box - middle) @ axes).T
+    larger = max(region.width, region.height)
+    tangents = np.array([region.width, region.height]) / larger * HALF_SENSOR_MM / space.lens
+    left, right, bottom, top = visible
+    wide, high = tangents * ((right - left) / 2, (top - bottom) / 2)
+    towards = towards if region_3d.is_perspective else 0.0
+    distance = float((np.maximum(abs(across) / wide, abs(up) / high) + towards).max()) * MARGIN
+    if not distance > 0.0:
+        return
+    beside = tangents * ((left + right) / 2, (bottom + top) / 2) * distance
+    region_3d.view_location = middle - axes[:, 0] * beside[0] - axes[:, 1] * beside[1]
+    region_3d.view_distance = distance
+
+
+class FrameTerrain(bpy.types.Operator):
+    """Move this viewport so that it shows the whole terrain, and let it and the camera see as far as the terrain
+    reaches. The camera stays where it is"""
+
+    bl_idname = "adaptive_terrain.frame"
+    bl_label = "Frame Terrain"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        obj = context.object
+        return obj is not None and session.is_terrain(obj) and bool(obj.adaptive_terrain.store)
+
+    @cancelled_by_errors
+    def execute(self, context):
+        viewports = shown_viewports(context.window_manager, context.scene)
+        if context.area is not None and context.area.type == "VIEW_3D":
+            viewports = [viewport for viewport in viewports if viewport[1] == context.area]
+        done = frame(context.object, context.evaluated_depsgraph_get(), viewports, always=True)
+        if done:
+            self.report({"INFO"}, to_sentence(done))
+        return {"FINISHED"}
+
+
+def to_sentence(done: list[str]) -> str:
+    """Join the texts of `frame` to one sentence."""
+    text = "; ".join(done)
+    return f"{text[0].upper()}{text[1:]}."
+
+
+register, unregister = bpy.utils.register_classes_factory((FrameTerrain,))

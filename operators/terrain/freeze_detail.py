@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Freeze Detail: the mesh keeps its triangles while the camera moves."""
+
+import bpy
+
+from ..session import session
+from ..session.polls import cancelled_by_errors, on_terrain_object
+
+
+class FreezeDetail(bpy.types.Operator):
+    """Keep the triangles that the viewport shows now, whatever the camera sees, in renders too; press again to let the
+    mesh follow its camera. Heights still follow the vertical scale and offset"""
+
+    bl_idname = "adaptive_terrain.freeze"
+    bl_label = "Freeze Detail"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        return on_terrain_object(cls, context)
+
+    @cancelled_by_errors
+    def execute(self, context):
+        settings = context.object.adaptive_terrain
+        settings.frozen = "" if settings.frozen else session.freeze(context.object)
+        self.report({"INFO"}, "The mesh keeps its triangles" if settings.frozen else "The mesh follows its camera")
+        return {"FINISHED"}
+
+
+register, unregister = bpy.utils.register_classes_factory((FreezeDetail,))

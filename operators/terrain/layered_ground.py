@@ -1,0 +1,19 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What detail a terrain's settings ask for: all over it, and of its splat layers."""
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.evaluate.layered_detail import LayeredDetail
+from ...cbt_terrain.field.coats import Ground
+from ..layers.properties import layers_of
+from .displacement_properties import displacement_of
+
+
+def ground_of(settings, name: str) -> Ground | LayeredDetail | None:
+    """Return the displacement of the terrain `name`; None if no amplitude is above 0."""
+    try:  # a driver or a script may set any number
+        everywhere = displacement_of(settings.ground)
+        found = ((number, displacement_of(layer.detail)) for number, layer in enumerate(settings.layers))
+        details = tuple((number, detail) for number, detail in found if detail is not None)
+        return LayeredDetail(everywhere, layers_of(settings), details) if details else everywhere
+    except TerrainError as error:
+        raise TerrainError(f"The terrain {name!r} cannot be refined. {error}") from None

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panels of the level of detail, in the viewport and in a render."""
+
+import bpy
+
+from ...cbt_terrain.accuracy.cost_curve import CostCurve
+from ...cbt_terrain.ask.criterion import unit_asked
+from ...cbt_terrain.ask.settings import CRITERIA, LIMITS, MODIFIERS, CriterionSetting
+from ...cbt_terrain.errors import TerrainError
+from ..text.numbers import plain
+from ..ui.panel_parts import TerrainSubpanel, fixed_lines, switched
+from .request import criterion_from, within_time
+
+ROUNDED = 1e-3  # part by which an error, rounded up to four digits, may cost less than its budget
+BUDGET_LINES = 2
+
+
+def _draw_detail(column, detail) -> None:
+    for setting in CRITERIA:
+        _draw_criterion(column, detail, setting)
+    column.separator()
+    for setting in MODIFIERS:
+        column.prop(detail, setting.switch or setting.name, text=setting.row or setting.label)
+    column.separator()
+    for setting in LIMITS:
+        switched(column, detail, setting.switch, setting.name)
+    switched(column, detail, "limit_time", "max_ms")
+    if detail.limit_time:
+        fixed_lines(column, _budget(detail), BUDGET_LINES)
+
+
+def _draw_criterion(column, detail, setting: CriterionSetting) -> None:
+    """Draw a switch and a value, which is 0 where it is off."""
+    row = column.row(heading=setting.row or setting.label, align=True)
+    row.prop(detail, f"ask_{setting.name}", text="")
+    if getattr(detail, setting.name) > 0.0:
+        row.prop(detail, setting.name, text="")
+    else:
+        row.label(text="off")
+
+
+def _budget(detail) -> str:
+    """Return the error that fits the time, or why none is known."""
+    try:
+        criterion, note = within_time(criterion_from(detail), detail)
+    except TerrainError as error:  # every criterion is off
+        return str(error)
+    if note:
+        return note
+    unit, curve = unit_asked(criterion), CostCurve.from_json(detail.curve)
+    error = getattr(criterion, f"error_{unit}")
+    fits = curve.at(error)[1] <= detail.max_ms * (1 + ROUNDED)
+    text = f"{'Finest error that fits' if fits else 'None fits; coarsest error'}: {plain(error, 4)} {unit}"
+    return text if curve.error[-1] <= error <= curve.error[0] else f"{text}. Beyond what was measured"
+
+
+class ViewportPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_viewport"
+    bl_label = "Detail in Viewport"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+
+    def draw(self, context):
+        _draw_detail(self._columns(), context.object.adaptive_terrain.viewport)
+
+
+class RenderPanel(TerrainSubpanel, bpy.types.Panel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_render"
+    bl_label = "Detail in Render"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        column = self._columns()
+        _draw_detail(column, context.object.adaptive_terrain.render)
+        column.separator()
+        column.prop(context.scene.adaptive_terrain, "stop_stale_renders", text="Stop Stale Renders")
+        if not context.scene.render.use_lock_interface:
+            column.operator("adaptive_terrain.lock_interface", icon="UNLOCKED")
+
+
+CLASSES = (ViewportPanel, RenderPanel)

@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Settings: of a terrain on its object (`object.adaptive_terrain`), of all on the scene (`scene.adaptive_terrain`)."""
+
+import math
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    IntVectorProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+from ...cbt_terrain.field.island import DEFAULT_SEED
+from ...cbt_terrain.field.lands import LANDS, BuiltInTerrain
+from ...cbt_terrain.importing.raster import RAW_TYPES
+from ..attributes import properties as effect_properties
+from ..land import properties as land_properties
+from ..layers import properties as layer_properties
+from ..layers.properties import LayerSettings
+from ..maps.properties import PATH_OPTIONS, MapSettings
+from ..scatter.properties import ScatterSettings
+from .detail_properties import RenderDetail, ViewportDetail, changed
+from .displacement_properties import DisplacementSettings
+
+ISLAND, FILE = "ISLAND", "FILE"
+NO_OVERLAY, ERROR_OVERLAY, LEVEL_OVERLAY = "NONE", "ERROR", "LEVEL"
+SCENE_CAMERA, CHOSEN_CAMERA, VIEWPORT_VIEW = "SCENE", "CHOSEN", "VIEW"
+
+
+def land_items() -> list[tuple]:
+    """Enum items of the built-in lands. Files hold their numbers: 1 is that of a file as a source."""
+    numbers = (number for number in range(len(LANDS) + 1) if number != 1)
+    return [(name.upper(), land.label, land.about, "NONE", next(numbers)) for name, land in LANDS.items()]
+
+
+def land_of(settings) -> BuiltInTerrain | None:
+    """Return the built-in terrain that is the source; None for a file."""
+    return LANDS.get(settings.source.lower())
+
+
+def _source_chosen(self, _context) -> None:
+    """Reset the size and the height scale that the Add menu set for the previous land."""
+    shapes = [self.extent[0] / land.side for land in LANDS.values()]
+    if not self.use_extent or not any(math.isclose(self.height_scale, shape, rel_tol=1e-5) for shape in shapes):
+        return
+    if (land := land_of(self)) is not None:
+        self.height_scale = self.extent[0] / land.side
+    else:
+        self.use_extent, self.height_scale = False, 1.0
+
+
+def _overlay_chosen(self, context) -> None:
+    """Let viewports draw the material again after the last overlay: they would draw another attribute's colours."""
+    changed(self, context)
+    if any(obj.adaptive_terrain.overlay != NO_OVERLAY for obj in bpy.data.objects):
+        return
+    for area in (area for window in bpy.context.window_manager.windows for area in window.screen.areas):
+        if area.type == "VIEW_3D" and area.spaces.active.shading.color_type == "VERTEX":
+            area.spaces.active.shading.color_type = "MATERIAL"
+
+
+class CleanupSettings(bpy.types.PropertyGroup):
+    """Parts that are cut away from the finished mesh."""
+
+    use_below: BoolProperty(name="Delete Below", description="Cut away everything below a height", update=changed)
+    below: FloatProperty(
+        name="Height", description="In the terrain's own space, in metres", unit="LENGTH", update=changed
+    )
+    boundary: PointerProperty(
+        name="Boundary",
+        description="Keep only the mesh above and below the faces of this object",
+        type=bpy.types.Object, poll=lambda self, item: item.type == "MESH" and item != self.id_data, update=changed,
+    )  # fmt: skip
+
+
+class TerrainSettings(bpy.types.PropertyGroup):
+    """Everything that a terrain is made from."""
+
+    enabled: BoolProperty(name="Adaptive Terrain", description="This object's mesh is written by Adaptive Terrain")
+    store: StringProperty(
+        name="Store",
+        description="Folder with the imported height field; import writes it",
+        subtype="DIR_PATH", options=PATH_OPTIONS, update=changed,
+    )  # fmt: skip
+
+    source: EnumProperty(
+        name="Source",
+        items=[*land_items(),
+               (FILE, "File", "A height map: GeoTIFF, VRT, ASCII grid, HGT, PNG, EXR, RAW, NPY", "NONE", 1)],
+        update=_source_chosen,
+    )  # fmt: skip
+    source_path: StringProperty(
+        name="File", description="Height map to import", subtype="FILE_PATH", options=PATH_OPTIONS
+    )
+    raw_size: IntVectorProperty(
+        name="Samples", description="Width and height of a RAW file, in samples", size=2, default=(0, 0), min=0
+    )
+    raw_dtype: EnumProperty(
+        name="Type",
+        items=[(name, name, f"Samples of a RAW file are {name}") for name in RAW_TYPES],
+        default="uint16",
+    )  # fmt: skip
+    raw_little_endian: BoolProperty(name="Little Endian", description="Byte order of a RAW file", default=True)
+    band: IntProperty(name="Band", description="Number of the band to read, from 1", default=1, min=1)
+    channel: StringProperty(
+        name="Channel", description="Name of the EXR channel to read; empty for the first that looks like a height"
+    )
+    first_row_south: BoolProperty(
+        name="First Row South", description="For files that do not say where north is; pictures begin in the north"
+    )
+    project: StringProperty(
+        name="Reproject",
+        description="Coordinate system to bring the height map into at import: utm, or EPSG:n; empty: as it is",
+    )  # fmt: skip
+    use_extent: BoolProperty(name="Set Size", description="Give the real-world size instead of taking it from the file")
+    extent: FloatVectorProperty(
+        name="Size",
+        description="Metres from west to east and from south to north",
+        size=2, default=(1000.0, 1000.0), min=0.001, unit="LENGTH",
+    )  # fmt: skip
+    height_scale: FloatProperty(
+        name="Metres per Unit",
+        description="Metres in one unit of the file's values, applied by Import; what acts at once is Vertical Scale",
+        default=1.0, precision=4,
+    )  # fmt: skip
+    height_offset: FloatProperty(
+        name="Metres at Zero",
+        description="Height of the file's value 0, applied by Import; what acts at once is Vertical Offset",
+        unit="LENGTH", default=0.0,
+    )  # fmt: skip
+    use_no_data: BoolProperty(
+        name="Set No-Data", description="Give the value that means no data instead of taking it from the file"
+    )
+    no_data: FloatProperty(name="No-Data", description="Value of samples that are missing", default=-9999.0)
+    holes: BoolProperty(
+        name="Cut Out No-Data", description="Make holes where samples are missing instead of filling them"
+    )
+    island_size: IntProperty(
+        name="Samples", description="Samples on each side of the land", default=1025, min=3, max=16385
+    )
+    seed: IntProperty(name="Seed", description="Random seed", default=DEFAULT_SEED, min=0)
+
+    camera_source: EnumProperty(
+        name="Seen From",
+        items=[(SCENE_CAMERA, "Scene Camera", "Refine for the scene's active camera; without one, for the viewports"),
+               (CHOSEN_CAMERA, "Chosen Camera", "Refine for one camera, whatever camera renders"),
+               (VIEWPORT_VIEW, "Viewport", "Refine for the views of the 3D viewports; a render uses the scene camera")],
+        update=changed,
+    )  # fmt: skip
+    camera: PointerProperty(
+        name="Camera", type=bpy.types.Object, poll=lambda self, item: item.type == "CAMERA", update=changed
+    )
+    interpolation: EnumProperty(
+        name="Interpolation",
+        description="The terrain's surface between its samples",
+        items=[(INTERPOLATIONS[0], "Bilinear", "Flat from sample to sample: never above or below them"),
+               (INTERPOLATIONS[1], "Bicubic", "Smooth: closer than a sample it shows no facets, but takes more "
+                "triangles; beside cliffs it may overshoot")],
+        update=changed,
+    )  # fmt: skip
+    vertical_scale: FloatProperty(
+        name="Vertical Scale", description="Factor on every imported height; acts at once", default=1.0, update=changed
+    )
+    vertical_offset: FloatProperty(
+        name="Vertical Offset",
+        description="Added to every imported height, in metres; acts at once",
+        unit="LENGTH", update=changed,
+    )  # fmt: skip
+    ground: PointerProperty(type=DisplacementSettings)
+    viewport: PointerProperty(type=ViewportDetail)
+    render: PointerProperty(type=RenderDetail)
+    live: BoolProperty(
+        name="Live Update",
+        description="Follow the camera in the viewport, without ever blocking it; it stands still in Edit Mode",
+        default=True, update=changed,
+    )  # fmt: skip
+    frozen: StringProperty(
+        name="Frozen Detail",
+        description="The triangles that the mesh keeps whatever its camera sees; empty: it follows its camera",
+        options={"HIDDEN"}, update=changed,
+    )  # fmt: skip
+    smooth: BoolProperty(
+        name="Smooth Shading",
+        description="Shade with the height field's own normals at full resolution; otherwise each face is flat",
+        default=True, update=changed,
+    )  # fmt: skip
+    overlay: EnumProperty(
+        name="Overlay",
+        items=[(NO_OVERLAY, "None", "No colours; nothing is computed for them"),
+               (ERROR_OVERLAY, "Screen Error", "Each triangle's largest error, as the camera sees it; takes longer"),
+               (LEVEL_OVERLAY, "Level", "How often the triangle's root square was bisected")],
+        update=_overlay_chosen,
+    )  # fmt: skip
+    effects: PointerProperty(type=effect_properties.EffectsSettings)
+    cleanup: PointerProperty(type=CleanupSettings)
+    maps: PointerProperty(type=MapSettings)
+    layers: CollectionProperty(type=LayerSettings)
+    active_layer: IntProperty(name="Active Layer", options=set())
+    land: PointerProperty(type=land_properties.LandSettings)
+    bake_error_m: FloatProperty(
+        name="Bake Error",
+        description="Largest vertical error of a baked static mesh, in metres",
+        default=1.0, min=1e-6, soft_max=100.0, precision=3, unit="LENGTH",
+    )  # fmt: skip
+    bake_fit: BoolProperty(
+        name="Fit",
+        description="Move vertices off the surface, within the bake error: fewer triangles, but a slower bake",
+        default=False,
+    )  # fmt: skip
+    collider_error_m: FloatProperty(
+        name="Collider Error",
+        description="Largest vertical error of the collider, in metres of the world",
+        default=1.0, min=1e-6, soft_max=100.0, precision=3, unit="LENGTH",
+    )  # fmt: skip
+    reports: StringProperty(
+        name="Reports",
+        description="Folder of accuracy reports; each terrain has a subfolder with its name",
+        default="//accuracy/", subtype="DIR_PATH", options=PATH_OPTIONS,
+    )  # fmt: skip
+
+
+class SceneSettings(bpy.types.PropertyGroup):
+    """Settings of all terrains of a scene."""
+
+    stop_stale_renders: BoolProperty(
+        name="Stop Renders That Would Be Stale",
+        description="Without a window, end Blender with an error where a terrain cannot be refined for the frame that "
+        "is to be rendered; else that frame shows the mesh of another one",
+        default=True,
+    )  # fmt: skip
+
+
+CLASSES = (
+    *(*effect_properties.CLASSES, *layer_properties.CLASSES, *land_properties.CLASSES),
+    *(ViewportDetail, RenderDetail, CleanupSettings, MapSettings, TerrainSettings, SceneSettings, ScatterSettings),
+)
+
+
+def register() -> None:
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.Object.adaptive_terrain = PointerProperty(type=TerrainSettings)
+    bpy.types.Scene.adaptive_terrain = PointerProperty(type=SceneSettings)
+    bpy.types.Object.adaptive_scatter = PointerProperty(type=ScatterSettings)
+
+
+def unregister() -> None:
+    del bpy.types.Object.adaptive_terrain, bpy.types.Scene.adaptive_terrain, bpy.types.Object.adaptive_scatter
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one place that reads a terrain's properties: object and scene in, plain numbers for the engine out."""
+
+import hashlib
+import math
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ...cbt_terrain.accuracy.cost_curve import CostCurve
+from ...cbt_terrain.accuracy.time_correction import TimeCorrection
+from ...cbt_terrain.ask.criterion import Criterion, unit_asked
+from ...cbt_terrain.ask.linear import determinant
+from ...cbt_terrain.ask.settings import SETTINGS
+from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.evaluate.layered_detail import LayeredDetail
+from ...cbt_terrain.field import store as stores
+from ...cbt_terrain.field.coats import Ground
+from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+from ...cbt_terrain.land.derived_store import Land
+from ...cbt_terrain.land.requested_tiles import SeenTiles
+from ..attributes.request import Effects, gather_effects
+from ..bridge import camera as cameras
+from ..bridge.cleanup import Cleanup, plan_triangles
+from ..bridge.evaluated import found_in
+from ..bridge.scene_paths import absolute_path
+from ..land.properties import SEEN
+from ..land.request import land_of
+from ..scatter.request import Scatters, gather_scatters
+from .detail_properties import value_of
+from .layered_ground import ground_of
+from .overrides import NO_OVERRIDES, Overrides
+from .properties import CHOSEN_CAMERA, SCENE_CAMERA, VIEWPORT_VIEW
+
+VIEWPORT, RENDER = "VIEWPORT", "RENDER"
+ERRORS = "error_px", "error_m"  # varied by a time budget
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """Input of one update, without references to Blender's data, so that a worker thread may use it.
+
+    Attributes:
+        store: folder of the height field; in a viewport that of its shaped land, if there is some.
+        made_ns: time of the last change of that folder, which tells it from one that is made again or repaired.
+        land: land to be shaped from it first, or None.
+        interpolation: of the height field, by its name in heightfield.py.
+        ground: displacement on it, or None.
+        placement: float64 [4, 4], the terrain's space to the world, metres.
+        overlay: colours of the mesh.
+        max_ms: time budget of the criterion's error, None without one; `note`: why it has no effect, or "".
+        frozen: triangles to keep whatever the criterion, see frozen.py; "" for a mesh that follows its camera.
+        effects: effects whose attributes the mesh gets.
+        scatters: visible objects with points on the terrain.
+        curve: cost curve of the time budget, None without one.
+    """
+
+    store: str
+    made_ns: int
+    land: Land | None
+    interpolation: str
+    ground: Ground | LayeredDetail | None
+    criterion: Criterion
+    views: list[View]
+    placement: np.ndarray
+    vertical_scale: float
+    vertical_offset: float
+    smooth: bool
+    cleanup: Cleanup
+    overlay: str
+    max_ms: float | None
+    note: str
+    frozen: str
+    effects: Effects
+    scatters: Scatters = Scatters()
+    curve: CostCurve | None = None
+
+    def key(self) -> tuple:
+        """Return a key that is equal for equal requests."""
+        shown = self.smooth, self.cleanup.key(), self.overlay, self.note, self.effects, self.scatters.key()
+        return self.store, self.made_ns, self.land, self.interpolation, self.ground, *self._shape(), *shown
+
+    def digest(self, field_key: str) -> str:
+        """Return the hex digest of everything that determines the mesh before clean-up and its errors: the key of the
+        height field, the criterion, the views, the placement."""
+        return hashlib.blake2b(repr((field_key, *self._shape())).encode(), digest_size=16).hexdigest()
+
+    def _shape(self) -> tuple:
+        views = tuple(view.key() for view in self.views)
+        heights = self.vertical_scale, self.vertical_offset
+        return self.criterion, views, self.placement.tobytes(), heights, self.frozen
+
+
+def gather(
+    obj,
+    depsgraph,
+    mode: str = VIEWPORT,
+    *,
+    criterion: Criterion | None = None,
+    camera=None,
+    resolution: tuple[int, int] | None = None,
+    overrides: Overrides = NO_OVERRIDES,
+) -> Request:
+    """Read the settings of the terrain `obj` and the camera that it is refined for, as `depsgraph` evaluated them.
+
+    `mode` picks the settings of the viewport or of the render. `criterion`, `camera` (an object), `resolution` (pixels)
+    and `overrides` replace those of the settings and the scene. Raises TerrainError for a terrain that cannot be
+    refined.
+    """
+    evaluated = obj.evaluated_get(depsgraph)
+    settings = evaluated.adaptive_terrain  # the evaluated copy has the values that animation and drivers set
+    if not settings.store:
+        raise TerrainError(f"The terrain {obj.name!r} has no height field", fix="import one from its panel")
+    interpolation = overrides.interpolation or settings.interpolation
+    if interpolation not in INTERPOLATIONS:  # a driver or a script may set any number
+        raise TerrainError(f"The terrain {obj.name!r} has an unknown interpolation", fix="choose one on its panel")
+    placement = _placement(obj.name, evaluated)
+    max_ms, note, frozen, curve = None, "", "", None
+    if criterion is None:
+        frozen = settings.frozen if replace(overrides, effects=None) == NO_OVERRIDES else ""
+        detail = settings.render if mode == RENDER else settings.viewport
+        with _named(obj):
+            criterion = criterion_from(detail, overrides)
+        if overrides.criterion.keys().isdisjoint(ERRORS):
+            criterion, note = within_time(criterion, detail)
+            max_ms = detail.max_ms if detail.limit_time else None
+            curve = CostCurve.from_json(detail.curve) if detail.limit_time and not note else None
+    views = []
+    if criterion.needs_view:
+        with _named(obj):
+            views = _views(settings, depsgraph, mode, camera, resolution)
+    store, land = absolute_path(settings.store), land_of(obj, evaluated, depsgraph, mode == RENDER)
+    if land is not None:
+        if views and mode == RENDER and settings.land.where == SEEN:
+            scale = settings.vertical_scale, settings.vertical_offset
+            land = replace(land, seen=SeenTiles(tuple(views), placement, criterion.error_px, *scale))
+        elif mode != RENDER:
+            store, land = _shown_land(store, land, frozen)
+    cleanup = cleanup_from(settings.cleanup, evaluated, depsgraph)
+    if cleanup.active:  # through the cut one sees ground that it would hide
+        criterion = replace(criterion, hidden_factor=1.0)
+    return Request(
+        store=store,
+        made_ns=stores.changed_ns(store),
+        land=land,
+        interpolation=interpolation,
+        ground=overrides.ground or ground_of(settings, obj.name),
+        criterion=criterion,
+        views=views,
+        placement=placement,
+        vertical_scale=settings.vertical_scale,
+        vertical_offset=settings.vertical_offset,
+        smooth=settings.smooth,
+        cleanup=cleanup,
+        overlay=settings.overlay,
+        max_ms=max_ms,
+        note=note,
+        frozen=frozen,
+        effects=gather_effects(obj, evaluated, placement, depsgraph, mode, overrides.effects),
+        scatters=gather_scatters(
+            obj, depsgraph, mode == RENDER, lambda: views or _views(settings, depsgraph, mode, camera, resolution)
+        ),
+        curve=curve,
+    )
+
+
+def _placement(name: str, evaluated) -> np.ndarray:
+    """Return float64 [4, 4]: from the terrain's own space to the world. Raises TerrainError."""
+    placement = np.array(evaluated.matrix_world, np.float64)
+    if not np.isfinite(placement).all():
+        raise TerrainError(
+            f"The terrain {name!r} has a matrix that is not finite", fix="check its transform and parents"
+        )
+    if determinant(placement[:3, :3]) == 0.0:
+        raise TerrainError(f"The terrain {name!r} has a scale of 0", expected="another scale on each axis")
+    return placement
+
+
+def _shown_land(store: str, land: Land, frozen: str) -> tuple[str, Land | None]:
+    """Return the store that a viewport shows, and the land that is previewed on it."""
+    if shown := land.shown:
+        return shown, None
+    # A frozen mesh has the triangles of the raster, and a preview has another.
+    return store, None if frozen else land
+
+
+@contextmanager
+def _named(obj):
+    """Name the terrain in errors: a scene may have several."""
+    try:
+        yield
+    except TerrainError as error:
+        raise TerrainError(f"The terrain {obj.name!r} cannot be refined. {error}") from None
+
+
+def criterion_from(detail, overrides: Overrides = NO_OVERRIDES) -> Criterion:
+    """Return the criterion of a DetailSettings."""
+    return Criterion(**{setting.name: value_of(detail, setting) for setting in SETTINGS} | overrides.criterion)
+
+
+def within_time(criterion: Criterion, detail) -> tuple[Criterion, str]:
+    """Return the criterion with the finest error that fits the time budget of a DetailSettings, and ""; or `criterion`
+    as it is, and why.
+
+    The error depends on the measured curve and the budget alone.
+    """
+    if not detail.limit_time:
+        return criterion, ""
+    unit = unit_asked(criterion)
+    if not unit:
+        return criterion, "Time budget needs an error to vary: set Screen Error or Vertical Error"
+    if not detail.curve:
+        if detail.no_curve:
+            return criterion, "Time budget needs a curve, but times differed: Measure Accuracy again"
+        return criterion, "Time budget needs a measured curve: press Measure Accuracy"
+    try:
+        curve = CostCurve.from_json(detail.curve)
+        error = curve.error_for_ms(detail.max_ms)
+    except TerrainError as damaged:
+        return criterion, str(damaged)
+    if curve.unit != unit:
+        return criterion, f"Time budget needs a curve measured in {unit}: press Measure Accuracy again"
+    return replace(criterion, **{f"error_{unit}": error}), ""
+
+
+def corrected(request: Request, correction: TimeCorrection) -> Request:
+    """Return the request with the error that fits its time budget by the times of recent updates."""
+    if request.curve is None:
+        return request
+    error = correction.error_for_ms(request.curve, request.max_ms)
+    return replace(request, criterion=replace(request.criterion, **{f"error_{request.curve.unit}": error}))
+
+
+def record_time(request: Request, ms: float, correction: TimeCorrection) -> None:
+    """Correct the next errors by the milliseconds of an update that was made for a request with a time budget."""
+    if request.curve is not None:
+        correction.record(request.curve, getattr(request.criterion, f"error_{request.curve.unit}"), ms)
+
+
+def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
+    """Return the clean-up of a CleanupSettings for the evaluated object `terrain`."""
+    boundary = None
+    if settings.boundary is not None:
+        if settings.boundary.original == terrain.original:  # cut by its last mesh it would never grow again
+            raise TerrainError(
+                f"The terrain {terrain.name!r} is its own boundary", fix="choose another object, or none"
+            )
+        shape, matrix = found_in(depsgraph, settings.boundary, "boundary")
+        boundary = plan_triangles(shape, matrix, Matrix(terrain.matrix_world).inverted(), "boundary")
+    if settings.use_below and not math.isfinite(settings.below):
+        raise TerrainError(
+            f"The terrain {terrain.name!r} has {settings.below} as the height of Delete Below", expected="a number"
+        )
+    return Cleanup(settings.below if settings.use_below else None, boundary)
+
+
+def follows_viewport(settings, scene) -> bool:
+    """Tell whether viewports refine for their own views: if the settings say so, and in a window whose scene has no
+    camera. Without a window a missing camera is an error."""
+    if settings.camera_source == SCENE_CAMERA and not bpy.app.background:
+        return cameras.active_camera(scene) is None
+    return settings.camera_source == VIEWPORT_VIEW
+
+
+def _views(settings, depsgraph, mode: str, camera, resolution) -> list[View]:
+    scene = depsgraph.scene
+    if camera is None and mode == VIEWPORT and follows_viewport(settings, scene):
+        views = cameras.views_from_windows(bpy.context.window_manager)
+        if views:
+            return views
+    if camera is None and settings.camera_source == CHOSEN_CAMERA:
+        if settings.camera is None:
+            raise TerrainError(
+                "No camera is chosen", fix="choose one on the terrain's panel, or use the scene's camera"
+            )
+        camera = settings.camera.original
+    return cameras.views_from_scene(scene, camera or cameras.active_camera(scene), depsgraph, resolution)

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Visibility of a terrain: its box in the world against the view of a camera or a viewport."""
+
+import math
+
+import numpy as np
+
+from ...cbt_terrain.ask.linear import inverse
+from ...cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
+from ...cbt_terrain.errors import TerrainError
+from ..bridge import camera as cameras
+from ..land import shaped_land
+from ..session import session
+from .properties import CHOSEN_CAMERA
+
+NEAR_TO_FAR = 1e-5  # ratio of a clip range, as in Blender's viewport, for the precision of the depth buffer
+SMALL = 0.1  # fraction of a frame that a terrain must span to count as shown
+
+
+def box_of(obj, depsgraph=None) -> np.ndarray:
+    """Return the corners of the terrain's box in the world, float64 [8, 3]. Raises TerrainError without a store."""
+    placed = obj if depsgraph is None else obj.evaluated_get(depsgraph)
+    settings = placed.adaptive_terrain
+    if not settings.store:
+        raise TerrainError(f"The terrain {obj.name!r} has no height field", fix="import one from its panel")
+    field = session.open_field(shaped_land.store_of(obj))
+    x, y = _half_extent(field)
+    heights = [h * settings.vertical_scale + settings.vertical_offset for h in (field.min_height, field.max_height)]
+    corners = np.array([(i, j, h) for i in (-x, x) for j in (-y, y) for h in heights])
+    matrix = np.array(placed.matrix_world, np.float64)
+    box = (matrix[:3, :3] @ corners.T).T + matrix[:3, 3]
+    if not np.isfinite(box).all():
+        raise TerrainError(
+            f"The terrain {obj.name!r} has a location that is not finite", fix="check its transform and scale"
+        )
+    return box
+
+
+def _half_extent(field) -> tuple[float, float]:
+    lattice = field.lattice
+    return lattice.step_x * (lattice.width - 1) / 2, lattice.step_y * (lattice.height - 1) / 2
+
+
+def diagonal(box: np.ndarray) -> float:
+    """Return the diagonal of a box [8, 3] in metres."""
+    return float(np.linalg.norm(np.ptp(box, axis=0)))
+
+
+def depths(box: np.ndarray, view: View) -> np.ndarray:
+    """Return the depths of the corners, float64 [8] metres along the view, or distances for a panorama."""
+    seen = _in_camera(box, view)
+    return np.linalg.norm(seen, axis=1) if view.kind == PANORAMIC else -seen[:, 2]
+
+
+def is_cut_off(box: np.ndarray, view: View) -> bool:
+    """Return whether the clip range cuts the far end of the box, or all of it before its start."""
+    start, end = view.clip
+    far = depths(box, view).max()
+    return start < end and (far > end or 0.0 < far < start)
+
+
+def is_in_sight(box: np.ndarray, view: View) -> bool:
+    """Return False only if the whole box is outside the frame; `is_cut_off` tests the clip range."""
+    if view.kind == PANORAMIC:
+        return True
+    x, y, w = _in_frame(box, view)
+    outside = [x > w, x < -w, y > w, y < -w] + ([w <= 0] if view.kind == PERSPECTIVE else [])
+    return not any(side.all() for side in outside)
+
+
+def shows_all(box: np.ndarray, view: View) -> bool:
+    """Return whether the frame shows the whole box, at a size of at least SMALL."""
+    if view.kind == PANORAMIC or is_cut_off(box, view):
+        return False
+    x, y, w = _in_frame(box, view)
+    if (w <= 0).any() or (depths(box, view) < view.clip[0]).any():
+        return False
+    x, y = x / w, y / w
+    return max(abs(x).max(), abs(y).max()) <= 1.0 and max(np.ptp(x), np.ptp(y)) >= 2.0 * SMALL
+
+
+def _in_camera(box: np.ndarray, view: View) -> np.ndarray:
+    matrix = view.world_to_camera
+    return (matrix[:3, :3] @ box.T).T + matrix[:3, 3]
+
+
+def _in_frame(box: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return homogeneous x, y and w, [8] each; the frame is -w .. w."""
+    points = np.c_[_in_camera(box, view), np.ones(len(box))]
+    x, y, _, w = view.projection @ points.T
+    return x, y, np.ones(len(box)) if view.kind == ORTHOGRAPHIC else w
+
+
+def is_below_ground(obj, point: np.ndarray) -> bool:
+    """Return whether a point of the world [3] is below the nearest sample of the terrain."""
+    settings = obj.adaptive_terrain
+    field = session.open_field(shaped_land.store_of(obj))
+    matrix = np.array(obj.matrix_world, np.float64)
+    try:
+        place = inverse(matrix) @ [*point, 1.0]
+    except np.linalg.LinAlgError:
+        return False
+    (x, y), lattice = _half_extent(field), field.lattice
+    if not (abs(place[0]) <= x and abs(place[1]) <= y):
+        return False
+    column, row = round((place[0] + x) / lattice.step_x), round((place[1] + y) / lattice.step_y)
+    height = float(field.heights(row, column)) * settings.vertical_scale + settings.vertical_offset
+    return math.isfinite(height) and place[2] < height
+
+
+def camera_of(obj, scene):
+    """Return the camera for which a render refines the terrain, or None."""
+    settings = obj.adaptive_terrain
+    camera = settings.camera if settings.camera_source == CHOSEN_CAMERA else cameras.active_camera(scene)
+    return camera if camera is not None and camera.type == "CAMERA" else None
+
+
+def view_of_camera(scene, camera) -> View:
+    """Return the current view of a camera. Raises TerrainError for an invalid camera."""
+    return cameras.view_from_camera(scene, camera, camera.matrix_world, cameras.render_resolution(scene))
+
+
+def clip_that_shows(box: np.ndarray, furthest: float, clip: tuple[float, float]) -> tuple[float, float]:
+    """Return a clip range (metres) that includes a box whose furthest corner is `furthest` away.
+
+    It is `clip` if that is sufficient. Otherwise its end is a round number with some margin, and its start keeps the
+    precision of the depth buffer.
+    """
+    start, end = clip
+    needed = max(furthest, diagonal(box))
+    if end < needed:
+        end = round_up(2.0 * needed)
+        start = max(start, NEAR_TO_FAR * end)
+    return min(start, needed / 100.0), end
+
+
+def round_up(value: float) -> float:
+    """Round up to 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * (1 - 1e-9))

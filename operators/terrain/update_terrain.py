@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Update the mesh now, and make renders safe."""
+
+import bpy
+
+from ...cbt_terrain.run import warmup
+from ..session import session
+from ..session.polls import cancelled_by_errors, on_terrain_object
+
+WAIT_S = 0.1
+
+
+class UpdateTerrain(bpy.types.Operator):
+    """Refine the terrain for its camera now, with the viewport's settings"""
+
+    bl_idname = "adaptive_terrain.update"
+    bl_label = "Update"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        return on_terrain_object(cls, context)
+
+    def invoke(self, context, event):
+        """Wait for kernels without blocking the window, if the click comes during the first start."""
+        if not warmup.preparing():
+            return self.execute(context)
+        self.timer = context.window_manager.event_timer_add(WAIT_S, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        if event.type != "TIMER" or warmup.preparing():
+            return {"PASS_THROUGH"}
+        self.cancel(context)
+        return self.execute(context) if self.poll(context) else {"CANCELLED"}
+
+    def cancel(self, context):
+        context.window_manager.event_timer_remove(self.timer)
+
+    @cancelled_by_errors
+    def execute(self, context):
+        session.update_object(context.object)
+        self.report({"INFO"}, f"{len(context.object.data.polygons):,} triangles")
+        return {"FINISHED"}
+
+
+class LockInterface(bpy.types.Operator):
+    """Lock the interface during a render, so that drawing the viewport cannot meet a mesh that is being rebuilt"""
+
+    bl_idname = "adaptive_terrain.lock_interface"
+    bl_label = "Lock Interface"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context):
+        context.scene.render.use_lock_interface = True
+        return {"FINISHED"}
+
+
+CLASSES = (UpdateTerrain, LockInterface)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panel Effects, the button Terrain Material and `effects --scene`: what is read is said, with who reads it."""
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
+from adaptive_terrain.operators.attributes import panel as effects_panel
+from adaptive_terrain.operators.bridge.demand.trees import tree_of_new
+from adaptive_terrain.operators.cli import command_line
+from adaptive_terrain.operators.layers import material, terrain_material
+from adaptive_terrain.operators.session import session
+from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH, wrapped
+
+
+class Layout:
+    """What a panel draws, as texts; every part of it is the same list."""
+
+    def __init__(self, drawn=None):
+        self.drawn = [] if drawn is None else drawn
+
+    def part(self, *_args, **_settings):
+        return Layout(self.drawn)
+
+    row = column = box = split = part
+
+    def label(self, text="", icon=""):
+        self.drawn.append(text)
+
+    def prop(self, _data, name, text=None, **_settings):
+        self.drawn.append(f"<{name}>")
+
+    def operator(self, name, text=None, **_settings):
+        self.drawn.append(text or name)
+        return type("Properties", (), {})()
+
+
+@pytest.fixture
+def terrain(scene, add_terrain):
+    obj = add_terrain("Hills")
+    bpy.context.view_layer.objects.active = obj
+    return obj
+
+
+def read_by_material(obj, name: str):
+    """A material whose colour is an attribute; its node."""
+    made = bpy.data.materials.new("Rock")
+    tree = tree_of_new(made)
+    node = tree.nodes.new("ShaderNodeAttribute")
+    node.attribute_name = name
+    tree.links.new(node.outputs["Color"], tree.nodes["Principled BSDF"].inputs["Base Color"])
+    obj.data.materials.append(made)
+    return node
+
+
+def lines(obj) -> list[str]:
+    panel, layout = type("Panel", (), {})(), Layout()
+    panel.layout = layout
+    panel._columns = lambda: layout
+    effects_panel.EffectsPanel.draw(panel, type("Context", (), {"object": obj})())
+    return layout.drawn
+
+
+def test_the_rows_stay_in_place_whatever_is_read(terrain):
+    before = lines(terrain)
+    node = read_by_material(terrain, "slope")
+    session.update_object(terrain)
+    read = lines(terrain)
+    assert [text for text in read if text.startswith("<")] == [text for text in before if text.startswith("<")]
+    assert len(read) == len(before) and "1 of" in read[read.index("Computed") + 1]
+    node.attribute_name = "none of ours"
+    bpy.context.view_layer.update()
+    session.update_object(terrain)
+    assert len(lines(terrain)) == len(before) and "0 of" in lines(terrain)[read.index("Computed") + 1]
+
+
+def test_the_details_are_those_of_the_effect_that_was_clicked(terrain):
+    read_by_material(terrain, "slope")
+    session.update_object(terrain)
+    assert bpy.ops.adaptive_terrain.show_effect(name="slope") == {"FINISHED"}
+    said = " ".join(lines(terrain))
+    assert "Read by material Rock, node Attribute" in said and "Slope (rad): How steep the ground is" in said
+    bpy.ops.adaptive_terrain.show_effect(name="wetness")
+    assert "Skipped, nothing reads it" in " ".join(lines(terrain))
+    terrain.adaptive_terrain.effects.slope.when = "OFF"
+    session.update_object(terrain)
+    bpy.ops.adaptive_terrain.show_effect(name="slope")
+    assert "Skipped, switched off, read by" in " ".join(lines(terrain))
+    assert all(len(text) <= LINE_LENGTH + 4 for text in lines(terrain))
+    with pytest.raises(RuntimeError, match="There is no effect 'erosion'"):
+        bpy.ops.adaptive_terrain.show_effect(name="erosion")
+
+
+def test_what_an_effect_is_and_why_it_is_nothing_is_not_cut_off(terrain):
+    assert all(
+        len(wrapped(effects_panel.about_text(name), LINE_LENGTH)) <= effects_panel.ABOUT_LINES for name in EFFECTS
+    )
+    read_by_material(terrain, "sun")
+    terrain.data.materials[0].name = "The northern cliffs, whose rock is of another kind than all of the others"
+    session.update_object(terrain)
+    bpy.ops.adaptive_terrain.show_effect(name="sun")
+    said = " ".join(lines(terrain))
+    assert "0, since no sun lamp shines in the scene; read by material The northern cliffs" in said
+
+
+def test_the_button_reads_the_layers_and_nothing_else(terrain):
+    terrain.data.materials.clear()
+    assert bpy.ops.adaptive_terrain.terrain_material() == {"FINISHED"}
+    session.update_object(terrain)
+    computed = {name for name, s in session.record_of(terrain).status.effects.items() if not s.skipped}
+    sources = terrain_material.sources_of(terrain, ())
+    assert material.reads(sources) == ("splat_1",) and "splat_1" in computed
+    assert computed - {"splat_1"} == {"height", "slope"}, "what the default layers' rules are about"
+    weights = np.empty(4 * len(terrain.data.vertices), np.float32)
+    terrain.data.attributes["splat_1"].data.foreach_get("color", weights)
+    assert (weights.reshape(-1, 4).sum(1, dtype=np.float32) == 1.0).all()
+    assert bpy.ops.adaptive_terrain.terrain_material(sky=True) == {"FINISHED"}
+    assert len(bpy.data.materials) == 1
+    session.update_object(terrain)
+    assert not session.record_of(terrain).status.effects["sky"].skipped
+
+
+def test_the_command_says_who_reads_what(terrain, tmp_path, capsys):
+    read_by_material(terrain, "slope")
+    path = tmp_path / "shot.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    assert command_line.main(["effects", "--scene", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "slope: read by material Rock, node Attribute; " in said and " ms, " in said
+    assert "wetness: skipped, nothing reads it" in said
+    assert said.count("skipped, nothing reads it") == len(EFFECTS) - 1
+
+
+@pytest.mark.parametrize(
+    ("asked", "has"), [("auto", {"slope"}), ("none", set()), ("height,aspect", {"height", "aspect"})]
+)
+def test_an_export_of_a_scene_carries_what_is_asked(terrain, tmp_path, asked, has):
+    read_by_material(terrain, "slope")
+    path = tmp_path / "shot.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    argv = [
+        "export",
+        "--scene",
+        path,
+        "--frames",
+        "1",
+        "--format",
+        "npz",
+        "--effects",
+        asked,
+        "--out",
+        tmp_path / "out",
+    ]
+    assert command_line.main([str(argument) for argument in argv]) == 0
+    mesh = read_npz(tmp_path / "out" / "Hills_0001.npz")
+    assert mesh.keys() & EFFECTS.keys() == has

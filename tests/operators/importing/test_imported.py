@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the panel says of a store, and which settings ask for another import."""
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.field import store as stores
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.operators.importing import import_terrain
+from adaptive_terrain.operators.importing.imported import Imported, changed_settings, imported_of, lines_of, tag_object
+from adaptive_terrain.operators.importing.panel import ImportedPanel, is_stale
+
+
+@pytest.fixture(scope="module")
+def utm(tmp_path_factory):
+    """A GeoTIFF of 40 x 30 samples, 25 m apart, in UTM 16 N."""
+    import rasterio
+    from rasterio.transform import from_origin
+
+    path = tmp_path_factory.mktemp("utm") / "utm.tif"
+    profile = {"driver": "GTiff", "width": 40, "height": 30, "count": 1, "dtype": "float32", "crs": "EPSG:32616"}
+    with rasterio.open(path, "w", transform=from_origin(700_000.0, 4_050_000.0, 25.0, 25.0), **profile) as tif:
+        tif.write(np.random.default_rng(1).random((1, 30, 40), np.float32))
+    return path
+
+
+@pytest.fixture(scope="module")
+def imported(utm):
+    run_import(ImportSettings(source=str(utm)), utm.with_name("utm.store"))
+    return utm.with_name("utm.store")
+
+
+@pytest.fixture
+def terrain(scene, add_terrain, utm, imported, tmp_path):
+    """A terrain as an import leaves it, with a store of its own."""
+    terrain = add_terrain()
+    settings = terrain.adaptive_terrain
+    settings.store = str(shutil.copytree(imported, tmp_path / "store"))
+    settings.source, settings.source_path = "FILE", str(utm)
+    return terrain
+
+
+def test_the_panel_shows_what_was_imported(terrain):
+    assert lines_of(imported_of(terrain.adaptive_terrain)) == [
+        ("From", "utm.tif"),
+        ("CRS", "EPSG:32616"),
+        ("Origin", "700500, 4049625"),
+        ("Raster", "40 x 30"),
+        ("Extent", "975 x 725 m"),
+        ("Spacing", "25 x 25 m"),
+    ]
+    assert len(lines_of(None)) == 6, "as many lines before an import"
+
+
+def test_the_panel_shows_the_warnings_of_an_import(terrain):
+    file = Path(terrain.adaptive_terrain.store) / "store.json"
+    content = json.loads(file.read_text())
+    assert imported_of(terrain.adaptive_terrain).warnings == ()
+    content["report"]["warnings"] = ["Heights are in\nfeet.", "x" * 9_000, *["more"] * 50]
+    content["sum"] = stores._sum_of(content)
+    file.write_text(json.dumps(content))
+    warnings = imported_of(terrain.adaptive_terrain).warnings
+    assert warnings[0] == "Heights are in feet." and max(map(len, warnings)) < 600 and len(warnings) < 10
+    context, column = SimpleNamespace(object=terrain), Mock()
+    ImportedPanel.draw(SimpleNamespace(_columns=lambda: column), context)
+    labels = [call.kwargs.get("text") for call in column.box().label.mock_calls]
+    assert "Heights are in feet." in labels
+
+
+def test_raw_settings_are_for_files_without_a_header(tmp_path):
+    (tmp_path / "a.bil").touch()
+    assert import_terrain.is_raw(str(tmp_path / "a.bil")) and import_terrain.is_raw("a.r16")
+    (tmp_path / "a.hdr").touch()
+    assert not import_terrain.is_raw(str(tmp_path / "a.bil")) and import_terrain.placed(str(tmp_path / "a.bil"))
+
+
+def test_the_object_has_the_properties_of_blendergis(scene, add_terrain, utm, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    terrain = add_terrain()
+    settings = terrain.adaptive_terrain
+    settings.store, settings.source, settings.source_path = "", "FILE", str(utm)
+    assert bpy.ops.adaptive_terrain.import_source() == {"FINISHED"}
+    assert not is_stale(terrain)
+    assert (terrain["SRID"], terrain["crs x"], terrain["crs y"]) == ("EPSG:32616", 700_500.0, 4_049_625.0)
+    terrain.adaptive_terrain.source, terrain.adaptive_terrain.island_size = "ISLAND", 17
+    bpy.ops.adaptive_terrain.import_source()
+    assert "SRID" not in terrain and "crs x" not in terrain, "an island is nowhere"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("height_scale", 2.5),
+        ("height_offset", -3.0),
+        ("use_no_data", True),
+        ("use_extent", True),
+        ("band", 2),
+        ("first_row_south", True),
+        ("source", "ISLAND"),
+        ("source_path", "/nowhere/dem.tif"),
+        ("source_path", ""),
+    ],
+)
+def test_changed_settings_ask_for_another_import(terrain, name, value):
+    assert not is_stale(terrain)
+    before = getattr(terrain.adaptive_terrain, name)
+    setattr(terrain.adaptive_terrain, name, value)
+    assert is_stale(terrain)
+    setattr(terrain.adaptive_terrain, name, before)
+    assert not is_stale(terrain)
+
+
+def test_live_settings_do_not(terrain):
+    terrain.adaptive_terrain.vertical_scale, terrain.adaptive_terrain.vertical_offset = 3.0, 10.0
+    assert not is_stale(terrain)
+
+
+def test_a_file_that_moved_is_the_same(tmp_path):
+    asked = ImportSettings(source=str(tmp_path / "dem.tif"), extent=(10.0, 20.0), no_data=-9999.0)
+    kept = dataclasses.asdict(asked) | {"extent": [10.0, 20.0], "no_data": "-9999.0"}
+    store = Imported(kept, "", (0.0, 0.0), (2, 2), (1.0, 1.0), (1.0, 1.0), (0.0, 1.0))
+    assert changed_settings(asked, store) == []
+    moved = dataclasses.replace(asked, source="/elsewhere/dem.tif")
+    assert changed_settings(moved, store) == [], "what was imported is gone from its place"
+    (tmp_path / "dem.tif").touch()
+    assert changed_settings(moved, store) == ["source"], "two files of one name"
+    del kept["band"]
+    assert changed_settings(asked, store) == [], "a setting that an older store does not know has its default"
+    assert changed_settings(dataclasses.replace(asked, band=2), store) == ["band"]
+    assert changed_settings(asked, dataclasses.replace(store, settings={})) == []
+
+
+@pytest.mark.parametrize("pair", [[10**400, 3], [-5, 3], [1, 1e300], "many"])
+def test_impossible_figures_of_a_store_are_no_error(terrain, pair):
+    file = Path(bpy.path.abspath(terrain.adaptive_terrain.store)) / "store.json"
+    content = json.loads(file.read_text())
+    content["report"] = {"raster": pair, "extent_m": pair}
+    content["crs"] = "\ud800\x1b[2J"
+    content["sum"] = stores._sum_of(content)
+    file.write_text(json.dumps(content))
+    lines = lines_of(imported_of(terrain.adaptive_terrain))
+    assert len(lines) == 6 and all(figure.isprintable() and len(figure) < 40 for _, figure in lines)
+    tag_object(terrain)

@@ -43,9 +43,9 @@ test: $(READY)
 smoke: $(READY)
 	$(PY) -m pytest $(SMOKE)
 
-# The engine without the rooms that measure accuracy, shape land and bake maps, in two processes. A new room is in the second.
-CORE_FIRST := tests/kernels $(addprefix tests/cbt_terrain/,field effects)
-CORE_LEFT_OUT := $(addprefix --ignore=tests/cbt_terrain/,field effects accuracy land land_effects maps)
+# The engine without the rooms that measure accuracy and shape land, in two processes. A new room is in the second.
+CORE_FIRST := tests/kernels $(addprefix tests/cbt_terrain/,field attributes)
+CORE_LEFT_OUT := $(addprefix --ignore=tests/cbt_terrain/,field attributes accuracy height_operators)
 test-core: $(READY)
 	$(PY) -m pytest -q -p no:cacheprovider $(CORE_FIRST) & first=$$!; \
 	$(PY) -m pytest -q -p no:cacheprovider tests/cbt_terrain $(CORE_LEFT_OUT); second=$$?; wait $$first && exit $$second

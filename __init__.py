@@ -17,8 +17,8 @@ _FRONT_DOOR = {
     "ImportSettings": "importing.raster",  # ... and how
     "open_store": "field.store",  # a store to a height field
     "Terrain": "terrain",  # a height field to its mesh for
-    "View": "ask.view",  # what cameras see
-    "Criterion": "ask.criterion",  # and how fine that is to be
+    "View": "view.view",  # what cameras see
+    "Criterion": "view.criterion",  # and how fine that is to be
     "bake": "fit.fit",  # a height field to a mesh without a camera
     "measure": "accuracy.measure",  # how accurate a mesh is, without the code that makes bounds
     "write_npz": "mesh.archive",  # a mesh to a file
@@ -31,8 +31,10 @@ _FRONT_DOOR = {
     "viewshed": "query.viewshed",  # which of its samples an eye sees
     "Scatter": "scatter.scatter",  # what stands on it,
     "scatter_points": "scatter.points",  # ... where,
-    "Layer": "effects.splat_rules",  # ... and how densely,
-    "Rule": "effects.splat_rules",  # ... by rules
+    "Layer": "attributes.splat_rules",  # ... and how densely,
+    "Rule": "attributes.splat_rules",  # ... by rules
+    "register_attribute": "attributes.catalogue",  # to add an attribute,
+    "register_height_operator": "height_operators.catalogue",  # ... and an operator on heights
     "TerrainError": "errors",  # raised for whatever cannot be used, with what to do
 }
 __all__ = [
@@ -54,6 +56,8 @@ __all__ = [
     "pick",
     "profile",
     "read_npz",
+    "register_attribute",
+    "register_height_operator",
     "scatter_points",
     "viewshed",
     "write_npz",
@@ -62,12 +66,12 @@ __all__ = [
 TYPE_CHECKING = False  # type checkers take it for typing's, which would have to be imported
 if TYPE_CHECKING:
     from .cbt_terrain.accuracy.measure import measure
-    from .cbt_terrain.ask.criterion import Criterion
-    from .cbt_terrain.ask.view import View
-    from .cbt_terrain.effects.splat_rules import Layer, Rule
+    from .cbt_terrain.attributes.catalogue import register_attribute
+    from .cbt_terrain.attributes.splat_rules import Layer, Rule
     from .cbt_terrain.errors import TerrainError
     from .cbt_terrain.field.store import open_store
     from .cbt_terrain.fit.fit import bake
+    from .cbt_terrain.height_operators.catalogue import register_height_operator
     from .cbt_terrain.importing.import_process import import_source
     from .cbt_terrain.importing.raster import ImportSettings
     from .cbt_terrain.mesh.archive import read_npz, write_npz
@@ -78,6 +82,8 @@ if TYPE_CHECKING:
     from .cbt_terrain.scatter.points import scatter_points
     from .cbt_terrain.scatter.scatter import Scatter
     from .cbt_terrain.terrain import Terrain
+    from .cbt_terrain.view.criterion import Criterion
+    from .cbt_terrain.view.view import View
 
 
 def __getattr__(name: str) -> object:

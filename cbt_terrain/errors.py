@@ -3,6 +3,7 @@
 
 import os
 import sys
+from collections.abc import Container
 from pathlib import Path
 
 # Windows counts characters of two bytes; a name in it has at most three bytes a character in UTF-8.
@@ -89,6 +90,16 @@ def check_seed(name: str, seed: int) -> None:
     """Raise TerrainError unless `seed` is a whole number of 32 bits."""
     if not (isinstance(seed, int) and 0 <= seed < 2**32):
         raise TerrainError(f"{name} is {seed!r}", expected=f"a whole number, 0 .. {2**32 - 1}")
+
+
+def check_free_name(kind: str, name: str, known: Container[str]) -> None:
+    """Raise TerrainError unless `name` is a lower-case identifier that nothing of this kind has."""
+    if not (name.isidentifier() and name == name.lower()):
+        raise TerrainError(
+            f"The name {name!r} of the {kind} is no identifier", expected="lower-case letters, digits, _"
+        )
+    if name in known:
+        raise TerrainError(f"The {kind} {name!r} is registered already", fix="choose another name")
 
 
 def named_once(pairs: list[tuple[str, object]]) -> dict:

@@ -9,11 +9,6 @@ import numpy as np
 
 from ..kernels.field.domain import Domain
 from ..kernels.refine.pixels import Asked
-from .ask.criterion import Criterion
-from .ask.linear import add_up, determinant
-from .ask.local_view import localise
-from .ask.spans import Plan, Spans, spans_of
-from .ask.view import View, listed_views
 from .errors import TerrainError
 from .field.heightfield import HeightField
 from .history.frame_history import FrameHistory
@@ -41,6 +36,11 @@ from .refine.saved_leaves import depths_in_squares
 from .refine.terms import MARGIN, Terms, position_rounding, rounding
 from .run import launch
 from .tree.concurrent_binary_tree import ConcurrentBinaryTree
+from .view.criterion import Criterion
+from .view.linear import add_up, determinant
+from .view.local_view import localise
+from .view.spans import Plan, Spans, spans_of
+from .view.view import View, listed_views
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from adaptive_terrain import Criterion, ImportSettings, Terrain, import_source, open_store
-from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
-from adaptive_terrain.cbt_terrain.effects.effect import Asked, Effect, Parameter
-from adaptive_terrain.cbt_terrain.evaluate.evaluate import EffectRequest, evaluate
-from adaptive_terrain.cbt_terrain.evaluate.examples import evaluate_on
-from adaptive_terrain.cbt_terrain.evaluate.plan import plan
+from adaptive_terrain import Criterion, ImportSettings, Terrain, import_source, open_store, register_attribute
+from adaptive_terrain.cbt_terrain.attributes.attribute import Asked, Effect, Parameter
+from adaptive_terrain.cbt_terrain.attributes.evaluate import EffectRequest, evaluate
+from adaptive_terrain.cbt_terrain.attributes.examples import evaluate_on
+from adaptive_terrain.cbt_terrain.attributes.plan import plan
 from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
 
 
@@ -31,7 +30,7 @@ def example(evaluate):
     assert abs(evaluate("noon_sun", north, step=1.0) - 1.0).max() < 1e-6
 
 
-EFFECTS["noon_sun"] = Effect(
+NOON_SUN = Effect(
     name="noon_sun",
     about="Cosine between the ground and the sun at noon: 1 faces the sun, 0 faces away",
     unit="",
@@ -42,6 +41,7 @@ EFFECTS["noon_sun"] = Effect(
     cost_ns=20,
     source="Lambert 1760",
 )
+register_attribute(NOON_SUN)
 
 example(evaluate_on)
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "example")
@@ -53,4 +53,3 @@ result = evaluate(field, EffectRequest(planned, surface), FrameHistory())
 noon = result.attributes["noon_sun"].array
 print(f"noon_sun of {len(noon):,} vertices: {noon.min():.2f} to {noon.max():.2f}")
 print(f"computed: {', '.join(result.ran)}; skipped: {len(planned.skipped)}")
-del EFFECTS["noon_sun"]

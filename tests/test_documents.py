@@ -124,8 +124,8 @@ def test_figures_are_those_that_the_script_draws(monkeypatch):
 
 
 def test_the_effects_page_has_all_effects_and_the_example():
-    from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
-    from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+    from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
+    from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
 
     page = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
     assert re.findall(r"^### (\w+)$", page, re.MULTILINE) == [*EFFECTS, *LAND_EFFECTS], "run `make effects`"

@@ -45,8 +45,8 @@ ROOMS = {
         "accuracy",
     ],
     "cbt_terrain": [
-        *("errors", "plain_numbers", "run", "ask", "field", "tree", "leb", "history", "refine", "mesh", "terrain"),
-        *("query", "effects", "evaluate", "scatter", "maps", "importing", "land_effects", "land", "fit", "accuracy"),
+        *("errors", "plain_numbers", "run", "view", "field", "tree", "leb", "history", "refine", "mesh", "terrain"),
+        *("query", "attributes", "scatter", "importing", "height_operators", "fit", "accuracy"),
     ],
     "operators": [
         *("text", "bridge", FEATURES, "handlers", "registration"),

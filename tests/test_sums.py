@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The lower houses use only sums and lengths whose last bits do not depend on the Python version or the C library.
 
-Since 3.12 the builtin `sum` compensates the rounding of floats; `add_up` of `ask/linear.py` replaces it. `sum` is only
+Since 3.12 the builtin `sum` compensates the rounding of floats; `add_up` of `view/linear.py` replaces it. `sum` is only
 for integers, with visible types: each term is `int(...)`, `len(...)` or `....nbytes`, or the argument is `map(int,
 ...)` or `map(len, ...)`.
 """

@@ -2,13 +2,13 @@
 """How far ground that nearer ground hides jumps where it may be coarser, with geomorph and without."""
 
 from adaptive_terrain.cbt_terrain.accuracy.measure import MeasuredMesh, look
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
-from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from adaptive_terrain.cbt_terrain.field.island import SIDE, island
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.morph import SMOOTH
+from adaptive_terrain.cbt_terrain.view.view import View
 from adaptive_terrain.operators.text.page_blocks import Table, Text
 
 SAMPLES = 1025

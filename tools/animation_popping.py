@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.accuracy.measure import look, popping, shading_change
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
-from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.morph import SMOOTH
+from adaptive_terrain.cbt_terrain.view.view import View
 from adaptive_terrain.operators.text.log_plot import Curve, draw
 from adaptive_terrain.operators.text.page_blocks import Heading, Plot, Table, Text
 from adaptive_terrain.operators.text.svg import BLUE, GREEN, RED

@@ -4,8 +4,6 @@
 from pathlib import Path
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
@@ -13,6 +11,8 @@ from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.scatter.points import Points, ScatterRequest, place_points
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import View
 from adaptive_terrain.operators.blender import need_bpy
 from adaptive_terrain.operators.bridge.nodes import Nodes
 from adaptive_terrain.operators.text.page_blocks import Heading, Table, Text

@@ -55,8 +55,8 @@ def build(demo: Path, out: Path, frames: int) -> None:
     """Build the demo's island with its flight and trees, and save it as fly_over.blend."""
     need_bpy("The fly-over")
     import bpy
-    from adaptive_terrain.cbt_terrain.ask.camera_path import read_camera_path
-    from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
+    from adaptive_terrain.cbt_terrain.view.camera_path import read_camera_path
+    from adaptive_terrain.cbt_terrain.view.criterion import Criterion
     from adaptive_terrain.operators.demo import scene as demo_scene
 
     last = FLIGHT["keyframes"][-1]["frame"]

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.lands import LANDS, BuiltInTerrain
-from adaptive_terrain.cbt_terrain.land.shape import shape
-from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack, read_stack
-from adaptive_terrain.cbt_terrain.land.tiles import whole_land
-from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
-from adaptive_terrain.cbt_terrain.land_effects.land_effect import LandEffect
+from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import LandEffect
+from adaptive_terrain.cbt_terrain.height_operators.shape import shape
+from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack, read_stack
+from adaptive_terrain.cbt_terrain.height_operators.tiles import whole_land
 from adaptive_terrain.operators.text.numbers import plain
 from PIL import Image
 

@@ -15,20 +15,20 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-from adaptive_terrain.cbt_terrain.ask.camera_path import read_camera_path
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import View
-from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
-from adaptive_terrain.cbt_terrain.effects.effect import LINEAR_RGB, Asked, Effect, Places
+from adaptive_terrain.cbt_terrain.attributes.attribute import LINEAR_RGB, Asked, Effect, Places
+from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.attributes.evaluate import EffectRequest, evaluate
+from adaptive_terrain.cbt_terrain.attributes.plan import plan
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.evaluate.evaluate import EffectRequest, evaluate
-from adaptive_terrain.cbt_terrain.evaluate.plan import plan
 from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.height_operators.shape_process import shape_store
 from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ISLAND, ImportSettings
-from adaptive_terrain.cbt_terrain.land.shape_process import shape_store
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.camera_path import read_camera_path
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import View
 from adaptive_terrain.operators.blender import need_bpy
 from adaptive_terrain.operators.demo.demo import FLIGHT
 from adaptive_terrain.operators.demo.stack import ISLAND_SEED, STACK
@@ -70,7 +70,7 @@ ADD = """## An effect of your own
 
 One file: a function over arrays, a declaration, and an example that proves it. The example below is a whole
 program, `examples/06_an_effect.py`, and is run as a test. To add an effect for good, put the function and the
-declaration into a file of `cbt_terrain/effects/` and its name into the list of `catalogue.py`; the example is a
+declaration into a file of `cbt_terrain/attributes/` and its name into the list of `catalogue.py`; the example is a
 test from then on, and the panel, the command line and this page have it.
 
 * A function of the place, the scale, its parameters and what it reads, and of nothing else. Asked for some

@@ -6,13 +6,13 @@ from functools import cache
 
 import numpy as np
 
-from ...cbt_terrain.ask.criterion import Criterion
-from ...cbt_terrain.ask.view import PANORAMIC, View
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import island
 from ...cbt_terrain.field.build import from_array
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.terrain import Terrain, Update
+from ...cbt_terrain.view.criterion import Criterion
+from ...cbt_terrain.view.view import PANORAMIC, View
 
 SAMPLES = 4097
 SIDE = 4096.0  # metres

@@ -5,13 +5,13 @@ import statistics
 
 import numpy as np
 
-from ...cbt_terrain.ask.view import View
-from ...cbt_terrain.effects.effect import Asked
-from ...cbt_terrain.effects.pyramid import ground
-from ...cbt_terrain.effects.splat import SPLATS
-from ...cbt_terrain.evaluate.evaluate import EffectRequest, evaluate
-from ...cbt_terrain.evaluate.plan import plan
+from ...cbt_terrain.attributes.attribute import Asked
+from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
+from ...cbt_terrain.attributes.plan import plan
+from ...cbt_terrain.attributes.pyramid import ground
+from ...cbt_terrain.attributes.splat import SPLATS
 from ...cbt_terrain.terrain import Terrain
+from ...cbt_terrain.view.view import View
 from ..rig import scenes
 from ..rig.measure import BLOCKS, BenchmarkRow, count_runs, stopwatch
 from ..rig.scenes import MILLION

@@ -4,11 +4,11 @@
 from dataclasses import replace
 from functools import cache
 
-from ...cbt_terrain.ask.criterion import Criterion
-from ...cbt_terrain.ask.morph import SMOOTH
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.terrain import Terrain
+from ...cbt_terrain.view.criterion import Criterion
+from ...cbt_terrain.view.morph import SMOOTH
 from ..rig import scenes
 from ..rig.baselines import ROAM, RoamRebuild
 from ..rig.measure import BenchmarkRow, alternate, stopwatch

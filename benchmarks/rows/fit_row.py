@@ -10,11 +10,11 @@ from importlib import import_module
 
 import numpy as np
 
-from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.field.build import from_array
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.fit.fit import fit
 from ...cbt_terrain.terrain import Terrain
+from ...cbt_terrain.view.criterion import Criterion
 from ..rig.measure import BenchmarkRow, alternate, time_ms
 
 ERRORS_M = (5.0, 20.0, 50.0)

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 
-from ...cbt_terrain.ask.camera_path import read_camera_path
-from ...cbt_terrain.ask.criterion import Criterion
-from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.terrain import Terrain
+from ...cbt_terrain.view.camera_path import read_camera_path
+from ...cbt_terrain.view.criterion import Criterion
+from ...cbt_terrain.view.view import View
 from ...operators.demo.demo import FLIGHT, FRAMES
 from ..rig import scenes
 from ..rig.measure import BenchmarkRow

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.store import Draft
 from ...cbt_terrain.terrain import Terrain
+from ...cbt_terrain.view.view import View
 from ..rig import scenes
 from ..rig.baselines import PLAIN, evaluated_triangles, plain_ingest
 from ..rig.measure import RUNS, SHORT_BLOCKS, BenchmarkRow, alternate, stopwatch

@@ -7,11 +7,11 @@ import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.island import SIDE, island
-from ...cbt_terrain.land_effects import flood, fluvial, thermal
-from ...cbt_terrain.land_effects.land_effect import Ground
-from ...cbt_terrain.land_effects.levels import apply_by_levels
-from ...cbt_terrain.land_effects.rivers import RIVERS
-from ...cbt_terrain.land_effects.water import WATER
+from ...cbt_terrain.height_operators import flood, fluvial, thermal
+from ...cbt_terrain.height_operators.height_operator import Ground
+from ...cbt_terrain.height_operators.levels import apply_by_levels
+from ...cbt_terrain.height_operators.rivers import RIVERS
+from ...cbt_terrain.height_operators.water import WATER
 from ..rig import plain_scree
 from ..rig.measure import BenchmarkRow, alternate, stopwatch, time_ms
 

@@ -6,14 +6,14 @@ from statistics import median
 
 import numpy as np
 
-from ...cbt_terrain.ask.criterion import Criterion
-from ...cbt_terrain.ask.view import View
-from ...cbt_terrain.effects import sky, sky_layer
-from ...cbt_terrain.effects.effect import Places
-from ...cbt_terrain.effects.light import AZIMUTHS
+from ...cbt_terrain.attributes import sky, sky_layer
+from ...cbt_terrain.attributes.attribute import Places
+from ...cbt_terrain.attributes.light import AZIMUTHS
 from ...cbt_terrain.field.island import SIDE
 from ...cbt_terrain.run import launch
 from ...cbt_terrain.terrain import Terrain
+from ...cbt_terrain.view.criterion import Criterion
+from ...cbt_terrain.view.view import View
 from ..rig import scenes
 from ..rig.measure import BenchmarkRow, stopwatch
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ...cbt_terrain.effects.effect import Asked
-from ...cbt_terrain.maps.bake import bake
+from ...cbt_terrain.attributes.attribute import Asked
+from ...cbt_terrain.attributes.bake import bake
 from ..rig import scenes
 from ..rig.measure import BenchmarkRow, alternate, stopwatch
 

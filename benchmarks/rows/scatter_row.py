@@ -3,15 +3,15 @@
 
 import numpy as np
 
-from ...cbt_terrain.ask.linear import inverse
-from ...cbt_terrain.ask.local_view import frustum_planes
-from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.history.frame_history import FrameHistory
 from ...cbt_terrain.scatter.points import ScatterRequest, place_points
 from ...cbt_terrain.scatter.scatter import Scatter
 from ...cbt_terrain.scatter.tile import FINEST, POINTS, SHIFTS, UNITS, shifts, tile
+from ...cbt_terrain.view.linear import inverse
+from ...cbt_terrain.view.local_view import frustum_planes
+from ...cbt_terrain.view.view import View
 from ..rig import scenes
 from ..rig.measure import BenchmarkRow, alternate, stopwatch
 

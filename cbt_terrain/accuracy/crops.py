@@ -8,13 +8,13 @@ import numpy as np
 import warp as wp
 
 from ...kernels.accuracy import drawing as kernels
-from ..ask.criterion import Criterion
-from ..ask.linear import product
-from ..ask.view import PANORAMIC, PERSPECTIVE, View
 from ..mesh.surface import Surface
 from ..run import launch
 from ..run.buffers import shared
 from ..terrain import Terrain
+from ..view.criterion import Criterion
+from ..view.linear import product
+from ..view.view import PANORAMIC, PERSPECTIVE, View
 from .sweep_settings import Setting
 from .timed_runs import Frame
 

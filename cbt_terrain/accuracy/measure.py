@@ -15,13 +15,13 @@ import warp as wp
 
 from ...kernels.accuracy import normals as normal_kernels
 from ...kernels.accuracy import screen as screen_kernels
-from ..ask.linear import lengths
-from ..ask.view import View, listed_views
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
 from ..mesh.surface import Surface
 from ..run.buffers import shared
 from ..run.launch import checked_threads
+from ..view.linear import lengths
+from ..view.view import View, listed_views
 from .mesh import Errors, Ground, MeasuredMesh, Progress, errors_of, ignore
 from .outline import silhouette
 from .screen import Sight

@@ -12,7 +12,6 @@ from ...kernels.accuracy import edges as edge_kernels
 from ...kernels.accuracy import facets as kernels
 from ...kernels.accuracy import grid as grid_kernels
 from ...kernels.accuracy import points as point_kernels
-from ..ask.linear import add_up, lengths
 from ..errors import TerrainError
 from ..field import coats, codes
 from ..field.detail_bounds import highest
@@ -20,6 +19,7 @@ from ..field.heightfield import PLANE_BITS, HeightField
 from ..mesh.surface import Surface
 from ..run import launch
 from ..run.buffers import shared
+from ..view.linear import add_up, lengths
 
 POINT_BITS = int(point_kernels.POINT_BITS)
 

@@ -17,9 +17,9 @@ import numpy as np
 import warp as wp
 
 from ...kernels.accuracy import outline as kernels
-from ..ask.linear import length
 from ..run import launch
 from ..run.buffers import shared
+from ..view.linear import length
 from .mesh import Errors, MeasuredMesh, Progress, errors_of, ignore
 from .screen import Sight, pixel_blocks
 

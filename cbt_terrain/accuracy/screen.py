@@ -22,12 +22,12 @@ import warp as wp
 
 from ...kernels.accuracy import rays as ray_kernels
 from ...kernels.accuracy import screen as screen_kernels
-from ..ask.linear import inverse, length, lengths, product
-from ..ask.view import KINDS, ORTHOGRAPHIC, PANORAMIC, View
 from ..errors import TerrainError
 from ..field.blocks import halvings, over_cells, stacked
 from ..run import launch
 from ..run.buffers import shared
+from ..view.linear import inverse, length, lengths, product
+from ..view.view import KINDS, ORTHOGRAPHIC, PANORAMIC, View
 from .mesh import POINT_BITS, Ground, Progress, errors_of, ignore
 
 # Samples between two calls of on_progress, and pixels.
@@ -77,7 +77,7 @@ def pack_eye(view: View, placement: np.ndarray, ground: Ground) -> screen_kernel
     e.right, e.up, e.back = matrix[:3]
     e.half_width, e.half_height = view.resolution[0] / 2, view.resolution[1] / 2
     e.start, e.end = start, view.clip[1] if culls else np.inf
-    # The same depth as in ask/local_view.py.
+    # The same depth as in view/local_view.py.
     e.near = max(start / 2, 1e-9 * length(lengths(matrix[:3, :3]) * size), 1e-150)
     e.eye, e.toward = back[:3, 3], back[:3, 2]
     e.direction, e.axes = (np.zeros((3, 3)) for _ in range(2))

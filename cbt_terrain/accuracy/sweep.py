@@ -10,10 +10,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..ask.criterion import Criterion
-from ..ask.view import View
-from ..evaluate.evaluate import EffectRequest, evaluate
-from ..evaluate.plan import Plan
+from ..attributes.evaluate import EffectRequest, evaluate
+from ..attributes.plan import Plan
 from ..field.bicubic import interpolated
 from ..field.heightfield import HeightField
 from ..fit.fit import fit
@@ -21,6 +19,8 @@ from ..mesh.attributes import Attribute
 from ..mesh.surface import Surface
 from ..refine.terms import Terms
 from ..terrain import Terrain
+from ..view.criterion import Criterion
+from ..view.view import View
 from . import Errors, Measured, Sight, look, measure, popping, shading_change
 from .cost_curve import CostCurve
 from .sweep_settings import Setting

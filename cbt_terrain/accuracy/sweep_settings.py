@@ -6,10 +6,10 @@ import dataclasses
 import math
 from dataclasses import dataclass
 
-from ..ask.criterion import Criterion
-from ..ask.morph import SMOOTH
 from ..field.heightfield import INTERPOLATIONS, HeightField
 from ..plain_numbers import keep_plain_numbers
+from ..view.criterion import Criterion
+from ..view.morph import SMOOTH
 from .timed_runs import Frame
 
 PIXELS = (16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25)

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..ask.criterion import Criterion
-from ..ask.linear import length
-from ..ask.view import View, listed_views
 from ..mesh.attributes import Attribute
 from ..mesh.surface import Surface
 from ..plain_numbers import keep_plain_numbers
 from ..terrain import Terrain
+from ..view.criterion import Criterion
+from ..view.linear import length
+from ..view.view import View, listed_views
 
 # A time is that of the fastest of this many runs, after one that finds cold memory; of several frames FRAME_RUNS each.
 RUNS, FRAME_RUNS = 5, 3

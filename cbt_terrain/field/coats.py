@@ -12,9 +12,9 @@ import numpy as np
 import warp as wp
 
 from ...kernels.field import detail as kernels
-from ..ask.linear import add_up
 from ..errors import TerrainError
 from ..run.buffers import flat
+from ..view.linear import add_up
 from .blocks import halvings
 from .detail import Detail
 from .detail_bounds import DetailTerm, masked, tables

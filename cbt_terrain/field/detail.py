@@ -19,9 +19,9 @@ from dataclasses import dataclass
 from itertools import accumulate
 
 from ...kernels.field import detail as kernels
-from ..ask.linear import add_up
 from ..errors import check_number, check_seed
 from ..plain_numbers import keep_plain_numbers
+from ..view.linear import add_up
 from .detail_bounds import DetailTerm, Split
 
 MAX_OCTAVES = 9

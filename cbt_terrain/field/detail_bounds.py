@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..ask.linear import add_up, length
+from ..view.linear import add_up, length
 
 OUTWARD = 1 + 1e-9  # exceeds the rounding of these sums
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..ask.linear import length
 from ..errors import TerrainError
+from ..view.linear import length
 
 # Semi-major axis in metres and inverse flattening.
 WGS84 = (6378137.0, 298.257223563)

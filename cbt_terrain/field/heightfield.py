@@ -48,8 +48,8 @@ class HeightField:
         layers: by-products of height operators (land/), by name: float32 [height, width], row 0 south.
         origin: float64 [3], CRS coordinates of the local origin.
         key: identifies the content: terrains with equal keys are equal.
-        prefiltered: coarser levels of the heights' pyramid (effects/pyramid.py), if computed.
-        found: cached results for light and occlusion (effects/occluder.py, effects/sky_layer.py, refine/horizon.py).
+        prefiltered: coarser levels of the heights' pyramid (attributes/pyramid.py), if computed.
+        found: cached results for light and occlusion (occluder.py and sky_layer.py of attributes, refine/horizon.py).
     """
 
     samples: np.ndarray

@@ -13,9 +13,9 @@ import numpy as np
 import warp as wp
 
 from ...kernels.field import holes as kernels
-from ..ask.linear import length
 from ..run import launch
 from ..run.buffers import flat
+from ..view.linear import length
 from .hierarchy import stored_at, upward
 from .lattice import Lattice
 

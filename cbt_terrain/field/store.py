@@ -9,7 +9,7 @@
     STORE/data-*/error_m1.npy   error hierarchies for meshlets, computed on first use
     STORE/data-*/*_c.npy        arrays of the bicubic surface (bicubic.py), computed on first use;
                                 error_c_m1.npy: its error hierarchies for meshlets
-    STORE/data-*/effect_*.npy   attributes of the whole raster (effects/whole.py)
+    STORE/data-*/effect_*.npy   attributes of the whole raster (attributes/whole.py)
     STORE/data-*/layer_*.npy    float32 [height, width], by-products of height operators (land/)
     STORE/tiles/*.npy           tiles that height operators have computed, by content (land/tile_cache.py)
 

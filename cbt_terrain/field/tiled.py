@@ -21,9 +21,9 @@ from functools import lru_cache, reduce
 import numpy as np
 
 from ...kernels.field import detail as kernels
-from ..ask.linear import add_up
 from ..errors import TerrainError, check_number
 from ..plain_numbers import keep_plain_numbers
+from ..view.linear import add_up
 from .detail import EDGES_A_WAVE, LARGEST
 from .detail_bounds import OUTWARD, DetailTerm, Split
 from .painted import Painted

@@ -11,13 +11,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ..ask.criterion import Criterion
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
 from ..plain_numbers import vertical
 from ..refine.refinement import MAX_TRIANGLES
 from ..run import launch
 from ..terrain import Terrain, Update
+from ..view.criterion import Criterion
 from .fitter import Fitter, Mesh
 
 # A budget coarsens what was asked in steps of 2^(1/8).

@@ -24,7 +24,6 @@ from ...kernels.fitting import binding, raising
 from ...kernels.fitting import mesh as mesh_kernels
 from ...kernels.fitting import moving as kernels
 from ...kernels.refine.pixels import Asked, LocalView
-from ..ask.linear import add_up
 from ..field import codes
 from ..field.heightfield import HeightField
 from ..history.frame_history import FrameHistory
@@ -38,6 +37,7 @@ from ..refine.terms import DISPLACEMENT_ERROR, SINGLE_BITS, Terms, left_of, roun
 from ..run import launch
 from ..run.buffers import Buffers, shared
 from ..terrain import Update, box_of
+from ..view.linear import add_up
 from .sweeps import FEW, Sweeps
 
 # The first mesh is the interpolating one for this many times the error: less leaves triangles that could be merged,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from ...kernels.field.domain import Domain
 from ...kernels.refine.coherence import Motion
 from ...kernels.refine.pixels import Asked, LocalView
-from ..ask.linear import add_up
+from ..view.linear import add_up
 
 # Largest fraction by which lengths, all but pixel footprints, may change from frame to frame: 4 times this comes off
 # the slack.

@@ -53,7 +53,7 @@ class FrameHistory:
     """The tree, cached subtrees, reusable vertices, geomorph memory, attribute values and scatter candidates of the
     last frame, with the key of the request that made it.
 
-    `values` and `ground` are those of the effects (evaluate/) and of a scatter (scatter/). Whoever updates one takes it
+    `values` and `ground` belong to attributes (attributes/) and to a scatter (scatter/). Whoever updates one takes it
     out and puts it back when it is complete.
     """
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..ask.linear import lengths, product
 from ..field.georeference import Transform, degree_lengths, ellipsoid_of, is_sheared, without_dust
+from ..view.linear import lengths, product
 from .units import plane_metres
 
 # Largest distance, cells, of ground control points from the straight grid that replaces them.

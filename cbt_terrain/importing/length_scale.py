@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 
-from ..ask.linear import length, lengths
 from ..field.georeference import Georeference, degree_lengths, ellipsoid_of
+from ..view.linear import length, lengths
 from .file_grid import FileGrid, base_crs
 
 MAX_SCALE_ERROR = 0.01  # fraction of a length

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..ask.linear import length, lengths
 from ..errors import TerrainError, shown
+from ..view.linear import length, lengths
 from .file_grid import FileGrid
 from .raster import ImportSettings, stands_for_missing
 

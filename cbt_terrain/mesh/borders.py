@@ -11,11 +11,11 @@ import warp as wp
 
 from ...kernels.field.domain import Domain
 from ...kernels.mesh import cut as kernels
-from ..ask.linear import add_up
 from ..field.heightfield import HeightField
 from ..refine.domain import NO_RIM
 from ..run import launch
 from ..run.buffers import shared
+from ..view.linear import add_up
 from .cut import Room, Side, copied, cut, drop, rim
 
 

@@ -12,9 +12,9 @@ import numpy as np
 import warp as wp
 
 from ...kernels.mesh import cut as kernels
-from ..ask.linear import lengths
 from ..run import launch
 from ..run.buffers import shared
+from ..view.linear import lengths
 from .attributes import CORNER, EDGE, FACE, NORMALS, POINT, UV
 
 # Parts of its largest coordinate in plan, 8 to 16 steps of float32: a vertex that is nearer to where an edge would be

@@ -7,7 +7,7 @@ follows the outline where it is straight across a triangle, and rounds its corne
 
 import numpy as np
 
-from ..ask.linear import lengths
+from ..view.linear import lengths
 from .cut import Side
 
 # Each line of a convex outline is a cut of its own.

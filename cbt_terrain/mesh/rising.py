@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How points rise to their places, as the kernels read it: cbt_terrain/ask/morph.py says by what."""
+"""How points rise to their places, as the kernels read it: cbt_terrain/view/morph.py says by what."""
 
 from dataclasses import dataclass
 

@@ -7,13 +7,13 @@ import warp as wp
 from ...kernels.query import crossing
 from ...kernels.query import rays as ray_kernels
 from ...kernels.query import surface as kernels
-from ..ask.linear import add_up
 from ..field import coats, codes
 from ..field.detail_bounds import highest
 from ..field.heightfield import PLANE_BITS, HeightField
 from ..plain_numbers import vertical
 from ..run.buffers import flat, shared
 from ..terrain import box_of
+from ..view.linear import add_up
 
 # Of the longer half side: what float32 rounds off a position on the rim.
 ROUNDED = 2.0 ** -(PLANE_BITS + 1)

@@ -15,11 +15,11 @@ import warp as wp
 from ...kernels.field.domain import Domain
 from ...kernels.refine.excess import AREA, EDGE, ERROR, FIXED, METRES, STACK, Triangle, find_most
 from ...kernels.refine.pixels import Asked
-from ..ask.criterion import LARGEST, Criterion
-from ..ask.morph import mean_ramp
-from ..ask.spans import Spans
 from ..run import launch
 from ..run.buffers import Buffers
+from ..view.criterion import LARGEST, Criterion
+from ..view.morph import mean_ramp
+from ..view.spans import Spans
 from .terms import MARGIN, Terms, weighed_as
 
 # Where no factor on the criterion keeps to a triangle limit, the roots' own factor is not reported above this.

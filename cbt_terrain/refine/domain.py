@@ -8,9 +8,6 @@ import warp as wp
 from ...kernels.field.domain import Domain
 from ...kernels.refine import curve
 from ...kernels.refine.pixels import Asked, LocalView
-from ..ask.criterion import Criterion
-from ..ask.morph import mean_ramp
-from ..ask.spans import Spans
 from ..field import codes
 from ..field.coats import coat_tables, coats_of, mask_levels, most_of_masks
 from ..field.detail import EDGES_A_WAVE
@@ -19,6 +16,9 @@ from ..field.heightfield import PLANE_BITS, HeightField
 from ..field.lattice import MAX_MESHLET, Lattice
 from ..field.meshlet_errors import error_for
 from ..run.buffers import shared
+from ..view.criterion import Criterion
+from ..view.morph import mean_ramp
+from ..view.spans import Spans
 from .terms import MARGIN, Rounding, weighed_as
 
 # Depth of the tree, root squares included: 8 MB of address space; with detail half a gigabyte. Only what is used is

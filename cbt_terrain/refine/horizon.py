@@ -10,13 +10,13 @@ from ...kernels.field.domain import Domain
 from ...kernels.refine.hiding import RING_BITS, ROW
 from ...kernels.refine.horizon_map import FINEST, Blocks, fill_blocks, fill_horizon
 from ...kernels.refine.pixels import Asked, LocalView
-from ..ask.criterion import LARGEST
-from ..ask.view import KINDS, ORTHOGRAPHIC
 from ..field.blocks import halvings, stacked
 from ..field.heightfield import HeightField
 from ..run import launch
 from ..run.buffers import Buffers, flat
 from ..run.locks import cached
+from ..view.criterion import LARGEST
+from ..view.view import KINDS, ORTHOGRAPHIC
 
 BIN_COST = 2000.0  # of a bin's rings, in lookups
 # Where points rise, ground gets coarser as rays to it pass deeper below what hides it, up to this slope (height over

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..ask.linear import add_up
 from ..field.detail_bounds import steepest
 from ..field.heightfield import HeightField
+from ..view.linear import add_up
 
 # Significant bits of float32: whole multiples of a power of two up to 2^24 times that power are exact.
 SINGLE_BITS = 24

@@ -12,7 +12,6 @@ import importlib
 import os
 import pkgutil
 import subprocess
-import sys
 import threading
 import traceback
 from collections.abc import Iterable
@@ -45,8 +44,11 @@ POLL_SECONDS = 0.1
 MAX_CHILDREN = 4
 HOUSE = field.__name__.removesuffix("field")  # of kernels, in this process
 OTHERS = effects, land, leb, detail, morph, query, scatter, bicubic, fitting
-HORIZON_MAP = f"{refine.__name__}.horizon_map"
-RARE = {HORIZON_MAP, f"{refine.__name__}.split_merge", f"{tree.__name__}.edits"}  # in rooms of a frame
+RARE = {
+    f"{refine.__name__}.horizon_map",
+    f"{refine.__name__}.split_merge",
+    f"{tree.__name__}.edits",
+}  # in rooms of a frame
 
 
 class _Preparation:
@@ -196,13 +198,6 @@ def other_modules() -> list[ModuleType]:
     """Return the modules that are compiled on first use."""
     rare = [importlib.import_module(name) for name in sorted(RARE)]
     return [*(module for room in OTHERS for module in modules_of(room)), *rare]
-
-
-def others_named(names: Iterable[str]) -> list[ModuleType]:
-    """Return those of `other_modules` with these names, without importing any other module."""
-    inside = tuple(f"{room.__name__}." for room in OTHERS)
-    found = [sys.modules[name] for name in sorted(names) if name.startswith(inside) or name == HORIZON_MAP]
-    return [module for module in found if _kernels_of(module)]
 
 
 def modules_of(package: ModuleType) -> list[ModuleType]:

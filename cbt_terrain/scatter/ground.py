@@ -11,10 +11,9 @@ from ...kernels.field.detail import Coats
 from ...kernels.field.domain import Domain
 from ...kernels.scatter import points as kernels
 from ...kernels.scatter.seams import Pattern
-from ..ask.linear import settled
-from ..effects.effect import Places
+from ..attributes.attribute import Places
+from ..attributes.evaluate import values_at
 from ..errors import TerrainError
-from ..evaluate.evaluate import values_at
 from ..field import coats
 from ..field.heightfield import HeightField
 from ..mesh.outline import counter_clockwise, covered
@@ -23,6 +22,7 @@ from ..refine.domain import make_domain
 from ..run import launch
 from ..run.buffers import flat, shared
 from ..terrain import box_of
+from ..view.linear import settled
 from .candidates import Candidates
 from .scatter import MAX_TILES, Scatter
 from .squares import Squares

@@ -15,10 +15,6 @@ import warp as wp
 from ...kernels.refine.pixels import Asked, LocalView
 from ...kernels.scatter import points as kernels
 from ...kernels.scatter.seen import Views
-from ..ask.criterion import Criterion
-from ..ask.linear import lengths, solve
-from ..ask.local_view import localise
-from ..ask.view import View, listed_views
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
 from ..history.frame_history import FrameHistory
@@ -26,6 +22,10 @@ from ..mesh.surface import Surface
 from ..run import launch
 from ..run.buffers import flat
 from ..terrain import Terrain
+from ..view.criterion import Criterion
+from ..view.linear import lengths, solve
+from ..view.local_view import localise
+from ..view.view import View, listed_views
 from .ground import ScatterGround, listed_runs, pieces_of
 from .scatter import Scatter
 from .squares import squares_in_view, too_many

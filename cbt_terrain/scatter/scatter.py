@@ -4,9 +4,9 @@
 import math
 from dataclasses import dataclass, replace
 
-from ..effects.effect import GEOMETRY, Asked
-from ..effects.splat import NAMES
-from ..effects.splat_rules import Layer, check
+from ..attributes.attribute import GEOMETRY, Asked
+from ..attributes.splat import NAMES
+from ..attributes.splat_rules import Layer, check
 from ..errors import TerrainError, check_number, check_seed
 from ..plain_numbers import keep_plain_numbers
 from .tile import POINTS

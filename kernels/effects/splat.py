@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Weights of splat layers at points by their rules; see cbt_terrain/effects/splat_rules.py.
+"""Weights of splat layers at points by their rules; see cbt_terrain/attributes/splat_rules.py.
 
 Weights are multiples of 2^-24 that add up to 1, so that any sum of them is exact in float32.
 """

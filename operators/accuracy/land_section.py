@@ -4,7 +4,7 @@
 from itertools import groupby
 
 from ...cbt_terrain.field.heightfield import HeightField
-from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from ...cbt_terrain.height_operators.catalogue import LAND_EFFECTS
 from ..text.page_blocks import Heading, Table, Text
 
 HEAD = ["effect", "samples apart, m", "added, m rms", "m at most", "ms"]

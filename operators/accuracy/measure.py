@@ -11,9 +11,9 @@ from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.accuracy.sweep import is_unsteady, spread_of, unsteady_text, worst
 from ...cbt_terrain.accuracy.sweep_settings import PIXELS, metre_steps
 from ...cbt_terrain.accuracy.timed_runs import Frame, fastest, timed_runs
-from ...cbt_terrain.ask.criterion import unit_asked
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.terrain import Terrain
+from ...cbt_terrain.view.criterion import unit_asked
 from ..session import session
 from ..terrain.request import RENDER, VIEWPORT, Request, gather
 from .measuring import MeasuringOperator

@@ -8,8 +8,8 @@ import json
 from ...cbt_terrain.accuracy import interpolation
 from ...cbt_terrain.accuracy.sweep import STEPS, TERMS, Row, curve_of, curve_rows, unsteady_row, unsteady_text
 from ...cbt_terrain.accuracy.sweep_settings import Setting
-from ...cbt_terrain.ask.criterion import LARGEST
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+from ...cbt_terrain.view.criterion import LARGEST
 from ..text.numbers import number
 from ..text.page_blocks import Figures, Heading, Lead, Picture, Plot, Strip, Table, Text, Words, as_html, as_markdown
 from ..text.png import png

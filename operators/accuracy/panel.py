@@ -6,9 +6,9 @@ import os
 import bpy
 
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
-from ...cbt_terrain.ask.criterion import LARGEST, unit_asked
-from ...cbt_terrain.ask.settings import BOUNDS
 from ...cbt_terrain.errors import TerrainError, shown
+from ...cbt_terrain.view.criterion import LARGEST, unit_asked
+from ...cbt_terrain.view.settings import BOUNDS
 from .. import jobs
 from ..session import session
 from ..text.numbers import SMALLEST, plain

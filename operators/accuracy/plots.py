@@ -5,8 +5,8 @@ import math
 
 from ...cbt_terrain.accuracy.sweep import Row, pareto, unsteady_row
 from ...cbt_terrain.accuracy.sweep_settings import Setting
-from ...cbt_terrain.ask.criterion import LARGEST
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+from ...cbt_terrain.view.criterion import LARGEST
 from ..text.log_plot import CROSS, RING, Curve, draw
 from ..text.page_blocks import Plot
 from ..text.svg import BLUE, GOLD, GREEN, INK, PURPLE, RED, SOFT, TEAL

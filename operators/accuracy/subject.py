@@ -13,13 +13,13 @@ from ...cbt_terrain.accuracy.crops import Crop
 from ...cbt_terrain.accuracy.sweep import Row
 from ...cbt_terrain.accuracy.sweep_settings import Setting, settings_for
 from ...cbt_terrain.accuracy.timed_runs import Frame
-from ...cbt_terrain.ask.camera_path import read_camera_path
-from ...cbt_terrain.ask.criterion import Criterion, unit_asked
-from ...cbt_terrain.ask.linear import length
-from ...cbt_terrain.ask.view import View
-from ...cbt_terrain.evaluate.plan import Plan, plan
+from ...cbt_terrain.attributes.plan import Plan, plan
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.store import open_store
+from ...cbt_terrain.view.camera_path import read_camera_path
+from ...cbt_terrain.view.criterion import Criterion, unit_asked
+from ...cbt_terrain.view.linear import length
+from ...cbt_terrain.view.view import View
 from ..export.frame_sources import SceneFrames, file_name
 from ..session.pauses import paused
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.accuracy.sweep import sweep
-from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.view.criterion import Criterion
 from ..bridge.scene_paths import absolute_path
 from ..export.frame_sources import file_name
 from ..jobs import BackgroundJob

@@ -7,8 +7,8 @@ moves while someone aims at it.
 
 import bpy
 
-from ...cbt_terrain.effects.catalogue import EFFECTS
-from ...cbt_terrain.evaluate.evaluate import MAX_BYTES
+from ...cbt_terrain.attributes.catalogue import EFFECTS
+from ...cbt_terrain.attributes.evaluate import MAX_BYTES
 from .. import jobs
 from ..maps.properties import label
 from ..session import session

@@ -5,8 +5,8 @@ import bpy
 import numpy as np
 from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty
 
-from ...cbt_terrain.effects.catalogue import EFFECTS
-from ...cbt_terrain.effects.effect import Effect, Parameter
+from ...cbt_terrain.attributes.attribute import Effect, Parameter
+from ...cbt_terrain.attributes.catalogue import EFFECTS
 from ..terrain.detail_properties import changed
 
 ON_DEMAND, PINNED, OFF = "DEMAND", "PINNED", "OFF"

@@ -7,18 +7,18 @@ from functools import partial
 
 import numpy as np
 
-from ...cbt_terrain.effects.catalogue import EFFECTS
-from ...cbt_terrain.effects.effect import GEOMETRY, PICTURE, Asked
-from ...cbt_terrain.effects.layers import lacks
-from ...cbt_terrain.effects.splat import NAMES
-from ...cbt_terrain.evaluate.evaluate import Ran
-from ...cbt_terrain.evaluate.plan import Plan
+from ...cbt_terrain.attributes.attribute import GEOMETRY, PICTURE, Asked
+from ...cbt_terrain.attributes.catalogue import EFFECTS
+from ...cbt_terrain.attributes.evaluate import Ran
+from ...cbt_terrain.attributes.layers import lacks
+from ...cbt_terrain.attributes.plan import Plan
+from ...cbt_terrain.attributes.splat import NAMES
 from ...cbt_terrain.field.heightfield import HeightField
 from ..bridge.demand import kept
 from ..bridge.demand.found import ACTIVE_COLOR, ALL, Demand, Reader
 from ..layers.decals import decals_given
 from ..layers.properties import barren, color_given, layers_given
-from .properties import OFF, PINNED, numbers_of
+from .properties import GROUPS, OFF, PINNED, numbers_of
 from .sun_lamps import suns_over
 
 PIN = Reader("a pin", PICTURE)
@@ -37,7 +37,7 @@ class Effects:
 @dataclass(frozen=True)
 class EffectStatus:
     """State of an effect after the last update. `readers`: in words. `skipped`: why it was not computed, or "". `ms`,
-    `nbytes` and `computed`: as of Ran in evaluate/evaluate.py. `note`: what else there is to know."""
+    `nbytes` and `computed`: as of Ran in attributes/evaluate.py. `note`: what else there is to know."""
 
     readers: tuple[str, ...] = ()
     family: str = ""
@@ -66,7 +66,7 @@ def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, 
     settings = evaluated.adaptive_terrain
     found = _read(obj, depsgraph, mode) if names is None else {n: [Reader("the export", GEOMETRY)] for n in names}
     asked, off = [], []
-    for name in EFFECTS:
+    for name in GROUPS:
         readers, when = found.get(name, []), getattr(settings.effects, name).when
         if when == PINNED and names is None:
             readers = [*readers, PIN]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...cbt_terrain.ask.linear import inverse
+from ...cbt_terrain.view.linear import inverse
 
 
 class Sun(NamedTuple):

@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 
-from ...cbt_terrain.ask.linear import determinant, inverse, lengths, product
-from ...cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.view.linear import determinant, inverse, lengths, product
+from ...cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from .evaluated import found_in
 
 KINDS = {"PERSP": PERSPECTIVE, "ORTHO": ORTHOGRAPHIC, "PANO": PANORAMIC, "CUSTOM": PANORAMIC}

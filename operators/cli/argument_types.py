@@ -5,8 +5,8 @@ import argparse
 import math
 from pathlib import Path
 
-from ...cbt_terrain.ask.settings import SETTINGS, CriterionSetting
 from ...cbt_terrain.errors import path_fault, shown
+from ...cbt_terrain.view.settings import SETTINGS, CriterionSetting
 
 MAX_INT = 2**31 - 1
 METAVARS = {"px": "PX", "px²": "PX2", "m": "METRES", "°": "DEG"}  # by unit
@@ -94,7 +94,7 @@ def pair(separator: str, kind, max_value: float):
 
 def parse_effects(text: str) -> tuple[str, ...] | None:
     """Return names of effects, each once; () for `none`, None for `auto`."""
-    from ...cbt_terrain.effects.catalogue import EFFECTS
+    from ...cbt_terrain.attributes.catalogue import EFFECTS
     from ..text.effect_lines import unknown
 
     if text in ("auto", "none"):

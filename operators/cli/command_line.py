@@ -219,7 +219,7 @@ def _add_export(subparsers) -> None:
 
 
 def _add_maps(subparsers) -> None:
-    from ...cbt_terrain.maps.coding import FORMS as MAP_FORMS
+    from ...cbt_terrain.attributes.coding import FORMS as MAP_FORMS
 
     verb = _verb(subparsers, "maps", "bake effects into images, as fine as what looks at them needs", verbs.run_maps)
     _add_views(verb, "a store, seen along --path, or as a whole")

@@ -3,15 +3,15 @@
 
 from pathlib import Path
 
-from ...cbt_terrain.ask.criterion import Criterion
-from ...cbt_terrain.effects.catalogue import EFFECTS
-from ...cbt_terrain.effects.effect import GEOMETRY, Asked
-from ...cbt_terrain.evaluate.evaluate import EffectRequest, Ran, evaluate
-from ...cbt_terrain.evaluate.plan import plan
+from ...cbt_terrain.attributes.attribute import GEOMETRY, Asked
+from ...cbt_terrain.attributes.catalogue import EFFECTS
+from ...cbt_terrain.attributes.evaluate import EffectRequest, Ran, evaluate
+from ...cbt_terrain.attributes.plan import plan
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.history.frame_history import FrameHistory
 from ...cbt_terrain.run import launch, stopping
 from ...cbt_terrain.terrain import Terrain
+from ...cbt_terrain.view.criterion import Criterion
 from ..text import effect_lines
 
 MEASURED_TRIANGLES = 200_000

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ...cbt_terrain.ask.camera_path import read_camera_path
-from ...cbt_terrain.ask.view import View
-from ...cbt_terrain.effects.effect import Asked
+from ...cbt_terrain.attributes.attribute import Asked
+from ...cbt_terrain.attributes.folder import JSON_NAME
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import open_store
-from ...cbt_terrain.maps.folder import JSON_NAME
+from ...cbt_terrain.view.camera_path import read_camera_path
+from ...cbt_terrain.view.view import View
 from ..export.frame_sources import SceneFrames, StoreFrames, file_name
 from ..maps.baking import MapRequest, carry_out, known, summary
 from ..text.console import Progress
@@ -83,7 +83,7 @@ def scene_subjects(
     """Return the terrains of a .blend file, each with its settings and a folder."""
     source = SceneFrames(blend, camera, resolution)
 
-    from ...cbt_terrain.land.derived_store import raster_of
+    from ...cbt_terrain.height_operators.derived_store import raster_of
     from ..maps.request import gathered
     from ..session import session
 

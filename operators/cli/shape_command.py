@@ -6,11 +6,11 @@ from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import open_store
+from ...cbt_terrain.height_operators.export import check_export, export_raster
+from ...cbt_terrain.height_operators.shape_process import ShapeJob
+from ...cbt_terrain.height_operators.stack import read_stack
+from ...cbt_terrain.height_operators.tiles import tiles_seen
 from ...cbt_terrain.importing.store_job import wait_for
-from ...cbt_terrain.land.export import check_export, export_raster
-from ...cbt_terrain.land.shape_process import ShapeJob
-from ...cbt_terrain.land.stack import read_stack
-from ...cbt_terrain.land.tiles import tiles_seen
 from ..text.console import Progress
 from .maps_command import views_of
 

@@ -156,8 +156,8 @@ def frame_reporter(arguments, label: str):
 
 
 def _export_source(arguments):
-    from ...cbt_terrain.ask.criterion import Criterion
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+    from ...cbt_terrain.view.criterion import Criterion
     from ..blender import need_bpy
     from ..export.formats import needs_blender
     from ..export.frame_sources import SceneFrames, StoreFrames
@@ -323,7 +323,7 @@ def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = Non
 
 def largest_bound(terrains: list[dict]) -> str:
     """Return the largest bound of the first kind in BOUNDS that there is, with its unit."""
-    from ...cbt_terrain.ask.settings import BOUNDS
+    from ...cbt_terrain.view.settings import BOUNDS
     from ..text.shown_bounds import bound_text
 
     for name, (_, unit) in BOUNDS.items():

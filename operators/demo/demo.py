@@ -9,15 +9,15 @@ from pathlib import Path
 
 from ...cbt_terrain.accuracy.crops import crops
 from ...cbt_terrain.accuracy.timed_runs import Frame
-from ...cbt_terrain.ask.camera_path import read_camera_path
-from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.field.store import open_store
+from ...cbt_terrain.height_operators.shape_process import shape_store
+from ...cbt_terrain.height_operators.tiles import whole_land
 from ...cbt_terrain.importing.import_process import import_source
 from ...cbt_terrain.importing.raster import ImportSettings
-from ...cbt_terrain.land.shape_process import shape_store
-from ...cbt_terrain.land.tiles import whole_land
 from ...cbt_terrain.run import warmup
 from ...cbt_terrain.terrain import Terrain
+from ...cbt_terrain.view.camera_path import read_camera_path
+from ...cbt_terrain.view.criterion import Criterion
 from ..blender import need_bpy
 from ..export.exporting import export_frames, make_folder, write_text
 from ..export.frame_sources import StoreFrames

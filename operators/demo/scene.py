@@ -8,10 +8,10 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ...cbt_terrain.ask.linear import inverse
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.run.owned_files import remove_file
 from ...cbt_terrain.run.partial_files import written_beside
+from ...cbt_terrain.view.linear import inverse
 from ..bridge.demand.trees import tree_of_new
 from ..export.frame_sources import open_empty_file
 from ..layers.material import dress

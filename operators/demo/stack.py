@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The land stack of the demo's island: uplift with rivers, then thermal erosion, relief, streams and snow."""
 
-from ...cbt_terrain.land.mask import GroundRule, Mask
-from ...cbt_terrain.land.stack import Entry, Stack
+from ...cbt_terrain.height_operators.mask import GroundRule, Mask
+from ...cbt_terrain.height_operators.stack import Entry, Stack
 
 # A volcano of this seed, whose coast has bays and islets.
 ISLAND_SEED = 5

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.lattice import Lattice, fit
-from ...cbt_terrain.land.water_surface import NAMES, sea_depth, water_surface
+from ...cbt_terrain.height_operators.water_surface import NAMES, sea_depth, water_surface
 from ..bridge.writer import write_mesh
 
 MIN_DEPTH_M = 0.25  # shallower rivers are not drawn
@@ -40,7 +40,7 @@ def add_rivers(scene, field: HeightField, material: bpy.types.Material):
     heights, lattice = _thinned(field.heights(), field.lattice, RIVER_SAMPLES)
     depth, speed = (_thinned(field.layers[name], field.lattice, RIVER_SAMPLES)[0] for name in NAMES[:2])
     depth = np.where(heights > 0.0, depth, np.float32(0.0))
-    surface = water_surface(lattice, heights, depth, speed, least=MIN_DEPTH_M)
+    surface = water_surface(lattice, heights, depth, speed, min_depth=MIN_DEPTH_M)
     if not len(surface.positions):
         return None
     mesh = bpy.data.meshes.new("Water")

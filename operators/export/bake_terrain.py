@@ -3,11 +3,11 @@
 
 import bpy
 
-from ...cbt_terrain.ask.criterion import Criterion
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.fit.fit import bake as bake_mesh
 from ...cbt_terrain.fit.fit import check_interpolation
 from ...cbt_terrain.run import warmup
+from ...cbt_terrain.view.criterion import Criterion
 from ..bridge.cleanup import clean_up
 from ..bridge.writer import write_mesh
 from ..session import session

@@ -8,14 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from ...cbt_terrain.ask.camera_path import read_camera_path
-from ...cbt_terrain.ask.criterion import Criterion
-from ...cbt_terrain.ask.settings import BOUNDS
-from ...cbt_terrain.ask.view import View
-from ...cbt_terrain.effects.effect import GEOMETRY, Asked
+from ...cbt_terrain.attributes.attribute import GEOMETRY, Asked
+from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
+from ...cbt_terrain.attributes.plan import plan
 from ...cbt_terrain.errors import TerrainError, shown
-from ...cbt_terrain.evaluate.evaluate import EffectRequest, evaluate
-from ...cbt_terrain.evaluate.plan import plan
 from ...cbt_terrain.field.bicubic import interpolated
 from ...cbt_terrain.field.detail import Detail
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS, with_detail
@@ -25,6 +21,10 @@ from ...cbt_terrain.run.named_file import blocks_reader
 from ...cbt_terrain.run.owned_files import real_path
 from ...cbt_terrain.scatter.points import Points
 from ...cbt_terrain.terrain import Terrain, Update
+from ...cbt_terrain.view.camera_path import read_camera_path
+from ...cbt_terrain.view.criterion import Criterion
+from ...cbt_terrain.view.settings import BOUNDS
+from ...cbt_terrain.view.view import View
 from ..bridge.scene_paths import absolute_path
 from ..session.pauses import paused
 from ..terrain.overrides import NO_OVERRIDES, Overrides

@@ -9,8 +9,8 @@ import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import JSON_NAME
+from ...cbt_terrain.height_operators.derived_store import raster_of
 from ...cbt_terrain.importing.import_process import import_source
-from ...cbt_terrain.land.derived_store import raster_of
 from ..bridge.scene_paths import absolute_path
 from ..importing.import_terrain import settings_of
 from ..importing.import_terrain import summary as import_summary

@@ -4,10 +4,10 @@
 import numpy as np
 from mathutils import Matrix
 
-from ...cbt_terrain.ask.linear import determinant, product
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run.partial_files import written_beside
 from ...cbt_terrain.scatter.points import Points
+from ...cbt_terrain.view.linear import determinant, product
 
 COLUMNS = "id,x,y,z,scale,rotation_w,rotation_x,rotation_y,rotation_z,normal_x,normal_y,normal_z,variant\n"
 ROW = "%d" + ",%.9g" * 11 + ",%d\n"  # nine digits are all of a float32

@@ -15,11 +15,11 @@ import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from ...cbt_terrain.ask.settings import BOUNDS
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import JSON_NAME, read_json
 from ...cbt_terrain.run import stopping
 from ...cbt_terrain.run.named_file import BLOCK_BYTES, open_regular, read_regular
+from ...cbt_terrain.view.settings import BOUNDS
 from ..text.shown_bounds import LIMITS
 
 MAX_SUMMARY_BYTES = 1 << 24

@@ -3,9 +3,9 @@
 
 import bpy
 
-from ...cbt_terrain.ask.linear import lengths
 from ...cbt_terrain.fit.fit import bake
 from ...cbt_terrain.run import warmup
+from ...cbt_terrain.view.linear import lengths
 from ..bridge.writer import write_mesh
 from ..session import session
 from ..session.polls import cancelled_by_errors, on_terrain_object

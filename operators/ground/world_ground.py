@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...cbt_terrain.ask.criterion import Criterion
-from ...cbt_terrain.ask.linear import inverse, product
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.query.ground import ground_at
 from ...cbt_terrain.query.rays import pick
+from ...cbt_terrain.view.criterion import Criterion
+from ...cbt_terrain.view.linear import inverse, product
 from ..land.properties import SEEN
 from ..session import session
 from ..terrain.overrides import Overrides

@@ -14,9 +14,9 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field.moving import copy_entry
 from ...cbt_terrain.field.packing import copy_store
-from ...cbt_terrain.land import requested_tiles
-from ...cbt_terrain.land.land_folder import bytes_in
-from ...cbt_terrain.land.land_folder import folder_beside as land_beside
+from ...cbt_terrain.height_operators import requested_tiles
+from ...cbt_terrain.height_operators.land_folder import bytes_in
+from ...cbt_terrain.height_operators.land_folder import folder_beside as land_beside
 from ...cbt_terrain.run.owned_files import MAPS, open_folder, real_path
 from ..bridge.scene_paths import absolute_path
 from ..land.request import land_of

@@ -8,8 +8,8 @@ from bpy_extras.io_utils import ExportHelper
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.packing import copy_store
-from ...cbt_terrain.land import derived_store
-from ...cbt_terrain.land.export import WRITERS, check_export, export_raster
+from ...cbt_terrain.height_operators import derived_store
+from ...cbt_terrain.height_operators.export import WRITERS, check_export, export_raster
 from ..bridge.scene_paths import absolute_path
 from ..importing import imported
 from ..importing.store_location import baked_folder

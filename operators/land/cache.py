@@ -9,8 +9,8 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field import store_folder
-from ...cbt_terrain.land.derived_store import is_in_use
-from ...cbt_terrain.land.land_folder import bytes_in, folder_beside, remove, shaped_stores
+from ...cbt_terrain.height_operators.derived_store import is_in_use
+from ...cbt_terrain.height_operators.land_folder import bytes_in, folder_beside, remove, shaped_stores
 from ...cbt_terrain.run.owned_files import check_folder
 from .. import jobs
 from ..bridge.scene_paths import absolute_path

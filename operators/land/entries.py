@@ -3,7 +3,7 @@
 
 import bpy
 
-from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from ...cbt_terrain.height_operators.catalogue import LAND_EFFECTS
 
 PRESETS = "adaptive_terrain/land"  # the folder of stacks among Blender's presets
 

@@ -7,7 +7,7 @@ The list and the rows below it have a fixed number: nothing moves while a user a
 import bpy
 from bl_ui.utils import PresetPanel
 
-from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from ...cbt_terrain.height_operators.catalogue import LAND_EFFECTS
 from .. import jobs
 from ..session import session
 from ..text.numbers import length_text, time_text, unit_text

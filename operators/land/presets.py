@@ -8,8 +8,8 @@ import bpy
 from bl_operators.presets import AddPresetBase
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.land.fitted import fitted
-from ...cbt_terrain.land.stack import read_stack, write_stack
+from ...cbt_terrain.height_operators.fitted import fitted
+from ...cbt_terrain.height_operators.stack import read_stack, write_stack
 from ...cbt_terrain.run.owned_files import remove_file
 from ..importing.imported import imported_of
 from ..session.polls import on_terrain

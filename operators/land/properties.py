@@ -15,11 +15,11 @@ from bpy.props import (
     StringProperty,
 )
 
-from ...cbt_terrain.effects import splat_rules as rules
-from ...cbt_terrain.effects.effect import Parameter
-from ...cbt_terrain.land.mask import HEIGHT, SLOPE
-from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
-from ...cbt_terrain.land_effects.land_effect import LandEffect
+from ...cbt_terrain.attributes import splat_rules as rules
+from ...cbt_terrain.attributes.attribute import Parameter
+from ...cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+from ...cbt_terrain.height_operators.height_operator import LandEffect
+from ...cbt_terrain.height_operators.mask import HEIGHT, SLOPE
 from ..layers.properties import BANDS, AspectSettings, band
 from ..terrain.detail_properties import changed
 from ..text.numbers import unit_text

@@ -2,9 +2,9 @@
 """The shaped land that a terrain's settings ask for."""
 
 from ...cbt_terrain.field import store_folder
-from ...cbt_terrain.land import derived_store
-from ...cbt_terrain.land.derived_store import Land
-from ...cbt_terrain.land.land_folder import MASKS, folder_beside
+from ...cbt_terrain.height_operators import derived_store
+from ...cbt_terrain.height_operators.derived_store import Land
+from ...cbt_terrain.height_operators.land_folder import MASKS, folder_beside
 from ...cbt_terrain.run import owned_files
 from ..bridge.scene_paths import absolute_path
 from ..text.console import print_line

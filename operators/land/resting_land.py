@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.land import derived_store, requested_tiles
-from ...cbt_terrain.land.derived_store import Land
-from ...cbt_terrain.land.land_folder import is_of_views
-from ...cbt_terrain.land.shape_process import ShapeJob
+from ...cbt_terrain.height_operators import derived_store, requested_tiles
+from ...cbt_terrain.height_operators.derived_store import Land
+from ...cbt_terrain.height_operators.land_folder import is_of_views
+from ...cbt_terrain.height_operators.shape_process import ShapeJob
 from .. import jobs
 from ..session import session
 from ..terrain.request import Request

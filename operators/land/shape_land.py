@@ -6,11 +6,11 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.land import derived_store
-from ...cbt_terrain.land.derived_store import Land
-from ...cbt_terrain.land.requested_tiles import SeenTiles
+from ...cbt_terrain.height_operators import derived_store
+from ...cbt_terrain.height_operators.derived_store import Land
+from ...cbt_terrain.height_operators.requested_tiles import SeenTiles
+from ...cbt_terrain.view.view import View
 from .. import jobs
 from ..job_operator import JobOperator
 from ..session import live, session

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
-from ...cbt_terrain.land.derived_store import preview_of
-from ...cbt_terrain.land.land_folder import folder_beside, is_of_views
-from ...cbt_terrain.land.level_plan import MOST_WHOLE
-from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
-from ...cbt_terrain.land_effects.land_effect import LandLayer
+from ...cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+from ...cbt_terrain.height_operators.derived_store import preview_of
+from ...cbt_terrain.height_operators.height_operator import LandLayer
+from ...cbt_terrain.height_operators.land_folder import folder_beside, is_of_views
+from ...cbt_terrain.height_operators.level_plan import MOST_WHOLE
 from ..bridge.scene_paths import absolute_path
 from ..importing.imported import imported_of
 from ..session import session

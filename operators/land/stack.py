@@ -7,15 +7,15 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.land.mask import ASPECT, LIMITS, SLOPE, GroundRule, Mask
-from ...cbt_terrain.land.stack import Entry, Stack
-from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from ...cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+from ...cbt_terrain.height_operators.mask import ASPECT, LIMITS, SLOPE, GroundRule, Mask
+from ...cbt_terrain.height_operators.stack import Entry, Stack
 from ...cbt_terrain.run.named_file import blocks_reader
 from ..bridge.scene_paths import absolute_path
 from ..importing.imported import imported_of
 from . import masks as land_masks
 from .entries import add_entry
-from .properties import BY_IMAGE, BY_OBJECT, BY_RULE, EVERYWHERE, RULES, number_of, set_number
+from .properties import BY_IMAGE, BY_OBJECT, BY_RULE, EVERYWHERE, GROUPS, RULES, number_of, set_number
 
 
 def unknown(effect: str) -> str:
@@ -39,7 +39,7 @@ def stack_of(terrain, depsgraph, masks: Path) -> Stack:
 
 
 def _entry(entry, terrain, depsgraph, masks: Path) -> Entry:
-    if entry.effect not in LAND_EFFECTS:
+    if entry.effect not in GROUPS:
         raise TerrainError(unknown(entry.effect))
     mask = _mask(entry, terrain, depsgraph, masks)
     return Entry(entry.effect, _parameters(entry), entry.seed, True, mask, entry.name)
@@ -109,7 +109,7 @@ def preset_of(land) -> Stack:
     objects."""
     found = []
     for entry in land.entries:
-        if entry.effect not in LAND_EFFECTS:
+        if entry.effect not in GROUPS:
             raise TerrainError(unknown(entry.effect))
         mask, kind = None, entry.mask.kind
         if kind == BY_IMAGE and entry.mask.image is not None:

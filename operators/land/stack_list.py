@@ -3,7 +3,7 @@
 
 import bpy
 
-from ...cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from ...cbt_terrain.height_operators.catalogue import LAND_EFFECTS
 from ..session.polls import on_terrain
 from .entries import add_entry, copy_group, free_name
 from .properties import RULES

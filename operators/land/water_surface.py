@@ -7,8 +7,8 @@ import bpy
 import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.land.derived_store import raster_of
-from ...cbt_terrain.land.water_surface import water_of
+from ...cbt_terrain.height_operators.derived_store import raster_of
+from ...cbt_terrain.height_operators.water_surface import water_of
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
 from ..bridge.demand.trees import tree_of_new

@@ -6,8 +6,8 @@ An image whose colour space is data (Non-Color) is a normal map, any other shows
 
 import numpy as np
 
-from ...cbt_terrain.ask.linear import inverse, length, product
-from ...cbt_terrain.effects.decals import Decal, Picture, picture
+from ...cbt_terrain.attributes.decals import Decal, Picture, picture
+from ...cbt_terrain.view.linear import inverse, length, product
 from ..bridge.evaluated import found_in
 from .images import cached_value
 

@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from ...cbt_terrain.effects.splat_rules import Painted
+from ...cbt_terrain.attributes.splat_rules import Painted
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.importing.png_file import png_damage
 from ...cbt_terrain.run.named_file import blocks_reader, open_regular

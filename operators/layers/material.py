@@ -11,7 +11,7 @@ from itertools import chain, count
 
 import bpy
 
-from ...cbt_terrain.maps.tiling import MARGIN
+from ...cbt_terrain.attributes.tiling import MARGIN
 from ..bridge.demand.trees import tree_of_new
 from ..bridge.nodes import Nodes
 

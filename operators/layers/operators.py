@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 from bl_operators.presets import AddPresetBase
 
-from ...cbt_terrain.effects.splat_rules import MOST_LAYERS
+from ...cbt_terrain.attributes.splat_rules import MOST_LAYERS
 from ..session.polls import on_terrain
 
 PRESETS = "adaptive_terrain/layers"

@@ -4,7 +4,7 @@
 import bpy
 from bl_ui.utils import PresetPanel
 
-from ...cbt_terrain.effects.splat_rules import covers_nothing
+from ...cbt_terrain.attributes.splat_rules import covers_nothing
 from ..ui.panel_parts import LIMITS, TerrainSubpanel, draw_band, draw_ground
 from .operators import PRESET_PANEL, PRESETS
 from .properties import BANDS, rule_of

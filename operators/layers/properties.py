@@ -15,8 +15,8 @@ from bpy.props import (
     StringProperty,
 )
 
-from ...cbt_terrain.effects import splat_rules as rules
-from ...cbt_terrain.effects.color import DEFAULT_COLORS
+from ...cbt_terrain.attributes import splat_rules as rules
+from ...cbt_terrain.attributes.color import DEFAULT_COLORS
 from ...cbt_terrain.errors import TerrainError
 from ..terrain.detail_properties import changed
 from ..terrain.displacement_properties import DisplacementSettings, is_gray

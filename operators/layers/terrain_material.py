@@ -3,7 +3,7 @@
 
 import bpy
 
-from ...cbt_terrain.effects.splat import NAMES
+from ...cbt_terrain.attributes.splat import NAMES
 from ...cbt_terrain.errors import TerrainError
 from ..maps.images import map_image, map_vector, tile_metres
 from ..session.polls import on_terrain_object

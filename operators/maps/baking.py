@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ...cbt_terrain.ask.view import View
-from ...cbt_terrain.effects.catalogue import EFFECTS
-from ...cbt_terrain.effects.effect import Asked
+from ...cbt_terrain.attributes import sizing
+from ...cbt_terrain.attributes.attribute import Asked
+from ...cbt_terrain.attributes.bake import Baked, bake
+from ...cbt_terrain.attributes.catalogue import EFFECTS
+from ...cbt_terrain.attributes.coding import PNG, coding_of
+from ...cbt_terrain.attributes.tiling import tiling_of
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.maps import sizing
-from ...cbt_terrain.maps.bake import Baked, bake
-from ...cbt_terrain.maps.coding import PNG, coding_of
-from ...cbt_terrain.maps.tiling import tiling_of
+from ...cbt_terrain.view.view import View
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import bpy
 
-from ...cbt_terrain.maps.folder import UDIM, read_index
-from ...cbt_terrain.maps.tiling import MARGIN
+from ...cbt_terrain.attributes.folder import UDIM, read_index
+from ...cbt_terrain.attributes.tiling import MARGIN
 from ...cbt_terrain.run.named_file import blocks_reader
 from ..bridge.scene_paths import absolute_path
 from ..bridge.writer import UV_LAYER

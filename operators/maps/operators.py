@@ -3,9 +3,9 @@
 
 import bpy
 
-from ...cbt_terrain.land.derived_store import raster_of
-from ...cbt_terrain.maps.bake import Baked
-from ...cbt_terrain.maps.folder import files_of
+from ...cbt_terrain.attributes.bake import Baked
+from ...cbt_terrain.attributes.folder import files_of
+from ...cbt_terrain.height_operators.derived_store import raster_of
 from .. import jobs
 from ..job_operator import JobOperator
 from ..session import session

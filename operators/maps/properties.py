@@ -6,8 +6,8 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
-from ...cbt_terrain.effects.catalogue import EFFECTS
-from ...cbt_terrain.maps.coding import EXR, PNG
+from ...cbt_terrain.attributes.catalogue import EFFECTS
+from ...cbt_terrain.attributes.coding import EXR, PNG
 from ...cbt_terrain.run.owned_files import MAPS
 from ..bridge.scene_paths import absolute_path
 

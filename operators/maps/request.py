@@ -6,11 +6,11 @@ from pathlib import Path
 
 import bpy
 
-from ...cbt_terrain.ask.criterion import Criterion
-from ...cbt_terrain.effects.catalogue import EFFECTS
-from ...cbt_terrain.effects.effect import PICTURE
+from ...cbt_terrain.attributes.attribute import PICTURE
+from ...cbt_terrain.attributes.catalogue import EFFECTS
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run.owned_files import check_folder
+from ...cbt_terrain.view.criterion import Criterion
 from ..bridge.scene_paths import absolute_path
 from ..session.shot import frames_of, look_through
 from ..terrain.overrides import Overrides

@@ -8,13 +8,13 @@ from functools import cache
 
 import numpy as np
 
-from ...cbt_terrain.ask.view import View
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.history.frame_history import FrameHistory
 from ...cbt_terrain.run.memory import physical_memory
 from ...cbt_terrain.scatter.points import Points, ScatterRequest, on_mesh, place_points
 from ...cbt_terrain.scatter.scatter import Scatter
+from ...cbt_terrain.view.view import View
 from ..bridge.point_writer import write_points
 from .properties import MESH, scatter_of
 

@@ -16,14 +16,14 @@ from dataclasses import dataclass, replace
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.land import derived_store
+from ...cbt_terrain.height_operators import derived_store
 from ...cbt_terrain.run import warmup
 from .. import jobs
 from ..bridge.demand.screens import screens_key
 from ..ground import keep_ground
 from ..land import resting_land
-from ..terrain.kernels_needed import kernels_for
 from ..terrain.request import RENDER, VIEWPORT, Request, corrected, follows_viewport, gather, record_time
+from ..terrain.request_kernels import kernels_for
 from . import previews, session
 
 IDLE_S, BUSY_S, RENDERING_S = 0.05, 0.005, 0.25

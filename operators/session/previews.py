@@ -3,8 +3,8 @@
 
 from dataclasses import replace
 
-from ...cbt_terrain.effects import sky, sky_layer
-from ...cbt_terrain.effects.effect import Asked
+from ...cbt_terrain.attributes import sky, sky_layer
+from ...cbt_terrain.attributes.attribute import Asked
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.run import launch
 from ..terrain.request import Request

@@ -12,14 +12,14 @@ from collections import Counter
 import bpy
 
 from ...cbt_terrain.accuracy.time_correction import TimeCorrection
+from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
+from ...cbt_terrain.attributes.layered_detail import laid
+from ...cbt_terrain.attributes.plan import plan
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.evaluate.evaluate import EffectRequest, evaluate
-from ...cbt_terrain.evaluate.layered_detail import laid
-from ...cbt_terrain.evaluate.plan import plan
 from ...cbt_terrain.field.bicubic import interpolated
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.store import changed_ns, is_intact, open_store
-from ...cbt_terrain.land import derived_store
+from ...cbt_terrain.height_operators import derived_store
 from ...cbt_terrain.mesh.attributes import Attribute
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.refine.terms import Terms

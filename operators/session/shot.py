@@ -8,8 +8,8 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from ...cbt_terrain.ask.linear import inverse, product
-from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.view.linear import inverse, product
+from ...cbt_terrain.view.view import View
 from ..terrain.request import RENDER, gather
 from .pauses import paused
 

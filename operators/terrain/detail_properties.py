@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Settings of the level of detail: `object.adaptive_terrain.viewport` and `.render`.
 
-Those of a criterion are made from the table in cbt_terrain/ask/settings.py."""
+Those of a criterion are made from the table in cbt_terrain/view/settings.py."""
 
 import bpy
 from bpy.props import BoolProperty, FloatProperty, IntProperty, StringProperty
 
-from ...cbt_terrain.ask.settings import CRITERIA, RENDER, SETTINGS, VIEWPORT, CriterionSetting
+from ...cbt_terrain.view.settings import CRITERIA, RENDER, SETTINGS, VIEWPORT, CriterionSetting
 
 MAX_INT, MAX_FLOAT = 2**31 - 1, 3.4028234663852886e38  # of Blender's properties
 UNITS = {"px": {"subtype": "PIXEL"}, "m": {"unit": "LENGTH"}, "fraction": {"subtype": "FACTOR"}}

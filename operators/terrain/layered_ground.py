@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What detail a terrain's settings ask for: all over it, and of its splat layers."""
 
+from ...cbt_terrain.attributes.layered_detail import LayeredDetail
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.evaluate.layered_detail import LayeredDetail
 from ...cbt_terrain.field.coats import Ground
 from ..layers.properties import layers_of
 from .displacement_properties import displacement_of

@@ -4,9 +4,9 @@
 import bpy
 
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
-from ...cbt_terrain.ask.criterion import unit_asked
-from ...cbt_terrain.ask.settings import CRITERIA, LIMITS, MODIFIERS, CriterionSetting
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.view.criterion import unit_asked
+from ...cbt_terrain.view.settings import CRITERIA, LIMITS, MODIFIERS, CriterionSetting
 from ..text.numbers import plain
 from ..ui.panel_parts import TerrainSubpanel, fixed_lines, switched
 from .request import criterion_from, within_time

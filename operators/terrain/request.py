@@ -12,17 +12,17 @@ from mathutils import Matrix
 
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.accuracy.time_correction import TimeCorrection
-from ...cbt_terrain.ask.criterion import Criterion, unit_asked
-from ...cbt_terrain.ask.linear import determinant
-from ...cbt_terrain.ask.settings import SETTINGS
-from ...cbt_terrain.ask.view import View
+from ...cbt_terrain.attributes.layered_detail import LayeredDetail
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.evaluate.layered_detail import LayeredDetail
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field.coats import Ground
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
-from ...cbt_terrain.land.derived_store import Land
-from ...cbt_terrain.land.requested_tiles import SeenTiles
+from ...cbt_terrain.height_operators.derived_store import Land
+from ...cbt_terrain.height_operators.requested_tiles import SeenTiles
+from ...cbt_terrain.view.criterion import Criterion, unit_asked
+from ...cbt_terrain.view.linear import determinant
+from ...cbt_terrain.view.settings import SETTINGS
+from ...cbt_terrain.view.view import View
 from ..attributes.request import Effects, gather_effects
 from ..bridge import camera as cameras
 from ..bridge.cleanup import Cleanup, plan_triangles

@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 
-from ...cbt_terrain.ask.linear import inverse
-from ...cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.view.linear import inverse
+from ...cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from ..bridge import camera as cameras
 from ..land import shaped_land
 from ..session import session

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Texts about attributes: their declarations, their readers in a scene, and the cost of an evaluation."""
 
-from ...cbt_terrain.effects.catalogue import EFFECTS
-from ...cbt_terrain.effects.effect import GEOMETRY, Effect
+from ...cbt_terrain.attributes.attribute import GEOMETRY, Effect
+from ...cbt_terrain.attributes.catalogue import EFFECTS
 from .numbers import plain
 
 BYTES = 4  # of a float32

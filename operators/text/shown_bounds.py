@@ -4,7 +4,7 @@
 import decimal
 import math
 
-from ...cbt_terrain.ask.criterion import LARGEST
+from ...cbt_terrain.view.criterion import LARGEST
 
 NO_BOUND = "none: may reach the eye"
 # Update.limited in words.

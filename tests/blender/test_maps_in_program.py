@@ -2,7 +2,7 @@
 """The real program bakes maps, and its renders show them."""
 
 import pytest
-from adaptive_terrain.cbt_terrain.maps.folder import read_index
+from adaptive_terrain.cbt_terrain.attributes.folder import read_index
 
 
 @pytest.fixture(scope="module")

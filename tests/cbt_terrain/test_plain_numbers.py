@@ -7,18 +7,16 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import View
-from adaptive_terrain.cbt_terrain.effects.decals import Decal, picture
-from adaptive_terrain.cbt_terrain.effects.effect import Asked
-from adaptive_terrain.cbt_terrain.effects.splat_rules import Layer, Rule
+from adaptive_terrain.cbt_terrain.attributes.attribute import Asked
+from adaptive_terrain.cbt_terrain.attributes.decals import Decal, picture
+from adaptive_terrain.cbt_terrain.attributes.splat_rules import Layer, Rule
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.fit.fit import bake
+from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, Mask
+from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
-from adaptive_terrain.cbt_terrain.land.mask import GroundRule, Mask
-from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.plain_numbers import plain_number
 from adaptive_terrain.cbt_terrain.query.box import box_range
 from adaptive_terrain.cbt_terrain.query.ground import ground_at, profile
@@ -26,6 +24,8 @@ from adaptive_terrain.cbt_terrain.query.viewshed import viewshed
 from adaptive_terrain.cbt_terrain.scatter.points import scatter_points
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import View
 
 NUMBERS = [np.float32, np.float64, np.int64, np.int8, np.longdouble, Fraction, np.array, float, int]
 VIEW = View.look((0, -80, 60), (0, 0, 0), resolution=(64, 36))

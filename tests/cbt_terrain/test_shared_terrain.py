@@ -12,8 +12,6 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain import terrain as terrains
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -23,6 +21,8 @@ from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.scatter.points import ScatterRequest, place_points, scatter_points
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import View
 
 VIEWS = [View.look((40.0 * k - 200.0, -500.0, 250.0), (0, 0, 0), resolution=(640, 360)) for k in range(8)]
 FINE = Criterion(error_px=0.5)

@@ -9,11 +9,11 @@ import time
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store, verify
+from adaptive_terrain.cbt_terrain.height_operators.shape_process import ShapeJob, shape_store
+from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
+from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
-from adaptive_terrain.cbt_terrain.land.shape_process import ShapeJob, shape_store
-from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
-from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 RELIEF = Stack((Entry("relief", seed=1), Entry("relief", seed=2)))

@@ -5,11 +5,11 @@ import os
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.spans import as_seen, slants_of, whole_of
-from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.spans import as_seen, slants_of, whole_of
+from adaptive_terrain.cbt_terrain.view.view import View
 from edited_tree import EditedTree
 from fields import least_triangles, random_view, rough, scattered, screen_error
 from invariants import arrays, assert_invariants

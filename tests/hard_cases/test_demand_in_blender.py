@@ -5,7 +5,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS  # noqa: E402
+from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS  # noqa: E402
 from adaptive_terrain.operators.session import session  # noqa: E402
 from demand_trees import Moved, attribute, colour, emit, group, mix, new_material  # noqa: E402
 

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.island import SIDE, island
-from adaptive_terrain.cbt_terrain.land.fitted import fitted
-from adaptive_terrain.cbt_terrain.land.level_plan import LevelPlan
-from adaptive_terrain.cbt_terrain.land.shape import shape
-from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack, read_stack
-from adaptive_terrain.cbt_terrain.land.tile_cache import TileCache
-from adaptive_terrain.cbt_terrain.land.tiles import BAND, all_tiles, levels_of, whole_land
-from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.height_operators.fitted import fitted
+from adaptive_terrain.cbt_terrain.height_operators.level_plan import LevelPlan
+from adaptive_terrain.cbt_terrain.height_operators.shape import shape
+from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack, read_stack
+from adaptive_terrain.cbt_terrain.height_operators.tile_cache import TileCache
+from adaptive_terrain.cbt_terrain.height_operators.tiles import BAND, all_tiles, levels_of, whole_land
 from land_effects import SMOOTH, bumpy, ragged
 
 PRESETS = Path(__file__).resolve().parents[2] / "operators/presets/adaptive_terrain/land"

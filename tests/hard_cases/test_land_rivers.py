@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.effects.routing import route
+from adaptive_terrain.cbt_terrain.attributes.routing import route
 from adaptive_terrain.cbt_terrain.field.island import SIDE, island
-from adaptive_terrain.cbt_terrain.land_effects import fluvial
-from adaptive_terrain.cbt_terrain.land_effects.fluvial import step
-from adaptive_terrain.cbt_terrain.land_effects.land_effect import Change, Ground
-from adaptive_terrain.cbt_terrain.land_effects.levels import apply_by_levels, coarser, finer
-from adaptive_terrain.cbt_terrain.land_effects.rivers import RIVERS, grow
+from adaptive_terrain.cbt_terrain.height_operators import fluvial
+from adaptive_terrain.cbt_terrain.height_operators.fluvial import step
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import Change, Ground
+from adaptive_terrain.cbt_terrain.height_operators.levels import apply_by_levels, coarser, finer
+from adaptive_terrain.cbt_terrain.height_operators.rivers import RIVERS, grow
 from river_grounds import aged, bed_of, rough
 
 LAYERS = ("sediment", "wear", "flow")

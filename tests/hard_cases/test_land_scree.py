@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.island import SIDE, island
-from adaptive_terrain.cbt_terrain.land_effects import droplets, thermal
-from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
-from adaptive_terrain.cbt_terrain.land_effects.examples import shape_with
-from adaptive_terrain.cbt_terrain.land_effects.land_effect import Change, Ground
+from adaptive_terrain.cbt_terrain.height_operators import droplets, thermal
+from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.height_operators.examples import shape_with
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import Change, Ground
 from fields import rough
 
 

@@ -6,10 +6,10 @@ import hashlib
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.land_effects import flood
-from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
-from adaptive_terrain.cbt_terrain.land_effects.land_effect import Ground
-from adaptive_terrain.cbt_terrain.land_effects.levels import apply_by_levels
+from adaptive_terrain.cbt_terrain.height_operators import flood
+from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import Ground
+from adaptive_terrain.cbt_terrain.height_operators.levels import apply_by_levels
 from rasters import hills
 
 

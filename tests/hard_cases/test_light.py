@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
-from adaptive_terrain.cbt_terrain.effects.effect import Places
+from adaptive_terrain.cbt_terrain.attributes.attribute import Places
+from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from horizons import coded, directions, engines, every_sample, from_cell_to_cell, places_on
 from padded import raster

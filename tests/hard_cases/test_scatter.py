@@ -2,10 +2,10 @@
 """Hard case 73: scatter points do not move during a flight, and appear and vanish at size 0."""
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.ask.view import View
-from adaptive_terrain.cbt_terrain.effects.splat_rules import Layer, Rule
+from adaptive_terrain.cbt_terrain.attributes.splat_rules import Layer, Rule
 from adaptive_terrain.cbt_terrain.scatter.points import scatter_points
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
+from adaptive_terrain.cbt_terrain.view.view import View
 from fields import rough
 from scattered_frames import ScatteredFrames
 

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.local_view import localise
-from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
-from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
 from adaptive_terrain.cbt_terrain.history.drift import move
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.local_view import localise
+from adaptive_terrain.cbt_terrain.view.morph import SMOOTH
+from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from adaptive_terrain.kernels.refine.coherence import FADED, Motion, Subtree
 from adaptive_terrain.kernels.refine.pixels import CLEAR, Asked, LocalView
 from fields import extent, rough

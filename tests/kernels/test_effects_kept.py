@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adaptive_terrain import kernels
-from adaptive_terrain.cbt_terrain.evaluate import values as effect_values
-from adaptive_terrain.cbt_terrain.evaluate.values import EffectValues
+from adaptive_terrain.cbt_terrain.attributes import values as effect_values
+from adaptive_terrain.cbt_terrain.attributes.values import EffectValues
 from twins import load
 
 

@@ -2,13 +2,13 @@
 """The snippets of C of light and footprints against the same arithmetic in Python: the same bits.
 
 That of kernels/effects/horizon.py has no twin: its walk by blocks is compared with every crossing, and both with known
-geometry, in tests/cbt_terrain/effects/test_light.py.
+geometry, in tests/cbt_terrain/attributes/test_light.py.
 """
 
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain.effects.sky_layer import sweep
+from adaptive_terrain.cbt_terrain.attributes.sky_layer import sweep
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import flat, shared
 from adaptive_terrain.kernels.effects import footprint

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.local_view import localise
-from adaptive_terrain.cbt_terrain.ask.spans import Plan, spans_of
-from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.refine.domain import make_domain, pack
 from adaptive_terrain.cbt_terrain.terrain import box_of
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.local_view import localise
+from adaptive_terrain.cbt_terrain.view.spans import Plan, spans_of
+from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from fields import extent, rough
 from twins import load
 

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain import terrain as terrains
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import PANORAMIC, View
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
@@ -17,6 +15,8 @@ from adaptive_terrain.cbt_terrain.refine import refinement
 from adaptive_terrain.cbt_terrain.refine.block_tables import blocks
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import PANORAMIC, View
 from adaptive_terrain.kernels.refine import plain
 from invariants import arrays
 from level_ground import level_scenes

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain.effects.routing import grid_of
+from adaptive_terrain.cbt_terrain.attributes.routing import grid_of
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import flat
 from adaptive_terrain.kernels.effects import routing, rows

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import warp as wp
 from adaptive_terrain import kernels
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.mesh import builder, displacement, meshlet_template, welding
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import View
 from fields import rough
 from invariants import arrays
 from twins import load

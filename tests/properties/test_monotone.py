@@ -2,8 +2,8 @@
 """Criteria are nested: a finer request splits everything that a coarser one splits, with all ancestors."""
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from bisection import diamond, from_tree_id, parent, to_tree_id
 from diamond_entries import error_index
 from edited_tree import EditedTree

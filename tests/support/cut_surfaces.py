@@ -2,8 +2,8 @@
 """Surfaces to be cut, and checks that hold for any part of one."""
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from fields import rough
 
 

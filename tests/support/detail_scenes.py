@@ -2,7 +2,7 @@
 """Views of a terrain with detail, and what of its bounds is seen in them."""
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.ask.view import PANORAMIC, PERSPECTIVE, View
+from adaptive_terrain.cbt_terrain.view.view import PANORAMIC, PERSPECTIVE, View
 from fields import extent, project, reference_heights
 
 

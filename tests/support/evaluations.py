@@ -3,7 +3,7 @@
 
 from collections import Counter
 
-from adaptive_terrain.cbt_terrain.evaluate.evaluate import MAX_BYTES, EffectRequest, evaluate
+from adaptive_terrain.cbt_terrain.attributes.evaluate import MAX_BYTES, EffectRequest, evaluate
 from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
 
 

@@ -3,7 +3,7 @@
 
 import numpy as np
 import warp as wp
-from adaptive_terrain.cbt_terrain.ask.view import PANORAMIC, View
+from adaptive_terrain.cbt_terrain.view.view import PANORAMIC, View
 
 wp.set_module_options({"enable_backward": False})
 

@@ -10,10 +10,10 @@ import mmap
 from types import SimpleNamespace
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.run import buffers, launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import View
 from fields import rough
 from invariants import arrays
 from level_ground import level_scenes

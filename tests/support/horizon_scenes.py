@@ -2,12 +2,12 @@
 """Fields, views and criteria in which nearer ground hides something."""
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import PANORAMIC, PERSPECTIVE, View
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import PANORAMIC, PERSPECTIVE, View
 from fields import extent, reference_heights, rough
 
 SHAPES = (129, 129), (129, 257), (200, 90), (100, 300), (65, 65)

@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import warp as wp
-from adaptive_terrain.cbt_terrain.effects.effect import Places
-from adaptive_terrain.cbt_terrain.effects.occluder import every_crossing, occluder_of
+from adaptive_terrain.cbt_terrain.attributes.attribute import Places
+from adaptive_terrain.cbt_terrain.attributes.occluder import every_crossing, occluder_of
 from adaptive_terrain.cbt_terrain.field.codes import Steps
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from adaptive_terrain.cbt_terrain.run import launch

@@ -4,8 +4,8 @@
 import math
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.effects.effect import Parameter
-from adaptive_terrain.cbt_terrain.land_effects.land_effect import Change, LandEffect, LandLayer
+from adaptive_terrain.cbt_terrain.attributes.attribute import Parameter
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import Change, LandEffect, LandLayer
 
 SWEEPS = 4
 

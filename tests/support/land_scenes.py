@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.store import Draft
-from adaptive_terrain.cbt_terrain.land import derived_store, land_folder
+from adaptive_terrain.cbt_terrain.height_operators import derived_store, land_folder
 from adaptive_terrain.operators.land import shaped_land
 from adaptive_terrain.operators.land import stack as land_stack
 from adaptive_terrain.operators.session import session

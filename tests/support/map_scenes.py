@@ -3,7 +3,7 @@
 
 import bpy
 import pytest
-from adaptive_terrain.cbt_terrain.maps.folder import read_index
+from adaptive_terrain.cbt_terrain.attributes.folder import read_index
 from adaptive_terrain.operators.maps import images as map_images
 
 

@@ -4,7 +4,7 @@
 import math
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PERSPECTIVE, View
+from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PERSPECTIVE, View
 from diamond_entries import error_index
 from fields import errors_of, ranges_of
 

@@ -2,10 +2,10 @@
 """Grounds for tests of rivers, and rivers over them."""
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.land_effects.fluvial import Bed
-from adaptive_terrain.cbt_terrain.land_effects.land_effect import Ground
-from adaptive_terrain.cbt_terrain.land_effects.levels import apply_by_levels
-from adaptive_terrain.cbt_terrain.land_effects.rivers import RIVERS
+from adaptive_terrain.cbt_terrain.height_operators.fluvial import Bed
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import Ground
+from adaptive_terrain.cbt_terrain.height_operators.levels import apply_by_levels
+from adaptive_terrain.cbt_terrain.height_operators.rivers import RIVERS
 
 
 def rough(rows, columns, seed=2):

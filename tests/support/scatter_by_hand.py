@@ -5,8 +5,8 @@ that are too near over seams by trying all pairs."""
 import math
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC
 from adaptive_terrain.cbt_terrain.scatter.tile import POINTS, UNITS, tile
+from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC
 from own_surface import bilinear
 
 

@@ -6,7 +6,7 @@ Reads by Python (scripts, functions of drivers) are not found. Hidden objects co
 
 from dataclasses import dataclass, field
 
-from ....cbt_terrain.effects.effect import GEOMETRY, PICTURE
+from ....cbt_terrain.attributes.attribute import GEOMETRY, PICTURE
 from .drivers import read_drivers
 from .found import ACTIVE_COLOR, ALL, Demand
 from .geometry import Sources, is_enabled, read_modifier, read_particles, sets_material_index

@@ -5,7 +5,7 @@ import re
 
 import bpy
 
-from ....cbt_terrain.effects.effect import GEOMETRY
+from ....cbt_terrain.attributes.attribute import GEOMETRY
 from .found import ALL, Demand
 
 NAMED = re.compile(r'attributes\["((?:[^"\\]|\\.)*)"\]')

@@ -6,7 +6,7 @@ from functools import cache
 
 import bpy
 
-from ....cbt_terrain.effects.effect import GEOMETRY
+from ....cbt_terrain.attributes.attribute import GEOMETRY
 from .found import ACTIVE_UV, VERTEX_GROUP, Demand
 from .trees import Trees, animated_paths, nodes_inside
 from .walk import NodeWalk

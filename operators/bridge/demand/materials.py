@@ -7,7 +7,7 @@ from itertools import islice
 import bpy
 import numpy as np
 
-from ....cbt_terrain.effects.effect import PICTURE
+from ....cbt_terrain.attributes.attribute import PICTURE
 from .found import ACTIVE_COLOR, ACTIVE_UV, ALL, Demand
 from .readers import HIT
 from .trees import Trees, nodes_inside

@@ -3,7 +3,7 @@
 
 import bpy
 
-from ....cbt_terrain.effects.effect import PICTURE
+from ....cbt_terrain.attributes.attribute import PICTURE
 from .found import ALL, Demand
 from .materials import read_workbench
 

@@ -25,7 +25,10 @@ def module(name: str):
 
 
 session, shaped_land, jobs = (module(f"operators.{name}") for name in ("session.session", "land.shaped_land", "jobs"))
-derived_store, resting_land = module("cbt_terrain.land.derived_store"), module("operators.land.resting_land")
+derived_store, resting_land = (
+    module("cbt_terrain.height_operators.derived_store"),
+    module("operators.land.resting_land"),
+)
 resting_land.REST_S = 1e9  # until it is its turn
 warmup, panels = module("cbt_terrain.run.warmup"), module("operators.ui.panels")
 OPEN = {"ADAPTIVE_TERRAIN_PT_main", "ADAPTIVE_TERRAIN_PT_land", "ADAPTIVE_TERRAIN_PT_land_effect"}

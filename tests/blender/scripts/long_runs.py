@@ -17,8 +17,7 @@ from pathlib import Path
 import bpy
 from bl_ext.user_default.adaptive_terrain.cbt_terrain.run import warmup
 from bl_ext.user_default.adaptive_terrain.operators import jobs
-from bl_ext.user_default.adaptive_terrain.operators.session import session
-from bl_ext.user_default.adaptive_terrain.operators.session import live
+from bl_ext.user_default.adaptive_terrain.operators.session import live, session
 from bpy.app.handlers import persistent
 
 sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts

@@ -16,7 +16,7 @@ step, folder = sys.argv[sys.argv.index("--") + 1 :]
 folder = Path(folder)
 location = sys.modules[f"{package}.operators.importing.store_location"]
 session = sys.modules[f"{package}.operators.session.session"]
-derived_store = sys.modules[f"{package}.cbt_terrain.land.derived_store"]
+derived_store = sys.modules[f"{package}.cbt_terrain.height_operators.derived_store"]
 notices = sys.modules[f"{package}.operators.importing.store_paths"].notices
 
 

@@ -16,7 +16,7 @@ SIZE = 400
 
 bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)  # as it was before any other script
 folder = sys.argv[sys.argv.index("--") + 1] + "/seams"
-tiling = next(module for name, module in sys.modules.items() if name.endswith("cbt_terrain.maps.tiling"))
+tiling = next(module for name, module in sys.modules.items() if name.endswith("cbt_terrain.attributes.tiling"))
 tiling.SINGLE_CELLS, tiling.TILE_CELLS = 64, 100
 scene = bpy.context.scene
 terrain = next(item for item in scene.objects if item.adaptive_terrain.enabled)

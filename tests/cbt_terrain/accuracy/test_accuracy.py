@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy import interpolation, look, measure, popping, shading_change, triangle_errors
 from adaptive_terrain.cbt_terrain.accuracy.mesh import Ground, MeasuredMesh, errors_of
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, View
 from fields import mesh_heights, reference_heights, rough
 from invariants import with_arrays
 

@@ -8,12 +8,12 @@ import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain.accuracy.crops import SIDE, crops
 from adaptive_terrain.cbt_terrain.accuracy.timed_runs import Frame
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, View
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import shared
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, View
 from adaptive_terrain.kernels.accuracy import drawing
 from adaptive_terrain.operators.text.png import png
 from PIL import Image

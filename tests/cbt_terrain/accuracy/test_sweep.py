@@ -18,15 +18,15 @@ from adaptive_terrain.cbt_terrain.accuracy.timed_runs import (
     median_by_step,
     timed_runs,
 )
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
-from adaptive_terrain.cbt_terrain.ask.view import View
-from adaptive_terrain.cbt_terrain.effects.effect import Asked
+from adaptive_terrain.cbt_terrain.attributes.attribute import Asked
+from adaptive_terrain.cbt_terrain.attributes.plan import plan
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.evaluate.plan import plan
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.morph import SMOOTH
+from adaptive_terrain.cbt_terrain.view.view import View
 from fields import rough
 
 SEEN = View.look((0, -700, 500), (0, 0, 0), resolution=(640, 360))

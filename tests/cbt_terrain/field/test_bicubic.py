@@ -6,8 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy import interpolation, measure, triangle_errors
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import bicubic
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
@@ -16,6 +14,8 @@ from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS, Heigh
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.fit.fit import fit
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, View
 from diamond_entries import error_index, range_index
 from fields import bezier, bezier_heights, errors_of, mesh_heights, ranges_of, reference_heights, rough
 from invariants import arrays, assert_invariants

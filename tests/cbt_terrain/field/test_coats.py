@@ -6,8 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy import measure
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import detail_bounds as bounds
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
@@ -19,6 +17,8 @@ from adaptive_terrain.cbt_terrain.field.painted import Painted
 from adaptive_terrain.cbt_terrain.field.tiled import Tiled
 from adaptive_terrain.cbt_terrain.refine.domain import make_domain
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import View
 from detail_scenes import check, ground_view, places_in
 from detail_surface import image_heights, mask_values
 from fields import extent, reference_heights

@@ -8,8 +8,6 @@ from itertools import product
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy import measure
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import detail as details
 from adaptive_terrain.cbt_terrain.field import detail_bounds as bounds
@@ -22,6 +20,8 @@ from adaptive_terrain.cbt_terrain.fit.fit import fit
 from adaptive_terrain.cbt_terrain.refine.domain import depth_limit, usual_depth
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from detail_scenes import WEIGHTS, check, ground_view, places_in
 from detail_surface import detail_heights, value_noise
 from fields import bezier, extent, project, reference_heights, rough

@@ -10,14 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adaptive_terrain import cbt_terrain
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
-from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
-from adaptive_terrain.cbt_terrain.effects.effect import Asked
-from adaptive_terrain.cbt_terrain.effects.splat_rules import Layer, Rule
+from adaptive_terrain.cbt_terrain.attributes.attribute import Asked
+from adaptive_terrain.cbt_terrain.attributes.evaluate import EffectRequest, evaluate
+from adaptive_terrain.cbt_terrain.attributes.plan import plan
+from adaptive_terrain.cbt_terrain.attributes.splat_rules import Layer, Rule
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.evaluate.evaluate import EffectRequest, evaluate
-from adaptive_terrain.cbt_terrain.evaluate.plan import plan
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
@@ -26,6 +23,9 @@ from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.scatter.points import ScatterRequest, place_points
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.morph import SMOOTH
+from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from fields import extent, rough
 from invariants import arrays
 

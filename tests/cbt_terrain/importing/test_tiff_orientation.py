@@ -92,7 +92,7 @@ def test_a_geotransform_is_that_of_the_stored_rows(tmp_path):
 
 
 def test_masks_are_turned_as_well(tmp_path):
-    from adaptive_terrain.cbt_terrain.land.mask_image import load_image
+    from adaptive_terrain.cbt_terrain.height_operators.mask_image import load_image
 
     stored = np.linspace(0.0, 1.0, 35, dtype=np.float32).reshape(SHAPE)
     image = load_image(str(tiff(tmp_path / "a.tif", stored, 6)), tmp_path)

@@ -3,12 +3,12 @@
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.mesh.attributes import EDGE, Attribute
 from adaptive_terrain.cbt_terrain.mesh.cut import TOLERANCE, Side, above, cut, drop, rim, swap
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import View
 from cut_surfaces import areas, assert_welded, surface_of
 from fields import rough, sample_position
 

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.ask.criterion import LARGEST, Criterion
-from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS, HeightField
 from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 from adaptive_terrain.cbt_terrain.terrain import Terrain, Update
+from adaptive_terrain.cbt_terrain.view.criterion import LARGEST, Criterion
+from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from fields import extent, reference_heights, rough, sample_position
 from matplotlib.tri import Triangulation
 from rasters import jacksboro

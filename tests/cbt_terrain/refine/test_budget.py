@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain import terrain as terrains
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
@@ -19,6 +17,8 @@ from adaptive_terrain.cbt_terrain.refine.slices import Slices
 from adaptive_terrain.cbt_terrain.refine.step_search import MAX_STEP, Found, lowest
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import View
 from adaptive_terrain.kernels.budget.count_state import MARKS, STEPS_PER_OCTAVE, Count
 from adaptive_terrain.kernels.refine import walk
 from fields import random_view, rough

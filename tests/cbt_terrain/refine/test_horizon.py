@@ -7,11 +7,6 @@ from itertools import product
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.local_view import localise
-from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
-from adaptive_terrain.cbt_terrain.ask.spans import Plan, spans_of
-from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -23,6 +18,11 @@ from adaptive_terrain.cbt_terrain.refine.horizon import RAMP, fill, place_rings
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import Buffers
 from adaptive_terrain.cbt_terrain.terrain import Terrain, box_of
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.local_view import localise
+from adaptive_terrain.cbt_terrain.view.morph import SMOOTH
+from adaptive_terrain.cbt_terrain.view.spans import Plan, spans_of
+from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, View
 from adaptive_terrain.kernels.refine.hiding import BINS, RING_BITS, ROW
 from fields import extent, reference_heights, rough
 from first_hits import as_keys, first_hits

@@ -6,8 +6,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import PANORAMIC, View
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.leb.bisection import plant
 from adaptive_terrain.cbt_terrain.refine import refinement
@@ -15,6 +13,8 @@ from adaptive_terrain.cbt_terrain.refine.split_merge import split_merge
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.tree.concurrent_binary_tree import ConcurrentBinaryTree
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import PANORAMIC, View
 from fields import rough
 
 ASKS = ("error", "metres", "edge", "area", "all", "hidden", "budget")

@@ -203,13 +203,13 @@ FORESEEN = """
 import json, sys
 import numpy as np
 import warp as wp
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import View
-from adaptive_terrain.cbt_terrain.effects.effect import Asked
-from adaptive_terrain.cbt_terrain.evaluate.evaluate import EffectRequest, evaluate
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import View
+from adaptive_terrain.cbt_terrain.attributes.attribute import Asked
+from adaptive_terrain.cbt_terrain.attributes.evaluate import EffectRequest, evaluate
 from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
-from adaptive_terrain.cbt_terrain.evaluate.kernels_needed import kernels_of
-from adaptive_terrain.cbt_terrain.evaluate.plan import plan
+from adaptive_terrain.cbt_terrain.attributes.evaluate import kernels_of
+from adaptive_terrain.cbt_terrain.attributes.plan import plan
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.run.warmup import other_modules
 from adaptive_terrain.cbt_terrain.terrain import Terrain

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, View
-from adaptive_terrain.cbt_terrain.effects.splat_rules import Layer, Rule, painted
+from adaptive_terrain.cbt_terrain.attributes.splat_rules import Layer, Rule, painted
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -17,6 +16,7 @@ from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.scatter.points import scatter_points
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from adaptive_terrain.cbt_terrain.scatter.tile import POINTS, UNITS, tile
+from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, View
 from fields import rough
 from scatter_by_hand import grown_by_hand, heights_by_hand, places_by_hand, wanted_by_hand
 from scattered_frames import ScatteredFrames

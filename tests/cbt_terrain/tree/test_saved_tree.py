@@ -4,11 +4,11 @@
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy import measure
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.view import View
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.tree.saved import depths_from_bytes, depths_to_bytes
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import View
 from fields import rough
 from invariants import arrays
 

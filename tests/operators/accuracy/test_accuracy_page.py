@@ -11,9 +11,9 @@ from accuracy_rows import known_rows
 from adaptive_terrain.cbt_terrain.accuracy import Errors, sweep
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
 from adaptive_terrain.cbt_terrain.accuracy.timed_runs import Frame
-from adaptive_terrain.cbt_terrain.ask.criterion import LARGEST
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.refine.terms import Terms
+from adaptive_terrain.cbt_terrain.view.criterion import LARGEST
 from adaptive_terrain.operators.accuracy import page as accuracy_page
 from adaptive_terrain.operators.accuracy import plots as accuracy_plots
 from adaptive_terrain.operators.accuracy.subject import Subject

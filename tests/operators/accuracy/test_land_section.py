@@ -5,8 +5,8 @@ import numpy as np
 from accuracy_rows import known_rows
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
-from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack
+from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
+from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 from adaptive_terrain.operators.accuracy.land_section import HEAD, land_section
 from adaptive_terrain.operators.accuracy.page import tables
 from adaptive_terrain.operators.accuracy.subject import Subject

@@ -4,7 +4,7 @@
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.operators.attributes import panel as effects_panel
 from adaptive_terrain.operators.bridge.demand.trees import tree_of_new

@@ -6,8 +6,8 @@ import math
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE
 from adaptive_terrain.operators.bridge.camera import render_resolution, views_from_scene
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector

@@ -18,9 +18,9 @@ from adaptive_terrain.cbt_terrain.accuracy import sweep
 from adaptive_terrain.cbt_terrain.accuracy.cost_curve import CostCurve
 from adaptive_terrain.cbt_terrain.accuracy.sweep import TERMS
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.operators.accuracy import plots as accuracy_plots
 from adaptive_terrain.operators.accuracy import subject as accuracy_subject
 from adaptive_terrain.operators.cli import accuracy_command, command_line

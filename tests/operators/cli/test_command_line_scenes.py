@@ -7,9 +7,9 @@ import sys
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.morph import SMOOTH
 from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.terrain.overrides import Overrides
 

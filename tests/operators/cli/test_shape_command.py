@@ -101,6 +101,6 @@ def test_the_help_has_an_example(capsys):
     said = capsys.readouterr().out
     assert "adaptive-terrain shape --store island.store --stack rivers.json" in said
     example = said[said.index('  {"version"') : said.index("  adaptive-terrain shape")]
-    from adaptive_terrain.cbt_terrain.land.stack import stack_from
+    from adaptive_terrain.cbt_terrain.height_operators.stack import stack_from
 
     assert stack_from(json.loads(example)).entries[0].effect == "rivers"

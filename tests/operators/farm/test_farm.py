@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.land import derived_store
+from adaptive_terrain.cbt_terrain.height_operators import derived_store
 from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.export import preparing
 from adaptive_terrain.operators.farm import bundle

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.cbt_terrain.land import derived_store, land_folder, requested_tiles
+from adaptive_terrain.cbt_terrain.height_operators import derived_store, land_folder, requested_tiles
 from adaptive_terrain.operators.importing import pack_store
 from adaptive_terrain.operators.importing.store_location import lies_beside
 from adaptive_terrain.operators.land import shape_land, shaped_land

@@ -13,8 +13,8 @@ from adaptive_terrain.cbt_terrain.field import store_arrays
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.store import Draft, data_folder, open_store
 from adaptive_terrain.cbt_terrain.field.store_arrays import BLOCK_BYTES, PAGE_BYTES
-from adaptive_terrain.cbt_terrain.land import derived_store, land_folder, requested_tiles
-from adaptive_terrain.cbt_terrain.land.tile_cache import TileCache
+from adaptive_terrain.cbt_terrain.height_operators import derived_store, land_folder, requested_tiles
+from adaptive_terrain.cbt_terrain.height_operators.tile_cache import TileCache
 from adaptive_terrain.cbt_terrain.run import owned_files
 from adaptive_terrain.operators.land import shaped_land
 from adaptive_terrain.operators.session import session

@@ -10,16 +10,16 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.cbt_terrain.land import derived_store, land_folder
-from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
+from adaptive_terrain.cbt_terrain.height_operators import derived_store, land_folder
+from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
 from adaptive_terrain.operators import handlers, jobs
 from adaptive_terrain.operators.land import cache as land_cache
 from adaptive_terrain.operators.land import shape_land, shaped_land
 from adaptive_terrain.operators.land import stack as land_stack
 from adaptive_terrain.operators.land.panel import NOTE_LINES, status_lines, time_text
 from adaptive_terrain.operators.session import session
-from adaptive_terrain.operators.terrain.kernels_needed import kernels_for
 from adaptive_terrain.operators.terrain.request import gather
+from adaptive_terrain.operators.terrain.request_kernels import kernels_for
 from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH, wrapped
 from land_scenes import add
 from modal_runs import running, to_the_end, turn

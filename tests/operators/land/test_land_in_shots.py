@@ -6,7 +6,7 @@ import shutil
 import bpy
 import numpy as np
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.cbt_terrain.land import derived_store, land_folder
+from adaptive_terrain.cbt_terrain.height_operators import derived_store, land_folder
 from adaptive_terrain.operators.land import shaped_land
 from adaptive_terrain.operators.session import session
 from land_scenes import add

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import store as stores
-from adaptive_terrain.cbt_terrain.land import derived_store, land_folder, requested_tiles
+from adaptive_terrain.cbt_terrain.height_operators import derived_store, land_folder, requested_tiles
 from adaptive_terrain.operators.land import request as land_request
 from adaptive_terrain.operators.land import shaped_land
 from adaptive_terrain.operators.session import session

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import lands
-from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
 from adaptive_terrain.operators.importing import store_location
 from adaptive_terrain.operators.land import properties as land_properties
 from adaptive_terrain.operators.land import shaped_land

@@ -6,8 +6,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.land import land_folder
-from adaptive_terrain.cbt_terrain.land.mask import LIMITS
+from adaptive_terrain.cbt_terrain.height_operators import land_folder
+from adaptive_terrain.cbt_terrain.height_operators.mask import LIMITS
 from adaptive_terrain.operators.land import masks as land_masks
 from adaptive_terrain.operators.land import properties as land_properties
 from adaptive_terrain.operators.land import shaped_land

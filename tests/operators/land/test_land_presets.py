@@ -8,8 +8,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.land.stack import stack_from
-from adaptive_terrain.cbt_terrain.land_effects.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.height_operators.stack import stack_from
 from adaptive_terrain.operators.importing.imported import imported_of
 from adaptive_terrain.operators.land import stack as land_stack
 from adaptive_terrain.operators.land.entries import PRESETS

@@ -11,7 +11,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store as stores
 from adaptive_terrain.cbt_terrain.field.store import open_store
-from adaptive_terrain.cbt_terrain.land import derived_store, land_folder
+from adaptive_terrain.cbt_terrain.height_operators import derived_store, land_folder
 from adaptive_terrain.operators import jobs
 from adaptive_terrain.operators.land import resting_land, shaped_land
 from adaptive_terrain.operators.session import live, session

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.lands import LANDS
 from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
+from adaptive_terrain.cbt_terrain.height_operators.stack import read_stack
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
-from adaptive_terrain.cbt_terrain.land.shape_store import run_shape
-from adaptive_terrain.cbt_terrain.land.stack import read_stack
 
 FOLDER = Path(__file__).resolve().parents[3] / "operators/presets/adaptive_terrain/land"
 NAMES = ("alpine", "desert", "great_range", "old_hills", "volcanic_island")

@@ -9,7 +9,7 @@ from unittest.mock import Mock
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.effects import splat_rules as rules
+from adaptive_terrain.cbt_terrain.attributes import splat_rules as rules
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.layers import operators as splat_layers
 from adaptive_terrain.operators.layers.panel import LayerPresets, LayersPanel

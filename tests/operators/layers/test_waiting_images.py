@@ -78,8 +78,8 @@ def test_a_baked_map_that_is_a_pipe_is_not_loaded(terrain_with_maps, tmp_path): 
 
 
 def test_a_preset_whose_image_is_a_pipe_is_applied_without_it(scene, add_terrain, tmp_path):  # noqa: F811
-    from adaptive_terrain.cbt_terrain.land.mask import Mask
-    from adaptive_terrain.cbt_terrain.land.stack import Entry, Stack
+    from adaptive_terrain.cbt_terrain.height_operators.mask import Mask
+    from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 
     os.mkfifo(tmp_path / "mask.png")
     land = add_terrain().adaptive_terrain.land

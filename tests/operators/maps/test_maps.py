@@ -4,10 +4,10 @@
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.maps import sizing, tiling
-from adaptive_terrain.cbt_terrain.maps.folder import read_index
+from adaptive_terrain.cbt_terrain.attributes import sizing, tiling
+from adaptive_terrain.cbt_terrain.attributes.folder import read_index
 from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.operators.bridge.demand.trees import tree_of_new
 from adaptive_terrain.operators.bridge.writer import write_mesh
 from adaptive_terrain.operators.cli.command_line import main

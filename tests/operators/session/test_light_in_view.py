@@ -6,7 +6,7 @@ import time
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.effects import sky_layer
+from adaptive_terrain.cbt_terrain.attributes import sky_layer
 from adaptive_terrain.cbt_terrain.field import store
 from adaptive_terrain.operators.session import live, previews, session
 from demand_trees import colour, new_material, shows

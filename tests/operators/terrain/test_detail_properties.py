@@ -2,9 +2,9 @@
 """The saved properties of the level of detail: identifiers, defaults and ranges; and the criterion that they give."""
 
 import pytest
-from adaptive_terrain.cbt_terrain.ask.criterion import Criterion
-from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.morph import SMOOTH
 from adaptive_terrain.operators.terrain.request import criterion_from
 
 # Identifiers in files, which never change: default of the viewport, default of the render, lowest value.

@@ -4,7 +4,7 @@
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.ask.view import ORTHOGRAPHIC, View
+from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, View
 from adaptive_terrain.operators.terrain import frame_terrain, sight
 from adaptive_terrain.operators.ui.status_row import sight_notice
 

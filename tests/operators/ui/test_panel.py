@@ -7,10 +7,10 @@ from unittest.mock import Mock
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.ask.criterion import LARGEST
-from adaptive_terrain.cbt_terrain.ask.morph import SMOOTH
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.island import SIDE
+from adaptive_terrain.cbt_terrain.view.criterion import LARGEST
+from adaptive_terrain.cbt_terrain.view.morph import SMOOTH
 from adaptive_terrain.operators.accuracy.panel import statistics_lines, summary_lines
 from adaptive_terrain.operators.importing.panel import ImportedPanel
 from adaptive_terrain.operators.session import session

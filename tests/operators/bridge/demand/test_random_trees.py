@@ -7,7 +7,7 @@ import random
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.effects.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
 from adaptive_terrain.operators.bridge.demand.demand import demand
 from adaptive_terrain.operators.session import session
 from random_trees import NAMES, geometry_scene, geometry_tree, picture_scene, rendered, shader_tree, write

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Attributes: a declaration, and a function that computes values at points."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from numbers import Real
+from types import ModuleType
+
+import numpy as np
+
+from ..errors import TerrainError
+from ..field.heightfield import HeightField
+from ..plain_numbers import plain_number
+
+# The kind of reader decides the scale: values for pixels are prefiltered to a pixel's footprint, values for geometry
+# have one scale in metres, so that nothing moves with the camera.
+PICTURE, GEOMETRY = "PICTURE", "GEOMETRY"
+LINEAR_RGB = "linear RGB"  # unit of colours, Rec. 709
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number with its default, range (`least`, `most`) and unit, "" if it has none."""
+
+    name: str
+    default: float
+    least: float
+    most: float
+    unit: str
+    about: str
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Points where attributes are evaluated: vertices of a mesh, or texels of a map.
+
+    `positions`: float32 [n, 3], metres in the terrain's space, displaced. `level`: float32 [n], the scale as a level of
+    the pyramid; 0 is the raster's spacing, 1 twice that. `image_level`: level of decals, which may be finer than the
+    raster and then is below 0; None for `level`. Heights are `height * vertical_scale + vertical_offset`.
+    """
+
+    field: HeightField
+    positions: np.ndarray
+    level: np.ndarray
+    vertical_scale: float = 1.0
+    vertical_offset: float = 0.0
+    threads: int = 1
+    image_level: float | None = None
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def only(self, which: np.ndarray) -> "Places":
+        """Return the points with the indices `which`."""
+        return replace(self, positions=self.positions[which], level=self.level[which])
+
+
+# Parameters of the requested attributes that are computed together, by name.
+Wanted = Mapping[str, Mapping[str, object]]
+# (points, requested attributes, values at the points of the attributes that these read) -> values of each requested
+# attribute, float32 [n] or [n, width].
+Make = Callable[[Places, Wanted, Mapping[str, np.ndarray]], dict[str, np.ndarray]]
+
+# Evaluates an attribute by its name on a raster: evaluate_on in examples.py.
+Evaluate = Callable[..., np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """The declaration of an attribute.
+
+    Attributes:
+        name, about, unit: of the attribute or map, one line of meaning, and the unit of its `width` numbers.
+        make: the function; attributes with the same one are computed in one call. Values depend only on the point, the
+            level, the parameters and the attributes read, not on other points.
+        example: evaluates it on ground with a known result and asserts that.
+        kernels: modules of kernels that `make` launches, itself or through others; they are compiled ahead.
+        reads: names of other attributes; `choose` returns those that given parameters need.
+        nothing: returns whether all its values are 0 with given parameters; it is not computed then.
+        halo: how far around a point it reads, in words. bound: its contribution to the mesh's error, "" for none.
+        scaled: whether it, or an attribute that it reads, depends on the level.
+        span: range of its values, None if unknown; maps of it then hold floats.
+        cost_ns: measured nanoseconds for an element on one thread.
+        source: paper and section. version: raised whenever its values change.
+    """
+
+    name: str
+    about: str
+    unit: str
+    make: Make
+    example: Callable[[Evaluate], None]
+    kernels: tuple[ModuleType, ...] = ()
+    width: int = 1
+    reads: tuple[str, ...] = ()
+    parameters: tuple[Parameter, ...] = ()
+    halo: str = ""
+    bound: str = ""
+    scaled: bool = True
+    span: tuple[float, float] | None = None
+    cost_ns: float = 0.0
+    source: str = ""
+    version: int = 1
+    choose: Callable[[Mapping[str, object]], tuple[str, ...]] | None = None
+    nothing: Callable[[Mapping[str, object]], bool] | None = None
+
+    def reads_with(self, values: Iterable[tuple[str, object]]) -> tuple[str, ...]:
+        """Return the names of the attributes that it reads; `values`: parameters that differ from their defaults."""
+        return self.reads if self.choose is None else self.choose(self.defaults() | dict(values))
+
+    def is_nothing(self, values: Iterable[tuple[str, object]]) -> bool:
+        """Return whether all its values are 0; `values`: parameters that differ from their defaults."""
+        return self.nothing is not None and self.nothing(self.defaults() | dict(values))
+
+    def defaults(self) -> dict[str, float]:
+        """Return the default of every parameter."""
+        return {parameter.name: parameter.default for parameter in self.parameters}
+
+    def check(self, values: Mapping[str, object]) -> None:
+        """Raise TerrainError for an unknown parameter or a value out of range."""
+        known = {parameter.name: parameter for parameter in self.parameters}
+        for name, value in values.items():
+            if name not in known:
+                expected = f"one of: {', '.join(known)}" if known else "no parameters"
+                raise TerrainError(f"The effect {self.name!r} has no parameter {name!r}", expected=expected)
+            p = known[name]
+            if isinstance(p.default, int | float) and not p.least <= value <= p.most:
+                expected = f"{p.least:g} to {p.most:g} {p.unit}".rstrip()
+                raise TerrainError(f"{name} of the effect {self.name!r} is {value}", expected=expected)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A request for an attribute. `readers`: its readers, in words. `family`: PICTURE or GEOMETRY. `parameters`: pairs
+    that differ from their defaults."""
+
+    name: str
+    readers: tuple[str, ...]
+    family: str = PICTURE
+    parameters: tuple[tuple[str, object], ...] = field(default=())
+
+    def __post_init__(self):
+        numbers = tuple((name, _plain(value)) for name, value in self.parameters)
+        object.__setattr__(self, "parameters", numbers)
+
+
+def _plain(value: object):
+    """Return numbers, alone or in tuples, as floats, and anything else as it is."""
+    if isinstance(value, tuple):
+        return tuple(map(_plain, value))
+    is_number = (isinstance(value, Real) and not isinstance(value, bool)) or isinstance(value, np.ndarray)
+    return plain_number(value, float, "A parameter of an effect") if is_number else value

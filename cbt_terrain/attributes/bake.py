@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Baking of maps: attributes at the texels of tiles that are missing or out of date.
+
+A file contains the key of its content: the attributes with their versions and parameters, the heights, the tile, the
+resolution and the coding. Files with the requested key stay. New ones are written in a private folder and renamed when
+all are complete.
+"""
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import texels as kernels
+from ..errors import TerrainError
+from ..field.heightfield import HeightField
+from ..run import launch, owned_files, partial_files
+from ..run.buffers import shared
+from ..run.owned_files import open_folder
+from . import exr, png
+from .attribute import Asked, Places
+from .catalogue import EFFECTS
+from .coding import PNG, Coding, coding_of
+from .evaluate import values_at
+from .folder import JSON_NAME, UDIM, VERSION, file_name, files_of, read_index
+from .plan import plan
+from .pyramid import packed
+from .scale import STEPS_PER_LEVEL
+from .tiling import Tiling, tiling_of
+
+# Levels by which maps are sharper, since interpolation of the image smooths too: the shading of the island is off by
+# 5.43 of 255 without it, by 5.05 with it.
+SHARPER = 0.5
+# IEC 61966-2-1 at even steps from 0 to 1; interpolation is off by at most a hundredth of a byte's step.
+SRGB = [12.92 * x if x <= 0.0031308 else 1.055 * x ** (1 / 2.4) - 0.055 for x in (k / 4096 for k in range(4097))]
+BAND_TEXELS = 1 << 19  # texels of a band: some megabytes, and a thirtieth of a second
+
+
+@dataclass(frozen=True)
+class Baked:
+    """The result of a bake: the content of maps.json, and the numbers of written and unchanged images."""
+
+    index: dict
+    made: int
+    kept: int
+
+
+@dataclass(frozen=True)
+class _Image:
+    """An image to bake: its tile, attribute, coding, side in texels, file name and content key."""
+
+    tile: int
+    request: Asked
+    coding: Coding
+    side: int
+    file: str
+    key: str
+
+
+def bake(
+    field: HeightField,
+    requests: Iterable[Asked],
+    folder: str | os.PathLike,
+    resolutions: Sequence[int],
+    *,
+    vertical_scale: float = 1.0,
+    vertical_offset: float = 0.0,
+    form: str = PNG,
+    threads: int | None = None,
+    on_progress: Callable[[float], None] = lambda _fraction: None,
+    lock: AbstractContextManager | None = None,
+) -> Baked:
+    """Update the maps of requested attributes in `folder`; `resolutions`: texels along a side of each tile.
+
+    Heights are `height * vertical_scale + vertical_offset` metres. `on_progress` gets the finished fraction and may
+    raise, which cancels without a change of the folder. `lock` is held for each band of texels. Raises TerrainError.
+    """
+    folder, tiling = Path(folder), tiling_of(field.lattice)
+    place = _Place(field, tiling, vertical_scale, vertical_offset, threads or launch.default_threads())
+    images = [
+        _image(place, request, tile, side, form)
+        for tile, side in enumerate(resolutions)
+        for request in sorted(requests, key=lambda request: request.name)
+    ]
+    try:
+        with open_folder(folder, make=True, may_be_link=True):
+            pass
+        partial_files.remove_abandoned(folder)
+        before = read_index(folder)
+        listed = files_of(before or {"maps": {}})
+        missing = [image for image in images if _key_in(folder / image.file) != image.key]
+        for image in missing:
+            _check_replaceable(folder / image.file, listed)
+        index = _index(place, images, before)
+        with partial_files.private_folder(folder) as partial:
+            _bake_images(place, missing, partial, on_progress, lock or nullcontext())
+            (partial / JSON_NAME).write_text(json.dumps(index, indent=1), encoding="utf-8")
+            with open_folder(folder, may_be_link=True) as target, open_folder(partial) as complete:
+                for file in [image.file for image in missing] + [JSON_NAME]:
+                    target.replace(file, complete, file)
+        for file in listed - files_of(index):
+            if _key_in(folder / file) is not None:  # otherwise it is not a baked image
+                owned_files.remove_file(folder / file, may_be_link=True)
+    except OSError as reason:
+        problem = f"The maps cannot be written into {folder} ({reason.strerror or reason})"
+        raise TerrainError(problem, fix="choose another folder") from reason
+    return Baked(index, len(missing), len(images) - len(missing))
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """The ground of all images of a bake."""
+
+    field: HeightField
+    tiling: Tiling
+    vertical_scale: float
+    vertical_offset: float
+    threads: int
+
+    def level(self, side: int) -> float:
+        """Return the level of the pyramid for `side` texels along a side: the spacing of texels, less SHARPER."""
+        return max(self.image_level(side), 0.0)
+
+    def image_level(self, side: int) -> float:
+        """Return the level for decals, which may be finer than samples."""
+        lattice = self.field.lattice
+        finer = max(self.tiling.texel(side)) / max(lattice.step_x, lattice.step_y)
+        return round((math.log2(finer) - SHARPER) * STEPS_PER_LEVEL) / STEPS_PER_LEVEL
+
+
+def _image(place: _Place, request: Asked, tile: int, side: int, form: str) -> _Image:
+    coding = coding_of(EFFECTS[request.name], form)
+    steps = plan([request]).steps
+    content = (
+        VERSION,
+        [(step.name, EFFECTS[step.name].version, sorted(step.parameters)) for step in steps],
+        (place.field.raster_key, place.vertical_scale, place.vertical_offset),
+        (place.tiling, tile, side, place.image_level(side)),
+        coding,
+    )
+    key = hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
+    number = place.tiling.number(tile) if len(place.tiling) > 1 else None
+    return _Image(tile, request, coding, side, file_name(request.name, coding.form, number), key)
+
+
+def _check_replaceable(file: Path, listed: set[str]) -> None:
+    """Raise TerrainError if a file has the name of an image but was not baked. listed: images of the maps.json."""
+    if os.path.lexists(file) and file.name not in listed and _key_in(file) is None:
+        raise TerrainError(
+            f"{file} was not baked by Adaptive Terrain",
+            expected="a folder without other images of that name",
+            fix="move it, or choose another folder",
+        )
+
+
+def _key_in(file: Path) -> str | None:
+    """Return the key in a complete image, None for anything else, such as a link."""
+    if not owned_files.is_real_file(file):
+        return None
+    return png.text_of(file) if file.suffix == ".png" else exr.text_of(file)
+
+
+def _bake_images(place: _Place, images: list[_Image], folder: Path, on_progress, lock) -> None:
+    total = sum(int(side * side) for side in {image.tile: image.side for image in images}.values())
+    done = 0
+    on_progress(0.0)
+    with ThreadPoolExecutor(place.threads, "adaptive_terrain_maps") as pool:
+        for tile in sorted({image.tile for image in images}):
+            together = [image for image in images if image.tile == tile]
+            side = together[0].side
+            with ExitStack() as stack:
+                files = [_opened(folder, image, pool, stack) for image in together]
+                for first in range(0, side, _band(side)):
+                    with lock:
+                        texels = _texel_places(place, tile, side, first, _band(side))
+                        values = values_at(texels, [image.request for image in together])
+                    for image, file in zip(together, files, strict=True):
+                        file.add(_coded(values[image.request.name], image))
+                    done += _band(side) * side
+                    on_progress(done / total)
+                for file in files:
+                    file.close()
+
+
+def _band(side: int) -> int:
+    """Return the rows of a band: whole blocks of an EXR file."""
+    return min(max(BAND_TEXELS // side, exr.BLOCK), side)
+
+
+def _opened(folder: Path, image: _Image, pool, stack: ExitStack):
+    writer = png.PngFile if image.coding.form == PNG else exr.ExrFile
+    file = writer(folder / image.file, image.side, image.coding.channels, image.coding.depth, image.key, pool)
+    stack.callback(file.leave)
+    return file
+
+
+def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) -> Places:
+    """Return the ground under `rows` rows of texels from row `first`, for an image of `side` texels along a side."""
+    ground, grid, tiling = packed(place.field, np.empty(1, np.float32)), kernels.Texels(), place.tiling
+    ground.height_scale, ground.height_offset = place.vertical_scale, place.vertical_offset
+    grid.columns = side
+    grid.west, grid.north = tiling.first_texel(tile, side)
+    grid.step_x, grid.step_y = tiling.texel(side)
+    positions = np.empty((rows * side, 3), np.float32)
+    inputs = [first * side, ground, grid, shared(positions, wp.vec3f)]
+    launch.spread(kernels.texel_places, len(positions), inputs, step="texels", threads=place.threads)
+    level = np.full(len(positions), place.level(side), np.float32)
+    scale = place.vertical_scale, place.vertical_offset
+    return Places(place.field, positions, level, *scale, place.threads, place.image_level(side))
+
+
+def _coded(values: np.ndarray, image: _Image) -> np.ndarray:
+    """Encode a band for its file: rounded steps from `low`, or the numbers; channels without a value are 0."""
+    coding, kind = image.coding, np.dtype(np.float32)
+    if coding.form == PNG:
+        limit, kind = (255, np.dtype(np.uint8)) if coding.depth == 8 else (65535, np.dtype(">u2"))
+        values = _srgb(values) if coding.srgb else values
+        steps = (values - np.float32(coding.low)) * np.float32(limit / (coding.high - coding.low))
+        values = (np.clip(steps, 0, limit) + np.float32(0.5)).astype(np.uint16)
+    out = np.zeros((len(values), coding.channels), kind)
+    out[:, : values.size // len(values)] = values.reshape(len(values), -1)
+    rows = out.reshape(-1, image.side, coding.channels)
+    return rows.view(np.uint8).reshape(len(rows), -1) if coding.form == PNG else rows
+
+
+def _srgb(linear: np.ndarray) -> np.ndarray:
+    """Apply the sRGB curve by a table, since the last bits of numpy's powers differ by processor."""
+    return np.interp(linear, np.arange(len(SRGB)) / (len(SRGB) - 1), SRGB).astype(np.float32)
+
+
+def _index(place: _Place, images: list[_Image], before: dict | None) -> dict:
+    """Return the index of the folder: these maps, and other existing ones of the same ground."""
+    lattice, tiling = place.field.lattice, place.tiling
+    west, south, east, north = lattice.rectangle()
+    index = {
+        "version": VERSION,
+        "generator": "Adaptive Terrain",
+        "height_field": place.field.raster_key,
+        "place": {"west": west, "south": south, "east": east, "north": north, "unit": "m"},
+        "origin": place.field.origin.tolist(),
+        "crs": place.field.crs,
+        "vertical_scale": place.vertical_scale,
+        "vertical_offset": place.vertical_offset,
+        "columns": tiling.columns,
+        "rows": tiling.rows,
+        "margin": tiling.margin,
+    }
+    same = before is not None and all(before.get(name) == value for name, value in index.items())
+    maps = dict(before["maps"]) if same else {}
+    for name in sorted({image.request.name for image in images}):
+        maps[name] = _entry(place, [image for image in images if image.request.name == name])
+    return index | {"maps": {name: maps[name] for name in sorted(maps)}}
+
+
+def _entry(place: _Place, images: list[_Image]) -> dict:
+    """Return the JSON entry of a map."""
+    effect, coding, tiling = EFFECTS[images[0].request.name], images[0].coding, place.tiling
+    coded = {
+        "channels": coding.channels,
+        "bits": coding.depth,
+        "zero": coding.low,
+        "one": coding.high,
+        "srgb": coding.srgb,
+    }
+    several = len(tiling) > 1
+    return {
+        "about": effect.about,
+        "unit": effect.unit,
+        "file": f"{effect.name}.{UDIM}.{coding.form}" if several else images[0].file,
+        "format": coding.form,
+        "coding": coded | {"numbers": effect.width},
+        "tiles": [
+            {
+                "tile": tiling.number(image.tile),
+                "file": image.file,
+                "resolution": image.side,
+                "texel_m": max(tiling.texel(image.side)),
+                "box_m": list(tiling.box(image.tile)),
+                "key": image.key,
+            }
+            for image in images
+        ],
+    }

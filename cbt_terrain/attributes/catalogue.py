@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The list of all attributes. A new one is a file in this folder and an entry in this list, or is registered."""
+
+from ..errors import TerrainError, check_free_name
+from . import color, flow, jet, layers, occlusion, sky, splat, sun, wetness
+from .attribute import Effect
+
+EFFECTS: dict[str, Effect] = {
+    effect.name: effect
+    for effect in (
+        *jet.JETS,
+        flow.FLOW,
+        wetness.WETNESS,
+        *splat.SPLATS,
+        color.COLOR,
+        sky.SKY,
+        occlusion.OCCLUSION,
+        sun.SUN,
+        *layers.LAYERS,
+    )
+}
+
+
+def register_attribute(attribute: Effect) -> None:
+    """Add an attribute to the list.
+
+    Its parameters get rows in panels if it is registered before the extension is enabled.
+
+    Raises:
+        TerrainError: the name is taken or is no identifier, or an attribute that it reads is not registered.
+    """
+    check_free_name("attribute", attribute.name, EFFECTS)
+    unknown = [name for name in attribute.reads if name not in EFFECTS]
+    if unknown:
+        what = f"The attribute {attribute.name!r} reads {unknown[0]!r}, which is not registered"
+        raise TerrainError(what, expected=f"one of {', '.join(EFFECTS)}", fix="register that first")
+    EFFECTS[attribute.name] = attribute
+
+
+def unregister_attribute(name: str) -> None:
+    """Remove a registered attribute from the list; do nothing if it is not there."""
+    EFFECTS.pop(name, None)

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Encoding of an attribute's numbers in an image."""
+
+from dataclasses import dataclass
+
+from ..errors import TerrainError
+from .attribute import LINEAR_RGB, Effect
+
+FORMS = PNG, EXR = "png", "exr"
+NO_UNIT = ("", "1", LINEAR_RGB)
+# Bytes of a texel in Blender: 8-bit images stay so, all others become four floats.
+SHALLOW_BYTES, DEEP_BYTES = 4, 16
+
+
+@dataclass(frozen=True)
+class Coding:
+    """A format of FORMS, its channels (1, 3 or 4, the attribute's numbers first) and their depth in bits.
+
+    A PNG file maps `low` .. `high` to 0 .. 1, by the sRGB curve if `srgb`; an EXR file has the numbers themselves.
+    """
+
+    form: str
+    channels: int
+    depth: int
+    low: float
+    high: float
+    srgb: bool = False
+
+    @property
+    def texel_bytes(self) -> int:
+        return SHALLOW_BYTES if self.depth == 8 else DEEP_BYTES
+
+
+def coding_of(effect: Effect, form: str = PNG) -> Coding:
+    """Return the coding of an attribute: 8 bits without a unit and for colours, 16 bits for measures, half floats in
+    EXR.
+
+    Attributes without a known span are 32-bit floats in EXR files, whatever the form. Raises TerrainError.
+    """
+    if form not in FORMS:
+        raise TerrainError(f"The format of the maps is {form!r}", expected=f"one of {', '.join(FORMS)}")
+    channels = 3 if effect.width == 2 else effect.width  # no format has two
+    if effect.span is None:
+        return Coding(EXR, channels, 32, 0.0, 1.0)
+    if form == EXR:
+        return Coding(EXR, channels, 16, 0.0, 1.0)
+    return Coding(PNG, channels, 8 if effect.unit in NO_UNIT else 16, *effect.span, effect.unit == LINEAR_RGB)

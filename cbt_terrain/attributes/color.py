@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Colour: the weighted colours of the splat layers, with decals over it."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from ...kernels.effects import splat as splat_kernels
+from ..errors import TerrainError
+from . import splat
+from .attribute import LINEAR_RGB, Effect, Evaluate, Parameter, Places, Wanted
+from .decals import DECALS, cover
+from .splat_rules import LAYERS, Layer
+
+DEFAULT_COLORS = ((0.07, 0.11, 0.03), (0.24, 0.2, 0.16), (0.13, 0.12, 0.115), (0.85, 0.88, 0.93))
+
+
+def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Compute the requested values; implements `Make`."""
+    values = wanted["color"]
+    layers, colors = values["layers"], values["colors"]
+    if len(layers) != len(colors):
+        raise TerrainError(
+            f"There are {len(layers)} splat layers and {len(colors)} colours", expected="a colour for each layer"
+        )
+    names = splat.NAMES[: -(-len(layers) // 4)]
+    weights = splat.make(places, {name: {"layers": layers} for name in names}, read)
+    blend = np.zeros((len(places), 3), np.float32)
+    for number, color in enumerate(colors):
+        blend += weights[names[number // 4]][:, number % 4, None] * np.array(color, np.float32)
+    cover(blend, values["decals"], places)
+    return {"color": blend}
+
+
+def example(evaluate: Evaluate) -> None:
+    """Assert that ground covered by one layer has its colour."""
+    green = (0.25, 0.5, 0.125)
+    assert (evaluate("color", np.zeros((9, 9)), step=10.0, layers=(Layer("Grass"),), colors=(green,)) == green).all()
+
+
+COLOR = Effect(
+    name="color",
+    about="Colour of the ground: of the splat layers by their weights, with decals over it",
+    unit=LINEAR_RGB,
+    make=make,
+    kernels=(splat_kernels,),
+    example=example,
+    width=3,
+    span=(0.0, 1.0),
+    reads=splat.SPLATS[0].reads,
+    choose=splat.SPLATS[0].choose,
+    parameters=(
+        LAYERS,
+        Parameter("colors", DEFAULT_COLORS, 0, math.inf, "", "Red, green and blue of each layer"),
+        DECALS,
+    ),
+    halo=splat.SPLATS[0].halo,
+    cost_ns=150,
+    source='The layers\' weights; Porter and Duff 1984, "Compositing digital images" (over)',
+)

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Decals: images projected on the ground from above, over its colour or its normals."""
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ..errors import TerrainError
+from ..plain_numbers import keep_plain_numbers
+from .attribute import Parameter, Places
+
+DECALS = Parameter("decals", (), -math.inf, math.inf, "", "Decals laid on the ground, the topmost last")
+
+LARGEST = np.float32(1e9)  # limit of colours, so that sums and products of a few are finite
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """An image, identified by `digest`. `values`: float32 [rows, columns, 4], row 0 at the lower edge, premultiplied by
+    alpha: linear red, green, blue and alpha or, if `tilts`, slopes along columns and rows, 0 and alpha."""
+
+    values: np.ndarray = field(repr=False)
+    tilts: bool
+    digest: str
+
+    @cached_property
+    def mips(self) -> list[np.ndarray]:
+        """The image and its mipmaps, each the means of 2 x 2 pixels of the one before."""
+        found = [self.values]
+        while max(found[-1].shape[:2]) > 1:
+            rows, columns, _ = found[-1].shape
+            even = np.pad(found[-1], ((0, rows % 2), (0, columns % 2), (0, 0)), "edge")
+            south, north = even[0::2], even[1::2]
+            found.append((south[:, 0::2] + south[:, 1::2] + north[:, 0::2] + north[:, 1::2]) * np.float32(0.25))
+        return found
+
+
+def picture(pixels: np.ndarray, tilts: bool) -> Picture:
+    """Return the picture of float [rows, columns, 4], linear colours or a normal map in 0 .. 1, not premultiplied."""
+    finite = np.clip(np.nan_to_num(pixels.astype(np.float32)), -LARGEST, LARGEST)
+    rgb, alpha = finite[..., :3], np.clip(finite[..., 3:], 0.0, 1.0)
+    if tilts:
+        normal = rgb * np.float32(2.0) - np.float32(1.0)
+        rgb = np.zeros_like(normal)
+        rgb[..., :2] = -normal[..., :2] / np.maximum(normal[..., 2:], np.float32(0.05))
+    values = np.concatenate([rgb * alpha, alpha], axis=2)
+    content = repr((values.shape, tilts)).encode() + values.tobytes()
+    return Picture(values, tilts, hashlib.blake2b(content, digest_size=16).hexdigest())
+
+
+@dataclass(frozen=True)
+class Decal:
+    """A picture on the ground. `corner`: its lower left corner, `along`, `up`: vectors of its lower and left edge, all
+    x
+    and y in metres in the terrain's space. `opacity`: 0 .. 1."""
+
+    name: str
+    picture: Picture
+    corner: tuple[float, float]
+    along: tuple[float, float]
+    up: tuple[float, float]
+    opacity: float = 1.0
+
+    def __post_init__(self):
+        keep_plain_numbers(self, "The decal's")
+        if not (math.isfinite(self._area) and self._area != 0.0):
+            raise TerrainError(f"The decal {self.name!r} stands upright or has no size", fix="rotate or scale it")
+
+    def __eq__(self, other) -> bool:
+        return isinstance(other, Decal) and repr(self) == repr(other)
+
+    def __hash__(self) -> int:
+        return hash(repr(self))
+
+    @property
+    def _area(self) -> float:
+        return self.along[0] * self.up[1] - self.along[1] * self.up[0]
+
+    @property
+    def pixel(self) -> float:
+        """Side of a square with the area of a pixel, metres."""
+        rows, columns, _ = self.picture.values.shape
+        return math.sqrt(abs(self._area) / (rows * columns))
+
+    @property
+    def box(self) -> tuple[float, float, float, float]:
+        """West, south, east and north end, metres in the terrain's space."""
+        x, y = ((0.0, self.along[k], self.up[k], self.along[k] + self.up[k]) for k in (0, 1))
+        return tuple(self.corner[k] + end(side) for end in (min, max) for k, side in ((0, x), (1, y)))
+
+    def sample(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
+        """Return the indices of the points that it covers, int [n], and its values at their scale, float32 [n, 4]."""
+        x = places.positions[:, 0].astype(np.float64) - self.corner[0]
+        y = places.positions[:, 1].astype(np.float64) - self.corner[1]
+        u = (x * self.up[1] - y * self.up[0]) / self._area
+        v = (y * self.along[0] - x * self.along[1]) / self._area
+        which = np.flatnonzero((u >= 0) & (u <= 1) & (v >= 0) & (v <= 1))
+        u, v = u[which], v[which]
+        mips, lattice = self.picture.mips, places.field.lattice
+        rows, columns, _ = mips[0].shape
+        levels = places.level[which] if places.image_level is None else places.image_level
+        levels = levels + np.full(len(which), math.log2(max(lattice.step_x, lattice.step_y) / self.pixel))
+        levels = np.clip(levels, 0.0, len(mips) - 1.0)
+        values = np.zeros((len(which), 4), np.float32)
+        for number, mip in enumerate(mips):
+            weight = np.maximum(1.0 - abs(levels - number), 0.0).astype(np.float32)
+            at = np.flatnonzero(weight)
+            pixel = u[at] * (columns / 2**number) - 0.5, v[at] * (rows / 2**number) - 0.5
+            values[at] += weight[at, None] * _interpolate(mip, *pixel)
+        return which, values * np.float32(self.opacity)
+
+
+def _interpolate(image: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Interpolate an image bilinearly between the centres of its pixels; clamped at its edges."""
+    rows, columns, _ = image.shape
+    column, row = np.clip(column, 0, columns - 1), np.clip(row, 0, rows - 1)
+    west, south = column.astype(np.int64), row.astype(np.int64)
+    east, north = np.minimum(west + 1, columns - 1), np.minimum(south + 1, rows - 1)
+    s, t = (column - west).astype(np.float32)[:, None], (row - south).astype(np.float32)[:, None]
+    lower = image[south, west] * (1 - s) + image[south, east] * s
+    return lower * (1 - t) + (image[north, west] * (1 - s) + image[north, east] * s) * t
+
+
+def cover(colors: np.ndarray, decals: Sequence[Decal], places: Places) -> None:
+    """Composite colour decals over `colors`, float32 [n, 3], in their order (Porter and Duff 1984, "over")."""
+    for decal in decals:
+        if not decal.picture.tilts:
+            which, values = decal.sample(places)
+            colors[which] = values[:, :3] + (1 - values[:, 3:]) * colors[which]
+
+
+def tilt(normals: np.ndarray, decals: Sequence[Decal], places: Places) -> None:
+    """Add the slopes of decals that are normal maps to those of the ground: `normals`, float32 [n, 3]."""
+    for decal in decals:
+        if decal.picture.tilts:
+            which, values = decal.sample(places)
+            upright = normals[which] / normals[which, 2:]
+            for slope, (x, y) in zip(values.T, (decal.along, decal.up), strict=False):
+                length = math.sqrt(x * x + y * y)
+                upright[:, 0] -= slope * np.float32(x / length)
+                upright[:, 1] -= slope * np.float32(y / length)
+            normals[which] = upright / np.sqrt((upright * upright).sum(axis=1, keepdims=True))

@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Evaluation of a plan on a surface: each attribute once, and only at points that the last surface lacks."""
+
+import time
+import weakref
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
+
+from ...kernels.effects import footprint as footprint_kernels
+from ...kernels.effects import keep as keep_kernels
+from ..field.heightfield import HeightField
+from ..history.frame_history import FrameHistory
+from ..mesh.attributes import POINT as POINTS
+from ..mesh.attributes import Attribute
+from ..mesh.surface import Surface
+from ..view.view import View
+from .attribute import GEOMETRY, Asked, Places
+from .catalogue import EFFECTS
+from .plan import Plan, kernels_of_steps, plan
+from .scale import fixed_level, footprint_levels
+from .values import EffectValues, ValueSource
+
+KERNELS = footprint_kernels, keep_kernels
+
+Group = list[Asked]  # attributes of one call
+# Limit of the bytes of one terrain's values, those of the last surface included. The values of this surface are always
+# held, since the mesh is written from them.
+MAX_BYTES = 1 << 28
+NUMBER = 4  # bytes of a number, float32
+ANY_LEVEL = "ANY_LEVEL"
+BAND = 1 << 18  # samples that are evaluated together
+
+
+def kernels_of(plan: Plan) -> list[ModuleType]:
+    """Return the modules of kernels that an evaluation of a plan launches."""
+    return list(dict.fromkeys([*KERNELS, *kernels_of_steps(plan)])) if plan.steps else []
+
+
+@dataclass(frozen=True)
+class Ran:
+    """The cost of one step: milliseconds (an even share of a common call), bytes of its values, and the number of
+    computed elements, 0 if all were reused."""
+
+    ms: float
+    nbytes: int
+    computed: int
+
+
+@dataclass(frozen=True)
+class EffectRequest:
+    """A plan and a surface; other arguments as of `Terrain.update`. Without views, attributes in pictures have the
+    raster's scale, and so have those in geometry unless `geometry_metres` sets another."""
+
+    plan: Plan
+    surface: Surface
+    views: Sequence[View] = ()
+    placement: np.ndarray | None = None
+    vertical_scale: float = 1.0
+    vertical_offset: float = 0.0
+    geometry_metres: float = 0.0
+
+    def key(self, heights: HeightField) -> tuple:
+        """Return everything but the surface that the values depend on."""
+        where = b"" if self.placement is None else np.asarray(self.placement, np.float64).tobytes()
+        views = tuple(view.key() for view in self.views)
+        scale = float(self.vertical_scale), float(self.vertical_offset)
+        return self.plan, heights.key, scale, where, views, self.geometry_metres
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """Attributes by name, whose arrays are valid until the next evaluation with the same history; the cost of each
+    step; and the bytes of all values in the history."""
+
+    attributes: dict[str, Attribute]
+    ran: dict[str, Ran]
+    nbytes: int = 0
+
+
+def evaluate(
+    heights: HeightField,
+    request: EffectRequest,
+    history: FrameHistory,
+    threads: int = 1,
+    max_bytes: int = MAX_BYTES,
+) -> Evaluated:
+    """Evaluate attributes on a surface; points of the last surface reuse its values.
+
+    Values are functions of a point, a level, parameters and heights alone, so that the bytes do not depend on the
+    history. `max_bytes`: see MAX_BYTES.
+    """
+    with history.alone():
+        values, history.values = history.values, None  # discarded if this is interrupted
+        if not request.plan.steps:
+            return Evaluated({}, {})
+        values = EffectValues(threads) if values is None else values
+        last, key = values.source, request.key(heights)
+        ran = {step.name: Ran(0.0, 0, 0) for step in request.plan.steps}
+        if request.surface is not last.surface() or key != last.request:
+            keys = _keys(request, heights)
+            found = _values(heights, request, values, keys, max_bytes, ran)
+            names = request.plan.attributes
+            attributes = {name: Attribute(found[name], POINTS, EFFECTS[name].unit) for name in names}
+            values.source = ValueSource(weakref.ref(request.surface), key, keys, attributes)
+        history.values = values
+        return Evaluated(values.source.attributes, ran, values.nbytes)
+
+
+def _values(
+    heights: HeightField,
+    request: EffectRequest,
+    values: EffectValues,
+    keys: dict[str, tuple],
+    max_bytes: int,
+    ran: dict[str, Ran],
+) -> dict[str, np.ndarray]:
+    """Return the values of all steps by name, and record their costs in `ran`."""
+    steps, last, scale = request.plan.steps, values.source, (request.vertical_scale, request.vertical_offset)
+    positions = values.move_to(request.surface.positions)
+    places, fresh = {}, {}
+    for family in sorted({step.family for step in steps}):
+        levels, before = values.turn(family)
+        if family == GEOMETRY:
+            levels[:] = fixed_level(heights, request.geometry_metres)
+        else:
+            footprint_levels(heights, positions, request.views, request.placement, values.threads, levels)
+        places[family] = Places(heights, positions, levels, *map(float, scale), values.threads)
+        fresh[family] = values.fresh(levels, before)
+    if not all(EFFECTS[step.name].scaled for step in steps):
+        fresh[ANY_LEVEL] = values.new()
+    nonzero = [step for step in steps if not EFFECTS[step.name].is_nothing(step.parameters)]
+    once = _held_once(nonzero, len(positions), max_bytes)
+    values.forget(once)
+    reused = {step.name for step in nonzero if last.keys.get(step.name) == keys[step.name]} - once
+    which = {step.name: fresh[step.family if EFFECTS[step.name].scaled else ANY_LEVEL] for step in nonzero}
+    which |= dict.fromkeys(which.keys() - reused)
+    found = values.reuse({name: EFFECTS[name].width for name, some in which.items() if some is not None})
+    for step in set(steps) - set(nonzero):
+        found[step.name] = values.zeros(EFFECTS[step.name].width)
+    for group in _groups(nonzero, reused):
+        start = time.perf_counter()
+        computed = _make(group, places[group[0].family], which[group[0].name], found, values, once)
+        ms = (time.perf_counter() - start) * 1e3 / len(group)
+        ran |= {step.name: Ran(ms, found[step.name].nbytes, computed) for step in group}
+    values.forget_others({*which, *places})
+    return found
+
+
+def values_at(places: Places, requests: Iterable[Asked]) -> dict[str, np.ndarray]:
+    """Return the values of attributes and of those that they read at points, by name, without a history."""
+    steps = list(plan(requests).steps)
+    values: dict[str, np.ndarray] = {}
+    while steps:
+        make = EFFECTS[steps[0].name].make
+        now = [step for step in steps if EFFECTS[step.name].make is make and _reads(step) <= {*values}]
+        values |= _computed(now, places, values)
+        steps = [step for step in steps if step not in now]
+    return values
+
+
+def on_samples(
+    field: HeightField,
+    requests: Iterable[Asked],
+    vertical_scale: float = 1.0,
+    vertical_offset: float = 0.0,
+    threads: int = 1,
+    level: float = 0.0,
+) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
+    """Yield slices of rows, row 0 south, and the values there by name: float32 [rows, columns] or [rows, columns,
+    width].
+
+    level: of the pyramid, 0 is the raster's scale.
+    """
+    lattice, requests = field.lattice, list(requests)
+    west, south, _, _ = lattice.rectangle()
+    x = west + np.arange(lattice.width) * lattice.step_x
+    at_once = max(1, BAND // lattice.width)
+    for first in range(0, lattice.height, at_once):
+        rows = slice(first, min(first + at_once, lattice.height))
+        y = south + np.arange(rows.start, rows.stop) * lattice.step_y
+        z = field.heights(rows).astype(np.float64) * vertical_scale + vertical_offset
+        positions = np.stack([*np.meshgrid(x, y), z], -1).astype(np.float32)
+        levels = np.full(z.size, level, np.float32)
+        places = Places(field, positions.reshape(-1, 3), levels, vertical_scale, vertical_offset, threads)
+        yield rows, {name: v.reshape(*z.shape, *v.shape[1:]) for name, v in values_at(places, requests).items()}
+
+
+def _reads(step: Asked) -> set[str]:
+    return set(EFFECTS[step.name].reads_with(step.parameters))
+
+
+def _held_once(steps: Sequence[Asked], count: int, max_bytes: int) -> set[str]:
+    """Return the attributes whose values of the last surface are dropped to keep `max_bytes` at `count` points.
+
+    Those that are cheapest to compute for their size are dropped first.
+    """
+    effects = [EFFECTS[step.name] for step in steps]
+    # Two copies of points and of the levels of both families.
+    left = max_bytes - NUMBER * count * (2 * (3 + 2) + sum(int(effect.width) for effect in effects))
+    once = set()
+    for effect in sorted(effects, key=lambda effect: (-effect.cost_ns / effect.width, effect.name)):
+        left -= NUMBER * count * effect.width
+        if left < 0:
+            once.add(effect.name)
+    return once
+
+
+def _keys(request: EffectRequest, heights: HeightField) -> dict[str, tuple]:
+    """Return everything that the values of each step depend on, except points and the levels of pictures."""
+    keys: dict[str, tuple] = {}
+    level = fixed_level(heights, request.geometry_metres)
+    surface = heights.key, float(request.vertical_scale), float(request.vertical_offset)
+    for step in request.plan.steps:
+        effect = EFFECTS[step.name]
+        numbers = tuple(sorted((effect.defaults() | dict(step.parameters)).items()))
+        scale = level if step.family == GEOMETRY and effect.scaled else None
+        read = tuple(keys[name] for name in effect.reads_with(step.parameters))
+        keys[step.name] = (step.name, effect.version, numbers, step.family, scale, surface, read)
+    return keys
+
+
+def _groups(steps: Sequence[Asked], reused: set[str]) -> list[Group]:
+    """Group steps that one call computes: they share the function, the family and the points to compute."""
+    group_of: dict[str, int] = {}
+    order: list[tuple[tuple, Group]] = []
+    for step in steps:
+        kind = (EFFECTS[step.name].make, step.family, EFFECTS[step.name].scaled, step.name in reused)
+        after = max((group_of.get(name, -1) for name in EFFECTS[step.name].reads_with(step.parameters)), default=-1)
+        number = next((k for k in range(after + 1, len(order)) if order[k][0] == kind), len(order))
+        if number == len(order):
+            order.append((kind, []))
+        order[number][1].append(step)
+        group_of[step.name] = number
+    return [group for _, group in order]
+
+
+def _computed(group: Sequence[Asked], places: Places, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the values of attributes of one function. Raises TerrainError if a value is not finite."""
+    wanted = {step.name: EFFECTS[step.name].defaults() | dict(step.parameters) for step in group}
+    found = EFFECTS[group[0].name].make(places, wanted, read)
+    for name, array in found.items():
+        if not np.isfinite(array).all():
+            raise places.field.damage(f"its heights give values of {name} that are not finite")
+    return found
+
+
+def _make(
+    group: Group,
+    places: Places,
+    which: np.ndarray | None,
+    found: dict[str, np.ndarray],
+    values: EffectValues,
+    once: set[str],
+) -> int:
+    """Compute the group's values into `found` and return the number of computed elements.
+
+    which: points to compute, where `found` has the others; None for all. once: see `_held_once`.
+    """
+    read = {name: found[name] for step in group for name in EFFECTS[step.name].reads_with(step.parameters)}
+    if which is None:
+        for name, array in _computed(group, places, read).items():
+            values.put(name, array, name in once)
+            found[name] = array
+        return len(places)
+    if len(which):
+        some = {name: array[which] for name, array in read.items()}
+        for name, array in _computed(group, places.only(which), some).items():
+            found[name][which] = array
+    return len(which)

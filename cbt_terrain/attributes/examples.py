@@ -1,0 +1,17 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The evaluation of the declarations' examples on small rasters with known values."""
+
+import numpy as np
+
+from ..field.build import from_array
+from .attribute import Asked
+from .evaluate import on_samples
+
+
+def evaluate_on(name: str, heights: np.ndarray, step: float, level: float = 0.0, **parameters) -> np.ndarray:
+    """Return an attribute at every inner sample of a raster, samples `step` metres apart: float32 [rows - 4, columns -
+    4]
+    or [rows - 4, columns - 4, width]."""
+    field = from_array(np.asarray(heights, np.float32), step)
+    requests = [Asked(name, (), parameters=tuple(parameters.items()))]
+    return np.concatenate([values[name] for _, values in on_samples(field, requests, level=level)])[2:-2, 2:-2]

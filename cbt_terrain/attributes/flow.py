@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Flow: the drainage area of a point, from one result for the whole raster."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import catchment
+from ...kernels.effects import flow as kernels
+from ...kernels.effects import pyramid as pyramid_kernels
+from ...kernels.effects import routing as routing_kernels
+from ..field.heightfield import HeightField
+from ..field.lattice import fit
+from ..run import launch
+from ..run.buffers import flat, shared
+from .attribute import Effect, Evaluate, Places, Wanted
+from .pyramid import ground, level_of, level_with, shapes
+from .routing import route
+from .whole import whole
+
+VERSION = 1
+# A larger raster is routed at a coarser level, which bounds memory and time.
+MAX_SAMPLES = 4097 * 4097
+
+
+def routed_level(field: HeightField) -> int:
+    """Return the level of the pyramid where water is routed: 0 except for rasters of more than 4097 x 4097."""
+    return level_with(field.lattice, MAX_SAMPLES)
+
+
+def logarithms(field: HeightField, vertical_scale: float, threads: int) -> HeightField:
+    """Return natural logarithms of drainage areas in m^2 at the samples of `routed_level`, as a field."""
+    level = routed_level(field)
+    (rows, columns), lattice = shapes(field.lattice)[level], field.lattice
+    # Slopes are only compared with each other, so that only the sign of their scale matters.
+    sign = float(np.sign(vertical_scale))
+    steps = lattice.step_x * 2**level, lattice.step_y * 2**level
+
+    def make() -> np.ndarray:
+        heights = level_of(field, level, threads) * np.float32(sign)
+        holes = None if field.valid is None else field.valid[:: 2**level, :: 2**level] == 0
+        if holes is not None:  # a level may end beyond the border
+            short = rows - holes.shape[0], columns - holes.shape[1]
+            holes = np.pad(holes, ((0, short[0]), (0, short[1])), mode="edge")
+        drainage = route(heights, *steps, holes, threads)
+        filled = drainage.filled()
+        area = drainage.areas(filled)
+        drainage.level_lakes(filled, area)
+        out = np.empty((rows, columns), np.float32)
+        inputs = [steps[0] * steps[1], flat(area, wp.float64), flat(out, wp.float32)]
+        launch.spread(catchment.take_logarithms, out.size, inputs, step="routing", threads=threads)
+        return out
+
+    return whole("flow", VERSION, (sign,), field, fit(columns, rows, *steps), make)
+
+
+def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Compute the requested values; implements `Make`."""
+    field, out = places.field, np.empty(len(places), np.float32)
+    areas = ground(logarithms(field, places.vertical_scale, places.threads), 1.0, 0.0, places.threads)
+    areas.west, areas.south, _, _ = field.lattice.rectangle()
+    inputs = [areas, float(routed_level(field)), shared(places.positions, wp.vec3f), flat(places.level, wp.float32)]
+    launch.spread(
+        kernels.flow_at, len(places), [*inputs, flat(out, wp.float32)], step="flow", threads=places.threads, cost=3
+    )
+    return {"flow": out}
+
+
+def example(evaluate: Evaluate) -> None:
+    """Assert that a point of a roof, whose rows drain separately, has the area up to the ridge.
+
+    The ridge gives half to each side, and water leaves at the border.
+    """
+    x = np.arange(17, dtype=np.float32)
+    flow = evaluate("flow", np.tile(-abs(x - 8.0), (9, 1)), step=10.0).reshape(5, 13)
+    samples = abs(x[2:-2] - 8.0) + 0.5
+    samples[6] = 1.0
+    # Near the other two borders less enters over the diagonals.
+    assert abs(flow[2, 5:8] - 100.0 * samples[5:8]).max() < 1e-2
+
+
+FLOW = Effect(
+    name="flow",
+    about="How much land drains through a place; below the surface of a lake, through its outlet",
+    unit="m2",
+    make=make,
+    kernels=(catchment, kernels, pyramid_kernels, routing_kernels),
+    example=example,
+    halo="the whole raster; of more than 4097 x 4097 samples its finest level that has no more",
+    cost_ns=25,
+    source="Multiple flow directions, Quinn et al. 1991; depressions, Cordonnier et al. 2019",
+    version=VERSION,
+)

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Attributes of the ground's height and derivatives at a point: height, slope, aspect, curvatures and the normal.
+
+One kernel computes all requested ones, since they share the derivatives.
+"""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import jet as kernels
+from ...kernels.effects import pyramid as pyramid_kernels
+from ..run import launch
+from ..run.buffers import flat, shared
+from .attribute import Effect, Evaluate, Places, Wanted
+from .decals import DECALS, tilt
+from .pyramid import ground
+
+KERNELS = (kernels, pyramid_kernels)
+
+SOURCE = "Uniform cubic B-spline over a [1 2 1] pyramid (Burt 1981)"
+HORN = 'Horn 1981, "Hill shading and the reflectance map", section II; ' + SOURCE
+EVANS = 'Evans 1980, "An integrated system of terrain analysis and slope mapping"; ' + SOURCE
+HALO = "2 samples of the level"
+# Attribute -> field of the kernel's Values, Warp's type and numpy's shape of an element, and the bit that requests it.
+OUTPUTS = {
+    "height": ("height", wp.float32, (), kernels.HEIGHT),
+    "slope": ("slope", wp.float32, (), kernels.SLOPE),
+    "aspect": ("aspect", wp.vec2f, (2,), kernels.ASPECT),
+    "mean_curvature": ("mean_curvature", wp.float32, (), kernels.MEAN_CURVATURE),
+    "profile_curvature": ("profile_curvature", wp.float32, (), kernels.PROFILE_CURVATURE),
+    "plan_curvature": ("plan_curvature", wp.float32, (), kernels.PLAN_CURVATURE),
+    "detail_normal": ("normal", wp.vec3f, (3,), kernels.NORMAL),
+}
+
+
+def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Compute the requested values; implements `Make`."""
+    values, arrays = kernels.Values(), {}
+    for name in wanted:
+        field, dtype, shape, _ = OUTPUTS[name]
+        arrays[name] = np.empty((len(places), *shape), np.float32)
+        setattr(values, field, shared(arrays[name], dtype))
+    values.wanted = sum(int(OUTPUTS[name][3]) for name in wanted)
+    heights = ground(places.field, places.vertical_scale, places.vertical_offset, places.threads)
+    inputs = [heights, shared(places.positions, wp.vec3f), flat(places.level, wp.float32), values]
+    launch.spread(kernels.from_jets, len(places), inputs, step="jets", threads=places.threads, cost=6)
+    if "detail_normal" in arrays:
+        tilt(arrays["detail_normal"], wanted["detail_normal"].get("decals", ()), places)
+    return arrays
+
+
+def height_example(evaluate: Evaluate) -> None:
+    """Assert that the mean around a point of a plane is its height."""
+    heights = np.add.outer(np.arange(17) * 3.0, np.arange(17) * 5.0)
+    assert abs(evaluate("height", heights, step=10.0) - heights[2:-2, 2:-2]).max() < 1e-4
+
+
+HEIGHT = Effect(
+    name="height",
+    about="Height of the ground as displaced: a mean over the samples that are as far apart as the scale",
+    unit="m",
+    make=make,
+    kernels=KERNELS,
+    example=height_example,
+    halo=HALO,
+    cost_ns=50,
+    source=SOURCE,
+)
+
+
+def slope_example(evaluate: Evaluate) -> None:
+    """Assert that a plane that rises 1 m in sqrt(3) m has 30 degrees everywhere."""
+    east = np.arange(17, dtype=np.float32) * 10.0
+    slope = evaluate("slope", np.tile(east * np.float32(1 / math.sqrt(3)), (17, 1)), step=10.0)
+    assert abs(slope - math.radians(30)).max() < 1e-5
+
+
+SLOPE = Effect(
+    name="slope",
+    about="How steep the ground is: 0 is level, pi / 2 upright",
+    unit="rad",
+    make=make,
+    kernels=KERNELS,
+    example=slope_example,
+    halo=HALO,
+    span=(0.0, math.pi / 2),
+    cost_ns=70,
+    source=HORN,
+)
+
+
+def aspect_example(evaluate: Evaluate) -> None:
+    """Assert that ground that falls to the east has a sine of 1. An angle would jump from 360 to 0 degrees."""
+    aspect = evaluate("aspect", np.tile(np.arange(17) * -4.0, (17, 1)), step=10.0)
+    assert abs(aspect - np.array([1.0, 0.0])).max() < 1e-6
+
+
+ASPECT = Effect(
+    name="aspect",
+    about="Direction downhill, clockwise from north, as its sine (to the east) and cosine (to the north); (0, 0) on "
+    "level ground",
+    unit="",
+    make=make,
+    kernels=KERNELS,
+    example=aspect_example,
+    width=2,
+    halo=HALO,
+    span=(-1.0, 1.0),
+    cost_ns=55,
+    source=HORN,
+)
+
+
+def mean_curvature_example(evaluate: Evaluate) -> None:
+    """Assert that a summit with a radius of 50 m has a curvature of 1 / 50 m, and a hollow the negative one."""
+    across = np.arange(-8, 9) * 2.0
+    summit = np.add.outer(across**2, across**2) / (-2 * 50.0)
+    middle = 6, 6  # of what is evaluated
+    assert abs(evaluate("mean_curvature", summit, step=2.0)[middle] - 1 / 50.0) < 1e-6
+    assert abs(evaluate("mean_curvature", -summit, step=2.0)[middle] + 1 / 50.0) < 1e-6
+
+
+MEAN_CURVATURE = Effect(
+    name="mean_curvature",
+    about="Mean curvature of the surface: positive on summits and ridges, negative in hollows and channels",
+    unit="1/m",
+    make=make,
+    kernels=KERNELS,
+    example=mean_curvature_example,
+    halo=HALO,
+    cost_ns=55,
+    source='Shary 1995, "Land surface in gravity points classification"; ' + SOURCE,
+)
+
+
+def profile_curvature_example(evaluate: Evaluate) -> None:
+    """Assert that a slope that steepens downhill, z = -k x^2 / 2, has the curvature k / (1 + (k x)^2)^(3/2)."""
+    k, x = 0.02, 40.0 + np.arange(17) * 2.0
+    heights = np.tile(-k * x**2 / 2, (17, 1))
+    expected = k / (1 + (k * x[2:-2]) ** 2) ** 1.5
+    assert abs(evaluate("profile_curvature", heights, step=2.0) - expected).max() < 1e-6
+    assert abs(evaluate("profile_curvature", -heights, step=2.0) + expected).max() < 1e-6
+
+
+PROFILE_CURVATURE = Effect(
+    name="profile_curvature",
+    about="Curvature down the slope: positive where it steepens downhill, negative at its foot; 0 on level ground",
+    unit="1/m",
+    make=make,
+    kernels=KERNELS,
+    example=profile_curvature_example,
+    halo=HALO,
+    cost_ns=60,
+    source=EVANS,
+)
+
+
+def plan_curvature_example(evaluate: Evaluate) -> None:
+    """Assert that contour lines of a round hill, circles of radius r, have a curvature of 1 / r, of a hollow -1 / r."""
+    across = np.arange(-8, 9) * 2.0
+    hill = np.add.outer(across**2, across**2) / -100.0
+    radius = np.sqrt(np.add.outer(across**2, across**2))[2:-2, 2:-2]
+    away = radius > 0
+    assert abs(evaluate("plan_curvature", hill, step=2.0)[away] - 1 / radius[away]).max() < 1e-5
+    assert abs(evaluate("plan_curvature", -hill, step=2.0)[away] + 1 / radius[away]).max() < 1e-5
+
+
+PLAN_CURVATURE = Effect(
+    name="plan_curvature",
+    about="Curvature of the contour line: positive on ridges, negative in valleys; at most 1 / the distance of samples "
+    "at the scale, 0 on level ground",
+    unit="1/m",
+    make=make,
+    kernels=KERNELS,
+    example=plan_curvature_example,
+    halo=HALO,
+    cost_ns=60,
+    source=EVANS,
+)
+
+
+def normal_example(evaluate: Evaluate) -> None:
+    """Assert that ground that rises to the east by 45 degrees faces west and up."""
+    normal = evaluate("detail_normal", np.tile(np.arange(17) * 10.0, (17, 1)), step=10.0)
+    assert abs(normal - np.array([-np.sqrt(0.5), 0, np.sqrt(0.5)])).max() < 1e-6
+
+
+DETAIL_NORMAL = Effect(
+    name="detail_normal",
+    about="Normal of the ground at the scale that is shown, in the terrain's own space: near by the detail's, far away "
+    "the land's beneath it",
+    unit="",
+    make=make,
+    kernels=KERNELS,
+    example=normal_example,
+    width=3,
+    parameters=(DECALS,),
+    halo=HALO,
+    span=(-1.0, 1.0),
+    cost_ns=60,
+    source='Olano and Baker 2010, "LEAN mapping", section 2 (the mean normal of a footprint); ' + SOURCE,
+)
+
+
+JETS = (HEIGHT, SLOPE, ASPECT, MEAN_CURVATURE, PROFILE_CURVATURE, PLAN_CURVATURE, DETAIL_NORMAL)

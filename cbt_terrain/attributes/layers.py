@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Layers of height operators (land/) as attributes; 0 for a terrain without them."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import flow as kernels
+from ...kernels.effects import pyramid as pyramid_kernels
+from ..field.heightfield import HeightField, as_heights
+from ..run import launch
+from ..run.buffers import flat, shared
+from ..run.locks import cached
+from .attribute import Effect, Evaluate, Places, Wanted
+from .pyramid import ground
+
+# Name, unit, and one line of meaning.
+KNOWN = (
+    ("wear", "m", "Depth of rock that erosion has removed"),
+    ("sediment", "m", "Depth of what rivers have laid down"),
+    ("scree", "m", "Depth of scree on the rock"),
+    ("snow", "m", "Depth of snow"),
+    ("slides", "m", "Depth of snow that slides have brought; where negative, taken"),
+    ("water_depth", "m", "Depth of the water of rivers, lakes and the sea"),
+    ("water_speed", "m/s", "Speed of the water"),
+    ("discharge", "m^3/s", "Water that passes a place; in a lake, what leaves it"),
+)
+NAMES = tuple(name for name, _, _ in KNOWN)
+
+
+def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Compute the requested values; implements `Make`."""
+    values = {}
+    for name in wanted:
+        values[name] = out = np.zeros(len(places), np.float32)
+        if name in places.field.layers:
+            pyramid = ground(_as_field(places.field, name), 1.0, 0.0, places.threads)
+            where = shared(places.positions, wp.vec3f), flat(places.level, wp.float32)
+            inputs = [pyramid, *where, flat(out, wp.float32)]
+            launch.spread(kernels.layer_at, len(places), inputs, step="layers", threads=places.threads, cost=3)
+    return values
+
+
+def lacks(field: HeightField, name: str) -> str:
+    """Return why a layer is 0 everywhere on a terrain, or ""."""
+    if name not in NAMES or name in field.layers:
+        return ""
+    return f"the terrain has no layer {name}: no effect of its stack leaves one"
+
+
+def _as_field(field: HeightField, name: str) -> HeightField:
+    """Return a layer as the samples of a field, which has a pyramid."""
+    key = f"{field.raster_key}-{name}"
+    return cached(field.found, ("layer", name), lambda: as_heights(field, field.layers[name], key))
+
+
+def _example(name: str) -> Callable[[Evaluate], None]:
+    def example(evaluate: Evaluate) -> None:
+        """Assert that a terrain without height operators has 0."""
+        assert (evaluate(name, np.zeros((9, 9)), step=10.0) == 0.0).all()
+
+    return example
+
+
+LAYERS = tuple(
+    Effect(
+        name=name,
+        about=f"{about}, as effects on heights have left it; 0 without them",
+        unit=unit,
+        make=make,
+        kernels=(kernels, pyramid_kernels),
+        example=_example(name),
+        halo="a sample of the level",
+        cost_ns=25,
+        source="The layer of the store, bilinear within a level of its pyramid and between levels",
+    )
+    for name, unit, about in KNOWN
+)

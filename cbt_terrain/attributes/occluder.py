@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The ground that hides light: the raster and the maxima of its blocks, by which rays skip blocks.
+
+Between samples the ground is the raster's profile from line to line, whatever the surface; holes are filled.
+"""
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import horizon as kernels
+from ..field.blocks import halvings, over_cells, stacked
+from ..field.codes import packed
+from ..field.heightfield import HeightField
+from ..run import launch
+from ..run.buffers import flat, shared
+from ..run.locks import cached
+from .attribute import Places
+
+# Rows of samples that are read together, whole blocks.
+ROWS = 256
+# Points of one launch; the work can be stopped between two launches.
+AT_ONCE = 1 << 14
+# Fraction of the largest height, more than the rounding of a height of the profile in float64.
+MARGIN = 1e-9
+
+
+def occluder_of(places: Places) -> kernels.Occluder:
+    """Return the ground of a field at the vertical scale of `places`; its blocks are cached with the field."""
+    occluder = every_crossing(places.field, places.vertical_scale)
+    reduce, field = np.minimum if occluder.scale < 0.0 else np.maximum, places.field
+    tops, first, wide = cached(field.found, ("tops", reduce), lambda: find_tops(field, reduce))
+    occluder.tops, occluder.first, occluder.wide = flat(tops, wp.float32), flat(first, wp.int32), flat(wide, wp.int32)
+    occluder.levels = len(wide)
+    return occluder
+
+
+def every_crossing(field: HeightField, scale: float) -> kernels.Occluder:
+    """Return the ground without blocks, of which kernels visit every crossing."""
+    lattice, occluder = field.lattice, kernels.Occluder()
+    occluder.samples = packed(field.samples, field.steps)
+    occluder.west, occluder.south, _, _ = lattice.rectangle()
+    occluder.step_x, occluder.step_y = lattice.step_x, lattice.step_y
+    occluder.scale = scale
+    low, high = field.min_height * scale, field.max_height * scale
+    occluder.margin = MARGIN * max(abs(low), abs(high))
+    occluder.highest = max(low, high)
+    occluder.levels = 0
+    return occluder
+
+
+def find_tops(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the maxima of all blocks (minima with np.minimum), float32, level after level from FINEST on.
+
+    Also the first index of each level and the number of blocks in its rows, int32 [levels], 0 below FINEST.
+    """
+    side, rows = 1 << kernels.FINEST, range(0, field.lattice.height - 1, ROWS)
+    finest = np.concatenate([over_cells(field.heights(slice(row, row + ROWS + 1)), side, reduce) for row in rows])
+    return stacked(halvings(finest, reduce), int(kernels.FINEST))
+
+
+def for_places(kernel, places: Places, inputs: list, out: np.ndarray, cost: float) -> None:
+    """Launch `kernel` for AT_ONCE points at a time with `inputs`, the points and their part of `out`, float32 [n]."""
+    for first in range(0, len(places), AT_ONCE):
+        some = slice(first, first + AT_ONCE)
+        where = np.ascontiguousarray(places.positions[some], np.float32)
+        values = [*inputs, shared(where, wp.vec3f), flat(out[some], wp.float32)]
+        launch.spread(kernel, len(where), values, step="light", threads=places.threads, cost=cost)

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Ambient occlusion by the ground within a radius."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ...kernels.effects import light as light_kernels
+from ...kernels.effects import pyramid as pyramid_kernels
+from ...kernels.effects import sweep as sweep_kernels
+from .attribute import Effect, Evaluate, Parameter, Places, Wanted
+from .sky import seen_from
+
+# A slope below any other: near ground counts below the horizontal, too.
+ANY = -1e300
+
+
+def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Compute the requested values; implements `Make`."""
+    radius = float(wanted["ambient_occlusion"]["radius"])
+    return {"ambient_occlusion": seen_from(places, far=radius, lowest=ANY)}
+
+
+def example(evaluate: Evaluate) -> None:
+    """Assert that a steep plane hides nothing of its half space, and that a high wall hides half of it at its foot."""
+    east = np.arange(41, dtype=np.float32) * 2.0
+    assert abs(evaluate("ambient_occlusion", np.tile(east, (41, 1)), step=2.0) - 1.0).max() < 1e-6
+    wall = np.tile(np.where(east >= 40.0, np.float32(1e4), np.float32(0.0)), (41, 1))
+    foot = evaluate("ambient_occlusion", wall, step=2.0, radius=20.0)[:, 17]
+    assert 0.49 < foot.min() <= foot.max() < 0.51
+
+
+OCCLUSION = Effect(
+    name="ambient_occlusion",
+    about="Open part of what surrounds a place within a radius: 1 is open, 0 closed",
+    unit="1",
+    span=(0.0, 1.0),
+    make=make,
+    kernels=(light_kernels, pyramid_kernels, sweep_kernels),
+    example=example,
+    parameters=(Parameter("radius", 50.0, 0.01, 1e6, "m", "How far around a place ground counts"),),
+    scaled=False,
+    halo="the radius",
+    cost_ns=11000,
+    source="Bavoil, Sainz and Dimitrov 2008 (horizons); Tevs, Ihrke and Seidel 2008 (max mipmap)",
+)

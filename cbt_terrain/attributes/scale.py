@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The scale of attributes: a level of the pyramid for each point, in steps of 1/8, so that most values keep their bits
+under a slow camera."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import footprint as kernels
+from ..errors import TerrainError
+from ..field.heightfield import HeightField
+from ..run import launch
+from ..run.buffers import flat, shared
+from ..view.linear import add_up, length, product, settled
+from ..view.view import ORTHOGRAPHIC, View
+from .pyramid import shapes
+
+STEPS_PER_LEVEL = 8
+
+
+def fixed_level(field: HeightField, metres: float = 0.0) -> float:
+    """Return the level with samples `metres` apart in the terrain's space, 0 for those of the raster.
+
+    Raises TerrainError for an invalid distance.
+    """
+    if not 0.0 <= metres < math.inf:
+        problem = f"The scale of effects for geometry is {metres} m"
+        raise TerrainError(problem, expected="a distance, or 0 for the raster's")
+    steps = settled(math.log2(max(metres / _step(field), 1.0))) * STEPS_PER_LEVEL
+    return min(math.floor(steps + 0.5) / STEPS_PER_LEVEL, _max_level(field))
+
+
+def footprint_levels(
+    field: HeightField,
+    positions: np.ndarray,
+    views: Sequence[View],
+    placement: np.ndarray | None = None,
+    threads: int = 1,
+    out: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return the level of each point whose spacing is the finest pixel footprint of any view, float32 [n].
+
+    positions: float32 [n, 3], metres in the terrain's space, which `placement` (4 x 4) maps to the world. The footprint
+    is across the line of sight and depends on the distance, not on the depth, so that rotating the camera changes
+    nothing. For an unevenly scaled terrain it is that along the axis of least scale, the largest. Without views level
+    0.
+    """
+    levels = np.empty(len(positions), np.float32) if out is None else out
+    if not views:
+        levels[:] = 0.0
+        return levels
+    placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
+    levels[:] = np.inf
+    eyes = wp.array([_eye(field, view, placement) for view in views], dtype=kernels.FootprintEye, device=launch.DEVICE)
+    inputs = [shared(positions, wp.vec3f), eyes, _max_level(field), flat(levels, wp.float32)]
+    blocks = -(-len(positions) // kernels.BLOCK)
+    launch.spread(kernels.footprint_levels, blocks, inputs, step="footprint", threads=threads, cost=0.1 * kernels.BLOCK)
+    return levels
+
+
+def _eye(field: HeightField, view: View, placement: np.ndarray) -> kernels.FootprintEye:
+    to_camera = product(view.world_to_camera, placement)
+    eye = kernels.FootprintEye()
+    eye.linear, eye.shift = wp.mat33d(to_camera[:3, :3]), wp.vec3d(to_camera[:3, 3])
+    if view.kind == ORTHOGRAPHIC:
+        eye.linear, eye.shift = wp.mat33d(), wp.vec3d(1.0, 0.0, 0.0)
+    samples = 1.0 / (view.pixels_per_unit * _min_stretch(to_camera[:3, :2]) * _step(field))
+    eye.pixel2 = samples * samples
+    return eye
+
+
+def _min_stretch(across: np.ndarray) -> float:
+    """Return the smallest length of a level unit vector in camera space, the smaller singular value of [3, 2]."""
+    a, b = length(across[:, 0]), length(across[:, 1])
+    dot = float(add_up(across[:, 0] * across[:, 1]))
+    largest2 = (a * a + b * b + length((a * a - b * b, 2 * dot))) / 2
+    return math.sqrt(max(a * a * b * b - dot * dot, 0.0) / largest2)
+
+
+def _step(field: HeightField) -> float:
+    """Return the larger spacing of samples in metres."""
+    return max(field.lattice.step_x, field.lattice.step_y)
+
+
+def _max_level(field: HeightField) -> int:
+    """Return the coarsest level."""
+    return len(shapes(field.lattice)) - 1

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Resolution of tiles: texels are no larger than the finest pixel footprint on the tile.
+
+It depends on distances alone, so that it does not change when a camera rotates.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from ..errors import TerrainError
+from ..field.heightfield import HeightField
+from ..view.linear import least_stretch, lengths, product
+from ..view.local_view import eye_of, frustum_planes
+from ..view.view import ORTHOGRAPHIC, View
+from .attribute import Asked
+from .tiling import MAX_SIDE, MIN_SIDE, Tiling
+
+# Steps in octaves by which all tiles get coarser until they fit into a budget.
+COARSER = 1 / 8
+MEGABYTE = 1_000_000
+
+
+def boxes(tiling: Tiling, field: HeightField, vertical_scale: float, vertical_offset: float) -> np.ndarray:
+    """Return the bounding box of each tile's displaced ground, float64 [tiles, 2, 3] metres. Reads every sample."""
+    lattice = field.lattice
+    found = np.empty((len(tiling), 2, 3))
+    for tile in range(len(tiling)):
+        west, south, east, north = tiling.box(tile)
+        columns = _samples((west, east), tiling.west, lattice.step_x, lattice.width)
+        rows = _samples((south, north), tiling.south, lattice.step_y, lattice.height)
+        # Reads whole rows in the order of the file.
+        parts = [field.heights(row, columns) for row in range(rows.start, rows.stop)]
+        heights = np.array([min(p.min() for p in parts), max(p.max() for p in parts)]) * vertical_scale
+        heights += vertical_offset
+        found[tile] = (west, south, heights.min()), (east, north, heights.max())
+    return found
+
+
+def _samples(ends: tuple[float, float], first: float, step: float, count: int) -> slice:
+    """Return the samples from one end to the other."""
+    low, high = math.floor((ends[0] - first) / step + 1e-6), math.ceil((ends[1] - first) / step - 1e-6)
+    return slice(max(low, 0), min(high + 1, count))
+
+
+def footprints(boxes: np.ndarray, views: Sequence[View], placement: np.ndarray, only_seen: bool = False) -> np.ndarray:
+    """Return the finest pixel footprint of any view on each tile, float64 [tiles] metres in the terrain's space.
+
+    `boxes`: see `boxes`. `placement`: float64 [4, 4], maps the terrain's space to the world. `only_seen`: a tile
+    outside of every view's frame has an infinite footprint; otherwise only the distance counts.
+    """
+    finest = np.full(len(boxes), np.inf)
+    seen = np.zeros(len(boxes), bool)
+    for view in views:
+        finest = np.minimum(finest, _pixels(boxes, view, placement))
+        seen |= _in_frame(boxes, view, placement)
+    return np.where(seen, finest, np.inf) if only_seen else finest
+
+
+def _pixels(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarray:
+    """Return the footprint of one view at the nearest point of each box, or less, float64 [tiles] metres."""
+    to_camera = product(view.world_to_camera, placement)
+    linear = to_camera[:3, :3]
+    stretch = lengths(linear)
+    if view.kind == ORTHOGRAPHIC:
+        distance = np.ones(len(boxes))
+    else:
+        eye = eye_of(to_camera)
+        away = np.maximum(np.maximum(boxes[:, 0] - eye, eye - boxes[:, 1]), 0.0) * stretch
+        # As in local_view.py: shear may make a distance shorter than its components suggest.
+        distance = least_stretch(linear / stretch) * np.sqrt((away * away).sum(axis=1))
+    return distance / (view.pixels_per_unit * max(stretch[0], stretch[1]))
+
+
+def _in_frame(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarray:
+    """Return False for boxes completely outside of one plane of the frame, bool [tiles]."""
+    inside = np.ones(len(boxes), bool)
+    for a, b, c, d in product(frustum_planes(view, (0.0, 0.0)), product(view.world_to_camera, placement)):
+        normal = np.array([a, b, c])
+        farthest = np.where(normal > 0, boxes[:, 1], boxes[:, 0])
+        inside &= (farthest * normal).sum(axis=1) + d >= 0
+    return inside
+
+
+def resolutions(
+    tiling: Tiling, footprints: np.ndarray, shown: np.ndarray, texel_bytes: int, budget_mb: float | None = None
+) -> list[int]:
+    """Return the side of each tile's image in texels, a power of two; a texel is no larger than the footprint.
+
+    `footprints`, `shown`: float64 [tiles] metres, of views and of the finest content (`shown_by`). `texel_bytes`: bytes
+    of a texel of all maps in Blender. If images exceed `budget_mb`, all tiles get coarser. Raises TerrainError for an
+    invalid budget.
+    """
+    if budget_mb is not None and not budget_mb > 0:
+        raise TerrainError(f"The budget of the maps is {budget_mb} MB", expected="more than 0")
+    # A tile around an eye has a footprint of 0, which no factor makes coarser.
+    footprints = np.maximum(footprints, shown)
+    coarser = 0.0
+    while True:
+        sides = [_side(tiling, metres * 2**coarser) for metres in footprints]
+        total = sum(int(side * side) for side in sides) * texel_bytes
+        if budget_mb is None or total <= budget_mb * MEGABYTE or max(sides) == MIN_SIDE:
+            return sides
+        coarser += COARSER
+
+
+def shown_by(tiling: Tiling, field: HeightField, requests: Iterable[Asked]) -> np.ndarray:
+    """Return the finest content of each tile, float64 [tiles] metres: the raster's spacing, or the pixels of decals."""
+    found = np.full(len(tiling), min(field.lattice.step_x, field.lattice.step_y))
+    for decal in {decal for request in requests for decal in dict(request.parameters).get("decals", ())}:
+        west, south, east, north = decal.box
+        for tile in range(len(tiling)):
+            box = tiling.box(tile)
+            if west <= box[2] and box[0] <= east and south <= box[3] and box[1] <= north:
+                found[tile] = min(found[tile], decal.pixel)
+    return found
+
+
+def _side(tiling: Tiling, metres: float) -> int:
+    """Return the texels along a side of a tile with texels of at most `metres`."""
+    needed = max(tiling.width, tiling.height) / tiling.inner / metres
+    return min(1 << max(math.ceil(math.log2(max(needed, MIN_SIDE)) - 1e-9), 0), MAX_SIDE)

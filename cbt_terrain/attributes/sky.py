@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sky: the visible fraction of the sky at a point.
+
+Sweeps compute it once for every sample, and points interpolate it, so that a flight, another camera or a map costs next
+to nothing. A raster of more than 2^25 samples uses a coarser level of its heights.
+"""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import light as light_kernels
+from ...kernels.effects import pyramid as pyramid_kernels
+from ...kernels.effects import sweep as sweep_kernels
+from ...kernels.effects.light import sky_seen
+from ...kernels.effects.sweep import sky_between, take
+from ..run import launch
+from .attribute import Effect, Evaluate, Parameter, Places, Wanted
+from .light import AZIMUTHS, azimuths
+from .occluder import every_crossing, for_places, occluder_of
+from .sky_layer import PREVIEW_AZIMUTHS, preview_horizons, sky_layer
+
+# Beyond the raster there is ground, so that the sky begins at the horizontal.
+HORIZONTAL = 0.0
+WITHOUT_END = 1e300
+
+FULL, PREVIEW = "FULL", "PREVIEW"
+
+
+def seen_from(places: Places, far: float = WITHOUT_END, lowest: float = HORIZONTAL) -> np.ndarray:
+    """Return the cosine-weighted fraction of the half space above the horizons, float32 [n].
+
+    Ground up to `far` metres counts, and everything below the slope `lowest` is hidden.
+    """
+    out = np.zeros(len(places), np.float32)
+    directions = wp.array(azimuths(), dtype=wp.vec2d, device=launch.DEVICE)
+    inputs = [occluder_of(places), wp.float64(far), wp.float64(lowest), directions, 0, AZIMUTHS]
+    for_places(sky_seen, places, inputs, out, cost=2000.0)
+    return out
+
+
+def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Compute the requested values; implements `Make`."""
+    field, scale, out = places.field, places.vertical_scale, np.empty(len(places), np.float32)
+    if wanted["sky"]["quality"] == PREVIEW:
+        directions = wp.array(azimuths()[:PREVIEW_AZIMUTHS], dtype=wp.vec2d, device=launch.DEVICE)
+        inputs = [every_crossing(field, scale), preview_horizons(field, scale, places.threads), directions]
+        for_places(sky_between, places, inputs, out, cost=25.0)
+    else:
+        for_places(take, places, [sky_layer(field, scale, places.threads)], out, cost=2.0)
+    return {"sky": out}
+
+
+def example(evaluate: Evaluate) -> None:
+    """Assert that a level plane sees all of the sky, and one of 60 degrees (1 + cos 60) / 2 = 3 / 4."""
+    assert (evaluate("sky", np.zeros((9, 9)), step=5.0) == 1.0).all()
+    steep = np.tile(np.arange(9) * 5.0 * math.sqrt(3.0), (9, 1))
+    assert abs(evaluate("sky", steep, step=5.0) - 0.75).max() < 0.003
+
+
+SKY = Effect(
+    name="sky",
+    about="Part of the sky that is seen, weighted by the cosine about the ground's normal: 1 is all of it",
+    unit="1",
+    span=(0.0, 1.0),
+    make=make,
+    kernels=(light_kernels, pyramid_kernels, sweep_kernels),
+    example=example,
+    parameters=(Parameter("quality", FULL, 0, 0, "", f"{PREVIEW}: from coarse heights, for a view until it rests"),),
+    scaled=False,
+    halo="the whole raster",
+    cost_ns=41000,
+    source="Timonen and Westerholm 2010 (horizons, their integral); Tevs, Ihrke and Seidel 2008 (max mipmap)",
+)

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Splat layers: weights of up to twelve layers at a point, four for each attribute, by one kernel.
+
+Rules read other attributes, which are computed once for all their readers.
+"""
+
+import math
+from collections.abc import Mapping
+from functools import lru_cache
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import splat as kernels
+from ..run import launch
+from ..run.buffers import flat, shared
+from . import splat_rules
+from .attribute import Effect, Evaluate, Places, Wanted
+from .splat_rules import LAYERS, READ_FROM, Layer, Rule, check, reads
+
+NAMES = ("splat_1", "splat_2", "splat_3")
+KIND_OF = {
+    splat_rules.ASPECT: kernels.DIRECTION,
+    splat_rules.FLOW: kernels.LOGARITHM,
+    splat_rules.NOISE: kernels.NOISE,
+    splat_rules.LAYER: kernels.LAYER,
+    splat_rules.IMAGE: kernels.IMAGE,
+}
+# Width of an edge of 0, in any unit; the weight at a limit is 0.5.
+MIN_EDGE = 1e-30
+
+
+def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Compute the requested values; implements `Make`."""
+    weights: dict[str, np.ndarray] = {}
+    for layers in dict.fromkeys(values["layers"] for values in wanted.values()):
+        names = [name for name in wanted if wanted[name]["layers"] == layers]
+        weights |= _weights(places, layers, names, read)
+    return weights
+
+
+def _weights(
+    places: Places, layers: tuple[Layer, ...], names: list[str], read: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Return the weights of the layers, float32 [n, 4] for each of `names`."""
+    field, lattice, count = places.field, places.field.lattice, len(places)
+    ends = (end * places.vertical_scale + places.vertical_offset for end in (field.min_height, field.max_height))
+    tables = _tables(layers, *sorted(ends))
+    splat = kernels.Splat()
+    splat.layers, splat.rules, splat.images = tables
+    splat.layer_count, splat.count = len(layers), count
+    splat.values = flat(_rows(layers, read, count), wp.float32)
+    splat.west, splat.south, east, north = lattice.rectangle()
+    splat.across, splat.up = east - splat.west, north - splat.south
+    splat.step = max(lattice.step_x, lattice.step_y)
+    weights = {name: np.empty((count, 4), np.float32) for name in names}
+    unused = np.empty((0, 4), np.float32)
+    outputs = [shared(weights.get(name, unused), wp.vec4f) for name in NAMES]
+    bits = sum(int(1 << NAMES.index(name)) for name in names)
+    inputs = [splat, shared(places.positions, wp.vec3f), flat(places.level, wp.float32), bits, *outputs]
+    launch.spread(kernels.splats, count, inputs, step="splats", threads=places.threads, cost=2 + 2 * len(layers))
+    return weights
+
+
+def _rows(layers: tuple[Layer, ...], read: Mapping[str, np.ndarray], count: int) -> np.ndarray:
+    """Return the attributes that rules read, float32 [rows, n]; a direction has two rows."""
+    rows = [np.atleast_2d(read[name].T) for name in reads(layers)]
+    return np.concatenate(rows) if rows else np.empty((0, count), np.float32)
+
+
+@lru_cache(maxsize=8)
+def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[wp.array, wp.array, wp.array]:
+    """Return layers, rules and images for the kernel. `lowest`, `highest`: range of relief in metres."""
+    check(layers)
+    row, rows = 0, {}
+    for name in reads(layers):
+        rows[name], row = row, row + (2 if name == READ_FROM[splat_rules.ASPECT] else 1)
+    structs, rules, images = [], [], []
+    for layer in layers:
+        struct = kernels.SplatLayer()
+        struct.first, struct.end, struct.on_top = len(rules), len(rules) + len(layer.rules), int(layer.on_top)
+        struct.strength, struct.ragged, struct.noise_size = layer.strength, layer.ragged, layer.noise_size
+        struct.seed = wp.uint32(layer.seed * 0x85EBCA6B & 0xFFFFFFFF)
+        structs.append(struct)
+        for rule in layer.rules:
+            at = rule.other if rule.of == splat_rules.LAYER else sum(int(image.size) for image in images)
+            at = rows[READ_FROM[rule.of]] if rule.of in READ_FROM else at
+            rules.append(_rule(rule, at, lowest, highest))
+            if rule.of == splat_rules.IMAGE:
+                images.append(rule.image.values.reshape(-1))
+    pixels = np.concatenate(images) if images else np.empty(0, np.float32)
+    arrays = (structs, kernels.SplatLayer), (rules or [kernels.SplatRule()], kernels.SplatRule)
+    return *(wp.array(items, dtype=kind, device=launch.DEVICE) for items, kind in arrays), flat(pixels, wp.float32)
+
+
+def _rule(rule: Rule, at: int, lowest: float, highest: float) -> kernels.SplatRule:
+    limits, edge = np.array([rule.low, rule.high]), rule.edge
+    if rule.of == splat_rules.RELIEF:
+        # All level ground is at its lowest point.
+        relief = highest - lowest or max(abs(lowest), 1.0)
+        limits, edge = lowest + limits * relief, edge * relief
+    elif rule.of == splat_rules.FLOW:
+        with np.errstate(divide="ignore"):
+            limits = np.log10(np.maximum(limits, 0.0))
+    found = kernels.SplatRule()
+    found.kind, found.at = KIND_OF.get(rule.of, kernels.VALUE), at
+    found.low, found.high, found.edge = *limits, edge
+    found.per_edge = 1.0 / max(edge, MIN_EDGE)
+    found.sine, found.cosine = math.sin(rule.direction), math.cos(rule.direction)
+    if rule.image is not None:
+        found.rows, found.columns = rule.image.values.shape
+    return found
+
+
+def example(evaluate: Evaluate) -> None:
+    """Assert that rock above 30 degrees covers no plane of 20 degrees and all of one of 40; weights add up to 1."""
+    rock = Layer("Rock", (Rule("slope", low=math.radians(30), edge=math.radians(4)),), on_top=True)
+    east = np.arange(17, dtype=np.float32) * 10.0
+    for degrees, share in ((20, 0.0), (40, 1.0)):
+        plane = np.tile(east * np.float32(math.tan(math.radians(degrees))), (17, 1))
+        weights = evaluate("splat_1", plane, step=10.0, layers=(Layer("Grass"), rock))
+        assert (weights == (1.0 - share, share, 0.0, 0.0)).all()
+
+
+SPLATS = tuple(
+    Effect(
+        name=name,
+        about=f"What part of the ground the splat layers {4 * k + 1} to {4 * k + 4} cover; all add up to exactly 1",
+        unit="",
+        make=make,
+        kernels=(kernels,),
+        example=example,
+        width=4,
+        span=(0.0, 1.0),
+        reads=tuple(sorted(set(READ_FROM.values()))),
+        choose=lambda values: reads(values["layers"]),
+        nothing=lambda values, first=4 * k: len(values["layers"]) <= first,
+        parameters=(LAYERS,),
+        halo="as what the rules are about",
+        cost_ns=100,
+        source="Bands of rules; exact shares by the method of the largest remainder",
+    )
+    for k, name in enumerate(NAMES)
+)

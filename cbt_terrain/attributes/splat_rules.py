@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Splat layers as data: rules for the cover of the ground. They are hashable and part of keys.
+
+A rule is an interval of one quantity with soft edges; a layer covers a point by its strength times all its rules.
+Layers share the ground in proportion; a layer `on_top` takes its share from those before it. The first layer covers
+ground without any other.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import TerrainError
+from ..field.painted import Painted
+from ..plain_numbers import keep_plain_numbers
+from .attribute import Parameter
+from .layers import NAMES as LAYER_NAMES
+
+MOST_LAYERS = 12
+# Limits of a layer's numbers, and of an edge in any unit.
+MAX_NUMBER, MOST_EDGE = 1e6, 1e30
+# Quantities of rules. RELIEF: height, 0 at the lowest and 1 at the highest point of the terrain. ASPECT: the cosine of
+# the angle between downhill and `direction`, 0 on level ground. NOISE: of the layer. LAYER: the cover of `other` by its
+# rules. IMAGE: `image` over the raster's extent. Layers of height operators (layers.py) come last.
+HEIGHT, RELIEF, SLOPE, ASPECT, CURVATURE, FLOW, WETNESS, NOISE, LAYER, IMAGE = KINDS = (
+    *("height", "relief", "slope", "aspect", "curvature", "flow", "wetness", "noise", "layer", "image"),
+)
+KINDS += LAYER_NAMES
+# The attribute that each reads; the others read none.
+READ_FROM = {
+    HEIGHT: "height",
+    RELIEF: "height",
+    SLOPE: "slope",
+    ASPECT: "aspect",
+    CURVATURE: "mean_curvature",
+    FLOW: "flow",
+    WETNESS: "wetness",
+    **{name: name for name in LAYER_NAMES},
+}
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A weight of 1 from `low` to `high`, 0 outside, and a smooth step of width `edge` centred on each limit.
+
+    Units: height m, slope rad, curvature 1 / m (positive on ridges), flow m^2 with an edge in powers of ten, relief,
+    aspect, noise (-1 .. 1), layer and image (0 .. 1) none; layers.py has those of layers. `direction`: rad,
+    clockwise from north. `other`: index of an earlier layer.
+    """
+
+    of: str
+    low: float = -math.inf
+    high: float = math.inf
+    edge: float = 0.0
+    direction: float = 0.0
+    other: int = -1
+    image: Painted | None = None
+
+    def __post_init__(self):
+        keep_plain_numbers(self, "A splat rule's")
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A layer with its rules. `noise_size`: longest wave of its noise in metres, 0 for no noise. `ragged`: largest
+    shift
+    of the rules' limits by noise, in widths of their edges."""
+
+    name: str
+    rules: tuple[Rule, ...] = ()
+    strength: float = 1.0
+    on_top: bool = False
+    noise_size: float = 0.0
+    ragged: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self):
+        keep_plain_numbers(self, "A splat layer's")
+
+
+# Default layers: grass, scree and rock by slope, snow above two thirds of the relief.
+DEFAULT = (
+    Layer("Grass"),
+    Layer(
+        "Scree", (Rule(SLOPE, low=math.radians(24), edge=math.radians(8)),), on_top=True, noise_size=300.0, ragged=1.0
+    ),
+    Layer(
+        "Rock", (Rule(SLOPE, low=math.radians(36), edge=math.radians(8)),), on_top=True, noise_size=200.0, ragged=0.8
+    ),
+    Layer(
+        "Snow",
+        (Rule(RELIEF, low=0.66, edge=0.12), Rule(SLOPE, high=math.radians(48), edge=math.radians(10))),
+        on_top=True,
+        noise_size=600.0,
+        ragged=0.6,
+        seed=3,
+    ),
+)
+
+
+LAYERS = Parameter("layers", DEFAULT, 1, MOST_LAYERS, "layers", "The layers and their rules: a tuple of Layer")
+
+
+def covering(other: int) -> Rule:
+    """Return a rule whose weight is the cover of another layer."""
+    return Rule(LAYER, low=0.5, edge=1.0, other=other)
+
+
+def painted(image: np.ndarray | Painted) -> Rule:
+    """Return a rule whose weight is an image's value."""
+    return Rule(IMAGE, low=0.5, edge=1.0, image=image if isinstance(image, Painted) else Painted(image))
+
+
+def reads(layers: tuple[Layer, ...]) -> tuple[str, ...]:
+    """Return the names of the attributes that the rules of these layers read."""
+    return tuple(sorted({READ_FROM[rule.of] for layer in layers for rule in layer.rules if rule.of in READ_FROM}))
+
+
+def covers_nothing(rule: Rule) -> bool:
+    """Return whether the low limit is so far above the high one that their edges do not overlap."""
+    if not rule.low > rule.high:
+        return False
+    if rule.of != FLOW:
+        return rule.low - rule.high >= rule.edge
+    return rule.high <= 0.0 or math.log10(rule.low) - math.log10(rule.high) >= rule.edge
+
+
+def check(layers: tuple[Layer, ...]) -> None:
+    """Raise TerrainError for invalid layers."""
+    if not 1 <= len(layers) <= MOST_LAYERS:
+        raise TerrainError(
+            f"There are {len(layers)} splat layers", expected=f"1 to {MOST_LAYERS}", fix="remove some or add one"
+        )
+    for number, layer in enumerate(layers):
+        where = f"The splat layer {layer.name!r}"
+        numbers = layer.strength, layer.noise_size, layer.ragged
+        if not all(0.0 <= value <= MAX_NUMBER for value in numbers):
+            raise TerrainError(
+                f"{where} has a strength, noise size and ragged edge of {numbers}", expected=f"0 to {MAX_NUMBER:g}"
+            )
+        for rule in layer.rules:
+            if rule.of not in KINDS:
+                raise TerrainError(f"{where} has a rule about {rule.of!r}", expected=f"one of: {', '.join(KINDS)}")
+            limits = rule.low, rule.high, rule.edge, rule.direction
+            if any(map(math.isnan, limits)) or not 0.0 <= rule.edge <= MOST_EDGE or math.isinf(rule.direction):
+                raise TerrainError(
+                    f"{where} has a rule about {rule.of} from {rule.low} to {rule.high} with an edge of {rule.edge}",
+                    expected=f"numbers, and an edge of 0 to {MOST_EDGE:g}",
+                )
+            if rule.of == LAYER and not 0 <= rule.other < number:
+                raise TerrainError(
+                    f"{where} is layer {number} and has a rule about layer {rule.other}",
+                    expected="an earlier layer",
+                    fix="move it down",
+                )
+            if rule.of == IMAGE and rule.image is None:
+                problem = f"{where} has a painted rule without an image"
+                raise TerrainError(problem, fix="choose an image, or switch the rule off")

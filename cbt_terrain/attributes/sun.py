@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sun: the fraction of the sun's disc above the horizon."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import light as light_kernels
+from ...kernels.effects.light import sun_seen
+from .attribute import Effect, Evaluate, Parameter, Places, Wanted
+from .light import strips_of, strongest
+from .occluder import for_places, occluder_of
+
+# The default sun, 45 degrees high in the south-west, with the width of the real one.
+AFTERNOON = (-0.5, -0.5, 0.5 * math.sqrt(2.0), 0.00918)
+
+
+def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Compute the requested values; implements `Make`."""
+    sun = strongest(wanted["sun"]["suns"])
+    strips = None if sun is None else strips_of(sun)
+    out = np.zeros(len(places), np.float32)
+    if strips is not None:
+        numbers = [wp.float64(strips[name]) for name in ("elevation", "radius", "low", "high")]
+        inputs = [occluder_of(places), *numbers, strips["strips"]]
+        for_places(sun_seen, places, inputs, out, cost=300.0)
+    return {"sun": out}
+
+
+def example(evaluate: Evaluate) -> None:
+    """Assert that a wall of 20 m under a sun 45 degrees high in the east casts a shadow of 20 m to the west."""
+    east = np.arange(41, dtype=np.float32) * 2.0
+    wall = np.tile(np.where(east >= 50.0, np.float32(20.0), np.float32(0.0)), (41, 1))
+    lit = evaluate("sun", wall, step=2.0, suns=((1.0, 0.0, 1.0, 0.00918),))
+    assert (lit[:, :13] == 1.0).all() and (lit[:, 14:23] == 0.0).all()
+
+
+SUN = Effect(
+    name="sun",
+    about="Part of the sun's disc above the horizon, of the strongest sun: 1 is in the sun, 0 in the shadow",
+    unit="1",
+    span=(0.0, 1.0),
+    make=make,
+    kernels=(light_kernels,),
+    example=example,
+    parameters=(
+        Parameter(
+            "suns",
+            (AFTERNOON,),
+            -math.inf,
+            math.inf,
+            "",
+            "Rows of x, y, z towards a sun in the terrain's own space, the angle of its disc in radians, its strength; "
+            "only the strongest counts",
+        ),
+    ),
+    scaled=False,
+    halo="the whole raster",
+    cost_ns=2400,
+    source="Tevs, Ihrke and Seidel 2008 (max mipmap); the disc in three upright strips",
+)

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Wetness: the topographic wetness index."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import catchment as catchment_kernels
+from ...kernels.effects import flow as kernels
+from ...kernels.effects import pyramid as pyramid_kernels
+from ...kernels.effects import routing as routing_kernels
+from ..run import launch
+from ..run.buffers import flat, shared
+from .attribute import Effect, Evaluate, Places, Wanted
+from .flow import routed_level
+
+# Smallest tangent of the slope; level ground would be infinitely wet.
+MIN_TANGENT = 1e-3
+
+
+def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Compute the requested values; implements `Make`."""
+    lattice, out = places.field.lattice, np.empty(len(places), np.float32)
+    width = math.sqrt(lattice.step_x * lattice.step_y) * 2 ** routed_level(places.field)
+    arrays = flat(read["flow"], wp.float32), shared(read["detail_normal"], wp.vec3f), flat(out, wp.float32)
+    inputs = [width, MIN_TANGENT, *arrays]
+    launch.spread(kernels.wetness_at, len(places), inputs, step="flow", threads=places.threads, cost=2)
+    return {"wetness": out}
+
+
+def example(evaluate: Evaluate) -> None:
+    """Assert the index of the second sample below the ridge of a roof of 30 degrees, which drains 2.5 samples."""
+    x = np.arange(17, dtype=np.float32)
+    slope = np.float32(10.0 * math.tan(math.radians(30)))
+    wetness = evaluate("wetness", np.tile(-abs(x - 8.0) * slope, (9, 1)), step=10.0).reshape(5, 13)
+    assert abs(wetness[2, 4] - math.log(25.0 / math.tan(math.radians(30)))) < 1e-4
+
+
+WETNESS = Effect(
+    name="wetness",
+    about="Topographic wetness index: ln of the area that drains through a metre of contour over the slope's tangent",
+    unit="",
+    make=make,
+    kernels=(catchment_kernels, kernels, pyramid_kernels, routing_kernels),
+    example=example,
+    reads=("flow", "detail_normal"),
+    halo="as flow",
+    cost_ns=10,
+    source="Beven and Kirkby 1979",
+)

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Conservation of mass when a coarser level's change is interpolated to a finer one.
+
+Interpolation gains or loses material, which deposits nearby make up for. All levels together conserve mass, and a tile
+has the result of the whole without reading distant samples.
+"""
+
+import numpy as np
+
+from .height_operator import Ground
+from .levels import finer
+
+# A gain is removed from deposits within 2^4 samples, the rest of it within 2^5, then 2^6. The last rest is so small
+# that the halo of a tile may be shorter: tiles lose or gain up to 1e-4 of the moved material.
+HALVINGS = 4, 5, 6
+# A rest below this fraction of all deposits is rounding.
+ROUNDING = 1e-7
+
+
+def balanced(
+    deposited: np.ndarray,
+    eroded: np.ndarray,
+    max_eroded: np.ndarray,
+    change: np.ndarray,
+    net: np.ndarray,
+    ground: Ground,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Scale deposits and erosion so that mass is conserved: exactly for a whole raster, for a tile within its window.
+
+    All float32 [rows, columns] m. net: the interpolated change of the coarser level, whose sum over that level's
+    samples is 0. change: the same at this level before the correction; it includes `deposited` >= 0, which is scaled
+    first. `eroded` >= 0 changes, up to `max_eroded`, only where too little is deposited nearby, as at a border that all
+    material has left.
+    """
+    missing = change.sum(dtype=np.float64) - deposited.sum(dtype=np.float64)
+    padding = [(first % (1 << HALVINGS[-1]), 0) for first in ground.first]  # aligns the grids of tiles and of the whole
+    within = tuple(slice(before, None) for before, _ in padding)
+    deposited, gain, done = np.pad(deposited, padding), np.pad(change - _complete(net, ground), padding), 0
+    for halvings in HALVINGS:
+        available, gain = _gather(deposited, halvings), _gather(gain, halvings - done)
+        fraction, done = _fraction(gain, available), halvings
+        gain = gain - fraction * available
+        deposited = deposited - _interpolate(fraction, deposited.shape, halvings) * deposited
+    deposited, before = deposited[within], eroded
+    if abs(gain).sum() > ROUNDING * deposited.sum(dtype=np.float64):
+        for sign, available in ((1.0, np.minimum(eroded, max_eroded - eroded)), (-1.0, eroded)):
+            available = np.pad(available, padding)
+            fraction = _fraction(np.maximum(sign * gain, 0.0), _gather(available, done))
+            eroded = eroded + (np.float32(sign) * _interpolate(fraction, available.shape, done) * available)[within]
+    if all(ground.rims):  # nothing was near enough, or the coarser level's sum was not exactly 0
+        total = deposited.sum(dtype=np.float64)
+        missing -= (eroded - before).sum(dtype=np.float64)
+        deposited = deposited - np.float32(_fraction(missing + total, total)) * deposited
+    return deposited, eroded
+
+
+def _fraction(gain, available):
+    """Return the fraction of the available material to remove; negative to add, at most as much again."""
+    return np.clip(gain / np.maximum(available, 1e-12), -1.0, 1.0)
+
+
+def _gather(samples: np.ndarray, halvings: int) -> np.ndarray:
+    """Apply the transpose of `finer` several times: float64, each time [rows // 2 + 1, columns // 2 + 1], same sum."""
+    for axis in (0, 1) * halvings:
+        along = np.moveaxis(samples, axis, 0)
+        coarse = np.zeros((len(along) // 2 + 1, along.shape[1]))
+        coarse[: (len(along) + 1) // 2] = along[::2]
+        between = 0.5 * along[1::2]
+        coarse[: len(between)] += between
+        coarse[1 : len(between) + 1] += between
+        samples = np.moveaxis(coarse, 0, axis)
+    return samples
+
+
+def _interpolate(samples: np.ndarray, shape: tuple[int, int], halvings: int) -> np.ndarray:
+    """Apply `finer` several times, up to a shape; float32."""
+    if halvings > 1:
+        samples = _interpolate(samples, (shape[0] // 2 + 1, shape[1] // 2 + 1), halvings - 1)
+    return finer(samples.astype(np.float32), shape)
+
+
+def _complete(net: np.ndarray, ground: Ground) -> np.ndarray:
+    """Return an interpolated change with the missing material at the raster's borders.
+
+    A coarser sample there has finer samples on one side only, or is beyond the last of them.
+    """
+    net, rims = net.copy(), ground.rims
+    for axis, (start, end) in enumerate((rims[:2], rims[2:])):
+        along = np.moveaxis(net, axis, 0)
+        odd = (ground.first[axis] + len(along)) % 2 == 1
+        last = 0.5 * along[-1] if odd else 3.0 * along[-1] - 1.5 * along[-2]
+        if start:
+            along[0] *= np.float32(1.5)
+        if end:
+            along[-1] += last
+    return net

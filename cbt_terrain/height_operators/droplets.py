@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Droplets: short gullies and small fans from rain that runs a few hundred metres, for use after rivers.
+
+A mask scales erosion; deposition follows from it.
+"""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import warp as wp
+
+from ...kernels.land import droplets as kernels
+from ..attributes.attribute import Parameter
+from ..run import launch
+from ..run.buffers import flat
+from .height_operator import Change, Evaluate, Ground, LandEffect, LandLayer
+
+# The positions of gullies differ between levels, only their amount converges. So droplets run on each level down to
+# this many metres between samples, independently of the coarser one; finer levels smooth the gullies of that level.
+FINEST_STEP = 8.0
+# On coarse levels a droplet stands for several, so that at most this many fall on a sample. On levels whose spacing is
+# above this fraction of the reach there are no gullies.
+MAX_PER_SAMPLE, COARSEST_STEP = 4.0, 0.25
+# Length scales in metres: of turning downhill, of reaching the capacity, of drying; diameter of the brush. Capacity of
+# a droplet on a slope of 1 in m3.
+TURN, LOAD, DRY, BRUSH, CAPACITY = 12.0, 120.0, 600.0, 16.0, 250.0
+
+
+def apply(ground: Ground, values: Mapping[str, float], coarse: Change | None) -> Change:
+    """Compute the change of a level; implements `Apply`."""
+    if coarse is not None and max(ground.step_x, ground.step_y) < FINEST_STEP:
+        change = _smooth(coarse.heights, ground.missing)
+    elif min(ground.heights.shape) < 2 or min(ground.step_x, ground.step_y) > COARSEST_STEP * values["reach"]:
+        change = np.zeros(ground.heights.shape, np.float32)
+    else:
+        change = _smooth(rain_on(ground, values)[0].astype(np.float32), ground.missing)
+    return Change(change, {"sediment": np.maximum(change, 0.0), "wear": np.maximum(-change, 0.0)})
+
+
+def _smooth(change: np.ndarray, missing: np.ndarray | None) -> np.ndarray:
+    """Apply [1 2 1] / 4 along both axes, which conserves the sum.
+
+    It removes the washboard that droplets leave on level ground and smooths what is linear between coarse samples.
+    """
+    out = change.copy()
+    still = np.zeros(out.shape, bool) if missing is None else missing
+    for a, b, wall in (
+        (out[:-1], out[1:], still[:-1] | still[1:]),
+        (out[:, :-1], out[:, 1:], still[:, :-1] | still[:, 1:]),
+    ):
+        passed = np.where(wall, np.float32(0.0), np.float32(0.25) * (a - b))
+        a -= passed
+        b += passed
+    if missing is not None:
+        out[missing] = 0.0
+    return out
+
+
+def rain_on(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, float]:
+    """Run all droplets of a level; return the change, float64 [rows, columns] m, and the m3 that left at the border."""
+    rain = _rain(ground, values)
+    heights, change = ground.heights.copy(), np.zeros(ground.heights.shape)
+    if ground.missing is not None:
+        heights[ground.missing] = np.nan
+    mask = np.ones(heights.shape, np.float32) if ground.mask is None else np.ascontiguousarray(ground.mask, np.float32)
+    rain.ground, rain.mask, rain.change = flat(heights, wp.float32), flat(mask, wp.float32), flat(change, wp.float64)
+    carried = 0.0
+    for colour, tiles in enumerate(_tiles(rain, ground)):
+        lost = np.zeros(len(tiles))
+        inputs = [flat(tiles, wp.int32), rain, flat(lost, wp.float64)]
+        cost = 5.0 * rain.drops * rain.steps
+        launch.spread(kernels.rain_on_tiles, len(tiles), inputs, step="droplets", threads=ground.threads, cost=cost)
+        carried += math.fsum(lost)
+        ground.progress((colour + 1) / 4)
+    return change, carried
+
+
+def _rain(ground: Ground, values: Mapping[str, float]) -> kernels.DropletRain:
+    """Return the parameters of the kernels."""
+    rain, stride = kernels.DropletRain(), min(ground.step_x, ground.step_y)
+    rain.height, rain.width = ground.heights.shape
+    rain.first_row, rain.first_column = ground.first
+    rain.step_x, rain.step_y, rain.stride, rain.steps = ground.step_x, ground.step_y, stride, _steps(values, stride)
+    rain.brush_x, rain.brush_y = (max(1, round(0.5 * BRUSH / step)) for step in (ground.step_x, ground.step_y))
+    rain.rows, rain.columns = (
+        _tile(rain.steps * stride / step, brush)
+        for step, brush in ((ground.step_y, rain.brush_y), (ground.step_x, rain.brush_x))
+    )
+    rain.across = -(-_whole(ground)[1] // rain.columns)
+    per_sample = values["droplets"] * 1e-6 * ground.step_x * ground.step_y
+    simulated = min(per_sample, MAX_PER_SAMPLE)
+    rain.drops = round(simulated * rain.rows * rain.columns)
+    rain.capacity = CAPACITY * values["strength"] * per_sample / max(simulated, 1e-12)
+    rain.sea = values["sea"]
+    # float32, since the last bit of exp differs between machines
+    inertia, load, water = (float(np.float32(math.exp(-stride / length))) for length in (TURN, LOAD, DRY))
+    rain.seed = (ground.seed * 0x9E3779B9) & 0xFFFFFFFF
+    rain.inertia, rain.load, rain.dry = inertia, 1.0 - load, 1.0 - water
+    return rain
+
+
+def _whole(ground: Ground) -> tuple[int, int]:
+    rows, columns = np.maximum(ground.whole, np.add(ground.first, ground.heights.shape))
+    return int(rows), int(columns)
+
+
+def _steps(values: Mapping[str, float], stride: float) -> int:
+    return max(1, int(values["reach"] / stride))
+
+
+def _tile(reach: float, brush: int) -> int:
+    """Return the samples along a tile's side, of which a droplet with its last brush reaches less than half."""
+    return math.ceil(2.0 * (reach + brush + 3.0))
+
+
+def _tiles(rain: kernels.DropletRain, ground: Ground) -> list[np.ndarray]:
+    """Return the numbers in the whole level, int32, of the tiles of each colour that can affect the target window.
+
+    These are the tiles within reach of the target, and the tiles of earlier colours within reach of them.
+    """
+    numbers, near = [], []
+    target = ground.target or [slice(0, n) for n in ground.heights.shape]
+    for first, count, whole, side, part in zip(
+        ground.first, ground.heights.shape, _whole(ground), (rain.rows, rain.columns), target, strict=True
+    ):
+        last = min(first + count, whole) - 1
+        found = np.arange(first // side, last // side + 1)
+        reach = side // 2
+        numbers.append(found)
+        near.append(((found + 1) * side > first + part.start - reach) & (found * side < first + part.stop + reach))
+    matter = np.logical_and.outer(*near)
+    # A tile reads its neighbours of earlier colours.
+    odd_row, odd_column = (n % 2 for n in np.meshgrid(*numbers, indexing="ij"))
+    colours = 2 * odd_row + (odd_row ^ odd_column)
+    for colour in (3, 2, 1):
+        matter |= _dilate(matter & (colours == colour)) & (colours < colour)
+    tiles = np.add.outer(numbers[0] * rain.across, numbers[1]).astype(np.int32)
+    return [tiles[matter & (colours == colour)] for colour in range(4)]
+
+
+def _dilate(tiles: np.ndarray) -> np.ndarray:
+    """Return the tiles and their eight neighbours, bool [rows, columns]."""
+    wide = np.pad(tiles, 1)
+    tall = wide[:-2] | wide[1:-1] | wide[2:]
+    return tall[:, :-2] | tall[:, 1:-1] | tall[:, 2:]
+
+
+def _halo(values: Mapping[str, float], step: float) -> float:
+    """Return the halo in metres: 4 sides of a droplet tile.
+
+    Droplets that reach the target start within half a side of it, the earlier tiles that affect them are at most two
+    tiles further, and these read half a side beyond.
+    """
+    if step < FINEST_STEP:
+        return 2.0 * step
+    return 8.0 * (values["reach"] + max(0.5 * BRUSH, step) + 5.0 * step)
+
+
+def example(shape: Evaluate) -> None:
+    """Assert that a funnel fills from its flanks and conserves mass, and that a plain does not change."""
+    x = np.abs(np.arange(65, dtype=np.float32) - 32.0)
+    far = np.maximum(x[:, None], x)
+    change = shape("droplets", 10.0 + 5.0 * far, 10.0).heights
+    assert change[far < 3].mean() > 3.0 and change[(far > 12) & (far < 30)].mean() < -0.5
+    assert abs(change.sum(dtype=np.float64)) < 1e-6 * np.abs(change).sum(dtype=np.float64)
+    assert not shape("droplets", np.full((33, 65), 10.0), 10.0).heights.any()
+
+
+DROPLETS = LandEffect(
+    name="droplets",
+    label="Gullies",
+    about="Short gullies and small fans, from droplets that run a few hundred metres",
+    apply=apply,
+    kernels=(kernels,),
+    example=example,
+    parameters=(
+        Parameter("droplets", 20000.0, 0.0, 200000.0, "1/km²", "Droplets that fall"),
+        Parameter("reach", 480.0, 50.0, 2000.0, "m", "How far a droplet runs at most"),
+        Parameter("strength", 1.0, 0.0, 10.0, "", "How much a droplet carries: 1 is 250 m³ on a slope of 1"),
+        Parameter("sea", 0.0, -12000.0, 9000.0, "m", "Ground up to this height is sea, where droplets end"),
+    ),
+    layers=(
+        LandLayer("sediment", "m", "What droplets have laid down"),
+        LandLayer("wear", "m", "Rock that was removed"),
+    ),
+    halo=_halo,
+    masks=True,
+    limit="None: a droplet digs at most to the height of its next place",
+    conserves="within one level, what is taken is deposited or leaves over the open border, where it is lost; "
+    "on 257 x 257 samples of the mountains that was 7 % of what moved, 51 % in the eight samples at the border",
+    converges="the amount, not the places: 1.2, then 1.1 m rms of 2.4 m at 32, 16 and 8 m; finer levels add nothing; "
+    "with 1,030 samples instead of 1,025, 1.3 m rms of 3.4 m",
+    cost_ns=2000,
+    source="Beyer 2015, in metres and conserving",
+    version=2,
+)

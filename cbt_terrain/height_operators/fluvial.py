@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A step of rivers over a level: uplift, stream-power incision, deposition and hillslope diffusion.
+
+    dh / dt = U - K (A + A0)^m S^n + G / A Q_s + D lap h,  m = 1/2, n = 1, slopes up to `steepest`
+
+h: height, U: uplift, K: erodibility, A: drainage area, S: slope to the receiver, Q_s: sediment flux, G: deposition, D:
+creep. Incision is the implicit step of Braun and Willett (2013), deposition follows Davy and Lague (2009). The area A0
+of a hillslope makes the result converge with the spacing; without it every halving adds as much relief as the last.
+Boundaries: `fixed` samples keep their heights and let water leave; at `border` samples water leaves above
+`outlet_level`.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects.routing import Draw
+from ...kernels.land import creep as creep_kernels
+from ...kernels.land import fluvial as kernels
+from ..attributes.routing import Drainage, grid_of, route
+from ..run import launch
+from ..run.buffers import flat
+
+# Receivers are chosen by slopes times a random factor of 0.2 to 1.8, drawn in every step. Without it D8 leaves straight
+# lines and facets.
+JITTER = 1.6
+# Longest wave of the rock's variation in metres, and its octaves; five have a standard deviation of 1.
+ROCK, ROCK_OCTAVES = 960.0, 5
+# Diffusion number of an explicit step, whose limit of stability is 0.5.
+CREEP = 0.4
+# Least diffusion of a step of CREEP_YEARS, in squared samples; it removes the noise of single samples. The curvature
+# that the ground had before the operator is not noise and is preserved, else ridges of a rough range blur.
+MIN_CREEP, CREEP_YEARS = 0.06, 5e3
+# Metres of sediment that bury the ground's curvature.
+BURIED = 1.0
+# More explicit steps than this cost more than an implicit one, whose work items are blocks of columns.
+MAX_PASSES, BLOCK = 16, 64
+# Passes of settling under water in a step, for each distance in samples. Streams deposit along single random paths,
+# which would show as worms.
+SETTLING, APART = 12, (4, 2, 1)
+
+
+@dataclass(eq=False)
+class Bed:
+    """The state of a level and its boundary conditions, arrays of n samples in C order.
+
+    Attributes:
+        heights, sediment: float32 metres; heights include sediment.
+        fixed: bool, samples that let water leave and do not change.
+        weight: float32, 0 to 1, the mask.
+        erodibility: float32, factor on K: the mask times the rock's variation.
+        uplift: float32, U in m/year.
+        cell_weight: float64, upstream samples a sample stands for, including those outside the tile.
+        first, seed: of the noise, as in `Ground`.
+        curvature: float32 1/m, see `curvature_of`, or 0.
+        border, outlet_level: indices of border samples, and the float32 level in metres where water leaves there.
+        inflow: float64, sediment that enters the tile, metres times samples a year, or None.
+        path, path_level: indices and float32 levels in metres of samples that count as no higher in the choice of
+            receivers (lake_outlets.py).
+    """
+
+    shape: tuple[int, int]
+    step_x: float
+    step_y: float
+    heights: np.ndarray
+    sediment: np.ndarray
+    fixed: np.ndarray
+    weight: np.ndarray
+    erodibility: np.ndarray
+    uplift: np.ndarray
+    cell_weight: np.ndarray
+    first: tuple[int, int] = (0, 0)
+    seed: int = 0
+    threads: int = 1
+    curvature: np.ndarray | float = 0.0
+    border: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    outlet_level: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
+    inflow: np.ndarray | None = None
+    path: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    path_level: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
+
+    def drain(self, draw: "Draw | None" = None) -> Drainage:
+        """Route water over the bed with its boundary conditions; `draw`: noise of the receivers."""
+        heights = self.heights + np.float32(0.0)
+        heights[self.border] = np.maximum(heights[self.border], self.outlet_level)
+        chosen = heights.copy()
+        chosen[self.path] = np.minimum(chosen[self.path], self.path_level)
+        fixed, steps = self.fixed.reshape(self.shape), (self.step_x, self.step_y)
+        drainage = route(chosen.reshape(self.shape), *steps, fixed, self.threads, draw, self.cell_weight)
+        drainage.heights = heights
+        return drainage
+
+
+def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.ndarray | None:
+    """Advance by `years`; `number` selects the noise of the receivers. values: parameters of rivers.py.
+
+    Returns the sediment that came to each sample, float64 [n], metres times samples, at outlets what has left; None
+    without deposition.
+    """
+    ground, drainage = bed.heights, bed.drain(_draw(bed, number))
+    raised = drainage.heights if not bed.uplift.any() else drainage.heights + np.float32(years) * bed.uplift
+    bed.heights = raised.copy()
+    river, filled = _cut(bed, drainage, years, values)
+    load = None if filled is None else _deposit(bed, drainage, river, raised, filled, years)
+    uplift = np.float32(years) * bed.uplift[bed.border]
+    bed.heights[bed.border] = raised[bed.border] = ground[bed.border] + uplift  # was raised to outlet_level
+    if values["creep"] > 0.0:
+        _creep(bed, years, values["creep"], drainage.base, filled)
+    bed.sediment = np.maximum(bed.sediment + (bed.heights - raised), np.float32(0.0))
+    return load
+
+
+def curvature_of(bed: Bed) -> np.ndarray:
+    """Return the Laplacian of the heights, float32 [n], 1/m, 0 along the border and at fixed samples."""
+    h, laplacian = bed.heights.reshape(bed.shape), np.zeros(bed.shape, np.float32)
+    middle = h[1:-1, 1:-1]
+    laplacian[1:-1, 1:-1] = ((h[1:-1, 2:] - middle) - (middle - h[1:-1, :-2])) / np.float32(bed.step_x**2)
+    laplacian[1:-1, 1:-1] += ((h[2:, 1:-1] - middle) - (middle - h[:-2, 1:-1])) / np.float32(bed.step_y**2)
+    return np.where(bed.fixed, np.float32(0.0), laplacian.reshape(-1))
+
+
+def _creep(bed: Bed, years: float, rate: float, base: np.ndarray, filled: np.ndarray | None) -> None:
+    """Diffuse heights at `rate`, m2 a year, and at least by MIN_CREEP.
+
+    The surplus of MIN_CREEP preserves the ground's initial curvature where it is bare of sediment and of lakes, whose
+    surface is `filled`.
+    """
+    spread = years * rate
+    surplus = max(MIN_CREEP * bed.step_x * bed.step_y * min(years / CREEP_YEARS, 1.0) - spread, 0.0)
+    bare = np.clip(1.0 - bed.sediment * np.float32(1.0 / BURIED), 0.0, 1.0, dtype=np.float32)
+    if filled is not None:
+        bare[filled > bed.heights] = 0.0
+    bare *= np.float32(surplus) * bed.curvature
+    bed.heights = diffuse(bed, bed.heights, spread + surplus, base, bed.weight, bare)
+
+
+def vary_rock(bed: Bed, variety: float) -> None:
+    """Multiply the erodibility by noise; `variety`: standard deviation of its logarithm."""
+    grid = grid_of(*bed.shape, bed.step_x, bed.step_y)
+    place = [wp.vec2i(*bed.first), wp.vec2d(bed.step_x, bed.step_y), ROCK, ROCK_OCTAVES]
+    inputs = [grid, *place, 0.5 * variety, wp.uint32(bed.seed & 0xFFFFFFFF), flat(bed.erodibility, wp.float32)]
+    rows, columns = bed.shape
+    launch.spread(kernels.vary_rock, rows, inputs, step="rivers", threads=bed.threads, cost=6 * columns)
+
+
+def _draw(bed: Bed, number: int) -> Draw:
+    draw = Draw()
+    draw.jitter, draw.seed = JITTER, (bed.seed * 0x9E3779B1 + number * 0x85EBCA77 + 1) & 0xFFFFFFFF
+    draw.row, draw.column = bed.first
+    return draw
+
+
+def _cut(
+    bed: Bed, drainage: Drainage, years: float, values: dict[str, float]
+) -> tuple[kernels.River, np.ndarray | None]:
+    """Incise the bed; return the kernel's state and, with deposition, the water's surface."""
+    r, rate, (rows, columns) = kernels.River(), np.empty_like(bed.heights), bed.shape
+    filled = np.empty_like(rate) if values["deposition"] > 0.0 else None
+    r.grid, r.lakes, r.deposition = drainage.grid, int(filled is not None), values["deposition"]
+    r.cell, r.hillslope, r.strength = bed.step_x * bed.step_y, values["hillslope"], values["erodibility"] * years
+    r.drop = wp.vec3f(*(np.tan(np.radians(values["steepest"])) / np.array([*drainage.grid.nearness])))
+    r.to, r.order = flat(drainage.to, wp.uint8), flat(drainage.order, wp.int32)
+    r.area = flat(drainage.catchments, wp.float64)
+    r.erodibility, r.weight = flat(bed.erodibility, wp.float32), flat(bed.weight, wp.float32)
+    r.rate, r.h = flat(rate, wp.float32), flat(bed.heights, wp.float32)
+    r.filled = r.rate if filled is None else flat(filled, wp.float32)
+    launch.spread(kernels.find_rates, rows, [r], step="rivers", threads=bed.threads, cost=columns / 8)
+    launch.once(kernels.cut_down, [r], step="rivers")
+    return r, filled
+
+
+def diffuse(
+    bed: Bed,
+    values: np.ndarray,
+    spread: float,
+    still: np.ndarray,
+    weight: np.ndarray,
+    preserved: np.ndarray | None = None,
+) -> np.ndarray:
+    """Diffuse `values`, float32 [n], over `spread` m2 by stable explicit steps or an implicit one; overwrites them.
+
+    still: uint8 [n], 1 where they do not change, which includes the border. weight: float32 [n], factor on the change.
+    preserved: float32 [n], part of the change in metres that explicit steps leave out.
+    """
+    ew, ns = spread / bed.step_x**2, spread / bed.step_y**2
+    passes = int(np.ceil((ew + ns) / CREEP))
+    (rows, columns), other = bed.shape, values.copy()
+    soil, common = creep_kernels.Soil(), {"step": "rivers", "threads": bed.threads}
+    soil.grid = grid_of(rows, columns, bed.step_x, bed.step_y)
+    soil.base, soil.weight = flat(still, wp.uint8), flat(weight, wp.float32)
+    if passes > MAX_PASSES:
+        soil.ew, soil.ns = ew, ns
+        soil.scratch, soil.change, soil.h = (flat(a, wp.float32) for a in (other, np.empty_like(values), values))
+        blocks = -(-columns // BLOCK)
+        launch.spread(creep_kernels.creep_along_columns, blocks, [BLOCK, soil], cost=BLOCK * rows / 8, **common)
+        launch.spread(creep_kernels.creep_along_rows, rows, [soil], cost=columns, **common)
+        return values
+    soil.ew, soil.ns = ew / max(passes, 1), ns / max(passes, 1)
+    preserved = np.zeros_like(values) if preserved is None else preserved / np.float32(max(passes, 1))
+    soil.preserved = flat(preserved, wp.float32)
+    for _ in range(passes):
+        soil.old, soil.h = flat(values, wp.float32), flat(other, wp.float32)
+        launch.spread(creep_kernels.creep, rows - 2, [soil], cost=columns / 16, **common)
+        values, other = other, values
+    return values
+
+
+def _deposit(
+    bed: Bed, drainage: Drainage, river: kernels.River, raised: np.ndarray, filled: np.ndarray, years: float
+) -> np.ndarray:
+    """Deposit sediment along the rivers and in lakes; return the load of each sample."""
+    load = np.zeros(len(filled)) if bed.inflow is None else bed.inflow * years
+    lake = (filled > bed.heights) & (drainage.base == 0) & (bed.weight > 0.0)
+    river.raised, river.load = flat(raised, wp.float32), flat(load, wp.float64)
+    launch.once(kernels.deposit, [river], step="rivers")
+    _settle(bed, lake, raised)
+    return load
+
+
+def _settle(bed: Bed, lake: np.ndarray, raised: np.ndarray) -> None:
+    """Level the sediment in lakes. lake: bool [n], no sample of the border."""
+    at = np.flatnonzero(lake)
+    was = np.maximum(bed.sediment[at] + (bed.heights[at] - raised[at]), np.float32(0.0))
+    rock, old, new = (np.zeros(len(lake), np.float32) for _ in range(3))
+    rock[at], old[at], new[at] = bed.heights[at] - was, was, was
+    for apart in APART:
+        open_water = _inside(lake.reshape(bed.shape), apart - 1).reshape(-1)
+        wide = np.flatnonzero(open_water)
+        ends = np.flatnonzero(np.diff(wide // bed.shape[1], append=-1))
+        last = wide[ends].astype(np.int32)
+        first = wide[np.append(0, ends[:-1] + 1)[: len(ends)]].astype(np.int32)
+        where = [bed.shape[1], apart, flat(first, wp.int32), flat(last, wp.int32)]
+        where.append(flat(open_water.view(np.uint8), wp.uint8))
+        cost = len(wide) / max(len(ends), 1) / 8
+        for _ in range(SETTLING if len(ends) else 0):
+            arrays = [flat(a, wp.float32) for a in (rock, old, new)]
+            launch.spread(kernels.settle, len(ends), [*where, *arrays], step="rivers", threads=bed.threads, cost=cost)
+            old, new = new, old
+    bed.heights[at] += old[at] - was
+
+
+def _inside(lake: np.ndarray, distance: int) -> np.ndarray:
+    """Return the samples of lakes with water all round within a distance, bool [rows, columns]."""
+    inside = lake
+    for axis in (0, 1) if distance else ():
+        inside = np.logical_and.reduce([np.roll(inside, by, axis) for by in range(-distance, distance + 1)])
+    return inside

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The plan of a run: how each operator is applied at each level, to which tiles, and its estimated cost."""
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from ..view.linear import add_up
+from .mask_reads import SHAPES
+from .stack import Entry
+from .tiles import BAND, Level, Wanted, Window, add_coarser, every_tile
+
+# An operator is applied to a whole level, to tiles, or not at all; its coarser change is then interpolated.
+WHOLE, TILES, UPSAMPLED = "WHOLE", "TILES", "UPSAMPLED"
+# Samples along the longer side of the finest level that is computed as a whole if the whole is requested or tiles are
+# doubted; and, by operators without a finite halo, if only tiles are requested.
+MOST_WHOLE, MAX_WHOLE_FOR_TILES = 4097, 2049
+
+
+class LevelPlan:
+    """How entries are applied at each level, and the total cost in nanoseconds on one thread. The finer levels of
+    `doubted` entries, whose tiles differ too much from a level in one piece, are computed in one piece if possible."""
+
+    def __init__(self, levels: Sequence[Level], entries: Sequence[Entry], wanted: Wanted):
+        self.levels, self.entries = levels, entries
+        self.wants_whole = [tiles is None for tiles in wanted]
+        every = zip(levels, wanted, strict=True)
+        self.wanted = [every_tile(level) if tiles is None else tiles for level, tiles in every]
+        self.doubted: set[int] = set()
+        self._count()
+
+    def _count(self) -> None:
+        self.needed = add_coarser(self.levels, self.wanted, [self._max_halo(level) for level in self.levels])
+        self.total = add_up(self._cost(level) for level in self.levels)
+
+    def doubt(self, number: int) -> None:
+        """Mark an entry as doubted from the next finer level on."""
+        self.doubted.add(number)
+        self._count()
+
+    def halo(self, entry: Entry, level: Level) -> tuple[int, int] | None:
+        """Return the rows and columns that an operator reads beyond a tile of a level, None if it reads all of it."""
+        metres = entry.declaration.halo(entry.values, max(level.step_x, level.step_y))
+        return None if math.isinf(metres) else (math.ceil(metres / level.step_y), math.ceil(metres / level.step_x))
+
+    def how(self, number: int, level: Level) -> str:
+        """Return how an entry is applied at a level: WHOLE, TILES or UPSAMPLED.
+
+        A request for tiles is computed in tiles even if it lists all of them, so that the tiles of a shot do not change
+        once it sees every one.
+        """
+        entry = self.entries[number]
+        finest, longer = entry.declaration.finest, max(level.shape)
+        if finest and longer > finest and level is not self.levels[-1]:
+            return UPSAMPLED
+        one_piece = self.wants_whole[level.number] or number in self.doubted
+        if level.is_whole or (one_piece and longer <= MOST_WHOLE):
+            return WHOLE  # the halos of all tiles would be several times the work
+        if self.halo(entry, level) is not None:
+            return TILES
+        return WHOLE if longer <= MAX_WHOLE_FOR_TILES else UPSAMPLED
+
+    def runs(self, level: Level) -> list[list[int]]:
+        """Group the numbers of the entries into runs.
+
+        An entry that is applied to a whole level is a run by itself. The entries between two of these form a run that
+        is applied within each tile, which reads nothing of other tiles. A mask that reads the whole level starts a run.
+        """
+        found = []
+        for number, entry in enumerate(self.entries):
+            alone = self.how(number, level) == WHOLE
+            apart = entry.mask is not None and any(rule.of in SHAPES for rule in entry.mask.rules)
+            if alone or apart or not found or self.how(found[-1][-1], level) == WHOLE:
+                found.append([])
+            found[-1].append(number)
+        return found
+
+    def margins(self, level: Level, numbers: Sequence[int]) -> list[tuple[int, int]]:
+        """Return the rows and columns around a tile that each entry of a run reads, and last those of the result.
+
+        Each entry computes what the next one reads.
+        """
+        found = [(BAND, BAND)]
+        for number in reversed(numbers):
+            more = self.halo(self.entries[number], level) if self.how(number, level) == TILES else (0, 0)
+            found.append((found[-1][0] + more[0], found[-1][1] + more[1]))
+        return found[::-1]
+
+    def _max_halo(self, level: Level) -> tuple[int, int]:
+        """Return the largest number of rows and columns beyond a tile and its BAND that a run reads."""
+        first = [self.margins(level, numbers)[0] for numbers in self.runs(level)]
+        rows, columns = np.max([(BAND, BAND), *first], axis=0) - BAND
+        return int(rows), int(columns)
+
+    def cost(self, entry: Entry, window: Window) -> float:
+        """Return the nanoseconds of an entry on a window of a level, on one thread."""
+        rows, columns = (axis.stop - axis.start for axis in window)
+        return rows * columns * max(entry.declaration.cost_ns, 1.0)
+
+    def _cost(self, level: Level) -> float:
+        tiles, total = self.with_neighbours(level, self.needed[level.number]), 0.0
+        for numbers in self.runs(level) if level.is_whole or tiles else ():
+            for number, margin in zip(numbers, self.margins(level, numbers), strict=False):
+                entry, how = self.entries[number], self.how(number, level)
+                if how == WHOLE:
+                    total += self.cost(entry, level.whole)
+                elif how == TILES:
+                    total += len(tiles) * self.cost(entry, level.window(min(tiles), *margin))
+        return total
+
+    def choose_tiles(self, level: Level, max_change: np.ndarray | None, uncertain: np.ndarray | None) -> list[int]:
+        """Return the needed tiles of a level where its change may exceed the allowed error.
+
+        max_change: float64 [tiles of the next coarser level], metres; finer levels change heights less. uncertain: bool
+        likewise, where that does not hold.
+        """
+        needed = self.needed[level.number]
+        if max_change is None or level.is_whole:
+            return list(needed)
+        parents = {tile: level.parent(tile) for tile in needed}
+        return [t for t, need in needed.items() if uncertain[parents[t]] or max_change[parents[t]] > need.metres]
+
+    def with_neighbours(self, level: Level, chosen: Iterable[int]) -> list[int]:
+        """Return the chosen tiles and those of the same level that their finer tiles start from."""
+        return sorted(frozenset().union(*(self.needed[level.number][tile].tiles for tile in chosen)))

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One height operator at one level: its input for a tile or the whole level, and its result, cached by content."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from ..field.heightfield import HeightField
+from .height_operator import Change, Ground, LandEffect
+from .level_plan import LevelPlan
+from .levels import masked
+from .mask import compute_mask
+from .mask_reads import values_of
+from .stack import Entry
+from .tile_cache import TileCache, content_key
+from .tiles import Level, Window
+
+# Raise it when results change although no operator's version does.
+METHOD = 6
+Report = Callable[[float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class LevelGround:
+    """A raster's samples at a level: float32 heights in metres, bool missing or None, and the source's layers."""
+
+    heights: np.ndarray
+    missing: np.ndarray | None
+    layers: Mapping[str, np.ndarray]
+
+    @classmethod
+    def of(cls, field: HeightField, level: Level) -> "LevelGround":
+        missing = None if field.valid is None else _samples_of(field.valid, level) == 0
+        heights = _samples_of(field.samples, level)
+        heights = heights if field.steps is None else field.steps.heights(heights)
+        return cls(heights, missing, {name: _samples_of(field.layers[name], level) for name in field.layers})
+
+
+def _samples_of(samples: np.ndarray, level: Level) -> np.ndarray:
+    """Return the samples of a level; a position beyond the border has the last sample."""
+    if level.number == 0:
+        return samples
+    rows, columns = (
+        np.minimum(np.arange(n) << level.number, count - 1) for n, count in zip(level.shape, samples.shape, strict=True)
+    )
+    return samples[np.ix_(rows, columns)]
+
+
+@dataclass(eq=False)
+class LandWindow:
+    """The sum of the changes and layers so far in a window of a level, float32 [rows, columns]. Arrays of layers are
+    replaced, never written into."""
+
+    window: Window
+    total: np.ndarray
+    layers: dict[str, np.ndarray]
+
+    def crop(self, window: Window) -> "LandWindow":
+        """Return a smaller window of the level as views."""
+        here = within(window, self.window)
+        return LandWindow(window, self.total[here], {name: layer[here] for name, layer in self.layers.items()})
+
+
+@dataclass(frozen=True, eq=False)
+class LevelWork:
+    """Input that all operators share at a level: mask images by file name, names of the layers that are depths."""
+
+    cache: TileCache
+    plan: LevelPlan
+    level: Level
+    source: LevelGround
+    images: Mapping[str, np.ndarray]
+    depths: set[str]
+    threads: int
+
+    def mask(self, entry: Entry, land: LandWindow) -> np.ndarray | None:
+        """Return an entry's mask over the land that the entries before it left, float32 [rows, columns]."""
+        if entry.mask is None:
+            return None
+        names = sorted({rule.of for rule in entry.mask.rules})
+        layers = {name: self._layer(name, land) for name in names if name in {*land.layers, *self.source.layers}}
+        heights, image = partial(self._heights, land), self.images.get(entry.mask.image)
+        read = values_of(names, self.level, heights, self.source.missing, layers, self.threads)
+        return compute_mask(entry.mask, image, self.level, heights, read, land.window)
+
+    def _heights(self, land: LandWindow, window: Window) -> np.ndarray:
+        return self.source.heights[window] + land.total[within(window, land.window)]
+
+    def ground(
+        self, entry: Entry, land: LandWindow, mask: np.ndarray | None, report: Report, target: Window | None = None
+    ) -> Ground:
+        """Return an operator's input. target: window of the level whose change is needed, None for all."""
+        level, source, window = self.level, self.source, land.window
+        names = [name for name in entry.declaration.reads if name in land.layers or name in source.layers]
+        return Ground(
+            heights=self._heights(land, window),
+            step_x=level.step_x,
+            step_y=level.step_y,
+            first=(window[0].start, window[1].start),
+            whole=level.shape,
+            size=self.plan.levels[0].size,
+            level=level.number,
+            target=None if target is None else within(target, window),
+            missing=None if source.missing is None else np.ascontiguousarray(source.missing[window]),
+            mask=None if mask is None else np.ascontiguousarray(mask),
+            layers={name: self._layer(name, land) for name in names},
+            seed=entry.seed,
+            threads=self.threads,
+            progress=report,
+        )
+
+    def _layer(self, name: str, land: LandWindow) -> np.ndarray:
+        """Return a layer before an operator: the source's with earlier depths added, or replaced by earlier states."""
+        current, source = land.layers.get(name), self.source.layers.get(name)
+        source = None if source is None else source[land.window]
+        if current is not None and source is not None and name in self.depths:
+            return current + source
+        return np.ascontiguousarray(source if current is None else current)
+
+    def accumulate(
+        self, entry: Entry, change: Sequence[np.ndarray], mask: np.ndarray | None, land: LandWindow
+    ) -> np.ndarray:
+        """Add an entry's layers to those of the land and return its masked change of heights.
+
+        It copies as little as possible: an array of a fine level takes hundreds of megabytes.
+        """
+        missing = None if self.source.missing is None else self.source.missing[land.window]
+        result = masked(entry.declaration, unpacked(entry.declaration, change), mask)
+        for layer in entry.declaration.layers:
+            array = zero_holes(missing, result.layers[layer.name])
+            if layer.per_metre and layer.name in land.layers:
+                array = land.layers[layer.name] + array
+                if not layer.signed:  # rounding, after an operator that removes all of a depth
+                    array = np.maximum(array, np.float32(0.0), out=array)
+            land.layers[layer.name] = array
+        return zero_holes(missing, result.heights)
+
+
+def zero_holes(missing: np.ndarray | None, samples: np.ndarray) -> np.ndarray:
+    """Return samples with 0 in holes, where interpolation from a coarser level has values of their surroundings."""
+    return samples if missing is None else np.where(missing, np.float32(0.0), samples)
+
+
+def _key(entry: Entry, ground: Ground, coarser: np.ndarray | None, kind: str) -> str:
+    """Return a digest of everything that determines a result."""
+    effect = entry.declaration
+    method = METHOD, kind, effect.name, effect.version, sorted(entry.values.items()), ground.seed
+    position = ground.first, ground.whole, ground.level, ground.step_x, ground.step_y, ground.size, ground.target
+    mask = ground.mask if effect.masks else None
+    arrays = [ground.heights, ground.missing, mask, coarser]
+    layers = [item for name in sorted(ground.layers) for item in (name, ground.layers[name])]
+    return content_key(method, position, *arrays, *layers)
+
+
+def within(inner: Window, outer: Window) -> Window:
+    """Return an inner window relative to the first sample of the outer one."""
+    rows, columns = (slice(i.start - o.start, i.stop - o.start) for i, o in zip(inner, outer, strict=True))
+    return rows, columns
+
+
+def _names(effect: LandEffect) -> list[str]:
+    return [layer.name for layer in effect.layers]
+
+
+def num_arrays(effect: LandEffect, level: Level) -> int:
+    """Return the number of arrays of a change: heights, layers and, but at level 0, the operator's state."""
+    return 1 + len(effect.layers) + (len(effect.state) if level.number else 0)
+
+
+def unpacked(effect: LandEffect, change: Sequence[np.ndarray]) -> Change:
+    """Return a change from its arrays, each float32 [rows, columns], in the order of `num_arrays`."""
+    end = 1 + len(effect.layers)
+    state = dict(zip(effect.state, change[end:], strict=True)) if len(change) > end else {}
+    return Change(change[0], dict(zip(_names(effect), change[1:end], strict=True)), state)
+
+
+def _pack(effect: LandEffect, change: Change, count: int) -> np.ndarray:
+    none, found = np.zeros_like(change.heights), change.layers | change.state
+    names = [*_names(effect), *effect.state][: count - 1]
+    return np.stack([change.heights, *(found.get(name, none) for name in names)], dtype=np.float32)
+
+
+def apply_whole(
+    work: LevelWork,
+    entry: Entry,
+    land: LandWindow,
+    mask: np.ndarray | None,
+    coarser: np.ndarray | None,
+    report: Report,
+) -> np.ndarray:
+    """Return the change of a whole level, [arrays, rows, columns]. coarser: the interpolated coarser change."""
+    effect, level = entry.declaration, work.level
+    count = num_arrays(effect, level)
+    ground = work.ground(entry, land, mask, report)
+
+    def compute() -> np.ndarray:
+        start = None if coarser is None else unpacked(effect, coarser)
+        return _pack(effect, effect.apply(ground, entry.values, start), count)
+
+    return work.cache.take(effect.name, _key(entry, ground, coarser, "whole"), (count, *level.shape), compute)
+
+
+def apply_tile(
+    work: LevelWork,
+    entry: Entry,
+    land: LandWindow,
+    mask: np.ndarray | None,
+    coarser: np.ndarray,
+    target: Window,
+    report: Report,
+) -> np.ndarray:
+    """Return the change of the window `target`, [arrays, rows, columns].
+
+    coarser: the change of the next coarser level, interpolated to the window of `land`.
+    """
+    effect = entry.declaration
+    count = num_arrays(effect, work.level)
+    ground = work.ground(entry, land, mask, report, target)
+
+    def compute() -> np.ndarray:
+        change = _pack(effect, effect.apply(ground, entry.values, unpacked(effect, coarser)), count)
+        return change[(slice(None), *ground.target)]
+
+    shape = count, *(axis.stop - axis.start for axis in target)
+    return work.cache.take(effect.name, _key(entry, ground, coarser, "tile"), shape, compute)

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Transfers between levels, and the application of one operator over all levels."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from .height_operator import Change, Ground, LandEffect
+
+# Maximum number of samples along the longer side of the coarsest level, which is always computed as a whole.
+COARSEST = 257
+
+
+def finer(samples: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Interpolate samples of a level linearly to `shape`, float32 [rows, columns], of the next finer level.
+
+    samples: float32 [(rows + 1) // 2 or one more, likewise].
+    """
+    rows, columns = samples.shape
+    wide = np.empty((rows, 2 * columns - 1), np.float32)
+    wide[:, ::2] = samples
+    wide[:, 1::2] = 0.5 * (samples[:, :-1] + samples[:, 1:])
+    tall = np.empty((2 * rows - 1, wide.shape[1]), np.float32)
+    tall[::2] = wide
+    tall[1::2] = 0.5 * (wide[:-1] + wide[1:])
+    return tall[: shape[0], : shape[1]]
+
+
+def coarser(samples: np.ndarray) -> np.ndarray:
+    """Return every second sample. The last one of a side with an even number is repeated."""
+    odd = np.pad(samples, [(0, 1 - n % 2) for n in samples.shape], mode="edge")
+    return np.ascontiguousarray(odd[::2, ::2])
+
+
+def finer_window(samples: np.ndarray, rows: slice, columns: slice) -> np.ndarray:
+    """Return a window of the result of `finer` for a whole level, bit for bit, without computing the rest."""
+    south, west = rows.start // 2, columns.start // 2
+    coarse = samples[south : (rows.stop - 1) // 2 + 2, west : (columns.stop - 1) // 2 + 2]
+    fine = finer(coarse, (2 * coarse.shape[0] - 1, 2 * coarse.shape[1] - 1))
+    return fine[rows.start - 2 * south : rows.stop - 2 * south, columns.start - 2 * west : columns.stop - 2 * west]
+
+
+def finer_change(change: Change, shape: tuple[int, int]) -> Change:
+    """Interpolate all arrays of a change to the next finer level."""
+    layers, state = ({name: finer(a, shape) for name, a in arrays.items()} for arrays in (change.layers, change.state))
+    return Change(finer(change.heights, shape), layers, state)
+
+
+def apply_by_levels(effect: LandEffect, ground: Ground, values: Mapping[str, float]) -> Change:
+    """Return the change that an operator makes to a whole raster over all levels.
+
+    values: every parameter. Heights, mask and layers of a coarser level are every second sample of the finer one's.
+    """
+    size = tuple((n - 1) * step for n, step in zip(ground.heights.shape, (ground.step_y, ground.step_x), strict=True))
+    change = _unmasked(effect, replace(ground, size=size), values)
+    return masked(effect, change, ground.mask)
+
+
+def _unmasked(effect: LandEffect, ground: Ground, values: Mapping[str, float]) -> Change:
+    """Return the change without its mask, which would otherwise be applied again at each level."""
+    shape, change = ground.heights.shape, None
+    ground = replace(ground, whole=shape)
+    if max(shape) > COARSEST:
+        change = finer_change(_unmasked(effect, _coarser_ground(ground), values), shape)
+    if change is not None and effect.finest and max(shape) > effect.finest:
+        return change
+    return effect.apply(ground, values, change)
+
+
+def masked(effect: LandEffect, change: Change, mask: np.ndarray | None) -> Change:
+    """Multiply heights and depths of a change by a mask, unless the operator applies masks itself."""
+    if mask is None or effect.masks:
+        return change
+    depths = {layer.name for layer in effect.layers if layer.per_metre}
+    layers = {name: layer * mask if name in depths else layer for name, layer in change.layers.items()}
+    return Change(change.heights * mask, layers, change.state)
+
+
+def _coarser_ground(ground: Ground) -> Ground:
+    halved = {
+        "heights": coarser(ground.heights),
+        "missing": None if ground.missing is None else coarser(ground.missing),
+        "mask": None if ground.mask is None else coarser(ground.mask),
+        "layers": {name: coarser(layer) for name, layer in ground.layers.items()},
+    }
+    return replace(ground, step_x=2 * ground.step_x, step_y=2 * ground.step_y, level=ground.level + 1, **halved)

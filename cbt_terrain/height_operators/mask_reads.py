@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Attributes that mask rules read: scalars of attributes/ that depend on heights alone, and layers.
+
+They are computed from an operator's input ground at the spacing of the level. Layers come from earlier operators of the
+stack or from the source.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+
+import numpy as np
+
+from ..attributes.attribute import Asked, Effect
+from ..attributes.catalogue import EFFECTS
+from ..attributes.evaluate import on_samples
+from ..attributes.layers import NAMES as BY_PRODUCTS
+from ..field.heightfield import HeightField
+from ..field.lattice import fit
+from .tile_cache import content_key
+from .tiles import Level, Window
+
+SHAPES = ("mean_curvature", "profile_curvature", "plan_curvature", "flow", "wetness", "sky")
+ATTRIBUTES: dict[str, Effect] = {name: EFFECTS[name] for name in (*SHAPES, *BY_PRODUCTS)}
+
+
+def values_of(
+    names: Iterable[str],
+    level: Level,
+    heights: Callable[[Window], np.ndarray],
+    missing: np.ndarray | None,
+    layers: Mapping[str, np.ndarray],
+    threads: int,
+) -> dict[str, np.ndarray]:
+    """Return the values of those `names` that are in ATTRIBUTES, float32 [rows, columns] of a level.
+
+    heights(window): returns float32 metres of the ground. missing: bool [rows, columns], or None. layers: by-products.
+    """
+    found = {name: layers[name] for name in names if name in BY_PRODUCTS}
+    requests = [Asked(name, ()) for name in names if name in SHAPES]
+    if requests:
+        field = _field(level, np.ascontiguousarray(heights(level.whole)), missing)
+        found |= {request.name: np.empty(level.shape, np.float32) for request in requests}
+        for rows, values in on_samples(field, requests, threads=threads):
+            for request in requests:
+                found[request.name][rows] = values[request.name]
+    return found
+
+
+def _field(level: Level, heights: np.ndarray, missing: np.ndarray | None) -> HeightField:
+    """Return a level as a height field without errors and ranges, which no attribute reads."""
+    none = np.empty(0, np.uint8)
+    return HeightField(
+        samples=heights,
+        lattice=fit(level.columns, level.rows, level.step_x, level.step_y),
+        error=none,
+        exponents=[],
+        ranges=none,
+        range_base=0.0,
+        range_step=0.0,
+        min_height=float(heights.min()),
+        max_height=float(heights.max()),
+        steepest_x=0.0,
+        steepest_y=0.0,
+        key=content_key(heights, level.step_x, level.step_y, missing),
+        valid=None if missing is None else (~missing).view(np.uint8),
+    )

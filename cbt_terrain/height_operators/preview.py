@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A fast preview of a stack: its coarsest level, added to heights that the viewport shows until shaping is done.
+
+Shaping starts from the same level, so that rivers are where they will be.
+"""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..field.build import from_array
+from ..field.heightfield import HeightField
+from ..run.locks import cached
+from .height_operator import Ground
+from .level_work import LevelGround, zero_holes
+from .levels import masked
+from .mask import compute_mask
+from .mask_reads import values_of
+from .prepare import prepare
+from .stack import Entry, Stack, check_by_products
+from .stack_layers import merge_layers
+from .tile_cache import content_key
+from .tiles import Level, levels_of
+
+# Samples along the longer side of the preview, whose errors are computed in a fraction of a second.
+MAX_PREVIEW_SAMPLES = 1025
+SECONDS = 10.0  # time limit; a preview leaves out the remaining operators
+# Number of cached states of stacks' first entries, the most recently used ones. A state of 257 x 257 samples takes 1 MB
+# (measured, alpine), one of 513 x 513 samples four times as much.
+MAX_CACHED = 32
+_FOUND = ("land preview",)  # key in HeightField.found
+
+
+class _TooSlow(Exception):
+    """An operator exceeded the time limit of the preview."""
+
+
+@dataclass
+class _Applied:
+    """The coarsest level after the first entries of a stack, the sum of their changes in metres, the digest of these
+    entries, and the milliseconds of the last one."""
+
+    ground: Ground
+    change: np.ndarray
+    key: str = ""
+    ms: float = 0.0
+
+
+@dataclass
+class Preview:
+    """Heights in memory, the milliseconds of each applied entry, the metres between samples of the level that they were
+    applied to, and the label of the first entry that the time limit left out, or ""."""
+
+    field: HeightField
+    ms: list[float] = field(default_factory=list)
+    step_m: float = 0.0
+    without: str = ""
+
+
+@dataclass
+class _Layers(Mapping):
+    """Layers of the coarsest level, interpolated to the preview's samples on first use."""
+
+    coarse: Mapping[str, np.ndarray]
+    rows: np.ndarray
+    columns: np.ndarray
+    results: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self.results:
+            self.results[name] = _interpolate(self.coarse[name], self.rows, self.columns)
+        return self.results[name]
+
+    def __iter__(self):
+        return iter(self.coarse)
+
+    def __len__(self) -> int:
+        return len(self.coarse)
+
+
+def preview(
+    source: HeightField,
+    stack: Stack,
+    images: Mapping[str, np.ndarray] | None = None,
+    threads: int = 1,
+    seconds: float = SECONDS,
+) -> Preview:
+    """Return the whole terrain with the coarsest level of a stack, at most MAX_PREVIEW_SAMPLES along a side.
+
+    Leading entries that equal those of a recent preview of the same source are not applied again. A bound on a mesh of
+    the preview is relative to these heights.
+
+    images: mask images by file name, float32 [rows, columns], row 0 south. seconds: time limit of the operators.
+    """
+    check_by_products(stack, source.layers)
+    level = levels_of(source.lattice)[-1]
+    states = _apply(source, level, stack, images or {}, threads, seconds)
+    lattice, positions = source.lattice, _positions(source)
+    coarse = [at / (1 << level.number) for at in positions]
+    heights = _source_heights(source) + _interpolate(states[-1].change, *coarse)
+    step_y = lattice.step_y * (lattice.height - 1) / (len(positions[0]) - 1)
+    step_x = lattice.step_x * (lattice.width - 1) / (len(positions[1]) - 1)
+    if source.valid is not None:
+        near = [np.rint(at).astype(np.int64) for at in positions]
+        heights[source.valid[np.ix_(*near)] == 0] = np.nan
+    result = from_array(
+        heights, step_x, step_y, source_max=source.source_max, holes=source.valid is not None, threads=threads,
+        origin=source.origin, crs=source.crs, provenance=source.provenance,
+    )  # fmt: skip
+    result.key = content_key(result.key, stack.key())  # stands for the layers
+    result.layers = _Layers(states[-1].ground.layers, *coarse)
+    left = stack.active[len(states) - 1 :]
+    without = (left[0].name or left[0].declaration.label) if left else ""
+    return Preview(result, [state.ms for state in states[1:]], max(level.step_x, level.step_y), without)
+
+
+def _apply(
+    source: HeightField, level: Level, stack: Stack, images: Mapping, threads: int, seconds: float
+) -> list[_Applied]:
+    """Return the states before the first entry and after each active one within the time limit; update the cache."""
+    prepare(stack)
+    end = time.monotonic() + seconds
+
+    def check_time(_fraction: float) -> None:
+        if time.monotonic() > end:
+            raise _TooSlow
+
+    cached_states = source.found.get(_FOUND, {})
+    start = cached_states.get("") or _Applied(_ground(source, level), np.zeros(level.shape, np.float32))
+    states = [start]
+    for entry in stack.active:
+        key = content_key(states[-1].key, Stack((entry,)).key())
+        if key in cached_states:
+            states.append(cached_states[key])
+            continue
+        mask = None
+        if entry.mask is not None:
+            mask = _mask(entry, images, level, states[-1].ground, threads)
+        ground = replace(states[-1].ground, seed=entry.seed, threads=threads, mask=mask, progress=check_time)
+        try:
+            check_time(0.0)
+            states.append(_after(states[-1], ground, entry, key))
+        except _TooSlow:
+            break
+    used = {state.key: state for state in states}
+    others = [key for key in cached_states if key not in used]
+    recent = others[max(len(others) + len(used) - MAX_CACHED, 0) :]
+    source.found[_FOUND] = {key: cached_states[key] for key in recent} | used
+    return states
+
+
+def _mask(entry: Entry, images: Mapping, level: Level, ground: Ground, threads: int) -> np.ndarray:
+    names = sorted({rule.of for rule in entry.mask.rules})
+    read = values_of(names, level, ground.heights.__getitem__, ground.missing, ground.layers, threads)
+    return compute_mask(entry.mask, images.get(entry.mask.image), level, ground.heights.__getitem__, read)
+
+
+def _ground(source: HeightField, level: Level) -> Ground:
+    found = LevelGround.of(source, level)
+    heights = np.ascontiguousarray(found.heights)
+    return Ground(
+        heights,
+        level.step_x,
+        level.step_y,
+        whole=level.shape,
+        size=levels_of(source.lattice)[0].size,
+        level=level.number,
+        missing=found.missing,
+        layers=found.layers,
+    )
+
+
+def _after(before: _Applied, ground: Ground, entry: Entry, key: str) -> _Applied:
+    start, effect = time.perf_counter(), entry.declaration
+    change = masked(effect, effect.apply(ground, entry.values, None), ground.mask)
+    heights = zero_holes(ground.missing, change.heights)
+    layers = merge_layers(ground.layers, change.layers, {layer.name for layer in effect.layers if layer.per_metre})
+    after = replace(ground, heights=ground.heights + heights, mask=None, layers=layers)
+    return _Applied(after, before.change + heights, key, (time.perf_counter() - start) * 1e3)
+
+
+def _positions(source: HeightField) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows and columns of the source that the preview samples, float64, from border to border."""
+    sides = source.lattice.height, source.lattice.width
+    ratio = min(1.0, (MAX_PREVIEW_SAMPLES - 1) / (max(sides) - 1))
+    return tuple(np.linspace(0.0, n - 1.0, max(2, round((n - 1) * ratio) + 1)) for n in sides)
+
+
+def _source_heights(source: HeightField) -> np.ndarray:
+    """Return the source's heights at the preview's samples, float32; cached."""
+    key = (*_FOUND, "shown")
+
+    def interpolate() -> np.ndarray:
+        rows, columns = _positions(source)
+        low = np.minimum(rows.astype(np.int64), source.lattice.height - 2)
+        south, north = (_along(source.heights(low + more), columns) for more in (0, 1))
+        fraction = (rows - low)[:, None].astype(np.float32)
+        return south + fraction * (north - south)
+
+    return cached(source.found, key, interpolate)
+
+
+def _interpolate(samples: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Interpolate a grid bilinearly at rows and columns, float32 [rows, columns]."""
+    low = np.minimum(rows.astype(np.int64), max(len(samples) - 2, 0))
+    fraction = (rows - low)[:, None].astype(np.float32)
+    lines = _along(samples, columns)
+    return lines[low] + fraction * (lines[np.minimum(low + 1, len(samples) - 1)] - lines[low])
+
+
+def _along(samples: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Interpolate each row linearly at columns."""
+    last = samples.shape[1] - 1
+    low = np.minimum(columns.astype(np.int64), max(last - 1, 0))
+    fraction = (columns - low).astype(np.float32)
+    left = samples[:, low]
+    return left + fraction * (samples[:, np.minimum(low + 1, last)] - left)

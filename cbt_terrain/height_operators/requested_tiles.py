@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The tiles that were requested of a derived store, in a file beside it. The store may hold fewer of them."""
+
+import hashlib
+import json
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..field.heightfield import HeightField
+from ..run import owned_files
+from ..run.named_file import read_regular
+from ..run.partial_files import written_beside
+from ..view.view import View
+from .tiles import tiles_seen
+
+# For each level: the tolerated error of each tile in metres.
+Tiles = list[dict[int, float]]
+
+MAX_BYTES = 1 << 26
+
+
+@dataclass(frozen=True, eq=False)
+class SeenTiles:
+    """Views of a terrain at `placement`, float64 [4, 4], with the other arguments of `tiles_seen`."""
+
+    views: tuple[View, ...]
+    placement: np.ndarray
+    error_px: float
+    vertical_scale: float
+    vertical_offset: float
+
+    def tiles(self, source: HeightField) -> Tiles:
+        """Return the tiles that these views need."""
+        scale = self.vertical_scale, self.vertical_offset
+        return tiles_seen(source, self.views, self.placement, self.error_px or 1.0, *scale)
+
+
+def _file(folder: str) -> Path:
+    return Path(f"{folder}.json")
+
+
+def known(folder: str) -> Tiles:
+    """Return the tiles that were requested of a store, [] if the record is missing or damaged."""
+    try:
+        digest, text = read_regular(_file(folder), MAX_BYTES, links=False).decode("utf-8").split("\n", 1)
+        levels = json.loads(text) if digest == _digest(text) else []
+    except (OSError, ValueError):
+        return []
+    return [dict(map(tuple, level)) for level in levels]
+
+
+def _digest(text: str) -> str:
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
+
+
+def has(folder: str, wanted: Tiles | None) -> bool:
+    """Return whether these tiles were requested of a store with at most these errors."""
+    if wanted is None:
+        return True
+    there = known(folder)
+    return len(there) == len(wanted) and all(
+        before.get(tile, np.inf) <= metres
+        for before, level in zip(there, wanted, strict=True)
+        for tile, metres in level.items()
+    )
+
+
+def with_known(folder: str, wanted: Tiles | None) -> Tiles | None:
+    """Return these tiles with those requested before: one frame does not discard what another needs."""
+    there = known(folder)
+    if wanted is None or len(there) != len(wanted):
+        return wanted
+    pairs = zip(there, wanted, strict=True)
+    return [
+        {tile: min(before.get(tile, np.inf), level.get(tile, np.inf)) for tile in before | level}
+        for before, level in pairs
+    ]
+
+
+def note(folder: str, wanted: Tiles | None) -> None:
+    """Record the tiles that were requested of a store, if its folder can be written."""
+    if wanted is not None:
+        with suppress(OSError), written_beside(_file(folder)) as partial:
+            text = json.dumps([sorted(level.items()) for level in wanted])
+            partial.write_text(f"{_digest(text)}\n{text}")
+
+
+def forget(folder: str) -> None:
+    """Remove the record of a store."""
+    with suppress(OSError):
+        owned_files.remove_file(_file(folder))

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Shaping of a store in a child process (store_job.py): `ShapeJob` is polled, `shape_store` waits."""
+
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from ..field import store_folder
+from ..importing.build_store import finished_before
+from ..importing.store_job import StoreJob, Tell, serve, wait_for
+from .prepare import prepare
+from .shape_store import open_source, run_shape, shape_digest
+from .stack import Stack, stack_content, stack_from
+from .tiles import Wanted
+
+__all__ = ["ShapeJob", "child_main", "shape_store"]
+
+GENTLE = 10  # added to the niceness of a gentle job
+_enough = threading.Event()
+
+
+class ShapeJob(StoreJob):
+    """A child process that applies a stack to the store `source` and writes the store `store`.
+
+    wanted: tiles of each level from `tiles_seen` (tiles.py), None for all. tiles: see `run_shape`. gentle: run at low
+    priority. Raises TerrainError at once for invalid arguments.
+    """
+
+    def __init__(
+        self,
+        source: str | os.PathLike,
+        stack: Stack,
+        store: str | os.PathLike,
+        wanted: Wanted | None = None,
+        tiles: str | os.PathLike | None = None,
+        gentle: bool = False,
+    ):
+        stack = stack_from(stack_content(stack))
+        store_folder.check_target(store)
+        heights = open_source(source, Path(store), stack)
+        store_folder.remove_abandoned(Path(store))
+        pairs = wanted and [None if tiles_of is None else sorted(tiles_of.items()) for tiles_of in wanted]
+        request = {"source": str(Path(source).absolute()), "stack": stack_content(stack), "wanted": pairs}
+        super().__init__(
+            "cbt_terrain.height_operators.shape_process",
+            store,
+            request | {"tiles": None if tiles is None else str(Path(tiles).absolute()), "gentle": gentle},
+            what=_what(str(source)),
+            report=finished_before(store, shape_digest(heights, stack, wanted)),
+        )
+
+    def finish_early(self) -> None:
+        """Publish the complete levels and skip the rest. The job runs until they are published."""
+        if not self.poll().done:
+            self._say("finish")
+
+
+def _what(source: str) -> str:
+    return f"Shaping {source}"
+
+
+def shape_store(
+    source: str | os.PathLike,
+    stack: Stack,
+    store: str | os.PathLike,
+    wanted: Wanted | None = None,
+    on_progress: Tell = lambda _fraction, _message: None,
+    tiles: str | os.PathLike | None = None,
+) -> dict:
+    """Shape in a child process and wait. Arguments and report are those of `run_shape`.
+
+    The report has "unchanged" if the store is up to date. on_progress(fraction, message): an exception stops the job.
+    """
+    return wait_for(lambda: ShapeJob(source, stack, store, wanted, tiles), on_progress)
+
+
+def child_main() -> None:
+    """Read a request from stdin, shape, and report progress on stdout."""
+    serve(_shape, lambda request: _what(request["source"]), _enough.set)
+
+
+def _shape(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
+    begin()
+    if request["gentle"] and hasattr(os, "nice"):
+        os.nice(GENTLE)
+    wanted = request["wanted"] and [None if pairs is None else dict(map(tuple, pairs)) for pairs in request["wanted"]]
+    stack = stack_from(request["stack"])
+    prepare(stack, on_progress)
+    more = {"folder": request["folder"], "finish": _enough.is_set, "tiles": request["tiles"]}
+    return run_shape(request["source"], stack, request["store"], wanted, on_progress, **more)

@@ -1,0 +1,321 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Stacks of height operators: data that is read from and written to JSON.
+
+    {"version": 1,
+     "entries": [{"effect": "rivers", "parameters": {"years": 3e5}, "seed": 4},
+                 {"effect": "snow", "on": false, "name": "First snow",
+                  "mask": {"image": "valley.png", "factor": 0.8,
+                           "rules": [{"of": "height", "low": 600, "edge": 50},
+                                     {"of": "slope", "high": 45, "edge": 10},
+                                     {"of": "aspect", "low": 0, "edge": 0.5, "direction": 0}]}}]}
+
+A parameter that is missing has its default. Units are those of the operator's declaration (metres, years, degrees). An
+image's path is relative to the folder of the stack's file. mask.py explains the rules. A preset may contain the heights
+in metres of the land that it was designed for, "heights": [0, 1470]; fitted.py adapts it to other land.
+"""
+
+import functools
+import hashlib
+import json
+import math
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from ..errors import TerrainError, named_once, shown
+from ..plain_numbers import keep_plain_numbers, plain_number
+from ..run.named_file import cause, open_regular, read_named
+from .catalogue import LAND_EFFECTS
+from .height_operator import LandEffect
+from .mask import GroundRule, Mask
+from .mask_reads import BY_PRODUCTS
+
+VERSION = 1
+MAX_BYTES = 1 << 20
+EXPECTED = "a JSON file of entries"
+MAX_ENTRIES, MAX_RULES = 64, 16
+MAX_SEED = 2**31 - 1
+_TOP = ("version", "entries", "heights")
+_ENTRY = ("effect", "parameters", "seed", "on", "name", "mask")
+_MASK = ("image", "rules", "factor")
+_RULE_DEFAULTS = {"low": -math.inf, "high": math.inf, "edge": 0.0, "direction": 0.0}
+_RULE = ("of", *_RULE_DEFAULTS)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One height operator of a stack. `parameters`: values that differ from defaults. `name`: label for users."""
+
+    effect: str
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    seed: int = 0
+    on: bool = True
+    mask: Mask | None = None
+    name: str = ""
+
+    def __post_init__(self):
+        keep_plain_numbers(self, "A stack entry's")
+        if isinstance(self.parameters, Mapping):
+            parameters = {n: plain_number(v, float, f"The parameter {n}") for n, v in self.parameters.items()}
+            object.__setattr__(self, "parameters", parameters)
+
+    @property
+    def declaration(self) -> LandEffect:
+        return LAND_EFFECTS[self.effect]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Values of all parameters."""
+        return self.declaration.defaults() | dict(self.parameters)
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Height operators in the order of their application. `heights`: lowest and highest height in metres of the land
+    that the stack was designed for, None for any land."""
+
+    entries: tuple[Entry, ...] = ()
+    heights: tuple[float, float] | None = None
+
+    def __post_init__(self):
+        keep_plain_numbers(self, "A stack's")
+
+    @property
+    def active(self) -> tuple[Entry, ...]:
+        """Entries that are switched on and whose mask is not 0 everywhere."""
+        return tuple(e for e in self.entries if e.on and (e.mask is None or e.mask.factor > 0.0))
+
+    def check(self, where: str = "The stack") -> None:
+        """Raise TerrainError for an invalid entry."""
+        if len(self.entries) > MAX_ENTRIES:
+            raise TerrainError(f"{where} has {len(self.entries)} entries", expected=f"at most {MAX_ENTRIES}")
+        for number, entry in enumerate(self.entries, 1):
+            _check_entry(_of(f"Entry {number}", where), entry)
+
+    def key(self) -> str:
+        """Return a hex digest of everything that determines the stack's result; images count by their content."""
+        content = []
+        for entry in self.active:
+            mask = entry.mask
+            mask = mask and (replace(mask, image=""), _file_mark(mask.image), *mask.versions)
+            values = sorted(entry.values.items())
+            content.append((entry.effect, entry.declaration.version, values, entry.seed, mask))
+        return hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
+
+
+def land_name(source_key: str, stack: Stack) -> str:
+    """Return 16 hexadecimal digits that identify the result of a stack; they name its folder and are in its record.
+
+    source_key: key of the source's store. Numbers pass through JSON first, as on their way to the child process.
+    """
+    same = stack_from(stack_content(stack))
+    return hashlib.blake2b(f"{source_key} {same.key()}".encode(), digest_size=8).hexdigest()
+
+
+def check_by_products(stack: Stack, source: Iterable[str]) -> None:
+    """Raise TerrainError if a mask reads a layer that neither an earlier operator nor the source has.
+
+    source: names of the source's layers.
+    """
+    available = set(source)
+    for number, entry in enumerate(stack.entries, 1):
+        if entry not in stack.active:
+            continue
+        for rule in entry.mask.rules if entry.mask is not None else ():
+            if rule.of in BY_PRODUCTS and rule.of not in available:
+                found = ", ".join(name for name in BY_PRODUCTS if name in available) or "none"
+                raise TerrainError(
+                    f"The mask of entry {number} of the stack, {entry.name or entry.effect}, has a rule about "
+                    f"{rule.of}, which is not there",
+                    expected=f"a layer of an entry above it ({found})",
+                    fix=f"move an entry that writes {rule.of} above it",
+                )
+        available |= {layer.name for layer in entry.declaration.layers}
+
+
+def _file_mark(image: str) -> tuple:
+    """Return a value that changes with the content of a file."""
+    if not image:
+        return ()
+    try:
+        found = os.stat(image)
+        digest = _file_digest(os.path.realpath(image), found.st_size, found.st_mtime_ns)
+        return Path(image).suffix.lower(), digest  # the suffix decides how it is read
+    except (OSError, ValueError):
+        return (image,)  # reading it raises the error
+
+
+@functools.lru_cache(maxsize=256)
+def _file_digest(file: str, _size: int, _changed_ns: int) -> str:
+    """Return a hex digest of a file. Raises OSError, for a pipe or a device too."""
+    with open_regular(file, links=True) as handle:
+        return hashlib.file_digest(handle, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+
+
+def _of(part: str, where: str) -> str:
+    """Return "Entry 2 of the stack" for "Entry 2" and "The stack"."""
+    return f"{part} of {where[0].lower()}{where[1:]}"
+
+
+def _check_entry(where: str, entry: Entry) -> None:
+    name = f"{where}, {entry.effect},"
+    if entry.effect not in LAND_EFFECTS:
+        effect = shown(repr(entry.effect))
+        raise TerrainError(f"{where} has the effect {effect}", expected=f"one of: {', '.join(LAND_EFFECTS)}")
+    parameters = {p.name: p for p in entry.declaration.parameters}
+    for parameter, value in entry.parameters.items():
+        if parameter not in parameters:
+            known = f"some of: {', '.join(parameters)}" if parameters else "no parameters"
+            raise TerrainError(f"{name} has a parameter {shown(repr(parameter))}", expected=known)
+        p = parameters[parameter]
+        if not p.least <= value <= p.most:
+            expected = f"{p.least:g} to {p.most:g} {p.unit}".rstrip()
+            raise TerrainError(f"{name} has {parameter} {value:g}", expected=expected)
+    if not 0 <= entry.seed <= MAX_SEED:
+        raise TerrainError(f"{name} has the seed {shown(entry.seed)}", expected=f"0 to {MAX_SEED}")
+    if entry.mask is not None:
+        entry.mask.check(_of("The mask", name))
+
+
+def read_stack(path: str | os.PathLike) -> Stack:
+    """Read and check a stack's file. Raises TerrainError, which names the file and the entry."""
+    path = Path(path)
+    text = read_named(path, "The stack", EXPECTED, MAX_BYTES, links=False)
+    try:
+        content = json.loads(text.decode("utf-8-sig"), object_pairs_hook=named_once)
+    except (ValueError, RecursionError) as reason:
+        raise TerrainError(f"The stack {shown(path)} cannot be read ({cause(reason)})", expected=EXPECTED) from None
+    return stack_from(content, f"The stack {path}", path.absolute().parent)
+
+
+def stack_from(content: object, where: str = "The stack", folder: Path | None = None) -> Stack:
+    """Return a checked stack from parsed JSON. folder: base of relative image paths. Raises TerrainError."""
+    top = _object(where, content, _TOP)
+    version = top.get("version")
+    if version != VERSION or type(version) is not int:
+        raise TerrainError(f"{where} has version {shown(repr(version))}", expected=f"{VERSION}")
+    entries = _list(where, "entries", top.get("entries"), MAX_ENTRIES)
+    stack = Stack(
+        tuple(_entry(_of(f"Entry {number}", where), entry, folder) for number, entry in enumerate(entries, 1)),
+        _heights(where, top.get("heights")),
+    )
+    stack.check(where)
+    return stack
+
+
+def _heights(where: str, content: object) -> tuple[float, float] | None:
+    if content is None:
+        return None
+    is_pair = isinstance(content, list) and len(content) == 2 and all(type(v) in (int, float) for v in content)
+    if not is_pair or not -12000 <= content[0] <= content[1] - 1 <= 20000:
+        raise TerrainError(
+            f"{where} has heights {shown(repr(content))}",
+            expected="the land's lowest and highest height in metres, as [0, 1500]",
+        )
+    return float(content[0]), float(content[1])
+
+
+def _entry(where: str, content: object, folder: Path | None) -> Entry:
+    entry = _object(where, content, _ENTRY)
+    parameters = entry.get("parameters", {})
+    if not isinstance(parameters, dict):
+        raise TerrainError(f"{where} has parameters {shown(repr(parameters))}", expected="an object of numbers")
+    mask = entry.get("mask")
+    return Entry(
+        effect=_typed(where, entry, "effect", str, "", "a text"),
+        parameters={name: _number(where, {name: value}, name, None) for name, value in parameters.items()},
+        seed=_typed(where, entry, "seed", int, 0, "a whole number"),
+        on=_typed(where, entry, "on", bool, True, "true or false"),
+        name=_typed(where, entry, "name", str, "", "a text"),
+        mask=None if mask is None else _mask(_of("The mask", where), mask, folder),
+    )
+
+
+def _mask(where: str, content: object, folder: Path | None) -> Mask:
+    mask = _object(where, content, _MASK)
+    image = _typed(where, mask, "image", str, "", "the name of a file")
+    if image and folder is not None:
+        image = str(folder / image)
+    rules = _list(where, "rules", mask.get("rules", []), MAX_RULES)
+    return Mask(image, tuple(_rule(where, rule) for rule in rules), _number(where, mask, "factor", 1.0))
+
+
+def _rule(where: str, content: object) -> GroundRule:
+    rule = _object(where, content, _RULE)
+    numbers = {name: _number(where, rule, name, default) for name, default in _RULE_DEFAULTS.items()}
+    return GroundRule(_typed(where, rule, "of", str, "", "a text"), **numbers)
+
+
+def _object(where: str, content: object, known: tuple[str, ...]) -> dict:
+    if not isinstance(content, dict):
+        raise TerrainError(f"{where} is {shown(repr(content))}", expected=f"an object with {', '.join(known)}")
+    if unknown := sorted(set(content) - set(known)):
+        raise TerrainError(f"{where} has {shown(repr(unknown[0]))}", expected=", ".join(known))
+    return content
+
+
+def _list(where: str, name: str, content: object, max_length: int) -> list:
+    if not isinstance(content, list) or len(content) > max_length:
+        found = f"{len(content)} {name}" if isinstance(content, list) else f"{name} {shown(repr(content))}"
+        raise TerrainError(f"{where} has {found}", expected=f"a list of at most {max_length}")
+    return content
+
+
+def _typed(where: str, content: dict, name: str, kind: type, default, expected: str):
+    value = content.get(name, default)
+    if type(value) is not kind:
+        raise TerrainError(f"{where} has {name} {shown(repr(value))}", expected=expected)
+    return value
+
+
+def _number(where: str, content: dict, name: str, default: float | None) -> float:
+    value = content.get(name, default)
+    if type(value) not in (int, float) or (name in content and not abs(value) <= 1e300):
+        raise TerrainError(f"{where} has {shown(name)} {shown(repr(value))}", expected="a number")
+    return float(value)
+
+
+def stack_content(stack: Stack) -> dict:
+    """Return the JSON content that `stack_from` reads, without values that equal their defaults."""
+    heights = {} if stack.heights is None else {"heights": list(stack.heights)}
+    return {"version": VERSION, **heights, "entries": [_entry_content(entry) for entry in stack.entries]}
+
+
+def _entry_content(entry: Entry) -> dict:
+    content = {"effect": entry.effect, "parameters": dict(entry.parameters), "seed": entry.seed}
+    content |= {} if entry.on else {"on": False}
+    content |= {"name": entry.name} if entry.name else {}
+    if entry.mask is not None:
+        rules = [
+            {"of": rule.of} | {n: getattr(rule, n) for n, v in _RULE_DEFAULTS.items() if getattr(rule, n) != v}
+            for rule in entry.mask.rules
+        ]
+        mask = {"image": entry.mask.image} if entry.mask.image else {}
+        content["mask"] = mask | {"rules": rules, "factor": entry.mask.factor}
+    return content
+
+
+def write_stack(stack: Stack, path: str | os.PathLike) -> None:
+    """Write a stack's file, with relative paths of images below its folder. Raises TerrainError."""
+    from ..run.partial_files import written_beside
+
+    path = Path(path)
+    folder = path.absolute().parent
+    try:
+        with written_beside(path) as partial:
+            text = json.dumps(stack_content(_relative(stack, folder)), indent=1, allow_nan=False)
+            partial.write_text(text + "\n", encoding="utf-8")
+    except OSError as reason:
+        problem = f"The stack {path} cannot be written ({reason.strerror or reason})"
+        raise TerrainError(problem, fix="choose another name") from reason
+
+
+def _relative(stack: Stack, folder: Path) -> Stack:
+    def near(entry: Entry) -> Entry:
+        if entry.mask is None or not entry.mask.image or not Path(entry.mask.image).is_relative_to(folder):
+            return entry
+        image = Path(entry.mask.image).relative_to(folder).as_posix()
+        return replace(entry, mask=replace(entry.mask, image=image))
+
+    return replace(stack, entries=tuple(map(near, stack.entries)))

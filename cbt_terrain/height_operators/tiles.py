@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Levels and tiles of a raster: their samples, their windows, and the weights that blend tiles at their borders.
+
+Level 0 is the raster itself; sample i of level k is sample i * 2^k of the raster, or its last. Coarse levels are
+computed as a whole, finer ones in the requested tiles of TILE x TILE cells. A tile is computed on a wider window and
+weighted: weights fall from 1 to 0 across its borders and add up to 1 with those of its neighbours. The result therefore
+does not depend on the order of tiles, and next to a tile that is not requested it blends into the coarser level.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..attributes import sizing
+from ..attributes.tiling import Tiling
+from ..field.heightfield import HeightField
+from ..field.lattice import Lattice
+from ..view.view import View
+from .levels import COARSEST
+
+TILE = 256
+# Samples beyond a tile's border where its weight is not 0; a power of two, so that weights add up to exactly 1.
+BAND = 16
+# Samples along the longer side of the finest level that is computed as a whole; and along the shorter side of a strip,
+# which is computed as a whole too, since a tile of it could not balance material that slides out of its window.
+WHOLE, STRIP = 513, 128
+# A level is visible where a pixel is at most this many of its spacings wide.
+PIXEL_SPACINGS = 2.0
+
+Window = tuple[slice, slice]  # rows and columns of a level
+# For each level, by its number, the requested tiles with their allowed errors in metres; None: the level as a whole.
+Wanted = Sequence[Mapping[int, float] | None]
+
+
+@dataclass(frozen=True)
+class Level:
+    """A grid of samples, `step_x` and `step_y` metres apart; number 0 is the raster itself."""
+
+    number: int
+    rows: int
+    columns: int
+    step_x: float
+    step_y: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.rows, self.columns
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Metres from the first to the last row and column."""
+        return (self.rows - 1) * self.step_y, (self.columns - 1) * self.step_x
+
+    @property
+    def whole(self) -> Window:
+        """Window of all samples."""
+        return slice(0, self.rows), slice(0, self.columns)
+
+    @property
+    def is_whole(self) -> bool:
+        return max(self.shape) <= WHOLE or min(self.shape) <= STRIP
+
+    @property
+    def tiles(self) -> tuple[int, int]:
+        """Number of tiles northwards and eastwards. Tiles are counted from the south-western one eastwards."""
+        return -(-(self.rows - 1) // TILE), -(-(self.columns - 1) // TILE)
+
+    @property
+    def tile_count(self) -> int:
+        return self.tiles[0] * self.tiles[1]
+
+    def window(self, tile: int, rows: int = 0, columns: int = 0) -> Window:
+        """Return the window of a tile with both its borders, widened by `rows` and `columns` within the level."""
+        south, west = (n * TILE for n in divmod(tile, self.tiles[1]))
+        return (
+            slice(max(south - rows, 0), min(south + TILE + 1 + rows, self.rows)),
+            slice(max(west - columns, 0), min(west + TILE + 1 + columns, self.columns)),
+        )
+
+    def weights(self, tile: int) -> np.ndarray:
+        """Return the weights of a tile over its window widened by BAND, float32 [rows, columns]."""
+        window = self.window(tile, BAND, BAND)
+        position = divmod(tile, self.tiles[1])
+        north, east = (_weights(axis, n, count) for axis, n, count in zip(window, position, self.tiles, strict=True))
+        return north[:, None] * east
+
+    def tiles_in(self, window: Window) -> set[int]:
+        """Return the tiles whose weight is not 0 somewhere in a window."""
+        found = []
+        for axis, count in zip(window, self.tiles, strict=True):
+            first, last = (axis.start - BAND) // TILE, (axis.stop - 1 + BAND) // TILE
+            found.append(range(max(first, 0), min(last, count - 1) + 1))
+        return {j * self.tiles[1] + i for j in found[0] for i in found[1]}
+
+    def parent(self, tile: int) -> int:
+        """Return the number of the tile of the next coarser level that contains a tile."""
+        j, i = divmod(tile, self.tiles[1])
+        coarse_columns = -(-(self.columns // 2) // TILE)
+        return j // 2 * coarse_columns + i // 2
+
+
+def _weights(axis: slice, number: int, count: int) -> np.ndarray:
+    """Return a ramp up, ones and a ramp down along one axis; no ramps at the level's ends."""
+    at = np.arange(axis.start, axis.stop, dtype=np.float32)
+    low, high = number * TILE, (number + 1) * TILE
+    up = np.clip((at - (low - BAND)) / (2 * BAND), 0.0, 1.0) if number > 0 else np.ones_like(at)
+    down = np.clip(((high + BAND) - at) / (2 * BAND), 0.0, 1.0) if number < count - 1 else np.ones_like(at)
+    return up * down
+
+
+def levels_of(lattice: Lattice) -> list[Level]:
+    """Return all levels of a raster, the finest first."""
+    levels = [Level(0, lattice.height, lattice.width, lattice.step_x, lattice.step_y)]
+    while max(levels[-1].shape) > COARSEST:
+        fine = levels[-1]
+        shape = fine.rows // 2 + 1, fine.columns // 2 + 1
+        levels.append(Level(fine.number + 1, *shape, 2 * fine.step_x, 2 * fine.step_y))
+    return levels
+
+
+def every_tile(level: Level) -> dict[int, float]:
+    """Return every tile of a level with an allowed error of 0 m."""
+    return dict.fromkeys(range(level.tile_count), 0.0)
+
+
+def all_tiles(lattice: Lattice) -> list[dict[int, float]]:
+    """Return every tile of every level with an allowed error of 0 m."""
+    return [every_tile(level) for level in levels_of(lattice)]
+
+
+def whole_land(lattice: Lattice, finest: int = 0) -> Wanted:
+    """Return a request for whole levels, from the coarsest down to number `finest`."""
+    return [None if level.number >= finest else {} for level in levels_of(lattice)]
+
+
+def tiles_seen(
+    field: HeightField,
+    views: Sequence[View],
+    placement: np.ndarray | None = None,
+    pixel_error: float = 1.0,
+    vertical_scale: float = 1.0,
+    vertical_offset: float = 0.0,
+) -> list[dict[int, float]]:
+    """Return the visible tiles of each level where a pixel is as fine as the level, with allowed errors in metres.
+
+    The error is `pixel_error` pixels at the tile, rounded down to a quarter of an octave, so that a slow camera does
+    not change the request in every frame. placement: 4 x 4 matrix of the terrain in the world. Reads every sample.
+    """
+    levels = levels_of(field.lattice)
+    placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
+    boxes, found = None, []
+    for level in levels:
+        boxes = _boxes(level, field, vertical_scale, vertical_offset) if boxes is None else _merged(level, boxes)
+        pixels = sizing.footprints(boxes.reshape(-1, 2, 3), views, placement, only_seen=True)
+        near = np.flatnonzero(pixels <= PIXEL_SPACINGS * max(level.step_x, level.step_y))
+        metres = pixels[near] * pixel_error / max(abs(vertical_scale), 1e-30)
+        found.append({int(tile): _rounded(m) for tile, m in zip(near, metres, strict=True)})
+    return found
+
+
+def _rounded(metres: float) -> float:
+    return 2.0 ** (math.floor(math.log2(metres) * 4) / 4) if 0.0 < metres < math.inf else float(metres)
+
+
+def _boxes(level: Level, field: HeightField, vertical_scale: float, vertical_offset: float) -> np.ndarray:
+    """Return the bounding boxes of the ground of each tile of level 0, float64 [tiles north, tiles east, 2, 3]."""
+    west, south, _, _ = field.lattice.rectangle()
+    sides = TILE * level.step_x, TILE * level.step_y
+    tiling = Tiling(level.tiles[1], level.tiles[0], west, south, *sides, 0.0)
+    return sizing.boxes(tiling, field, vertical_scale, vertical_offset).reshape(*level.tiles, 2, 3)
+
+
+def _merged(level: Level, boxes: np.ndarray) -> np.ndarray:
+    """Return the boxes of a level, each of which contains four boxes of the next finer one."""
+    rows, columns = level.tiles
+    padded = np.pad(boxes, [(0, 2 * rows - boxes.shape[0]), (0, 2 * columns - boxes.shape[1]), (0, 0), (0, 0)], "edge")
+    four = padded.reshape(rows, 2, columns, 2, 2, 3)
+    return np.stack([four[..., 0, :].min(axis=(1, 3)), four[..., 1, :].max(axis=(1, 3))], axis=2)
+
+
+@dataclass(frozen=True)
+class TileNeed:
+    """The allowed error of a tile in `metres`, and the `tiles` of its level that are computed with it: itself and those
+    that its finer tiles start from. These do not depend on the error, so neither does the tile's result."""
+
+    metres: float
+    tiles: frozenset[int]
+
+
+def add_coarser(
+    levels: Sequence[Level], wanted: Sequence[Mapping[int, float]], halo: Sequence[tuple[int, int]]
+) -> list[dict[int, TileNeed]]:
+    """Return the requested tiles and the tiles of coarser levels that contain them, by level.
+
+    halo: rows and columns that the operators read beyond a tile, by level.
+    """
+    found = [{tile: TileNeed(metres, frozenset({tile})) for tile, metres in tiles.items()} for tiles in wanted]
+    for fine, coarse in zip(levels, levels[1:], strict=False):
+        rows, columns = (BAND + h for h in halo[fine.number])
+        needed, sources = found[coarse.number], {}
+        for tile in set().union(*(need.tiles for need in found[fine.number].values())):
+            window = fine.window(tile, rows, columns)
+            sources[tile] = coarse.tiles_in(tuple(slice(axis.start // 2, (axis.stop - 1) // 2 + 2) for axis in window))
+        for tile, need in found[fine.number].items():
+            parent = fine.parent(tile)
+            known = needed.get(parent, TileNeed(math.inf, frozenset({parent})))
+            tiles = known.tiles.union(*(sources[tile] for tile in need.tiles))
+            needed[parent] = TileNeed(min(need.metres, known.metres), tiles)
+    return found

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rivers, lakes and the sea under steady rain: discharge, depth and speed. Heights do not change."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import warp as wp
+
+from ...kernels.effects import catchment as catchment_kernels
+from ...kernels.effects import routing as routing_kernels
+from ...kernels.land import water as kernels
+from ..attributes.attribute import Parameter
+from ..attributes.routing import route
+from ..run import launch
+from ..run.buffers import flat
+from .height_operator import Change, Evaluate, Ground, LandEffect, LandLayer
+
+YEAR = 365.2425 * 86400.0  # seconds
+
+DEPTH = LandLayer("water_depth", "m", "Depth of the water, of rivers, lakes and the sea", per_metre=False)
+SPEED = LandLayer("water_speed", "m/s", "Speed of the water", per_metre=False)
+DISCHARGE = LandLayer("discharge", "m^3/s", "Water that passes a place; in a lake, what leaves it", per_metre=False)
+
+
+def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> Change:
+    """Compute a level without the coarser one; implements `Apply`."""
+    heights, threads = np.ascontiguousarray(ground.heights), ground.threads
+    shape, count = heights.shape, heights.size
+    dry = np.zeros(shape, np.uint8) if ground.missing is None else ground.missing.astype(np.uint8)
+    below = (heights <= values["sea"]) | (dry != 0)
+    drainage = route(heights, ground.step_x, ground.step_y, below, threads)
+    filled = drainage.filled()
+    area = drainage.areas(filled)
+    drainage.level_lakes(filled, area)
+    ground.progress(0.8)
+    normal, surface, speed, discharge = (np.empty(count, np.float32) for _ in range(4))
+    rain = _rain(ground, values)
+    rain.dry, rain.area = flat(dry, wp.uint8), flat(area, wp.float64)
+    rain.heights, rain.filled, rain.normal = (flat(a, wp.float32) for a in (heights, filled, normal))
+    rain.surface, rain.speed, rain.discharge = (flat(a, wp.float32) for a in (surface, speed, discharge))
+    launch.spread(kernels.flow_uniformly, shape[0], [rain], step="water", threads=threads, cost=10 * shape[1])
+    # Filling the water surface as routing fills the ground raises lakes to the flow at their outlets.
+    dammed = replace(drainage, heights=surface).filled()
+    rain.surface = flat(dammed, wp.float32)
+    launch.spread(kernels.measure_water, count, [rain], step="water", threads=threads, cost=2)
+    layers = {DEPTH.name: dammed, SPEED.name: speed, DISCHARGE.name: discharge}
+    return Change(np.zeros(shape, np.float32), {name: a.reshape(shape) for name, a in layers.items()})
+
+
+def _rain(ground: Ground, values: Mapping[str, float]) -> kernels.SteadyRain:
+    rain = kernels.SteadyRain()
+    rain.height, rain.width = ground.heights.shape
+    rain.step_x, rain.step_y = ground.step_x, ground.step_y
+    rain.runoff = ground.step_x * ground.step_y * values["rain"] / YEAR
+    rain.rough, rain.sea = values["roughness"], values["sea"]
+    return rain
+
+
+def example(evaluate: Evaluate) -> None:
+    """Assert Manning's depth on a roof of 1 : 100 under 1 m of rain a year, and a level lake in a hollow.
+
+    A point of the roof has the discharge of the rain between it and the ridge.
+    """
+    x = np.arange(33, dtype=np.float32)
+    roof = np.tile(10.0 - 0.1 * abs(x - 16.0), (65, 1))
+    layers = evaluate("water", roof, step=10.0, sea=-1.0).layers
+    discharge = 100.0 * (abs(x[2:15] - 16.0) + 0.5) / YEAR
+    assert abs(layers["discharge"][32, 2:15] / discharge - 1.0).max() < 1e-4
+    width = 3.0 * np.sqrt(discharge)
+    depth = (0.05 * discharge / width / math.sqrt(0.01)) ** 0.6
+    assert abs(layers["water_depth"][32, 2:15] / depth - 1.0).max() < 1e-4
+    assert abs(layers["water_speed"][32, 2:15] * depth * width / discharge - 1.0).max() < 1e-4
+    roof[30:35, 22:26] = 5.0
+    level = (roof + evaluate("water", roof, step=10.0, sea=-1.0).layers["water_depth"])[30:35, 22:26]
+    assert level.max() == level.min() and 9.0 < level.max() < 9.1
+
+
+WATER = LandEffect(
+    name="water",
+    label="Water",
+    about="Where water is and how fast: rivers, lakes and the sea under steady rain; heights stay",
+    apply=apply,
+    kernels=(catchment_kernels, routing_kernels, kernels),
+    example=example,
+    parameters=(
+        Parameter("rain", 1.0, 0.0, 1000.0, "m/yr", "What runs off: rain less what evaporates and seeps away"),
+        Parameter("sea", 0.0, -12000.0, 9000.0, "m", "Level of the sea: all ground below it is under water"),
+        Parameter("roughness", 0.05, 0.005, 0.5, "s/m^(1/3)", "Manning's coefficient of the beds"),
+    ),
+    layers=(DEPTH, SPEED, DISCHARGE),
+    halo=lambda _values, _step: math.inf,
+    finest=4097,
+    conserves="discharge at the rim and the sea is the rain, to 1e-8",
+    converges="of a real valley of 27 km wet area 49, 41, 38 km2 at 513 to 2,049 samples, log discharge r 0.86, 0.92",
+    cost_ns=220,
+    source="Quinn et al. 1991 (flow to all lower neighbours), Manning's formula, Leopold and Maddock 1953 (width)",
+)

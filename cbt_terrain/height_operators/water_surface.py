@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The surface of water as a mesh, cut at the shore, where the depth is 0.
+
+Ground and water are linear along the sides of triangles, so that the shore is where the water level meets the ground.
+A dry sample next to water gets the level of that water, below the ground. If the ground there lies below the level of a
+river, the sample gets a depth that ends the river half-way.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..field.heightfield import HeightField
+from ..field.lattice import Lattice, fit
+from ..mesh.attributes import FACE, LEVEL, NORMALS, POINT, UV, Attribute
+from ..mesh.cut import Side, cut
+from ..mesh.surface import Surface
+from ..view.linear import add_up
+from .height_operator import Ground
+from .water import DEPTH, DISCHARGE, SPEED, WATER
+
+MAX_SAMPLES = 1025  # along a side of the raster that the surface is built from
+NAMES = DEPTH.name, SPEED.name, DISCHARGE.name
+MIN_DEPTH = 0.05  # metres
+# Largest difference in metres between the heights of one lake.
+SAME = 1e-3
+# m^3/s, the yield of half a square kilometre at one metre of rain a year. Streams of this discharge have a surface
+# however shallow they are, since by depth alone they would have gaps wherever they are fast.
+MIN_DISCHARGE = 0.016
+
+
+def water_of(field: HeightField, threads: int = 1) -> Surface:
+    """Return the surface of a height field's water layers, or of the default *Water* operator if it has none.
+
+    A raster with more than MAX_SAMPLES along a side is reduced to every second sample, every fourth and so on.
+    """
+    every = 1
+    while (max(field.lattice.width, field.lattice.height) - 1) // every >= MAX_SAMPLES:
+        every *= 2
+
+    def reduced(samples: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(samples[::every, ::every])
+
+    lattice, heights = field.lattice, reduced(field.heights())
+    steps = lattice.step_x * every, lattice.step_y * every
+    missing = None if field.valid is None else reduced(field.valid) == 0
+    if DEPTH.name in field.layers:
+        layers = {name: reduced(field.layers[name]) for name in NAMES if name in field.layers}
+    else:
+        layers = WATER.apply(Ground(heights, *steps, missing=missing, threads=threads), WATER.defaults(), None).layers
+    water_lattice = fit(heights.shape[1], heights.shape[0], *steps)
+    surface = water_surface(water_lattice, heights, *map(layers.get, NAMES), missing, threads=threads)
+    # Every lattice is centred at 0, and the reduced one may end short of the field's border.
+    offset = np.subtract(lattice.rectangle()[:2], water_lattice.rectangle()[:2])
+    return replace(surface, positions=surface.positions + np.float32([*offset, 0.0]))
+
+
+def water_surface(
+    lattice: Lattice,
+    heights: np.ndarray,
+    depth: np.ndarray,
+    speed: np.ndarray | None = None,
+    discharge: np.ndarray | None = None,
+    missing: np.ndarray | None = None,
+    min_depth: float = MIN_DEPTH,
+    threads: int = 1,
+) -> Surface:
+    """Return the surface of water of `min_depth` metres or MIN_DISCHARGE, with its depth and speed as attributes.
+
+    Each cell with water at a corner gives two triangles, which are cut at the shore and face up. Without water the
+    surface is empty. heights, depth: float32 [rows, columns], metres. speed, discharge: float32 likewise, m/s and
+    m^3/s, None for still water. missing: bool likewise, holes that no triangle touches, or None. min_depth: metres.
+    """
+    wet = depth >= min_depth
+    if discharge is not None:
+        wet |= (discharge >= MIN_DISCHARGE) & (depth > 0.0)
+    if missing is not None:
+        wet &= ~missing
+    deep, level, wet = _extend_to_shore(heights, depth, wet, min_depth)
+    corners, sides = _triangles(deep, wet, missing)
+    used, numbers = _numbered(corners, heights.size)
+    row, column = np.divmod(used, heights.shape[1])
+    west, south, _, _ = lattice.rectangle()
+    x, y = west + column * lattice.step_x, south + row * lattice.step_y
+    positions = np.stack([x, y, level.ravel()[used]], axis=-1).astype(np.float32)
+    uv = np.stack([column / (heights.shape[1] - 1), row / (heights.shape[0] - 1)], axis=-1).astype(np.float32)
+    fast = np.zeros(len(used), np.float32) if speed is None else np.where(wet, speed, 0.0).ravel()[used]
+    attributes = {
+        NORMALS: Attribute(np.tile(np.float32([0.0, 0.0, 1.0]), (len(used), 1)), POINT),
+        UV: Attribute(uv, POINT),
+        "water_depth": Attribute(deep.ravel()[used].astype(np.float32), POINT, "m"),
+        "water_speed": Attribute(fast.astype(np.float32), POINT, "m/s"),
+        LEVEL: Attribute(np.zeros(len(corners) // 3, np.int32), FACE),
+    }
+    lines, line_numbers = _numbered(sides, 4 * heights.size)
+    start, towards = np.divmod(lines, 4)
+    width = heights.shape[1]
+    ends = np.stack([start, start + np.array([1, width, width + 1, width - 1])[towards]], axis=-1)
+    surface = Surface(positions, numbers[corners], line_numbers[sides], numbers[ends], attributes)
+    values = deep.ravel()[used]
+    surface, _ = cut(surface, [Side(lambda _positions: values)], threads=threads)
+    attributes = {name: surface.attributes[name] for name in (NORMALS, "water_depth", "water_speed")}
+    for name in ("water_depth", "water_speed"):
+        attributes[name] = Attribute(np.maximum(attributes[name].array, 0.0), POINT, attributes[name].unit)
+    attributes[NORMALS] = Attribute(_normals(surface), POINT)
+    return surface.with_attributes(attributes)
+
+
+def sea_depth(heights: np.ndarray, level: float) -> np.ndarray:
+    """Return the depth of a sea of this level, float32 [rows, columns], metres."""
+    return np.maximum(np.float32(level) - heights, np.float32(0.0))
+
+
+def _extend_to_shore(
+    heights: np.ndarray, depth: np.ndarray, wet: np.ndarray, min_depth: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Extend water to the dry samples next to it. Return its signed depth, negative at these, and the height of its
+    surface, float64 [rows, columns] m, and the wet samples with the shallow borders of lakes, bool."""
+    ground = heights.astype(np.float64)
+    surface = ground + depth
+    is_shore, level, _ = _shore(surface, depth, wet)
+    # The shallow border of a lake belongs to it, so that its shore is where the ground comes out of the water.
+    wet = wet | (is_shore & (depth > 0.0) & (ground < level) & (abs(surface - level) < SAME))
+    is_shore, level, mean_depth = _shore(surface, depth, wet)
+    # A wider border ends between samples. A river that is higher than its banks ends half-way.
+    flat = surface >= level - min_depth
+    below = np.where(level < ground, ground - level, np.where(flat, level - ground, mean_depth))
+    signed = np.where(wet, depth, np.where(is_shore, -below, 0.0))
+    return signed, np.where(wet, surface, ground + signed), wet
+
+
+def _shore(surface: np.ndarray, depth: np.ndarray, wet: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the dry samples next to wet ones, and the means of the surface and the depth of the latter."""
+    level, depths, count = (_sum_neighbours(np.where(wet, array, 0.0)) for array in (surface, depth, 1.0))
+    is_shore, count = ~wet & (count > 0), np.maximum(count, 1.0)
+    return is_shore, level / count, depths / count
+
+
+def _sum_neighbours(array: np.ndarray) -> np.ndarray:
+    """Return the sums over the eight neighbours of each sample."""
+    rows, columns = array.shape
+    padded = np.pad(array, 1)
+    total = np.zeros_like(array)
+    for dy in range(3):
+        for dx in range(3):
+            if (dy, dx) != (1, 1):
+                total += padded[dy : dy + rows, dx : dx + columns]
+    return total
+
+
+# The sides of a cell's two triangles: first corner, counter-clockwise from the south-west, and direction. The diagonal
+# goes from the south-west to the north-east, or from the south-east to the north-west.
+EAST, NORTH, NORTH_EAST, NORTH_WEST = range(4)
+SIDES_NORTH_EAST = ((0, EAST), (1, NORTH), (0, NORTH_EAST), (0, NORTH_EAST), (3, EAST), (0, NORTH))
+SIDES_NORTH_WEST = ((0, EAST), (1, NORTH_WEST), (0, NORTH), (1, NORTH), (3, EAST), (1, NORTH_WEST))
+
+
+def _triangles(deep: np.ndarray, wet: np.ndarray, missing: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return the samples at the corners of two triangles for each cell with water, int64 [3 n], and their sides.
+
+    A side goes from a corner to the next and is 4 * sample + direction. The diagonal is the one whose shallower end is
+    deeper, so that a river across cells is not cut in two.
+    """
+    columns = deep.shape[1]
+    cells = wet[:-1, :-1] | wet[:-1, 1:] | wet[1:, :-1] | wet[1:, 1:]
+    if missing is not None:
+        cells &= ~(missing[:-1, :-1] | missing[:-1, 1:] | missing[1:, :-1] | missing[1:, 1:])
+    row, column = np.nonzero(cells)
+    at = (row * columns + column)[:, None] + np.array([0, 1, columns + 1, columns])
+    z = deep.ravel()[at]
+    north_east = (np.minimum(z[:, 0], z[:, 2]) >= np.minimum(z[:, 1], z[:, 3]))[:, None]
+    corners = np.where(north_east, at[:, [0, 1, 2, 0, 2, 3]], at[:, [0, 1, 3, 1, 2, 3]])
+    kinds = SIDES_NORTH_EAST, SIDES_NORTH_WEST
+    sides = [np.stack([4 * at[:, c] + towards for c, towards in kind], axis=-1) for kind in kinds]
+    return corners.ravel(), np.where(north_east, *sides).ravel()
+
+
+def _numbered(items: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the unique items in ascending order, int64, and the index of each item below `end` among them, int32."""
+    used = np.zeros(end, bool)
+    used[items] = True
+    return np.flatnonzero(used), np.cumsum(used, dtype=np.int32) - np.int32(1)
+
+
+def _normals(surface: Surface) -> np.ndarray:
+    """Return the area-weighted mean of the triangles' normals at each vertex, float32 [V, 3]."""
+    p = surface.positions.astype(np.float64)[surface.triangles]
+    face = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    count, corners = len(surface.positions), surface.triangles
+    sums = [add_up(np.bincount(corners[:, c], face[:, k], count) for c in range(3)) for k in range(3)]
+    normals = np.stack(sums, axis=-1)
+    return (normals / np.sqrt(np.sum(normals * normals, axis=1, keepdims=True))).astype(np.float32)

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The kernels that a request needs beside those of every terrain."""
+
+from types import ModuleType
+
+from ...cbt_terrain.attributes.attribute import Asked
+from ...cbt_terrain.attributes.evaluate import kernels_of
+from ...cbt_terrain.attributes.layered_detail import LayeredDetail
+from ...cbt_terrain.attributes.plan import plan
+from ...cbt_terrain.attributes.splat import NAMES
+from ...cbt_terrain.height_operators.prepare import kernels_of as kernels_of_stack
+from ...cbt_terrain.run.warmup import modules_of
+from ...kernels import bicubic, detail, morph, scatter
+from ...kernels.refine import horizon_map
+from .request import Request
+
+
+def kernels_for(request: Request) -> list[ModuleType]:
+    """Return the modules of kernels for `warmup.ask`. Raises TerrainError for effects that are not valid."""
+    asked = list(request.effects.asked)
+    if isinstance(request.ground, LayeredDetail):
+        asked.append(Asked(NAMES[0], ("detail",), parameters=(("layers", request.ground.layers),)))
+    for item in request.scatters.asked:
+        asked += [read for read, _ in item.scatter.reads()]
+    found = kernels_of(plan(asked)) + (kernels_of_stack(request.land.stack) if request.land is not None else [])
+    hides = request.criterion.hidden_factor != 1.0 or any(item.culls for item in request.scatters.asked)
+    rooms = (
+        (detail, request.ground is not None),
+        (bicubic, request.interpolation == "bicubic"),
+        (morph, request.criterion.rises_until > 1),
+        (scatter, bool(request.scatters.asked)),
+    )
+    found += [module for room, is_asked in rooms if is_asked for module in modules_of(room)]
+    return [*found, horizon_map] if hides else found

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The pyramid of prefiltered heights, against sums in numpy."""
+
+import itertools
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.attributes.pyramid import ground, level_of, shapes
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.codes import Steps
+from padded import raster
+
+# Rows and columns that fit a lattice, that do not, and that are as few as can be.
+SHAPES = [(33, 33), (64, 97), (50, 21), (3, 3), (2, 2), (2, 40), (3, 8)]
+
+
+def halved(heights: np.ndarray) -> np.ndarray:
+    """The next level: first the axis is extended in straight lines, two samples each way, then weighed."""
+    for axis in (0, 1):
+        h = np.moveaxis(heights, axis, 0)
+        before = [2 * h[0] - h[1]]
+        after = [2 * h[-1] - h[-2], 2 * h[-1] - h[min(2, len(h) - 1) * -1 - 1]]
+        h = np.concatenate([before, h, after])
+        count = len(heights) if axis == 0 else heights.shape[1]
+        at = 1 + 2 * np.arange(-(-(count - 1) // 2) + 1)
+        heights = np.moveaxis((h[at - 1] + 2 * h[at] + h[at + 1]) / 4, 0, axis)
+    return heights
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_levels_are_means_of_the_level_below(shape):
+    field = from_array(raster(*shape[::-1]), 10.0)
+    levels = [level_of(field, level) for level in range(len(shapes(field.lattice)))]
+    assert [level.shape for level in levels] == shapes(field.lattice)
+    for below, level in itertools.pairwise(levels):
+        np.testing.assert_allclose(level, halved(below.astype(np.float64)), atol=1e-4)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_planes_stay_planes_to_the_last_sample(shape):
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    field = from_array((700.0 + 3.0 * x - 2.0 * y).astype(np.float32), 10.0)
+    for level in range(len(shapes(field.lattice))):
+        found = level_of(field, level)
+        y, x = np.mgrid[: found.shape[0], : found.shape[1]] * 2**level
+        assert abs(found - (700.0 + 3.0 * x - 2.0 * y)).max() < 1e-3
+
+
+def test_a_pyramid_is_computed_once_in_a_third_of_the_memory():
+    one, two = from_array(raster(300, 200), 10.0), from_array(raster(300, 200), 10.0)
+    ground(one, 1.0, 0.0, 1), ground(two, 1.0, 0.0, 3)
+    [made] = one.prefiltered
+    assert made.tobytes() == two.prefiltered[0].tobytes()
+    assert made.nbytes < 0.36 * one.samples.nbytes
+    ground(interpolated(one, "bicubic"), 2.0, 5.0, 1)
+    assert one.prefiltered[0] is made and interpolated(one, "bicubic").prefiltered[0] is made
+
+
+def test_coded_heights_have_the_levels_of_their_floats():
+    numbers, steps = (raster(97, 50) * 8 + 4000).astype(np.uint16), Steps(0, 0.125, -500.0)
+    floats = from_array(steps.heights(numbers), 10.0)
+    coded = from_array(steps.heights(numbers), 10.0)
+    coded.samples, coded.steps = numbers, steps
+    for level in range(len(shapes(floats.lattice))):
+        assert level_of(floats, level).tobytes() == level_of(coded, level).tobytes()

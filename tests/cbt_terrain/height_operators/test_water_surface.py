@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Meshes of water: welded, facing up, and ending at the shore."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.lattice import fit
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import Ground
+from adaptive_terrain.cbt_terrain.height_operators.water import WATER
+from adaptive_terrain.cbt_terrain.height_operators.water_surface import sea_depth, water_of, water_surface
+from cut_surfaces import areas, assert_welded
+from rasters import hills
+
+STEP_X, STEP_Y = 10.0, 7.0
+
+
+def lattice(heights):
+    return fit(heights.shape[1], heights.shape[0], STEP_X, STEP_Y)
+
+
+def surface_on(heights, *layers, **more):
+    return water_surface(lattice(heights), heights, *layers, **more)
+
+
+def cone(rows, columns):
+    """Return an island with slopes of 1 : 5 in a sea of 60 m."""
+    y, x = np.mgrid[:rows, :columns].astype(float)
+    far = np.hypot((x - columns // 2) * STEP_X, (y - rows // 2) * STEP_Y)
+    return (20.0 - 0.2 * far).astype(np.float32)
+
+
+def test_the_shore_is_where_the_ground_is_at_the_level():
+    heights = cone(91, 80)
+    surface = surface_on(heights, sea_depth(heights, 0.25))
+    border = assert_welded(surface)
+    assert abs(surface.positions[:, 2] - 0.25).max() < 1e-5 and surface.normals[:, 2].min() > 1 - 1e-9
+    west, south, east, north = lattice(heights).rectangle()
+    at = surface.positions[np.unique(border)].astype(np.float64)
+    shore = at[(abs(at[:, 0]) < east - 1) & (abs(at[:, 1]) < north - 1)]
+    middle = west + 40 * STEP_X, south + 45 * STEP_Y
+    radius = np.hypot(shore[:, 0] - middle[0], shore[:, 1] - middle[1])
+    assert abs(radius - 98.75).max() < 0.6  # of a circle between samples of 10 m
+    sea = (east - west) * (north - south) - math.pi * 98.75**2
+    assert areas(surface).sum() == pytest.approx(sea, rel=1e-3)
+    assert surface.attributes["water_depth"].array.min() == 0.0
+    depth = surface.attributes["water_depth"].array
+    assert depth.max() == pytest.approx(0.25 - heights.min(), rel=1e-6)
+    assert (depth[np.unique(border)][(abs(at[:, 0]) < east - 1) & (abs(at[:, 1]) < north - 1)] < 5e-3).all()
+
+
+def test_border_vertices_are_on_the_ground():
+    """On hills with lakes and rivers they are on the ground's triangles, along the cells' edges."""
+    heights = hills(120, 95)
+    ground = Ground(heights, STEP_X, STEP_Y, whole=heights.shape)
+    layers = WATER.apply(ground, WATER.defaults() | {"rain": 3.0}, None).layers
+    surface = surface_on(heights, layers["water_depth"], layers["water_speed"])
+    border = np.unique(assert_welded(surface))
+    west, south, east, north = lattice(heights).rectangle()
+    at = surface.positions[border].astype(np.float64)
+    inner = (at[:, 0] > west) & (at[:, 0] < east) & (at[:, 1] > south) & (at[:, 1] < north)
+    x, y = (at[inner, 0] - west) / STEP_X, (at[inner, 1] - south) / STEP_Y
+    i, j = np.minimum(x.astype(int), 118), np.minimum(y.astype(int), 93)
+    u, v = x - i, y - j
+    z = heights.astype(float)
+    corners = z[j, i], z[j, i + 1], z[j + 1, i], z[j + 1, i + 1]
+    rising = np.where(u > v, corners[0] + u * (corners[1] - corners[0]) + v * (corners[3] - corners[1]), 0)
+    rising = np.where(u > v, rising, corners[0] + v * (corners[2] - corners[0]) + u * (corners[3] - corners[2]))
+    falling = corners[0] + u * (corners[1] - corners[0]) + v * (corners[2] - corners[0])
+    beyond = corners[3] + (1 - u) * (corners[2] - corners[3]) + (1 - v) * (corners[1] - corners[3])
+    falling = np.where(u + v < 1, falling, beyond)
+    off = np.minimum(abs(at[inner, 2] - rising), abs(at[inner, 2] - falling))
+    assert inner.sum() > 1000 and off.max() < 0.05
+    assert surface.attributes["water_speed"].array.max() > 0.1
+
+
+def test_a_stream_across_the_cells_is_one_piece():
+    """A stream of one sample along a diagonal gives triangles that edges connect."""
+    heights = np.add.outer(np.arange(30.0), np.zeros(30)).astype(np.float32)
+    heights += 3.0 * abs(np.subtract.outer(np.arange(30), np.arange(30))).astype(np.float32)
+    for flipped in (heights, heights[:, ::-1].copy()):
+        depth = np.where(flipped == np.minimum.reduce(flipped, axis=1)[:, None], np.float32(0.3), np.float32(0.0))
+        surface = surface_on(flipped, depth)
+        assert_welded(surface)
+        piece = np.arange(len(surface.positions))
+        for _ in range(len(piece)):
+            a, b = surface.edges.T
+            least = np.minimum(piece[a], piece[b])
+            before = piece.copy()
+            np.minimum.at(piece, a, least)
+            np.minimum.at(piece, b, least)
+            if np.array_equal(before, piece):
+                break
+        assert (piece == 0).all()
+
+
+def test_streams_go_on_where_they_are_fast_and_shallow():
+    heights = np.tile(np.arange(20.0, 0.0, -1.0, dtype=np.float32), (9, 1))
+    depth, discharge = np.zeros((2, 9, 20), np.float32)
+    depth[4], discharge[4] = 0.1, 0.03
+    depth[4, 8:12] = 0.02
+    parts = [surface_on(heights, depth, discharge=q) for q in (None, discharge)]
+    assert [np.ptp(p.positions[:, 0]) > 150.0 for p in parts] == [True, True]
+    middle = [(abs(p.positions[:, 0]) < 5.0).any() for p in parts]
+    assert middle == [False, True]
+
+
+def test_no_triangle_touches_a_hole_and_nothing_is_empty():
+    heights = cone(40, 40)
+    missing = np.zeros(heights.shape, bool)
+    missing[3:6, 4:9] = True
+    surface = surface_on(heights, sea_depth(heights, 0.0), missing=missing)
+    assert_welded(surface)
+    west, south, _, _ = lattice(heights).rectangle()
+    middle = surface.positions[surface.triangles].mean(axis=1)
+    x, y = (middle[:, 0] - west) / STEP_X, (middle[:, 1] - south) / STEP_Y
+    assert not ((x > 3) & (x < 9) & (y > 2) & (y < 6)).any()
+    empty = surface_on(heights, np.zeros_like(heights))
+    assert len(empty.positions) == len(empty.triangles) == len(empty.edges) == 0
+
+
+@pytest.mark.parametrize("side", [300, 1400])
+def test_a_large_field_is_thinned_from_its_south_western_corner(side):
+    heights = cone(side // 4, side)
+    found = water_of(replace(from_array(heights, 3.0, 4.0), layers={"water_depth": sea_depth(heights, 0.0)}))
+    west = (side - 1) * 1.5
+    assert_welded(found)
+    assert found.positions[:, 0].min() == -west and west - 3.0 <= found.positions[:, 0].max() <= west
+    assert abs(found.positions[:, 2]).max() < 1e-4 and found.attributes["water_depth"].array.max() > 10.0
+
+
+def test_a_field_without_water_layers_gets_default_water():
+    """There is a sea at 0 m and a full hollow on the cone's flank."""
+    heights = cone(60, 50)
+    row, column = np.argwhere((heights > 15.0) & (heights < 20.0))[0]
+    heights[row - 1 : row + 2, column - 1 : column + 2] = 5.0
+    found = water_of(from_array(heights, STEP_X, STEP_Y))
+    assert_welded(found)
+    z, deep = found.positions[:, 2], found.attributes["water_depth"].array
+    sea = abs(z) < 1e-4
+    assert sea.sum() > 100 and deep[sea].max() == pytest.approx(-heights.min(), rel=1e-5)
+    lake = deep[~sea].argmax()
+    assert 5.0 < z[~sea][lake] < 20.0 and z[~sea][lake] - deep[~sea][lake] == pytest.approx(5.0, abs=1e-3)
+
+
+def test_the_water_of_a_field_comes_from_its_layers():
+    heights = cone(60, 50)
+    depth = np.where(heights < -10.0, np.float32(-10.0) - heights, np.float32(0.0))
+    found = water_of(replace(from_array(heights, STEP_X, STEP_Y), layers={"water_depth": depth}))
+    assert abs(found.positions[:, 2] + 10.0).max() < 1e-4

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from ..kernels.field.domain import Domain
-from ..kernels.refine.pixels import Asked
+from ..kernels.refine.pixels import CriterionArrays
 from .errors import TerrainError
 from .field.heightfield import HeightField
 from .history.frame_history import FrameHistory
@@ -39,7 +39,7 @@ from .tree.concurrent_binary_tree import ConcurrentBinaryTree
 from .view.criterion import Criterion
 from .view.linear import add_up, determinant
 from .view.local_view import localise
-from .view.spans import Plan, Spans, spans_of
+from .view.spans import PlanUnits, Spans, spans_of
 from .view.view import View, listed_views
 
 
@@ -95,7 +95,7 @@ class _Result:
 
     update: Update
     shape: tuple
-    horizon: tuple[Domain, Asked, int, float] | None = None
+    horizon: tuple[Domain, CriterionArrays, int, float] | None = None
     pieces: Pieces | None = None
 
 
@@ -220,7 +220,7 @@ class Terrain:
                 raise TerrainError(
                     "The saved tree is corrupt: its leaves do not form a conforming mesh. Save it again."
                 ) from None
-            parts = error * domain.error_scale, domain.rounding + domain.most_lean, domain.source
+            parts = error * domain.error_scale, domain.rounding + domain.max_lean, domain.source
             most_m = add_up(parts) * (1 + MARGIN)
             update = Update(
                 surface=surface,
@@ -255,7 +255,7 @@ class Terrain:
                 last.pieces = Pieces.of(surface, locate(self._need_tree(), lattice, middles(surface), meshlet))
             return last.pieces.at(found, places)
 
-    def horizon(self) -> "Asked | None":
+    def horizon(self) -> "CriterionArrays | None":
         """The maps of what the last update's mesh hides from the views that it was for; None where that is not known:
         without views and an error asked, of a restored tree, and with holes, through which one sees."""
         with self.history.alone():
@@ -288,9 +288,9 @@ class Terrain:
         rises_until = criterion.rises_until
         shape = (criterion.meshlet, depth, vertical_scale, vertical_offset, rises_until)
         off = position_rounding(self.field, depth + 2 * criterion.meshlet, vertical_scale, vertical_offset)
-        plan = Plan((domain.unit_x, domain.unit_y), domain.unit_bits, depth, off)
+        plan = PlanUnits((domain.unit_x, domain.unit_y), domain.unit_bits, depth, off)
         spans = spans_of(criterion, views if criterion.needs_view else (), placement, plan)
-        unsure = domain.rounding + domain.most_lean + domain.source
+        unsure = domain.rounding + domain.max_lean + domain.source
 
         def views_within(margins: Any = None) -> list:
             seen = zip(spans.views, spans.scales, strict=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from adaptive_terrain import Criterion, ImportSettings, Terrain, import_source, open_store, register_attribute
-from adaptive_terrain.cbt_terrain.attributes.attribute import Asked, Effect, Parameter
+from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeDeclaration, AttributeRequest, Parameter
 from adaptive_terrain.cbt_terrain.attributes.evaluate import EffectRequest, evaluate
 from adaptive_terrain.cbt_terrain.attributes.examples import evaluate_on
 from adaptive_terrain.cbt_terrain.attributes.plan import plan
@@ -30,7 +30,7 @@ def example(evaluate):
     assert abs(evaluate("noon_sun", north, step=1.0) - 1.0).max() < 1e-6
 
 
-NOON_SUN = Effect(
+NOON_SUN = AttributeDeclaration(
     name="noon_sun",
     about="Cosine between the ground and the sun at noon: 1 faces the sun, 0 faces away",
     unit="",
@@ -48,7 +48,7 @@ folder = Path(sys.argv[1] if len(sys.argv) > 1 else "example")
 import_source(ImportSettings("island", size=513), folder / "island.store")
 field = open_store(folder / "island.store")
 surface = Terrain(field).update(Criterion(error_m=2.0, error_px=0), []).surface
-planned = plan([Asked("noon_sun", ("example 6",), parameters=(("elevation", 30.0),))])
+planned = plan([AttributeRequest("noon_sun", ("example 6",), parameters=(("elevation", 30.0),))])
 result = evaluate(field, EffectRequest(planned, surface), FrameHistory())
 noon = result.attributes["noon_sun"].array
 print(f"noon_sun of {len(noon):,} vertices: {noon.min():.2f} to {noon.max():.2f}")

@@ -124,12 +124,12 @@ def test_figures_are_those_that_the_script_draws(monkeypatch):
 
 
 def test_the_effects_page_has_all_effects_and_the_example():
-    from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
-    from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+    from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
+    from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
 
     page = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
-    assert re.findall(r"^### (\w+)$", page, re.MULTILINE) == [*EFFECTS, *LAND_EFFECTS], "run `make effects`"
-    for name, effect in [*EFFECTS.items(), *LAND_EFFECTS.items()]:
+    assert re.findall(r"^### (\w+)$", page, re.MULTILINE) == [*ATTRIBUTES, *HEIGHT_OPERATORS], "run `make effects`"
+    for name, effect in [*ATTRIBUTES.items(), *HEIGHT_OPERATORS.items()]:
         assert f"{effect.about}." in page, name
     example = (ROOT / "examples" / "06_an_effect.py").read_text(encoding="utf-8")
     assert example.split("\n", 1)[1] in page

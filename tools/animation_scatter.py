@@ -8,7 +8,7 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
-from adaptive_terrain.cbt_terrain.scatter.points import Points, ScatterRequest, place_points
+from adaptive_terrain.cbt_terrain.scatter.points import ScatterPoints, ScatterRequest, place_points
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
@@ -85,7 +85,7 @@ def stillness(field) -> tuple[float, float, float, float]:
     return float(np.mean(counts)), moved / max(1, both_frames), sudden, changed
 
 
-def largest_alone(points: Points, shared: np.ndarray, frame: int) -> float:
+def largest_alone(points: ScatterPoints, shared: np.ndarray, frame: int) -> float:
     """Return the largest size of points outside `shared` in the middle half of both frames' pictures."""
     alone = np.setdiff1d(np.arange(len(points)), shared)
     size, where = points.size[alone], points.positions[alone].astype(np.float64)

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.lands import LANDS, BuiltInTerrain
-from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
-from adaptive_terrain.cbt_terrain.height_operators.height_operator import LandEffect
+from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import HeightOperator
 from adaptive_terrain.cbt_terrain.height_operators.shape import shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack, read_stack
 from adaptive_terrain.cbt_terrain.height_operators.tiles import whole_land
@@ -103,7 +103,7 @@ class Shown:
 def land_section() -> tuple[list[str], dict[str, bytes]]:
     """Return the lines of the page and its pictures by file name."""
     pictures, rows, sections = {}, [], []
-    for effect in LAND_EFFECTS.values():
+    for effect in HEIGHT_OPERATORS.values():
         parameters, part, layer = SHOWN.get(effect.name, ({}, WHOLE, ""))
         stack = Stack((Entry(effect.name, parameters),))
         coarse, shown = (shaped(LANDS["island"], size, stack) for size in (SIZE // 2 + 1, SIZE))
@@ -112,7 +112,7 @@ def land_section() -> tuple[list[str], dict[str, bytes]]:
         moved = f"{plain(rms(change))} m | {plain(finer)} m" if change.any() else "not: its layers say it | -"
         cost = f"{plain(shown.seconds)} | {plain(shown.seconds * 1e6 / change.size)}"
         # Of two headings of one name the second has a number.
-        anchor = f"{effect.name}-1" if effect.name in EFFECTS else effect.name
+        anchor = f"{effect.name}-1" if effect.name in ATTRIBUTES else effect.name
         rows.append(f"| [{effect.name}](#{anchor}) | {moved} | {cost} |")
         pictures[f"land_{effect.name}.jpg"] = beside(shown, part, layer, LAND_RAMP, True)
         sections.append(effect_section(effect, parameters))
@@ -135,7 +135,7 @@ def land_section() -> tuple[list[str], dict[str, bytes]]:
     return lines, pictures
 
 
-def effect_section(effect: LandEffect, parameters: dict) -> str:
+def effect_section(effect: HeightOperator, parameters: dict) -> str:
     """Return an effect's declaration as text below its picture."""
     drawn = ", ".join(f"{name} {plain(value)}" for name, value in parameters.items())
     lines = [f"### {effect.name}\n", f"![{effect.about}](images/land_{effect.name}.jpg)\n"]

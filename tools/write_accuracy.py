@@ -12,14 +12,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.accuracy.timed_runs import Frame
+from adaptive_terrain.cbt_terrain.accuracy.timed_runs import TimedFrame
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ISLAND, ImportSettings
 from adaptive_terrain.cbt_terrain.view.camera_path import read_camera_path
 from adaptive_terrain.operators.accuracy import page as accuracy_page
 from adaptive_terrain.operators.accuracy import report as accuracy_report
-from adaptive_terrain.operators.accuracy.subject import Subject, store_subject
+from adaptive_terrain.operators.accuracy.subject import AccuracySubject, store_subject
 from adaptive_terrain.operators.cli import accuracy_command
 from adaptive_terrain.operators.demo.demo import FLIGHT
 from adaptive_terrain.operators.export.exporting import write_files, write_text
@@ -74,7 +74,7 @@ def sources(folder: Path) -> dict[str, ImportSettings]:
     }
 
 
-def subject_of(name: str, settings: ImportSettings, folder: Path) -> Subject:
+def subject_of(name: str, settings: ImportSettings, folder: Path) -> AccuracySubject:
     """Import a raster; return it as a subject of the page."""
     bar = Progress(1.0, f"import {name}")
     try:
@@ -87,14 +87,14 @@ def subject_of(name: str, settings: ImportSettings, folder: Path) -> Subject:
     flight.write_text(json.dumps(FLIGHT), encoding="utf-8")
     subject = store_subject(folder / f"{name}.store", flight, FRAMES, RESOLUTION)
     path = read_camera_path(flight)
-    after = [Frame([path.view(number + STEP, RESOLUTION)]) for number in FRAMES]
+    after = [TimedFrame([path.view(number + STEP, RESOLUTION)]) for number in FRAMES]
     subject.frames = [replace(frame, after=next_) for frame, next_ in zip(subject.frames, after, strict=True)]
     subject.notes.append(FLIGHT_NOTE)
     subject.seen = f"along the demo's flight, {RESOLUTION[0]} x {RESOLUTION[1]} pixels"
     return subject
 
 
-def write(subjects: list[Subject]) -> None:
+def write(subjects: list[AccuracySubject]) -> None:
     """Write the page, its plots and its pictures."""
     blocks = [Text(INTRODUCTION), *accuracy_page.page(subjects, machine(), PLOTS)]
     write_files(DOCS, accuracy_page.pictures(blocks))

@@ -15,8 +15,13 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-from adaptive_terrain.cbt_terrain.attributes.attribute import LINEAR_RGB, Asked, Effect, Places
-from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.attributes.attribute import (
+    LINEAR_RGB,
+    AttributeDeclaration,
+    AttributeRequest,
+    SamplePoints,
+)
+from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.attributes.evaluate import EffectRequest, evaluate
 from adaptive_terrain.cbt_terrain.attributes.plan import plan
 from adaptive_terrain.cbt_terrain.errors import TerrainError
@@ -91,9 +96,9 @@ def main() -> int:
             shape_store(Path(folder) / "source", STACK, Path(folder) / "island")
             field = open_store(Path(folder) / "island")
             demo = of_demo(Path(folder))
-            drawn = {name: picture(name, field, demo.given) for name in EFFECTS}
+            drawn = {name: picture(name, field, demo.given) for name in ATTRIBUTES}
             pictures = {f"effect_{name}.jpg": jpg(pixels) for name, pixels in drawn.items() if pixels.any()}
-            sections = [section(effect, f"effect_{effect.name}.jpg" in pictures) for effect in EFFECTS.values()]
+            sections = [section(effect, f"effect_{effect.name}.jpg" in pictures) for effect in ATTRIBUTES.values()]
             land, land_pictures = land_section()
             page = [HEAD, *saving(demo, field), SCALES, "## All effects\n", *sections, *land, add_your_own()]
     except TerrainError as error:
@@ -115,14 +120,14 @@ def at_a_glance(pictures: dict[str, bytes], worn: set[str]) -> bytes:
     """Draw the island in its material next to all effects: those in `worn` in colour, unread ones in grey."""
     island = Image.open(DOCS / "images" / "land_whole.jpg").convert("RGB")
     columns, side, gap = 4, 150, 8
-    rows = -(-len(EFFECTS) // columns)
+    rows = -(-len(ATTRIBUTES) // columns)
     high = rows * (side + LETTERS + gap)
     island = island.resize((high * island.width // island.height, high))
     sheet = Image.new("RGB", (island.width + gap + columns * (side + gap), high), (250, 249, 245))
     sheet.paste(island, (0, 0))
     draw = ImageDraw.Draw(sheet)
     font = ImageFont.truetype(matplotlib.get_data_path() + "/fonts/ttf/DejaVuSans.ttf", LETTERS - 5)
-    for number, name in enumerate(EFFECTS):
+    for number, name in enumerate(ATTRIBUTES):
         x = island.width + gap + (number % columns) * (side + gap)
         y = number // columns * (side + LETTERS + gap)
         if f"effect_{name}.jpg" not in pictures:
@@ -142,7 +147,7 @@ def add_your_own() -> str:
     return ADD.format(code=code.split("\n", 1)[1])  # without the licence's line
 
 
-def section(effect: Effect, drawn: bool) -> str:
+def section(effect: AttributeDeclaration, drawn: bool) -> str:
     """Return an effect's declaration as text below its picture; effects that the demo lacks have no picture."""
     facts = [f"**Unit** {effect.unit or 'none'}"]
     if reads := effect.reads_with(()):
@@ -195,7 +200,7 @@ def saving(demo: Demo, field) -> list[str]:
     lines = [
         f"| [{name}](#{name}) | {plain(1e6 * alone(name, field, surface, view) / len(surface.positions))} | "
         f"{plain(effect.cost_ns)} | {4 * effect.width} |"
-        for name, effect in EFFECTS.items()
+        for name, effect in ATTRIBUTES.items()
     ]
     where = ", ".join(machine()[key] for key in ("Processor", "System"))
     return [text, *lines, f"\nMeasured on {where}, {machine()['Threads']} threads.\n"]
@@ -224,16 +229,16 @@ def of_demo(folder: Path) -> Demo:
 
     read = taken()
     statuses = session.record_of(obj).status.effects
-    worn = {step.name for step in plan([Asked(name, ()) for name in demo_scene.MAPS]).steps}
+    worn = {step.name for step in plan([AttributeRequest(name, ()) for name in demo_scene.MAPS]).steps}
     worn |= {name for name, status in statuses.items() if not status.skipped}
-    for name in EFFECTS:
+    for name in ATTRIBUTES:
         getattr(obj.adaptive_terrain.effects, name).when = "PINNED"
     return Demo(read, taken(), len(obj.data.vertices), worn, color_given(obj.adaptive_terrain))
 
 
 def alone(name: str, field, surface, view: View) -> float:
     """Return the milliseconds of an effect and its inputs on one thread."""
-    asked, times = plan([Asked(name, ("a material",))]), []
+    asked, times = plan([AttributeRequest(name, ("a material",))]), []
     for _ in range(RUNS + 1):
         start = time.perf_counter()
         evaluate(field, EffectRequest(asked, surface, [view]), FrameHistory())
@@ -245,12 +250,12 @@ def picture(name: str, field, given: dict) -> np.ndarray:
     """Draw an effect over the whole island as colours in low sun: uint8 [rows, columns, 3], north at the top."""
     places, rows = _grid(field)
     read: dict = {}
-    taken = tuple(item for item in given.items() if item[0] in EFFECTS[name].defaults())
-    for step in plan([Asked(name, ("this page",), parameters=taken)]).steps:
-        values = EFFECTS[step.name].defaults() | dict(step.parameters)
-        read |= EFFECTS[step.name].make(places, {step.name: values}, read)
+    taken = tuple(item for item in given.items() if item[0] in ATTRIBUTES[name].defaults())
+    for step in plan([AttributeRequest(name, ("this page",), parameters=taken)]).steps:
+        values = ATTRIBUTES[step.name].defaults() | dict(step.parameters)
+        read |= ATTRIBUTES[step.name].make(places, {step.name: values}, read)
     values = read[name].reshape(rows, rows, -1).astype(np.float64)
-    colour = values ** (1 / 2.2) if EFFECTS[name].unit == LINEAR_RGB else colours(values)
+    colour = values ** (1 / 2.2) if ATTRIBUTES[name].unit == LINEAR_RGB else colours(values)
     heights = places.positions[:, 2].reshape(rows, rows).astype(np.float64)
     north, east = np.gradient(heights, field.lattice.step_x * EVERY)
     light = (0.6 * east - 0.5 * north + 0.62) / np.sqrt(1 + east**2 + north**2)
@@ -258,13 +263,13 @@ def picture(name: str, field, given: dict) -> np.ndarray:
     return (255 * np.clip(shaded, 0, 1) + 0.5).astype(np.uint8)[::-1]
 
 
-def _grid(field) -> tuple[Places, int]:
+def _grid(field) -> tuple[SamplePoints, int]:
     lattice = field.lattice
     west, south, east, north = lattice.rectangle()
     heights = field.heights(slice(None, None, EVERY), slice(None, None, EVERY))
     x, y = np.linspace(west, east, heights.shape[1]), np.linspace(south, north, heights.shape[0])
     positions = np.stack([*np.meshgrid(x, y), heights], -1).astype(np.float32).reshape(-1, 3)
-    return Places(field, positions, np.full(len(positions), np.log2(EVERY), np.float32)), len(heights)
+    return SamplePoints(field, positions, np.full(len(positions), np.log2(EVERY), np.float32)), len(heights)
 
 
 def colours(values: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ import statistics
 
 import numpy as np
 
-from ...cbt_terrain.attributes.attribute import Asked
+from ...cbt_terrain.attributes.attribute import AttributeRequest
 from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
 from ...cbt_terrain.attributes.plan import plan
 from ...cbt_terrain.attributes.pyramid import ground
@@ -33,7 +33,9 @@ def effects_flight_row() -> BenchmarkRow:
     ground(field, 1.0, 0.0, 1)  # computed once for a store
     criterion = scenes.errors(scenes.pixels_for(field, view_at(0), scenes.errors, MILLION))
     terrain = Terrain(field)
-    wanted = plan([Asked(effect, ("benchmark",)) for effect in (*ATTRIBUTES, *(splat.name for splat in SPLATS))])
+    wanted = plan(
+        [AttributeRequest(effect, ("benchmark",)) for effect in (*ATTRIBUTES, *(splat.name for splat in SPLATS))]
+    )
     updates, effects, computed = [], [], []
 
     def next_frame() -> None:

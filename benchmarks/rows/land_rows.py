@@ -8,7 +8,7 @@ import numpy as np
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.island import SIDE, island
 from ...cbt_terrain.height_operators import flood, fluvial, thermal
-from ...cbt_terrain.height_operators.height_operator import Ground
+from ...cbt_terrain.height_operators.height_operator import OperatorGround
 from ...cbt_terrain.height_operators.levels import apply_by_levels
 from ...cbt_terrain.height_operators.rivers import RIVERS
 from ...cbt_terrain.height_operators.water import WATER
@@ -22,9 +22,9 @@ SOIL_M = 30.0  # thickness of the rock that can break into scree
 MARCHED_S, HOUR = 60.0, 3600.0
 
 
-def _ground(heights: np.ndarray) -> Ground:
+def _ground(heights: np.ndarray) -> OperatorGround:
     step = SIDE / (len(heights) - 1)
-    return Ground(heights, step, step, whole=heights.shape)
+    return OperatorGround(heights, step, step, whole=heights.shape)
 
 
 def rivers_row() -> BenchmarkRow:

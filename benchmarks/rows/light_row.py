@@ -7,7 +7,7 @@ from statistics import median
 import numpy as np
 
 from ...cbt_terrain.attributes import sky, sky_layer
-from ...cbt_terrain.attributes.attribute import Places
+from ...cbt_terrain.attributes.attribute import SamplePoints
 from ...cbt_terrain.attributes.light import AZIMUTHS
 from ...cbt_terrain.field.island import SIDE
 from ...cbt_terrain.run import launch
@@ -30,7 +30,7 @@ def light_preview_row() -> BenchmarkRow:
 
     def preview_ms() -> float:
         fresh = replace(field, found={})
-        places = Places(fresh, positions, np.zeros(len(positions), np.float32), threads=threads)
+        places = SamplePoints(fresh, positions, np.zeros(len(positions), np.float32), threads=threads)
         with stopwatch() as elapsed:
             sky.make(places, {"sky": {"quality": sky.PREVIEW}}, {})
         return elapsed[0]

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ...cbt_terrain.attributes.attribute import Asked
+from ...cbt_terrain.attributes.attribute import AttributeRequest
 from ...cbt_terrain.attributes.bake import bake
 from ..rig import scenes
 from ..rig.measure import BenchmarkRow, alternate, stopwatch
 
 SAMPLES, TEXELS = 2049, 2048
-REQUEST = (Asked("detail_normal", ("this benchmark",)),)
+REQUEST = (AttributeRequest("detail_normal", ("this benchmark",)),)
 
 
 def maps_row() -> BenchmarkRow:

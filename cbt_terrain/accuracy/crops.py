@@ -16,7 +16,7 @@ from ..view.criterion import Criterion
 from ..view.linear import product
 from ..view.view import PANORAMIC, PERSPECTIVE, View
 from .sweep_settings import Setting
-from .timed_runs import Frame
+from .timed_runs import TimedFrame
 
 # Pixels of the frame that a crop shows each way; samples in one of them, each way; pixels in one of the small pictures
 # that tell where to look.
@@ -38,7 +38,7 @@ class Crop:
     pixels: np.ndarray
 
 
-def crops(terrain: Terrain, frame: Frame, errors_px: Sequence[float], base: Criterion | None = None) -> list[Crop]:
+def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base: Criterion | None = None) -> list[Crop]:
     """One for each error, through the frame's first view, with the edges of triangles in its lower left half.
 
     The part is the one in which the first and the last error differ most. None of a panorama.

@@ -22,7 +22,7 @@ from ..run.buffers import shared
 from ..run.launch import checked_threads
 from ..view.linear import lengths
 from ..view.view import View, listed_views
-from .mesh import Errors, Ground, MeasuredMesh, Progress, errors_of, ignore
+from .mesh import Errors, MeasuredMesh, MeshGround, Progress, errors_of, ignore
 from .outline import silhouette
 from .screen import Sight
 
@@ -75,7 +75,7 @@ def measure(
     """
     if view is not None:
         sight = _same(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
-    ground = Ground(field, vertical_scale, vertical_offset, checked_threads(threads))
+    ground = MeshGround(field, vertical_scale, vertical_offset, checked_threads(threads))
     mesh = MeasuredMesh(ground, surface)
     difference, worst = mesh.differences()
     on_progress(0.1)
@@ -114,7 +114,7 @@ def look(
 
     Rays are cast when they are first needed, and kept: 16 bytes a pixel and 1 byte a sample.
     """
-    return Sight(Ground(field, vertical_scale, vertical_offset, checked_threads(threads)), view, placement)
+    return Sight(MeshGround(field, vertical_scale, vertical_offset, checked_threads(threads)), view, placement)
 
 
 def triangle_errors(
@@ -133,7 +133,7 @@ def triangle_errors(
     (of a bicubic reference 8 places there), of these what is in the frame, hidden or not; and the point seen in each
     pixel. 0 for triangles with nothing in any frame. Without views: metres, the maximum over the triangle.
     """
-    ground = Ground(field, vertical_scale, vertical_offset, checked_threads(threads))
+    ground = MeshGround(field, vertical_scale, vertical_offset, checked_threads(threads))
     mesh, views = MeasuredMesh(ground, surface), listed_views(views)
     if not views:
         _, worst = mesh.differences()

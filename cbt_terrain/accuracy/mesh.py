@@ -13,7 +13,7 @@ from ...kernels.accuracy import facets as kernels
 from ...kernels.accuracy import grid as grid_kernels
 from ...kernels.accuracy import points as point_kernels
 from ..errors import TerrainError
-from ..field import coats, codes
+from ..field import codes, displacement_layers
 from ..field.detail_bounds import highest
 from ..field.heightfield import PLANE_BITS, HeightField
 from ..mesh.surface import Surface
@@ -66,7 +66,7 @@ def _blocks(values: np.ndarray):
     return (values[start : start + (1 << 20)] for start in range(0, values.size, 1 << 20))
 
 
-class Ground:
+class MeshGround:
     """The reference surface of a height field as the kernels of the measurement read it; memory is shared."""
 
     def __init__(self, field: HeightField, vertical_scale: float, vertical_offset: float, threads: int):
@@ -79,8 +79,8 @@ class Ground:
         g = self.packed = kernels.Ground()
         g.bits = self.bits
         g.bicubic = int(field.interpolation == "bicubic")
-        g.curved, g.detail_most = int(g.bicubic or bool(field.parts)), highest(field.parts)
-        g.coats = coats.packed(field.detail, field.finest_edge, lattice)
+        g.curved, g.max_detail = int(g.bicubic or bool(field.parts)), highest(field.parts)
+        g.layers = displacement_layers.packed(field.detail, field.finest_edge, lattice)
         g.step_x, g.step_y = lattice.step_x, lattice.step_y
         g.west = -0.5 * (lattice.width - 1) * lattice.step_x
         g.south = -0.5 * (lattice.height - 1) * lattice.step_y
@@ -101,7 +101,7 @@ class Ground:
 class MeasuredMesh:
     """A surface as delivered, ready to be walked over a ground."""
 
-    def __init__(self, ground: Ground, surface: Surface):
+    def __init__(self, ground: MeshGround, surface: Surface):
         self.ground, self.triangles = ground, len(surface.corner_verts) // 3
         if not len(surface.positions) or not np.isfinite(surface.positions).all():
             raise TerrainError("The mesh has no vertices or positions that are not finite: it cannot be measured.")

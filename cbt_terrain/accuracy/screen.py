@@ -28,13 +28,13 @@ from ..run import launch
 from ..run.buffers import shared
 from ..view.linear import inverse, length, lengths, product
 from ..view.view import KINDS, ORTHOGRAPHIC, PANORAMIC, View
-from .mesh import POINT_BITS, Ground, Progress, errors_of, ignore
+from .mesh import POINT_BITS, MeshGround, Progress, errors_of, ignore
 
 # Samples between two calls of on_progress, and pixels.
 BLOCK = 1 << 20
 
 
-def pack_blocks(ground: Ground) -> ray_kernels.Blocks:
+def pack_blocks(ground: MeshGround) -> ray_kernels.Blocks:
     """The lowest and highest heights of blocks of 4 x 4 cells, of 8 x 8 and so on up to one block.
 
     Bilinear heights are between the samples of a cell. Bicubic ones are beyond those around it by 9/32 of their range
@@ -43,7 +43,7 @@ def pack_blocks(ground: Ground) -> ray_kernels.Blocks:
     around, heights = int(ground.packed.bicubic), ground.field.heights()
     low, high = (over_cells(heights, 4, reduce, around) for reduce in (np.minimum, np.maximum))
     if ground.packed.curved:
-        more = ground.packed.detail_most + around * 0.28125 * (high.astype(np.float64) - low)
+        more = ground.packed.max_detail + around * 0.28125 * (high.astype(np.float64) - low)
         low = np.nextafter((low - more).astype(np.float32), np.float32(-np.inf))
         high = np.nextafter((high + more).astype(np.float32), np.float32(np.inf))
     (lows, base, width), (highs, _, _) = stacked(halvings(low, np.minimum), 1), stacked(halvings(high, np.maximum), 1)
@@ -56,7 +56,7 @@ def pack_blocks(ground: Ground) -> ray_kernels.Blocks:
     return b
 
 
-def pack_eye(view: View, placement: np.ndarray, ground: Ground) -> screen_kernels.Eye:
+def pack_eye(view: View, placement: np.ndarray, ground: MeshGround) -> screen_kernels.Eye:
     """The view as the kernels of the measurement read it: from cells and metres of height."""
     g = ground.packed
     to_terrain = np.diag([g.step_x, g.step_y, 1.0, 1.0])
@@ -113,7 +113,7 @@ def pixel_grid(view: View) -> tuple[int, int]:
 class Sight:
     """What one view sees of the reference surface; nothing here knows a mesh, so one serves all meshes of a view."""
 
-    def __init__(self, ground: Ground, view: View, placement: np.ndarray | None):
+    def __init__(self, ground: MeshGround, view: View, placement: np.ndarray | None):
         placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
         self.key = (ground.key, view.key(), placement.tobytes())
         self.ground, self.eye = ground, pack_eye(view, placement, ground)

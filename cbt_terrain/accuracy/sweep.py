@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..attributes.evaluate import EffectRequest, evaluate
-from ..attributes.plan import Plan
+from ..attributes.plan import AttributePlan
 from ..field.bicubic import interpolated
 from ..field.heightfield import HeightField
 from ..fit.fit import fit
@@ -24,7 +24,7 @@ from ..view.view import View
 from . import Errors, Measured, Sight, look, measure, popping, shading_change
 from .cost_curve import CostCurve
 from .sweep_settings import Setting
-from .timed_runs import FRAME_RUNS, RUNS, Frame, fastest, median_by_step, timed_runs, to_finished_mesh
+from .timed_runs import FRAME_RUNS, RUNS, TimedFrame, fastest, median_by_step, timed_runs, to_finished_mesh
 
 # Sights that are kept, of 16 bytes a pixel and 1 byte a sample each; the frames of a longer path are looked at anew.
 KEPT_SIGHTS = 16
@@ -106,12 +106,12 @@ class Row:
 def sweep(
     heights: HeightField,
     settings: Sequence[Setting],
-    frames: Sequence[Frame],
+    frames: Sequence[TimedFrame],
     *,
     base: Criterion | None = None,
     threads: int | None = None,
     write: Callable[[Surface], float] | None = None,
-    effects: Plan | None = None,
+    effects: AttributePlan | None = None,
     on_row: Callable[[Row], None] = lambda row: None,
     on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Row]:
@@ -123,7 +123,7 @@ def sweep(
     """
     rows, sights = [], {}
 
-    def sight(reference: HeightField, view: View, frame: Frame) -> Sight:
+    def sight(reference: HeightField, view: View, frame: TimedFrame) -> Sight:
         """What a view sees is the same for every setting, and takes longest to find out."""
         found = look(reference, view, *frame.heights, threads=threads)
         if found.key not in sights and len(sights) == KEPT_SIGHTS:
@@ -141,7 +141,15 @@ def sweep(
             row = _fitted_row(reference, setting, frames[0], threads, on_part)
         else:
             row = _row(
-                reference, setting, frames, base or Criterion(), threads, sight, write, effects or Plan(), on_part
+                reference,
+                setting,
+                frames,
+                base or Criterion(),
+                threads,
+                sight,
+                write,
+                effects or AttributePlan(),
+                on_part,
             )
         rows.append(row)
         on_row(row)
@@ -199,7 +207,15 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def _row(
-    heights, setting: Setting, frames: Sequence[Frame], base: Criterion, threads, sight, write, effects: Plan, on_part
+    heights,
+    setting: Setting,
+    frames: Sequence[TimedFrame],
+    base: Criterion,
+    threads,
+    sight,
+    write,
+    effects: AttributePlan,
+    on_part,
 ) -> Row:
     criterion, terrain = setting.criterion(base), Terrain(heights, threads)
     if setting.unit == "m":
@@ -225,7 +241,7 @@ def _row(
                 )
             )
 
-        def made(surface: Surface, views: Sequence[View], frame: Frame = frame) -> dict[str, Attribute]:
+        def made(surface: Surface, views: Sequence[View], frame: TimedFrame = frame) -> dict[str, Attribute]:
             request = EffectRequest(effects, surface, views, *frame.heights)
             return evaluate(heights, request, terrain.history, terrain.threads).attributes
 
@@ -274,7 +290,7 @@ def spread_of(times_ms: Sequence[float]) -> tuple[float, float] | None:
     return (min(times_ms), max(times_ms)) if len(times_ms) > 1 else None
 
 
-def _fitted_row(heights, setting: Setting, frame: Frame, threads, on_part) -> Row:
+def _fitted_row(heights, setting: Setting, frame: TimedFrame, threads, on_part) -> Row:
     """A fit depends on no view; its time is that of a second run where the first is short enough to be disturbed."""
     scale, offset = frame.vertical_scale, frame.vertical_offset
     for part in range(2):
@@ -306,7 +322,7 @@ def _fitted_row(heights, setting: Setting, frame: Frame, threads, on_part) -> Ro
     )
 
 
-def _transitions(terrain: Terrain, criterion: Criterion, before: Surface, frame: Frame, threads, sight) -> list:
+def _transitions(terrain: Terrain, criterion: Criterion, before: Surface, frame: TimedFrame, threads, sight) -> list:
     """Jumps and changes of shading from the surface `before` to the one of the frame that follows, for each view."""
     after = terrain.update(criterion, frame.views, *frame.heights).surface
     found = []

@@ -10,7 +10,7 @@ from ..field.heightfield import INTERPOLATIONS, HeightField
 from ..plain_numbers import keep_plain_numbers
 from ..view.criterion import Criterion
 from ..view.morph import SMOOTH
-from .timed_runs import Frame
+from .timed_runs import TimedFrame
 
 PIXELS = (16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25)
 # Steps of a sweep in metres, each half of the one before; the coarsest is at most this part of the relief.
@@ -54,7 +54,7 @@ class Setting:
         return dataclasses.replace(base, **asked, **limits, morph=morph)
 
 
-def settings_for(heights: HeightField, frame: Frame, morph: float = 1.0) -> list[Setting]:
+def settings_for(heights: HeightField, frame: TimedFrame, morph: float = 1.0) -> list[Setting]:
     """What a whole sweep measures: pixels, depth limits and meshlets if there is a view; metres, plain and fitted; and
     every other error with the other interpolation. A fit has a bilinear surface without detail under it. Where a frame
     follows, some errors with the other transitions: `morph` is that of the criterion which is swept."""

@@ -30,7 +30,7 @@ MOVE, NUDGE = 1e-3, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class TimedFrame:
     """What one frame is refined for; arguments as of `Terrain.update`. `after`: the frame that follows it, to see what
     pops between the two."""
 
@@ -38,7 +38,7 @@ class Frame:
     placement: np.ndarray | None = None
     vertical_scale: float = 1.0
     vertical_offset: float = 0.0
-    after: "Frame | None" = None
+    after: "TimedFrame | None" = None
 
     def __post_init__(self):
         object.__setattr__(self, "views", listed_views(self.views))
@@ -52,7 +52,7 @@ class Frame:
 def timed_runs(
     terrain: Terrain,
     criterion: Criterion,
-    frame: Frame,
+    frame: TimedFrame,
     count: int = RUNS,
     write: Callable[[Surface], float] | None = None,
     effects: Callable[[Surface, Sequence[View]], dict[str, Attribute]] | None = None,

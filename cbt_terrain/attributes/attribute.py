@@ -31,7 +31,7 @@ class Parameter:
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class SamplePoints:
     """Points where attributes are evaluated: vertices of a mesh, or texels of a map.
 
     `positions`: float32 [n, 3], metres in the terrain's space, displaced. `level`: float32 [n], the scale as a level of
@@ -50,7 +50,7 @@ class Places:
     def __len__(self) -> int:
         return len(self.positions)
 
-    def only(self, which: np.ndarray) -> "Places":
+    def only(self, which: np.ndarray) -> "SamplePoints":
         """Return the points with the indices `which`."""
         return replace(self, positions=self.positions[which], level=self.level[which])
 
@@ -59,14 +59,14 @@ class Places:
 Wanted = Mapping[str, Mapping[str, object]]
 # (points, requested attributes, values at the points of the attributes that these read) -> values of each requested
 # attribute, float32 [n] or [n, width].
-Make = Callable[[Places, Wanted, Mapping[str, np.ndarray]], dict[str, np.ndarray]]
+Make = Callable[[SamplePoints, Wanted, Mapping[str, np.ndarray]], dict[str, np.ndarray]]
 
 # Evaluates an attribute by its name on a raster: evaluate_on in examples.py.
 Evaluate = Callable[..., np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
-class Effect:
+class AttributeDeclaration:
     """The declaration of an attribute.
 
     Attributes:
@@ -129,7 +129,7 @@ class Effect:
 
 
 @dataclass(frozen=True)
-class Asked:
+class AttributeRequest:
     """A request for an attribute. `readers`: its readers, in words. `family`: PICTURE or GEOMETRY. `parameters`: pairs
     that differ from their defaults."""
 

@@ -26,8 +26,8 @@ from ..run import launch, owned_files, partial_files
 from ..run.buffers import shared
 from ..run.owned_files import open_folder
 from . import exr, png
-from .attribute import Asked, Places
-from .catalogue import EFFECTS
+from .attribute import AttributeRequest, SamplePoints
+from .catalogue import ATTRIBUTES
 from .coding import PNG, Coding, coding_of
 from .evaluate import values_at
 from .folder import JSON_NAME, UDIM, VERSION, file_name, files_of, read_index
@@ -58,7 +58,7 @@ class _Image:
     """An image to bake: its tile, attribute, coding, side in texels, file name and content key."""
 
     tile: int
-    request: Asked
+    request: AttributeRequest
     coding: Coding
     side: int
     file: str
@@ -67,7 +67,7 @@ class _Image:
 
 def bake(
     field: HeightField,
-    requests: Iterable[Asked],
+    requests: Iterable[AttributeRequest],
     folder: str | os.PathLike,
     resolutions: Sequence[int],
     *,
@@ -136,12 +136,12 @@ class _Place:
         return round((math.log2(finer) - SHARPER) * STEPS_PER_LEVEL) / STEPS_PER_LEVEL
 
 
-def _image(place: _Place, request: Asked, tile: int, side: int, form: str) -> _Image:
-    coding = coding_of(EFFECTS[request.name], form)
+def _image(place: _Place, request: AttributeRequest, tile: int, side: int, form: str) -> _Image:
+    coding = coding_of(ATTRIBUTES[request.name], form)
     steps = plan([request]).steps
     content = (
         VERSION,
-        [(step.name, EFFECTS[step.name].version, sorted(step.parameters)) for step in steps],
+        [(step.name, ATTRIBUTES[step.name].version, sorted(step.parameters)) for step in steps],
         (place.field.raster_key, place.vertical_scale, place.vertical_offset),
         (place.tiling, tile, side, place.image_level(side)),
         coding,
@@ -202,7 +202,7 @@ def _opened(folder: Path, image: _Image, pool, stack: ExitStack):
     return file
 
 
-def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) -> Places:
+def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) -> SamplePoints:
     """Return the ground under `rows` rows of texels from row `first`, for an image of `side` texels along a side."""
     ground, grid, tiling = packed(place.field, np.empty(1, np.float32)), kernels.Texels(), place.tiling
     ground.height_scale, ground.height_offset = place.vertical_scale, place.vertical_offset
@@ -214,7 +214,7 @@ def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) ->
     launch.spread(kernels.texel_places, len(positions), inputs, step="texels", threads=place.threads)
     level = np.full(len(positions), place.level(side), np.float32)
     scale = place.vertical_scale, place.vertical_offset
-    return Places(place.field, positions, level, *scale, place.threads, place.image_level(side))
+    return SamplePoints(place.field, positions, level, *scale, place.threads, place.image_level(side))
 
 
 def _coded(values: np.ndarray, image: _Image) -> np.ndarray:
@@ -262,7 +262,7 @@ def _index(place: _Place, images: list[_Image], before: dict | None) -> dict:
 
 def _entry(place: _Place, images: list[_Image]) -> dict:
     """Return the JSON entry of a map."""
-    effect, coding, tiling = EFFECTS[images[0].request.name], images[0].coding, place.tiling
+    effect, coding, tiling = ATTRIBUTES[images[0].request.name], images[0].coding, place.tiling
     coded = {
         "channels": coding.channels,
         "bits": coding.depth,

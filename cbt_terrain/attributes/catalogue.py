@@ -3,9 +3,9 @@
 
 from ..errors import TerrainError, check_free_name
 from . import color, flow, jet, layers, occlusion, sky, splat, sun, wetness
-from .attribute import Effect
+from .attribute import AttributeDeclaration
 
-EFFECTS: dict[str, Effect] = {
+ATTRIBUTES: dict[str, AttributeDeclaration] = {
     effect.name: effect
     for effect in (
         *jet.JETS,
@@ -21,7 +21,7 @@ EFFECTS: dict[str, Effect] = {
 }
 
 
-def register_attribute(attribute: Effect) -> None:
+def register_attribute(attribute: AttributeDeclaration) -> None:
     """Add an attribute to the list.
 
     Its parameters get rows in panels if it is registered before the extension is enabled.
@@ -29,14 +29,14 @@ def register_attribute(attribute: Effect) -> None:
     Raises:
         TerrainError: the name is taken or is no identifier, or an attribute that it reads is not registered.
     """
-    check_free_name("attribute", attribute.name, EFFECTS)
-    unknown = [name for name in attribute.reads if name not in EFFECTS]
+    check_free_name("attribute", attribute.name, ATTRIBUTES)
+    unknown = [name for name in attribute.reads if name not in ATTRIBUTES]
     if unknown:
         what = f"The attribute {attribute.name!r} reads {unknown[0]!r}, which is not registered"
-        raise TerrainError(what, expected=f"one of {', '.join(EFFECTS)}", fix="register that first")
-    EFFECTS[attribute.name] = attribute
+        raise TerrainError(what, expected=f"one of {', '.join(ATTRIBUTES)}", fix="register that first")
+    ATTRIBUTES[attribute.name] = attribute
 
 
 def unregister_attribute(name: str) -> None:
     """Remove a registered attribute from the list; do nothing if it is not there."""
-    EFFECTS.pop(name, None)
+    ATTRIBUTES.pop(name, None)

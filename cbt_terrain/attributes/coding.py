@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 from ..errors import TerrainError
-from .attribute import LINEAR_RGB, Effect
+from .attribute import LINEAR_RGB, AttributeDeclaration
 
 FORMS = PNG, EXR = "png", "exr"
 NO_UNIT = ("", "1", LINEAR_RGB)
@@ -31,7 +31,7 @@ class Coding:
         return SHALLOW_BYTES if self.depth == 8 else DEEP_BYTES
 
 
-def coding_of(effect: Effect, form: str = PNG) -> Coding:
+def coding_of(effect: AttributeDeclaration, form: str = PNG) -> Coding:
     """Return the coding of an attribute: 8 bits without a unit and for colours, 16 bits for measures, half floats in
     EXR.
 

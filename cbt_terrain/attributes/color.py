@@ -9,14 +9,14 @@ import numpy as np
 from ...kernels.effects import splat as splat_kernels
 from ..errors import TerrainError
 from . import splat
-from .attribute import LINEAR_RGB, Effect, Evaluate, Parameter, Places, Wanted
+from .attribute import LINEAR_RGB, AttributeDeclaration, Evaluate, Parameter, SamplePoints, Wanted
 from .decals import DECALS, cover
 from .splat_rules import LAYERS, Layer
 
 DEFAULT_COLORS = ((0.07, 0.11, 0.03), (0.24, 0.2, 0.16), (0.13, 0.12, 0.115), (0.85, 0.88, 0.93))
 
 
-def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute the requested values; implements `Make`."""
     values = wanted["color"]
     layers, colors = values["layers"], values["colors"]
@@ -39,7 +39,7 @@ def example(evaluate: Evaluate) -> None:
     assert (evaluate("color", np.zeros((9, 9)), step=10.0, layers=(Layer("Grass"),), colors=(green,)) == green).all()
 
 
-COLOR = Effect(
+COLOR = AttributeDeclaration(
     name="color",
     about="Colour of the ground: of the splat layers by their weights, with decals over it",
     unit=LINEAR_RGB,

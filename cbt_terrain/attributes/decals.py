@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..plain_numbers import keep_plain_numbers
-from .attribute import Parameter, Places
+from .attribute import Parameter, SamplePoints
 
 DECALS = Parameter("decals", (), -math.inf, math.inf, "", "Decals laid on the ground, the topmost last")
 
@@ -19,7 +19,7 @@ LARGEST = np.float32(1e9)  # limit of colours, so that sums and products of a fe
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class DecalPicture:
     """An image, identified by `digest`. `values`: float32 [rows, columns, 4], row 0 at the lower edge, premultiplied by
     alpha: linear red, green, blue and alpha or, if `tilts`, slopes along columns and rows, 0 and alpha."""
 
@@ -39,7 +39,7 @@ class Picture:
         return found
 
 
-def picture(pixels: np.ndarray, tilts: bool) -> Picture:
+def picture(pixels: np.ndarray, tilts: bool) -> DecalPicture:
     """Return the picture of float [rows, columns, 4], linear colours or a normal map in 0 .. 1, not premultiplied."""
     finite = np.clip(np.nan_to_num(pixels.astype(np.float32)), -LARGEST, LARGEST)
     rgb, alpha = finite[..., :3], np.clip(finite[..., 3:], 0.0, 1.0)
@@ -49,7 +49,7 @@ def picture(pixels: np.ndarray, tilts: bool) -> Picture:
         rgb[..., :2] = -normal[..., :2] / np.maximum(normal[..., 2:], np.float32(0.05))
     values = np.concatenate([rgb * alpha, alpha], axis=2)
     content = repr((values.shape, tilts)).encode() + values.tobytes()
-    return Picture(values, tilts, hashlib.blake2b(content, digest_size=16).hexdigest())
+    return DecalPicture(values, tilts, hashlib.blake2b(content, digest_size=16).hexdigest())
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Decal:
     and y in metres in the terrain's space. `opacity`: 0 .. 1."""
 
     name: str
-    picture: Picture
+    picture: DecalPicture
     corner: tuple[float, float]
     along: tuple[float, float]
     up: tuple[float, float]
@@ -92,7 +92,7 @@ class Decal:
         x, y = ((0.0, self.along[k], self.up[k], self.along[k] + self.up[k]) for k in (0, 1))
         return tuple(self.corner[k] + end(side) for end in (min, max) for k, side in ((0, x), (1, y)))
 
-    def sample(self, places: Places) -> tuple[np.ndarray, np.ndarray]:
+    def sample(self, places: SamplePoints) -> tuple[np.ndarray, np.ndarray]:
         """Return the indices of the points that it covers, int [n], and its values at their scale, float32 [n, 4]."""
         x = places.positions[:, 0].astype(np.float64) - self.corner[0]
         y = places.positions[:, 1].astype(np.float64) - self.corner[1]
@@ -125,7 +125,7 @@ def _interpolate(image: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.n
     return lower * (1 - t) + (image[north, west] * (1 - s) + image[north, east] * s) * t
 
 
-def cover(colors: np.ndarray, decals: Sequence[Decal], places: Places) -> None:
+def cover(colors: np.ndarray, decals: Sequence[Decal], places: SamplePoints) -> None:
     """Composite colour decals over `colors`, float32 [n, 3], in their order (Porter and Duff 1984, "over")."""
     for decal in decals:
         if not decal.picture.tilts:
@@ -133,7 +133,7 @@ def cover(colors: np.ndarray, decals: Sequence[Decal], places: Places) -> None:
             colors[which] = values[:, :3] + (1 - values[:, 3:]) * colors[which]
 
 
-def tilt(normals: np.ndarray, decals: Sequence[Decal], places: Places) -> None:
+def tilt(normals: np.ndarray, decals: Sequence[Decal], places: SamplePoints) -> None:
     """Add the slopes of decals that are normal maps to those of the ground: `normals`, float32 [n, 3]."""
     for decal in decals:
         if decal.picture.tilts:

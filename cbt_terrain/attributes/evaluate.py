@@ -17,15 +17,15 @@ from ..mesh.attributes import POINT as POINTS
 from ..mesh.attributes import Attribute
 from ..mesh.surface import Surface
 from ..view.view import View
-from .attribute import GEOMETRY, Asked, Places
-from .catalogue import EFFECTS
-from .plan import Plan, kernels_of_steps, plan
+from .attribute import GEOMETRY, AttributeRequest, SamplePoints
+from .catalogue import ATTRIBUTES
+from .plan import AttributePlan, kernels_of_steps, plan
 from .scale import fixed_level, footprint_levels
 from .values import EffectValues, ValueSource
 
 KERNELS = footprint_kernels, keep_kernels
 
-Group = list[Asked]  # attributes of one call
+Group = list[AttributeRequest]  # attributes of one call
 # Limit of the bytes of one terrain's values, those of the last surface included. The values of this surface are always
 # held, since the mesh is written from them.
 MAX_BYTES = 1 << 28
@@ -34,7 +34,7 @@ ANY_LEVEL = "ANY_LEVEL"
 BAND = 1 << 18  # samples that are evaluated together
 
 
-def kernels_of(plan: Plan) -> list[ModuleType]:
+def kernels_of(plan: AttributePlan) -> list[ModuleType]:
     """Return the modules of kernels that an evaluation of a plan launches."""
     return list(dict.fromkeys([*KERNELS, *kernels_of_steps(plan)])) if plan.steps else []
 
@@ -54,7 +54,7 @@ class EffectRequest:
     """A plan and a surface; other arguments as of `Terrain.update`. Without views, attributes in pictures have the
     raster's scale, and so have those in geometry unless `geometry_metres` sets another."""
 
-    plan: Plan
+    plan: AttributePlan
     surface: Surface
     views: Sequence[View] = ()
     placement: np.ndarray | None = None
@@ -103,7 +103,7 @@ def evaluate(
             keys = _keys(request, heights)
             found = _values(heights, request, values, keys, max_bytes, ran)
             names = request.plan.attributes
-            attributes = {name: Attribute(found[name], POINTS, EFFECTS[name].unit) for name in names}
+            attributes = {name: Attribute(found[name], POINTS, ATTRIBUTES[name].unit) for name in names}
             values.source = ValueSource(weakref.ref(request.surface), key, keys, attributes)
         history.values = values
         return Evaluated(values.source.attributes, ran, values.nbytes)
@@ -127,19 +127,19 @@ def _values(
             levels[:] = fixed_level(heights, request.geometry_metres)
         else:
             footprint_levels(heights, positions, request.views, request.placement, values.threads, levels)
-        places[family] = Places(heights, positions, levels, *map(float, scale), values.threads)
+        places[family] = SamplePoints(heights, positions, levels, *map(float, scale), values.threads)
         fresh[family] = values.fresh(levels, before)
-    if not all(EFFECTS[step.name].scaled for step in steps):
+    if not all(ATTRIBUTES[step.name].scaled for step in steps):
         fresh[ANY_LEVEL] = values.new()
-    nonzero = [step for step in steps if not EFFECTS[step.name].is_nothing(step.parameters)]
+    nonzero = [step for step in steps if not ATTRIBUTES[step.name].is_nothing(step.parameters)]
     once = _held_once(nonzero, len(positions), max_bytes)
     values.forget(once)
     reused = {step.name for step in nonzero if last.keys.get(step.name) == keys[step.name]} - once
-    which = {step.name: fresh[step.family if EFFECTS[step.name].scaled else ANY_LEVEL] for step in nonzero}
+    which = {step.name: fresh[step.family if ATTRIBUTES[step.name].scaled else ANY_LEVEL] for step in nonzero}
     which |= dict.fromkeys(which.keys() - reused)
-    found = values.reuse({name: EFFECTS[name].width for name, some in which.items() if some is not None})
+    found = values.reuse({name: ATTRIBUTES[name].width for name, some in which.items() if some is not None})
     for step in set(steps) - set(nonzero):
-        found[step.name] = values.zeros(EFFECTS[step.name].width)
+        found[step.name] = values.zeros(ATTRIBUTES[step.name].width)
     for group in _groups(nonzero, reused):
         start = time.perf_counter()
         computed = _make(group, places[group[0].family], which[group[0].name], found, values, once)
@@ -149,13 +149,13 @@ def _values(
     return found
 
 
-def values_at(places: Places, requests: Iterable[Asked]) -> dict[str, np.ndarray]:
+def values_at(places: SamplePoints, requests: Iterable[AttributeRequest]) -> dict[str, np.ndarray]:
     """Return the values of attributes and of those that they read at points, by name, without a history."""
     steps = list(plan(requests).steps)
     values: dict[str, np.ndarray] = {}
     while steps:
-        make = EFFECTS[steps[0].name].make
-        now = [step for step in steps if EFFECTS[step.name].make is make and _reads(step) <= {*values}]
+        make = ATTRIBUTES[steps[0].name].make
+        now = [step for step in steps if ATTRIBUTES[step.name].make is make and _reads(step) <= {*values}]
         values |= _computed(now, places, values)
         steps = [step for step in steps if step not in now]
     return values
@@ -163,7 +163,7 @@ def values_at(places: Places, requests: Iterable[Asked]) -> dict[str, np.ndarray
 
 def on_samples(
     field: HeightField,
-    requests: Iterable[Asked],
+    requests: Iterable[AttributeRequest],
     vertical_scale: float = 1.0,
     vertical_offset: float = 0.0,
     threads: int = 1,
@@ -184,20 +184,20 @@ def on_samples(
         z = field.heights(rows).astype(np.float64) * vertical_scale + vertical_offset
         positions = np.stack([*np.meshgrid(x, y), z], -1).astype(np.float32)
         levels = np.full(z.size, level, np.float32)
-        places = Places(field, positions.reshape(-1, 3), levels, vertical_scale, vertical_offset, threads)
+        places = SamplePoints(field, positions.reshape(-1, 3), levels, vertical_scale, vertical_offset, threads)
         yield rows, {name: v.reshape(*z.shape, *v.shape[1:]) for name, v in values_at(places, requests).items()}
 
 
-def _reads(step: Asked) -> set[str]:
-    return set(EFFECTS[step.name].reads_with(step.parameters))
+def _reads(step: AttributeRequest) -> set[str]:
+    return set(ATTRIBUTES[step.name].reads_with(step.parameters))
 
 
-def _held_once(steps: Sequence[Asked], count: int, max_bytes: int) -> set[str]:
+def _held_once(steps: Sequence[AttributeRequest], count: int, max_bytes: int) -> set[str]:
     """Return the attributes whose values of the last surface are dropped to keep `max_bytes` at `count` points.
 
     Those that are cheapest to compute for their size are dropped first.
     """
-    effects = [EFFECTS[step.name] for step in steps]
+    effects = [ATTRIBUTES[step.name] for step in steps]
     # Two copies of points and of the levels of both families.
     left = max_bytes - NUMBER * count * (2 * (3 + 2) + sum(int(effect.width) for effect in effects))
     once = set()
@@ -214,7 +214,7 @@ def _keys(request: EffectRequest, heights: HeightField) -> dict[str, tuple]:
     level = fixed_level(heights, request.geometry_metres)
     surface = heights.key, float(request.vertical_scale), float(request.vertical_offset)
     for step in request.plan.steps:
-        effect = EFFECTS[step.name]
+        effect = ATTRIBUTES[step.name]
         numbers = tuple(sorted((effect.defaults() | dict(step.parameters)).items()))
         scale = level if step.family == GEOMETRY and effect.scaled else None
         read = tuple(keys[name] for name in effect.reads_with(step.parameters))
@@ -222,13 +222,13 @@ def _keys(request: EffectRequest, heights: HeightField) -> dict[str, tuple]:
     return keys
 
 
-def _groups(steps: Sequence[Asked], reused: set[str]) -> list[Group]:
+def _groups(steps: Sequence[AttributeRequest], reused: set[str]) -> list[Group]:
     """Group steps that one call computes: they share the function, the family and the points to compute."""
     group_of: dict[str, int] = {}
     order: list[tuple[tuple, Group]] = []
     for step in steps:
-        kind = (EFFECTS[step.name].make, step.family, EFFECTS[step.name].scaled, step.name in reused)
-        after = max((group_of.get(name, -1) for name in EFFECTS[step.name].reads_with(step.parameters)), default=-1)
+        kind = (ATTRIBUTES[step.name].make, step.family, ATTRIBUTES[step.name].scaled, step.name in reused)
+        after = max((group_of.get(name, -1) for name in ATTRIBUTES[step.name].reads_with(step.parameters)), default=-1)
         number = next((k for k in range(after + 1, len(order)) if order[k][0] == kind), len(order))
         if number == len(order):
             order.append((kind, []))
@@ -237,10 +237,12 @@ def _groups(steps: Sequence[Asked], reused: set[str]) -> list[Group]:
     return [group for _, group in order]
 
 
-def _computed(group: Sequence[Asked], places: Places, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _computed(
+    group: Sequence[AttributeRequest], places: SamplePoints, read: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
     """Return the values of attributes of one function. Raises TerrainError if a value is not finite."""
-    wanted = {step.name: EFFECTS[step.name].defaults() | dict(step.parameters) for step in group}
-    found = EFFECTS[group[0].name].make(places, wanted, read)
+    wanted = {step.name: ATTRIBUTES[step.name].defaults() | dict(step.parameters) for step in group}
+    found = ATTRIBUTES[group[0].name].make(places, wanted, read)
     for name, array in found.items():
         if not np.isfinite(array).all():
             raise places.field.damage(f"its heights give values of {name} that are not finite")
@@ -249,7 +251,7 @@ def _computed(group: Sequence[Asked], places: Places, read: Mapping[str, np.ndar
 
 def _make(
     group: Group,
-    places: Places,
+    places: SamplePoints,
     which: np.ndarray | None,
     found: dict[str, np.ndarray],
     values: EffectValues,
@@ -259,7 +261,7 @@ def _make(
 
     which: points to compute, where `found` has the others; None for all. once: see `_held_once`.
     """
-    read = {name: found[name] for step in group for name in EFFECTS[step.name].reads_with(step.parameters)}
+    read = {name: found[name] for step in group for name in ATTRIBUTES[step.name].reads_with(step.parameters)}
     if which is None:
         for name, array in _computed(group, places, read).items():
             values.put(name, array, name in once)

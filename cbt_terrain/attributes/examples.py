@@ -4,7 +4,7 @@
 import numpy as np
 
 from ..field.build import from_array
-from .attribute import Asked
+from .attribute import AttributeRequest
 from .evaluate import on_samples
 
 
@@ -13,5 +13,5 @@ def evaluate_on(name: str, heights: np.ndarray, step: float, level: float = 0.0,
     4]
     or [rows - 4, columns - 4, width]."""
     field = from_array(np.asarray(heights, np.float32), step)
-    requests = [Asked(name, (), parameters=tuple(parameters.items()))]
+    requests = [AttributeRequest(name, (), parameters=tuple(parameters.items()))]
     return np.concatenate([values[name] for _, values in on_samples(field, requests, level=level)])[2:-2, 2:-2]

@@ -14,7 +14,7 @@ from ..field.heightfield import HeightField
 from ..field.lattice import fit
 from ..run import launch
 from ..run.buffers import flat, shared
-from .attribute import Effect, Evaluate, Places, Wanted
+from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
 from .pyramid import ground, level_of, level_with, shapes
 from .routing import route
 from .whole import whole
@@ -55,7 +55,7 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
     return whole("flow", VERSION, (sign,), field, fit(columns, rows, *steps), make)
 
 
-def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute the requested values; implements `Make`."""
     field, out = places.field, np.empty(len(places), np.float32)
     areas = ground(logarithms(field, places.vertical_scale, places.threads), 1.0, 0.0, places.threads)
@@ -80,7 +80,7 @@ def example(evaluate: Evaluate) -> None:
     assert abs(flow[2, 5:8] - 100.0 * samples[5:8]).max() < 1e-2
 
 
-FLOW = Effect(
+FLOW = AttributeDeclaration(
     name="flow",
     about="How much land drains through a place; below the surface of a lake, through its outlet",
     unit="m2",

@@ -14,7 +14,7 @@ from ...kernels.effects import jet as kernels
 from ...kernels.effects import pyramid as pyramid_kernels
 from ..run import launch
 from ..run.buffers import flat, shared
-from .attribute import Effect, Evaluate, Places, Wanted
+from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
 from .decals import DECALS, tilt
 from .pyramid import ground
 
@@ -36,7 +36,7 @@ OUTPUTS = {
 }
 
 
-def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute the requested values; implements `Make`."""
     values, arrays = kernels.Values(), {}
     for name in wanted:
@@ -58,7 +58,7 @@ def height_example(evaluate: Evaluate) -> None:
     assert abs(evaluate("height", heights, step=10.0) - heights[2:-2, 2:-2]).max() < 1e-4
 
 
-HEIGHT = Effect(
+HEIGHT = AttributeDeclaration(
     name="height",
     about="Height of the ground as displaced: a mean over the samples that are as far apart as the scale",
     unit="m",
@@ -78,7 +78,7 @@ def slope_example(evaluate: Evaluate) -> None:
     assert abs(slope - math.radians(30)).max() < 1e-5
 
 
-SLOPE = Effect(
+SLOPE = AttributeDeclaration(
     name="slope",
     about="How steep the ground is: 0 is level, pi / 2 upright",
     unit="rad",
@@ -98,7 +98,7 @@ def aspect_example(evaluate: Evaluate) -> None:
     assert abs(aspect - np.array([1.0, 0.0])).max() < 1e-6
 
 
-ASPECT = Effect(
+ASPECT = AttributeDeclaration(
     name="aspect",
     about="Direction downhill, clockwise from north, as its sine (to the east) and cosine (to the north); (0, 0) on "
     "level ground",
@@ -123,7 +123,7 @@ def mean_curvature_example(evaluate: Evaluate) -> None:
     assert abs(evaluate("mean_curvature", -summit, step=2.0)[middle] + 1 / 50.0) < 1e-6
 
 
-MEAN_CURVATURE = Effect(
+MEAN_CURVATURE = AttributeDeclaration(
     name="mean_curvature",
     about="Mean curvature of the surface: positive on summits and ridges, negative in hollows and channels",
     unit="1/m",
@@ -145,7 +145,7 @@ def profile_curvature_example(evaluate: Evaluate) -> None:
     assert abs(evaluate("profile_curvature", -heights, step=2.0) + expected).max() < 1e-6
 
 
-PROFILE_CURVATURE = Effect(
+PROFILE_CURVATURE = AttributeDeclaration(
     name="profile_curvature",
     about="Curvature down the slope: positive where it steepens downhill, negative at its foot; 0 on level ground",
     unit="1/m",
@@ -168,7 +168,7 @@ def plan_curvature_example(evaluate: Evaluate) -> None:
     assert abs(evaluate("plan_curvature", -hill, step=2.0)[away] + 1 / radius[away]).max() < 1e-5
 
 
-PLAN_CURVATURE = Effect(
+PLAN_CURVATURE = AttributeDeclaration(
     name="plan_curvature",
     about="Curvature of the contour line: positive on ridges, negative in valleys; at most 1 / the distance of samples "
     "at the scale, 0 on level ground",
@@ -188,7 +188,7 @@ def normal_example(evaluate: Evaluate) -> None:
     assert abs(normal - np.array([-np.sqrt(0.5), 0, np.sqrt(0.5)])).max() < 1e-6
 
 
-DETAIL_NORMAL = Effect(
+DETAIL_NORMAL = AttributeDeclaration(
     name="detail_normal",
     about="Normal of the ground at the scale that is shown, in the terrain's own space: near by the detail's, far away "
     "the land's beneath it",

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import TerrainError
-from ..field.coats import ALL, Coat, Coats, Ground, Mask
 from ..field.detail import Detail
+from ..field.displacement_layers import ALL, DisplacementLayer, DisplacementLayers, Ground, LayerMask
 from ..field.heightfield import HeightField, with_detail
 from ..field.tiled import Tiled
 from ..run.locks import caching
-from .attribute import Asked
+from .attribute import AttributeRequest
 from .evaluate import on_samples
 from .splat import NAMES
 from .splat_rules import Layer
@@ -58,14 +58,14 @@ def laid(
         )
     numbers = tuple(number for number, _ in ground.details)
     masks = _masks(plain, ground.layers, numbers, (float(vertical_scale), float(vertical_offset)), threads)
-    everywhere = [Coat(ground.everywhere)] if ground.everywhere else []
-    displacement = [Coat(detail, mask) for (_, detail), mask in zip(ground.details, masks, strict=True)]
-    return with_detail(field, Coats((*everywhere, *displacement)))
+    everywhere = [DisplacementLayer(ground.everywhere)] if ground.everywhere else []
+    displacement = [DisplacementLayer(detail, mask) for (_, detail), mask in zip(ground.details, masks, strict=True)]
+    return with_detail(field, DisplacementLayers((*everywhere, *displacement)))
 
 
 def _masks(
     field: HeightField, layers: tuple[Layer, ...], numbers: tuple[int, ...], heights: tuple[float, float], threads: int
-) -> list[Mask]:
+) -> list[LayerMask]:
     """Return the masks of these layers, cached with the field."""
     key = layers, numbers, heights
     with caching:
@@ -78,12 +78,14 @@ def _masks(
         return cache[key]
 
 
-def _compute_masks(field, layers, numbers, heights, threads) -> list[Mask]:
+def _compute_masks(field, layers, numbers, heights, threads) -> list[LayerMask]:
     lattice = field.lattice
-    requests = [Asked(name, (KIND,), parameters=(("layers", layers),)) for name in NAMES[: max(numbers) // 4 + 1]]
+    requests = [
+        AttributeRequest(name, (KIND,), parameters=(("layers", layers),)) for name in NAMES[: max(numbers) // 4 + 1]
+    ]
     masks = np.empty((len(numbers), lattice.height, lattice.width), np.uint8)
     for rows, values in on_samples(field, requests, *heights, threads):
         for mask, number in zip(masks, numbers, strict=True):
             weights = values[NAMES[number // 4]][..., number % 4]
             mask[rows] = np.rint(weights * np.float32(ALL))
-    return [Mask(mask) for mask in masks]
+    return [LayerMask(mask) for mask in masks]

@@ -12,7 +12,7 @@ from ..field.heightfield import HeightField, as_heights
 from ..run import launch
 from ..run.buffers import flat, shared
 from ..run.locks import cached
-from .attribute import Effect, Evaluate, Places, Wanted
+from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
 from .pyramid import ground
 
 # Name, unit, and one line of meaning.
@@ -29,7 +29,7 @@ KNOWN = (
 NAMES = tuple(name for name, _, _ in KNOWN)
 
 
-def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute the requested values; implements `Make`."""
     values = {}
     for name in wanted:
@@ -64,7 +64,7 @@ def _example(name: str) -> Callable[[Evaluate], None]:
 
 
 LAYERS = tuple(
-    Effect(
+    AttributeDeclaration(
         name=name,
         about=f"{about}, as effects on heights have left it; 0 without them",
         unit=unit,

@@ -14,7 +14,7 @@ from ..field.heightfield import HeightField
 from ..run import launch
 from ..run.buffers import flat, shared
 from ..run.locks import cached
-from .attribute import Places
+from .attribute import SamplePoints
 
 # Rows of samples that are read together, whole blocks.
 ROWS = 256
@@ -24,7 +24,7 @@ AT_ONCE = 1 << 14
 MARGIN = 1e-9
 
 
-def occluder_of(places: Places) -> kernels.Occluder:
+def occluder_of(places: SamplePoints) -> kernels.Occluder:
     """Return the ground of a field at the vertical scale of `places`; its blocks are cached with the field."""
     occluder = every_crossing(places.field, places.vertical_scale)
     reduce, field = np.minimum if occluder.scale < 0.0 else np.maximum, places.field
@@ -58,7 +58,7 @@ def find_tops(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndar
     return stacked(halvings(finest, reduce), int(kernels.FINEST))
 
 
-def for_places(kernel, places: Places, inputs: list, out: np.ndarray, cost: float) -> None:
+def for_places(kernel, places: SamplePoints, inputs: list, out: np.ndarray, cost: float) -> None:
     """Launch `kernel` for AT_ONCE points at a time with `inputs`, the points and their part of `out`, float32 [n]."""
     for first in range(0, len(places), AT_ONCE):
         some = slice(first, first + AT_ONCE)

@@ -8,14 +8,14 @@ import numpy as np
 from ...kernels.effects import light as light_kernels
 from ...kernels.effects import pyramid as pyramid_kernels
 from ...kernels.effects import sweep as sweep_kernels
-from .attribute import Effect, Evaluate, Parameter, Places, Wanted
+from .attribute import AttributeDeclaration, Evaluate, Parameter, SamplePoints, Wanted
 from .sky import seen_from
 
 # A slope below any other: near ground counts below the horizontal, too.
 ANY = -1e300
 
 
-def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute the requested values; implements `Make`."""
     radius = float(wanted["ambient_occlusion"]["radius"])
     return {"ambient_occlusion": seen_from(places, far=radius, lowest=ANY)}
@@ -30,7 +30,7 @@ def example(evaluate: Evaluate) -> None:
     assert 0.49 < foot.min() <= foot.max() < 0.51
 
 
-OCCLUSION = Effect(
+OCCLUSION = AttributeDeclaration(
     name="ambient_occlusion",
     about="Open part of what surrounds a place within a radius: 1 is open, 0 closed",
     unit="1",

@@ -6,57 +6,57 @@ from dataclasses import dataclass, replace
 from graphlib import TopologicalSorter
 from types import ModuleType
 
-from .attribute import GEOMETRY, Asked
-from .catalogue import EFFECTS
+from .attribute import GEOMETRY, AttributeRequest
+from .catalogue import ATTRIBUTES
 
 NOTHING_READS_IT = "nothing reads it"
 
 
 @dataclass(frozen=True)
-class Plan:
+class AttributePlan:
     """Steps in the order of computation, and the names of the attributes that are read from the mesh."""
 
-    steps: tuple[Asked, ...] = ()
+    steps: tuple[AttributeRequest, ...] = ()
     attributes: tuple[str, ...] = ()
 
     @property
     def skipped(self) -> dict[str, str]:
         """Attributes that are not computed, with the reason."""
         run = {step.name for step in self.steps}
-        return {name: NOTHING_READS_IT for name in EFFECTS if name not in run}
+        return {name: NOTHING_READS_IT for name in ATTRIBUTES if name not in run}
 
 
-def plan(requests: Iterable[Asked]) -> Plan:
+def plan(requests: Iterable[AttributeRequest]) -> AttributePlan:
     """Return the plan of requests; names outside the catalogue are attributes of others and ignored.
 
     Raises TerrainError for an unknown parameter or an invalid value.
     """
-    found: dict[str, Asked] = {}
+    found: dict[str, AttributeRequest] = {}
     for request in requests:
-        if request.name in EFFECTS:
-            EFFECTS[request.name].check(dict(request.parameters))
+        if request.name in ATTRIBUTES:
+            ATTRIBUTES[request.name].check(dict(request.parameters))
             found[request.name] = _merge(found[request.name], request) if request.name in found else request
     attributes = tuple(sorted(found))
     waiting = list(found.values())
     while waiting:
         request = waiting.pop()
-        for name in EFFECTS[request.name].reads_with(request.parameters):
+        for name in ATTRIBUTES[request.name].reads_with(request.parameters):
             reader = f"effect {request.name}"
-            known = found.get(name) or Asked(name, (), request.family)
-            found[name] = _merge(known, Asked(name, (reader,), request.family))
+            known = found.get(name) or AttributeRequest(name, (), request.family)
+            found[name] = _merge(known, AttributeRequest(name, (reader,), request.family))
             if found[name] != known:
                 waiting.append(found[name])
-    reads = {name: EFFECTS[name].reads_with(found[name].parameters) for name in sorted(found)}
+    reads = {name: ATTRIBUTES[name].reads_with(found[name].parameters) for name in sorted(found)}
     order = TopologicalSorter(reads).static_order()
-    return Plan(tuple(found[name] for name in order), attributes)
+    return AttributePlan(tuple(found[name] for name in order), attributes)
 
 
-def kernels_of_steps(plan: Plan) -> list[ModuleType]:
+def kernels_of_steps(plan: AttributePlan) -> list[ModuleType]:
     """Return the modules of kernels that the attributes of a plan launch."""
-    return list(dict.fromkeys(module for step in plan.steps for module in EFFECTS[step.name].kernels))
+    return list(dict.fromkeys(module for step in plan.steps for module in ATTRIBUTES[step.name].kernels))
 
 
-def _merge(one: Asked, other: Asked) -> Asked:
+def _merge(one: AttributeRequest, other: AttributeRequest) -> AttributeRequest:
     """Merge two requests for an attribute. GEOMETRY wins, since geometry and everything it reads has one scale."""
     readers = tuple(dict.fromkeys((*one.readers, *other.readers)))
     family = GEOMETRY if GEOMETRY in (one.family, other.family) else one.family

@@ -14,7 +14,7 @@ from ..field.heightfield import HeightField
 from ..view.linear import least_stretch, lengths, product
 from ..view.local_view import eye_of, frustum_planes
 from ..view.view import ORTHOGRAPHIC, View
-from .attribute import Asked
+from .attribute import AttributeRequest
 from .tiling import MAX_SIDE, MIN_SIDE, Tiling
 
 # Steps in octaves by which all tiles get coarser until they fit into a budget.
@@ -105,7 +105,7 @@ def resolutions(
         coarser += COARSER
 
 
-def shown_by(tiling: Tiling, field: HeightField, requests: Iterable[Asked]) -> np.ndarray:
+def shown_by(tiling: Tiling, field: HeightField, requests: Iterable[AttributeRequest]) -> np.ndarray:
     """Return the finest content of each tile, float64 [tiles] metres: the raster's spacing, or the pixels of decals."""
     found = np.full(len(tiling), min(field.lattice.step_x, field.lattice.step_y))
     for decal in {decal for request in requests for decal in dict(request.parameters).get("decals", ())}:

@@ -17,7 +17,7 @@ from ...kernels.effects import sweep as sweep_kernels
 from ...kernels.effects.light import sky_seen
 from ...kernels.effects.sweep import sky_between, take
 from ..run import launch
-from .attribute import Effect, Evaluate, Parameter, Places, Wanted
+from .attribute import AttributeDeclaration, Evaluate, Parameter, SamplePoints, Wanted
 from .light import AZIMUTHS, azimuths
 from .occluder import every_crossing, for_places, occluder_of
 from .sky_layer import PREVIEW_AZIMUTHS, preview_horizons, sky_layer
@@ -29,7 +29,7 @@ WITHOUT_END = 1e300
 FULL, PREVIEW = "FULL", "PREVIEW"
 
 
-def seen_from(places: Places, far: float = WITHOUT_END, lowest: float = HORIZONTAL) -> np.ndarray:
+def seen_from(places: SamplePoints, far: float = WITHOUT_END, lowest: float = HORIZONTAL) -> np.ndarray:
     """Return the cosine-weighted fraction of the half space above the horizons, float32 [n].
 
     Ground up to `far` metres counts, and everything below the slope `lowest` is hidden.
@@ -41,7 +41,7 @@ def seen_from(places: Places, far: float = WITHOUT_END, lowest: float = HORIZONT
     return out
 
 
-def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute the requested values; implements `Make`."""
     field, scale, out = places.field, places.vertical_scale, np.empty(len(places), np.float32)
     if wanted["sky"]["quality"] == PREVIEW:
@@ -60,7 +60,7 @@ def example(evaluate: Evaluate) -> None:
     assert abs(evaluate("sky", steep, step=5.0) - 0.75).max() < 0.003
 
 
-SKY = Effect(
+SKY = AttributeDeclaration(
     name="sky",
     about="Part of the sky that is seen, weighted by the cosine about the ground's normal: 1 is all of it",
     unit="1",

@@ -15,7 +15,7 @@ from ...kernels.effects import splat as kernels
 from ..run import launch
 from ..run.buffers import flat, shared
 from . import splat_rules
-from .attribute import Effect, Evaluate, Places, Wanted
+from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
 from .splat_rules import LAYERS, READ_FROM, Layer, Rule, check, reads
 
 NAMES = ("splat_1", "splat_2", "splat_3")
@@ -30,7 +30,7 @@ KIND_OF = {
 MIN_EDGE = 1e-30
 
 
-def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute the requested values; implements `Make`."""
     weights: dict[str, np.ndarray] = {}
     for layers in dict.fromkeys(values["layers"] for values in wanted.values()):
@@ -40,7 +40,7 @@ def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict
 
 
 def _weights(
-    places: Places, layers: tuple[Layer, ...], names: list[str], read: Mapping[str, np.ndarray]
+    places: SamplePoints, layers: tuple[Layer, ...], names: list[str], read: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
     """Return the weights of the layers, float32 [n, 4] for each of `names`."""
     field, lattice, count = places.field, places.field.lattice, len(places)
@@ -123,7 +123,7 @@ def example(evaluate: Evaluate) -> None:
 
 
 SPLATS = tuple(
-    Effect(
+    AttributeDeclaration(
         name=name,
         about=f"What part of the ground the splat layers {4 * k + 1} to {4 * k + 4} cover; all add up to exactly 1",
         unit="",

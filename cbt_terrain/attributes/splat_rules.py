@@ -17,9 +17,9 @@ from ..plain_numbers import keep_plain_numbers
 from .attribute import Parameter
 from .layers import NAMES as LAYER_NAMES
 
-MOST_LAYERS = 12
+MAX_LAYERS = 12
 # Limits of a layer's numbers, and of an edge in any unit.
-MAX_NUMBER, MOST_EDGE = 1e6, 1e30
+MAX_NUMBER, MAX_EDGE = 1e6, 1e30
 # Quantities of rules. RELIEF: height, 0 at the lowest and 1 at the highest point of the terrain. ASPECT: the cosine of
 # the angle between downhill and `direction`, 0 on level ground. NOISE: of the layer. LAYER: the cover of `other` by its
 # rules. IMAGE: `image` over the raster's extent. Layers of height operators (layers.py) come last.
@@ -99,7 +99,7 @@ DEFAULT = (
 )
 
 
-LAYERS = Parameter("layers", DEFAULT, 1, MOST_LAYERS, "layers", "The layers and their rules: a tuple of Layer")
+LAYERS = Parameter("layers", DEFAULT, 1, MAX_LAYERS, "layers", "The layers and their rules: a tuple of Layer")
 
 
 def covering(other: int) -> Rule:
@@ -128,9 +128,9 @@ def covers_nothing(rule: Rule) -> bool:
 
 def check(layers: tuple[Layer, ...]) -> None:
     """Raise TerrainError for invalid layers."""
-    if not 1 <= len(layers) <= MOST_LAYERS:
+    if not 1 <= len(layers) <= MAX_LAYERS:
         raise TerrainError(
-            f"There are {len(layers)} splat layers", expected=f"1 to {MOST_LAYERS}", fix="remove some or add one"
+            f"There are {len(layers)} splat layers", expected=f"1 to {MAX_LAYERS}", fix="remove some or add one"
         )
     for number, layer in enumerate(layers):
         where = f"The splat layer {layer.name!r}"
@@ -143,10 +143,10 @@ def check(layers: tuple[Layer, ...]) -> None:
             if rule.of not in KINDS:
                 raise TerrainError(f"{where} has a rule about {rule.of!r}", expected=f"one of: {', '.join(KINDS)}")
             limits = rule.low, rule.high, rule.edge, rule.direction
-            if any(map(math.isnan, limits)) or not 0.0 <= rule.edge <= MOST_EDGE or math.isinf(rule.direction):
+            if any(map(math.isnan, limits)) or not 0.0 <= rule.edge <= MAX_EDGE or math.isinf(rule.direction):
                 raise TerrainError(
                     f"{where} has a rule about {rule.of} from {rule.low} to {rule.high} with an edge of {rule.edge}",
-                    expected=f"numbers, and an edge of 0 to {MOST_EDGE:g}",
+                    expected=f"numbers, and an edge of 0 to {MAX_EDGE:g}",
                 )
             if rule.of == LAYER and not 0 <= rule.other < number:
                 raise TerrainError(

@@ -9,7 +9,7 @@ import warp as wp
 
 from ...kernels.effects import light as light_kernels
 from ...kernels.effects.light import sun_seen
-from .attribute import Effect, Evaluate, Parameter, Places, Wanted
+from .attribute import AttributeDeclaration, Evaluate, Parameter, SamplePoints, Wanted
 from .light import strips_of, strongest
 from .occluder import for_places, occluder_of
 
@@ -17,7 +17,7 @@ from .occluder import for_places, occluder_of
 AFTERNOON = (-0.5, -0.5, 0.5 * math.sqrt(2.0), 0.00918)
 
 
-def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute the requested values; implements `Make`."""
     sun = strongest(wanted["sun"]["suns"])
     strips = None if sun is None else strips_of(sun)
@@ -37,7 +37,7 @@ def example(evaluate: Evaluate) -> None:
     assert (lit[:, :13] == 1.0).all() and (lit[:, 14:23] == 0.0).all()
 
 
-SUN = Effect(
+SUN = AttributeDeclaration(
     name="sun",
     about="Part of the sun's disc above the horizon, of the strongest sun: 1 is in the sun, 0 in the shadow",
     unit="1",

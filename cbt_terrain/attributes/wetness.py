@@ -13,14 +13,14 @@ from ...kernels.effects import pyramid as pyramid_kernels
 from ...kernels.effects import routing as routing_kernels
 from ..run import launch
 from ..run.buffers import flat, shared
-from .attribute import Effect, Evaluate, Places, Wanted
+from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
 from .flow import routed_level
 
 # Smallest tangent of the slope; level ground would be infinitely wet.
 MIN_TANGENT = 1e-3
 
 
-def make(places: Places, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute the requested values; implements `Make`."""
     lattice, out = places.field.lattice, np.empty(len(places), np.float32)
     width = math.sqrt(lattice.step_x * lattice.step_y) * 2 ** routed_level(places.field)
@@ -38,7 +38,7 @@ def example(evaluate: Evaluate) -> None:
     assert abs(wetness[2, 4] - math.log(25.0 / math.tan(math.radians(30)))) < 1e-4
 
 
-WETNESS = Effect(
+WETNESS = AttributeDeclaration(
     name="wetness",
     about="Topographic wetness index: ln of the area that drains through a metre of contour over the slope's tangent",
     unit="",

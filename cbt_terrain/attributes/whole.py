@@ -72,5 +72,5 @@ def read_stored(field: HeightField, file: str, shape: tuple[int, int]) -> np.nda
         verify_array(folder / f"{file}.npy", shape, np.float32)
     except (OSError, TerrainError):
         return None
-    samples = store.load_kept(field, file, shape, np.float32)
+    samples = store.load_derived(field, file, shape, np.float32)
     return samples if samples is not None and np.isfinite(samples).all() else None

@@ -103,7 +103,7 @@ def _arrays(field: HeightField) -> dict[str, tuple]:
 
 def _load(field: HeightField) -> dict[str, np.ndarray] | None:
     """Return the arrays cached in the field's store, None if any is missing or damaged."""
-    arrays = {name: store.load_kept(field, name, *of) for name, of in _arrays(field).items()}
+    arrays = {name: store.load_derived(field, name, *of) for name, of in _arrays(field).items()}
     missing = any(array is None for array in arrays.values())
     return None if missing or not _are_valid(arrays["numbers_c"]) else arrays
 

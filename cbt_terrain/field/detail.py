@@ -74,9 +74,9 @@ class Detail:
             for s in (SLOPE * a / length,)
         ]
 
-    def packed(self, finest: float) -> kernels.Detail:
+    def packed(self, finest: float) -> kernels.PackedDetail:
         """Return the detail as kernels read it."""
-        d = kernels.Detail()
+        d = kernels.PackedDetail()
         waves = self.waves(finest)
         d.octaves, d.seed = len(waves), self.seed
         d.amplitude = waves[0][0] if waves else 0.0

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ...kernels.field.detail import Coats
+from ...kernels.field.detail import PackedLayers
 from ..errors import TerrainError
 from ..run.locks import caching
 from . import codes
-from .coats import Ground, packed, parts_of
 from .detail_bounds import DetailTerm, highest
+from .displacement_layers import Ground, packed, parts_of
 from .lattice import Lattice
 
 INTERPOLATIONS = ("bilinear", "bicubic")
@@ -99,7 +99,7 @@ class HeightField:
         return min(lattice.step_x, lattice.step_y) * 2.0**-bits
 
     @cached_property
-    def packed_detail(self) -> "Coats | None":
+    def packed_detail(self) -> "PackedLayers | None":
         """Return the detail as kernels read it; None without one."""
         return packed(self.detail, self.finest_edge, self.lattice) if self.detail else None
 

@@ -22,7 +22,7 @@ def error_for(field: HeightField, meshlet: int) -> np.ndarray:
 
 def _load_or_expand(field: HeightField, meshlet: int) -> np.ndarray:
     name = f"error_m{meshlet}" if field.interpolation == "bilinear" else f"error_c_m{meshlet}"
-    expanded = store.load_kept(field, name, field.error.shape, np.uint8)
+    expanded = store.load_derived(field, name, field.error.shape, np.uint8)
     if expanded is not None:
         return expanded
     errors, expanded = codes.decode(field.lattice, field.error, field.table), np.zeros_like(field.error)

@@ -229,7 +229,7 @@ def data_folder(field: HeightField) -> Path | None:
     return field.path / content["data"] if content["key"] == field.raster_key else None
 
 
-def load_kept(field: HeightField, name: str, shape: tuple, dtype) -> np.ndarray | None:
+def load_derived(field: HeightField, name: str, shape: tuple, dtype) -> np.ndarray | None:
     """Return the array NAME.npy that was derived from a field, None if there is none."""
     folder = data_folder(field)
     if folder is None:

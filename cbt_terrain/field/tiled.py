@@ -78,9 +78,9 @@ class Tiled:
         )
         return [DetailTerm(a * net.splits[0].highest, a * net.splits[0].steep * per, 2 * texel, splits)]
 
-    def packed(self, finest: float) -> tuple[kernels.Detail, np.ndarray]:
+    def packed(self, finest: float) -> tuple[kernels.PackedDetail, np.ndarray]:
         """Return the detail as kernels read it, and its control heights, float32 [rows, columns]."""
-        (net, texel), d = self._net(finest), kernels.Detail()
+        (net, texel), d = self._net(finest), kernels.PackedDetail()
         d.rows, d.columns = net.heights.shape
         d.amplitude, d.frequency = self.amplitude, 1.0 / texel
         return d, net.heights

@@ -23,7 +23,7 @@ from .fitter import Fitter, Mesh
 # A budget coarsens what was asked in steps of 2^(1/8).
 STEPS_PER_OCTAVE = 8
 # A fit never does with what interpolation needs for so many times the error: moving a chord halves its error at most.
-MOST_GAIN = 2.6
+MAX_GAIN = 2.6
 
 
 @dataclass(frozen=True, repr=False)
@@ -144,7 +144,7 @@ def _within(fitter: Fitter, error_m: float, relaxed: float, most: int, plain_m: 
     """
     if not plain_m > error_m:
         return None
-    low = max(-1, math.floor(STEPS_PER_OCTAVE * math.log2(relaxed / MOST_GAIN)))
+    low = max(-1, math.floor(STEPS_PER_OCTAVE * math.log2(relaxed / MAX_GAIN)))
     high = math.ceil(STEPS_PER_OCTAVE * math.log2(plain_m / error_m))
     found = None
     while high - low > 1:

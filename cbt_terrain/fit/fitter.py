@@ -23,7 +23,7 @@ import warp as wp
 from ...kernels.fitting import binding, raising
 from ...kernels.fitting import mesh as mesh_kernels
 from ...kernels.fitting import moving as kernels
-from ...kernels.refine.pixels import Asked, LocalView
+from ...kernels.refine.pixels import CriterionArrays, LocalView
 from ..field import codes
 from ..field.heightfield import HeightField
 from ..history.frame_history import FrameHistory
@@ -244,9 +244,9 @@ class Fitter:
         launch.spread(kernel, count, inputs, step=f"fit {kernel.key}", threads=self.threads, cost=cost)
 
 
-def _asked(error_m: float) -> Asked:
+def _asked(error_m: float) -> CriterionArrays:
     """Nothing but a vertical error."""
-    asked = Asked()
+    asked = CriterionArrays()
     asked.error_px2 = asked.edge_px2 = asked.area_px2 = math.inf
     asked.metres2, asked.limit = error_m * error_m, 1.0
     asked.view, asked.views = LocalView(), wp.array([LocalView()], dtype=LocalView, device="cpu")

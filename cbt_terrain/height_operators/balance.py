@@ -7,7 +7,7 @@ has the result of the whole without reading distant samples.
 
 import numpy as np
 
-from .height_operator import Ground
+from .height_operator import OperatorGround
 from .levels import finer
 
 # A gain is removed from deposits within 2^4 samples, the rest of it within 2^5, then 2^6. The last rest is so small
@@ -23,7 +23,7 @@ def balanced(
     max_eroded: np.ndarray,
     change: np.ndarray,
     net: np.ndarray,
-    ground: Ground,
+    ground: OperatorGround,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Scale deposits and erosion so that mass is conserved: exactly for a whole raster, for a tile within its window.
 
@@ -79,7 +79,7 @@ def _interpolate(samples: np.ndarray, shape: tuple[int, int], halvings: int) -> 
     return finer(samples.astype(np.float32), shape)
 
 
-def _complete(net: np.ndarray, ground: Ground) -> np.ndarray:
+def _complete(net: np.ndarray, ground: OperatorGround) -> np.ndarray:
     """Return an interpolated change with the missing material at the raster's borders.
 
     A coarser sample there has finer samples on one side only, or is beyond the last of them.

@@ -14,7 +14,7 @@ from ...kernels.land import droplets as kernels
 from ..attributes.attribute import Parameter
 from ..run import launch
 from ..run.buffers import flat
-from .height_operator import Change, Evaluate, Ground, LandEffect, LandLayer
+from .height_operator import Change, Evaluate, HeightOperator, LandLayer, OperatorGround
 
 # The positions of gullies differ between levels, only their amount converges. So droplets run on each level down to
 # this many metres between samples, independently of the coarser one; finer levels smooth the gullies of that level.
@@ -27,7 +27,7 @@ MAX_PER_SAMPLE, COARSEST_STEP = 4.0, 0.25
 TURN, LOAD, DRY, BRUSH, CAPACITY = 12.0, 120.0, 600.0, 16.0, 250.0
 
 
-def apply(ground: Ground, values: Mapping[str, float], coarse: Change | None) -> Change:
+def apply(ground: OperatorGround, values: Mapping[str, float], coarse: Change | None) -> Change:
     """Compute the change of a level; implements `Apply`."""
     if coarse is not None and max(ground.step_x, ground.step_y) < FINEST_STEP:
         change = _smooth(coarse.heights, ground.missing)
@@ -57,7 +57,7 @@ def _smooth(change: np.ndarray, missing: np.ndarray | None) -> np.ndarray:
     return out
 
 
-def rain_on(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, float]:
+def rain_on(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.ndarray, float]:
     """Run all droplets of a level; return the change, float64 [rows, columns] m, and the m3 that left at the border."""
     rain = _rain(ground, values)
     heights, change = ground.heights.copy(), np.zeros(ground.heights.shape)
@@ -76,7 +76,7 @@ def rain_on(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, fl
     return change, carried
 
 
-def _rain(ground: Ground, values: Mapping[str, float]) -> kernels.DropletRain:
+def _rain(ground: OperatorGround, values: Mapping[str, float]) -> kernels.DropletRain:
     """Return the parameters of the kernels."""
     rain, stride = kernels.DropletRain(), min(ground.step_x, ground.step_y)
     rain.height, rain.width = ground.heights.shape
@@ -100,7 +100,7 @@ def _rain(ground: Ground, values: Mapping[str, float]) -> kernels.DropletRain:
     return rain
 
 
-def _whole(ground: Ground) -> tuple[int, int]:
+def _whole(ground: OperatorGround) -> tuple[int, int]:
     rows, columns = np.maximum(ground.whole, np.add(ground.first, ground.heights.shape))
     return int(rows), int(columns)
 
@@ -114,7 +114,7 @@ def _tile(reach: float, brush: int) -> int:
     return math.ceil(2.0 * (reach + brush + 3.0))
 
 
-def _tiles(rain: kernels.DropletRain, ground: Ground) -> list[np.ndarray]:
+def _tiles(rain: kernels.DropletRain, ground: OperatorGround) -> list[np.ndarray]:
     """Return the numbers in the whole level, int32, of the tiles of each colour that can affect the target window.
 
     These are the tiles within reach of the target, and the tiles of earlier colours within reach of them.
@@ -167,7 +167,7 @@ def example(shape: Evaluate) -> None:
     assert not shape("droplets", np.full((33, 65), 10.0), 10.0).heights.any()
 
 
-DROPLETS = LandEffect(
+DROPLETS = HeightOperator(
     name="droplets",
     label="Gullies",
     about="Short gullies and small fans, from droplets that run a few hundred metres",

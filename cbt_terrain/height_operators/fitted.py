@@ -4,7 +4,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from .mask import HEIGHT, GroundRule, Mask
+from .mask import HEIGHT, GroundRule, HeightMask
 from .stack import Entry, Stack
 
 # Parameters that are heights of the land, and those that are in proportion to its relief.
@@ -32,7 +32,7 @@ def fitted(stack: Stack, low: float, high: float) -> Stack:
             return rule
         return replace(rule, low=level(rule.low), high=level(rule.high), edge=rule.edge * ratio)
 
-    def adapt_mask(mask: Mask | None) -> Mask | None:
+    def adapt_mask(mask: HeightMask | None) -> HeightMask | None:
         return mask and replace(mask, rules=tuple(map(adapt_rule, mask.rules)))
 
     def adapt_parameters(entry: Entry) -> Mapping[str, float]:

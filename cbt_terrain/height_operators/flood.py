@@ -13,7 +13,7 @@ from ..attributes.attribute import Parameter
 from ..errors import TerrainError
 from ..run import launch
 from ..run.buffers import flat
-from .height_operator import Change, Evaluate, Ground, LandEffect
+from .height_operator import Change, Evaluate, HeightOperator, OperatorGround
 from .water import DEPTH, SPEED
 
 GRAVITY = 9.81
@@ -170,7 +170,7 @@ def _check_time(flood: Flood, seconds: float) -> None:
         )
 
 
-def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> Change:
+def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
     """Compute a level from the beginning, without the coarser one; implements `Apply`."""
     rain = values["rain"] / 1000.0 / HOUR
     flood = still(
@@ -201,7 +201,7 @@ def example(evaluate: Evaluate) -> None:
     assert abs(depth[1:-1, 1:-1].mean() - 0.06).max() < 1e-4
 
 
-FLOOD = LandEffect(
+FLOOD = HeightOperator(
     name="flood",
     label="Flood",
     about="Water that runs for some minutes: a cloudburst, or a sea that stands too high; heights stay",

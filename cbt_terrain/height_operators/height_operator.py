@@ -28,7 +28,7 @@ class LandLayer:
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class OperatorGround:
     """The input of an operator: one level of a terrain, or a tile of it with its halo. Arrays are read only.
 
     Attributes:
@@ -83,14 +83,14 @@ class Change:
 
 # (ground before the operator, parameters, its change of the next coarser level interpolated to this one's samples, None
 # at the coarsest level) -> change of this level.
-Apply = Callable[[Ground, Mapping[str, float], Change | None], Change]
+Apply = Callable[[OperatorGround, Mapping[str, float], Change | None], Change]
 
 # Applies an operator level by level: `shape_with` in examples.py.
 Evaluate = Callable[..., Change]
 
 
 @dataclass(frozen=True, eq=False)
-class LandEffect:
+class HeightOperator:
     """The declaration of a height operator.
 
     Attributes:

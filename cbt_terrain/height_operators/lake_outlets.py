@@ -11,7 +11,7 @@ import numpy as np
 
 from ..attributes.routing import route
 from .fluvial import Bed
-from .height_operator import Change, Ground
+from .height_operator import Change, OperatorGround
 from .river_borders import LAKE, LEVEL, WALL, neighbour
 
 # Coarse samples along an outlet, so many that no other pass is lower than its end.
@@ -20,7 +20,7 @@ LENGTH = 32
 MIN_AREA = 96**2
 
 
-def keep_outlets(bed: Bed, ground: Ground, coarser: Change) -> None:
+def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     """Set the bed's path to the samples along the outlets of lakes, and lower its heights where there are dams."""
     every = tuple(slice(first % 2, None, 2) for first in ground.first)
     floor = np.ascontiguousarray((ground.heights + coarser.heights)[every])

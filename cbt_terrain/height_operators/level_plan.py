@@ -15,7 +15,7 @@ from .tiles import BAND, Level, Wanted, Window, add_coarser, every_tile
 WHOLE, TILES, UPSAMPLED = "WHOLE", "TILES", "UPSAMPLED"
 # Samples along the longer side of the finest level that is computed as a whole if the whole is requested or tiles are
 # doubted; and, by operators without a finite halo, if only tiles are requested.
-MOST_WHOLE, MAX_WHOLE_FOR_TILES = 4097, 2049
+MAX_WHOLE, MAX_WHOLE_FOR_TILES = 4097, 2049
 
 
 class LevelPlan:
@@ -55,7 +55,7 @@ class LevelPlan:
         if finest and longer > finest and level is not self.levels[-1]:
             return UPSAMPLED
         one_piece = self.wants_whole[level.number] or number in self.doubted
-        if level.is_whole or (one_piece and longer <= MOST_WHOLE):
+        if level.is_whole or (one_piece and longer <= MAX_WHOLE):
             return WHOLE  # the halos of all tiles would be several times the work
         if self.halo(entry, level) is not None:
             return TILES

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from ..field.heightfield import HeightField
-from .height_operator import Change, Ground, LandEffect
+from .height_operator import Change, HeightOperator, OperatorGround
 from .level_plan import LevelPlan
 from .levels import masked
 from .mask import compute_mask
@@ -90,11 +90,11 @@ class LevelWork:
 
     def ground(
         self, entry: Entry, land: LandWindow, mask: np.ndarray | None, report: Report, target: Window | None = None
-    ) -> Ground:
+    ) -> OperatorGround:
         """Return an operator's input. target: window of the level whose change is needed, None for all."""
         level, source, window = self.level, self.source, land.window
         names = [name for name in entry.declaration.reads if name in land.layers or name in source.layers]
-        return Ground(
+        return OperatorGround(
             heights=self._heights(land, window),
             step_x=level.step_x,
             step_y=level.step_y,
@@ -143,7 +143,7 @@ def zero_holes(missing: np.ndarray | None, samples: np.ndarray) -> np.ndarray:
     return samples if missing is None else np.where(missing, np.float32(0.0), samples)
 
 
-def _key(entry: Entry, ground: Ground, coarser: np.ndarray | None, kind: str) -> str:
+def _key(entry: Entry, ground: OperatorGround, coarser: np.ndarray | None, kind: str) -> str:
     """Return a digest of everything that determines a result."""
     effect = entry.declaration
     method = METHOD, kind, effect.name, effect.version, sorted(entry.values.items()), ground.seed
@@ -160,23 +160,23 @@ def within(inner: Window, outer: Window) -> Window:
     return rows, columns
 
 
-def _names(effect: LandEffect) -> list[str]:
+def _names(effect: HeightOperator) -> list[str]:
     return [layer.name for layer in effect.layers]
 
 
-def num_arrays(effect: LandEffect, level: Level) -> int:
+def num_arrays(effect: HeightOperator, level: Level) -> int:
     """Return the number of arrays of a change: heights, layers and, but at level 0, the operator's state."""
     return 1 + len(effect.layers) + (len(effect.state) if level.number else 0)
 
 
-def unpacked(effect: LandEffect, change: Sequence[np.ndarray]) -> Change:
+def unpacked(effect: HeightOperator, change: Sequence[np.ndarray]) -> Change:
     """Return a change from its arrays, each float32 [rows, columns], in the order of `num_arrays`."""
     end = 1 + len(effect.layers)
     state = dict(zip(effect.state, change[end:], strict=True)) if len(change) > end else {}
     return Change(change[0], dict(zip(_names(effect), change[1:end], strict=True)), state)
 
 
-def _pack(effect: LandEffect, change: Change, count: int) -> np.ndarray:
+def _pack(effect: HeightOperator, change: Change, count: int) -> np.ndarray:
     none, found = np.zeros_like(change.heights), change.layers | change.state
     names = [*_names(effect), *effect.state][: count - 1]
     return np.stack([change.heights, *(found.get(name, none) for name in names)], dtype=np.float32)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .height_operator import Change, Ground, LandEffect
+from .height_operator import Change, HeightOperator, OperatorGround
 
 # Maximum number of samples along the longer side of the coarsest level, which is always computed as a whole.
 COARSEST = 257
@@ -47,7 +47,7 @@ def finer_change(change: Change, shape: tuple[int, int]) -> Change:
     return Change(finer(change.heights, shape), layers, state)
 
 
-def apply_by_levels(effect: LandEffect, ground: Ground, values: Mapping[str, float]) -> Change:
+def apply_by_levels(effect: HeightOperator, ground: OperatorGround, values: Mapping[str, float]) -> Change:
     """Return the change that an operator makes to a whole raster over all levels.
 
     values: every parameter. Heights, mask and layers of a coarser level are every second sample of the finer one's.
@@ -57,7 +57,7 @@ def apply_by_levels(effect: LandEffect, ground: Ground, values: Mapping[str, flo
     return masked(effect, change, ground.mask)
 
 
-def _unmasked(effect: LandEffect, ground: Ground, values: Mapping[str, float]) -> Change:
+def _unmasked(effect: HeightOperator, ground: OperatorGround, values: Mapping[str, float]) -> Change:
     """Return the change without its mask, which would otherwise be applied again at each level."""
     shape, change = ground.heights.shape, None
     ground = replace(ground, whole=shape)
@@ -68,7 +68,7 @@ def _unmasked(effect: LandEffect, ground: Ground, values: Mapping[str, float]) -
     return effect.apply(ground, values, change)
 
 
-def masked(effect: LandEffect, change: Change, mask: np.ndarray | None) -> Change:
+def masked(effect: HeightOperator, change: Change, mask: np.ndarray | None) -> Change:
     """Multiply heights and depths of a change by a mask, unless the operator applies masks itself."""
     if mask is None or effect.masks:
         return change
@@ -77,7 +77,7 @@ def masked(effect: LandEffect, change: Change, mask: np.ndarray | None) -> Chang
     return Change(change.heights * mask, layers, change.state)
 
 
-def _coarser_ground(ground: Ground) -> Ground:
+def _coarser_ground(ground: OperatorGround) -> OperatorGround:
     halved = {
         "heights": coarser(ground.heights),
         "missing": None if ground.missing is None else coarser(ground.missing),

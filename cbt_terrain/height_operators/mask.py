@@ -9,14 +9,16 @@ import numpy as np
 
 from ..errors import TerrainError, shown
 from ..plain_numbers import keep_plain_numbers
-from .mask_reads import ATTRIBUTES
+from .mask_reads import MASK_ATTRIBUTES
 from .tiles import Level, Window
 
 HEIGHT, SLOPE, ASPECT = ("height", "slope", "aspect")
-UNITS = {HEIGHT: "m", SLOPE: "degrees", ASPECT: ""} | {name: effect.unit for name, effect in ATTRIBUTES.items()}
+UNITS = {HEIGHT: "m", SLOPE: "degrees", ASPECT: ""} | {name: effect.unit for name, effect in MASK_ATTRIBUTES.items()}
 # Quantities with edges in powers of ten, since they range over many of them. The panel's limits reach to float32's end.
 LOGARITHMIC = ("flow", "discharge")
-LIMITS = {HEIGHT: 1e9, SLOPE: 90.0, ASPECT: 1.0} | dict.fromkeys(ATTRIBUTES, 1e15) | dict.fromkeys(LOGARITHMIC, 1e39)
+LIMITS = (
+    {HEIGHT: 1e9, SLOPE: 90.0, ASPECT: 1.0} | dict.fromkeys(MASK_ATTRIBUTES, 1e15) | dict.fromkeys(LOGARITHMIC, 1e39)
+)
 STEEPEST = 1e30  # metres a metre
 BAND_ROWS = 256
 
@@ -27,8 +29,8 @@ class GroundRule:
 
     Without an edge the limits are inside: snow from 0 to 0 selects ground without snow. The ground is the operator's
     input. Quantities are height in metres; slope in degrees; aspect, the cosine of the angle between downhill and
-    `direction` (degrees clockwise from north; 0 on level ground); and ATTRIBUTES in their units. An edge is in the same
-    unit, for those in LOGARITHMIC in powers of ten.
+    `direction` (degrees clockwise from north; 0 on level ground); and MASK_ATTRIBUTES in their units. An edge has the
+    same unit, for those in LOGARITHMIC in powers of ten.
     """
 
     of: str
@@ -60,7 +62,7 @@ class GroundRule:
 
 
 @dataclass(frozen=True)
-class Mask:
+class HeightMask:
     """The product of an image, all rules and a factor from 0 to 1. `image`: file of one channel over the raster's
     extent, first row in the north, where white means 1; "" for none."""
 
@@ -74,7 +76,7 @@ class Mask:
     @property
     def versions(self) -> tuple[int, ...]:
         """Versions of the attributes that the rules read."""
-        return tuple(ATTRIBUTES[rule.of].version for rule in self.rules if rule.of in ATTRIBUTES)
+        return tuple(MASK_ATTRIBUTES[rule.of].version for rule in self.rules if rule.of in MASK_ATTRIBUTES)
 
     def check(self, where: str) -> None:
         """Raise TerrainError for an invalid mask; `where` names it."""
@@ -85,7 +87,7 @@ class Mask:
 
 
 def compute_mask(
-    mask: Mask,
+    mask: HeightMask,
     image: np.ndarray | None,
     level: Level,
     heights: Callable[[Window], np.ndarray],
@@ -95,7 +97,7 @@ def compute_mask(
     """Return the weights of a window of a level, float32 [rows, columns], 0 to 1.
 
     image: float32 [rows, columns], row 0 south, or None. heights(window): returns float32 metres of the ground. read:
-    values of ATTRIBUTES, float32 [rows, columns] of the window (mask_reads.py). window: None for the whole level.
+    values of MASK_ATTRIBUTES, float32 [rows, columns] of the window (mask_reads.py). window: None for the whole level.
     """
     window = window or level.whole
     out = np.full([part.stop - part.start for part in window], mask.factor, np.float32)
@@ -104,11 +106,11 @@ def compute_mask(
         at = slice(window[0].start + rows.start, window[0].start + rows.stop)
         if image is not None:
             out[rows] *= _image_at(image, level, at, window[1])
-        ground_rules = [rule for rule in mask.rules if rule.of not in ATTRIBUTES]
+        ground_rules = [rule for rule in mask.rules if rule.of not in MASK_ATTRIBUTES]
         if ground_rules:
             out[rows] *= _weigh_ground(ground_rules, level, at, window, heights)
         for rule in mask.rules:
-            if rule.of in ATTRIBUTES:
+            if rule.of in MASK_ATTRIBUTES:
                 out[rows] *= _weigh_attribute(rule, read[rule.of][rows])
     return out
 

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
-from ..attributes.attribute import Asked, Effect
-from ..attributes.catalogue import EFFECTS
+from ..attributes.attribute import AttributeDeclaration, AttributeRequest
+from ..attributes.catalogue import ATTRIBUTES
 from ..attributes.evaluate import on_samples
 from ..attributes.layers import NAMES as BY_PRODUCTS
 from ..field.heightfield import HeightField
@@ -19,7 +19,7 @@ from .tile_cache import content_key
 from .tiles import Level, Window
 
 SHAPES = ("mean_curvature", "profile_curvature", "plan_curvature", "flow", "wetness", "sky")
-ATTRIBUTES: dict[str, Effect] = {name: EFFECTS[name] for name in (*SHAPES, *BY_PRODUCTS)}
+MASK_ATTRIBUTES: dict[str, AttributeDeclaration] = {name: ATTRIBUTES[name] for name in (*SHAPES, *BY_PRODUCTS)}
 
 
 def values_of(
@@ -30,12 +30,12 @@ def values_of(
     layers: Mapping[str, np.ndarray],
     threads: int,
 ) -> dict[str, np.ndarray]:
-    """Return the values of those `names` that are in ATTRIBUTES, float32 [rows, columns] of a level.
+    """Return the values of those `names` that are in MASK_ATTRIBUTES, float32 [rows, columns] of a level.
 
     heights(window): returns float32 metres of the ground. missing: bool [rows, columns], or None. layers: by-products.
     """
     found = {name: layers[name] for name in names if name in BY_PRODUCTS}
-    requests = [Asked(name, ()) for name in names if name in SHAPES]
+    requests = [AttributeRequest(name, ()) for name in names if name in SHAPES]
     if requests:
         field = _field(level, np.ascontiguousarray(heights(level.whole)), missing)
         found |= {request.name: np.empty(level.shape, np.float32) for request in requests}

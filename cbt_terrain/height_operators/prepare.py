@@ -4,7 +4,7 @@
 from collections.abc import Callable
 from types import ModuleType
 
-from ..attributes.attribute import Asked
+from ..attributes.attribute import AttributeRequest
 from ..attributes.plan import kernels_of_steps, plan
 from ..run import warmup
 from .mask_reads import SHAPES
@@ -16,7 +16,7 @@ PREPARING = "Preparing kernels"
 def kernels_of(stack: Stack) -> list[ModuleType]:
     """Return the modules of kernels of a stack's operators and of the attributes that its masks read."""
     rules = [rule for entry in stack.active if entry.mask is not None for rule in entry.mask.rules]
-    read = plan(Asked(rule.of, ()) for rule in rules if rule.of in SHAPES)
+    read = plan(AttributeRequest(rule.of, ()) for rule in rules if rule.of in SHAPES)
     launched = [module for entry in stack.active for module in entry.declaration.kernels]
     return list(dict.fromkeys([*launched, *kernels_of_steps(read)]))
 

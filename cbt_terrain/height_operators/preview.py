@@ -13,7 +13,7 @@ import numpy as np
 from ..field.build import from_array
 from ..field.heightfield import HeightField
 from ..run.locks import cached
-from .height_operator import Ground
+from .height_operator import OperatorGround
 from .level_work import LevelGround, zero_holes
 from .levels import masked
 from .mask import compute_mask
@@ -42,7 +42,7 @@ class _Applied:
     """The coarsest level after the first entries of a stack, the sum of their changes in metres, the digest of these
     entries, and the milliseconds of the last one."""
 
-    ground: Ground
+    ground: OperatorGround
     change: np.ndarray
     key: str = ""
     ms: float = 0.0
@@ -151,16 +151,16 @@ def _apply(
     return states
 
 
-def _mask(entry: Entry, images: Mapping, level: Level, ground: Ground, threads: int) -> np.ndarray:
+def _mask(entry: Entry, images: Mapping, level: Level, ground: OperatorGround, threads: int) -> np.ndarray:
     names = sorted({rule.of for rule in entry.mask.rules})
     read = values_of(names, level, ground.heights.__getitem__, ground.missing, ground.layers, threads)
     return compute_mask(entry.mask, images.get(entry.mask.image), level, ground.heights.__getitem__, read)
 
 
-def _ground(source: HeightField, level: Level) -> Ground:
+def _ground(source: HeightField, level: Level) -> OperatorGround:
     found = LevelGround.of(source, level)
     heights = np.ascontiguousarray(found.heights)
-    return Ground(
+    return OperatorGround(
         heights,
         level.step_x,
         level.step_y,
@@ -172,7 +172,7 @@ def _ground(source: HeightField, level: Level) -> Ground:
     )
 
 
-def _after(before: _Applied, ground: Ground, entry: Entry, key: str) -> _Applied:
+def _after(before: _Applied, ground: OperatorGround, entry: Entry, key: str) -> _Applied:
     start, effect = time.perf_counter(), entry.declaration
     change = masked(effect, effect.apply(ground, entry.values, None), ground.mask)
     heights = zero_holes(ground.missing, change.heights)

@@ -11,7 +11,7 @@ from ...kernels.land.relief import ReliefNoise, Window, add_relief
 from ..attributes.attribute import Parameter
 from ..run import launch
 from ..run.buffers import flat
-from .height_operator import Change, Ground, LandEffect
+from .height_operator import Change, HeightOperator, OperatorGround
 
 # Fraction of the longest wave over which the ground's slope and curvature are measured.
 REACH = 0.25
@@ -22,7 +22,7 @@ BURIED = 2.0
 DIP_TO = np.array([2.0, 1.0]) / math.sqrt(5.0)
 
 
-def apply(ground: Ground, values, _coarser) -> Change:
+def apply(ground: OperatorGround, values, _coarser) -> Change:
     """Compute a level without the coarser one, which only lacks the finest waves; implements `Apply`."""
     heights = np.ascontiguousarray(ground.heights)
     noise, window = _noise(ground, values), _window(ground, values)
@@ -40,7 +40,7 @@ def apply(ground: Ground, values, _coarser) -> Change:
     return Change(added)
 
 
-def _noise(ground: Ground, values) -> ReliefNoise:
+def _noise(ground: OperatorGround, values) -> ReliefNoise:
     noise = ReliefNoise()
     spacing = max(ground.step_x, ground.step_y)
     noise.octaves = max(0, math.ceil(math.log2(values["wave"] / (2.0 * spacing))))
@@ -52,7 +52,7 @@ def _noise(ground: Ground, values) -> ReliefNoise:
     return noise
 
 
-def _window(ground: Ground, values) -> Window:
+def _window(ground: OperatorGround, values) -> Window:
     window = Window()
     window.height, window.width = ground.heights.shape
     window.row, window.column = ground.first
@@ -72,7 +72,7 @@ def _example(shape) -> None:
     assert 2.0 < np.abs(beds).max() < 60.0
 
 
-RELIEF = LandEffect(
+RELIEF = HeightOperator(
     name="relief",
     label="Fine Relief",
     about="Rock, gullies and ledges finer than the data, by the slope and curvature of the ground",

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..attributes.routing import route
 from .fluvial import Bed
-from .height_operator import Change, Ground
+from .height_operator import Change, OperatorGround
 
 # Arrays for the next finer level (Change.state): depth of lakes in m, and sediment that comes to a sample, m3 a year.
 LAKE, LOAD = "lake", "load"
@@ -105,7 +105,7 @@ class _Ring:
     flow: np.ndarray
 
 
-def set_boundary(bed: Bed, ground: Ground, coarser: Change) -> None:
+def set_boundary(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     """Set inflow, closed border samples and outlet levels of a tile's bed from the coarser level."""
     if all(ground.rims):
         return
@@ -139,7 +139,7 @@ def set_boundary(bed: Bed, ground: Ground, coarser: Change) -> None:
     _close(bed, ground, seen, ring)
 
 
-def _coarse_samples(bed: Bed, ground: Ground, coarser: Change) -> _Coarse:
+def _coarse_samples(bed: Bed, ground: OperatorGround, coarser: Change) -> _Coarse:
     odd = tuple(first % 2 for first in ground.first)
     every, per = tuple(slice(n, None, 2) for n in odd), 1.0 / (ground.step_x * ground.step_y)
     floor = np.ascontiguousarray((ground.heights + coarser.heights)[every])
@@ -195,7 +195,7 @@ def _receivers(seen: _Coarse) -> tuple[np.ndarray, np.ndarray]:
     return y, x
 
 
-def _ring(seen: _Coarse, ground: Ground, into: np.ndarray) -> _Ring:
+def _ring(seen: _Coarse, ground: OperatorGround, into: np.ndarray) -> _Ring:
     """Return the ring, shut where water of dry samples flows into the tile."""
     at, cut = _around(seen.to.shape, ground.rims, 1)
     return _Ring(at, cut, (into & ~seen.wet)[at] & cut, seen.flow[at])
@@ -226,7 +226,7 @@ def _max_along(flow: np.ndarray, reach: int) -> np.ndarray:
     return np.max([np.roll(flow, n) for n in range(-reach, reach + 1)], axis=0)
 
 
-def _close(bed: Bed, ground: Ground, seen: _Coarse, ring: _Ring) -> None:
+def _close(bed: Bed, ground: OperatorGround, seen: _Coarse, ring: _Ring) -> None:
     """Set the bed's closed border samples and the levels where water leaves there.
 
     Samples near an inflow are closed too, since finer ground may dam it and lead it away; but not where about as much
@@ -252,7 +252,7 @@ def _close(bed: Bed, ground: Ground, seen: _Coarse, ring: _Ring) -> None:
         shut |= is_open & _max_along(more, WANDER)
 
 
-def _along(bed: Bed, ground: Ground, seen: _Coarse, ring: _Ring) -> tuple[np.ndarray, np.ndarray]:
+def _along(bed: Bed, ground: OperatorGround, seen: _Coarse, ring: _Ring) -> tuple[np.ndarray, np.ndarray]:
     """Return the samples along the cut where water may leave and the nearest index in the ring of each, int64."""
     at, cut = _around(bed.shape, ground.rims, 0)
     near = ((n - odd + 1) // 2 for n, odd in zip(at, seen.odd, strict=True))

@@ -13,7 +13,7 @@ from ...kernels.land import fluvial as fluvial_kernels
 from ..attributes.attribute import Parameter
 from .cliffs import limit_at_cliffs
 from .fluvial import Bed, curvature_of, diffuse, step, vary_rock
-from .height_operator import Change, Evaluate, Ground, LandEffect, LandLayer
+from .height_operator import Change, Evaluate, HeightOperator, LandLayer, OperatorGround
 from .lake_outlets import keep_outlets
 from .levels import COARSEST, apply_by_levels
 from .river_borders import LAKE, LOAD, border_motion, set_boundary, sides
@@ -44,7 +44,7 @@ BIG, REACH, ALIKE, ELSEWHERE = (HALO // 2) ** 2, 4, 1.3, 0.25
 FADE = 0.15
 
 
-def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> Change:
+def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
     """Compute the change of a level; implements `Apply`."""
     years, steps = values["years"], min(max(math.ceil(values["years"] / STEP_YEARS), MIN_STEPS), MAX_STEPS)
     if coarser is not None:
@@ -61,7 +61,9 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
     return _change(bed, ground, values, origin, load / max(years * (1.0 - steps // 2 / steps), 1e-9))
 
 
-def _change(bed: Bed, ground: Ground, values: Mapping[str, float], origin: np.ndarray, load: np.ndarray) -> Change:
+def _change(
+    bed: Bed, ground: OperatorGround, values: Mapping[str, float], origin: np.ndarray, load: np.ndarray
+) -> Change:
     """Return change and layers. load: float64 [n], sediment that came to each sample, metres times samples a year."""
     drainage, cell = bed.drain(), ground.step_x * ground.step_y
     change = bed.heights - origin
@@ -93,13 +95,13 @@ def _elsewhere(flow: np.ndarray, other: np.ndarray) -> float:
     return float(lost / max(flow.sum(dtype=np.float64), 1.0))
 
 
-def _years_again(ground: Ground, values: Mapping[str, float]) -> float:
+def _years_again(ground: OperatorGround, values: Mapping[str, float]) -> float:
     shaping = SHAPES_GROWN if values["rise"] > 0.0 else SHAPES_AGED
     longest = shaping / max(values["erodibility"], 1e-12)
     return min(AGAIN * values["years"], longest) * 0.5 ** (_halvings(ground) - 1)
 
 
-def _halvings(ground: Ground) -> int:
+def _halvings(ground: OperatorGround) -> int:
     """Return the number of halvings of the spacing from the coarsest level to this one."""
     side, count = max(ground.whole), 0
     while side > COARSEST:
@@ -107,7 +109,7 @@ def _halvings(ground: Ground) -> int:
     return count
 
 
-def _begin(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> tuple[Bed, np.ndarray]:
+def _begin(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> tuple[Bed, np.ndarray]:
     """Return the initial bed, and the heights before the operator with the sea at its surface, float32 [n]."""
     sea, shape, n = np.float32(values["sea"]), ground.heights.shape, ground.heights.size
     missing = np.zeros(n, bool) if ground.missing is None else ground.missing.reshape(-1)
@@ -135,7 +137,7 @@ def _begin(ground: Ground, values: Mapping[str, float], coarser: Change | None) 
     return bed, origin
 
 
-def _fade(ground: Ground) -> np.ndarray:
+def _fade(ground: OperatorGround) -> np.ndarray:
     """Return a smooth factor from 0 at the border of the whole to 1 at FADE, float32 [rows, columns]."""
     spacings = ground.step_y, ground.step_x
     whole = np.maximum(ground.whole, np.add(ground.first, ground.heights.shape))
@@ -160,7 +162,9 @@ def _spread(bed: Bed, coarser: Change) -> tuple[np.ndarray, np.ndarray]:
     return tuple(diffuse(bed, a.reshape(-1).copy(), *settings) for a in (coarser.heights, coarser.layers["sediment"]))
 
 
-def _keep_cliffs(bed: Bed, ground: Ground, values: Mapping[str, float], origin: np.ndarray, change: np.ndarray) -> None:
+def _keep_cliffs(
+    bed: Bed, ground: OperatorGround, values: Mapping[str, float], origin: np.ndarray, change: np.ndarray
+) -> None:
     """Limit the bed's heights at cliffs. change: float32 [rows, columns] m, coarser change at the start time."""
     before = origin.reshape(bed.shape)
     after = np.maximum(before + change, np.float32(values["sea"]))
@@ -183,7 +187,7 @@ def grow(
     rise = float(uplift.max())
     values = RIVERS.defaults() | {"years": 3e6, "erodibility": 1e-5, "rise": rise} | parameters
     layers = {"uplift": (uplift / np.float32(rise or 1.0)).astype(np.float32)}
-    ground = Ground(np.asarray(start, np.float32), step_m, step_m, layers=layers, seed=seed, threads=threads)
+    ground = OperatorGround(np.asarray(start, np.float32), step_m, step_m, layers=layers, seed=seed, threads=threads)
     return apply_by_levels(RIVERS, ground, values)
 
 
@@ -201,7 +205,7 @@ def example(evaluate: Evaluate) -> None:
     assert not change.heights.any()
 
 
-RIVERS = LandEffect(
+RIVERS = HeightOperator(
     name="rivers",
     label="Rivers",
     about="Streams cut valleys, slopes creep, valley floors and lakes fill; with a rise, a range grows",

@@ -19,7 +19,7 @@ from ..importing.build_store import finished_before
 from ..importing.drafts import drafted, figures, room_for
 from ..importing.placing import rotation_of
 from ..run import launch
-from .level_plan import MOST_WHOLE
+from .level_plan import MAX_WHOLE
 from .level_work import METHOD
 from .mask_image import load_image
 from .shape import Shaped, shape
@@ -35,7 +35,7 @@ RECORD = 1  # version of the provenance; raising it rebuilds older land
 BUILDING = "Measuring errors"
 DOUBTFUL = (
     "Tiles of {} may differ by more than 5 % from the land in one piece: big rivers run elsewhere at each level, and "
-    f"beyond {MOST_WHOLE} x {MOST_WHOLE} samples a level is not made in one piece. Use a height map of at most that "
+    f"beyond {MAX_WHOLE} x {MAX_WHOLE} samples a level is not made in one piece. Use a height map of at most that "
     "size, or harder rock (a lower erodibility or fewer years)."
 )
 ROOM_ELSEWHERE = "choose another folder (in Blender: Pack Store Beside File)"

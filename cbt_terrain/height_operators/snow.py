@@ -17,7 +17,7 @@ from ..run import launch
 from ..run.buffers import flat
 from ..view.linear import length
 from .balance import balanced
-from .height_operator import Change, Evaluate, Ground, LandEffect, LandLayer
+from .height_operator import Change, Evaluate, HeightOperator, LandLayer, OperatorGround
 from .levels import coarser as halved
 from .levels import finer
 
@@ -31,7 +31,7 @@ HORIZON = 300.0
 WET = 0.05
 
 
-def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> Change:
+def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
     """Compute the change of a level; implements `Apply`."""
     snowfall, clinging = _snowfall(ground, values)
     loose = start = snowfall - clinging
@@ -52,7 +52,7 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
     return Change(np.float32(values["thickness"]) * snow, {"snow": snow, "slides": slides})
 
 
-def _snowfall(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+def _snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
     """Return the depth of snow before slides, and the part of it that clings to the ground; float32 [rows, columns]."""
     heights, (rows, columns) = np.ascontiguousarray(ground.heights), ground.heights.shape
     horizon, sky, lee, snowfall, clinging = (np.zeros((rows, columns), np.float32) for _ in range(5))
@@ -83,14 +83,14 @@ def _direction(degrees: float) -> np.ndarray:
     return np.array([math.sin(angle), math.cos(angle)]).astype(np.float32).astype(np.float64)
 
 
-def _bare(ground: Ground) -> np.ndarray:
+def _bare(ground: OperatorGround) -> np.ndarray:
     """Return 1 for water and holes, uint8 [rows, columns]."""
     depth = ground.layers.get("water_depth")
     bare = np.zeros(ground.heights.shape, bool) if depth is None else depth > WET
     return (bare if ground.missing is None else bare | ground.missing).astype(np.uint8)
 
 
-def _weather(ground: Ground, values: Mapping[str, float]) -> kernels.Weather:
+def _weather(ground: OperatorGround, values: Mapping[str, float]) -> kernels.Weather:
     weather, latitude = kernels.Weather(), math.radians(values["latitude"])
     weather.height, weather.width = ground.heights.shape
     weather.per_x, weather.per_y = 1.0 / ground.step_x, 1.0 / ground.step_y
@@ -100,7 +100,7 @@ def _weather(ground: Ground, values: Mapping[str, float]) -> kernels.Weather:
     return weather
 
 
-def _coarse_snowfall(ground: Ground, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+def _coarse_snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
     """Return `_snowfall` of the coarser level computed from these samples alone, interpolated to this level."""
     odd = [n % 2 for n in ground.first]
 
@@ -110,13 +110,15 @@ def _coarse_snowfall(ground: Ground, values: Mapping[str, float]) -> tuple[np.nd
     first = (ground.first[0] // 2, ground.first[1] // 2)
     layers = {name: coarse(a) for name, a in ground.layers.items() if name == "water_depth"}
     arrays = [coarse(ground.heights), 2 * ground.step_x, 2 * ground.step_y, first, ground.whole, ground.level + 1]
-    below = Ground(*arrays, coarse(ground.missing), coarse(ground.mask), layers, ground.seed, ground.threads)
+    below = OperatorGround(*arrays, coarse(ground.missing), coarse(ground.mask), layers, ground.seed, ground.threads)
     shape = [n + o for n, o in zip(ground.heights.shape, odd, strict=True)]
     snowfall, clinging = (finer(a, shape)[odd[0] :, odd[1] :] for a in _snowfall(below, values))
     return snowfall, clinging
 
 
-def _transfer_slides(loose: np.ndarray, slides: np.ndarray, coarse_loose: np.ndarray, ground: Ground) -> np.ndarray:
+def _transfer_slides(
+    loose: np.ndarray, slides: np.ndarray, coarse_loose: np.ndarray, ground: OperatorGround
+) -> np.ndarray:
     """Return the loose snow after the slides of the coarser level, which started from `coarse_loose`.
 
     The same fraction of the loose snow slides away as there; deposits are scaled so that mass is conserved.
@@ -130,7 +132,7 @@ def _transfer_slides(loose: np.ndarray, slides: np.ndarray, coarse_loose: np.nda
 
 
 def _settle(
-    ground: Ground, values: Mapping[str, float], clinging: np.ndarray, loose: np.ndarray, sweeps: int
+    ground: OperatorGround, values: Mapping[str, float], clinging: np.ndarray, loose: np.ndarray, sweeps: int
 ) -> np.ndarray:
     """Return the loose snow after slides have come to rest, float32 [rows, columns] m. Overwrites `loose`."""
     slides, rest, (rows, columns) = kernels.Slides(), np.zeros_like(loose), loose.shape
@@ -164,7 +166,7 @@ def _repose(values: Mapping[str, float]) -> float:
     return float(np.float32(math.tan(math.radians(values["slides"]))))
 
 
-def _smooth_deposits(slides: np.ndarray, ground: Ground, values: Mapping[str, float]) -> None:
+def _smooth_deposits(slides: np.ndarray, ground: OperatorGround, values: Mapping[str, float]) -> None:
     """Smooth deposits by [1 2 1] / 4 along both axes, in place, but not over cliffs.
 
     On coarse levels they end at whole samples, whose squares would show.
@@ -195,7 +197,7 @@ def example(evaluate: Evaluate) -> None:
     assert layers["slides"].max() > 1.0 and abs(slid) < 1e-7 * abs(layers["slides"]).sum(dtype=np.float64)
 
 
-SNOW = LandEffect(
+SNOW = HeightOperator(
     name="snow",
     label="Snow",
     about="Snow by height, sun, wind and sky; what lies on steep ground slides",

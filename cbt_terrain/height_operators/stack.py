@@ -26,9 +26,9 @@ from pathlib import Path
 from ..errors import TerrainError, named_once, shown
 from ..plain_numbers import keep_plain_numbers, plain_number
 from ..run.named_file import cause, open_regular, read_named
-from .catalogue import LAND_EFFECTS
-from .height_operator import LandEffect
-from .mask import GroundRule, Mask
+from .catalogue import HEIGHT_OPERATORS
+from .height_operator import HeightOperator
+from .mask import GroundRule, HeightMask
 from .mask_reads import BY_PRODUCTS
 
 VERSION = 1
@@ -51,7 +51,7 @@ class Entry:
     parameters: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
     on: bool = True
-    mask: Mask | None = None
+    mask: HeightMask | None = None
     name: str = ""
 
     def __post_init__(self):
@@ -61,8 +61,8 @@ class Entry:
             object.__setattr__(self, "parameters", parameters)
 
     @property
-    def declaration(self) -> LandEffect:
-        return LAND_EFFECTS[self.effect]
+    def declaration(self) -> HeightOperator:
+        return HEIGHT_OPERATORS[self.effect]
 
     @property
     def values(self) -> dict[str, float]:
@@ -160,9 +160,9 @@ def _of(part: str, where: str) -> str:
 
 def _check_entry(where: str, entry: Entry) -> None:
     name = f"{where}, {entry.effect},"
-    if entry.effect not in LAND_EFFECTS:
+    if entry.effect not in HEIGHT_OPERATORS:
         effect = shown(repr(entry.effect))
-        raise TerrainError(f"{where} has the effect {effect}", expected=f"one of: {', '.join(LAND_EFFECTS)}")
+        raise TerrainError(f"{where} has the effect {effect}", expected=f"one of: {', '.join(HEIGHT_OPERATORS)}")
     parameters = {p.name: p for p in entry.declaration.parameters}
     for parameter, value in entry.parameters.items():
         if parameter not in parameters:
@@ -232,13 +232,13 @@ def _entry(where: str, content: object, folder: Path | None) -> Entry:
     )
 
 
-def _mask(where: str, content: object, folder: Path | None) -> Mask:
+def _mask(where: str, content: object, folder: Path | None) -> HeightMask:
     mask = _object(where, content, _MASK)
     image = _typed(where, mask, "image", str, "", "the name of a file")
     if image and folder is not None:
         image = str(folder / image)
     rules = _list(where, "rules", mask.get("rules", []), MAX_RULES)
-    return Mask(image, tuple(_rule(where, rule) for rule in rules), _number(where, mask, "factor", 1.0))
+    return HeightMask(image, tuple(_rule(where, rule) for rule in rules), _number(where, mask, "factor", 1.0))
 
 
 def _rule(where: str, content: object) -> GroundRule:

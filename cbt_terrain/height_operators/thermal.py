@@ -15,7 +15,7 @@ from ..attributes.attribute import Parameter
 from ..run import launch
 from ..run.buffers import flat
 from .balance import balanced
-from .height_operator import Change, Evaluate, Ground, LandEffect, LandLayer
+from .height_operator import Change, Evaluate, HeightOperator, LandLayer, OperatorGround
 
 # Sweeps of a level in which rock breaks, then sweeps in which scree comes to rest, and their factor at the coarsest
 # level.
@@ -30,7 +30,7 @@ SHARE, MAX_FRACTION, WEATHER = 0.5, 0.25, 0.05
 HALO = 1.6
 
 
-def apply(ground: Ground, values: Mapping[str, float], coarse: Change | None) -> Change:
+def apply(ground: OperatorGround, values: Mapping[str, float], coarse: Change | None) -> Change:
     """Compute the change of a level; implements `Apply`."""
     shape = ground.heights.shape
     breakable, loose = _breakable(ground, values), ground.layers.get("scree", np.zeros(shape, np.float32))
@@ -44,7 +44,7 @@ def apply(ground: Ground, values: Mapping[str, float], coarse: Change | None) ->
     return Change(deposited - wear, {"scree": deposited, "wear": wear})
 
 
-def _breakable(ground: Ground, values: Mapping[str, float]) -> np.ndarray:
+def _breakable(ground: OperatorGround, values: Mapping[str, float]) -> np.ndarray:
     """Return the depth of rock that may break off, float32 [rows, columns] m."""
     breakable = np.full(ground.heights.shape, values["depth"], np.float32)
     if ground.mask is not None:
@@ -55,7 +55,7 @@ def _breakable(ground: Ground, values: Mapping[str, float]) -> np.ndarray:
 
 
 def _start(
-    ground: Ground, coarse: Change | None, breakable: np.ndarray, loose: np.ndarray
+    ground: OperatorGround, coarse: Change | None, breakable: np.ndarray, loose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the breakable rock and the scree in metres after the coarser level.
 
@@ -79,7 +79,7 @@ def settle(
     breakable: np.ndarray,
     left: np.ndarray,
     scree: np.ndarray,
-    ground: Ground,
+    ground: OperatorGround,
     values: Mapping[str, float],
     times: int,
 ) -> np.ndarray:
@@ -134,7 +134,7 @@ def smooth_wear(left: np.ndarray, breakable: np.ndarray) -> None:
 
 
 def slope_of(
-    ground: Ground, values: Mapping[str, float], base: np.ndarray, left: np.ndarray, scree: np.ndarray
+    ground: OperatorGround, values: Mapping[str, float], base: np.ndarray, left: np.ndarray, scree: np.ndarray
 ) -> kernels.Slope:
     """Return the parameters of the kernels; they share the memory of the arrays."""
     slope = kernels.Slope()
@@ -166,7 +166,7 @@ def example(shape: Evaluate) -> None:
     assert not change.heights.any()
 
 
-THERMAL = LandEffect(
+THERMAL = HeightOperator(
     name="thermal",
     label="Scree",
     about="Cliffs break at the angle of their bed; the scree lies below at its own angle",

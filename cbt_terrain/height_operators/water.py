@@ -15,7 +15,7 @@ from ..attributes.attribute import Parameter
 from ..attributes.routing import route
 from ..run import launch
 from ..run.buffers import flat
-from .height_operator import Change, Evaluate, Ground, LandEffect, LandLayer
+from .height_operator import Change, Evaluate, HeightOperator, LandLayer, OperatorGround
 
 YEAR = 365.2425 * 86400.0  # seconds
 
@@ -24,7 +24,7 @@ SPEED = LandLayer("water_speed", "m/s", "Speed of the water", per_metre=False)
 DISCHARGE = LandLayer("discharge", "m^3/s", "Water that passes a place; in a lake, what leaves it", per_metre=False)
 
 
-def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -> Change:
+def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
     """Compute a level without the coarser one; implements `Apply`."""
     heights, threads = np.ascontiguousarray(ground.heights), ground.threads
     shape, count = heights.shape, heights.size
@@ -49,7 +49,7 @@ def apply(ground: Ground, values: Mapping[str, float], coarser: Change | None) -
     return Change(np.zeros(shape, np.float32), {name: a.reshape(shape) for name, a in layers.items()})
 
 
-def _rain(ground: Ground, values: Mapping[str, float]) -> kernels.SteadyRain:
+def _rain(ground: OperatorGround, values: Mapping[str, float]) -> kernels.SteadyRain:
     rain = kernels.SteadyRain()
     rain.height, rain.width = ground.heights.shape
     rain.step_x, rain.step_y = ground.step_x, ground.step_y
@@ -77,7 +77,7 @@ def example(evaluate: Evaluate) -> None:
     assert level.max() == level.min() and 9.0 < level.max() < 9.1
 
 
-WATER = LandEffect(
+WATER = HeightOperator(
     name="water",
     label="Water",
     about="Where water is and how fast: rivers, lakes and the sea under steady rain; heights stay",

@@ -16,7 +16,7 @@ from ..mesh.attributes import FACE, LEVEL, NORMALS, POINT, UV, Attribute
 from ..mesh.cut import Side, cut
 from ..mesh.surface import Surface
 from ..view.linear import add_up
-from .height_operator import Ground
+from .height_operator import OperatorGround
 from .water import DEPTH, DISCHARGE, SPEED, WATER
 
 MAX_SAMPLES = 1025  # along a side of the raster that the surface is built from
@@ -47,7 +47,9 @@ def water_of(field: HeightField, threads: int = 1) -> Surface:
     if DEPTH.name in field.layers:
         layers = {name: reduced(field.layers[name]) for name in NAMES if name in field.layers}
     else:
-        layers = WATER.apply(Ground(heights, *steps, missing=missing, threads=threads), WATER.defaults(), None).layers
+        layers = WATER.apply(
+            OperatorGround(heights, *steps, missing=missing, threads=threads), WATER.defaults(), None
+        ).layers
     water_lattice = fit(heights.shape[1], heights.shape[0], *steps)
     surface = water_surface(water_lattice, heights, *map(layers.get, NAMES), missing, threads=threads)
     # Every lattice is centred at 0, and the reduced one may end short of the field's border.

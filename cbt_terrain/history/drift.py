@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ...kernels.field.domain import Domain
 from ...kernels.refine.coherence import Motion
-from ...kernels.refine.pixels import Asked, LocalView
+from ...kernels.refine.pixels import CriterionArrays, LocalView
 from ..view.linear import add_up
 
 # Largest fraction by which lengths, all but pixel footprints, may change from frame to frame: 4 times this comes off
@@ -19,7 +19,7 @@ class CachedSubtrees:
     """What the subtrees of a frame were cached for."""
 
     domain: Domain
-    asked: Asked
+    asked: CriterionArrays
     max_depth: int
     slots: int
     room: int  # of subtrees, and of runs of points, in a slot
@@ -27,7 +27,7 @@ class CachedSubtrees:
     def __post_init__(self):
         self.limit = self.asked.limit
 
-    def drift(self, domain: Domain, asked: Asked, max_depth: int) -> float:
+    def drift(self, domain: Domain, asked: CriterionArrays, max_depth: int) -> float:
         """Return the largest fraction by which lengths have changed that pixel footprints are made of and compared
         with, except those in `Motion`; infinity if more than the camera has changed."""
         of_asked = "view_count", "measures_edges", "metres2"
@@ -40,7 +40,7 @@ class CachedSubtrees:
         return max(0.0 if a == b else abs(a - b) / b if 0 < b < math.inf else math.inf for a, b in pairs)
 
 
-def _squares(asked: Asked) -> list[float]:
+def _squares(asked: CriterionArrays) -> list[float]:
     """Squared lengths and pixels that may differ a little from frame to frame: matrices of Blender are float32."""
     of_asked = asked.error_px2, asked.edge_px2, asked.area_px2, asked.diagonal2, asked.axis2
     return [float(square) for square in (*asked.view.weight, asked.view.cosine2, asked.view.near2, *of_asked)]

@@ -17,7 +17,7 @@ import numpy as np
 from ...kernels.field.domain import Domain
 from ...kernels.refine import curve
 from ...kernels.refine.coherence import Motion
-from ...kernels.refine.pixels import Asked
+from ...kernels.refine.pixels import CriterionArrays
 from ..errors import TerrainError
 from ..run.buffers import Buffers, Loans, address_space
 from ..run.locks import SharedLock
@@ -109,7 +109,7 @@ class FrameHistory:
         self.next.key, self.next.result = key, result
         self.last, self.next = self.next, self.last.emptied()
 
-    def reuse_subtrees(self, domain: Domain, asked: Asked, max_depth: int) -> "Motion | None":
+    def reuse_subtrees(self, domain: Domain, asked: CriterionArrays, max_depth: int) -> "Motion | None":
         """Return how the view has moved since the last frame's subtrees were cached; None if none may be reused."""
         cached = self.last.subtrees
         drift = cached.drift(domain, asked, max_depth) if cached else math.inf

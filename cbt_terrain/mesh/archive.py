@@ -19,7 +19,7 @@ from .surface import Surface
 
 # The earliest date that a zip can hold: the file says nothing of when it was written.
 FIXED_DATE = (1980, 1, 1, 0, 0, 0)
-MOST_ENTRIES = 64
+MAX_ENTRIES = 64
 
 
 def write_npz(
@@ -79,7 +79,7 @@ def read_npz(path: str | os.PathLike) -> dict:
     try:
         with open_regular(path, links=True) as file, zipfile.ZipFile(file) as archive:
             # As `write_npz` writes them: then what they unpack to is bounded by the file's own size.
-            if len(archive.infolist()) > MOST_ENTRIES or any(e.compress_type for e in archive.infolist()):
+            if len(archive.infolist()) > MAX_ENTRIES or any(e.compress_type for e in archive.infolist()):
                 raise ValueError("its entries are compressed or too many")
             entries = {name.removesuffix(".npy"): _array(archive, name) for name in archive.namelist()}
         if "info" not in entries:

@@ -12,7 +12,7 @@ import warp as wp
 from ...kernels.field.domain import Domain
 from ...kernels.mesh import cut as kernels
 from ..field.heightfield import HeightField
-from ..refine.domain import NO_RIM
+from ..refine.domain import NO_BORDER
 from ..run import launch
 from ..run.buffers import shared
 from ..view.linear import add_up
@@ -38,7 +38,7 @@ def rims(domain: Domain) -> list[Side]:
     rounding = 2.0 * add_up(float(np.spacing(np.float32(abs(start)))) / unit for _, start, unit in axes)
     # As the displacement places points.
     return [
-        rim(axis, start + at * unit, rounding * unit) for axis, (at, start, unit) in enumerate(axes) if at != NO_RIM
+        rim(axis, start + at * unit, rounding * unit) for axis, (at, start, unit) in enumerate(axes) if at != NO_BORDER
     ]
 
 

@@ -31,7 +31,7 @@ ITEMS = {
 }
 
 # Of a planar graph, for each vertex.
-MOST_EDGES = 3
+MAX_EDGES = 3
 
 NONE_SWAPPED = np.empty((2, 0), np.int64)
 
@@ -118,7 +118,7 @@ class _Work:
         # So many vertices may go at most, and with them edges between them: as many of the last may fill the gaps.
         most_gone = int(np.count_nonzero(near))
         near[max(0, len(near) - most_gone) :] = True
-        near[surface.edges[max(0, len(surface.edges) - MOST_EDGES * most_gone) :]] = True
+        near[surface.edges[max(0, len(surface.edges) - MAX_EDGES * most_gone) :]] = True
         listed = _listed(near, surface.corner_verts, threads)
         self.corners = surface.triangles[listed]
         # At a side each triangle may become two, with two new vertices and two new edges.

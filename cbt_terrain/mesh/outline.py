@@ -11,7 +11,7 @@ from ..view.linear import lengths
 from .cut import Side
 
 # Each line of a convex outline is a cut of its own.
-MOST_LINES = 32
+MAX_LINES = 32
 # Parts of the outline's size that rounding may be off.
 SAME = 1e-9
 BLOCK = 1 << 20  # distances at a time
@@ -24,7 +24,7 @@ def inside(triangles: np.ndarray, surface) -> list[Side]:
     if not len(border):
         return [Side(lambda positions: np.full(len(positions), -1.0))]
     lines = _lines(border)
-    if len(lines) <= MOST_LINES and _holds_all(lines, border.reshape(-1, 2)):
+    if len(lines) <= MAX_LINES and _holds_all(lines, border.reshape(-1, 2)):
         return [Side(lambda positions, line=line: _from_line(line, positions)) for line in lines]
     values = _distances(triangles, border, surface)
     return [Side(lambda _positions: values)]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from ...kernels.morph import state as kernels
 from ...kernels.morph.state import PENDING, REMEMBERED, Ends, Known, Memory, MorphedPoint, Pending, Relief
-from ...kernels.refine.pixels import Asked
+from ...kernels.refine.pixels import CriterionArrays
 from ..history.frame_history import FrameHistory
 from ..run.buffers import Buffers, bind
 
@@ -17,11 +17,11 @@ class Rising:
     """`asked`: what the leaves were refined for. `end`: the ratio, more than 1, at which a point is in its place.
     `relaxed`: the factor by which a triangle limit coarsened what was asked: where the ramp begins."""
 
-    asked: Asked
+    asked: CriterionArrays
     end: float
     relaxed: float
 
-    def pack(self, coats, meshlet: int, vertices: int, history: FrameHistory) -> kernels.Morphing:
+    def pack(self, layers, meshlet: int, vertices: int, history: FrameHistory) -> kernels.Morphing:
         """Return what the kernel reads. `coats`: of the detail, or None."""
         rising = kernels.Morphing()
         rising.asked, ramp = self.asked, rising.ramp
@@ -31,8 +31,8 @@ class Rising:
             1.0 / (1.0 - 1.0 / self.end),
         )
         ramp.bisections = 2 * meshlet
-        if coats:
-            ramp.coats = coats
+        if layers:
+            ramp.layers = layers
         for name, dtype in RECORDS.items():
             written, last = history.next.arrays.get(name, vertices, dtype), history.last.arrays.get(name, 1, dtype)
             bind(rising, **{name: written, f"last_{name}": last})

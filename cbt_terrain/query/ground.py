@@ -16,7 +16,7 @@ from ..run.buffers import shared
 from .surface import packed
 
 COST = 3.0  # times dearer than a lookup
-MOST_PLACES = 50_000_000
+MAX_PLACES = 50_000_000
 FARTHEST = 1e100  # metres; squares of lengths are numbers still
 
 
@@ -93,9 +93,9 @@ def profile(
 
 
 def _check_count(count: float) -> None:
-    if count > MOST_PLACES:
+    if count > MAX_PLACES:
         raise TerrainError(
-            f"The profile would have {count:,.0f} places, more than {MOST_PLACES:,}: make the line shorter or give a "
+            f"The profile would have {count:,.0f} places, more than {MAX_PLACES:,}: make the line shorter or give a "
             "larger spacing."
         )
 

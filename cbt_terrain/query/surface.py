@@ -7,7 +7,7 @@ import warp as wp
 from ...kernels.query import crossing
 from ...kernels.query import rays as ray_kernels
 from ...kernels.query import surface as kernels
-from ..field import coats, codes
+from ..field import codes, displacement_layers
 from ..field.detail_bounds import highest
 from ..field.heightfield import PLANE_BITS, HeightField
 from ..plain_numbers import vertical
@@ -31,11 +31,11 @@ def packed(field: HeightField, vertical_scale: float, vertical_offset: float) ->
     s.west, s.south, east, north = lattice.rectangle()
     s.step_x, s.step_y = lattice.step_x, lattice.step_y
     s.per_x, s.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
-    s.rim_x, s.rim_y = ROUNDED * east / lattice.step_x, ROUNDED * north / lattice.step_y
+    s.border_x, s.border_y = ROUNDED * east / lattice.step_x, ROUNDED * north / lattice.step_y
     s.scale, s.offset = vertical_scale, vertical_offset
     s.bicubic = int(field.interpolation == "bicubic")
     s.samples = codes.packed(field.samples, field.steps)
-    s.coats = coats.packed(field.detail, field.finest_edge, lattice)
+    s.layers = displacement_layers.packed(field.detail, field.finest_edge, lattice)
     s.holed = int(field.valid is not None)
     s.valid = flat(np.ones(1, np.uint8) if field.valid is None else field.valid, wp.uint8)
     return s
@@ -54,7 +54,7 @@ def blocks_of(field: HeightField, surface: kernels.Surface) -> crossing.Blocks:
     b.first, b.pages = shared(first, wp.int64), shared(pages, wp.int32)
     b.ranges = flat(field.ranges, wp.uint16)
     b.cells, b.bends = first[-2], lattice.node_count
-    b.cell_pages, b.bend_group = pages[-1], lattice.groups + 1
+    b.cell_pages, b.curvature_group = pages[-1], lattice.groups + 1
     b.table, b.error = flat(field.table, wp.float32), shared(field.error, wp.uint8)
-    b.detail_bend = add_up(part.splits[0].curvature for part in field.parts)
+    b.detail_curvature = add_up(part.splits[0].curvature for part in field.parts)
     return b

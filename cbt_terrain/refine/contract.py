@@ -14,7 +14,7 @@ import warp as wp
 
 from ...kernels.field.domain import Domain
 from ...kernels.refine.excess import AREA, EDGE, ERROR, FIXED, METRES, STACK, Triangle, find_most
-from ...kernels.refine.pixels import Asked
+from ...kernels.refine.pixels import CriterionArrays
 from ..run import launch
 from ..run.buffers import Buffers
 from ..view.criterion import LARGEST, Criterion
@@ -58,14 +58,14 @@ class Outcome:
     """
 
     domain: Domain
-    asked: Asked
+    asked: CriterionArrays
     relaxed: float
     stopped: bool
     max_depth: int
     deepest: int
     relief: float
     buffers: Buffers
-    in_frame: Callable[[], Asked]
+    in_frame: Callable[[], CriterionArrays]
 
     def search(self, what: int, least: float) -> Excess | None:
         """The most of `what` (FIXED, ERROR, EDGE, AREA: on ground in view; METRES: anywhere) that leaves at the depth
@@ -180,7 +180,7 @@ def factor_of(criterion: Criterion, o: Outcome, bounds: list[Bound | None]) -> f
 def _fixed(o: Outcome) -> float:
     """Metres that cannot be refined away, at most."""
     d = o.domain
-    return d.rounding + min(d.lean * o.relief, d.most_lean) + d.source
+    return d.rounding + min(d.lean * o.relief, d.max_lean) + d.source
 
 
 def _kept(weighed: float, fixed: float, source_low: float, source_high: float) -> float:

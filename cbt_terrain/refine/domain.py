@@ -7,11 +7,11 @@ import warp as wp
 
 from ...kernels.field.domain import Domain
 from ...kernels.refine import curve
-from ...kernels.refine.pixels import Asked, LocalView
+from ...kernels.refine.pixels import CriterionArrays, LocalView
 from ..field import codes
-from ..field.coats import coat_tables, coats_of, mask_levels, most_of_masks
 from ..field.detail import EDGES_A_WAVE
 from ..field.detail_bounds import highest, radius_at
+from ..field.displacement_layers import layer_tables, layers_below, mask_levels, max_of_masks
 from ..field.heightfield import PLANE_BITS, HeightField
 from ..field.lattice import MAX_MESHLET, Lattice
 from ..field.meshlet_errors import error_for
@@ -31,7 +31,7 @@ DEPTH_BELOW_CELLS = 8
 ENOUGH = 0.25
 EXACT = Rounding()
 # Beyond all coordinates.
-NO_RIM = 2**31 - 1
+NO_BORDER = 2**31 - 1
 
 
 def depth_limit(field: HeightField) -> int:
@@ -55,7 +55,7 @@ def usual_depth(field: HeightField) -> int:
 def rim(lattice: Lattice, unit_bits: int) -> tuple[int, int]:
     """Lattice units at which the raster ends in the east and in the north; NO_RIM where the lattice does, too."""
     bits, sides = unit_bits - lattice.levels, zip((lattice.cells_x, lattice.cells_y), lattice.span, strict=True)
-    return tuple(NO_RIM if cells == span else cells << bits for cells, span in sides)
+    return tuple(NO_BORDER if cells == span else cells << bits for cells, span in sides)
 
 
 def make_domain(
@@ -76,17 +76,17 @@ def make_domain(
     domain.height_scale, domain.height_offset = height_scale, height_offset
     domain.range_base, domain.range_step = field.range_base, field.range_step
     domain.error_scale = abs(height_scale)
-    domain.rounding, domain.lean, domain.most_lean = rounding.height, rounding.lean, rounding.most_lean
+    domain.rounding, domain.lean, domain.max_lean = rounding.height, rounding.lean, rounding.max_lean
     domain.source = field.source_max * abs(height_scale)
     domain.enough = ENOUGH * (domain.rounding + domain.source)
     _pack_detail(domain, field, meshlet)
-    domain.detail_rim = 2 * (lattice.levels - meshlet)
+    domain.border_depth = 2 * (lattice.levels - meshlet)
     domain.bicubic = int(field.interpolation == "bicubic")
     base, pages = lattice.layout()
     domain.base, domain.pages = shared(base, wp.int64), shared(pages, wp.int32)
     domain.cell_base, domain.cell_pages = base[-2], pages[-1]
     domain.cell_columns, domain.cell_rows = lattice.extent(lattice.cell_depth)
-    domain.cell_group, domain.bend_group = lattice.groups, lattice.groups + domain.bicubic
+    domain.cell_group, domain.curvature_group = lattice.groups, lattice.groups + domain.bicubic
     domain.error = shared(error_for(field, meshlet), wp.uint8)
     domain.table = shared(field.table.reshape(-1), wp.float32)
     base, pages = lattice.range_layout()
@@ -99,19 +99,19 @@ def make_domain(
 
 def _pack_detail(domain: Domain, field: HeightField, meshlet: int) -> None:
     parts, ground, lattice = field.parts, field.detail, field.lattice
-    domain.detailed, domain.detail_most = int(bool(parts)), highest(parts)
-    tables = coat_tables(ground, field.finest_edge, lattice, meshlet)
+    domain.detailed, domain.max_detail = int(bool(parts)), highest(parts)
+    tables = layer_tables(ground, field.finest_edge, lattice, meshlet)
     domain.detail = shared(tables.reshape(-1, 2), wp.vec2f)
-    domain.masked = sum(int(coat.mask is not None) for coat in coats_of(ground))
+    domain.masked = sum(int(layer.mask is not None) for layer in layers_below(ground))
     levels = mask_levels(lattice)
-    domain.mask_most, domain.mask_top = shared(most_of_masks(ground), wp.uint8), len(levels) - 2
+    domain.mask_max, domain.mask_top = shared(max_of_masks(ground), wp.uint8), len(levels) - 2
     domain.mask_first = shared(levels, wp.int64)
 
 
-def pack(criterion: Criterion, views: list[LocalView], spans: Spans, source: float) -> Asked:
+def pack(criterion: Criterion, views: list[LocalView], spans: Spans, source: float) -> CriterionArrays:
     """What is asked, in spans of a pixel as the kernels measure them; `source`: metres that the source's own heights
     may be off. Where points rise it is finer, so that the mean over the ramp is what the criterion says."""
-    asked, mean = Asked(), mean_ramp(criterion.rises_until)
+    asked, mean = CriterionArrays(), mean_ramp(criterion.rises_until)
 
     def squared(value: float) -> float:
         return value / mean * (value / mean) if value > 0 else math.inf

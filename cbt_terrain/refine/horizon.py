@@ -9,7 +9,7 @@ import warp as wp
 from ...kernels.field.domain import Domain
 from ...kernels.refine.hiding import RING_BITS, ROW
 from ...kernels.refine.horizon_map import FINEST, Blocks, fill_blocks, fill_horizon
-from ...kernels.refine.pixels import Asked, LocalView
+from ...kernels.refine.pixels import CriterionArrays, LocalView
 from ..field.blocks import halvings, stacked
 from ..field.heightfield import HeightField
 from ..run import launch
@@ -38,13 +38,19 @@ def place_rings(domain: Domain, views: list[LocalView], factor: float, ramp: flo
     return entries
 
 
-def has_rings(asked: Asked) -> bool:
+def has_rings(asked: CriterionArrays) -> bool:
     """Whether something may be hidden from a view."""
     return bool(asked.view.rings.count or (asked.view_count > 1 and asked.views.numpy()["rings"]["count"].any()))
 
 
 def fill(
-    field: HeightField, domain: Domain, asked: Asked, max_depth: int, relaxed: float, buffers: Buffers, threads: int
+    field: HeightField,
+    domain: Domain,
+    asked: CriterionArrays,
+    max_depth: int,
+    relaxed: float,
+    buffers: Buffers,
+    threads: int,
 ) -> None:
     """Fill the maps for meshes that keep `relaxed` times what is asked, and leaves down to `max_depth`; of an infinite
     factor nothing is hidden."""
@@ -62,12 +68,14 @@ def fill(
         launch.spread(fill_horizon, int(ROW), inputs, step="horizon", threads=threads, cost=BIN_COST)
 
 
-def horizon_of(field: HeightField, domain: Domain, asked: Asked, max_depth: int, off: float, threads: int) -> Asked:
+def horizon_of(
+    field: HeightField, domain: Domain, asked: CriterionArrays, max_depth: int, off: float, threads: int
+) -> CriterionArrays:
     """What hides from the views of `asked`, with the maps, for a mesh that keeps `off` times what is asked and leaves
     down to `max_depth`."""
     views = asked.views.numpy().copy().view(np.recarray)
     entries = place_rings(domain, views, LARGEST)
-    own = Asked()
+    own = CriterionArrays()
     own.view_count, own.error_px2, own.metres2 = len(views), asked.error_px2, asked.metres2
     own.views = wp.array(views, dtype=LocalView, device=launch.DEVICE)
     if entries:

@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 from ...kernels.field.domain import Domain
-from ...kernels.refine.pixels import Asked
+from ...kernels.refine.pixels import CriterionArrays
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class RefinementRequest:
     """
 
     domain: Domain
-    asked: Asked
+    asked: CriterionArrays
     max_depth: int
     max_leaves: int
     is_limited: bool = False

@@ -10,7 +10,7 @@ import warp as wp
 
 from ...kernels.field.domain import Domain
 from ...kernels.refine import split_merge as kernels
-from ...kernels.refine.pixels import Asked
+from ...kernels.refine.pixels import CriterionArrays
 from ..field.lattice import Lattice
 from ..leb.bisection import grid_of
 from ..run import launch
@@ -20,7 +20,9 @@ from ..tree.concurrent_binary_tree import ConcurrentBinaryTree
 DECISION_COST = 40.0  # of a leaf's decision, in lookups: see `launch.spread`
 
 
-def split_merge(tree: ConcurrentBinaryTree, lattice: Lattice, domain: Domain, asked: Asked, max_depth: int) -> int:
+def split_merge(
+    tree: ConcurrentBinaryTree, lattice: Lattice, domain: Domain, asked: CriterionArrays, max_depth: int
+) -> int:
     """Split and merge the leaves of a tree over the lattice's squares by one level at most, towards what is asked.
 
     Return how many leaves have decided so; 0 once the tree is the refinement. `max_depth`: bisections of a square.

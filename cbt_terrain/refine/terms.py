@@ -51,11 +51,11 @@ class Rounding:
 
     height: float = 0.0
     lean: float = 0.0
-    most_lean: float = 0.0
+    max_lean: float = 0.0
 
     @property
     def most(self) -> float:
-        return self.height + self.most_lean
+        return self.height + self.max_lean
 
 
 def left_of(error_m: float, source: float) -> float:

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import warp as wp
 
-from ...kernels.field.detail import Coats
+from ...kernels.field.detail import PackedLayers
 from ...kernels.field.domain import Domain
 from ...kernels.scatter import points as kernels
 from ...kernels.scatter.seams import Pattern
-from ..attributes.attribute import Places
+from ..attributes.attribute import SamplePoints
 from ..attributes.evaluate import values_at
 from ..errors import TerrainError
-from ..field import coats
+from ..field import displacement_layers
 from ..field.heightfield import HeightField
 from ..mesh.outline import counter_clockwise, covered
 from ..plain_numbers import vertical
@@ -41,7 +41,7 @@ class ScatterGround:
     boundary: np.ndarray | None
     box: np.ndarray
     domain: Domain
-    detail: Coats
+    detail: PackedLayers
     valid: wp.array
     pattern: Pattern
     tiles: int
@@ -54,7 +54,7 @@ class ScatterGround:
         scale = vertical(request.vertical_scale, request.vertical_offset)
         valid = np.empty(0, np.uint8) if field.valid is None else field.valid
         box, domain = box_of(field, *scale), make_domain(field, 0, *scale)
-        detail = coats.packed(field.detail, field.finest_edge, field.lattice)
+        detail = displacement_layers.packed(field.detail, field.finest_edge, field.lattice)
         pattern, tiles = _pattern(field, request.scatter)
         flags, style = flat(np.ascontiguousarray(valid), wp.uint8), _style(request.scatter, tiles)
         return cls(field, request.scatter, scale, request.boundary, box, domain, detail, flags, pattern, tiles, style)
@@ -101,7 +101,7 @@ class ScatterGround:
         reads = self.scatter.reads()
         there = np.flatnonzero(density) if reads else np.empty(0, np.int64)
         if len(there):
-            places = Places(self.field, positions[there], np.zeros(len(there), np.float32), *self.scale, threads)
+            places = SamplePoints(self.field, positions[there], np.zeros(len(there), np.float32), *self.scale, threads)
             for request, column in reads:
                 density[there] *= values_at(places, [request])[request.name][:, column]
 

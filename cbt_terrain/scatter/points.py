@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
-from ...kernels.refine.pixels import Asked, LocalView
+from ...kernels.refine.pixels import CriterionArrays, LocalView
 from ...kernels.scatter import points as kernels
 from ...kernels.scatter.seen import Views
 from ..errors import TerrainError
@@ -41,7 +41,7 @@ ARRAYS = {
 
 
 @dataclass(frozen=True)
-class Points:
+class ScatterPoints:
     """Points of a frame. `positions`: float32 [n, 3], metres in the terrain's space. `normals`: float32 [n, 3], of the
     ground. `size`: float32 [n], from 0 on. `id`: int64 [n], the same for a point in every frame. `variant`: int32 [n],
     a random number from 0 to 2^31 - 1. `rotation`: float32 [n, 4], quaternions w, x, y, z. `tested`: number of tested
@@ -58,9 +58,9 @@ class Points:
     def __len__(self) -> int:
         return len(self.positions)
 
-    def only(self, which: np.ndarray) -> "Points":
+    def only(self, which: np.ndarray) -> "ScatterPoints":
         """Return the points with the indices, or the mask, `which`."""
-        return Points(*(getattr(self, name)[which] for name in ARRAYS), self.tested)
+        return ScatterPoints(*(getattr(self, name)[which] for name in ARRAYS), self.tested)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,20 +79,20 @@ class ScatterRequest:
     vertical_scale: float = 1.0
     vertical_offset: float = 0.0
     boundary: np.ndarray | None = None
-    horizon: "Asked | None" = None
+    horizon: "CriterionArrays | None" = None
     most: tuple[int, str] | None = None
 
 
 def scatter_points(
     field: HeightField, scatter: Scatter, views: Iterable[View] = (), threads: int | None = None, **placed
-) -> Points:
+) -> ScatterPoints:
     """Return the points that views see, or without views all points at full density. placed: see ScatterRequest."""
     return place_points(field, ScatterRequest(scatter, views, **placed), FrameHistory(), threads)
 
 
 def place_points(
     field: HeightField, request: ScatterRequest, history: FrameHistory, threads: int | None = None
-) -> Points:
+) -> ScatterPoints:
     """Return the points of a request. The history caches candidates, which depend on no view, so that the points do not
     depend on it.
 
@@ -111,7 +111,7 @@ def place_points(
 
 def _points(
     request: ScatterRequest, views: list[View], ground: ScatterGround, history: FrameHistory, threads: int
-) -> Points:
+) -> ScatterPoints:
     scratch = history.scratch
     seen, pattern, scatter = _seen(request, views, ground), ground.pattern, request.scatter
     placed = pattern.west, pattern.south, pattern.side, scatter.seed
@@ -132,7 +132,7 @@ def _points(
     first = flat((np.cumsum(counts) - counts).astype(np.int32), wp.int32)
     inputs = [listed, first, candidates, chosen, ground.style, _room(history, total)]
     launch.slices(kernels.fill_points, [[*piece, *inputs] for piece in pieces_of(counts, threads)], step="tell")
-    return Points(*(history.lend(history.points, name, total) for name in ARRAYS), tested)
+    return ScatterPoints(*(history.lend(history.points, name, total) for name in ARRAYS), tested)
 
 
 def _seen(request: ScatterRequest, views: list[View], ground: ScatterGround) -> Views:
@@ -156,7 +156,7 @@ def _seen(request: ScatterRequest, views: list[View], ground: ScatterGround) -> 
     return seen
 
 
-def on_mesh(points: Points, terrain: Terrain, surface: Surface) -> Points:
+def on_mesh(points: ScatterPoints, terrain: Terrain, surface: Surface) -> ScatterPoints:
     """Move points to the heights of the terrain's last surface, where it has a triangle; normals do not change."""
     places = points.positions[:, :2].astype(np.float64)
     number = terrain.triangles_at(places)
@@ -170,7 +170,7 @@ def on_mesh(points: Points, terrain: Terrain, surface: Surface) -> Points:
     return replace(points, positions=positions)
 
 
-def _hide(views: list[LocalView], horizon: Asked) -> None:
+def _hide(views: list[LocalView], horizon: CriterionArrays) -> None:
     """Set the horizon rings of views. Raises TerrainError for the horizon of other views."""
     others = horizon.views.numpy()[: horizon.view_count]
     if len(others) != len(views) or any(list(v.eye) != o["eye"].tolist() for v, o in zip(views, others, strict=True)):

@@ -4,7 +4,7 @@
 import math
 from dataclasses import dataclass, replace
 
-from ..attributes.attribute import GEOMETRY, Asked
+from ..attributes.attribute import GEOMETRY, AttributeRequest
 from ..attributes.splat import NAMES
 from ..attributes.splat_rules import Layer, check
 from ..errors import TerrainError, check_number, check_seed
@@ -72,7 +72,7 @@ class Scatter:
         """Side of a tile of the pattern in metres."""
         return self.spacing * math.sqrt(POINTS)
 
-    def reads(self) -> list[tuple[Asked, int]]:
+    def reads(self) -> list[tuple[AttributeRequest, int]]:
         """Return the attributes whose product is the density, each with the column of its values; none for 1."""
         found = []
         if self.where.rules or self.where.strength != 1.0:
@@ -86,5 +86,5 @@ class Scatter:
         return ANYWHERE, replace(self.where, on_top=True)
 
 
-def _splat(number: int, layers: tuple[Layer, ...]) -> Asked:
-    return Asked(NAMES[number], ("a scatter",), GEOMETRY, (("layers", layers),))
+def _splat(number: int, layers: tuple[Layer, ...]) -> AttributeRequest:
+    return AttributeRequest(NAMES[number], ("a scatter",), GEOMETRY, (("layers", layers),))

@@ -26,11 +26,11 @@ EVEN_SLANTS = 1.06
 NO_SLANT = 1e-6
 # Edges are asked for shorter by what float32 corners may add to them at the depth limit, but by no more than this part:
 # where leaves get so small that it is more, the bound says so.
-MOST_STRETCH = 0.01
+MAX_STRETCH = 0.01
 
 
 @dataclass(frozen=True)
-class Plan:
+class PlanUnits:
     """What edges depend on: metres of a lattice unit along x and y, its bits in a root square's side, the deepest leaf,
     and metres by which float32 corners may be off along each axis."""
 
@@ -70,7 +70,7 @@ class Spans:
         return max(1.0, _stretch(self.lengths, self.unit_bits, depth, self.off) / self.allowed)
 
 
-def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray, plan: Plan) -> Spans:
+def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray, plan: PlanUnits) -> Spans:
     """The spans of the views of a terrain that stands at `placement`."""
     slants = [slants_of(view, placement, criterion) for view in views]
     wholes = [whole_of(view, placement, smallest) for view, (_, smallest) in zip(views, slants, strict=True)]
@@ -87,7 +87,7 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
     units = [unit_lengths(v, placement, plan.steps) for v in views]
     longest = tuple(max(of_one) for of_one in zip(*units, strict=True))
     off = max(largest_offset(v, placement, plan.off) for v in views)
-    allowed = min(_stretch(longest, plan.unit_bits, plan.depth, off), 1 + MOST_STRETCH)
+    allowed = min(_stretch(longest, plan.unit_bits, plan.depth, off), 1 + MAX_STRETCH)
     return Spans(*seen, tuple(scales), edge / allowed, longest, allowed, off, plan.unit_bits)
 
 

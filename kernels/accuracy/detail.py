@@ -6,7 +6,7 @@ What the two share is what says which surface it is: the numbers of `Detail`, th
 
 import warp as wp
 
-from ..field.detail import SHIFT_X, SHIFT_Y, Coats, Detail
+from ..field.detail import SHIFT_X, SHIFT_Y, PackedDetail, PackedLayers
 from ..field.noise import scramble
 
 
@@ -38,7 +38,7 @@ def noise_at(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
 
 
 @wp.func
-def octaves_height(d: Detail, x: wp.float64, y: wp.float64) -> wp.float64:
+def octaves_height(d: PackedDetail, x: wp.float64, y: wp.float64) -> wp.float64:
     """Metres of height of all octaves at (x, y) metres: each turns and halves the place of the one before."""
     found = wp.float64(0.0)
     u = x * d.frequency
@@ -73,7 +73,7 @@ def de_boor(p: wp.vec4d, t: wp.float64) -> wp.float64:
 
 
 @wp.func
-def image_height(c: Coats, d: Detail, x: wp.float64, y: wp.float64) -> wp.float64:
+def image_height(c: PackedLayers, d: PackedDetail, x: wp.float64, y: wp.float64) -> wp.float64:
     """Metres of height of an image: of each row along x, then of those along y."""
     u = x * d.frequency
     v = y * d.frequency
@@ -92,7 +92,7 @@ def image_height(c: Coats, d: Detail, x: wp.float64, y: wp.float64) -> wp.float6
 
 
 @wp.func
-def mask_height(c: Coats, first: wp.int64, x: wp.float64, y: wp.float64) -> wp.float64:
+def mask_height(c: PackedLayers, first: wp.int64, x: wp.float64, y: wp.float64) -> wp.float64:
     """Part of a coat that lies at a place: its four samples in the mean with their weights."""
     s = wp.clamp((x - c.west) * c.per_x, wp.float64(0.0), wp.float64(c.columns - 1))
     t = wp.clamp((y - c.south) * c.per_y, wp.float64(0.0), wp.float64(c.rows - 1))
@@ -107,11 +107,11 @@ def mask_height(c: Coats, first: wp.int64, x: wp.float64, y: wp.float64) -> wp.f
 
 
 @wp.func
-def detail_height(c: Coats, x: wp.float64, y: wp.float64) -> wp.float64:
+def detail_height(c: PackedLayers, x: wp.float64, y: wp.float64) -> wp.float64:
     """Metres of height of all coats at (x, y) metres."""
     found = wp.float64(0.0)
     for k in range(c.count):
-        d = c.coat[k]
+        d = c.layer[k]
         z = wp.float64(0.0)
         if d.columns > 0:
             z = image_height(c, d, x, y)

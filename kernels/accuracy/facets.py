@@ -12,7 +12,7 @@ the same maximum: a fault in one of the two shows in the other.
 import warp as wp
 
 from ..field.codes import Samples, corners_of, sample_at
-from ..field.detail import Coats
+from ..field.detail import PackedLayers
 from .cubic import cubic_at
 from .detail import detail_height
 
@@ -24,8 +24,8 @@ class Ground:
     bits: wp.int32  # 2**bits lattice units a cell
     bicubic: wp.int32  # 1, or 0: bilinear
     curved: wp.int32  # 0: bilinear without detail, so that extrema have a closed form
-    coats: Coats
-    detail_most: wp.float64  # metres before scaling that it rises or falls, at most
+    layers: PackedLayers
+    max_detail: wp.float64  # metres before scaling that it rises or falls, at most
     west: wp.float64  # metres
     south: wp.float64
     step_x: wp.float64
@@ -124,8 +124,8 @@ def plane_at(f: Facet, u: wp.float64, v: wp.float64) -> wp.float64:
 def detail_in(ground: Ground, u: wp.float64, v: wp.float64) -> wp.float64:
     """Metres before scaling of the detail, u cells east and v cells north."""
     z = wp.float64(0.0)
-    if ground.coats.count > 0:
-        z = detail_height(ground.coats, ground.west + u * ground.step_x, ground.south + v * ground.step_y)
+    if ground.layers.count > 0:
+        z = detail_height(ground.layers, ground.west + u * ground.step_x, ground.south + v * ground.step_y)
     return z
 
 

@@ -52,10 +52,10 @@ def angles(
                 if owns(ground, f, i, j):
                     g = on_sample(ground.samples, i, j)
                     truth = wp.vec3d(-g[1] * per_x, -g[2] * per_y, up)
-                    if ground.coats.count > 0:
+                    if ground.layers.count > 0:
                         x = ground.west + wp.float64(i) * ground.step_x
                         y = ground.south + wp.float64(j) * ground.step_y
-                        d = detail_at(ground.coats, x, y)
+                        d = detail_at(ground.layers, x, y)
                         truth = truth - wp.vec3d(d[1], d[2], wp.float64(0.0)) * ground.scale
                     bits = wp.int64(ground.bits)
                     shading = normal_at(mesh, f, t, wp.int64(i) << bits, wp.int64(j) << bits)

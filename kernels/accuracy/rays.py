@@ -157,8 +157,8 @@ def in_one_patch(
     """As `in_one_cell`, of a curved surface: to what its places show."""
     hit = NOWHERE
     a, b = heights_about(ground.samples, i, j)
-    a = (a - ground.detail_most) * ground.scale + ground.offset
-    b = (b + ground.detail_most) * ground.scale + ground.offset
+    a = (a - ground.max_detail) * ground.scale + ground.offset
+    b = (b + ground.max_detail) * ground.scale + ground.offset
     on_side = side_of_span(ray, first, last, a, b)
     if on_side != wp.float64(0.0):
         if side * on_side < wp.float64(0.0):

@@ -29,7 +29,7 @@ VISIBLE = wp.constant(wp.uint8(1))
 HIDDEN = wp.constant(wp.uint8(2))
 
 # The bound where the mesh may reach the eye (criterion.LARGEST): no error is told that is more.
-MOST_PX = wp.constant(wp.float64(1e30))
+MAX_PX = wp.constant(wp.float64(1e30))
 
 
 @wp.struct
@@ -106,7 +106,7 @@ def apart_px(eye: Eye, truth: wp.vec3d, a: wp.vec3d, b: wp.vec3d) -> wp.float64:
         x = (p[0] - q[0]) * eye.half_width
         y = (p[1] - q[1]) * eye.half_height
         pixels = wp.sqrt(x * x + y * y)
-    return wp.where(pixels < MOST_PX, pixels, MOST_PX)  # also where it is no number any more
+    return wp.where(pixels < MAX_PX, pixels, MAX_PX)  # also where it is no number any more
 
 
 @wp.func

@@ -24,7 +24,7 @@ from ..refine.band import (
     nothing_certain,
     too_coarse,
 )
-from ..refine.pixels import Asked
+from ..refine.pixels import CriterionArrays
 from ..refine.stored_errors import SURE, error_at, fetch_ahead, leaves_tile, may_be_less, stored_error_at
 from .count_state import CELLS, MARKS, Cell, Count, Part, add, last_split
 
@@ -88,7 +88,7 @@ def part_of(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> Part:
 @wp.func
 def judge(
     domain: Domain,
-    asked: Asked,
+    asked: CriterionArrays,
     limits: Limits,
     coarse: Limits,
     w: Count,
@@ -149,7 +149,7 @@ def fetch_quadrants(domain: Domain, p: Part):
 
 
 @wp.kernel
-def count(domain: Domain, asked: Asked, w: Count):
+def count(domain: Domain, asked: CriterionArrays, w: Count):
     """Count the diamonds of the slice by the last step at which they are split.
 
     As soon as there are more than `most` at the finest step, that is given up for the next one.

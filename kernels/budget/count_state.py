@@ -5,7 +5,7 @@ import warp as wp
 
 from ..refine.band import Band, Limits, Measured, too_coarse
 from ..refine.diamond import larger, smaller
-from ..refine.pixels import Asked
+from ..refine.pixels import CriterionArrays
 
 CELLS = wp.constant(128)  # entries of a slice's stack: three for every second level are enough
 STEPS_PER_OCTAVE = 128
@@ -73,7 +73,7 @@ def add(w: Count, step: wp.int32, last: wp.int32, triangles: wp.int64) -> wp.int
 
 
 @wp.func
-def last_split(asked: Asked, limits: Limits, w: Count, first: wp.int32, m: Measured) -> wp.int32:
+def last_split(asked: CriterionArrays, limits: Limits, w: Count, first: wp.int32, m: Measured) -> wp.int32:
     """The last step at which a diamond is split that is at step `first`.
 
     limits: those of `first`. A logarithm says which one it is or nearly so; what decides is what the walk does.

@@ -3,21 +3,21 @@
 
 import warp as wp
 
-from ..field.detail import Coats, detail_at
+from ..field.detail import PackedLayers, detail_at
 from ..field.domain import Domain
 from ..mesh.displace import AHEAD, Points, fetch_samples, find_run, put_vertex, runs_of, surface_at, take_run
 from ..unchecked import item_at
 
 
 @wp.func
-def with_detail(domain: Domain, coats: Coats, p: wp.vec2i, g: wp.vec3d) -> wp.vec3d:
+def with_detail(domain: Domain, layers: PackedLayers, p: wp.vec2i, g: wp.vec3d) -> wp.vec3d:
     """Add the detail's height and gradient (metres a cell) at a lattice point to `g`."""
     units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     level_x = wp.where(p[0] > domain.east, wp.float64(0.0), wp.float64(1.0))  # padding is level
     level_y = wp.where(p[1] > domain.north, wp.float64(0.0), wp.float64(1.0))
     x = domain.west + wp.float64(wp.min(p[0], domain.east)) * domain.unit_x
     y = domain.south + wp.float64(wp.min(p[1], domain.north)) * domain.unit_y
-    d = detail_at(coats, x, y)
+    d = detail_at(layers, x, y)
     return g + wp.vec3d(d[0], d[1] * level_x * domain.unit_x * units, d[2] * level_y * domain.unit_y * units)
 
 
@@ -30,7 +30,7 @@ def displace_detail(
     slot: wp.int32,
     domain: Domain,
     points: Points,
-    coats: Coats,
+    layers: PackedLayers,
 ):
     """Do the same as `displace` in kernels/mesh/displace.py on the surface with all displacement layers."""
     last = point_base + wp.int64(end - 1)
@@ -44,5 +44,5 @@ def displace_detail(
             k = point_base + wp.int64(u)
             fetch_samples(domain, item_at(points.point, wp.min(k + wp.int64(AHEAD), last)))
             p = item_at(points.point, k)
-            put_vertex(points, vertex_base + u, domain, p, with_detail(domain, coats, p, surface_at(domain, p)))
+            put_vertex(points, vertex_base + u, domain, p, with_detail(domain, layers, p, surface_at(domain, p)))
         v = stop

@@ -10,7 +10,7 @@ from ..field.noise import scramble
 from ..unchecked import item_at
 from .logarithm import natural_log
 
-MOST_LAYERS = wp.constant(12)
+MAX_LAYERS = wp.constant(12)
 Weights = wp.types.vector(length=12, dtype=wp.float32)
 
 # Kinds of rules: a value, its decimal logarithm, the component in a direction, the layer's noise, another layer, an

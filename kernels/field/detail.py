@@ -17,7 +17,7 @@ BYTE = wp.constant(wp.float64(1.0 / 255.0))
 
 
 @wp.struct
-class Detail:
+class PackedDetail:
     """One displacement layer.
 
     Noise: octave k has the amplitude `amplitude * gain^k` and `frequency * 2^k` lattice points a metre. An image, if
@@ -37,11 +37,11 @@ class Detail:
 
 
 @wp.struct
-class Coats:
+class PackedLayers:
     """The displacement layers of a surface, which are added, with their images and masks."""
 
     count: wp.int32
-    coat: wp.array(dtype=Detail)
+    layer: wp.array(dtype=PackedDetail)
     pixels: wp.array(dtype=wp.float32)
     masks: wp.array(dtype=wp.uint8)  # a byte for each sample of the raster; 255 is the full height
     columns: wp.int32  # samples in a row of the raster
@@ -53,7 +53,7 @@ class Coats:
 
 
 @wp.func
-def noise_detail(d: Detail, x: wp.float64, y: wp.float64):
+def noise_detail(d: PackedDetail, x: wp.float64, y: wp.float64):
     """Return the height of the octaves at (x, y) metres, and its slopes: (metres, metres a metre along x, along y)."""
     found = wp.vec3d()
     a = d.amplitude
@@ -92,7 +92,7 @@ def slope_basis(t: wp.float64) -> wp.vec4d:
 
 
 @wp.func
-def image_detail(c: Coats, d: Detail, x: wp.float64, y: wp.float64):
+def image_detail(c: PackedLayers, d: PackedDetail, x: wp.float64, y: wp.float64):
     """Return the height of a periodic image and its slopes, as `noise_detail` does."""
     u = x * d.frequency
     v = y * d.frequency
@@ -119,7 +119,7 @@ def image_detail(c: Coats, d: Detail, x: wp.float64, y: wp.float64):
 
 
 @wp.func
-def mask_at(c: Coats, first: wp.int64, x: wp.float64, y: wp.float64):
+def mask_at(c: PackedLayers, first: wp.int64, x: wp.float64, y: wp.float64):
     """Return the weight of a layer at (x, y) metres, 0 .. 1, and its derivatives along x and y, 1 / metre."""
     s = wp.clamp((x - c.west) * c.per_x, wp.float64(0.0), wp.float64(c.columns - 1))
     t = wp.clamp((y - c.south) * c.per_y, wp.float64(0.0), wp.float64(c.rows - 1))
@@ -139,11 +139,11 @@ def mask_at(c: Coats, first: wp.int64, x: wp.float64, y: wp.float64):
 
 
 @wp.func
-def detail_at(c: Coats, x: wp.float64, y: wp.float64):
+def detail_at(c: PackedLayers, x: wp.float64, y: wp.float64):
     """Return the height of all layers at (x, y) metres, and its slopes: (metres, metres a metre along x, along y)."""
     found = wp.vec3d()
     for k in range(c.count):
-        d = c.coat[k]
+        d = c.layer[k]
         m = wp.vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0))
         if d.masked == 1:
             m = mask_at(c, d.mask, x, y)

@@ -27,17 +27,17 @@ class Domain:
     error_scale: wp.float64  # magnitude of height_scale
     rounding: wp.float64  # metres: largest rounding error of float32 heights
     lean: wp.float64  # ... further error by plane coordinates, metres a metre of the range of a diamond's box
-    most_lean: wp.float64  # ... largest such error, metres
+    max_lean: wp.float64  # ... largest such error, metres
     source: wp.float64  # metres: largest rounding error of the source's heights
     enough: wp.float64  # metres: errors below this are not refined further
     detailed: wp.int32  # 1: the surface has displacement layers, see cbt_terrain/field/detail.py
-    detail_most: wp.float64  # metres: their largest magnitude
+    max_detail: wp.float64  # metres: their largest magnitude
     detail: wp.array(dtype=wp.vec2f)  # ... for each depth: largest distance from a leaf, largest climb of its edges
     masked: wp.int32  # number of layers with a mask; their tables follow, for 1 of 255
-    mask_most: wp.array(dtype=wp.uint8)  # ... maximum of each mask: of cells, of 2 x 2 cells and so on
+    mask_max: wp.array(dtype=wp.uint8)  # ... maximum of each mask: of cells, of 2 x 2 cells and so on
     mask_first: wp.array(dtype=wp.int64)  # ... first entry of each level, and the number of entries
     mask_top: wp.int32  # ... last level
-    detail_rim: wp.int32  # depth of the deepest leaves with triangles across the raster's border
+    border_depth: wp.int32  # depth of the deepest leaves with triangles across the raster's border
     bicubic: wp.int32  # 1: the surface is bicubic, and the hierarchy that of kernels/bicubic/patches.py
     is_raised: wp.int32  # 1: stored errors are deliberately larger than the surface's, also inside cells
     base: wp.array(dtype=wp.int64)  # first entry of each group of depths, of the cells and of the curvatures
@@ -47,7 +47,7 @@ class Domain:
     cell_columns: wp.int32  # ... number of cells
     cell_rows: wp.int32
     cell_group: wp.int32
-    bend_group: wp.int32  # group of the errors that halve below the cells: for a bilinear surface the cells'
+    curvature_group: wp.int32  # group of the errors that halve below the cells: for a bilinear surface the cells'
     table: wp.array(dtype=wp.float32)  # metres: 256 values a group
     error: wp.array(dtype=wp.uint8)
     range_first: wp.array(dtype=wp.int64)  # `base` and `pages` of the ranges

@@ -37,7 +37,7 @@ def refine(count: int, max_depth: int, local: wp.float64, m: Mesh, found: wp.arr
                 finer = m.level[t] - 2 * d.levels - 1
                 cell = _cell_of(m, t)
                 error = _grid_error(m, t, finer, cell)
-                too_coarse = metres2_of(d, error, d.rounding + d.most_lean) > m.asked * m.asked
+                too_coarse = metres2_of(d, error, d.rounding + d.max_lean) > m.asked * m.asked
                 if m.level[t] < max_depth and (too_coarse or _held(m, t, error)):
                     splits += 1
                     if finer >= 0:

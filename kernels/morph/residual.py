@@ -19,23 +19,23 @@ Warp passes structs by value, and the compiler undoes that only of a function wi
 import warp as wp
 
 from ..detail.displace import with_detail
-from ..field.detail import Coats
+from ..field.detail import PackedLayers
 from ..field.domain import Domain
 from ..mesh.displace import normal_of, surface_at
 from ..refine.band import ABOVE
 from ..refine.diamond import Diamond, diamond_at, larger, metres2_of, rest_of, smaller
-from ..refine.pixels import Asked, finest, sizes
+from ..refine.pixels import CriterionArrays, finest, sizes
 from ..refine.stored_errors import error_at, reach_of
 from .lattice import SplitVertex, above, depth_of, half_edge, split_vertex
 from .state import NOWHERE, PENDING, REMEMBERED, Ends, Known, Memory, MorphedPoint, Morphing, Pending, Ramp, Relief
 
 
 @wp.func
-def surface_of(domain: Domain, coats: Coats, p: wp.vec2i) -> wp.vec3d:
+def surface_of(domain: Domain, layers: PackedLayers, p: wp.vec2i) -> wp.vec3d:
     """Return height and gradient (metres a cell) of the surface with its detail."""
     g = surface_at(domain, p)
-    if coats.count > 0:
-        g = with_detail(domain, coats, p, g)
+    if layers.count > 0:
+        g = with_detail(domain, layers, p, g)
     return g
 
 
@@ -51,7 +51,9 @@ def relief_of(domain: Domain, a: SplitVertex):
 
 
 @wp.func
-def ratio2_of(domain: Domain, asked: Asked, a: SplitVertex, r: Relief, metres2: wp.float64, in_frame: wp.int32):
+def ratio2_of(
+    domain: Domain, asked: CriterionArrays, a: SplitVertex, r: Relief, metres2: wp.float64, in_frame: wp.int32
+):
     """Return the squared ratio of the diamond of `a`, the largest of all criteria, and its finest squared pixel."""
     reach = reach_of(domain.unit_bits, a.depth)
     d = Diamond()
@@ -143,7 +145,7 @@ def see(
         if is_own and weight < wp.float64(1.0):
             morphing.relief[vertex] = relief
     if not was_there:
-        surface = surface_of(domain, morphing.ramp.coats, at)
+        surface = surface_of(domain, morphing.ramp.layers, at)
         known.height = surface[0]
         known.normal = normal_of(domain, surface)
     known.is_settled = wp.where(weight < wp.float64(1.0), 0, 1)

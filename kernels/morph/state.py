@@ -3,8 +3,8 @@
 
 import warp as wp
 
-from ..field.detail import Coats
-from ..refine.pixels import Asked
+from ..field.detail import PackedLayers
+from ..refine.pixels import CriterionArrays
 
 REMEMBERED = wp.constant(1 << 12)  # points in a table: neighbours on the curve come from the same ones
 PENDING = wp.constant(64)  # points that wait for those they come from: at most one of each depth
@@ -19,7 +19,7 @@ class Ramp:
     end2: wp.float64  # squared ratio k at which a point is in its place
     steep: wp.float64  # 1 / (1 - 1 / k)
     bisections: wp.int32  # of meshlets: a point is judged by the diamond so many bisections above
-    coats: Coats  # none: there is no detail
+    layers: PackedLayers  # none: there is no detail
 
 
 @wp.struct
@@ -66,7 +66,7 @@ class Relief:
 class Morphing:
     """The ramp, and records of each vertex for the next frame and from the last one."""
 
-    asked: Asked
+    asked: CriterionArrays
     ramp: Ramp
     known: wp.array(dtype=Known)
     last_known: wp.array(dtype=Known)

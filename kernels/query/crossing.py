@@ -16,7 +16,7 @@ from ..unchecked import item_at
 from .surface import Surface, jet_in
 
 NOWHERE = wp.constant(wp.float64(wp.inf))
-MOST_STEPS = wp.constant(100_000)  # far more than a cell ever takes; heights of a damaged store may be anything
+MAX_STEPS = wp.constant(100_000)  # far more than a cell ever takes; heights of a damaged store may be anything
 CLOSE = wp.constant(wp.float64(1e-15))  # of the way along the ray: a step that is shorter has arrived
 
 
@@ -37,10 +37,10 @@ class Blocks:
     cells: wp.int64  # of a bicubic surface: the first entry of the raster's cells in the ranges
     bends: wp.int64  # ... and in the errors
     cell_pages: wp.int32
-    bend_group: wp.int32
+    curvature_group: wp.int32
     table: wp.array(dtype=wp.float32)
     error: wp.array(dtype=wp.uint8)
-    detail_bend: wp.float64  # second derivative of the detail, 1 / metre before scaling, at most
+    detail_curvature: wp.float64  # second derivative of the detail, 1 / metre before scaling, at most
 
 
 @wp.struct
@@ -159,13 +159,13 @@ def bend_along(surface: Surface, blocks: Blocks, ray: Ray, i: wp.int32, j: wp.in
     if surface.bicubic == 1:
         at = blocks.bends + tile_index(i, j, blocks.cell_pages)
         # what is stored is a quarter of the norm of the second derivatives over cells
-        bend = wp.float64(2.0) * wp.float64(error_of(blocks.table, blocks.bend_group, blocks.error, at)) * across
+        bend = wp.float64(2.0) * wp.float64(error_of(blocks.table, blocks.curvature_group, blocks.error, at)) * across
     else:
         p = corners_of(surface.samples, i, j)
         bend = wp.abs(((p[3] - p[2]) - (p[1] - p[0])) * ray.du * ray.dv)
     x = ray.du * surface.step_x
     y = ray.dv * surface.step_y
-    return wp.abs(surface.scale) * (bend + wp.float64(0.5) * blocks.detail_bend * (x * x + y * y))
+    return wp.abs(surface.scale) * (bend + wp.float64(0.5) * blocks.detail_curvature * (x * x + y * y))
 
 
 @wp.func
@@ -177,7 +177,7 @@ def in_curved(surface: Surface, blocks: Blocks, ray: Ray, part: Part):
     hit = NOWHERE
     t = part.first
     k = wp.int32(0)
-    while k < MOST_STEPS:
+    while k < MAX_STEPS:
         k += 1
         s = ray.u + t * ray.du - wp.float64(part.i)
         r = ray.v + t * ray.dv - wp.float64(part.j)
@@ -230,7 +230,7 @@ def in_one_cell(surface: Surface, blocks: Blocks, ray: Ray, part: Part):
     """As `in_bilinear`, of any surface."""
     hit = NOWHERE
     side = wp.float64(0.0)
-    if surface.bicubic == 0 and surface.coats.count == 0:
+    if surface.bicubic == 0 and surface.layers.count == 0:
         hit, side = in_bilinear(surface, ray, part)
     else:
         low, high = cell_range(surface, blocks, part.i, part.j)

@@ -57,8 +57,8 @@ def ground_at(
         one = wp.float64(1.0)
         fetch_about(surface, places[wp.min(n + AHEAD, count - 1)])
         p = places[n]
-        u = onto_rim((p[0] - surface.west) / surface.step_x, cells_x, surface.rim_x)
-        v = onto_rim((p[1] - surface.south) / surface.step_y, cells_y, surface.rim_y)
+        u = onto_rim((p[0] - surface.west) / surface.step_x, cells_x, surface.border_x)
+        v = onto_rim((p[1] - surface.south) / surface.step_y, cells_y, surface.border_y)
         zero = wp.float64(0.0)
         found = u >= zero and v >= zero and u <= wp.float64(cells_x) and v <= wp.float64(cells_y)
         height = NOTHING

@@ -5,7 +5,7 @@ import warp as wp
 
 from ..bicubic.surface import in_patch
 from ..field.codes import Samples, corners_of
-from ..field.detail import Coats, detail_at
+from ..field.detail import PackedLayers, detail_at
 from ..field.holes import is_whole
 from ..mesh.displace import in_cell
 
@@ -20,13 +20,13 @@ class Surface:
     step_y: wp.float64
     per_x: wp.float64  # samples a metre
     per_y: wp.float64
-    rim_x: wp.float64  # cells that a place may be beyond the rim: what float32 positions round
-    rim_y: wp.float64
+    border_x: wp.float64  # cells that a place may be beyond the rim: what float32 positions round
+    border_y: wp.float64
     scale: wp.float64
     offset: wp.float64
     bicubic: wp.int32  # 1, or 0: bilinear
     samples: Samples
-    coats: Coats
+    layers: PackedLayers
     holed: wp.int32  # 1: some samples are missing
     valid: wp.array(dtype=wp.uint8)  # of each sample, 0 where it is missing; one entry without holes
 
@@ -78,10 +78,10 @@ def in_saddle(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.f
 def metric(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64, g: wp.vec3d) -> wp.vec3d:
     """Height and gradient g (metres a cell) as metres a metre, that of the detail added."""
     found = wp.vec3d(g[0], g[1] * surface.per_x, g[2] * surface.per_y)
-    if surface.coats.count > 0:
+    if surface.layers.count > 0:
         x = surface.west + (wp.float64(i) + s) * surface.step_x
         y = surface.south + (wp.float64(j) + t) * surface.step_y
-        found += detail_at(surface.coats, x, y)
+        found += detail_at(surface.layers, x, y)
     return found
 
 

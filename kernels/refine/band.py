@@ -9,7 +9,7 @@ import warp as wp
 
 from ..field.domain import Domain
 from .diamond import Diamond, diamond_at, larger, metres2_of, own_for, rest_of, smaller
-from .pixels import Asked, coarsest, finest, sizes, too_coarse_at
+from .pixels import CriterionArrays, coarsest, finest, sizes, too_coarse_at
 
 ABOVE = wp.constant(wp.float64(1.0 + 1e-9))
 BELOW = wp.constant(wp.float64(1.0 - 1e-9))
@@ -65,7 +65,7 @@ class Band:
 
 
 @wp.func
-def limits_of(asked: Asked, slack: wp.float64) -> Limits:
+def limits_of(asked: CriterionArrays, slack: wp.float64) -> Limits:
     """slack: the part by which spans of a pixel may change without any doubt of what a band says."""
     one = wp.float64(1.0)
     limits = Limits()
@@ -84,7 +84,13 @@ def limits_of(asked: Asked, slack: wp.float64) -> Limits:
 
 @wp.func
 def measured_at(
-    domain: Domain, asked: Asked, x: wp.int32, y: wp.int32, depth: wp.int32, error: wp.float32, in_frame: wp.int32
+    domain: Domain,
+    asked: CriterionArrays,
+    x: wp.int32,
+    y: wp.int32,
+    depth: wp.int32,
+    error: wp.float32,
+    in_frame: wp.int32,
 ) -> Measured:
     """Measure the diamond split at (x, y); in_frame: 1 where it is known that the frustums hold its box."""
     m = Measured()
@@ -101,7 +107,7 @@ def measured_at(
 
 
 @wp.func
-def too_coarse(asked: Asked, limit: wp.float64, m: Measured) -> wp.bool:
+def too_coarse(asked: CriterionArrays, limit: wp.float64, m: Measured) -> wp.bool:
     """Whether a diamond is to be split at `limit` times what is asked: criteria combine by or."""
     return too_coarse_at(asked, limit, m.pixel2, m.metres2, m.long2 + m.climb2, m.legs2 + m.climb2)
 
@@ -158,7 +164,7 @@ def first_within(
 @wp.func
 def band_below(
     domain: Domain,
-    asked: Asked,
+    asked: CriterionArrays,
     limits: Limits,
     coarse: Limits,
     m: Measured,

@@ -16,7 +16,7 @@ from .pixels import (
     ORTHOGRAPHIC,
     OUTSIDE,
     PERSPECTIVE,
-    Asked,
+    CriterionArrays,
     LocalView,
     ends_of,
     farthest_far2,
@@ -286,7 +286,7 @@ def stands_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
 
 
 @wp.func
-def carried(asked: Asked, motion: Motion, kept: Subtree, in_frame: wp.int32):
+def carried(asked: CriterionArrays, motion: Motion, kept: Subtree, in_frame: wp.int32):
     """The subtree as it stands for the view that has moved, and whether it holds: all of it is decided as it was.
 
     in_frame: 1 where it is known that the frustum holds it.

@@ -171,7 +171,7 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
         climb = wp.float64((1 + odd) * wp.where(domain.bicubic == 1, 3, 1))
         d.rise = d.rise * smaller(climb / part, wp.float64(1.0))
     if domain.detailed == 1 and d.rim < 2:
-        more = wp.vec3d(wp.float64(0.0), wp.float64(0.0), domain.detail_most * domain.error_scale)
+        more = wp.vec3d(wp.float64(0.0), wp.float64(0.0), domain.max_detail * domain.error_scale)
         d.low = d.low - more
         d.high = d.high + more
         d.rise += wp.float64(domain.detail[depth][1]) * domain.error_scale
@@ -182,7 +182,7 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
 def rest_of(domain: Domain, d: Diamond) -> wp.float64:
     """Metres by which float32 positions may be off in a diamond's box, see `rounding` in cbt_terrain/refine/terms.py.
     Boxes are nested, and so is this."""
-    return domain.rounding + smaller(domain.lean * (d.high[2] - d.low[2]), domain.most_lean)
+    return domain.rounding + smaller(domain.lean * (d.high[2] - d.low[2]), domain.max_lean)
 
 
 @wp.func

@@ -22,7 +22,7 @@ from .pixels import (
     CROSSED,
     OUTSIDE,
     PERSPECTIVE,
-    Asked,
+    CriterionArrays,
     LocalView,
     farthest_pixel2,
     least_of,
@@ -109,8 +109,8 @@ def box_between(
     high = d.high[2]
     if depth > 2 * domain.levels and domain.bicubic == 0:
         least, most = heights_between(domain, x0, y0, x1, y1)
-        least -= domain.detail_most
-        most += domain.detail_most
+        least -= domain.max_detail
+        most += domain.max_detail
         z0 = least * domain.height_scale + domain.height_offset
         z1 = most * domain.height_scale + domain.height_offset
         # Margins shrink from depth to depth by more than rounding can do to the heights of the surface.
@@ -171,7 +171,7 @@ def finest_seen_in(view: LocalView, d: Diamond):
 
 
 @wp.func
-def finest_seen(domain: Domain, asked: Asked, d: Diamond, t: Triangle):
+def finest_seen(domain: Domain, asked: CriterionArrays, d: Diamond, t: Triangle):
     """Return the same of a triangle of a diamond, by all views; and whether spans hardly differ in it."""
     x0 = wp.min(t.apex[0], wp.min(t.left[0], t.right[0]))
     y0 = wp.min(t.apex[1], wp.min(t.left[1], t.right[1]))
@@ -207,7 +207,7 @@ def error_below(domain: Domain, t: Triangle, x: wp.int32, y: wp.int32, deepest: 
         falls = wp.max(halvings_at(domain, deepest) - halvings_at(domain, t.depth) - beside, 0)
         if domain.bicubic == 0 and i < domain.samples.columns - 1 and j < domain.samples.rows - 1:
             # The error of a meshlet's triangles.
-            falls = halvings_at(domain, deepest) + 2 * domain.levels - domain.detail_rim
+            falls = halvings_at(domain, deepest) + 2 * domain.levels - domain.border_depth
             error = wp.float64(0.25) * twist_of(corners_of(domain.samples, i, j))
         error = error / wp.float64(wp.int64(1) << wp.int64(falls))
     error = error * domain.error_scale
@@ -261,7 +261,7 @@ def distance_from_plane(domain: Domain, t: Triangle) -> wp.float64:
 
 
 @wp.func
-def measured(domain: Domain, asked: Asked, what: wp.int32, deepest: wp.int32, t: Triangle) -> Triangle:
+def measured(domain: Domain, asked: CriterionArrays, what: wp.int32, deepest: wp.int32, t: Triangle) -> Triangle:
     """Return the triangle with the most that leaves at depth `deepest` in it have, or the leaf that it is a part of."""
     x = (t.left[0] + t.right[0]) >> 1
     y = (t.left[1] + t.right[1]) >> 1
@@ -272,7 +272,7 @@ def measured(domain: Domain, asked: Asked, what: wp.int32, deepest: wp.int32, t:
         if what == ERROR or what == METRES:
             t.total += error_below(domain, t, x, y, deepest)
     if what == ERROR and domain.bicubic == 0 and domain.detailed == 0:
-        if t.depth == deepest + 2 * domain.levels - domain.detail_rim:  # a leaf, or a triangle of its meshlet
+        if t.depth == deepest + 2 * domain.levels - domain.border_depth:  # a leaf, or a triangle of its meshlet
             t.is_drawn = wp.bool(True)
             t.drawn = t.apex
             t.plane = plane_of(domain, t)
@@ -329,7 +329,7 @@ def half(t: Triangle, first: wp.vec2i, second: wp.vec2i) -> Triangle:
 @wp.kernel
 def find_most(
     domain: Domain,
-    asked: Asked,
+    asked: CriterionArrays,
     what: wp.int32,
     deepest: wp.int32,
     least2: wp.float64,

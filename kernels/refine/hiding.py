@@ -38,7 +38,7 @@ BINS = wp.constant(256)  # of each of the four sides
 ROW = wp.constant(1024)  # of all: entries of a ring
 RING_BITS = wp.constant(47)  # of a float64's 52 behind the first that tell no rings apart
 # A box that meets more is not called hidden; so those below it that are hidden are found one by one.
-MOST_BINS = wp.constant(256)
+MAX_BINS = wp.constant(256)
 
 
 @wp.struct
@@ -135,7 +135,7 @@ def is_hidden(rings: Rings, slopes: wp.array(dtype=wp.float32), low: wp.vec3d, h
         top = wp.where(high[2] > zero, high[2] / near, high[2] / far)
         bottom = wp.where(low[2] > zero, low[2] / far, low[2] / near)
         row = rings.at + (ring + 1) * ROW
-        left = wp.int32(MOST_BINS)
+        left = wp.int32(MAX_BINS)
         side = wp.int32(0)
         while hidden and side < 4:
             bins = bins_of(side, low, high, near)
@@ -175,7 +175,7 @@ def covered(
         inner = radius_of(rings.first + ring)
         to_come = wp.max(one - (near - inner) / (radius_of(rings.first + ring + 1) - inner), zero)
         row = rings.at + (ring + 1) * ROW
-        left = wp.float64(MOST_BINS)
+        left = wp.float64(MAX_BINS)
         side = wp.int32(0)
         while part > zero and side < 4:
             reach = reach_on(side, low, high, near)

@@ -16,11 +16,11 @@ from ..unchecked import item_at
 from .diamond import heights_of_cells, larger, smaller
 from .excess import heights_between
 from .hiding import BINS, ROW, bin_of, radius_of
-from .pixels import Asked, LocalView
+from .pixels import CriterionArrays, LocalView
 
 FINEST = wp.constant(2)  # the smallest blocks have 4 x 4 cells
 FEW_CELLS = wp.constant(8)  # along a rectangle: up to here cells are read, beyond it blocks
-MOST_BLOCKS = wp.constant(6)  # ... along a side
+MAX_BLOCKS = wp.constant(6)  # ... along a side
 NOTHING = wp.constant(wp.float64(-1e30))
 OUTWARD = wp.constant(wp.float64(2e-7))  # what float32 may round off, and more
 
@@ -85,7 +85,7 @@ def least_over(
         least = least_of_cells(domain, i0, j0, i1, j1, up)
     else:
         level = wp.int32(FINEST)
-        while wp.max((i1 >> level) - (i0 >> level), (j1 >> level) - (j0 >> level)) >= MOST_BLOCKS:
+        while wp.max((i1 >> level) - (i0 >> level), (j1 >> level) - (j0 >> level)) >= MAX_BLOCKS:
             level += 1
         for j in range(j0 >> level, (j1 >> level) + 1):
             for i in range(i0 >> level, (i1 >> level) + 1):
@@ -97,7 +97,7 @@ def least_over(
 def placed(domain: Domain, least: wp.float64, sign: wp.float64) -> wp.float64:
     """A least height of the raster, before scaling, as that of the surface with its detail, in metres."""
     if domain.detailed == 1:
-        least -= domain.detail_most
+        least -= domain.max_detail
     return least * domain.error_scale + sign * domain.height_offset
 
 
@@ -170,7 +170,7 @@ def steady_least(domain: Domain, blocks: Blocks, grown: wp.int32, corner: wp.vec
         level = wp.int32(0)
         if longest > wp.float64(FEW_CELLS):
             level = FINEST
-            while longest >= wp.float64(wp.int32(MOST_BLOCKS) << level):
+            while longest >= wp.float64(wp.int32(MAX_BLOCKS) << level):
                 level += 1
         part = wp.float64(1.0) / wp.float64(wp.int32(1) << level)
         least = least_of_windows(domain, blocks, level, corner * part, size * part, up)
@@ -180,7 +180,7 @@ def steady_least(domain: Domain, blocks: Blocks, grown: wp.int32, corner: wp.vec
 @wp.func
 def off_at(
     domain: Domain,
-    asked: Asked,
+    asked: CriterionArrays,
     view: LocalView,
     reach2: wp.float64,
     relaxed: wp.float64,
@@ -194,7 +194,7 @@ def off_at(
     # A pixel must not grow as fast as the way to it: else higher ground might have a lower mesh.
     if part2 * reach2 < wp.float64(0.5):
         metres2 = smaller(metres2, part2 * larger(reach2 * (across2 + rise * rise), view.near2))
-    return larger(wp.sqrt(metres2), domain.enough) + domain.rounding + domain.most_lean
+    return larger(wp.sqrt(metres2), domain.enough) + domain.rounding + domain.max_lean
 
 
 @wp.func
@@ -222,7 +222,7 @@ def ground_near(domain: Domain, blocks: Blocks, x: wp.float64, y: wp.float64, re
                 low_h, high_h = heights_between(domain, x0, y0, x1, y1)
                 z = wp.max(low_h * domain.height_scale, high_h * domain.height_scale)
                 if domain.detailed == 1:
-                    z += domain.detail_most * domain.error_scale
+                    z += domain.max_detail * domain.error_scale
                 high = z + domain.height_offset
             else:
                 high = -least_over(domain, blocks, x0, y0, x1, y1, wp.float64(-1.0))
@@ -234,7 +234,7 @@ def fill_horizon(
     offset: int,
     domain: Domain,
     blocks: Blocks,
-    asked: Asked,
+    asked: CriterionArrays,
     number: wp.int32,
     start: wp.float64,
     grown: wp.int32,

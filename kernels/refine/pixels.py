@@ -48,7 +48,7 @@ class LocalView:
 
 
 @wp.struct
-class Asked:
+class CriterionArrays:
     """What is asked, squared; infinity is off."""
 
     view_count: wp.int32
@@ -136,7 +136,7 @@ def steady_stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
 
 
 @wp.func
-def sizes(asked: Asked, unit_bits: wp.int32, depth: wp.int32):
+def sizes(asked: CriterionArrays, unit_bits: wp.int32, depth: wp.int32):
     """Of the two level triangles at a diamond: squared length of the longest edge and twice the area."""
     side = wp.float64(wp.int32(1) << (unit_bits - ((depth - 1) >> 1)))
     side2 = side * side
@@ -315,7 +315,7 @@ def coarsest_in(view: LocalView, d: Diamond, in_frame: wp.int32):
 
 
 @wp.func
-def finest(asked: Asked, d: Diamond, in_frame: wp.int32) -> wp.float64:
+def finest(asked: CriterionArrays, d: Diamond, in_frame: wp.int32) -> wp.float64:
     """Squared metres of the finest pixel that any view has on the box: infinite beyond the rim. One view is at hand."""
     pixel2 = wp.float64(wp.inf)
     if asked.view_count > 0 and d.rim < 2:
@@ -326,7 +326,7 @@ def finest(asked: Asked, d: Diamond, in_frame: wp.int32) -> wp.float64:
 
 
 @wp.func
-def coarsest(asked: Asked, d: Diamond, in_frame: wp.int32):
+def coarsest(asked: CriterionArrays, d: Diamond, in_frame: wp.int32):
     """As `coarsest_in`, of the view that has the finest pixels there; whether the frustums of all views hold it.
 
     Some of the boxes inside one that reaches beyond the rim are wholly beyond it: none is certain to be split.
@@ -346,7 +346,12 @@ def coarsest(asked: Asked, d: Diamond, in_frame: wp.int32):
 
 @wp.func
 def too_coarse_at(
-    asked: Asked, limit: wp.float64, pixel2: wp.float64, metres2: wp.float64, long2: wp.float64, legs2: wp.float64
+    asked: CriterionArrays,
+    limit: wp.float64,
+    pixel2: wp.float64,
+    metres2: wp.float64,
+    long2: wp.float64,
+    legs2: wp.float64,
 ):
     """Whether a diamond is to be split at `limit` times what is asked, where a pixel spans sqrt(pixel2)."""
     px2 = limit * pixel2

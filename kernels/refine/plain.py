@@ -18,14 +18,14 @@ import warp as wp
 from ..field.domain import Domain
 from .band import LEAF, SPLIT, measured_at, too_coarse
 from .emit import emit
-from .pixels import Asked
+from .pixels import CriterionArrays
 from .steps import STOPPED, advance, enter, middle_of, put_results, square_at
 from .stored_errors import error_at
 from .walk_state import Walk, Written
 
 
 # Tests make it a kernel: as one of this module it would be compiled before anybody's first frame.
-def walk(domain: Domain, asked: Asked, w: Walk):
+def walk(domain: Domain, asked: CriterionArrays, w: Walk):
     """As the kernel of walk.py, for whatever is asked."""
     n = Written()
     end = w.first_cell

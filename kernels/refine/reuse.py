@@ -9,7 +9,7 @@ from .block import MAX_BISECTIONS
 from .coherence import Subtree, carried, stands_of
 from .diamond import smaller
 from .emit import stands_alone
-from .pixels import CLEAR, CROSSED, Asked, coarsest
+from .pixels import CLEAR, CROSSED, CriterionArrays, coarsest
 from .reuse_state import Reuse, ReuseCursor
 from .runs import NOT_CLEAR
 from .steps import STOPPED, size_of
@@ -93,7 +93,7 @@ def narrow(r: Reuse, slot: wp.int32, fall: wp.float64, rise: wp.float64):
 
 
 @wp.func
-def reuse_subtree(asked: Asked, w: Walk, r: Reuse, q: Square, c: Cursor, n: Written) -> wp.int32:
+def reuse_subtree(asked: CriterionArrays, w: Walk, r: Reuse, q: Square, c: Cursor, n: Written) -> wp.int32:
     """Copy a triangle's leaves from the last frame if they are cached and still hold: REUSED; else DOUBT."""
     k = w.slot
     at = q.base + c.cell
@@ -145,7 +145,7 @@ def may_begin_subtree(w: Walk, r: Reuse, q: Square, c: Cursor) -> wp.bool:
 
 
 @wp.func
-def open_subtree(asked: Asked, w: Walk, r: Reuse, q: Square, c: Cursor, m: Measured, band: Band, n: Written):
+def open_subtree(asked: CriterionArrays, w: Walk, r: Reuse, q: Square, c: Cursor, m: Measured, band: Band, n: Written):
     """Begin to cache the leaves below a triangle that is split, if only few bisections are left."""
     k = w.slot
     opens = r.cursor[k].end == NOWHERE and r.cursor[k].count < r.room
@@ -174,7 +174,7 @@ def open_subtree(asked: Asked, w: Walk, r: Reuse, q: Square, c: Cursor, m: Measu
 
 
 @wp.func
-def note_turning(asked: Asked, limits: Limits, w: Walk, r: Reuse, m: Measured):
+def note_turning(asked: CriterionArrays, limits: Limits, w: Walk, r: Reuse, m: Measured):
     """Limit the open subtree to footprints at which the diamond that was measured is decided as now."""
     if r.cursor[w.slot].end != NOWHERE:
         inf = wp.float64(wp.inf)

@@ -14,14 +14,14 @@ from ..tree.atomic import highest_bit
 from ..tree.bitfield import ONE, Bitfield, decode_leaf, heap_id_of
 from ..tree.edits import merge
 from .band import measured_at, too_coarse
-from .pixels import Asked
+from .pixels import CriterionArrays
 from .stored_errors import error_at
 
 MERGE = wp.constant(wp.uint64(1 << 63))  # an order to merge the children of a node; without it, to split a leaf
 
 
 @wp.func
-def is_too_coarse(domain: Domain, asked: Asked, middle: wp.vec2i, depth: wp.int32) -> wp.bool:
+def is_too_coarse(domain: Domain, asked: CriterionArrays, middle: wp.vec2i, depth: wp.int32) -> wp.bool:
     """Return whether the diamond that is split at `middle` is too coarse."""
     error = error_at(domain, middle[0], middle[1], depth)
     return too_coarse(asked, asked.limit, measured_at(domain, asked, middle[0], middle[1], depth, error, 0))
@@ -33,7 +33,7 @@ def decide(
     t: Bitfield,
     grid: SquareGrid,
     domain: Domain,
-    asked: Asked,
+    asked: CriterionArrays,
     max_depth: wp.int32,
     orders: wp.array(dtype=wp.uint64),
 ):

@@ -41,7 +41,7 @@ def twist_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
     twist = wp.float64(0.0)
     if i < domain.samples.columns - 1 and j < domain.samples.rows - 1:  # a meshlet's errors reach beyond the raster
         twist = wp.float64(0.25) * twist_of(corners_of(domain.samples, i, j))
-    return round_up(twist / wp.float64(wp.int64(1) << wp.int64(2 * domain.levels - domain.detail_rim)))
+    return round_up(twist / wp.float64(wp.int64(1) << wp.int64(2 * domain.levels - domain.border_depth)))
 
 
 @wp.func
@@ -142,7 +142,7 @@ def raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -
         bits = domain.unit_bits - domain.levels
         i = x >> bits
         j = y >> bits
-        group = wp.where(finer > 0, domain.bend_group, domain.cell_group)
+        group = wp.where(finer > 0, domain.curvature_group, domain.cell_group)
         error = cell_entry(domain, group, i, j)
         if (depth & 1) == 0:
             # the middle of an edge that two raster cells share
@@ -188,7 +188,7 @@ def most_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth
     for j in range(wp.max((y - reach) >> shift, 0), j1 + 1):
         for i in range(wp.max((x - reach) >> shift, 0), i1 + 1):
             at = first + wp.int64(j) * wp.int64(columns + 1) + wp.int64(i)
-            most = wp.max(most, wp.int32(item_at(domain.mask_most, at)))
+            most = wp.max(most, wp.int32(item_at(domain.mask_max, at)))
     return most
 
 
@@ -199,7 +199,7 @@ def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, lea
     Beyond the rim the surface goes on level, so a triangle that reaches over it may miss all.
     """
     at = leaf_depth
-    if leaf_depth <= domain.detail_rim:
+    if leaf_depth <= domain.border_depth:
         reach = reach_of(domain.unit_bits, depth)
         if x + reach > domain.east or y + reach > domain.north:
             at = 0

@@ -25,7 +25,7 @@ from .band import (
 )
 from .block import MAX_BISECTIONS
 from .emit import emit, stands_alone
-from .pixels import Asked
+from .pixels import CriterionArrays
 from .reuse import (
     begin_reuse,
     close_subtree,
@@ -47,7 +47,7 @@ NARROWED = wp.constant(2)
 
 
 @wp.func
-def judge(domain: Domain, asked: Asked, limits: Limits, w: Walk, r: Reuse, q: Square, c: Cursor, n: Written):
+def judge(domain: Domain, asked: CriterionArrays, limits: Limits, w: Walk, r: Reuse, q: Square, c: Cursor, n: Written):
     """Return the verdict on a triangle, SPLIT, LEAF or EVEN_BLOCK, and the band that holds below it."""
     middle = middle_of(c)
     above = w.bands[c.held]
@@ -104,7 +104,7 @@ def fetch_children(domain: Domain, w: Walk, c: Cursor):
 
 
 @wp.kernel
-def walk(domain: Domain, asked: Asked, w: Walk, r: Reuse):
+def walk(domain: Domain, asked: CriterionArrays, w: Walk, r: Reuse):
     """Refine the leaves whose first deepest cell lies in the slice; leaves that do not fit are only counted."""
     limits = limits_of(asked, r.slack)
     n = Written()

@@ -8,7 +8,7 @@ on no view and are cached from frame to frame.
 import warp as wp
 
 from ..detail.displace import with_detail
-from ..field.detail import Coats
+from ..field.detail import PackedLayers
 from ..field.domain import Domain
 from ..field.holes import is_whole
 from ..field.noise import scramble
@@ -107,7 +107,7 @@ def place(
     begin: wp.int32,
     end: wp.int32,
     domain: Domain,
-    displacement: Coats,
+    displacement: PackedLayers,
     valid: wp.array(dtype=wp.uint8),
     pattern: Pattern,
     runs: wp.array(dtype=CandidateRun),

@@ -10,7 +10,7 @@ from ...cbt_terrain.accuracy import Measured, measure
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.accuracy.sweep import is_unsteady, spread_of, unsteady_text, worst
 from ...cbt_terrain.accuracy.sweep_settings import PIXELS, metre_steps
-from ...cbt_terrain.accuracy.timed_runs import Frame, fastest, timed_runs
+from ...cbt_terrain.accuracy.timed_runs import TimedFrame, fastest, timed_runs
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.terrain import Terrain
 from ...cbt_terrain.view.criterion import unit_asked
@@ -83,7 +83,7 @@ def measure_request(field, request: Request, on_progress) -> Result:
     relief_m = (field.max_height - field.min_height) * abs(request.vertical_scale)
     swept = PIXELS if unit == "px" else metre_steps(relief_m)
     errors = sorted({getattr(request.criterion, name), *swept}, reverse=True)
-    frame = Frame(request.views, request.placement, request.vertical_scale, request.vertical_offset)
+    frame = TimedFrame(request.views, request.placement, request.vertical_scale, request.vertical_offset)
     views = frame.views or [None]
     steps = len(errors) + len(views)
     terrain, points, no_curve = Terrain(field), [], ""

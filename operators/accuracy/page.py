@@ -11,7 +11,19 @@ from ...cbt_terrain.accuracy.sweep_settings import Setting
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.view.criterion import LARGEST
 from ..text.numbers import number
-from ..text.page_blocks import Figures, Heading, Lead, Picture, Plot, Strip, Table, Text, Words, as_html, as_markdown
+from ..text.page_blocks import (
+    Figures,
+    Heading,
+    Lead,
+    PagePicture,
+    PictureStrip,
+    Plot,
+    Table,
+    Text,
+    Words,
+    as_html,
+    as_markdown,
+)
 from ..text.png import png
 from ..text.shown_bounds import bound_text, limit_text
 from .land_section import land_section
@@ -101,7 +113,7 @@ def files(subjects, machine: dict[str, str]) -> dict[str, str | bytes]:
 def pictures(blocks: list) -> dict[str, str | bytes]:
     """Return the files that a page's Markdown shows, by name."""
     drawn = {block.name: block.svg for block in blocks if isinstance(block, Plot)}
-    return drawn | {p.name: p.png for block in blocks if isinstance(block, Strip) for p in block.pictures}
+    return drawn | {p.name: p.png for block in blocks if isinstance(block, PictureStrip) for p in block.pictures}
 
 
 def title_of(subjects) -> str:
@@ -185,11 +197,11 @@ def figures(row: Row) -> list[tuple[str, str]]:
     ]
 
 
-def strip(subject, prefix: str) -> list[Strip]:
+def strip(subject, prefix: str) -> list[PictureStrip]:
     """Return the same part of the picture at several errors, with the cost of each; [] if nothing was drawn."""
     costs = {row.setting.error: row for row in strip_rows(subject)}
     shown = [
-        Picture(
+        PagePicture(
             f"{prefix}{subject.name}_{crop.error_px:g}px.png",
             f"{costs[crop.error_px].triangles:,} triangles, {costs[crop.error_px].whole_ms:.3g} ms a frame",
             f"{crop.error_px:g} px",
@@ -202,7 +214,7 @@ def strip(subject, prefix: str) -> list[Strip]:
         f"The part of {where} in which these errors differ most, pixel by pixel. The edges of the triangles are drawn "
         f"in its lower left half.{' Triangles and times are medians of all frames.' if subject.numbers[1:] else ''}"
     )
-    return [Strip(shown), Text(text)] if shown else []
+    return [PictureStrip(shown), Text(text)] if shown else []
 
 
 def strip_rows(subject) -> list[Row]:

@@ -13,7 +13,7 @@ from ..export.exporting import check_room, check_target, make_folder, write_file
 from ..text.machine import machine
 from . import page as accuracy_page
 from .plots import label
-from .subject import Subject
+from .subject import AccuracySubject
 
 PAGE = "index.html"
 FILES = ("accuracy.csv", "accuracy.json", "accuracy.md", PAGE)
@@ -29,19 +29,19 @@ def prepare(out: Path) -> None:
     check_room(out / PAGE, REPORT_BYTES)
 
 
-def write(subjects: Sequence[Subject], out: Path) -> None:
+def write(subjects: Sequence[AccuracySubject], out: Path) -> None:
     """Write FILES and the plots of measured subjects into the folder `out`, all or none; raises TerrainError."""
     make_folder(out)  # which may be gone since `prepare`
     write_files(out, accuracy_page.files(subjects, machine()))
 
 
-def draw(subject: Subject) -> None:
+def draw(subject: AccuracySubject) -> None:
     """Draw the pictures of errors that a page shows side by side."""
     errors = [row.setting.error for row in accuracy_page.strip_rows(subject)]
     subject.crops = crops(Terrain(subject.heights), subject.frames[0], errors, subject.base)
 
 
-def check_bounds(subjects: Sequence[Subject]) -> None:
+def check_bounds(subjects: Sequence[AccuracySubject]) -> None:
     """Raise TerrainError where a measured error passes its bound."""
     if broken := [(subject, row) for subject in subjects for row in subject.rows if not row.error <= row.bound]:
         subject, row = broken[0]

@@ -12,8 +12,8 @@ import numpy as np
 from ...cbt_terrain.accuracy.crops import Crop
 from ...cbt_terrain.accuracy.sweep import Row
 from ...cbt_terrain.accuracy.sweep_settings import Setting, settings_for
-from ...cbt_terrain.accuracy.timed_runs import Frame
-from ...cbt_terrain.attributes.plan import Plan, plan
+from ...cbt_terrain.accuracy.timed_runs import TimedFrame
+from ...cbt_terrain.attributes.plan import AttributePlan, plan
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.view.camera_path import read_camera_path
@@ -30,7 +30,7 @@ LOOK_FROM, FOV_DEG = (-0.6, -0.65, 0.47), 50.0
 
 
 @dataclass
-class Subject:
+class AccuracySubject:
     """One terrain that is measured.
 
     Attributes:
@@ -45,7 +45,7 @@ class Subject:
 
     name: str
     heights: HeightField
-    frames: list[Frame]
+    frames: list[TimedFrame]
     numbers: list[int]
     seen: str
     current: Setting | None
@@ -54,7 +54,7 @@ class Subject:
     notes: list[str] = field(default_factory=list)
     crops: list[Crop] = field(default_factory=list)
     called: str = ""
-    effects: Plan = Plan()
+    effects: AttributePlan = AttributePlan()
 
     @property
     def title(self) -> str:
@@ -69,28 +69,32 @@ class Subject:
         return settings if self.current is None or self.current in settings else [self.current, *settings]
 
 
-def store_subject(store: Path, path: Path | None, frames: Sequence[int] | None, resolution: tuple[int, int]) -> Subject:
+def store_subject(
+    store: Path, path: Path | None, frames: Sequence[int] | None, resolution: tuple[int, int]
+) -> AccuracySubject:
     """Return a store seen along a camera path, or from a position that shows all of it."""
     heights = open_store(store)
     name, current = slug(Path(store).stem), Setting("px", Criterion().error_px)
     size = f"{resolution[0]} x {resolution[1]} pixels"
     if path is None:
         view = overview(heights, resolution)
-        return Subject(name, heights, [Frame([view])], [], f"as a whole from the south-west, {size}", current)
+        return AccuracySubject(
+            name, heights, [TimedFrame([view])], [], f"as a whole from the south-west, {size}", current
+        )
     flight = read_camera_path(path)
     last = math.floor(flight.frames[-1])
     numbers = list(frames or spread(math.ceil(flight.frames[0]), last))
 
-    def at(frame: int) -> Frame:
-        return Frame([flight.view(frame, resolution)])
+    def at(frame: int) -> TimedFrame:
+        return TimedFrame([flight.view(frame, resolution)])
 
-    shown = [Frame(at(n).views, after=at(n + 1) if n + 1 <= last else None) for n in numbers]
-    return Subject(name, heights, shown, numbers, f"along {Path(path).name}, {size}", current)
+    shown = [TimedFrame(at(n).views, after=at(n + 1) if n + 1 <= last else None) for n in numbers]
+    return AccuracySubject(name, heights, shown, numbers, f"along {Path(path).name}, {size}", current)
 
 
 def scene_subjects(
     blend: Path, camera: str | None, frames: Sequence[int] | None, resolution: tuple[int, int] | None
-) -> list[Subject]:
+) -> list[AccuracySubject]:
     """Return the terrains of a .blend file at the detail of the render; without `frames`, at the file's current frame.
 
     Triangles that a clean-up cuts away are measured too: they change no error of the others.
@@ -110,17 +114,17 @@ class Look:
 
     name: str
     request: object
-    frames: list[Frame]
+    frames: list[TimedFrame]
     numbers: list[int]
 
-    def subject(self, through: str) -> Subject:
+    def subject(self, through: str) -> AccuracySubject:
         """Open the terrain, seen `through` a camera (in words), without touching Blender."""
         from ..session import session
 
         size = " x ".join(f"{pixels:g}" for pixels in self.frames[0].views[0].resolution)
         request, seen = self.request, f"through {through}, {size} pixels"
         heights, current = session.field_of(request), current_setting(request)
-        found = Subject(self.name, heights, self.frames, self.numbers, seen, current, request.criterion)
+        found = AccuracySubject(self.name, heights, self.frames, self.numbers, seen, current, request.criterion)
         found.called, found.effects = self.name, plan(request.effects.asked)
         found.notes += notes_on(request.criterion)
         return found
@@ -142,7 +146,7 @@ def look_at(scene, view_layer, objects, numbers: Sequence[int], **look) -> list[
                 # A criterion in metres needs no view, but its errors are measured on screen too.
                 views = request.views or gather(obj, view_layer.depsgraph, RENDER, criterion=Criterion(), **look).views
                 requests[obj.name, number] = request
-                shown[obj.name, number] = Frame(
+                shown[obj.name, number] = TimedFrame(
                     views, request.placement, request.vertical_scale, request.vertical_offset
                 )
     return [

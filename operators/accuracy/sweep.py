@@ -19,7 +19,7 @@ from ..terrain.request import RENDER, gather
 from . import report as accuracy_report
 from .measuring import MeasuringOperator
 from .plots import label
-from .subject import Look, Subject, look_at
+from .subject import AccuracySubject, Look, look_at
 
 BESIDE = "//accuracy/"
 NOT_FOLLOWED = (
@@ -77,7 +77,7 @@ def readers_of(scene) -> list[str]:
     return sorted(user.name for user in users if user.id_type not in ("WINDOWMANAGER", "SCREEN", "WORKSPACE"))
 
 
-def measured(look: Look, through: str, job: BackgroundJob) -> Subject:
+def measured(look: Look, through: str, job: BackgroundJob) -> AccuracySubject:
     """Return the terrain with every row of a whole sweep; only meshes are written on the main thread."""
     with session.engine_lock:
         subject = look.subject(through)
@@ -120,7 +120,7 @@ class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
         readers = readers_of(scene)
         through = f"the camera of {Path(bpy.data.filepath).name or 'the scene'}"
 
-        def carry_out(job: BackgroundJob) -> tuple[Path, Subject]:
+        def carry_out(job: BackgroundJob) -> tuple[Path, AccuracySubject]:
             subject = measured(look, through, job)
             if readers:
                 subject.notes.append(f"{' and '.join(readers)} may follow {NOT_FOLLOWED}")
@@ -134,7 +134,7 @@ class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
     def clean_up(self):
         accuracy_report.ingest_end()
 
-    def finish(self, _context, _obj, result: tuple[Path, Subject]) -> None:
+    def finish(self, _context, _obj, result: tuple[Path, AccuracySubject]) -> None:
         folder, subject = result
         self.report({"INFO"}, f"{folder / accuracy_report.PAGE}: {len(subject.rows)} settings measured")
 

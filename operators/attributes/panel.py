@@ -7,7 +7,7 @@ moves while someone aims at it.
 
 import bpy
 
-from ...cbt_terrain.attributes.catalogue import EFFECTS
+from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
 from ...cbt_terrain.attributes.evaluate import MAX_BYTES
 from .. import jobs
 from ..maps.properties import label
@@ -19,7 +19,7 @@ from .properties import is_number
 
 NAME_WIDTH, COST_WIDTH = 0.58, 0.65  # fractions of a row, and of its rest
 ABOUT_LINES, READER_LINES = 5, 4
-_shown = next(iter(EFFECTS))
+_shown = next(iter(ATTRIBUTES))
 
 
 class EffectsPanel(TerrainSubpanel, bpy.types.Panel):
@@ -35,12 +35,12 @@ class EffectsPanel(TerrainSubpanel, bpy.types.Panel):
         self.layout.operator("adaptive_terrain.terrain_material", icon="MATERIAL")
         figures(self.layout.column(align=True), summary_lines(statuses, status.effects_bytes))
         rows = self.layout.column(align=True)
-        for name in EFFECTS:
+        for name in ATTRIBUTES:
             _draw_row(rows, settings, name, statuses.get(name))
         _draw_details(self.layout.box(), _shown, statuses.get(_shown))
         column = self._columns()
         column.prop(settings, "geometry_metres")
-        for parameter in filter(is_number, EFFECTS[_shown].parameters):
+        for parameter in filter(is_number, ATTRIBUTES[_shown].parameters):
             column.prop(getattr(settings, _shown), parameter.name)
 
 
@@ -67,8 +67,8 @@ def _draw_details(box, name: str, status) -> None:
 
 def about_text(name: str) -> str:
     """`Slope (rad): how steep ...`; a share has no unit."""
-    unit = EFFECTS[name].unit
-    return f"{label(name)}{f' ({unit_text(unit)})' if unit not in ('', '1') else ''}: {EFFECTS[name].about}"
+    unit = ATTRIBUTES[name].unit
+    return f"{label(name)}{f' ({unit_text(unit)})' if unit not in ('', '1') else ''}: {ATTRIBUTES[name].about}"
 
 
 def summary_lines(statuses, nbytes: int) -> list[tuple[str, str]]:
@@ -76,7 +76,7 @@ def summary_lines(statuses, nbytes: int) -> list[tuple[str, str]]:
     made = [status for status in statuses.values() if not status.skipped]
     ms, megabytes = sum(status.ms for status in made), sum(status.nbytes for status in made) / 1e6
     return [
-        ("Computed", f"{len(made)} of {len(EFFECTS)}"),
+        ("Computed", f"{len(made)} of {len(ATTRIBUTES)}"),
         ("Cost", f"{plain(ms)} ms, {plain(megabytes)} MB"),
         ("Held", f"{plain(nbytes / 1e6)} of {plain(MAX_BYTES / 1e6)} MB"),
     ]
@@ -93,8 +93,8 @@ class ShowEffect(bpy.types.Operator):
 
     def execute(self, context):
         global _shown
-        if self.name not in EFFECTS:
-            self.report({"ERROR"}, f"There is no effect {self.name!r}; expected one of {', '.join(EFFECTS)}.")
+        if self.name not in ATTRIBUTES:
+            self.report({"ERROR"}, f"There is no effect {self.name!r}; expected one of {', '.join(ATTRIBUTES)}.")
             return {"CANCELLED"}
         _shown = self.name
         jobs.redraw_panels()

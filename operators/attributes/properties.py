@@ -5,8 +5,8 @@ import bpy
 import numpy as np
 from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty
 
-from ...cbt_terrain.attributes.attribute import Effect, Parameter
-from ...cbt_terrain.attributes.catalogue import EFFECTS
+from ...cbt_terrain.attributes.attribute import AttributeDeclaration, Parameter
+from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
 from ..terrain.detail_properties import changed
 
 ON_DEMAND, PINNED, OFF = "DEMAND", "PINNED", "OFF"
@@ -25,7 +25,7 @@ def is_number(parameter: Parameter) -> bool:
 def numbers_of(settings, name: str) -> tuple[tuple[str, float], ...]:
     """Return the parameters of an effect that differ from their defaults in a terrain's evaluated settings."""
     group, found = getattr(settings.effects, name), []
-    for parameter in filter(is_number, EFFECTS[name].parameters):
+    for parameter in filter(is_number, ATTRIBUTES[name].parameters):
         value = getattr(group, parameter.name)
         if np.float32(value) != np.float32(parameter.default):  # as Blender keeps it
             found.append((parameter.name, min(max(value, parameter.least), parameter.most)))
@@ -41,7 +41,7 @@ def _property(parameter: Parameter):
     return FloatProperty(**words, min=parameter.least, max=parameter.most, precision=3)
 
 
-def _settings_of(effect: Effect) -> type:
+def _settings_of(effect: AttributeDeclaration) -> type:
     """Return a property group with when the effect is computed, and its numbers."""
     when = EnumProperty(name=effect.name, description=effect.about, items=WHEN, update=changed)
     numbers = {parameter.name: _property(parameter) for parameter in filter(is_number, effect.parameters)}
@@ -49,7 +49,7 @@ def _settings_of(effect: Effect) -> type:
     return type(f"AdaptiveTerrainEffect_{effect.name}", (bpy.types.PropertyGroup,), members)
 
 
-GROUPS = {name: _settings_of(effect) for name, effect in EFFECTS.items()}
+GROUPS = {name: _settings_of(effect) for name, effect in ATTRIBUTES.items()}
 _scale = FloatProperty(
     name="Geometry Scale",
     description="The scale in metres at which modifiers and geometry nodes read effects, whatever the camera sees; 0 "

@@ -7,11 +7,11 @@ from functools import partial
 
 import numpy as np
 
-from ...cbt_terrain.attributes.attribute import GEOMETRY, PICTURE, Asked
-from ...cbt_terrain.attributes.catalogue import EFFECTS
+from ...cbt_terrain.attributes.attribute import GEOMETRY, PICTURE, AttributeRequest
+from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
 from ...cbt_terrain.attributes.evaluate import Ran
 from ...cbt_terrain.attributes.layers import lacks
-from ...cbt_terrain.attributes.plan import Plan
+from ...cbt_terrain.attributes.plan import AttributePlan
 from ...cbt_terrain.attributes.splat import NAMES
 from ...cbt_terrain.field.heightfield import HeightField
 from ..bridge.demand import kept
@@ -29,7 +29,7 @@ class Effects:
     """`asked`: effects to compute. `off`: those that are switched off, by name, with who would read them.
     `geometry_metres`: the scale of what geometry is made from; 0 is the raster's own."""
 
-    asked: tuple[Asked, ...] = ()
+    asked: tuple[AttributeRequest, ...] = ()
     off: tuple[tuple[str, tuple[str, ...]], ...] = ()
     geometry_metres: float = 0.0
 
@@ -77,11 +77,13 @@ def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, 
             family = GEOMETRY if any(reader.family == GEOMETRY for reader in readers) else PICTURE
             given = GIVEN[name](evaluated, placement, depsgraph) if name in GIVEN else {}
             parameters = tuple(sorted((*numbers_of(settings, name), *given.items())))
-            asked.append(Asked(name, words, family, parameters))
+            asked.append(AttributeRequest(name, words, family, parameters))
     return Effects(tuple(asked), tuple(off), settings.effects.geometry_metres)
 
 
-def statuses(effects: Effects, plan: Plan, ran: Mapping[str, Ran], heights: HeightField) -> dict[str, EffectStatus]:
+def statuses(
+    effects: Effects, plan: AttributePlan, ran: Mapping[str, Ran], heights: HeightField
+) -> dict[str, EffectStatus]:
     """Return the status of each effect on a terrain by its name."""
     found = {}
     for step in plan.steps:
@@ -91,10 +93,10 @@ def statuses(effects: Effects, plan: Plan, ran: Mapping[str, Ran], heights: Heig
     off = dict(effects.off)
     for name, why in plan.skipped.items():
         found[name] = EffectStatus(off.get(name, ()), skipped=_switched_off(off[name]) if name in off else why)
-    return {name: found[name] for name in EFFECTS}
+    return {name: found[name] for name in ATTRIBUTES}
 
 
-def _note(step: Asked, heights: HeightField) -> str:
+def _note(step: AttributeRequest, heights: HeightField) -> str:
     """Why an effect is nothing where one may not expect it, or ""."""
     if why := lacks(heights, step.name):
         return f"0, since {why}"
@@ -112,7 +114,7 @@ def _read(obj, depsgraph, mode: str) -> dict[str, list[Reader]]:
     """Return the readers in the scene by the name of the effect, with "everything" and the active colours resolved."""
     demand = kept.demand_of(obj, depsgraph, mode)
     found = Demand({name: list(readers) for name, readers in demand.items()})
-    everything = {name: demand.get(ALL, []) for name in EFFECTS}
+    everything = {name: demand.get(ALL, []) for name in ATTRIBUTES}
     colours = {obj.data.attributes.active_color_name, obj.data.attributes.default_color_name}
     found.merge(Demand(everything | {name: demand.get(ACTIVE_COLOR, []) for name in colours if name}))
     return found

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from ...cbt_terrain.scatter.points import Points
+from ...cbt_terrain.scatter.points import ScatterPoints
 from .writer import add_attribute, check_writable
 
 # Attribute, Blender's type, the member of its items, and its array. Blender's ids have 31 bits.
@@ -16,7 +16,7 @@ ATTRIBUTES = (
 )
 
 
-def write_points(mesh, points: Points) -> None:
+def write_points(mesh, points: ScatterPoints) -> None:
     """Replace all of `mesh` by points. Raises TerrainError if it cannot be written."""
     check_writable(mesh)
     mesh.clear_geometry()

@@ -8,12 +8,12 @@ from ...cbt_terrain.accuracy.sweep import sweep
 from ...cbt_terrain.errors import TerrainError
 from ..accuracy import page as accuracy_page
 from ..accuracy import report as accuracy_report
-from ..accuracy.subject import Subject
+from ..accuracy.subject import AccuracySubject
 from ..blender import need_bpy
 from ..text.console import Progress, print_line
 
 
-def run(subjects: list[Subject], out: Path, show_progress: bool | None = None) -> None:
+def run(subjects: list[AccuracySubject], out: Path, show_progress: bool | None = None) -> None:
     """Measure every subject and write the report into the folder `out`, all at the end.
 
     Raises TerrainError where something cannot be written, and at the very end where a measured error passes its bound.
@@ -25,7 +25,7 @@ def run(subjects: list[Subject], out: Path, show_progress: bool | None = None) -
     accuracy_report.check_bounds(subjects)
 
 
-def measure(subjects: list[Subject], show_progress: bool | None = None) -> None:
+def measure(subjects: list[AccuracySubject], show_progress: bool | None = None) -> None:
     """Fill in the rows of every subject, a line each on stdout and a bar on stderr."""
     bar = Progress(len(subjects), "accuracy", show_progress)
     write, note = mesh_writer()

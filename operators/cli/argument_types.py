@@ -94,14 +94,14 @@ def pair(separator: str, kind, max_value: float):
 
 def parse_effects(text: str) -> tuple[str, ...] | None:
     """Return names of effects, each once; () for `none`, None for `auto`."""
-    from ...cbt_terrain.attributes.catalogue import EFFECTS
+    from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
     from ..text.effect_lines import unknown
 
     if text in ("auto", "none"):
         return None if text == "auto" else ()
     names = tuple(dict.fromkeys(part.strip() for part in text.split(",")))
     for name in names:
-        if name not in EFFECTS:
+        if name not in ATTRIBUTES:
             raise ValueError(unknown(name))
     return names
 

@@ -3,8 +3,8 @@
 
 from pathlib import Path
 
-from ...cbt_terrain.attributes.attribute import GEOMETRY, Asked
-from ...cbt_terrain.attributes.catalogue import EFFECTS
+from ...cbt_terrain.attributes.attribute import GEOMETRY, AttributeRequest
+from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
 from ...cbt_terrain.attributes.evaluate import EffectRequest, Ran, evaluate
 from ...cbt_terrain.attributes.plan import plan
 from ...cbt_terrain.field.store import open_store
@@ -20,7 +20,7 @@ FINE_M = 1e-3  # an error that the limit above holds back
 
 def catalogue() -> dict:
     """Return every effect and its description."""
-    return {name: effect_lines.about(effect) for name, effect in EFFECTS.items()}
+    return {name: effect_lines.about(effect) for name, effect in ATTRIBUTES.items()}
 
 
 def of_store(store: Path) -> list[str]:
@@ -28,7 +28,7 @@ def of_store(store: Path) -> list[str]:
     field = open_store(store)
     surface = Terrain(field).update(Criterion(error_px=0, error_m=FINE_M, max_triangles=MEASURED_TRIANGLES), []).surface
     lines = [f"a mesh of {len(surface.triangles):,} triangles, {len(surface.positions):,} vertices"]
-    for name in EFFECTS:
+    for name in ATTRIBUTES:
         stopping.check()
         lines.append(f"{name}: {effect_lines.figures(_alone(name, field, surface))}")
     return lines
@@ -37,7 +37,7 @@ def of_store(store: Path) -> list[str]:
 def _alone(name: str, field, surface):
     """Return the cost of an effect with its inputs, once kernels are compiled and the caches of the field are
     filled."""
-    planned = plan([Asked(name, ("this command",), GEOMETRY)])
+    planned = plan([AttributeRequest(name, ("this command",), GEOMETRY)])
     for _ in range(2):
         ran = evaluate(field, EffectRequest(planned, surface), FrameHistory(), launch.default_threads()).ran
     return Ran(sum(r.ms for r in ran.values()), sum(r.nbytes for r in ran.values()), ran[name].computed)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ...cbt_terrain.attributes.attribute import Asked
+from ...cbt_terrain.attributes.attribute import AttributeRequest
 from ...cbt_terrain.attributes.folder import JSON_NAME
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import open_store
@@ -21,7 +21,7 @@ MAX_FRAMES = 100_000  # of a path without --frames
 
 
 @dataclass(frozen=True)
-class Subject:
+class MapSubject:
     """One terrain whose maps are baked."""
 
     name: str
@@ -30,7 +30,10 @@ class Subject:
 
 
 def run(
-    subjects: list[Subject], budget_mb: float | None = None, form: str | None = None, show_progress: bool | None = None
+    subjects: list[MapSubject],
+    budget_mb: float | None = None,
+    form: str | None = None,
+    show_progress: bool | None = None,
 ) -> None:
     """Bake every subject's maps, a line each on stdout; the budget is shared evenly."""
     bar = Progress(len(subjects), "maps", show_progress)
@@ -53,12 +56,12 @@ def store_subjects(
     path: Path | None,
     frames: Sequence[int] | None,
     resolution: tuple[int, int],
-) -> list[Subject]:
+) -> list[MapSubject]:
     """Return the terrain of a store, seen along a camera path at `frames` (None: all whole frames), or as a whole."""
     views = () if path is None else views_of(path, frames, resolution)
-    asked = tuple(Asked(name, (READER,)) for name in known(names))
+    asked = tuple(AttributeRequest(name, (READER,)) for name in known(names))
     request = MapRequest(asked, out, views, only_seen=bool(views))
-    return [Subject(StoreFrames.name, open_store(store), request)]
+    return [MapSubject(StoreFrames.name, open_store(store), request)]
 
 
 def views_of(path: Path, frames: Sequence[int] | None, resolution: tuple[int, int]) -> tuple[View, ...]:
@@ -79,7 +82,7 @@ def scene_subjects(
     camera: str | None,
     resolution: tuple[int, int] | None,
     frames: Sequence[int] | None,
-) -> list[Subject]:
+) -> list[MapSubject]:
     """Return the terrains of a .blend file, each with its settings and a folder."""
     source = SceneFrames(blend, camera, resolution)
 
@@ -93,5 +96,5 @@ def scene_subjects(
         *_, request = gathered(obj, source.scene, names, frames, **look)
         request = replace(request, folder=out / file_name(obj))
         field = raster_of(request.store, request.land, session.open_field, verified=True)
-        subjects.append(Subject(obj.name, field, request))
+        subjects.append(MapSubject(obj.name, field, request))
     return subjects

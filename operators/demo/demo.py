@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from ...cbt_terrain.accuracy.crops import crops
-from ...cbt_terrain.accuracy.timed_runs import Frame
+from ...cbt_terrain.accuracy.timed_runs import TimedFrame
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.height_operators.shape_process import shape_store
 from ...cbt_terrain.height_operators.tiles import whole_land
@@ -76,7 +76,7 @@ def run(out: Path, show_progress: bool | None = None) -> None:
         line = f"meshes: {len(FRAMES)} frames, {min(triangles):,} to {max(triangles):,} triangles"
         done(f"{len(FRAMES)} meshes", line, WEIGHT["meshes"])
         flight = read_camera_path(out / "flight.json")
-        shown = crops(Terrain(open_store(store)), Frame([flight.view(LEVELS_FRAME, RESOLUTION)]), CROPS_PX)
+        shown = crops(Terrain(open_store(store)), TimedFrame([flight.view(LEVELS_FRAME, RESOLUTION)]), CROPS_PX)
         done("Pictures of four errors", f"crops: {', '.join(f'{px:g}' for px in CROPS_PX)} px", WEIGHT["crops"])
         from ..session import session
         from . import scene as demo_scene

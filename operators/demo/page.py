@@ -13,9 +13,9 @@ from ..text.page_blocks import (
     Figures,
     Heading,
     Lead,
-    Picture,
+    PagePicture,
+    PictureStrip,
     Plot,
-    Strip,
     Table,
     Text,
     Words,
@@ -69,25 +69,25 @@ def write_page(
             f"A camera flies over {size * size / 1e6:.1f} million samples. In each of its {len(frames)} frames the "
             f"mesh differs from them by at most {error_px:g} pixel, with few triangles."
         ),
-        Picture(first_name, _frame_text(by_frame[first], resolution)),
+        PagePicture(first_name, _frame_text(by_frame[first], resolution)),
         Figures(_figures(frames, size, error_px)),
         Heading("Four error bounds in comparison"),
-        Strip([_crop(crop, size) for crop in crops]),
+        PictureStrip([_crop(crop, size) for crop in crops]),
         Text(
             f"The part of frame {levels['frame']} in which these errors differ most, pixel by pixel. Its lower left "
             "half shows the edges of the triangles."
         ),
-        *(Picture(name, _frame_text(by_frame[frame], resolution)) for frame, name in others),
+        *(PagePicture(name, _frame_text(by_frame[frame], resolution)) for frame, name in others),
         Heading("Where the triangles are"),
         Text(
             "Each triangle has the colour of its level, from pale (coarse) through blue to red (fine). Fine triangles "
             "are near the camera, in view and on rough ground. Ground outside the picture stays coarse, and levels "
             "meet without cracks."
         ),
-        Strip(
+        PictureStrip(
             [
-                Picture("levels.png", f"{drawn}, from the camera."),
-                Picture("plan.png", "The same mesh from above; the red lines bound the camera's view."),
+                PagePicture("levels.png", f"{drawn}, from the camera."),
+                PagePicture("plan.png", "The same mesh from above; the red lines bound the camera's view."),
             ],
             first_wide=True,
         ),
@@ -140,9 +140,9 @@ def _share(triangles: float, size: int) -> str:
     return f"{100 * triangles / (2 * (size - 1) ** 2):.2g} %"
 
 
-def _crop(crop: Crop, size: int) -> Picture:
+def _crop(crop: Crop, size: int) -> PagePicture:
     cost = f"{crop.triangles:,} triangles, {_share(crop.triangles, size)} of the grid's"
-    return Picture("", cost, f"{crop.error_px:g} px", png(crop.pixels))
+    return PagePicture("", cost, f"{crop.error_px:g} px", png(crop.pixels))
 
 
 def _frame_text(frame: dict, resolution: tuple[int, int]) -> str:

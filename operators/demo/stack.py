@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The land stack of the demo's island: uplift with rivers, then thermal erosion, relief, streams and snow."""
 
-from ...cbt_terrain.height_operators.mask import GroundRule, Mask
+from ...cbt_terrain.height_operators.mask import GroundRule, HeightMask
 from ...cbt_terrain.height_operators.stack import Entry, Stack
 
 # A volcano of this seed, whose coast has bays and islets.
@@ -14,7 +14,7 @@ STACK = Stack(
             {"years": 2.5e6, "rise": 1.1e-3, "erodibility": 5e-6, "hillslope": 1e4, "creep": 0.001, "steepest": 55.0},
             seed=1,
             name="Uplift",
-            mask=Mask(rules=(GroundRule("height", low=300.0, edge=600.0),)),
+            mask=HeightMask(rules=(GroundRule("height", low=300.0, edge=600.0),)),
         ),
         Entry(
             "rivers",

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...cbt_terrain.attributes.attribute import GEOMETRY, Asked
+from ...cbt_terrain.attributes.attribute import GEOMETRY, AttributeRequest
 from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
 from ...cbt_terrain.attributes.plan import plan
 from ...cbt_terrain.errors import TerrainError, shown
@@ -19,7 +19,7 @@ from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run.named_file import blocks_reader
 from ...cbt_terrain.run.owned_files import real_path
-from ...cbt_terrain.scatter.points import Points
+from ...cbt_terrain.scatter.points import ScatterPoints
 from ...cbt_terrain.terrain import Terrain, Update
 from ...cbt_terrain.view.camera_path import read_camera_path
 from ...cbt_terrain.view.criterion import Criterion
@@ -55,7 +55,7 @@ class Piece:
     info: dict
     obj: Any = None
     tree: bytes = b""
-    scatters: dict[str, tuple[Points, np.ndarray]] = field(default_factory=dict)
+    scatters: dict[str, tuple[ScatterPoints, np.ndarray]] = field(default_factory=dict)
 
 
 class StoreFrames:
@@ -80,7 +80,7 @@ class StoreFrames:
         self.criterion, self.resolution = criterion, resolution
         self.field = with_detail(interpolated(open_store(store), interpolation), detail)
         self.terrain = Terrain(self.field)
-        self.effects = plan(Asked(name, ("the export",), GEOMETRY) for name in effects)
+        self.effects = plan(AttributeRequest(name, ("the export",), GEOMETRY) for name in effects)
         self.obj = new_object(self.name) if in_blender else None
         self.settings = {
             "store": field_identity(self.field),

@@ -6,7 +6,7 @@ from mathutils import Matrix
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run.partial_files import written_beside
-from ...cbt_terrain.scatter.points import Points
+from ...cbt_terrain.scatter.points import ScatterPoints
 from ...cbt_terrain.view.linear import determinant, product
 
 COLUMNS = "id,x,y,z,scale,rotation_w,rotation_x,rotation_y,rotation_z,normal_x,normal_y,normal_z,variant\n"
@@ -15,7 +15,7 @@ ROWS = 1 << 16  # at a time
 SAME = 1e-5  # float32 matrices are no better
 
 
-def write_points_csv(path, points: Points, placement: np.ndarray) -> None:
+def write_points_csv(path, points: ScatterPoints, placement: np.ndarray) -> None:
     """Write points that stand at `placement` (float64 [4, 4], their space to the world), atomically: metres, z up,
     quaternions, and the scale of what stands there.
 

@@ -24,7 +24,7 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
         description="Put the effects on heights that suit the land into its stack: rivers, scree, snow. They are in "
         "metres, so that the land has its own size then",
     )  # fmt: skip
-    own_size: bpy.props.BoolProperty(
+    natural_size: bpy.props.BoolProperty(
         name="Own Size",
         description="As wide as the land is itself, 8 to 33 km; viewports are moved so that they see it",
     )
@@ -46,7 +46,7 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
         layout.prop(self, "land")
         layout.prop(self, "seed")
         for name, free in (("shape", land.preset), ("own_size", not self._is_shaped(land)),
-                           ("size", not self.own_size and not self._is_shaped(land))):  # fmt: skip
+                           ("size", not self.natural_size and not self._is_shaped(land))):  # fmt: skip
             row = layout.row()
             row.enabled = bool(free)
             row.prop(self, name)
@@ -62,7 +62,7 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
         settings.enabled = True
         settings.source, settings.seed = self.land, self.seed
         land = land_of(settings)
-        size = land.side if self.own_size or self._is_shaped(land) else self.size
+        size = land.side if self.natural_size or self._is_shaped(land) else self.size
         settings.use_extent, settings.extent = True, (size, size)
         settings.height_scale = size / land.side  # the land keeps its shape
         if self._is_shaped(land):

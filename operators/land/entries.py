@@ -3,14 +3,14 @@
 
 import bpy
 
-from ...cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
 
 PRESETS = "adaptive_terrain/land"  # the folder of stacks among Blender's presets
 
 
 def add_entry(land, effect: str):
     """Add an entry at the end of a stack, with a unique name and a seed that no other entry has."""
-    label = LAND_EFFECTS[effect].label if effect in LAND_EFFECTS else effect
+    label = HEIGHT_OPERATORS[effect].label if effect in HEIGHT_OPERATORS else effect
     used, seeds = {entry.name for entry in land.entries}, {entry.seed for entry in land.entries}
     entry = land.entries.add()
     entry.effect, entry.name = effect, free_name(label, used)

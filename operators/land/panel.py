@@ -7,7 +7,7 @@ The list and the rows below it have a fixed number: nothing moves while a user a
 import bpy
 from bl_ui.utils import PresetPanel
 
-from ...cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
 from .. import jobs
 from ..session import session
 from ..text.numbers import length_text, time_text, unit_text
@@ -33,7 +33,7 @@ class LandList(bpy.types.UIList):
         row = row.split(factor=NAME_WIDTH, align=True)
         left = row.row(align=True)
         left.active = entry.on
-        known = entry.effect in LAND_EFFECTS
+        known = entry.effect in HEIGHT_OPERATORS
         left.prop(entry, "name", text="", emboss=False, icon="NONE" if known else "ERROR")
         if entry.mask.kind != "NONE":
             left.label(icon="MOD_MASK")
@@ -126,7 +126,7 @@ class LandEffectPanel(TerrainSubpanel, bpy.types.Panel):
     def draw(self, context):
         land = context.object.adaptive_terrain.land
         entry = land.entries[land.active]
-        effect = LAND_EFFECTS.get(entry.effect)
+        effect = HEIGHT_OPERATORS.get(entry.effect)
         if effect is None:
             fixed_lines(self.layout.column(align=True), land_stack.unknown(entry.effect), 4)
             return

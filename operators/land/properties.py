@@ -17,8 +17,8 @@ from bpy.props import (
 
 from ...cbt_terrain.attributes import splat_rules as rules
 from ...cbt_terrain.attributes.attribute import Parameter
-from ...cbt_terrain.height_operators.catalogue import LAND_EFFECTS
-from ...cbt_terrain.height_operators.height_operator import LandEffect
+from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
+from ...cbt_terrain.height_operators.height_operator import HeightOperator
 from ...cbt_terrain.height_operators.mask import HEIGHT, SLOPE
 from ..layers.properties import BANDS, AspectSettings, band
 from ..terrain.detail_properties import changed
@@ -80,13 +80,13 @@ def _property(parameter: Parameter):
     return FloatProperty(**words, default=default, min=low, max=high, precision=digits, **known)
 
 
-def _settings_of(effect: LandEffect) -> type:
+def _settings_of(effect: HeightOperator) -> type:
     numbers = {parameter.name: _property(parameter) for parameter in effect.parameters}
     members = {"__annotations__": numbers, "__doc__": effect.about}
     return type(f"AdaptiveTerrainLand_{effect.name}", (bpy.types.PropertyGroup,), members)
 
 
-GROUPS = {name: _settings_of(effect) for name, effect in LAND_EFFECTS.items()}
+GROUPS = {name: _settings_of(effect) for name, effect in HEIGHT_OPERATORS.items()}
 
 
 # What rules of masks are about -> its group, in the order of the menu.

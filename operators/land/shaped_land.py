@@ -7,11 +7,11 @@ from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
-from ...cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
 from ...cbt_terrain.height_operators.derived_store import preview_of
 from ...cbt_terrain.height_operators.height_operator import LandLayer
 from ...cbt_terrain.height_operators.land_folder import folder_beside, is_of_views
-from ...cbt_terrain.height_operators.level_plan import MOST_WHOLE
+from ...cbt_terrain.height_operators.level_plan import MAX_WHOLE
 from ..bridge.scene_paths import absolute_path
 from ..importing.imported import imported_of
 from ..session import session
@@ -28,7 +28,7 @@ NOTES = {
 }
 
 DOUBTFUL = "{} may not fit from tile to tile: "
-DOUBTFUL += f"harder rock may help, or {MOST_WHOLE:,} samples a side at most"
+DOUBTFUL += f"harder rock may help, or {MAX_WHOLE:,} samples a side at most"
 WHOLE = ", except {}, whose tiles would not fit"
 
 
@@ -164,12 +164,14 @@ def _read(store: str, _changed_ns: int) -> _ShapingInfo | None:
 
 
 def _label(effect: str) -> str:
-    return LAND_EFFECTS[effect].label if effect in LAND_EFFECTS else effect
+    return HEIGHT_OPERATORS[effect].label if effect in HEIGHT_OPERATORS else effect
 
 
 def layers_of(land) -> list[LandLayer]:
     """Return the layers of the active entries, each once."""
     effects = [
-        LAND_EFFECTS[land.entries[n].effect] for n in active_numbers(land) if land.entries[n].effect in LAND_EFFECTS
+        HEIGHT_OPERATORS[land.entries[n].effect]
+        for n in active_numbers(land)
+        if land.entries[n].effect in HEIGHT_OPERATORS
     ]
     return list({layer.name: layer for effect in effects for layer in effect.layers}.values())

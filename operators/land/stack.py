@@ -7,8 +7,8 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.height_operators.catalogue import LAND_EFFECTS
-from ...cbt_terrain.height_operators.mask import ASPECT, LIMITS, SLOPE, GroundRule, Mask
+from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
+from ...cbt_terrain.height_operators.mask import ASPECT, LIMITS, SLOPE, GroundRule, HeightMask
 from ...cbt_terrain.height_operators.stack import Entry, Stack
 from ...cbt_terrain.run.named_file import blocks_reader
 from ..bridge.scene_paths import absolute_path
@@ -21,8 +21,8 @@ from .properties import BY_IMAGE, BY_OBJECT, BY_RULE, EVERYWHERE, GROUPS, RULES,
 def unknown(effect: str) -> str:
     """Return the message for an entry whose effect this version does not have."""
     return (
-        f"The effect {effect!r} is not one of this version's: {', '.join(LAND_EFFECTS)}; remove it, switch it off, or "
-        "open the file with the version that made it."
+        f"The effect {effect!r} is not one of this version's: {', '.join(HEIGHT_OPERATORS)}; remove it, switch it off, "
+        "or open the file with the version that made it."
     )
 
 
@@ -47,12 +47,12 @@ def _entry(entry, terrain, depsgraph, masks: Path) -> Entry:
 
 def _parameters(entry) -> dict[str, float]:
     """Return the parameters that differ from their defaults."""
-    declared = LAND_EFFECTS[entry.effect].parameters
+    declared = HEIGHT_OPERATORS[entry.effect].parameters
     numbers = [(parameter, number_of(parameter, getattr(entry, entry.effect))) for parameter in declared]
     return {parameter.name: number for parameter, number in numbers if number != parameter.default}
 
 
-def _mask(entry, terrain, depsgraph, masks: Path) -> Mask | None:
+def _mask(entry, terrain, depsgraph, masks: Path) -> HeightMask | None:
     mask = entry.mask
     if mask.kind == EVERYWHERE:
         return None
@@ -73,7 +73,7 @@ def _mask(entry, terrain, depsgraph, masks: Path) -> Mask | None:
         file = land_masks.of_image(mask.image, masks)
     elif mask.kind == BY_OBJECT:
         file = land_masks.of_shadow(mask.object, terrain, _extent_of(terrain), depsgraph, masks)
-    return Mask(file, _rules(mask) if mask.kind == BY_RULE else (), mask.factor)
+    return HeightMask(file, _rules(mask) if mask.kind == BY_RULE else (), mask.factor)
 
 
 def _extent_of(terrain) -> tuple[float, float]:
@@ -120,9 +120,9 @@ def preset_of(land) -> Stack:
                     "files",
                     fix="save it with Image > Save As",
                 )
-            mask = Mask(image, (), entry.mask.factor)
+            mask = HeightMask(image, (), entry.mask.factor)
         elif kind == BY_RULE:
-            mask = Mask("", _rules(entry.mask), entry.mask.factor)
+            mask = HeightMask("", _rules(entry.mask), entry.mask.factor)
         found.append(Entry(entry.effect, _parameters(entry), entry.seed, entry.on, mask, entry.name))
     stack = Stack(tuple(found))
     stack.check()
@@ -147,7 +147,7 @@ def fill(land, stack: Stack) -> list[str]:
     return left_out
 
 
-def _fill_mask(mask, given: Mask) -> list[str]:
+def _fill_mask(mask, given: HeightMask) -> list[str]:
     left_out = []
     mask.kind, mask.factor = BY_RULE, given.factor
     if given.image:

@@ -3,7 +3,7 @@
 
 import bpy
 
-from ...cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
 from ..session.polls import on_terrain
 from .entries import add_entry, copy_group, free_name
 from .properties import RULES
@@ -18,7 +18,7 @@ def _items(_self, _context):
 
 
 # Blender keeps no reference to the texts of items that a function gives.
-_ITEMS = [(name, effect.label, effect.about) for name, effect in LAND_EFFECTS.items()]
+_ITEMS = [(name, effect.label, effect.about) for name, effect in HEIGHT_OPERATORS.items()]
 
 
 class _StackOperator:

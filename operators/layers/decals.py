@@ -6,7 +6,7 @@ An image whose colour space is data (Non-Color) is a normal map, any other shows
 
 import numpy as np
 
-from ...cbt_terrain.attributes.decals import Decal, Picture, picture
+from ...cbt_terrain.attributes.decals import Decal, DecalPicture, picture
 from ...cbt_terrain.view.linear import inverse, length, product
 from ..bridge.evaluated import found_in
 from .images import cached_value
@@ -34,7 +34,7 @@ def decals_given(terrain, placement: np.ndarray, depsgraph, tilts: bool) -> dict
 def _decal(name: str, empty, matrix: np.ndarray) -> Decal:
     """`matrix`: from the empty's space to the terrain's. The longer side of an image is as long as the empty's size."""
     image = empty.data.original
-    picture = cached_value(image, Picture, f"of the decal {name!r}", _picture)
+    picture = cached_value(image, DecalPicture, f"of the decal {name!r}", _picture)
     sides = np.array(image.size, np.float64) * np.array(image.display_aspect, np.float64)
     sides *= empty.empty_display_size / sides.max()
     along, up = matrix[:2, 0] * sides[0], matrix[:2, 1] * sides[1]
@@ -49,7 +49,7 @@ def _tilts(image) -> bool | None:
     return None if image is None else image.colorspace_settings.is_data
 
 
-def _picture(image, pixels: np.ndarray) -> Picture:
+def _picture(image, pixels: np.ndarray) -> DecalPicture:
     """Return a picture of float32 pixels [rows, columns, channels], as Blender stores them."""
     channels = pixels.shape[2]
     alpha = pixels[..., 3:] if channels == 4 and image.alpha_mode != "NONE" else np.ones_like(pixels[..., :1])

@@ -36,7 +36,7 @@ BROAD, FINE, SEEN = 3.0, 0.12, 500.0
 
 
 @dataclass(frozen=True)
-class Sources:
+class LayerSources:
     """What the group reads. `layers`: name and colour (linear RGB) of each, none where there is a map of COLORS.
     `light`: which of SKY and SUN darken the colours. `maps`: baked images by effect; what has none is read as an
     attribute. `place`: adds nodes to a tree that give the place in them; returns their output. `tile`: metres of the
@@ -49,14 +49,14 @@ class Sources:
     tile: float = 0.0
 
 
-def reads(sources: Sources) -> tuple[str, ...]:
+def reads(sources: LayerSources) -> tuple[str, ...]:
     """Names of the effects that the group reads as attributes."""
     groups = range(-(-len(sources.layers) // A_GROUP))
     names = [f"splat_{group + 1}" for group in groups] + list(sources.light)
     return tuple(name for name in names if name not in sources.maps)
 
 
-def dress(obj, sources: Sources) -> bpy.types.Material:
+def dress(obj, sources: LayerSources) -> bpy.types.Material:
     """Give the object a material with the group, or build the group of the one that it has again.
 
     What another object wears too, or another file has, stays as it is: the object gets a copy.
@@ -136,7 +136,7 @@ def _socket_names(names: Sequence[str]) -> list[str]:
     return taken[4:]
 
 
-def build_group(tree, sources: Sources, size: float) -> None:
+def build_group(tree, sources: LayerSources, size: float) -> None:
     """Fill the node group `tree`; its inputs keep their links where it is built again.
 
     `size`: metres, of the variation at first.
@@ -189,14 +189,14 @@ def _inputs(tree) -> list:
     return [item for item in items if item.item_type == "SOCKET" and item.in_out == "INPUT"]
 
 
-def _value(n: Nodes, sources: Sources, name: str):
+def _value(n: Nodes, sources: LayerSources, name: str):
     """A number of an effect, from its map or its attribute."""
     if name in sources.maps:
         return n.add("ShaderNodeSeparateColor", {0: _texture(n, sources, name)["Color"]}).outputs[0]
     return n.add("ShaderNodeAttribute", attribute_name=name).outputs["Fac"]
 
 
-def _texture(n: Nodes, sources: Sources, name: str):
+def _texture(n: Nodes, sources: LayerSources, name: str):
     """The image of a map, at the terrain's own place: its Color and Alpha.
 
     Where two tiles meet EEVEE takes the jump from one to the other for the derivative of the place, and shows the mean
@@ -223,7 +223,7 @@ def _near_seams(n: Nodes, place, tile: float):
     return n.math("LESS_THAN", inside, n.math("MULTIPLY", away, SEAM / max(tile, 1e-9)))
 
 
-def _weights(n: Nodes, sources: Sources, group: int):
+def _weights(n: Nodes, sources: LayerSources, group: int):
     """Three weights as a vector, and the fourth, of four layers."""
     name = f"splat_{group + 1}"
     if name in sources.maps:
@@ -249,7 +249,7 @@ def _noise(n: Nodes, size):
     return n.add("ShaderNodeCombineXYZ", inputs).outputs[0]
 
 
-def _mixed(n: Nodes, sources: Sources, colours: Sequence, noise):
+def _mixed(n: Nodes, sources: LayerSources, colours: Sequence, noise):
     """The layers' colours by their weights, whose borders the noise makes ragged."""
     three = n.vector("MULTIPLY_ADD", noise, (RAGGED, RAGGED, RAGGED), (1.0, 1.0, 1.0))
     three = n.vector("MAXIMUM", three, (1.0 - RAGGED,) * 3)

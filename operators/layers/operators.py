@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 from bl_operators.presets import AddPresetBase
 
-from ...cbt_terrain.attributes.splat_rules import MOST_LAYERS
+from ...cbt_terrain.attributes.splat_rules import MAX_LAYERS
 from ..session.polls import on_terrain
 
 PRESETS = "adaptive_terrain/layers"
@@ -31,7 +31,7 @@ class AddLayer(_LayerOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return super().poll(context) and len(context.object.adaptive_terrain.layers) < MOST_LAYERS
+        return super().poll(context) and len(context.object.adaptive_terrain.layers) < MAX_LAYERS
 
     def execute(self, context):
         settings = context.object.adaptive_terrain
@@ -69,7 +69,7 @@ class MoveLayer(_LayerOperator, bpy.types.Operator):
     bl_idname = "adaptive_terrain.layer_move"
     bl_label = "Move Layer"
 
-    by: bpy.props.IntProperty(name="By", default=1, min=-MOST_LAYERS, max=MOST_LAYERS)
+    by: bpy.props.IntProperty(name="By", default=1, min=-MAX_LAYERS, max=MAX_LAYERS)
 
     def execute(self, context):
         settings = context.object.adaptive_terrain

@@ -47,7 +47,7 @@ def band(
         "edge": FloatProperty(
             name="Edge",
             description="How wide each limit is, from nothing to all, about its place",
-            default=edge, min=0.0, max=min(highest - lowest, rules.MOST_EDGE), **without,
+            default=edge, min=0.0, max=min(highest - lowest, rules.MAX_EDGE), **without,
         ),
     }  # fmt: skip
     members = {"__annotations__": limits, "__doc__": about}

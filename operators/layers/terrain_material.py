@@ -7,7 +7,7 @@ from ...cbt_terrain.attributes.splat import NAMES
 from ...cbt_terrain.errors import TerrainError
 from ..maps.images import map_image, map_vector, tile_metres
 from ..session.polls import on_terrain_object
-from .material import A_GROUP, COLORS, NORMAL, SKY, SUN, Sources, dress
+from .material import A_GROUP, COLORS, NORMAL, SKY, SUN, LayerSources, dress
 from .properties import colors_of
 
 
@@ -43,14 +43,14 @@ class TerrainMaterial(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def sources_of(obj, light) -> Sources:
+def sources_of(obj, light) -> LayerSources:
     """What there is of the terrain: its layers, the light that is asked for, the maps that are baked."""
     layers = colors_of(obj.adaptive_terrain)
     names = (COLORS, NORMAL, SKY, SUN, *NAMES[: -(-len(layers) // A_GROUP)])
     maps = {name: image for name in names if (image := map_image(obj, name)) is not None}
     layers = [] if COLORS in maps else layers  # they are in it
     light = [name for name in (SKY, SUN) if name in light or name in maps]
-    return Sources(layers, light, maps, lambda tree: map_vector(tree, obj), tile_metres(obj))
+    return LayerSources(layers, light, maps, lambda tree: map_vector(tree, obj), tile_metres(obj))
 
 
 register, unregister = bpy.utils.register_classes_factory((TerrainMaterial,))

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from ...cbt_terrain.attributes import sizing
-from ...cbt_terrain.attributes.attribute import Asked
+from ...cbt_terrain.attributes.attribute import AttributeRequest
 from ...cbt_terrain.attributes.bake import Baked, bake
-from ...cbt_terrain.attributes.catalogue import EFFECTS
+from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
 from ...cbt_terrain.attributes.coding import PNG, coding_of
 from ...cbt_terrain.attributes.tiling import tiling_of
 from ...cbt_terrain.errors import TerrainError
@@ -24,7 +24,7 @@ class MapRequest:
     float64 [4, 4]. `only_seen`: what is in no view's frame gets the coarsest images. `store`, `land`: of the
     heights, as of a scene's Request. Others as of `maps.bake.bake`."""
 
-    asked: tuple[Asked, ...]
+    asked: tuple[AttributeRequest, ...]
     folder: Path
     views: tuple[View, ...] = ()
     placement: np.ndarray | None = None
@@ -50,7 +50,7 @@ def carry_out(
     if request.views:
         placement = np.eye(4) if request.placement is None else request.placement
         finest = sizing.footprints(sizing.boxes(tiling, field, **heights), request.views, placement, request.only_seen)
-    texel_bytes = sum(coding_of(EFFECTS[item.name], request.form).texel_bytes for item in request.asked)
+    texel_bytes = sum(coding_of(ATTRIBUTES[item.name], request.form).texel_bytes for item in request.asked)
     sides = sizing.resolutions(tiling, finest, shown, texel_bytes, request.budget_mb)
     more = {"form": request.form, "on_progress": on_progress, "lock": lock}
     return bake(field, request.asked, request.folder, sides, **heights, **more)
@@ -59,10 +59,10 @@ def carry_out(
 def known(names: Iterable[str]) -> tuple[str, ...]:
     """Return the names of attributes, sorted, each once. Raises TerrainError for an unknown name, or for none."""
     names = sorted(set(names))
-    unknown = [name for name in names if name not in EFFECTS]
+    unknown = [name for name in names if name not in ATTRIBUTES]
     if unknown or not names:
         said = f"There is no map {unknown[0]!r}" if unknown else "No map is asked for"
-        raise TerrainError(said, expected=f"one or more of {', '.join(sorted(EFFECTS))}")
+        raise TerrainError(said, expected=f"one or more of {', '.join(sorted(ATTRIBUTES))}")
     return tuple(names)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
-from ...cbt_terrain.attributes.catalogue import EFFECTS
+from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
 from ...cbt_terrain.attributes.coding import EXR, PNG
 from ...cbt_terrain.run.owned_files import MAPS
 from ..bridge.scene_paths import absolute_path
@@ -54,8 +54,8 @@ class MapSettings(bpy.types.PropertyGroup):
     chosen: EnumProperty(
         name="Chosen",
         options={"ENUM_FLAG"},
-        items=[(name, label(name), EFFECTS[name].about) for name in sorted(EFFECTS)],
-        default={"detail_normal"} & set(EFFECTS),
+        items=[(name, label(name), ATTRIBUTES[name].about) for name in sorted(ATTRIBUTES)],
+        default={"detail_normal"} & set(ATTRIBUTES),
     )
     use_budget: BoolProperty(name="Limit Memory", description="Make all maps coarser alike until they fit")
     budget_mb: FloatProperty(

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.attributes.attribute import PICTURE
-from ...cbt_terrain.attributes.catalogue import EFFECTS
+from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run.owned_files import check_folder
 from ...cbt_terrain.view.criterion import Criterion
@@ -52,7 +52,7 @@ def read_as_images(obj) -> set[str]:
             waiting += [inner] if inner is not None else []
             path = Path(absolute_path(image.filepath)) if image is not None and image.filepath else None
             found |= {path.name.partition(".")[0]} if path is not None and path.parent == folder else set()
-    return found & set(EFFECTS)
+    return found & set(ATTRIBUTES)
 
 
 def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[int] | None = None, **look) -> Iterator:

@@ -12,7 +12,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.history.frame_history import FrameHistory
 from ...cbt_terrain.run.memory import physical_memory
-from ...cbt_terrain.scatter.points import Points, ScatterRequest, on_mesh, place_points
+from ...cbt_terrain.scatter.points import ScatterPoints, ScatterRequest, on_mesh, place_points
 from ...cbt_terrain.scatter.scatter import Scatter
 from ...cbt_terrain.view.view import View
 from ..bridge.point_writer import write_points
@@ -56,7 +56,7 @@ class ScatterRecord:
 
     history: FrameHistory = field(default_factory=FrameHistory)
     key: tuple = ()
-    points: Points | None = None
+    points: ScatterPoints | None = None
     shown: tuple = ()
     ms: dict[str, float] = field(default_factory=dict)
     runs: int = 0

@@ -4,7 +4,7 @@
 from dataclasses import replace
 
 from ...cbt_terrain.attributes import sky, sky_layer
-from ...cbt_terrain.attributes.attribute import Asked
+from ...cbt_terrain.attributes.attribute import AttributeRequest
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.run import launch
 from ..terrain.request import Request
@@ -24,5 +24,5 @@ def refine(request: Request, heights: HeightField) -> bool:
     return sky_layer.advance(heights, request.vertical_scale, launch.default_threads())
 
 
-def _preview(item: Asked) -> Asked:
+def _preview(item: AttributeRequest) -> AttributeRequest:
     return replace(item, parameters=tuple(sorted((dict(item.parameters) | {"quality": sky.PREVIEW}).items())))

@@ -3,7 +3,7 @@
 
 from ...cbt_terrain.attributes.layered_detail import LayeredDetail
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.field.coats import Ground
+from ...cbt_terrain.field.displacement_layers import Ground
 from ..layers.properties import layers_of
 from .displacement_properties import displacement_of
 

@@ -4,7 +4,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
-from ...cbt_terrain.field.coats import Ground
+from ...cbt_terrain.field.displacement_layers import Ground
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from ...cbt_terrain.accuracy.time_correction import TimeCorrection
 from ...cbt_terrain.attributes.layered_detail import LayeredDetail
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
-from ...cbt_terrain.field.coats import Ground
+from ...cbt_terrain.field.displacement_layers import Ground
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.height_operators.derived_store import Land
 from ...cbt_terrain.height_operators.requested_tiles import SeenTiles
@@ -60,7 +60,7 @@ class Request:
     """
 
     store: str
-    made_ns: int
+    changed_ns: int
     land: Land | None
     interpolation: str
     ground: Ground | LayeredDetail | None
@@ -82,7 +82,7 @@ class Request:
     def key(self) -> tuple:
         """Return a key that is equal for equal requests."""
         shown = self.smooth, self.cleanup.key(), self.overlay, self.note, self.effects, self.scatters.key()
-        return self.store, self.made_ns, self.land, self.interpolation, self.ground, *self._shape(), *shown
+        return self.store, self.changed_ns, self.land, self.interpolation, self.ground, *self._shape(), *shown
 
     def digest(self, field_key: str) -> str:
         """Return the hex digest of everything that determines the mesh before clean-up and its errors: the key of the
@@ -145,7 +145,7 @@ def gather(
         criterion = replace(criterion, hidden_factor=1.0)
     return Request(
         store=store,
-        made_ns=stores.changed_ns(store),
+        changed_ns=stores.changed_ns(store),
         land=land,
         interpolation=interpolation,
         ground=overrides.ground or ground_of(settings, obj.name),

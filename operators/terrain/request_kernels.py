@@ -3,7 +3,7 @@
 
 from types import ModuleType
 
-from ...cbt_terrain.attributes.attribute import Asked
+from ...cbt_terrain.attributes.attribute import AttributeRequest
 from ...cbt_terrain.attributes.evaluate import kernels_of
 from ...cbt_terrain.attributes.layered_detail import LayeredDetail
 from ...cbt_terrain.attributes.plan import plan
@@ -19,7 +19,7 @@ def kernels_for(request: Request) -> list[ModuleType]:
     """Return the modules of kernels for `warmup.ask`. Raises TerrainError for effects that are not valid."""
     asked = list(request.effects.asked)
     if isinstance(request.ground, LayeredDetail):
-        asked.append(Asked(NAMES[0], ("detail",), parameters=(("layers", request.ground.layers),)))
+        asked.append(AttributeRequest(NAMES[0], ("detail",), parameters=(("layers", request.ground.layers),)))
     for item in request.scatters.asked:
         asked += [read for read, _ in item.scatter.reads()]
     found = kernels_of(plan(asked)) + (kernels_of_stack(request.land.stack) if request.land is not None else [])

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Texts about attributes: their declarations, their readers in a scene, and the cost of an evaluation."""
 
-from ...cbt_terrain.attributes.attribute import GEOMETRY, Effect
-from ...cbt_terrain.attributes.catalogue import EFFECTS
+from ...cbt_terrain.attributes.attribute import GEOMETRY, AttributeDeclaration
+from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
 from .numbers import plain
 
 BYTES = 4  # of a float32
 
 
-def about(effect: Effect) -> dict:
+def about(effect: AttributeDeclaration) -> dict:
     """Return a declaration as fields for the command line, which omits empty ones."""
     return {
         "about": effect.about,
@@ -21,7 +21,7 @@ def about(effect: Effect) -> dict:
     }
 
 
-def cost(effect: Effect) -> str:
+def cost(effect: AttributeDeclaration) -> str:
     """Return the declared cost of an effect per vertex."""
     return f"{BYTES * effect.width} bytes and about {plain(effect.cost_ns)} ns a vertex"
 
@@ -64,4 +64,4 @@ def figures(took) -> str:
 
 def unknown(name: str) -> str:
     """Return the error text for a name that is no effect's."""
-    return f"{name!r} is no effect; expected some of {', '.join(EFFECTS)}"
+    return f"{name!r} is no effect; expected some of {', '.join(ATTRIBUTES)}"

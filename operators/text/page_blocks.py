@@ -78,7 +78,7 @@ class Words:
 
 
 @dataclass(frozen=True)
-class Picture:
+class PagePicture:
     """A PNG file with a caption and an optional title. `png`: its bytes to embed in the page, None for a link."""
 
     name: str
@@ -88,10 +88,10 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Strip:
+class PictureStrip:
     """Pictures of equal width in a row; `first_wide`: two pictures, the first of which is wider than high."""
 
-    pictures: list[Picture]
+    pictures: list[PagePicture]
     first_wide: bool = False
 
 
@@ -138,7 +138,7 @@ def _markdown(block) -> str:
             return "\n".join(f"* **{word}**: {meaning}" for word, meaning in pairs)
         case Figures(pairs):
             return "\n".join(f"* {what}: {value}" for value, what in pairs)
-        case Strip(pictures):
+        case PictureStrip(pictures):
             rows = ([f"**{p.title}**<br>{p.caption}" for p in pictures], [f"![{p.title}]({p.name})" for p in pictures])
             return _markdown_table(*rows, rule=" :-: ")
         case Plot(name, caption):
@@ -170,9 +170,9 @@ def _html(block) -> str:
         case Figures(pairs):
             cells = (f"<div><b>{html.escape(v)}</b><span>{html.escape(w)}</span></div>" for v, w in pairs)
             return f'<div class="figures">{"".join(cells)}</div>'
-        case Strip(pictures, first_wide):
+        case PictureStrip(pictures, first_wide):
             return f'<div class="{"pair" if first_wide else "strip"}">{"".join(map(_html, pictures))}</div>'
-        case Picture(name, caption, title, png):
+        case PagePicture(name, caption, title, png):
             source = f"data:image/png;base64,{base64.b64encode(png).decode()}" if png else html.escape(name)
             text = (f"<b>{html.escape(title)}</b>" if title else "") + html.escape(caption)
             shown = f'<img src="{source}" alt="{html.escape(title or caption)}">'

@@ -7,14 +7,14 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.attributes.attribute import Asked
+from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest
 from adaptive_terrain.cbt_terrain.attributes.decals import Decal, picture
 from adaptive_terrain.cbt_terrain.attributes.splat_rules import Layer, Rule
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.fit.fit import bake
-from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, Mask
+from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, HeightMask
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.plain_numbers import plain_number
@@ -48,11 +48,14 @@ SETTINGS = {
     "stack": lambda n: Stack(
         (
             Entry(
-                "rivers", {"years": n(100)}, seed=n(4), mask=Mask(rules=(GroundRule("height", low=n(5)),), factor=n(1))
+                "rivers",
+                {"years": n(100)},
+                seed=n(4),
+                mask=HeightMask(rules=(GroundRule("height", low=n(5)),), factor=n(1)),
             ),
         )
     ),
-    "effect": lambda n: Asked("occlusion", (), parameters=(("radius", n(9)), ("colors", ((n(1), n(0)),)))),
+    "effect": lambda n: AttributeRequest("occlusion", (), parameters=(("radius", n(9)), ("colors", ((n(1), n(0)),)))),
     "decal": lambda n: Decal("a", picture(np.ones((2, 2, 4)), False), (n(0), n(0)), (n(9), n(0)), (n(0), n(9)), n(1)),
 }
 

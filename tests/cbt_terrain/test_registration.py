@@ -4,12 +4,12 @@
 from dataclasses import replace
 
 import pytest
-from adaptive_terrain.cbt_terrain.attributes.attribute import Asked
-from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS, register_attribute, unregister_attribute
+from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest
+from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES, register_attribute, unregister_attribute
 from adaptive_terrain.cbt_terrain.attributes.plan import kernels_of_steps, plan
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.height_operators.catalogue import (
-    LAND_EFFECTS,
+    HEIGHT_OPERATORS,
     register_height_operator,
     unregister_height_operator,
 )
@@ -18,20 +18,20 @@ from adaptive_terrain.cbt_terrain.height_operators.stack import stack_from
 
 
 def test_a_registered_attribute_is_planned_with_its_kernels():
-    register_attribute(replace(EFFECTS["wetness"], name="damp"))
+    register_attribute(replace(ATTRIBUTES["wetness"], name="damp"))
     try:
-        steps = plan([Asked("damp", ("a test",))])
-        assert steps.steps[-1].name == "damp" and set(EFFECTS["damp"].kernels) <= set(kernels_of_steps(steps))
+        steps = plan([AttributeRequest("damp", ("a test",))])
+        assert steps.steps[-1].name == "damp" and set(ATTRIBUTES["damp"].kernels) <= set(kernels_of_steps(steps))
     finally:
         unregister_attribute("damp")
-    assert "damp" not in EFFECTS
+    assert "damp" not in ATTRIBUTES
 
 
 def test_a_registered_height_operator_stands_in_stacks():
-    register_height_operator(replace(LAND_EFFECTS["thermal"], name="slide"))
+    register_height_operator(replace(HEIGHT_OPERATORS["thermal"], name="slide"))
     try:
         stack = stack_from({"version": 1, "entries": [{"effect": "slide"}]})
-        assert kernels_of(stack) == list(LAND_EFFECTS["thermal"].kernels)
+        assert kernels_of(stack) == list(HEIGHT_OPERATORS["thermal"].kernels)
     finally:
         unregister_height_operator("slide")
     with pytest.raises(TerrainError, match="slide"):
@@ -40,16 +40,16 @@ def test_a_registered_height_operator_stands_in_stacks():
 
 @pytest.mark.parametrize("name", ["wetness", "thermal", "two words", "Upper"])
 def test_a_taken_or_invalid_name_is_an_error(name):
-    before = list(EFFECTS), list(LAND_EFFECTS)
+    before = list(ATTRIBUTES), list(HEIGHT_OPERATORS)
     if name != "thermal":
         with pytest.raises(TerrainError, match=name):
-            register_attribute(replace(EFFECTS["flow"], name=name))
+            register_attribute(replace(ATTRIBUTES["flow"], name=name))
     if name != "wetness":
         with pytest.raises(TerrainError, match=name):
-            register_height_operator(replace(LAND_EFFECTS["flood"], name=name))
-    assert before == (list(EFFECTS), list(LAND_EFFECTS))
+            register_height_operator(replace(HEIGHT_OPERATORS["flood"], name=name))
+    assert before == (list(ATTRIBUTES), list(HEIGHT_OPERATORS))
 
 
 def test_an_attribute_that_reads_an_unknown_one_is_an_error():
     with pytest.raises(TerrainError, match="reads 'nowhere', which is not registered"):
-        register_attribute(replace(EFFECTS["wetness"], name="damp", reads=("nowhere",)))
+        register_attribute(replace(ATTRIBUTES["wetness"], name="damp", reads=("nowhere",)))

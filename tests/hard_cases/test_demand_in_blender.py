@@ -5,7 +5,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS  # noqa: E402
+from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES  # noqa: E402
 from adaptive_terrain.operators.session import session  # noqa: E402
 from demand_trees import Moved, attribute, colour, emit, group, mix, new_material  # noqa: E402
 
@@ -42,7 +42,7 @@ def made(obj):
     if record.terrain is not None:
         record.terrain.history.values = None
     session.update_object(obj)
-    has = {name for name in EFFECTS if name in obj.data.attributes}
+    has = {name for name in ATTRIBUTES if name in obj.data.attributes}
     assert set(record.effects_runs) == has
     return has
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.island import SIDE, island
-from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
 from adaptive_terrain.cbt_terrain.height_operators.fitted import fitted
 from adaptive_terrain.cbt_terrain.height_operators.level_plan import LevelPlan
 from adaptive_terrain.cbt_terrain.height_operators.shape import shape
@@ -66,7 +66,7 @@ def rms(metres) -> float:
 @pytest.mark.parametrize("name", BOUNDS)
 def test_case_57_tile_by_tile_equals_the_whole(monkeypatch, name):
     """Tiles computed alone equal the whole: exactly but for rounding, to 0.1 % (thermal) or 5 % (rivers, snow)."""
-    monkeypatch.setitem(LAND_EFFECTS, "smooth", SMOOTH)
+    monkeypatch.setitem(HEIGHT_OPERATORS, "smooth", SMOOTH)
     field = from_array(bumpy(560, 930) * 2 + 400, 12.0, 10.0)
     error, change = map(rms, errors_and_changes(field, Stack((Entry(name, PARAMETERS.get(name, {})),))))
     assert change > 0.05 and error <= BOUNDS[name] * change + ROUNDING

@@ -9,7 +9,7 @@ from adaptive_terrain.cbt_terrain.attributes.routing import route
 from adaptive_terrain.cbt_terrain.field.island import SIDE, island
 from adaptive_terrain.cbt_terrain.height_operators import fluvial
 from adaptive_terrain.cbt_terrain.height_operators.fluvial import step
-from adaptive_terrain.cbt_terrain.height_operators.height_operator import Change, Ground
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import Change, OperatorGround
 from adaptive_terrain.cbt_terrain.height_operators.levels import apply_by_levels, coarser, finer
 from adaptive_terrain.cbt_terrain.height_operators.rivers import RIVERS, grow
 from river_grounds import aged, bed_of, rough
@@ -85,7 +85,7 @@ def test_case_57_a_tile_of_rivers_is_as_the_whole():
     """A tile with its halo and the inflow over its border equals the whole to 5 % of the level's change."""
     fine = island(513)
     spacing, values = SIDE / 512, RIVERS.defaults()
-    whole = Ground(fine, spacing, spacing, whole=fine.shape, seed=3)
+    whole = OperatorGround(fine, spacing, spacing, whole=fine.shape, seed=3)
     below = replace(whole, heights=coarser(fine), step_x=2 * spacing, step_y=2 * spacing, level=1)
     coarse = apply_by_levels(RIVERS, below, values)
     up = {k: finer(a, fine.shape) for k, a in (coarse.layers | coarse.state).items()}

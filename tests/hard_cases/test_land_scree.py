@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.island import SIDE, island
 from adaptive_terrain.cbt_terrain.height_operators import droplets, thermal
-from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
 from adaptive_terrain.cbt_terrain.height_operators.examples import shape_with
-from adaptive_terrain.cbt_terrain.height_operators.height_operator import Change, Ground
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import Change, OperatorGround
 from fields import rough
 
 
@@ -52,7 +52,9 @@ def test_case_55_no_rock_is_lost_as_scree():
 def test_case_55_no_rock_is_lost_by_droplets():
     """Rock eroded, deposited and carried over the border adds up to 1e-12 of the change."""
     heights = crags(120, 131)
-    change, carried = droplets.rain_on(Ground(heights, 9.0, 13.0, whole=heights.shape), droplets.DROPLETS.defaults())
+    change, carried = droplets.rain_on(
+        OperatorGround(heights, 9.0, 13.0, whole=heights.shape), droplets.DROPLETS.defaults()
+    )
     assert abs(change.sum() * 9.0 * 13.0 + carried) < 1e-12 * np.abs(change).sum() * 9.0 * 13.0
 
 
@@ -81,7 +83,7 @@ def test_case_57_four_tiles_of_scree_are_the_whole():
             for part, size in zip((rows, columns), heights.shape, strict=True)
         )
         first = tuple(part.start for part in window)
-        ground = Ground(np.ascontiguousarray(heights[window]), step, step, first, (999, 999), level=1)
+        ground = OperatorGround(np.ascontiguousarray(heights[window]), step, step, first, (999, 999), level=1)
         coarse = Change(scree[window], {name: layer[window] for name, layer in before.items()})
         inner = tuple(slice(part.start - at, part.stop - at) for part, at in zip((rows, columns), first, strict=True))
         return thermal.apply(ground, values, coarse).heights[inner]
@@ -106,10 +108,10 @@ def test_case_58_other_processors_give_the_same_bytes(tmp_path):
 def test_case_58_only_the_seed_changes_the_bytes():
     """Thermal erosion and droplets give the same bytes on 1, 2 and 3 threads, and others with another seed."""
     for name in ("thermal", "droplets"):
-        effect, heights = LAND_EFFECTS[name], crags(130, 97)
+        effect, heights = HEIGHT_OPERATORS[name], crags(130, 97)
 
         def change(seed: int, threads: int, effect=effect, heights=heights) -> bytes:
-            ground = Ground(heights, 14.0, 14.0, whole=heights.shape, seed=seed, threads=threads)
+            ground = OperatorGround(heights, 14.0, 14.0, whole=heights.shape, seed=seed, threads=threads)
             return effect.apply(ground, effect.defaults(), None).heights.tobytes()
 
         assert change(1, 1) == change(1, 2) == change(1, 3) != change(2, 1)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.height_operators import flood
-from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
-from adaptive_terrain.cbt_terrain.height_operators.height_operator import Ground
+from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import OperatorGround
 from adaptive_terrain.cbt_terrain.height_operators.levels import apply_by_levels
 from rasters import hills
 
@@ -91,9 +91,11 @@ def test_case_55_water_is_neither_made_nor_lost():
 def test_case_55_slides_keep_the_snow():
     """Slides on hills of up to 60 degrees keep the snow to 1e-7 of the slides, over three levels."""
     heights = 3.0 * hills(700, 530)
-    snow = LAND_EFFECTS["snow"]
+    snow = HEIGHT_OPERATORS["snow"]
     for wind in (0.0, 137.0):
-        change = apply_by_levels(snow, Ground(heights, 30.0, 25.0), snow.defaults() | {"wind": wind, "line": 900.0})
+        change = apply_by_levels(
+            snow, OperatorGround(heights, 30.0, 25.0), snow.defaults() | {"wind": wind, "line": 900.0}
+        )
         slides = change.layers["slides"].astype(np.float64)
         assert abs(slides).sum() > 0.05 * change.layers["snow"].sum(dtype=np.float64)
         assert abs(slides.sum()) < 1e-7 * abs(slides).sum()
@@ -103,11 +105,11 @@ def test_case_55_slides_keep_the_snow():
 @pytest.mark.parametrize("name", ["water", "flood", "snow"])
 def test_case_58_the_same_bytes_for_any_number_of_threads(name):
     """1, 2 and 3 threads give the same bytes of heights and layers."""
-    effect, heights = LAND_EFFECTS[name], hills(411, 333)
+    effect, heights = HEIGHT_OPERATORS[name], hills(411, 333)
     values = effect.defaults() | ({"minutes": 0.5} if name == "flood" else {})
     sums = set()
     for threads in (1, 2, 3):
-        change = apply_by_levels(effect, Ground(heights, 20.0, 17.0, threads=threads), values)
+        change = apply_by_levels(effect, OperatorGround(heights, 20.0, 17.0, threads=threads), values)
         arrays = [change.heights, *change.layers.values()]
         sums.add(hashlib.sha256(b"".join(a.tobytes() for a in arrays)).hexdigest())
     assert len(sums) == 1

@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.attributes.attribute import Places
-from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.attributes.attribute import SamplePoints
+from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from horizons import coded, directions, engines, every_sample, from_cell_to_cell, places_on
 from padded import raster
@@ -15,8 +15,8 @@ from padded import raster
 RASTERS = [((33, 33), (10.0, 10.0)), ((97, 41), (2.0, 7.5)), ((2, 2), (1.0, 1.0)), ((2, 70), (3.0, 1.0))]
 
 
-def sun(places: Places, *suns, **angle) -> np.ndarray:
-    return EFFECTS["sun"].make(places, {"sun": {"suns": suns}}, {})["sun"]
+def sun(places: SamplePoints, *suns, **angle) -> np.ndarray:
+    return ATTRIBUTES["sun"].make(places, {"sun": {"suns": suns}}, {})["sun"]
 
 
 @pytest.mark.parametrize("size, steps", RASTERS)
@@ -64,7 +64,7 @@ def test_case_59_places_beyond_the_rim_take_the_light_of_the_rim():
     inside = np.array([(east, 3.0, 0.0), (west, south, 0.0), (-7.0, north, 0.0), (west, south, 0.0)], np.float32)
     outside = np.array([(1e30, 3.0, 9.0), (-1e9, -1e9, 0.0), (-7.0, north + 1, 0.0), (np.nan, np.nan, 0.0)], np.float32)
     towards = np.array([(-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.6, 0.8)])
-    places = (Places(field, where, np.zeros(4, np.float32)) for where in (inside, outside))
+    places = (SamplePoints(field, where, np.zeros(4, np.float32)) for where in (inside, outside))
     a, b = (engines(p, towards) for p in places)
     assert np.array_equal(a, b) and (a > 0).any()
 

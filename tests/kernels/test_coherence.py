@@ -18,7 +18,7 @@ from adaptive_terrain.cbt_terrain.view.local_view import localise
 from adaptive_terrain.cbt_terrain.view.morph import SMOOTH
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from adaptive_terrain.kernels.refine.coherence import FADED, Motion, Subtree
-from adaptive_terrain.kernels.refine.pixels import CLEAR, Asked, LocalView
+from adaptive_terrain.kernels.refine.pixels import CLEAR, CriterionArrays, LocalView
 from fields import extent, rough
 from invariants import arrays
 from twins import load
@@ -193,7 +193,7 @@ def test_footprints_in_a_box_change_within_the_bound(kind, stands, spans_kernel)
             view = View.look(at, target, kind=kind, resolution=(960, 540), fov_deg=60, ortho_width=size)
             box = np.array([[-3.0 * size] * 3, [3.0 * size] * 3])
             local.append(localise(view, placement, box, criterion, 1.0 + 0.01 * frame))
-        asked, motion, subtree = Asked(), Motion(), Subtree()
+        asked, motion, subtree = CriterionArrays(), Motion(), Subtree()
         asked.view, asked.view_count, asked.views = local[1], 1, wp.array(local[1:], dtype=LocalView, device="cpu")
         move(motion, *local, drift=0.0)
         subtree.low, subtree.high, subtree.stands = low, high, stands

@@ -17,7 +17,7 @@ from adaptive_terrain.cbt_terrain.refine.domain import make_domain, pack
 from adaptive_terrain.cbt_terrain.terrain import box_of
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.local_view import localise
-from adaptive_terrain.cbt_terrain.view.spans import Plan, spans_of
+from adaptive_terrain.cbt_terrain.view.spans import PlanUnits, spans_of
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from fields import extent, rough
 from twins import load
@@ -84,7 +84,7 @@ def test_no_diamond_exceeds_its_parent_in_any_view(kernels, grounds):
         field, placement, criterion = grounds[rng.integers(len(grounds))], a_placement(rng), a_criterion(rng)
         domain = make_domain(field, int(rng.integers(2)), float(rng.choice([1.0, -2.0])), 0.0)
         view = a_view(rng, extent(field), placement)
-        plan = Plan((domain.unit_x, domain.unit_y), domain.unit_bits, 30, (0.0, 0.0, 0.0))
+        plan = PlanUnits((domain.unit_x, domain.unit_y), domain.unit_bits, 30, (0.0, 0.0, 0.0))
         spans = spans_of(criterion, [view], placement, plan)
         local = localise(view, placement, box_of(field, 1.0, 0.0), criterion, spans.scales[0])
         ways = wp.array(rng.integers(0, 2**63, WAYS, np.uint64), dtype=wp.uint64, device="cpu")

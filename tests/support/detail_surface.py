@@ -2,7 +2,7 @@
 """A detail below the raster's cells, evaluated in numpy from nothing but its description."""
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.field.coats import Coats
+from adaptive_terrain.cbt_terrain.field.displacement_layers import DisplacementLayers
 from adaptive_terrain.cbt_terrain.field.tiled import Tiled
 
 
@@ -71,9 +71,9 @@ def mask_values(mask, lattice, plane):
 def ground_heights(field, plane):
     """Return the metres that all layers add to a field's surface at points [n, 2]."""
     ground = field.detail
-    if isinstance(ground, Coats):
+    if isinstance(ground, DisplacementLayers):
         whole = np.zeros(len(plane))
-        for coat in ground.coats:
+        for coat in ground.layers:
             own = one_height(coat.detail, field.finest_edge, plane)
             whole += own if coat.mask is None else own * mask_values(coat.mask, field.lattice, plane)
         return whole

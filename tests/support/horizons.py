@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import warp as wp
-from adaptive_terrain.cbt_terrain.attributes.attribute import Places
+from adaptive_terrain.cbt_terrain.attributes.attribute import SamplePoints
 from adaptive_terrain.cbt_terrain.attributes.occluder import every_crossing, occluder_of
 from adaptive_terrain.cbt_terrain.field.codes import Steps
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
@@ -31,7 +31,7 @@ def horizons(
     out[i] = horizon(g, x, y, surface(g, x, y), azimuths[i], far, least, wp.float64(1.0e300))
 
 
-def engines(places: Places, azimuths: np.ndarray, far=1e300, least=0.0, blocks=True) -> np.ndarray:
+def engines(places: SamplePoints, azimuths: np.ndarray, far=1e300, least=0.0, blocks=True) -> np.ndarray:
     """float64 [n]: the slope of each place's horizon along its azimuth (float64 [n, 2]); without blocks every crossing
     is visited."""
     ground = occluder_of(places) if blocks else every_crossing(places.field, places.vertical_scale)
@@ -85,7 +85,7 @@ def _on_surface(h: np.ndarray, scale: float, x: float, y: float) -> float:
     return scale * (a + (c - a) * (y - j))
 
 
-def places_on(field: HeightField, count: int, seed: int = 0, scale: float = 1.0) -> Places:
+def places_on(field: HeightField, count: int, seed: int = 0, scale: float = 1.0) -> SamplePoints:
     """Return places: a third on samples, between them, and on the border and its corners; heights are arbitrary."""
     lattice, rng = field.lattice, np.random.default_rng(seed)
     west, south, _, _ = lattice.rectangle()
@@ -98,16 +98,16 @@ def places_on(field: HeightField, count: int, seed: int = 0, scale: float = 1.0)
     )
     positions = np.zeros((count, 3), np.float32)
     positions[:, 0], positions[:, 1] = west + cells[:, 0] * lattice.step_x, south + cells[:, 1] * lattice.step_y
-    return Places(field, positions, np.zeros(count, np.float32), scale)
+    return SamplePoints(field, positions, np.zeros(count, np.float32), scale)
 
 
-def every_sample(field: HeightField, scale: float = 1.0, threads: int = 1) -> Places:
+def every_sample(field: HeightField, scale: float = 1.0, threads: int = 1) -> SamplePoints:
     """Return the samples of a raster row by row."""
     lattice = field.lattice
     west, south, _, _ = lattice.rectangle()
     x, y = west + np.arange(lattice.width) * lattice.step_x, south + np.arange(lattice.height) * lattice.step_y
     positions = np.stack([*np.meshgrid(x, y), field.heights() * scale], -1).astype(np.float32).reshape(-1, 3)
-    return Places(field, positions, np.zeros(len(positions), np.float32), scale, threads=threads)
+    return SamplePoints(field, positions, np.zeros(len(positions), np.float32), scale, threads=threads)
 
 
 def directions(count: int, seed: int = 0) -> np.ndarray:

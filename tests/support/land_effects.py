@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.attributes.attribute import Parameter
-from adaptive_terrain.cbt_terrain.height_operators.height_operator import Change, LandEffect, LandLayer
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import Change, HeightOperator, LandLayer
 
 SWEEPS = 4
 
@@ -42,7 +42,7 @@ def _example(_evaluate):
     pass
 
 
-SMOOTH = LandEffect(
+SMOOTH = HeightOperator(
     "smooth",
     "Smooth",
     "Diffusion",
@@ -53,7 +53,7 @@ SMOOTH = LandEffect(
     halo=lambda values, step: values["sweeps"] * step,
     cost_ns=20,
 )
-HILL = LandEffect(
+HILL = HeightOperator(
     "hill",
     "Hill",
     "A cone",
@@ -68,7 +68,7 @@ HILL = LandEffect(
     layers=(LandLayer("fresh", "m", ""), LandLayer("mark", "m", "", per_metre=False)),
     cost_ns=10,
 )
-LEVEL = LandEffect(
+LEVEL = HeightOperator(
     "level",
     "Level",
     "Towards the mean",

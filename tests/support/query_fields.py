@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.field.coats import Coat, Coats, Mask
 from adaptive_terrain.cbt_terrain.field.codes import Steps
 from adaptive_terrain.cbt_terrain.field.detail import Detail
+from adaptive_terrain.cbt_terrain.field.displacement_layers import DisplacementLayer, DisplacementLayers, LayerMask
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField, with_detail
 from fields import rough
 
@@ -20,7 +20,9 @@ def _surfaces() -> dict[str, HeightField]:
     cubic = interpolated(ROUGH, "bicubic")
     numbers, steps = np.round((ROUGH.samples + 1000) * 16).astype(np.uint16), Steps(0, 1 / 16, -1000.0)
     mask = (np.add.outer(np.arange(SHAPE[0]), np.arange(SHAPE[1])) % 256).astype(np.uint8)
-    masked = Coats((Coat(Detail(2.0, 9.0)), Coat(Detail(1.0, 5.0, seed=3), Mask(mask))))
+    masked = DisplacementLayers(
+        (DisplacementLayer(Detail(2.0, 9.0)), DisplacementLayer(Detail(1.0, 5.0, seed=3), LayerMask(mask)))
+    )
     return {
         "bilinear": ROUGH,
         "bicubic": cubic,

@@ -3,7 +3,7 @@
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.height_operators.fluvial import Bed
-from adaptive_terrain.cbt_terrain.height_operators.height_operator import Ground
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import OperatorGround
 from adaptive_terrain.cbt_terrain.height_operators.levels import apply_by_levels
 from adaptive_terrain.cbt_terrain.height_operators.rivers import RIVERS
 
@@ -24,7 +24,7 @@ def bed_of(h, step_x, step_y, **other):
 
 
 def aged(h, spacing, **given):
-    ground = Ground(
+    ground = OperatorGround(
         h, spacing, spacing, **{k: given.pop(k) for k in ("mask", "missing", "seed", "threads") if k in given}
     )
     return apply_by_levels(RIVERS, ground, RIVERS.defaults() | given)

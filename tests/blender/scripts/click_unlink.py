@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import bpy
-from bl_ext.user_default.adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
+from bl_ext.user_default.adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from bl_ext.user_default.adaptive_terrain.operators.session import session
 
 sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
@@ -18,7 +18,7 @@ result = {"version": bpy.app.version_string}
 
 
 def made():
-    return [name for name in EFFECTS if name in terrain().data.attributes]
+    return [name for name in ATTRIBUTES if name in terrain().data.attributes]
 
 
 def note(moment):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy import interpolation, look, measure, popping, shading_change, triangle_errors
-from adaptive_terrain.cbt_terrain.accuracy.mesh import Ground, MeasuredMesh, errors_of
+from adaptive_terrain.cbt_terrain.accuracy.mesh import MeasuredMesh, MeshGround, errors_of
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.run import launch
@@ -92,7 +92,7 @@ def test_vertical_errors_are_those_of_brute_force(meshlet, error_m):
     z = rough(9, 17, seed=3).samples
     field, scale, offset = from_array(np.array(z), 10.0, 7.0), -2.0, 5.0
     surface = mesh_of(field, error_m, scale, offset, meshlet=meshlet)
-    ground = Ground(field, scale, offset, 1)
+    ground = MeshGround(field, scale, offset, 1)
     mesh = MeasuredMesh(ground, surface)
     points = ground.random_points(2000, 1)
     plane = points * 2.0 ** -(ground.bits + 7) * (10.0, 7.0) - (80.0, 28.0)
@@ -116,7 +116,7 @@ def test_vertical_errors_are_those_of_brute_force(meshlet, error_m):
 
 def test_points_on_the_borders_of_triangles_are_found_once_and_all():
     field = rough(9, 17)
-    ground = Ground(field, 1.0, 0.0, 1)
+    ground = MeshGround(field, 1.0, 0.0, 1)
     mesh = MeasuredMesh(ground, mesh_of(field, 0.1, meshlet=1))
     ends = np.array(ground.point_ends)
     points = np.array([[0, 0], ends, [ends[0], 0], [0, ends[1]], ends // 2, ends // 4, [ends[0], ends[1] // 2]])

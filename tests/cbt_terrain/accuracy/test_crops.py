@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain.accuracy.crops import SIDE, crops
-from adaptive_terrain.cbt_terrain.accuracy.timed_runs import Frame
+from adaptive_terrain.cbt_terrain.accuracy.timed_runs import TimedFrame
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import shared
@@ -54,7 +54,7 @@ def above(**look) -> View:
 
 
 def test_a_crop_is_where_errors_differ_and_finer_errors_come_nearer(terrain):
-    frame = Frame([above()], vertical_scale=2.0)
+    frame = TimedFrame([above()], vertical_scale=2.0)
     coarse, middle, fine = crops(terrain, frame, (8.0, 2.0, 0.25))
     assert coarse.pixels.shape == (SIDE, SIDE, 3) and coarse.pixels.dtype == np.uint8
     assert coarse.triangles < middle.triangles < fine.triangles
@@ -68,8 +68,8 @@ def test_a_crop_is_where_errors_differ_and_finer_errors_come_nearer(terrain):
 
 def test_what_has_no_frame_has_no_crops(terrain):
     panorama = View.look((0, 0, 50), (1, 0, 50), kind=PANORAMIC, resolution=(64, 32))
-    assert crops(terrain, Frame([panorama]), (4.0, 1.0)) == []
-    assert crops(terrain, Frame([]), (4.0,)) == [] and crops(terrain, Frame([above()]), ()) == []
+    assert crops(terrain, TimedFrame([panorama]), (4.0, 1.0)) == []
+    assert crops(terrain, TimedFrame([]), (4.0,)) == [] and crops(terrain, TimedFrame([above()]), ()) == []
 
 
 def test_a_png_is_what_others_read():

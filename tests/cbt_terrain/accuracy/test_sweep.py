@@ -13,12 +13,12 @@ from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import PIXELS, Setting
 from adaptive_terrain.cbt_terrain.accuracy.timed_runs import (
     RUNS,
     SHORT_UPDATES,
-    Frame,
+    TimedFrame,
     fastest,
     median_by_step,
     timed_runs,
 )
-from adaptive_terrain.cbt_terrain.attributes.attribute import Asked
+from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest
 from adaptive_terrain.cbt_terrain.attributes.plan import plan
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
@@ -66,7 +66,7 @@ def test_metres_are_halved_powers_of_two_below_a_part_of_the_relief():
 
 
 def test_a_sweep_with_a_camera_varies_pixels_depth_meshlets_and_metres(field):
-    settings = settings_for(field, Frame([SEEN]))
+    settings = settings_for(field, TimedFrame([SEEN]))
     own, other = ([s for s in settings if s.interpolation == name] for name in ("bilinear", "bicubic"))
     assert [s.error for s in own if s.unit == "px" and s.plain] == list(PIXELS)
     assert [s.error for s in other if s.unit == "px"] == list(PIXELS[::2]) and all(s.plain for s in other)
@@ -74,26 +74,26 @@ def test_a_sweep_with_a_camera_varies_pixels_depth_meshlets_and_metres(field):
     assert [s.meshlet for s in settings if s.meshlet] == [1, 2, 3, 4]
     metres = [s for s in own if s.unit == "m"]
     assert [s.error for s in metres if s.plain] == metre_steps(field.max_height - field.min_height)
-    assert [s for s in settings_for(field, Frame()) if s.unit == "px"] == []
-    scaled = settings_for(field, Frame(vertical_scale=-2.0))
+    assert [s for s in settings_for(field, TimedFrame()) if s.unit == "px"] == []
+    scaled = settings_for(field, TimedFrame(vertical_scale=-2.0))
     assert scaled[0].error == 2 * metres[0].error
 
 
 def test_a_sweep_of_a_smooth_surface_has_the_other_one_beside_it(field):
-    settings = settings_for(interpolated(field, "bicubic"), Frame([SEEN]))
+    settings = settings_for(interpolated(field, "bicubic"), TimedFrame([SEEN]))
     smooth, flat = ([s for s in settings if s.interpolation == name] for name in ("bicubic", "bilinear"))
     assert [s.error for s in smooth if s.unit == "px" and s.plain] == list(PIXELS)
     assert all(s.plain or s.fitted for s in flat) and not any(s.fitted for s in smooth)
 
 
 def test_transitions_are_measured_both_ways_where_a_frame_follows(field):
-    moving = Frame([SEEN], after=Frame([FURTHER]))
+    moving = TimedFrame([SEEN], after=TimedFrame([FURTHER]))
     for own, other in ((1.0, SMOOTH), (SMOOTH, 1.0), (2.5, 1.0)):
         changed = [s for s in settings_for(field, moving, own) if s.morph is not None]
         assert [s.error for s in changed] == [4.0, 2.0, 1.0, 0.5] and not any(s.plain for s in changed)
         assert {s.criterion(Criterion(morph=own)).morph for s in changed} == {other}
         assert Setting("px", 1.0).criterion(Criterion(morph=own)).morph == own
-    assert not any(s.morph for s in settings_for(field, Frame([SEEN])))
+    assert not any(s.morph for s in settings_for(field, TimedFrame([SEEN])))
 
 
 def test_a_setting_replaces_what_a_criterion_asks_and_keeps_what_it_does_off_screen():
@@ -108,7 +108,7 @@ def test_a_row_holds_what_was_asked_bounded_measured_and_paid(field):
     settings = [Setting("px", 4.0), Setting("px", 1.0), Setting("px", 1.0, meshlet=2), Setting("m", 2.0)]
     settings += [Setting("px", 1.0, interpolation="bicubic"), Setting("m", 2.0, interpolation="bicubic")]
     told, progress = [], []
-    rows = sweep(field, settings, [Frame([SEEN])], on_row=told.append, on_progress=progress.append)
+    rows = sweep(field, settings, [TimedFrame([SEEN])], on_row=told.append, on_progress=progress.append)
     assert rows == told and [row.setting for row in rows] == settings
     assert progress == sorted(progress) and progress[0] == 0 and progress[-1] == 1
     for row in rows:
@@ -134,15 +134,15 @@ def _edges(row: Row) -> int:
 
 def test_of_several_frames_the_worst_error_counts_and_popping_is_between_neighbours(field):
     setting = Setting("px", 2.0)
-    apart = [sweep(field, [setting], [Frame([view])])[0] for view in (SEEN, FURTHER)]
-    both = sweep(field, [setting], [Frame([SEEN], after=Frame([FURTHER])), Frame([FURTHER])])[0]
+    apart = [sweep(field, [setting], [TimedFrame([view])])[0] for view in (SEEN, FURTHER)]
+    both = sweep(field, [setting], [TimedFrame([SEEN], after=TimedFrame([FURTHER])), TimedFrame([FURTHER])])[0]
     assert both.error == max(row.error for row in apart)
     assert both.bound == max(row.bound for row in apart)
     assert both.measured.screen_px.count == sum(row.measured.screen_px.count for row in apart)
     assert [row.popping_px for row in apart] == [None, None]
     assert 0 < both.popping_px.max and 0 < both.shading_change.max < 2 * 255
     assert both.figures()["shading_change_max"] == both.shading_change.max
-    still = sweep(field, [setting], [Frame([SEEN], after=Frame([SEEN]))])[0]
+    still = sweep(field, [setting], [TimedFrame([SEEN], after=TimedFrame([SEEN]))])[0]
     assert still.popping_px.max == still.shading_change.max == 0
 
 
@@ -155,7 +155,7 @@ def test_raising_ends_a_sweep(field):
 
     for callback in ("on_row", "on_progress"):
         with pytest.raises(Stop):
-            sweep(field, [Setting("m", 4.0)], [Frame()], **{callback: stop})
+            sweep(field, [Setting("m", 4.0)], [TimedFrame()], **{callback: stop})
 
 
 def test_writing_the_mesh_is_a_step_of_its_own(field):
@@ -165,12 +165,12 @@ def test_writing_the_mesh_is_a_step_of_its_own(field):
         written.append(len(surface.level))
         return 7.0  # milliseconds
 
-    row = sweep(field, [Setting("m", 4.0)], [Frame()], write=write)[0]
+    row = sweep(field, [Setting("m", 4.0)], [TimedFrame()], write=write)[0]
     assert set(written) == {row.triangles} and len(written) in (RUNS + 1, RUNS * SHORT_UPDATES + 1)
     assert row.ms["ingest"] == 7.0 and row.whole_ms == row.ms["total"] + 7.0
 
 
-@pytest.mark.parametrize("frame", [Frame([SEEN]), Frame(), Frame([SEEN], vertical_offset=1e6)])
+@pytest.mark.parametrize("frame", [TimedFrame([SEEN]), TimedFrame(), TimedFrame([SEEN], vertical_offset=1e6)])
 @pytest.mark.parametrize("relief", [0.0, 1.0])
 def test_no_timed_run_finds_the_mesh_done_already(relief, frame):
     heights = from_array(np.outer(np.hanning(33), np.hanning(33)) * relief)
@@ -181,12 +181,12 @@ def test_no_timed_run_finds_the_mesh_done_already(relief, frame):
 
 
 def test_runs_are_compared_by_processor_time(field):
-    runs = timed_runs(Terrain(field), Criterion(error_px=0, error_m=4.0), Frame(), 4, write=lambda surface: 7.0)
+    runs = timed_runs(Terrain(field), Criterion(error_px=0, error_m=4.0), TimedFrame(), 4, write=lambda surface: 7.0)
     assert len(runs) == 4 and all(run["ingest"] == 7.0 and run["cpu"] > 0.0 for run in runs)
     assert fastest(runs)["cpu"] == min(run["cpu"] for run in runs)
     # A sleep takes elapsed time, and no time of a processor.
     slow = timed_runs(
-        Terrain(field), Criterion(error_px=0, error_m=4.0), Frame(), 2, write=lambda _: time.sleep(0.05) or 50.0
+        Terrain(field), Criterion(error_px=0, error_m=4.0), TimedFrame(), 2, write=lambda _: time.sleep(0.05) or 50.0
     )
     assert fastest(slow)["cpu"] < 30.0
 
@@ -208,7 +208,7 @@ def test_the_median_of_two_counts_is_their_mean(counts):
 
 
 def test_a_row_of_two_frames_has_the_mean_of_their_counts(field):
-    frames = [Frame([SEEN]), Frame([View.look((0, -900, 900), (0, 0, 0))])]
+    frames = [TimedFrame([SEEN]), TimedFrame([View.look((0, -900, 900), (0, 0, 0))])]
     alone = [sweep(field, [Setting("px", 2.0)], [frame])[0] for frame in frames]
     both = sweep(field, [Setting("px", 2.0)], frames)[0]
     assert alone[0].triangles != alone[1].triangles
@@ -247,7 +247,7 @@ def test_the_worst_of_several_has_the_largest_of_every_figure():
 
 
 def test_a_finer_error_never_costs_fewer_triangles(field):
-    rows = sweep(field, [Setting("px", error) for error in PIXELS], [Frame([SEEN])])
+    rows = sweep(field, [Setting("px", error) for error in PIXELS], [TimedFrame([SEEN])])
     assert all(a.triangles <= b.triangles for a, b in itertools.pairwise(rows))
     assert all(a <= b for a, b in itertools.pairwise(curve_of(rows).ms))
 
@@ -260,9 +260,9 @@ def test_effects_are_a_step_of_the_cost(field):
         written.append("slope" in surface.attributes)
         return 1.0
 
-    asked = plan([Asked("slope", ("a test",))])
-    [row] = sweep(field, [Setting("px", 4.0)], [Frame([SEEN])], write=write, effects=asked)
-    [bare] = sweep(field, [Setting("px", 4.0)], [Frame([SEEN])], write=write)
+    asked = plan([AttributeRequest("slope", ("a test",))])
+    [row] = sweep(field, [Setting("px", 4.0)], [TimedFrame([SEEN])], write=write, effects=asked)
+    [bare] = sweep(field, [Setting("px", 4.0)], [TimedFrame([SEEN])], write=write)
     made = written.count(True)
     assert made > RUNS and written == [True] * made + [False] * (len(written) - made)
     assert row.ms["effects"] > 0 and row.whole_ms == row.ms["total"] + row.ms["effects"] + 1.0

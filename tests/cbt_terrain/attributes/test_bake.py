@@ -9,9 +9,9 @@ import OpenEXR
 import pytest
 from adaptive_terrain.cbt_terrain.attributes import bake as baking
 from adaptive_terrain.cbt_terrain.attributes import exr, png, tiling
-from adaptive_terrain.cbt_terrain.attributes.attribute import Asked
+from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest
 from adaptive_terrain.cbt_terrain.attributes.bake import bake
-from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.attributes.decals import Decal, picture
 from adaptive_terrain.cbt_terrain.attributes.folder import JSON_NAME, read_index
 from adaptive_terrain.cbt_terrain.attributes.tiling import tiling_of
@@ -21,7 +21,7 @@ from fields import rough
 from matplotlib.image import imread
 from rasters import imported, write_raster
 
-NORMAL, SLOPE, BENT = (Asked(name, ("a test",)) for name in ("detail_normal", "slope", "mean_curvature"))
+NORMAL, SLOPE, BENT = (AttributeRequest(name, ("a test",)) for name in ("detail_normal", "slope", "mean_curvature"))
 
 
 @pytest.fixture
@@ -145,7 +145,7 @@ def test_maps_of_the_same_ground_stay_and_others_go(tmp_path):
 def test_a_parameter_makes_another_image(tmp_path):
     field, key = rough(40, 50), {}
     for metres in (5.0, 5.0, 9.0):
-        asked = Asked("ambient_occlusion", (), parameters=(("radius", metres),))
+        asked = AttributeRequest("ambient_occlusion", (), parameters=(("radius", metres),))
         baked = bake(field, [asked], tmp_path, [64])
         key.setdefault(baked.made, []).append(metres)
     assert key == {1: [5.0, 9.0], 0: [5.0]}
@@ -183,8 +183,8 @@ def test_holes_and_coded_rasters_give_finite_numbers(tmp_path):
     heights[20:50, 30:60] = np.nan
     field = from_array(heights, 3.0, holes=True)
     assert field.valid is not None
-    names = list(EFFECTS)
-    bake(field, [Asked(name, ()) for name in names], tmp_path, [64])
+    names = list(ATTRIBUTES)
+    bake(field, [AttributeRequest(name, ()) for name in names], tmp_path, [64])
     assert all(np.isfinite(values(tmp_path, name, 0)).all() for name in names)
 
 
@@ -238,7 +238,7 @@ def test_a_decal_may_be_finer_than_the_samples(tmp_path):
     checker = np.ones((128, 128, 4), np.float32)
     checker[..., :3] = (np.indices((128, 128)).sum(0) % 2)[..., None]
     decal = Decal("d", picture(checker, False), (-128.0, -128.0), (256.0, 0.0), (0.0, 256.0))
-    asked = [Asked("color", ("a test",), parameters=(("decals", (decal,)),))]
+    asked = [AttributeRequest("color", ("a test",), parameters=(("decals", (decal,)),))]
     shares = []
     for side in (16, 1024):
         bake(field, asked, tmp_path / str(side), [side])

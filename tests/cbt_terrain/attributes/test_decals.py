@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.attributes.attribute import Asked
+from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest
 from adaptive_terrain.cbt_terrain.attributes.decals import Decal, picture
 from adaptive_terrain.cbt_terrain.attributes.examples import evaluate_on
 from adaptive_terrain.cbt_terrain.attributes.plan import plan
@@ -71,7 +71,10 @@ def test_decals_are_known_by_their_content():
     place = (0.0, 0.0), (1.0, 0.0), (0.0, 1.0)
     one, same, other = (Decal("d", plain(color), *place) for color in (RED, RED, BLUE))
     assert one == same and hash(one) == hash(same) and one != other
-    plans = [plan([Asked("color", ("a test",), parameters=(("decals", (decal,)),))]) for decal in (one, same, other)]
+    plans = [
+        plan([AttributeRequest("color", ("a test",), parameters=(("decals", (decal,)),))])
+        for decal in (one, same, other)
+    ]
     assert plans[0] == plans[1] != plans[2]
     with pytest.raises(TerrainError, match="'d' stands upright"):
         Decal("d", plain(RED), (0.0, 0.0), (1.0, 0.0), (2.0, 0.0))

@@ -4,9 +4,9 @@
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.attributes import jet
-from adaptive_terrain.cbt_terrain.attributes.attribute import GEOMETRY, PICTURE, Asked, Effect
-from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
-from adaptive_terrain.cbt_terrain.attributes.plan import Plan, plan
+from adaptive_terrain.cbt_terrain.attributes.attribute import GEOMETRY, PICTURE, AttributeDeclaration, AttributeRequest
+from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
+from adaptive_terrain.cbt_terrain.attributes.plan import AttributePlan, plan
 from adaptive_terrain.cbt_terrain.attributes.splat import SPLATS
 from adaptive_terrain.cbt_terrain.attributes.splat_rules import Layer
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -16,7 +16,7 @@ from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, View
 from evaluations import Evaluations
 from padded import raster
 
-EVERY = plan([Asked(name, ("a material",)) for name in jet.OUTPUTS])
+EVERY = plan([AttributeRequest(name, ("a material",)) for name in jet.OUTPUTS])
 
 
 def field():
@@ -50,7 +50,9 @@ def test_any_history_gives_the_bytes_of_none(seed, monkeypatch):
         if frame == 0 or rng.random() < 0.4:
             names = rng.permutation(list(jet.OUTPUTS))[: rng.integers(1, 8)]
             families = [PICTURE if rng.random() < 0.7 else GEOMETRY for _ in names]
-            wanted = plan([Asked(name, ("x",), family) for name, family in zip(names, families, strict=True)])
+            wanted = plan(
+                [AttributeRequest(name, ("x",), family) for name, family in zip(names, families, strict=True)]
+            )
         placement = np.diag([1.0, 2.0, 0.5, 1.0]) if rng.random() < 0.1 else None
         scale = {"vertical_scale": 2.0, "vertical_offset": 3.0} if rng.random() < 0.1 else {}
         surface = terrain.update(Criterion(error_px=0.1), views, placement, **scale).surface
@@ -63,7 +65,7 @@ def test_any_history_gives_the_bytes_of_none(seed, monkeypatch):
     assert known > 10, "next to nothing was kept, so next to nothing was tested"
 
 
-def flown(evaluator: Evaluations, heights, terrain: Terrain, x: float, wanted: Plan = EVERY):
+def flown(evaluator: Evaluations, heights, terrain: Terrain, x: float, wanted: AttributePlan = EVERY):
     views = [View.look((x, -900.0, 500.0), (0, 0, 0), resolution=(60, 40))]
     surface = terrain.update(Criterion(error_px=0.05), views).surface
     return evaluator.attributes(wanted, heights, surface, views), surface, views
@@ -93,18 +95,26 @@ def test_unused_effects_are_not_computed_and_calls_are_shared(monkeypatch):
         return jet.make(places, wanted, read)
 
     for name in jet.OUTPUTS:
-        effect = EFFECTS[name]
-        values = {key: getattr(effect, key) for key in Effect.__dataclass_fields__}
-        monkeypatch.setitem(EFFECTS, name, Effect(**(values | {"make": counted})))
+        effect = ATTRIBUTES[name]
+        values = {key: getattr(effect, key) for key in AttributeDeclaration.__dataclass_fields__}
+        monkeypatch.setitem(ATTRIBUTES, name, AttributeDeclaration(**(values | {"make": counted})))
     heights, evaluator = field(), Evaluations()
     terrain = Terrain(heights)
-    some = plan([Asked("slope", ("x",)), Asked("height", ("y",)), Asked("moisture", ("an attribute of others",))])
+    some = plan(
+        [
+            AttributeRequest("slope", ("x",)),
+            AttributeRequest("height", ("y",)),
+            AttributeRequest("moisture", ("an attribute of others",)),
+        ]
+    )
     flown(evaluator, heights, terrain, 0.0, some)
     assert calls == [["height", "slope"]] and set(evaluator.runs) == {"slope", "height"}
-    more = plan([Asked("slope", ("x",)), Asked("height", ("y",)), Asked("aspect", ("z",))])
+    more = plan(
+        [AttributeRequest("slope", ("x",)), AttributeRequest("height", ("y",)), AttributeRequest("aspect", ("z",))]
+    )
     flown(evaluator, heights, terrain, 0.0, more)
     assert calls[1:] == [["aspect"]], "what was known stays"
-    found, _, _ = flown(evaluator, heights, terrain, 0.0, Plan())
+    found, _, _ = flown(evaluator, heights, terrain, 0.0, AttributePlan())
     assert found == {} and len(calls) == 2
 
 
@@ -115,7 +125,7 @@ def test_splats_without_layers_are_zeros_without_a_call():
     names = [splat.name for splat in SPLATS]
     for frame, count in enumerate((3, 3, 5, 5, 4, 3, 12, 1, 9)):
         layers = tuple(Layer(str(k), strength=1.0 + k) for k in range(count))
-        wanted = plan([Asked(name, ("x",), parameters=(("layers", layers),)) for name in names])
+        wanted = plan([AttributeRequest(name, ("x",), parameters=(("layers", layers),)) for name in names])
         found, surface, _ = flown(evaluator, heights, terrain, 0.5 * frame, wanted)
         weights = np.concatenate([found[name].array for name in names], axis=1)
         assert weights.shape == (len(surface.positions), 12) and (weights[:, :count] > 0).all()
@@ -127,7 +137,7 @@ def test_splats_without_layers_are_zeros_without_a_call():
 
 def test_for_geometry_no_value_depends_on_the_camera():
     heights, evaluator = field(), Evaluations()
-    wanted = plan([Asked("slope", ("a modifier",), GEOMETRY)])
+    wanted = plan([AttributeRequest("slope", ("a modifier",), GEOMETRY)])
     terrain = Terrain(heights)
     surface = terrain.update(Criterion(error_px=1.0), [View.look((0, -900.0, 500.0), (0, 0, 0))]).surface
     far, near = (View.look((0, -y, 500.0), (0, 0, 0)) for y in (90_000.0, 900.0))
@@ -170,7 +180,7 @@ def test_values_beyond_the_limit_are_held_once():
     """Half of a flight's memory without a limit: what is cheapest to make for its size is made anew, with the same
     bytes, and the rest is taken over."""
     heights, eye = field(), np.array([-900.0, -700.0, 600.0])
-    wanted = plan([Asked(name, ("x",)) for name in ("slope", "detail_normal", "sun", "sky")])
+    wanted = plan([AttributeRequest(name, ("x",)) for name in ("slope", "detail_normal", "sun", "sky")])
     views = [View.look(eye + [k, 0, 0], (0, 0, 0), resolution=(60, 40)) for k in range(4)]
     terrain = Terrain(heights, 2)
     surfaces = []

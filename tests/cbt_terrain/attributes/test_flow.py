@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.attributes import flow, routing, wetness, whole
-from adaptive_terrain.cbt_terrain.attributes.attribute import Places
+from adaptive_terrain.cbt_terrain.attributes.attribute import SamplePoints
 from adaptive_terrain.cbt_terrain.field import store, store_folder
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.store import open_store
@@ -25,7 +25,7 @@ def places_of(field, level=0.0, scale=1.0, threads=1, count=500):
     west, south, east, north = field.lattice.rectangle()
     rng = np.random.default_rng(1)
     at = np.column_stack([rng.uniform(west, east, count), rng.uniform(south, north, count), np.zeros(count)])
-    return Places(field, at.astype(np.float32), np.full(count, level, np.float32), scale, 0.0, threads)
+    return SamplePoints(field, at.astype(np.float32), np.full(count, level, np.float32), scale, 0.0, threads)
 
 
 def flow_at(places):
@@ -73,7 +73,7 @@ def test_coarser_levels_are_means_of_logarithms():
     mean = (rows[1:-1] / 2 + (rows[:-2] + rows[2:]) / 4)[1::2, 1::2]
     x = np.arange(-62, 63, 2) * 10.0
     at = np.stack([*np.meshgrid(x, x), np.zeros((63, 63))], -1).reshape(-1, 3).astype(np.float32)
-    coarse = flow_at(Places(field, at, np.full(len(at), 1.0, np.float32)))
+    coarse = flow_at(SamplePoints(field, at, np.full(len(at), 1.0, np.float32)))
     assert np.allclose(np.log(coarse).reshape(63, 63), mean, rtol=1e-6)
     between = np.log(flow_at(places_of(field, 2.5)))
     both = [np.log(flow_at(places_of(field, level))) for level in (2.0, 3.0)]

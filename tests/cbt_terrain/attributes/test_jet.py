@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.attributes.attribute import Places
+from adaptive_terrain.cbt_terrain.attributes.attribute import SamplePoints
 from adaptive_terrain.cbt_terrain.attributes.jet import OUTPUTS, make
 from adaptive_terrain.cbt_terrain.attributes.pyramid import shapes
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
@@ -20,7 +20,7 @@ def made(field, x, y, level=0.0, scale=1.0, offset=0.0, threads=1) -> dict[str, 
     """Everything at places x, y metres."""
     positions = np.stack([np.ravel(x), np.ravel(y), np.zeros(np.size(x))], 1).astype(np.float32)
     levels = np.broadcast_to(np.asarray(level, np.float32), len(positions)).copy()
-    return make(Places(field, positions, levels, scale, offset, threads), ALL, {})
+    return make(SamplePoints(field, positions, levels, scale, offset, threads), ALL, {})
 
 
 def places_in(field, count: int, inset: float = 0.0) -> np.ndarray:
@@ -141,7 +141,7 @@ def fields():
 def test_values_are_finite_and_the_same_on_all_threads(field, scale):
     surface = Terrain(field).update(Criterion(error_px=0, error_m=float(np.ptp(field.heights())) / 50), **scale).surface
     level = np.random.default_rng(3).integers(0, 90, len(surface.positions)).astype(np.float32) / 8
-    one, two = (Places(field, surface.positions, level, *scale.values(), threads=threads) for threads in (1, 3))
+    one, two = (SamplePoints(field, surface.positions, level, *scale.values(), threads=threads) for threads in (1, 3))
     first, second = make(one, ALL, {}), make(two, ALL, {})
     for name, values in first.items():
         assert np.isfinite(values).all(), name
@@ -158,5 +158,5 @@ def test_values_that_are_not_requested_are_not_computed():
     everything = made(field, x, y, 0.625)
     positions = np.stack([x, y, 0 * x], 1).astype(np.float32)
     for name in OUTPUTS:
-        alone = make(Places(field, positions, np.full(100, 0.625, np.float32)), {name: {}}, {})
+        alone = make(SamplePoints(field, positions, np.full(100, 0.625, np.float32)), {name: {}}, {})
         assert alone.keys() == {name} and alone[name].tobytes() == everything[name].tobytes()

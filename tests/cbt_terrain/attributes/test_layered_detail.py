@@ -25,12 +25,12 @@ def test_a_mask_is_the_weight_of_its_layer():
     heights = np.tile(np.arange(21, dtype=np.float32) * 5.0, (13, 1))
     field = from_array(heights, 10.0, 7.0)
     ground = LayeredDetail(None, (Layer("Grass"), HIGH), ((1, Detail(0.3)),))
-    (coat,) = laid(field, ground, 1.0, 0.0, 2).detail.coats
+    (coat,) = laid(field, ground, 1.0, 0.0, 2).detail.layers
     wanted = np.clip((heights - 50.0) / 20.0, 0.0, 1.0)
     wanted = wanted * wanted * (3.0 - 2.0 * wanted)
     linear = np.clip((heights - 50.0) / 20.0, 0.0, 1.0)
     assert min(np.abs(coat.mask.values / 255 - w).max() for w in (wanted, linear)) < 3e-3
-    (turned,) = laid(field, ground, -1.0, 100.0, 1).detail.coats
+    (turned,) = laid(field, ground, -1.0, 100.0, 1).detail.layers
     assert np.abs(turned.mask.values.astype(int) - coat.mask.values[:, ::-1]).max() <= 1
 
 
@@ -40,7 +40,7 @@ def test_masks_are_cached_and_independent_of_threads(monkeypatch):
     field = from_array(heights, 10.0)
     first = laid(field, ground, 1.0, 0.0, 1)
     assert laid(field, ground, 1.0, 0.0, 1) is first
-    assert [coat.mask is None for coat in first.detail.coats] == [True, False, False]
+    assert [coat.mask is None for coat in first.detail.layers] == [True, False, False]
     monkeypatch.setattr(evaluate, "BAND", 100)
     second = laid(from_array(heights, 10.0), ground, 1.0, 0.0, 3)
     assert second.key == first.key

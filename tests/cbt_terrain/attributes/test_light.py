@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain.attributes import light, sky, sky_layer
-from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.attributes.occluder import occluder_of
 from adaptive_terrain.cbt_terrain.attributes.pyramid import level_of
 from adaptive_terrain.cbt_terrain.errors import TerrainError
@@ -26,7 +26,7 @@ DISC = 0.00918
 
 
 def made(name, places, **parameters) -> np.ndarray:
-    effect = EFFECTS[name]
+    effect = ATTRIBUTES[name]
     return effect.make(places, {name: effect.defaults() | parameters}, {})[name]
 
 

@@ -5,13 +5,13 @@ import json
 import os
 
 import pytest
-from adaptive_terrain.cbt_terrain.attributes.attribute import Asked
+from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest
 from adaptive_terrain.cbt_terrain.attributes.bake import bake
 from adaptive_terrain.cbt_terrain.attributes.folder import JSON_NAME
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from fields import rough
 
-SLOPE, NORMAL = Asked("slope", ("a test",)), Asked("detail_normal", ("a test",))
+SLOPE, NORMAL = AttributeRequest("slope", ("a test",)), AttributeRequest("detail_normal", ("a test",))
 links = pytest.mark.skipif(os.name != "posix", reason="Windows lets only some users make symbolic links")
 
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.attributes import splat
-from adaptive_terrain.cbt_terrain.attributes.attribute import Asked, Places
-from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest, SamplePoints
+from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.attributes.plan import plan
 from adaptive_terrain.cbt_terrain.attributes.splat_rules import (
     DEFAULT,
@@ -35,7 +35,7 @@ def places_of(field, level=0.0, scale=1.0, offset=0.0, count=COUNT, seed=1, thre
     west, south, east, north = field.lattice.rectangle()
     rng = np.random.default_rng(seed)
     at = np.column_stack([rng.uniform(west, east, count), rng.uniform(south, north, count), np.zeros(count)])
-    return Places(field, at.astype(np.float32), np.full(count, level, np.float32), scale, offset, threads)
+    return SamplePoints(field, at.astype(np.float32), np.full(count, level, np.float32), scale, offset, threads)
 
 
 def random_values(count=COUNT, seed=2):
@@ -163,7 +163,7 @@ def test_a_painted_image_is_read_over_the_rasters_extent():
     k, m, u, v = np.minimum(i + 1, 12), np.minimum(j + 1, 6), x - i, y - j
     low, high = pixels[j, i] * (1 - u) + pixels[j, k] * u, pixels[m, i] * (1 - u) + pixels[m, k] * u
     assert np.allclose(found, low * (1 - v) + high * v, atol=1e-6)
-    corner = Places(FIELD, np.array([[west, south, 0]], np.float32), np.zeros(1, np.float32))
+    corner = SamplePoints(FIELD, np.array([[west, south, 0]], np.float32), np.zeros(1, np.float32))
     assert share_on_top(Layer("x", (painted(pixels),), on_top=True), corner, {}) == pytest.approx(
         pixels[0, 0], abs=1e-7
     )
@@ -210,7 +210,8 @@ def test_noise_makes_ragged_edges_and_fades_with_distance():
     line = np.column_stack([x, 0 * x, 0 * x]).astype(np.float32)
     soft = Layer("x", (Rule("noise", -1.0, edge=4.0),), on_top=True, noise_size=80.0)
     steps = [
-        share_on_top(soft, Places(FIELD, line, np.full(len(line), level, np.float32)), {}) for level in (0.0, 2.0, 9.0)
+        share_on_top(soft, SamplePoints(FIELD, line, np.full(len(line), level, np.float32)), {})
+        for level in (0.0, 2.0, 9.0)
     ]
     assert abs(np.diff(steps[0])).max() < 0.1, "noise is continuous"
     assert abs(np.diff(steps[1])).max() < abs(np.diff(steps[0])).max(), "at 40 m a sample waves of 20 m are gone"
@@ -282,12 +283,15 @@ def test_only_attributes_of_rules_are_read():
     assert reads((ground,)) == () and reads((ground, flow)) == ("flow",)
 
     def steps(*layers):
-        return [step.name for step in plan([Asked("splat_2", ("material",), parameters=(("layers", layers),))]).steps]
+        return [
+            step.name
+            for step in plan([AttributeRequest("splat_2", ("material",), parameters=(("layers", layers),))]).steps
+        ]
 
     assert steps(ground) == ["splat_2"] and steps(ground, flow) == ["flow", "splat_2"]
-    default = [step.name for step in plan([Asked("splat_1", ("material",))]).steps]
+    default = [step.name for step in plan([AttributeRequest("splat_1", ("material",))]).steps]
     assert sorted(default) == ["height", "slope", "splat_1"] and default[-1] == "splat_1"
-    assert set(reads(DEFAULT)) < set(EFFECTS["splat_1"].reads)
+    assert set(reads(DEFAULT)) < set(ATTRIBUTES["splat_1"].reads)
 
 
 def test_two_lists_of_layers_do_not_mix():

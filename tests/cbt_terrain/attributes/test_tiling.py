@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.attributes import sizing, tiling
-from adaptive_terrain.cbt_terrain.attributes.attribute import Asked
+from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest
 from adaptive_terrain.cbt_terrain.attributes.decals import Decal, picture
 from adaptive_terrain.cbt_terrain.attributes.tiling import MAX_SIDE, tiling_of
 from adaptive_terrain.cbt_terrain.errors import TerrainError
@@ -175,7 +175,7 @@ def test_a_tile_is_as_fine_as_the_decals_on_it(small_tiles):
     field = from_array(np.zeros((70, 90), np.float32), 10.0)
     tiles = tiling_of(field.lattice)
     decal = Decal("d", picture(np.ones((64, 64, 4), np.float32), False), (-440.0, -340.0), (32.0, 0.0), (0.0, 32.0))
-    asked = [Asked("color", ("a test",), parameters=(("decals", (decal,)),))]
+    asked = [AttributeRequest("color", ("a test",), parameters=(("decals", (decal,)),))]
     shown = sizing.shown_by(tiles, field, asked)
     touched = [k for k in range(len(tiles)) if tiles.box(k)[0] <= -408 and tiles.box(k)[1] <= -308]
     assert 1 <= len(touched) < len(tiles)

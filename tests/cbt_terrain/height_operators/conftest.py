@@ -2,7 +2,7 @@
 """The catalogue of height operators with those of the tests."""
 
 import pytest
-from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
 from land_effects import OWN
 
 
@@ -10,4 +10,4 @@ from land_effects import OWN
 def own_effects(monkeypatch):
     """Add the operators of land_effects.py to the catalogue."""
     for name, effect in OWN.items():
-        monkeypatch.setitem(LAND_EFFECTS, name, effect)
+        monkeypatch.setitem(HEIGHT_OPERATORS, name, effect)

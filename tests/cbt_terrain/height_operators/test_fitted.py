@@ -6,7 +6,7 @@ import math
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.height_operators.fitted import fitted
-from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, Mask
+from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, HeightMask
 from adaptive_terrain.cbt_terrain.height_operators.stack import (
     Entry,
     Stack,
@@ -19,7 +19,7 @@ from adaptive_terrain.cbt_terrain.height_operators.stack import (
 RULES = (GroundRule("height", 600.0, edge=100.0), GroundRule("slope", high=45.0, edge=10.0))
 MADE = Stack(
     (
-        Entry("rivers", {"rise": 4e-4, "years": 1e6}, seed=2, mask=Mask("", RULES, 0.5)),
+        Entry("rivers", {"rise": 4e-4, "years": 1e6}, seed=2, mask=HeightMask("", RULES, 0.5)),
         Entry("snow", {"line": 800.0, "fall": 4.0}),
         Entry("snow"),
     ),

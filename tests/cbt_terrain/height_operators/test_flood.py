@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.height_operators import flood
-from adaptive_terrain.cbt_terrain.height_operators.height_operator import Ground
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import OperatorGround
 from rasters import hills
 
 
@@ -83,7 +83,7 @@ def test_water_leaves_at_holes_and_at_the_border():
 def test_a_mask_scales_the_rain():
     mask = np.zeros((21, 33), np.float32)
     mask[8:12, 5:9] = 0.5
-    ground = Ground(basin(21, 33, 0.0), 5.0, 5.0, whole=(21, 33), mask=mask)
+    ground = OperatorGround(basin(21, 33, 0.0), 5.0, 5.0, whole=(21, 33), mask=mask)
     values = flood.FLOOD.defaults() | {"rain": 36.0, "minutes": 10.0, "sea": -1.0}
     depth = flood.FLOOD.apply(ground, values, None).layers["water_depth"]
     assert depth.sum(dtype=np.float64) == pytest.approx(16 * 0.5 * 0.006, rel=1e-5)
@@ -92,7 +92,7 @@ def test_a_mask_scales_the_rain():
 def test_a_surge_runs_ashore_and_back():
     bed = np.tile(np.linspace(-20, 20, 80).astype(np.float32), (81, 1))
     values = flood.FLOOD.defaults() | {"rain": 0.0, "surge": 5.0}
-    ground = Ground(bed, 10.0, 10.0, whole=bed.shape)
+    ground = OperatorGround(bed, 10.0, 10.0, whole=bed.shape)
     wet = []
     for minutes in (0.0, 0.3, 120.0):
         layers = flood.FLOOD.apply(ground, values | {"minutes": minutes}, None).layers
@@ -103,7 +103,7 @@ def test_a_surge_runs_ashore_and_back():
 
 def test_a_flood_that_would_take_hours_is_refused():
     """A sea of 5 km has samples a metre apart."""
-    ground = Ground(np.full((40, 30), -5000.0, np.float32), 1.0, 1.0)
+    ground = OperatorGround(np.full((40, 30), -5000.0, np.float32), 1.0, 1.0)
     values = flood.FLOOD.defaults() | {"minutes": 2880.0}
     with pytest.raises(TerrainError, match=r"would take 57,\d{3},\d{3} steps where water is 5000 m deep.*take \d+ min"):
         flood.apply(ground, values, None)

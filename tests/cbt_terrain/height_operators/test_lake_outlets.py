@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.height_operators import rivers
-from adaptive_terrain.cbt_terrain.height_operators.height_operator import Ground
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import OperatorGround
 from adaptive_terrain.cbt_terrain.height_operators.levels import coarser, finer_change
 from adaptive_terrain.cbt_terrain.height_operators.rivers import RIVERS
 
@@ -25,14 +25,14 @@ def bowl():
 
 def flows(h, coarse):
     """Return the drainage areas of the western and the eastern pass at the finer level in samples."""
-    ground = Ground(h, 10.0, 9.0, whole=(601, 601))
+    ground = OperatorGround(h, 10.0, 9.0, whole=(601, 601))
     flow = RIVERS.apply(ground, VALUES, coarse).layers["flow"] / 90.0
     return flow[90:112, 80].max(), flow[90:112, 220].max()
 
 
 @pytest.fixture(scope="module")
 def coarse():
-    below = RIVERS.apply(Ground(coarser(bowl()), 20.0, 18.0, whole=(301, 301), level=1), VALUES, None)
+    below = RIVERS.apply(OperatorGround(coarser(bowl()), 20.0, 18.0, whole=(301, 301), level=1), VALUES, None)
     return finer_change(below, (201, 301))
 
 
@@ -58,6 +58,6 @@ def test_a_dam_between_two_coarser_samples_is_breached(coarse):
     """It is one sample wide and 12 m high, on the western pass, where rivers erode for a year only."""
     h = bowl()
     h[94:107, 81] += 12.0
-    made = RIVERS.apply(Ground(h, 10.0, 9.0, whole=(601, 601)), VALUES | {"years": 1.0}, coarse)
+    made = RIVERS.apply(OperatorGround(h, 10.0, 9.0, whole=(601, 601)), VALUES | {"years": 1.0}, coarse)
     after = h + made.heights
     assert after[98:103, 81].min() < after[98:103, 80].min() + 1.0

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adaptive_terrain import Criterion, ImportSettings, Scatter, Terrain, open_store, scatter_points
-from adaptive_terrain.cbt_terrain.attributes.attribute import Asked
-from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest
+from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.attributes.decals import picture
 from adaptive_terrain.cbt_terrain.attributes.evaluate import on_samples
 from adaptive_terrain.cbt_terrain.attributes.layers import NAMES
@@ -19,7 +19,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import verify
 from adaptive_terrain.cbt_terrain.field.store_arrays import all_checksums, header
 from adaptive_terrain.cbt_terrain.height_operators.export import export_raster
-from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, Mask
+from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, HeightMask
 from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
@@ -28,7 +28,7 @@ from adaptive_terrain.cbt_terrain.mesh.attributes import Attribute
 from evaluations import Evaluations
 
 ROCK = (Layer("Scree", (Rule("scree", 0.1, 10.0, 0.1),)), Layer("Rock", ()))
-SNOW = Stack((Entry("snow", mask=Mask("", (GroundRule("scree", low=0.1, edge=0.1),))),))
+SNOW = Stack((Entry("snow", mask=HeightMask("", (GroundRule("scree", low=0.1, edge=0.1),))),))
 
 
 def change(store: Path, name: str, value: float) -> None:
@@ -57,9 +57,11 @@ def attributes(store, asked):
 
 
 READERS = {
-    "an attribute": lambda store, out: attributes(store, Asked("scree", ("test",))),
-    "splat weights": lambda store, out: attributes(store, Asked("splat_1", ("test",), parameters=(("layers", ROCK),))),
-    "samples": lambda store, out: list(on_samples(open_store(store), [Asked("scree", ("test",))])),
+    "an attribute": lambda store, out: attributes(store, AttributeRequest("scree", ("test",))),
+    "splat weights": lambda store, out: attributes(
+        store, AttributeRequest("splat_1", ("test",), parameters=(("layers", ROCK),))
+    ),
+    "samples": lambda store, out: list(on_samples(open_store(store), [AttributeRequest("scree", ("test",))])),
     "a scatter": lambda store, out: scatter_points(open_store(store), Scatter(spacing=50.0, where=ROCK[0])),
     "a further shape": lambda store, out: run_shape(store, SNOW, out / "more", threads=1),
     "a raster": lambda store, out: export_raster(store, out / "a.exr"),
@@ -82,8 +84,8 @@ def test_a_layer_that_is_not_finite_is_refused(reader, value, shaped, tmp_path):
 
 
 HEIGHT_READERS = {
-    "slope": lambda store, out: attributes(store, Asked("slope", ("test",))),
-    "samples": lambda store, out: list(on_samples(open_store(store), [Asked("slope", ("test",))])),
+    "slope": lambda store, out: attributes(store, AttributeRequest("slope", ("test",))),
+    "samples": lambda store, out: list(on_samples(open_store(store), [AttributeRequest("slope", ("test",))])),
     "a scatter": lambda store, out: scatter_points(open_store(store), Scatter(spacing=50.0)),
     "a raster": READERS["a raster"],
     "verify": READERS["verify"],
@@ -117,4 +119,4 @@ def test_an_archive_takes_only_finite_numbers(shaped, tmp_path):
     with pytest.raises(TerrainError, match="would hold a number that is not finite"):
         write_npz(tmp_path / "a.npz", surface, (0, 0, 0), {"bound_px": np.nan})
     assert not list(tmp_path.iterdir())
-    assert finite_json({"a": 1.5}, "x") == '{"a": 1.5}' and set(NAMES) <= set(EFFECTS)
+    assert finite_json({"a": 1.5}, "x") == '{"a": 1.5}' and set(NAMES) <= set(ATTRIBUTES)

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, Mask, compute_mask
+from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, HeightMask, compute_mask
 from adaptive_terrain.cbt_terrain.height_operators.mask_image import load_image
 from adaptive_terrain.cbt_terrain.height_operators.tiles import Level
 from rasters import write_exr, write_raster
@@ -13,7 +13,7 @@ LEVEL = Level(0, 300, 200, 10.0, 20.0)
 
 
 def ruled(heights, *rules, factor=1.0):
-    return compute_mask(Mask("", rules, factor), None, LEVEL, lambda window: heights[window])
+    return compute_mask(HeightMask("", rules, factor), None, LEVEL, lambda window: heights[window])
 
 
 def plane(east, north):
@@ -42,9 +42,11 @@ def test_limits_without_an_edge_are_inside(edge):
         assert (ruled(heights, GroundRule("height", low, high, edge)) == inside).all()
     depth = np.tile(np.float32([0.0, 1e-6, 1.0, 10.0]), (300, 50))
     for of in ("water_depth", "discharge"):
-        found = compute_mask(Mask("", (GroundRule(of, 0.0, 1.0),)), None, LEVEL, None, {of: depth})
+        found = compute_mask(HeightMask("", (GroundRule(of, 0.0, 1.0),)), None, LEVEL, None, {of: depth})
         assert (found == (depth <= 1.0)).all()
-    dry = compute_mask(Mask("", (GroundRule("water_depth", 0.0, 0.0),)), None, LEVEL, None, {"water_depth": depth})
+    dry = compute_mask(
+        HeightMask("", (GroundRule("water_depth", 0.0, 0.0),)), None, LEVEL, None, {"water_depth": depth}
+    )
     assert (dry == (depth == 0.0)).all()
     assert (ruled(plane(0.0, 0.0), GroundRule("slope", 0.0, 0.0, 0.0)) == 1.0).all(), "level ground"
 
@@ -55,7 +57,7 @@ def test_a_limit_of_flow_reaches_the_end_of_float32(edge):
     low, high = GroundRule("flow", low=3.4e38, edge=edge), GroundRule("flow", high=3.4e38, edge=edge)
     for rule, inside in ((low, 0.0), (high, 1.0)):
         rule.check("The mask")
-        assert (compute_mask(Mask("", (rule,)), None, LEVEL, None, {"flow": flow}) == inside).all()
+        assert (compute_mask(HeightMask("", (rule,)), None, LEVEL, None, {"flow": flow}) == inside).all()
 
 
 @pytest.mark.parametrize(("east", "north"), [(1.0, 0.0), (0.0, -1.0), (0.6, 0.8)])
@@ -92,7 +94,7 @@ def test_an_image_covers_the_extent_at_every_level():
     """A ramp from the south is the same function of the position at every level."""
     image = np.linspace(0, 1, 64, dtype=np.float32)[:, None] * np.ones(5, np.float32)
     for level in (LEVEL, Level(1, 151, 101, 20.0, 40.0)):
-        found = compute_mask(Mask("a"), image, level, None)
+        found = compute_mask(HeightMask("a"), image, level, None)
         up = np.linspace(0, 1, level.rows)
         expected = np.clip((up * 64 - 0.5) / 63, 0, 1)
         assert abs(found - expected[:, None]).max() < 1e-6

@@ -6,8 +6,8 @@ import pytest
 from adaptive_terrain.cbt_terrain.attributes.routing import route
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, Mask, compute_mask
-from adaptive_terrain.cbt_terrain.height_operators.mask_reads import ATTRIBUTES, SHAPES, values_of
+from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, HeightMask, compute_mask
+from adaptive_terrain.cbt_terrain.height_operators.mask_reads import MASK_ATTRIBUTES, SHAPES, values_of
 from adaptive_terrain.cbt_terrain.height_operators.preview import preview
 from adaptive_terrain.cbt_terrain.height_operators.shape import shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import (
@@ -52,13 +52,13 @@ def test_flow_is_in_square_metres_and_its_edge_in_powers_of_ten():
     drainage.level_lakes(filled, areas)
     assert np.allclose(flow, areas.reshape(331, 201) * 200.0, rtol=1e-3)
     assert flow.tobytes() == read(heights, "flow")["flow"].tobytes()
-    found = compute_mask(Mask("", (GroundRule("flow", 1e4, edge=2.0),)), None, LEVEL, None, {"flow": flow})
+    found = compute_mask(HeightMask("", (GroundRule("flow", 1e4, edge=2.0),)), None, LEVEL, None, {"flow": flow})
     assert (found[flow <= 1e3] == 0).all() and (found[flow >= 1e5] == 1).all()
     exact = np.array([[1e3, 1e4, 1e5, 5500.0]], np.float32)
     level = Level(0, 1, 4, 1.0, 1.0)
-    found = compute_mask(Mask("", (GroundRule("flow", 1e4, edge=2.0),)), None, level, None, {"flow": exact})
+    found = compute_mask(HeightMask("", (GroundRule("flow", 1e4, edge=2.0),)), None, level, None, {"flow": exact})
     assert found[0] == pytest.approx([0.0, 0.5, 1.0, 0.25**2 * 2.5], abs=1e-6)
-    found = compute_mask(Mask("", (GroundRule("flow", high=1e4),)), None, level, None, {"flow": exact})
+    found = compute_mask(HeightMask("", (GroundRule("flow", high=1e4),)), None, level, None, {"flow": exact})
     assert found[0] == pytest.approx([1.0, 1.0, 0.0, 1.0], abs=1e-6)
 
 
@@ -78,7 +78,7 @@ def test_the_sky_of_a_trench_is_that_between_its_walls():
     assert sky[165, 100] == pytest.approx(150.0 / np.hypot(150.0, 200.0), abs=0.01) and sky[165, 20] == 1.0
     assert sky.tobytes() == read(heights, "sky")["sky"].tobytes()
     land = from_array(heights[:150], LEVEL.step_x, LEVEL.step_y)
-    hill = Entry("hill", {"radius": 1e6}, mask=Mask("", (GroundRule("sky", high=0.7, edge=0.02),)))
+    hill = Entry("hill", {"radius": 1e6}, mask=HeightMask("", (GroundRule("sky", high=0.7, edge=0.02),)))
     added = shape(land, Stack((hill,)), whole_land(land.lattice)).change
     assert (added[70:80, 95:106] > 99.0).all() and not added[:, :80].any()
     assert abs(preview(land, Stack((hill,))).field.heights() - land.heights() - added).max() < 1e-3
@@ -91,12 +91,12 @@ def test_a_mask_reads_the_scree_of_earlier_entries():
     hill = {"height": 50.0, "radius": 1e6, "east": 1500.0, "north": 1500.0}
     scree, rule = Entry("thermal"), GroundRule("scree", low=1.0, edge=1.0)
     alone = shape(land, Stack((scree,)), whole_land(land.lattice))
-    both = shape(land, Stack((scree, Entry("hill", hill, mask=Mask("", (rule,))))), whole_land(land.lattice))
+    both = shape(land, Stack((scree, Entry("hill", hill, mask=HeightMask("", (rule,))))), whole_land(land.lattice))
     added, depth = both.change - alone.change, alone.layers["scree"]
     assert (depth > 1.5).mean() > 0.02 and (depth < 0.5).mean() > 0.5
     assert (added[depth < 0.49] == 0).all() and (added[depth > 1.51] > 49.0).all()
     small = from_array(heights[:200, :250], 8.0, 11.0)
-    stack = Stack((scree, Entry("hill", hill, mask=Mask("", (rule,)))))
+    stack = Stack((scree, Entry("hill", hill, mask=HeightMask("", (rule,)))))
     whole, seen = shape(small, stack, whole_land(small.lattice)), preview(small, stack)
     assert abs(seen.field.heights() - small.heights() - whole.change).max() < 1e-3
 
@@ -104,7 +104,7 @@ def test_a_mask_reads_the_scree_of_earlier_entries():
 def test_depths_of_the_source_count_with_those_of_the_stack():
     land = from_array(np.zeros((120, 150), np.float32), 10.0)
     land.layers = {"snow": np.tile(np.linspace(0, 2, 150, dtype=np.float32), (120, 1))}
-    hill = Entry("hill", {"radius": 1e6}, mask=Mask("", (GroundRule("snow", low=1.0),)))
+    hill = Entry("hill", {"radius": 1e6}, mask=HeightMask("", (GroundRule("snow", low=1.0),)))
     added = shape(land, Stack((hill,)), whole_land(land.lattice)).change
     assert (added[:, :74] == 0).all() and (added[:, 76:] > 99.0).all()
 
@@ -112,7 +112,7 @@ def test_depths_of_the_source_count_with_those_of_the_stack():
 @pytest.mark.parametrize("shaped", [False, True])
 def test_a_mask_of_a_missing_by_product_is_refused(shaped):
     land = from_array(bumpy(60, 80), 10.0)
-    mask = Mask("", (GroundRule("sediment", low=0.5),))
+    mask = HeightMask("", (GroundRule("sediment", low=0.5),))
     stack = Stack((Entry("thermal"), Entry("hill", mask=mask), Entry("rivers")))
     text = "The mask of entry 2 of the stack, hill, has a rule about sediment, which is not there; expected a layer of"
     with pytest.raises(TerrainError, match=text):
@@ -124,11 +124,11 @@ def test_a_mask_of_a_missing_by_product_is_refused(shaped):
 
 
 def test_rules_about_every_attribute_can_be_read_and_written():
-    for name in ATTRIBUTES:
+    for name in MASK_ATTRIBUTES:
         content = {"version": 1, "entries": [{"effect": "hill", "mask": {"rules": [{"of": name, "low": 1}]}}]}
         stack = stack_from(content)
         assert stack_content(stack)["entries"][0]["mask"]["rules"] == [{"of": name, "low": 1.0}]
-    assert all(effect.width == 1 for effect in ATTRIBUTES.values())
+    assert all(effect.width == 1 for effect in MASK_ATTRIBUTES.values())
     found = read(bumpy(331, 201), *SHAPES)
     assert set(found) == set(SHAPES) and all(np.isfinite(values).all() for values in found.values())
     with pytest.raises(TerrainError, match="a rule about 'colour'; expected one of: height, slope, aspect, mean_curva"):

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from adaptive_terrain.cbt_terrain.height_operators import prepare as preparation
-from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, Mask
+from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, HeightMask
 from adaptive_terrain.cbt_terrain.height_operators.prepare import kernels_of, prepare
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 
@@ -51,7 +51,7 @@ def test_kernels_that_stacks_launch_are_foreseen():
 
 
 def test_compiling_reports_progress_and_happens_once(monkeypatch):
-    stack = Stack((Entry("thermal", mask=Mask("", (GroundRule("flow", low=1e3),))), Entry("snow", on=False)))
+    stack = Stack((Entry("thermal", mask=HeightMask("", (GroundRule("flow", low=1e3),))), Entry("snow", on=False)))
     names = [module.__name__.rpartition(".")[2] for module in kernels_of(stack)]
     assert {"thermal", "flow", "routing"} <= set(names) and "snow" not in names
     loaded, said = [], []

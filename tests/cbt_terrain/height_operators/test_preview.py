@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.height_operators import preview as previews
-from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, Mask
+from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, HeightMask
 from adaptive_terrain.cbt_terrain.height_operators.preview import preview
 from adaptive_terrain.cbt_terrain.height_operators.shape import shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
@@ -21,7 +21,7 @@ def hill(**more) -> Entry:
 
 def test_a_preview_of_a_small_raster_is_the_whole_result():
     land = from_array(bumpy(180, 251), *STEPS)
-    mask = Mask("", (GroundRule("height", low=0.0, edge=40.0),), 0.7)
+    mask = HeightMask("", (GroundRule("height", low=0.0, edge=40.0),), 0.7)
     stack = Stack((Entry("smooth", mask=mask), hill(), Entry("level", on=False)))
     made, found = shape(land, stack, whole_land(land.lattice)), preview(land, stack)
     assert abs(found.field.heights() - land.heights() - made.change).max() < 1e-3
@@ -62,7 +62,9 @@ def test_only_changed_entries_and_later_ones_are_applied_again(made):
     """The bytes are those of a preview without a cache."""
     samples = bumpy(300, 400)
     land = from_array(samples, *STEPS)
-    low, high = (Mask("", (GroundRule("height", low=h, edge=40.0), GroundRule("sky", low=0.9))) for h in (0.0, 50.0))
+    low, high = (
+        HeightMask("", (GroundRule("height", low=h, edge=40.0), GroundRule("sky", low=0.9))) for h in (0.0, 50.0)
+    )
     first = smooth, masked_hill, level = Entry("smooth"), hill(mask=low), Entry("level")
     steps = [
         (first, ["smooth", "hill", "level"]),

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
-from adaptive_terrain.cbt_terrain.height_operators.height_operator import Ground
+from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import OperatorGround
 
-RELIEF = LAND_EFFECTS["relief"]
+RELIEF = HEIGHT_OPERATORS["relief"]
 
 
 def hills(rows: int, columns: int, step_x: float, step_y: float) -> np.ndarray:
@@ -17,11 +17,11 @@ def hills(rows: int, columns: int, step_x: float, step_y: float) -> np.ndarray:
     return (120 * np.sin(x / 310 + 0.4) * np.cos(y / 270) + 0.2 * x + 500).astype(np.float32)
 
 
-def ground_of(heights: np.ndarray, step_x: float = 7.0, step_y: float = 5.0, **fields) -> Ground:
-    return Ground(heights, step_x, step_y, whole=heights.shape, **fields)
+def ground_of(heights: np.ndarray, step_x: float = 7.0, step_y: float = 5.0, **fields) -> OperatorGround:
+    return OperatorGround(heights, step_x, step_y, whole=heights.shape, **fields)
 
 
-def added(ground: Ground, **parameters) -> np.ndarray:
+def added(ground: OperatorGround, **parameters) -> np.ndarray:
     return RELIEF.apply(ground, RELIEF.defaults() | parameters, None).heights
 
 

@@ -7,7 +7,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.attributes.routing import route
 from adaptive_terrain.cbt_terrain.height_operators import fluvial
 from adaptive_terrain.cbt_terrain.height_operators.fluvial import step
-from adaptive_terrain.cbt_terrain.height_operators.height_operator import Ground
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import OperatorGround
 from adaptive_terrain.cbt_terrain.height_operators.levels import apply_by_levels
 from adaptive_terrain.cbt_terrain.height_operators.rivers import RIVERS, grow
 from river_grounds import aged, bed_of, rough
@@ -88,7 +88,9 @@ def test_land_rises_alike_at_every_level(shape):
     size = (shape[0] - 1) * 35.0, (shape[1] - 1) * 20.0
     fine, coarse = (
         RIVERS.apply(
-            Ground(np.full(some, 5.0, np.float32), step * 20.0, step * 35.0, whole=some, size=size), values, None
+            OperatorGround(np.full(some, 5.0, np.float32), step * 20.0, step * 35.0, whole=some, size=size),
+            values,
+            None,
         )
         for some, step in ((shape, 1), ((shape[0] // 2 + 1, shape[1] // 2 + 1), 2))
     )
@@ -156,7 +158,7 @@ def test_valleys_run_down_their_slope_with_uneven_steps():
         turn, noise = np.radians(degrees), 2 * np.random.default_rng(degrees).random(x.shape)
         h = (3000 - x * np.cos(turn) - y * np.sin(turn) + noise).astype(np.float32)
         values = RIVERS.defaults() | {"years": 1e5, "creep": 1e-3, "steepest": 40.0}
-        made = apply_by_levels(RIVERS, Ground(h, step_x, step_y, seed=degrees), values)
+        made = apply_by_levels(RIVERS, OperatorGround(h, step_x, step_y, seed=degrees), values)
         to = route(h + made.heights.astype(np.float32), step_x, step_y).to.astype(int)
         start = end = np.flatnonzero((made.layers["flow"] > 3e3) & inside)
         gone = np.zeros(len(start))

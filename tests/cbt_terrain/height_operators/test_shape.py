@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.height_operators import level_plan
-from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
-from adaptive_terrain.cbt_terrain.height_operators.height_operator import Ground
+from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import OperatorGround
 from adaptive_terrain.cbt_terrain.height_operators.levels import apply_by_levels
-from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, Mask
+from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, HeightMask
 from adaptive_terrain.cbt_terrain.height_operators.shape import shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 from adaptive_terrain.cbt_terrain.height_operators.tile_cache import TileCache
@@ -37,7 +37,7 @@ def some_tiles(field, *tiles):
 def test_smoothing_equals_that_of_the_whole_raster(asked, seed):
     """Tiles with a halo of all sweeps give the same values to a float's last bits, for unequal steps."""
     heights = bumpy(700, 1000, seed)
-    expected = apply_by_levels(SMOOTH, Ground(heights, *STEPS), SMOOTH.defaults())
+    expected = apply_by_levels(SMOOTH, OperatorGround(heights, *STEPS), SMOOTH.defaults())
     field = from_array(heights, *STEPS)
     made = shape(field, Stack((Entry("smooth"),)), asked(field.lattice))
     assert abs(expected.heights).max() > 15
@@ -67,7 +67,7 @@ def test_operators_read_the_results_of_earlier_ones(land):
 
 
 def test_inactive_entries_are_not_computed(land):
-    cache, off = TileCache(), Stack((Entry("smooth", on=False), Entry("hill", mask=Mask(factor=0.0))))
+    cache, off = TileCache(), Stack((Entry("smooth", on=False), Entry("hill", mask=HeightMask(factor=0.0))))
     made = shape(land, off, whole_land(land.lattice), cache=cache)
     assert not cache.made and not made.change.any() and not made.added and made.layers == {}
 
@@ -112,7 +112,7 @@ def inner_of(level, tile):
     )
 
 
-SLOPE = Mask(rules=(GroundRule("slope", high=30.0, edge=10.0),))
+SLOPE = HeightMask(rules=(GroundRule("slope", high=30.0, edge=10.0),))
 LATE_STACKS = {
     "scree twice": Stack((Entry("thermal", {"scree_angle": 40.0}, 3), Entry("thermal", {"scree_angle": 24.0}, 5))),
     "masked by the slope": Stack(
@@ -211,7 +211,7 @@ def test_levels_that_add_less_than_the_error_are_skipped(land):
     wanted = [dict.fromkeys(range(level.tile_count), 1.0) for level in levels_of(land.lattice)]
     cache = TileCache()
     made = shape(land, stack, wanted, cache=cache)
-    exact = HILL.apply(Ground(land.heights(), *STEPS), stack.entries[0].values, None).heights
+    exact = HILL.apply(OperatorGround(land.heights(), *STEPS), stack.entries[0].values, None).heights
     assert made.tiles[0] == [] and made.left_out_m[1] < 1.0 and abs(made.change - exact).max() < 1.0
     assert shape(land, stack, whole_land(land.lattice)).tiles[0] == list(range(12))
 
@@ -248,7 +248,9 @@ def test_holes_and_unchanged_samples_keep_their_bits():
 @pytest.mark.parametrize("asked", ["of a coarser level", "of an effect that ends there"])
 def test_interpolated_changes_are_zero_in_holes(monkeypatch, asked):
     """Depths and states of 4 m samples are interpolated over holes of single samples."""
-    monkeypatch.setitem(LAND_EFFECTS, "hill", dataclasses.replace(HILL, finest=400 if asked.endswith("there") else 0))
+    monkeypatch.setitem(
+        HEIGHT_OPERATORS, "hill", dataclasses.replace(HILL, finest=400 if asked.endswith("there") else 0)
+    )
     heights = bumpy(700, 600)
     heights[np.random.default_rng(2).random(heights.shape) < 0.05] = np.nan
     field = from_array(heights, 2.0, holes=True)
@@ -261,11 +263,11 @@ def test_interpolated_changes_are_zero_in_holes(monkeypatch, asked):
 def test_a_mask_scales_heights_and_depths_once(land):
     """A factor of 0.5 halves the result, however many levels there are."""
     whole = shape(land, Stack((Entry("hill"),)), whole_land(land.lattice))
-    half = shape(land, Stack((Entry("hill", mask=Mask(factor=0.5)),)), whole_land(land.lattice))
+    half = shape(land, Stack((Entry("hill", mask=HeightMask(factor=0.5)),)), whole_land(land.lattice))
     assert abs(half.change - 0.5 * whole.change).max() < 1e-5
     assert abs(half.layers["fresh"] - 0.5 * whole.layers["fresh"]).max() < 1e-5
     assert (half.layers["mark"] == whole.layers["mark"]).all(), "a state is no depth"
-    high = Mask(rules=(GroundRule("height", low=50.0, edge=20.0),))
+    high = HeightMask(rules=(GroundRule("height", low=50.0, edge=20.0),))
     ruled = shape(land, Stack((Entry("hill", {"radius": 1e5}, mask=high),)), whole_land(land.lattice))
     ground = land.heights()
     unmasked = shape(land, Stack((Entry("hill", {"radius": 1e5}),)), whole_land(land.lattice))
@@ -275,7 +277,7 @@ def test_a_mask_scales_heights_and_depths_once(land):
 def test_no_tile_is_computed_where_the_mask_is_black(land):
     image = np.zeros((7, 10), np.float32)
     image[:, :2] = 1.0
-    cache, stack = TileCache(), Stack((Entry("smooth", mask=Mask("m.png")),))
+    cache, stack = TileCache(), Stack((Entry("smooth", mask=HeightMask("m.png")),))
     made = shape(land, stack, some_tiles(land, 0, 3, 11), images={"m.png": image}, cache=cache)
     assert made.tiles[0] == [0] and made.added[-1].computed == 1
     assert made.change[:, :150].any() and not made.change[:, 300:].any()
@@ -298,7 +300,7 @@ def test_tiles_of_a_global_operator_come_from_a_coarser_level(monkeypatch):
     field, cache = from_array(bumpy(300, 900), 5.0), TileCache()
     made = shape(field, Stack((Entry("level"),)), some_tiles(field, 0), cache=cache)
     assert cache.made["level"] == 2 and made.tiles[0] == [0]
-    exact = LEVEL.apply(Ground(field.heights(), 5.0, 5.0, whole=(300, 900)), LEVEL.defaults(), None).heights
+    exact = LEVEL.apply(OperatorGround(field.heights(), 5.0, 5.0, whole=(300, 900)), LEVEL.defaults(), None).heights
     assert abs(made.change - exact)[::2, ::2].max() < 1.0
 
 
@@ -312,7 +314,7 @@ def test_doubted_levels_are_computed_in_one_piece(monkeypatch):
 
     field, plain = from_array(bumpy(300, 1300), 5.0), Stack((Entry("smooth"),))
     expected = shape(field, plain, whole_land(field.lattice))
-    monkeypatch.setitem(LAND_EFFECTS, "smooth", dataclasses.replace(SMOOTH, doubts=doubts))
+    monkeypatch.setitem(HEIGHT_OPERATORS, "smooth", dataclasses.replace(SMOOTH, doubts=doubts))
     made = shape(field, Stack((Entry("smooth"),)), some_tiles(field, 3))
     assert all(added.whole and not added.doubtful for added in made.added) and len(made.added) == 4
     assert calls == [((76, 326), 400.0)] and made.tiles[0] == [3]
@@ -321,8 +323,8 @@ def test_doubted_levels_are_computed_in_one_piece(monkeypatch):
 
 @pytest.mark.parametrize("asked", [whole_land, all_tiles])
 def test_large_doubted_levels_are_computed_in_tiles_and_marked(asked, monkeypatch):
-    monkeypatch.setattr(level_plan, "MOST_WHOLE", 900)
-    monkeypatch.setitem(LAND_EFFECTS, "smooth", dataclasses.replace(SMOOTH, doubts=lambda *_: True))
+    monkeypatch.setattr(level_plan, "MAX_WHOLE", 900)
+    monkeypatch.setitem(HEIGHT_OPERATORS, "smooth", dataclasses.replace(SMOOTH, doubts=lambda *_: True))
     field = from_array(bumpy(300, 1300), 5.0)
     made = shape(field, Stack((Entry("smooth"), Entry("hill"))), asked(field.lattice))
     finer = {(added.effect, added.level): (added.whole, added.doubtful) for added in made.added if added.level < 2}

@@ -8,7 +8,7 @@ import shutil
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.attributes.attribute import Asked, Places
+from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest, SamplePoints
 from adaptive_terrain.cbt_terrain.attributes.layers import LAYERS, NAMES, lacks, make
 from adaptive_terrain.cbt_terrain.attributes.plan import plan
 from adaptive_terrain.cbt_terrain.attributes.splat_rules import Layer, Rule
@@ -17,8 +17,8 @@ from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
 from adaptive_terrain.cbt_terrain.field.store import discard, open_store, read_json, verify
 from adaptive_terrain.cbt_terrain.height_operators import level_plan
-from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
-from adaptive_terrain.cbt_terrain.height_operators.mask import Mask
+from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
+from adaptive_terrain.cbt_terrain.height_operators.mask import HeightMask
 from adaptive_terrain.cbt_terrain.height_operators.shape_process import ShapeJob, shape_store
 from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
@@ -144,7 +144,7 @@ def test_invalid_requests_are_refused_before_writing(source, tmp_path):
     with pytest.raises(TerrainError, match="no terrain store"):
         run_shape(tmp_path / "none", STACK, tmp_path / "out")
     with pytest.raises(TerrainError, match="m.png"):
-        run_shape(source, Stack((Entry("hill", mask=Mask(str(tmp_path / "m.png"))),)), tmp_path / "out")
+        run_shape(source, Stack((Entry("hill", mask=HeightMask(str(tmp_path / "m.png"))),)), tmp_path / "out")
     with pytest.raises(TerrainError, match="expected one of"):
         ShapeJob(source, Stack((Entry("lava"),)), tmp_path / "out")
     assert not list(tmp_path.glob("out/data-*"))
@@ -154,7 +154,7 @@ def test_a_mask_from_a_file(source, tmp_path):
     part = np.zeros((40, 60), np.uint8)
     part[:, 30:] = 255
     np.save(tmp_path / "east.npy", part)
-    wide = Entry("hill", {"radius": 1e5}, mask=Mask(str(tmp_path / "east.npy")))
+    wide = Entry("hill", {"radius": 1e5}, mask=HeightMask(str(tmp_path / "east.npy")))
     run_shape(source, Stack((wide,)), tmp_path / "out")
     change = open_store(tmp_path / "out").samples - open_store(source).heights()
     assert not change[:190, :340].any() and (change[:190, 360:] > 90).all()
@@ -193,7 +193,7 @@ def test_a_child_shapes_as_this_process_does(tmp_path):
 
 
 def test_every_layer_except_flow_and_uplift_is_an_attribute():
-    layers = {layer.name: layer.unit for effect in LAND_EFFECTS.values() for layer in effect.layers}
+    layers = {layer.name: layer.unit for effect in HEIGHT_OPERATORS.values() for layer in effect.layers}
     own = {"worn", "fresh", "mark", "twice"}
     assert set(layers) - own <= {*NAMES, "flow", "uplift"}
     assert all(layers.get(effect.name, effect.unit) == effect.unit for effect in LAYERS)
@@ -210,7 +210,7 @@ def test_attributes_read_layers_at_points_and_scales(source, tmp_path, monkeypat
     places = rng.uniform((500, 700, 0), (5000, 5000, 0), (100, 3)).astype(np.float32) + np.float32((west, south, 0))
     for surface in (field, with_detail(field, Detail(2.0, 30.0))):
         for level in (0.0, 1.5):
-            there = Places(surface, places, np.full(100, level, np.float32))
+            there = SamplePoints(surface, places, np.full(100, level, np.float32))
             made = make(there, {"snow": {}, "scree": {}}, {})
             assert abs(made["snow"] - (places[:, 0] - west)).max() < 0.01 and not made["scree"].any()
     assert lacks(field, "snow") == "" and "no layer scree" in lacks(field, "scree") and lacks(field, "slope") == ""
@@ -247,7 +247,7 @@ def test_splat_rules_read_layers(source, tmp_path):
     run_shape(source, Stack(), tmp_path / "out")
     field = open_store(tmp_path / "out")
     layers = Layer("Grass"), Layer("White", (Rule("snow", low=1.0),), on_top=True)
-    asked = plan([Asked("splat_1", ("a test",), parameters=(("layers", layers),))])
+    asked = plan([AttributeRequest("splat_1", ("a test",), parameters=(("layers", layers),))])
     surface = Terrain(field, 1).update(Criterion(error_px=0, error_m=20.0)).surface
     assert {step.name for step in asked.steps} == {"snow", "splat_1"}
     for depth in (None, np.tile(np.linspace(0, 2, 700, dtype=np.float32), (333, 1))):
@@ -260,9 +260,9 @@ def test_splat_rules_read_layers(source, tmp_path):
 
 
 def test_a_report_warns_of_doubtful_tiles(source, tmp_path, monkeypatch):
-    monkeypatch.setattr(level_plan, "MOST_WHOLE", 600)
-    monkeypatch.setitem(LAND_EFFECTS, "smooth", dataclasses.replace(SMOOTH, doubts=lambda *_: True))
+    monkeypatch.setattr(level_plan, "MAX_WHOLE", 600)
+    monkeypatch.setitem(HEIGHT_OPERATORS, "smooth", dataclasses.replace(SMOOTH, doubts=lambda *_: True))
     doubted = run_shape(source, STACK, tmp_path / "doubted")
     assert ["smooth may differ" in text for text in doubted["warnings"]] == [True]
-    monkeypatch.setattr(level_plan, "MOST_WHOLE", 700)
+    monkeypatch.setattr(level_plan, "MAX_WHOLE", 700)
     assert run_shape(source, STACK, tmp_path / "whole")["warnings"] == []

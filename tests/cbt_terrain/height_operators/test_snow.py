@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.height_operators import levels, snow
-from adaptive_terrain.cbt_terrain.height_operators.height_operator import Change, Ground
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import Change, OperatorGround
 from adaptive_terrain.cbt_terrain.height_operators.levels import apply_by_levels
 from rasters import hills
 
@@ -61,7 +61,7 @@ def reference(heights, step_x, step_y, v):
 @pytest.mark.parametrize("wind", [225.0, 70.0])
 def test_the_depth_of_snow_follows_the_formulas(wind):
     heights, steps, values = smooth_hills(60, 45), (20.0, 26.0), VALUES | {"wind": wind}
-    layers = snow.SNOW.apply(Ground(heights, *steps, whole=heights.shape), values, None).layers
+    layers = snow.SNOW.apply(OperatorGround(heights, *steps, whole=heights.shape), values, None).layers
     fallen = layers["snow"] - layers["slides"]
     expected = reference(heights, *steps, values)
     off = abs(fallen - expected)[2:-2, 2:-2]  # at the rim horizons are those of one line alone
@@ -74,7 +74,7 @@ def test_snow_is_deeper_in_shade_in_both_hemispheres():
     ridge = np.tile((500.0 - 8.0 * y)[:, None], (1, 50)).astype(np.float32)
     for latitude, north_is_deeper in ((46.0, True), (-46.0, False)):
         values = VALUES | {"latitude": latitude, "line": 400.0, "wind": 90.0}
-        found = snow.SNOW.apply(Ground(ridge, 20.0, 20.0, whole=ridge.shape), values, None).layers["snow"]
+        found = snow.SNOW.apply(OperatorGround(ridge, 20.0, 20.0, whole=ridge.shape), values, None).layers["snow"]
         assert (found[45, 25] > 1.2 * found[15, 25]) == north_is_deeper
         assert (found[15, 25] > 1.2 * found[45, 25]) != north_is_deeper
 
@@ -82,14 +82,16 @@ def test_snow_is_deeper_in_shade_in_both_hemispheres():
 def test_the_lee_holds_more_than_the_windward_side():
     x = np.abs(np.arange(61) - 30.0)
     ridge = np.tile(500.0 - 8.0 * x, (50, 1)).astype(np.float32)
-    found = snow.SNOW.apply(Ground(ridge, 20.0, 20.0, whole=ridge.shape), VALUES | {"wind": 270.0}, None).layers["snow"]
+    found = snow.SNOW.apply(
+        OperatorGround(ridge, 20.0, 20.0, whole=ridge.shape), VALUES | {"wind": 270.0}, None
+    ).layers["snow"]
     assert found[25, 40] > 1.3 * found[25, 20]
 
 
 def test_loose_snow_rests_at_its_angle_and_cliffs_are_bare():
     heights = np.full((60, 70), 1500.0, np.float32)
     heights[20:40, 25:45] += 300.0
-    layers = apply_by_levels(snow.SNOW, Ground(heights, 10.0, 10.0), VALUES).layers
+    layers = apply_by_levels(snow.SNOW, OperatorGround(heights, 10.0, 10.0), VALUES).layers
     found = layers["snow"]
     assert (layers["slides"] > 0.5).any()
     surface = heights + found
@@ -106,7 +108,7 @@ def test_no_snow_on_water_in_holes_or_where_the_mask_is_0():
     heights = smooth_hills(61, 53)
     missing, mask, depth = np.zeros(heights.shape, bool), np.ones(heights.shape, np.float32), np.zeros(heights.shape)
     missing[5:9, 7:20], mask[30:, :20], depth[20:25, 30:50] = True, 0.0, 1.0
-    ground = Ground(heights, 40.0, 40.0, missing=missing, mask=mask, layers={"water_depth": np.float32(depth)})
+    ground = OperatorGround(heights, 40.0, 40.0, missing=missing, mask=mask, layers={"water_depth": np.float32(depth)})
     change = apply_by_levels(snow.SNOW, ground, VALUES | {"line": 0.0, "slides": 60.0})
     for nothing in (missing, mask == 0.0, depth > 0.0):
         assert not change.heights[nothing].any() and not change.layers["snow"][nothing].any()
@@ -119,7 +121,9 @@ def test_no_snow_in_a_hole_at_any_level():
     heights = 4.0 * smooth_hills(270, 261)
     missing = np.zeros(heights.shape, bool)
     missing[60:101, 131:180] = missing[200, 77] = True
-    layers = apply_by_levels(snow.SNOW, Ground(heights, 10.0, 10.0, missing=missing), VALUES | {"line": 0.0}).layers
+    layers = apply_by_levels(
+        snow.SNOW, OperatorGround(heights, 10.0, 10.0, missing=missing), VALUES | {"line": 0.0}
+    ).layers
     assert (layers["slides"] > 0.5).any()
     assert not layers["snow"][missing].any() and not layers["slides"][missing].any()
     slid = layers["slides"].astype(np.float64)
@@ -132,13 +136,13 @@ def test_no_snow_slides_over_a_hole(shape):
     heights = 4.0 * smooth_hills(*shape[::-1]) + np.float32(5.0) * np.arange(shape[1], dtype=np.float32)[::-1]
     missing = np.zeros(shape, bool)
     missing[:, 30:33] = True
-    slides = apply_by_levels(snow.SNOW, Ground(heights, 10.0, 10.0, missing=missing), VALUES).layers["slides"]
+    slides = apply_by_levels(snow.SNOW, OperatorGround(heights, 10.0, 10.0, missing=missing), VALUES).layers["slides"]
     for side in (slides[:, :30].astype(np.float64), slides[:, 33:].astype(np.float64)):
         assert abs(side).max() > 0.3 and abs(side.sum()) < (1e-7 if shape == (60, 80) else 5e-3) * abs(side).sum()
 
 
 def test_snow_as_a_layer_only_leaves_the_heights():
-    ground = Ground(smooth_hills(40, 40), 20.0, 20.0, whole=(40, 40))
+    ground = OperatorGround(smooth_hills(40, 40), 20.0, 20.0, whole=(40, 40))
     flat, raised = (snow.SNOW.apply(ground, VALUES | {"thickness": t}, None) for t in (0.0, 1.0))
     assert not flat.heights.any() and np.array_equal(flat.layers["snow"], raised.layers["snow"])
     assert np.array_equal(raised.heights, raised.layers["snow"])
@@ -148,7 +152,7 @@ def window(ground, coarser, rows, columns):
     """Return a tile and its coarser change."""
     part = rows, columns
     layers = {name: np.ascontiguousarray(a[part]) for name, a in coarser.layers.items()}
-    tile = Ground(
+    tile = OperatorGround(
         np.ascontiguousarray(ground.heights[part]),
         ground.step_x,
         ground.step_y,
@@ -162,8 +166,10 @@ def window(ground, coarser, rows, columns):
 def test_a_tile_with_its_halo_is_nearly_the_whole(first):
     """The difference is below 5 % of the finest level's change, rms."""
     heights, step = 2.0 * smooth_hills(321, 300) + hills(321, 300) / 10, 8.0
-    ground = Ground(heights, step, step, whole=heights.shape)
-    coarse = apply_by_levels(snow.SNOW, Ground(levels.coarser(heights), 2 * step, 2 * step), VALUES | {"line": 1000.0})
+    ground = OperatorGround(heights, step, step, whole=heights.shape)
+    coarse = apply_by_levels(
+        snow.SNOW, OperatorGround(levels.coarser(heights), 2 * step, 2 * step), VALUES | {"line": 1000.0}
+    )
     up = levels.finer_change(coarse, heights.shape)
     values = VALUES | {"line": 1000.0}
     whole = snow.SNOW.apply(ground, values, up).layers["snow"]

@@ -6,7 +6,7 @@ import os
 
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, Mask
+from adaptive_terrain.cbt_terrain.height_operators.mask import GroundRule, HeightMask
 from adaptive_terrain.cbt_terrain.height_operators.stack import (
     Entry,
     Stack,
@@ -22,7 +22,7 @@ RULES = (GroundRule("height", 600.0, edge=50.0), GroundRule("aspect", -0.5, 1.0,
 STACK = Stack(
     (
         Entry("hill", {"height": 7.5}, seed=3, name="A mound"),
-        Entry("smooth", on=False, mask=Mask("masks/valley.png", RULES, 0.75)),
+        Entry("smooth", on=False, mask=HeightMask("masks/valley.png", RULES, 0.75)),
     )
 )
 
@@ -47,11 +47,11 @@ def test_the_key_depends_on_everything_that_counts(tmp_path):
     keys = {
         key,
         Stack((Entry("hill", {"height": 7.5}, seed=4),)).key(),
-        Stack((Entry("hill", mask=Mask(str(image))),)).key(),
+        Stack((Entry("hill", mask=HeightMask(str(image))),)).key(),
     }
     image.write_bytes(b"2")
     os.utime(image, (1, 1))
-    keys.add(Stack((Entry("hill", mask=Mask(str(image))),)).key())
+    keys.add(Stack((Entry("hill", mask=HeightMask(str(image))),)).key())
     both = Entry("hill"), Entry("level")
     assert len(keys | {Stack(both).key(), Stack(both[::-1]).key()}) == 6
 
@@ -60,15 +60,15 @@ def test_the_key_follows_an_image_to_another_folder(tmp_path):
     """A store and its land can be moved or packed without shaping again."""
     image = tmp_path / "m.npy"
     image.write_bytes(b"1")
-    key = Stack((Entry("hill", mask=Mask(str(image))),)).key()
+    key = Stack((Entry("hill", mask=HeightMask(str(image))),)).key()
     (tmp_path / "there").mkdir()
     moved = image.rename(tmp_path / "there" / "n.npy")
     os.utime(moved, (1, 1))
-    assert Stack((Entry("hill", mask=Mask(str(moved))),)).key() == key
+    assert Stack((Entry("hill", mask=HeightMask(str(moved))),)).key() == key
     picture = moved.rename(tmp_path / "n.png")
-    assert Stack((Entry("hill", mask=Mask(str(picture))),)).key() != key, "it is read in another way"
+    assert Stack((Entry("hill", mask=HeightMask(str(picture))),)).key() != key, "it is read in another way"
     os.mkfifo(tmp_path / "pipe.npy")
-    assert Stack((Entry("hill", mask=Mask(str(tmp_path / "pipe.npy"))),)).key() != key, "and nothing waits for it"
+    assert Stack((Entry("hill", mask=HeightMask(str(tmp_path / "pipe.npy"))),)).key() != key, "and nothing waits for it"
 
 
 def one(**entry):

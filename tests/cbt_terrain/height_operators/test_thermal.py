@@ -8,7 +8,7 @@ import pytest
 from adaptive_terrain.benchmarks.rig import plain_scree
 from adaptive_terrain.cbt_terrain.field.island import SIDE, island
 from adaptive_terrain.cbt_terrain.height_operators import thermal
-from adaptive_terrain.cbt_terrain.height_operators.height_operator import Change, Ground
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import Change, OperatorGround
 from adaptive_terrain.cbt_terrain.height_operators.levels import apply_by_levels
 from adaptive_terrain.cbt_terrain.run import launch
 
@@ -20,7 +20,7 @@ def values(**other: float) -> dict[str, float]:
 
 
 def applied(heights: np.ndarray, step: float, other: dict[str, float] | None = None, **ground) -> Change:
-    return apply_by_levels(thermal.THERMAL, Ground(heights, step, step, **ground), values(**(other or {})))
+    return apply_by_levels(thermal.THERMAL, OperatorGround(heights, step, step, **ground), values(**(other or {})))
 
 
 def mountain(size: int) -> np.ndarray:
@@ -70,7 +70,7 @@ def comb(surface: np.ndarray, radii: np.ndarray) -> float:
 def test_sweeps_have_the_bits_of_plain_numpy(shape, first, threads, monkeypatch):
     monkeypatch.setattr(launch, "SLICE_ITEMS", 5)
     rng = np.random.default_rng(5)
-    ground = Ground((300.0 * rng.random(shape)).astype(np.float32), 7.0, 11.0, first, (99, 99), seed=77)
+    ground = OperatorGround((300.0 * rng.random(shape)).astype(np.float32), 7.0, 11.0, first, (99, 99), seed=77)
     room = np.full(shape, 20.0, np.float32)
     base = ground.heights - room
     base[shape[0] // 2, shape[1] // 2] = np.nan
@@ -153,11 +153,11 @@ def test_a_tile_with_its_halo_has_the_bytes_of_the_whole(corner):
     halo = math.ceil(thermal.THERMAL.halo(values(), step) / step)
     nothing = np.zeros_like(heights)
     before = Change(nothing, {"scree": nothing, "wear": nothing})
-    whole = thermal.apply(Ground(heights, step, step, whole=heights.shape, threads=2), values(), before)
+    whole = thermal.apply(OperatorGround(heights, step, step, whole=heights.shape, threads=2), values(), before)
     window = tuple(slice(at - halo, at + wide + halo) for at in corner)
     first = tuple(part.start for part in window)
     before = Change(nothing[window], {"scree": nothing[window], "wear": nothing[window]})
-    ground = Ground(np.ascontiguousarray(heights[window]), step, step, first, heights.shape)
+    ground = OperatorGround(np.ascontiguousarray(heights[window]), step, step, first, heights.shape)
     tile = thermal.apply(ground, values(), before)
     inner = (slice(halo, halo + wide),) * 2
     there = tuple(slice(at, at + wide) for at in corner)

@@ -5,7 +5,7 @@ import heapq
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.height_operators.height_operator import Ground
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import OperatorGround
 from adaptive_terrain.cbt_terrain.height_operators.water import WATER, YEAR
 from rasters import hills
 
@@ -15,7 +15,7 @@ SHAPE = (81, 62)
 
 def ground(missing=None, threads=1, heights=None):
     heights = hills(SHAPE[1], SHAPE[0]) if heights is None else heights
-    return Ground(heights, STEP_X, STEP_Y, whole=heights.shape, missing=missing, threads=threads)
+    return OperatorGround(heights, STEP_X, STEP_Y, whole=heights.shape, missing=missing, threads=threads)
 
 
 def layers(ground, **values):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.lattice import fit
-from adaptive_terrain.cbt_terrain.height_operators.height_operator import Ground
+from adaptive_terrain.cbt_terrain.height_operators.height_operator import OperatorGround
 from adaptive_terrain.cbt_terrain.height_operators.water import WATER
 from adaptive_terrain.cbt_terrain.height_operators.water_surface import sea_depth, water_of, water_surface
 from cut_surfaces import areas, assert_welded
@@ -54,7 +54,7 @@ def test_the_shore_is_where_the_ground_is_at_the_level():
 def test_border_vertices_are_on_the_ground():
     """On hills with lakes and rivers they are on the ground's triangles, along the cells' edges."""
     heights = hills(120, 95)
-    ground = Ground(heights, STEP_X, STEP_Y, whole=heights.shape)
+    ground = OperatorGround(heights, STEP_X, STEP_Y, whole=heights.shape)
     layers = WATER.apply(ground, WATER.defaults() | {"rain": 3.0}, None).layers
     surface = surface_on(heights, layers["water_depth"], layers["water_speed"])
     border = np.unique(assert_welded(surface))

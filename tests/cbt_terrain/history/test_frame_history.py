@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adaptive_terrain import cbt_terrain
-from adaptive_terrain.cbt_terrain.attributes.attribute import Asked
+from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest
 from adaptive_terrain.cbt_terrain.attributes.evaluate import EffectRequest, evaluate
 from adaptive_terrain.cbt_terrain.attributes.plan import plan
 from adaptive_terrain.cbt_terrain.attributes.splat_rules import Layer, Rule
@@ -34,7 +34,7 @@ FRAMES = 6
 ENGINE = str(Path(cbt_terrain.__file__).parent)
 # Where a second exception would have to come to be harmful: threads that still run, and the lock.
 NOT_INTERRUPTED = {"launch.py", "locks.py"}, {"alone", "discard", "writing"}
-EFFECTS = plan([Asked(name, ("a test",)) for name in ("slope", "height", "detail_normal")])
+ATTRIBUTES = plan([AttributeRequest(name, ("a test",)) for name in ("slope", "height", "detail_normal")])
 
 
 @dataclass
@@ -55,7 +55,7 @@ class Engine:
             update = terrain.restore(tree, **how)
         self.surface = update.surface
         heights = dict(zip(("vertical_scale", "vertical_offset"), asked["scale"], strict=True))
-        request = EffectRequest(EFFECTS, update.surface, views, asked["placement"], **heights)
+        request = EffectRequest(ATTRIBUTES, update.surface, views, asked["placement"], **heights)
         values = evaluate(terrain.field, request, terrain.history, terrain.threads)
         scattered = ScatterRequest(self.scatter, views, asked["placement"], **heights)
         points = place_points(terrain.field, scattered, self.history, terrain.threads)

@@ -21,7 +21,7 @@ from adaptive_terrain.cbt_terrain.terrain import Terrain, box_of
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.local_view import localise
 from adaptive_terrain.cbt_terrain.view.morph import SMOOTH
-from adaptive_terrain.cbt_terrain.view.spans import Plan, spans_of
+from adaptive_terrain.cbt_terrain.view.spans import PlanUnits, spans_of
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, View
 from adaptive_terrain.kernels.refine.hiding import BINS, RING_BITS, ROW
 from fields import extent, reference_heights, rough
@@ -109,7 +109,9 @@ def horizon_map(field, eye: np.ndarray, depth: int) -> tuple[np.ndarray, np.ndar
     view = View.look(eye, eye + [1.0, 1.0, -0.3], resolution=(960, 540))
     criterion, placed, buffers = Criterion(error_px=1.0, hidden_factor=8.0), (-1.0, 300.0), Buffers()
     domain = Terrain(field, 1)._placed_domain(0, depth, *placed)
-    spans = spans_of(criterion, [view], np.eye(4), Plan((domain.unit_x, domain.unit_y), domain.unit_bits, depth, 0.0))
+    spans = spans_of(
+        criterion, [view], np.eye(4), PlanUnits((domain.unit_x, domain.unit_y), domain.unit_bits, depth, 0.0)
+    )
     local = localise(view, np.eye(4), box_of(field, *placed), criterion, spans.scales[0])
     place_rings(domain, [local], 8.0, RAMP)
     fill(field, domain, asked := pack(criterion, [local], spans, 0.0), depth, 1.0, buffers, 1)

@@ -61,7 +61,7 @@ def test_a_bicubic_surface_rounds_by_its_own_slopes_and_heights():
 def test_rounding_counts_lattice_lines_that_only_deep_leaves_use():
     field = from_array(np.arange(25.0, dtype=np.float32).reshape(5, 5), 1.0)
     assert rounding(field, 5, 1.0, 0.0) == rounding(field, 40, 1.0, 0.0)
-    assert rounding(field, 40, 1.0, 0.0).most_lean == 0 < rounding(field, 60, 1.0, 0.0).most_lean
+    assert rounding(field, 40, 1.0, 0.0).max_lean == 0 < rounding(field, 60, 1.0, 0.0).max_lean
 
 
 def test_terms_add_up_to_the_bound():
@@ -109,7 +109,7 @@ def test_no_facet_leans_by_more_than_the_heights_around_it_say(interpolation):
         low = np.maximum(np.floor(places.min(axis=1) - 0.01).astype(int) - 1, 0)
         high = np.ceil(places.max(axis=1) + 0.01).astype(int) + 2
         for lean, (i, j), (k, n) in zip(leans, low, high, strict=True):
-            assert lean <= min(lost.lean * 2.0 * np.ptp(z[j:n, i:k]), lost.most_lean)
+            assert lean <= min(lost.lean * 2.0 * np.ptp(z[j:n, i:k]), lost.max_lean)
         assert 0 < leans.max() and lost.lean > 0
 
 
@@ -120,7 +120,7 @@ def test_a_cliff_far_away_does_not_count_at_the_camera():
     cliff[:, 60:] += 30_000.0
     view = View.look((-8000.0, 0.0, 105.0), (-9000.0, 0.0, 100.0), clip=(0.1, 5000.0))
     steep, level = (from_array(heights, 300.1) for heights in (cliff, z))
-    assert rounding(steep, 20, 1.0, 0.0).most_lean > 1e3 * rounding(level, 20, 1.0, 0.0).most_lean
+    assert rounding(steep, 20, 1.0, 0.0).max_lean > 1e3 * rounding(level, 20, 1.0, 0.0).max_lean
     found = [Terrain(field, 1).update(Criterion(), [view]).terms_px for field in (steep, level)]
     # Heights themselves are rounded more: by half a step at 30 km, not at 100 m.
     rounded = [rounding(field, 20, 1.0, 0.0).height for field in (steep, level)]

@@ -9,7 +9,7 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.island import SIDE, island
 from adaptive_terrain.cbt_terrain.run import launch
-from adaptive_terrain.cbt_terrain.scatter.points import Points
+from adaptive_terrain.cbt_terrain.scatter.points import ScatterPoints
 from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
@@ -53,7 +53,7 @@ def meshed(scene, threads: int = 1, **asked) -> Terrain:
     return terrain
 
 
-def arrays(points: Points) -> list[np.ndarray]:
+def arrays(points: ScatterPoints) -> list[np.ndarray]:
     return [points.positions, points.normals, points.size, points.id, points.variant, points.rotation]
 
 

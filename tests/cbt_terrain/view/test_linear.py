@@ -9,7 +9,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.view import linear
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.local_view import localise
-from adaptive_terrain.cbt_terrain.view.spans import Plan, spans_of
+from adaptive_terrain.cbt_terrain.view.spans import PlanUnits, spans_of
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
 
@@ -61,7 +61,7 @@ def test_views_have_the_same_bits_in_every_python(kind, stored):
         placement = np.eye(4)
         placement[:3, :3] += 0.3 * row[:9].reshape(3, 3)
         view = View.look(row[9:12] * 900, row[12:15] * 90, kind=kind, fov_deg=47.3, ortho_width=51.3, roll_deg=row[15])
-        spans = spans_of(criterion, [view], placement, Plan((10.1, 9.7), 9, 21, (1e-3, 2e-3, 3e-3)))
+        spans = spans_of(criterion, [view], placement, PlanUnits((10.1, 9.7), 9, 21, (1e-3, 2e-3, 3e-3)))
         found.update(view.key() + repr((spans.wholes, spans.scales, spans.edge, spans.lengths, spans.off)).encode())
         local = localise(view, placement, box, Criterion(shading_floor=0.0), spans.scales[0])
         found.update(b"".join(np.array(part).tobytes() for part in (local.planes, local.slant_x, local.slant_y)))

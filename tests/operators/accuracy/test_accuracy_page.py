@@ -10,13 +10,13 @@ import pytest
 from accuracy_rows import known_rows
 from adaptive_terrain.cbt_terrain.accuracy import Errors, sweep
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
-from adaptive_terrain.cbt_terrain.accuracy.timed_runs import Frame
+from adaptive_terrain.cbt_terrain.accuracy.timed_runs import TimedFrame
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.refine.terms import Terms
 from adaptive_terrain.cbt_terrain.view.criterion import LARGEST
 from adaptive_terrain.operators.accuracy import page as accuracy_page
 from adaptive_terrain.operators.accuracy import plots as accuracy_plots
-from adaptive_terrain.operators.accuracy.subject import Subject
+from adaptive_terrain.operators.accuracy.subject import AccuracySubject
 from adaptive_terrain.operators.accuracy.transitions_section import transitions_section
 from adaptive_terrain.operators.text.log_plot import Curve, draw
 from adaptive_terrain.operators.text.shown_bounds import NO_BOUND
@@ -152,7 +152,7 @@ def test_a_time_curve_of_runs_that_disagree_is_left_out():
     rows = [row for row in known_rows() if row.setting.plain]
     field = from_array(np.zeros((5, 5), np.float32))
     torn = [dataclasses.replace(rows[0], spread_ms=(10.0, 25.0), cpu_ms=10.0), *rows[1:]]
-    subject = Subject("rough", field, [Frame()], [], "as a whole", None, rows=torn)
+    subject = AccuracySubject("rough", field, [TimedFrame()], [], "as a whole", None, rows=torn)
     assert accuracy_page.curves(subject) == [] and accuracy_page.sentences(subject) == []
     assert [plot.name for plot in accuracy_plots.plots(subject, "px", None, "")] == ["rough_px_triangles.svg"]
     reason = f"at {accuracy_plots.label(rows[0].setting)} runs of the same update took 10 to 25 ms of CPU"
@@ -168,7 +168,7 @@ def test_there_is_no_curve_if_the_limit_stopped_all_rows():
     rows = [row for row in known_rows() if row.setting.plain]
     held = [dataclasses.replace(row, limited="max_triangles") for row in rows]
     field = from_array(np.zeros((5, 5), np.float32))
-    subject = Subject("rough", field, [Frame()], [], "as a whole", None, rows=[rows[0], *held[1:]])
+    subject = AccuracySubject("rough", field, [TimedFrame()], [], "as a whole", None, rows=[rows[0], *held[1:]])
     assert accuracy_page.curves(subject) == [] and accuracy_page.sentences(subject) == []
     assert "the triangle limit" in accuracy_page.files([subject], {})["accuracy.md"]
     subject.rows = rows

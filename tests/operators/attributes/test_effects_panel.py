@@ -4,7 +4,7 @@
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.operators.attributes import panel as effects_panel
 from adaptive_terrain.operators.bridge.demand.trees import tree_of_new
@@ -94,7 +94,7 @@ def test_the_details_are_those_of_the_effect_that_was_clicked(terrain):
 
 def test_what_an_effect_is_and_why_it_is_nothing_is_not_cut_off(terrain):
     assert all(
-        len(wrapped(effects_panel.about_text(name), LINE_LENGTH)) <= effects_panel.ABOUT_LINES for name in EFFECTS
+        len(wrapped(effects_panel.about_text(name), LINE_LENGTH)) <= effects_panel.ABOUT_LINES for name in ATTRIBUTES
     )
     read_by_material(terrain, "sun")
     terrain.data.materials[0].name = "The northern cliffs, whose rock is of another kind than all of the others"
@@ -129,7 +129,7 @@ def test_the_command_says_who_reads_what(terrain, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "slope: read by material Rock, node Attribute; " in said and " ms, " in said
     assert "wetness: skipped, nothing reads it" in said
-    assert said.count("skipped, nothing reads it") == len(EFFECTS) - 1
+    assert said.count("skipped, nothing reads it") == len(ATTRIBUTES) - 1
 
 
 @pytest.mark.parametrize(
@@ -154,4 +154,4 @@ def test_an_export_of_a_scene_carries_what_is_asked(terrain, tmp_path, asked, ha
     ]
     assert command_line.main([str(argument) for argument in argv]) == 0
     mesh = read_npz(tmp_path / "out" / "Hills_0001.npz")
-    assert mesh.keys() & EFFECTS.keys() == has
+    assert mesh.keys() & ATTRIBUTES.keys() == has

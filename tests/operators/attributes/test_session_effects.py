@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.run import warmup
 from adaptive_terrain.operators.attributes.properties import numbers_of
@@ -32,7 +32,7 @@ def worn(scene, add_terrain):
 
 def made(terrain):
     """Names of the effects that the mesh has."""
-    return {name for name in EFFECTS if name in terrain.data.attributes}
+    return {name for name in ATTRIBUTES if name in terrain.data.attributes}
 
 
 def values(terrain, name):
@@ -54,7 +54,7 @@ def test_what_is_read_is_computed_and_nothing_else(worn):
     worn.data.attributes["position"].data.foreach_get("vector", heights)
     assert np.abs(values(worn, "height") - heights[2::3]).max() < 5.0, "at the scale of a pixel"
     said = statuses(worn)
-    assert list(said) == list(EFFECTS)
+    assert list(said) == list(ATTRIBUTES)
     assert said["slope"].readers == ("material Rock, node Attribute",) and said["slope"].family == "PICTURE"
     assert said["slope"].computed == len(worn.data.vertices) and said["slope"].nbytes > 0 and not said["slope"].skipped
     assert said["aspect"].skipped == "nothing reads it" and said["aspect"].computed == 0
@@ -168,7 +168,7 @@ def test_everything_is_computed_where_nobody_knows_what_is_read(worn):
     moved.tree.links.new(join.outputs[0], node.inputs["Name"])
     moved.tree.links.new(node.outputs[0], moved.offset)
     session.update_object(worn)
-    assert made(worn) == set(EFFECTS)
+    assert made(worn) == set(ATTRIBUTES)
     assert statuses(worn)["aspect"].readers == ("modifier Nodes, node Named Attribute (its Name is computed)",)
 
 
@@ -185,7 +185,7 @@ def test_a_command_may_name_effects_instead(worn):
 
 def test_settings_are_made_from_the_declarations(worn):
     settings = worn.adaptive_terrain
-    for name, effect in EFFECTS.items():
+    for name, effect in ATTRIBUTES.items():
         assert getattr(settings.effects, name).when == "DEMAND"
         assert numbers_of(settings, name) == ()
         for parameter in effect.parameters:

@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.mesh.archive import read_npz
 from adaptive_terrain.operators.cli import command_line
@@ -30,19 +30,19 @@ def export(store, tmp_path, capsys):
 def test_the_catalogue_names_every_effect_with_its_unit_and_cost(capsys):
     assert command_line.main(["effects"]) == 0
     printed = capsys.readouterr().out
-    for name, effect in EFFECTS.items():
+    for name, effect in ATTRIBUTES.items():
         entry = printed.split(f"\n{name}:\n" if not printed.startswith(f"{name}:") else f"{name}:\n")[1].split(
             "\n  cost:"
         )[0]
         assert effect.about in entry and (not effect.unit or f"unit: {effect.unit}" in entry)
         assert all(f"{p.name}: " in entry for p in effect.parameters)
-    assert printed.count("  cost: ") == len(EFFECTS)
+    assert printed.count("  cost: ") == len(ATTRIBUTES)
 
 
 def test_of_a_store_each_is_measured(store, capsys):
     assert command_line.main(["effects", "--store", str(store)]) == 0
-    lines = capsys.readouterr().out.splitlines()[-len(EFFECTS) :]
-    for name, line in zip(EFFECTS, lines, strict=True):
+    lines = capsys.readouterr().out.splitlines()[-len(ATTRIBUTES) :]
+    for name, line in zip(ATTRIBUTES, lines, strict=True):
         ms, _, megabytes, _ = line.removeprefix(f"{name}: ").split()
         assert float(ms.replace(",", "")) > 0 and float(megabytes.replace(",", "")) > 0
 
@@ -90,4 +90,4 @@ def test_an_unknown_effect_is_one_line_that_lists_the_known(export):
     code, printed, folder = export("--effects", "slope,erosion")
     assert code == 2 and not folder.exists()
     last = printed.err.splitlines()[-1]
-    assert "'erosion' is no effect; expected some of" in last and all(name in last for name in EFFECTS)
+    assert "'erosion' is no effect; expected some of" in last and all(name in last for name in ATTRIBUTES)

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import lands
-from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
 from adaptive_terrain.operators.importing import store_location
 from adaptive_terrain.operators.land import properties as land_properties
 from adaptive_terrain.operators.land import shaped_land
@@ -17,12 +17,12 @@ from adaptive_terrain.operators.session import session
 from land_scenes import add, names, stack_now
 
 
-@pytest.mark.parametrize("effect", LAND_EFFECTS)
+@pytest.mark.parametrize("effect", HEIGHT_OPERATORS)
 def test_settings_are_those_of_the_declarations(terrain, tmp_path, effect):
     """Name by name; the default is the declaration's own to the last bit, the ends of the range are reached."""
     entry = add(effect)
     group = getattr(entry, effect)
-    declared = LAND_EFFECTS[effect].parameters
+    declared = HEIGHT_OPERATORS[effect].parameters
     assert set(group.bl_rna.properties.keys()) - {"rna_type", "name"} == {parameter.name for parameter in declared}
     assert stack_now(terrain, tmp_path).entries[0].parameters == {}
     for parameter in declared:
@@ -34,7 +34,7 @@ def test_settings_are_those_of_the_declarations(terrain, tmp_path, effect):
 
 
 def test_lengths_and_angles_have_their_units():
-    declared = [(name, parameter) for name, effect in LAND_EFFECTS.items() for parameter in effect.parameters]
+    declared = [(name, parameter) for name, effect in HEIGHT_OPERATORS.items() for parameter in effect.parameters]
     for name, parameter in declared:
         item = land_properties.GROUPS[name].__annotations__[parameter.name].keywords
         if parameter.unit == "m":
@@ -53,7 +53,7 @@ def test_the_list_is_worked_as_a_list_of_modifiers(terrain):
     add("relief", wave=80.0)
     add("thermal")
     add("relief")
-    assert names(terrain) == ["Fine Relief", LAND_EFFECTS["thermal"].label, "Fine Relief.001"]
+    assert names(terrain) == ["Fine Relief", HEIGHT_OPERATORS["thermal"].label, "Fine Relief.001"]
     land = terrain.adaptive_terrain.land
     assert [entry.seed for entry in land.entries] == [0, 1, 2]
     land.active = 0

@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.height_operators.catalogue import LAND_EFFECTS
+from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
 from adaptive_terrain.cbt_terrain.height_operators.stack import stack_from
 from adaptive_terrain.operators.importing.imported import imported_of
 from adaptive_terrain.operators.land import stack as land_stack
@@ -33,7 +33,7 @@ def test_a_preset_file_is_the_commands_file(terrain, tmp_path):
     add("relief")
     assert bpy.ops.adaptive_terrain.land_preset(filepath=str(file)) == {"FINISHED"}
     land = terrain.adaptive_terrain.land
-    assert names(terrain) == ["Old rivers", LAND_EFFECTS["snow"].label]
+    assert names(terrain) == ["Old rivers", HEIGHT_OPERATORS["snow"].label]
     assert land.entries[1].snow.wind == pytest.approx(np.pi / 2) and land.entries[1].mask.slope.high == pytest.approx(
         np.pi / 4
     )

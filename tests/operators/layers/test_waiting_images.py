@@ -78,11 +78,11 @@ def test_a_baked_map_that_is_a_pipe_is_not_loaded(terrain_with_maps, tmp_path): 
 
 
 def test_a_preset_whose_image_is_a_pipe_is_applied_without_it(scene, add_terrain, tmp_path):  # noqa: F811
-    from adaptive_terrain.cbt_terrain.height_operators.mask import Mask
+    from adaptive_terrain.cbt_terrain.height_operators.mask import HeightMask
     from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 
     os.mkfifo(tmp_path / "mask.png")
     land = add_terrain().adaptive_terrain.land
     with time_limit(20):
-        left_out = land_stack.fill(land, Stack((Entry("snow", mask=Mask(str(tmp_path / "mask.png"), (), 1.0)),)))
+        left_out = land_stack.fill(land, Stack((Entry("snow", mask=HeightMask(str(tmp_path / "mask.png"), (), 1.0)),)))
     assert len(left_out) == 1 and "mask.png of its mask cannot be read" in left_out[0]

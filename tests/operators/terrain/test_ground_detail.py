@@ -72,9 +72,9 @@ def test_a_layer_has_detail_where_it_lies(scene, add_terrain):
     bpy.context.view_layer.update()
     session.update_object(obj)
     field = session.record_of(obj).field
-    (coat,) = field.detail.coats
-    assert coat.detail.amplitude == 10.0
-    weights = coat.mask.values.mean(0) / 255
+    (layer,) = field.detail.layers
+    assert layer.detail.amplitude == 10.0
+    weights = layer.mask.values.mean(0) / 255
     quarter = len(weights) // 4
     assert weights[:quarter].min() > 0.5 > weights[-quarter:].max()
     rock.detail.amplitude = 0.0

@@ -7,7 +7,7 @@ import random
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.attributes.catalogue import EFFECTS
+from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.operators.bridge.demand.demand import demand
 from adaptive_terrain.operators.session import session
 from random_trees import NAMES, geometry_scene, geometry_tree, picture_scene, rendered, shader_tree, write
@@ -28,7 +28,7 @@ def test_attributes_without_demand_run_zero_times(scene, add_terrain):
     """Half of the trees are materials and half geometry nodes; they read random names, including all effects."""
     terrain = add_terrain()
     terrain.adaptive_terrain.viewport.error_px = 50.0
-    names = [*EFFECTS, "uv_of_others", "mine"]
+    names = [*ATTRIBUTES, "uv_of_others", "mine"]
     material = bpy.data.materials.new("M")
     if bpy.app.version < (5, 0):
         material.use_nodes = True
@@ -48,12 +48,12 @@ def test_attributes_without_demand_run_zero_times(scene, add_terrain):
         record = session.record_of(terrain)
         record.effects_runs.clear()
         session.update_object(terrain)
-        found = asked(look(terrain, "VIEWPORT"), EFFECTS)
+        found = asked(look(terrain, "VIEWPORT"), ATTRIBUTES)
         steps = {name for name, output in record.status.effects.items() if not output.skipped}
         inputs = {name for name in steps if all(r.startswith("effect ") for r in record.status.effects[name].readers)}
         assert set(+record.effects_runs) <= steps and steps - inputs == set(found), number
-        assert {name for name in EFFECTS if name in terrain.data.attributes} == set(found), number
-        never += len(EFFECTS) - len(steps)
+        assert {name for name in ATTRIBUTES if name in terrain.data.attributes} == set(found), number
+        never += len(ATTRIBUTES) - len(steps)
         demanded += len(found)
     assert never > COUNTED and demanded > COUNTED / 2, "both are seen often"
 

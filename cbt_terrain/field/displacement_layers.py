@@ -26,7 +26,7 @@ ROUNDING = np.float32(1.0 + 2.0**-19)  # exceeds the rounding of a sum of a doze
 
 
 @dataclass(frozen=True, eq=True)
-class Mask:
+class LayerMask:
     """Weight of a displacement layer. `values`: uint8 [height, width], one a sample; `digest`: identifies them."""
 
     values: np.ndarray = field(compare=False, repr=False)
@@ -47,38 +47,38 @@ class Mask:
 
 
 @dataclass(frozen=True)
-class Coat:
+class DisplacementLayer:
     """A displacement layer: a detail, everywhere or weighted by a mask."""
 
     detail: Detail | Tiled
-    mask: Mask | None = None
+    mask: LayerMask | None = None
 
 
 @dataclass(frozen=True)
-class Coats:
+class DisplacementLayers:
     """The sum of displacement layers; those with a mask come last."""
 
-    coats: tuple[Coat, ...]
+    layers: tuple[DisplacementLayer, ...]
 
     @property
     def amplitude(self) -> float:
         """Return the largest magnitude of the sum, metres."""
-        return add_up(coat.detail.amplitude for coat in self.coats)
+        return add_up(layer.detail.amplitude for layer in self.layers)
 
     @property
     def key(self) -> str:
         """Return a text that identifies the layers."""
-        text = repr([(coat.detail.key, coat.mask and coat.mask.digest) for coat in self.coats])
+        text = repr([(layer.detail.key, layer.mask and layer.mask.digest) for layer in self.layers])
         return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
-Ground = Detail | Tiled | Coats
+Ground = Detail | Tiled | DisplacementLayers
 
 
-def coats_of(ground: Ground | None) -> tuple[Coat, ...]:
+def layers_below(ground: Ground | None) -> tuple[DisplacementLayer, ...]:
     """Return the displacement layers, those without a mask first."""
-    coats = ground.coats if isinstance(ground, Coats) else (Coat(ground),) if ground else ()
-    return tuple(sorted(coats, key=lambda coat: coat.mask is not None))
+    layers = ground.layers if isinstance(ground, DisplacementLayers) else (DisplacementLayer(ground),) if ground else ()
+    return tuple(sorted(layers, key=lambda layer: layer.mask is not None))
 
 
 def parts_of(ground: Ground | None, finest: float, lattice: Lattice) -> list[DetailTerm]:
@@ -88,13 +88,13 @@ def parts_of(ground: Ground | None, finest: float, lattice: Lattice) -> list[Det
 
 def _groups(ground: Ground | None, finest: float, lattice: Lattice) -> list[list[DetailTerm]]:
     """Return the summands of all layers without a mask, then those of each layer with one."""
-    coats = coats_of(ground)
-    everywhere = [part for coat in coats if coat.mask is None for part in coat.detail.parts(finest)]
+    layers = layers_below(ground)
+    everywhere = [part for layer in layers if layer.mask is None for part in layer.detail.parts(finest)]
     steps = lattice.step_x, lattice.step_y
-    return [everywhere, *(masked(coat.detail.parts(finest), steps) for coat in coats if coat.mask is not None)]
+    return [everywhere, *(masked(layer.detail.parts(finest), steps) for layer in layers if layer.mask is not None)]
 
 
-def coat_tables(ground: Ground | None, finest: float, lattice: Lattice, meshlet: int) -> np.ndarray:
+def layer_tables(ground: Ground | None, finest: float, lattice: Lattice, meshlet: int) -> np.ndarray:
     """Return `tables` of the layers without a mask, and of each layer with one for 1 of 255.
 
     The result is float32 [1 + masks, 64, 2] metres. The first table holds the climbs of all layers.
@@ -121,35 +121,35 @@ def mask_levels(lattice: Lattice) -> np.ndarray:
         columns, rows = (columns + 1) // 2, (rows + 1) // 2
 
 
-def most_of_masks(ground: Ground | None) -> np.ndarray:
+def max_of_masks(ground: Ground | None) -> np.ndarray:
     """Return `Mask.most` of each layer with a mask, in the order of `coat_tables`, uint8 [masks * entries]."""
-    most = [coat.mask.most for coat in coats_of(ground) if coat.mask is not None]
+    most = [layer.mask.most for layer in layers_below(ground) if layer.mask is not None]
     return most[0] if len(most) == 1 else np.concatenate([np.empty(0, np.uint8), *most])
 
 
-def packed(ground: Ground | None, finest: float, lattice: Lattice) -> kernels.Coats:
+def packed(ground: Ground | None, finest: float, lattice: Lattice) -> kernels.PackedLayers:
     """Return the layers as kernels read them. Raises TerrainError for a mask of another raster."""
-    coats, heights, masks, c = [], [], [], kernels.Coats()
+    layers, heights, masks, c = [], [], [], kernels.PackedLayers()
     pixels = bytes_ = 0
-    for coat in coats_of(ground):
-        if isinstance(coat.detail, Tiled):
-            d, net = coat.detail.packed(finest)
+    for layer in layers_below(ground):
+        if isinstance(layer.detail, Tiled):
+            d, net = layer.detail.packed(finest)
             d.pixel, pixels = pixels, pixels + net.size
             heights.append(net.reshape(-1))
         else:
-            d = coat.detail.packed(finest)
-        d.masked = int(coat.mask is not None)
-        if coat.mask is not None:
+            d = layer.detail.packed(finest)
+        d.masked = int(layer.mask is not None)
+        if layer.mask is not None:
             expected = lattice.height, lattice.width
-            if coat.mask.values.shape != expected:
+            if layer.mask.values.shape != expected:
                 raise TerrainError(
-                    f"A mask of displacement has the shape {coat.mask.values.shape}",
+                    f"A mask of displacement has the shape {layer.mask.values.shape}",
                     expected=f"{expected}, the shape of the height map",
                 )
-            d.mask, bytes_ = bytes_, bytes_ + coat.mask.values.size
-            masks.append(coat.mask.values.reshape(-1))
-        coats.append(d)
-    c.count, c.coat = len(coats), wp.array(coats, dtype=kernels.Detail, device="cpu")
+            d.mask, bytes_ = bytes_, bytes_ + layer.mask.values.size
+            masks.append(layer.mask.values.reshape(-1))
+        layers.append(d)
+    c.count, c.layer = len(layers), wp.array(layers, dtype=kernels.PackedDetail, device="cpu")
     c.pixels = flat(np.concatenate([np.empty(0, np.float32), *heights]), wp.float32)
     c.masks = flat(masks[0] if len(masks) == 1 else np.concatenate([np.empty(0, np.uint8), *masks]), wp.uint8)
     c.columns, c.rows = lattice.width, lattice.height

@@ -10,8 +10,8 @@ from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import detail_bounds as bounds
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.field.coats import Coat, Coats, Mask
 from adaptive_terrain.cbt_terrain.field.detail import Detail
+from adaptive_terrain.cbt_terrain.field.displacement_layers import DisplacementLayer, DisplacementLayers, LayerMask
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
 from adaptive_terrain.cbt_terrain.field.painted import Painted
 from adaptive_terrain.cbt_terrain.field.tiled import Tiled
@@ -49,7 +49,7 @@ def bricks():
 def mask(shape, seed=3):
     rng = np.random.default_rng(seed)
     values = np.kron(rng.integers(0, 2, (shape[0] // 4 + 1, shape[1] // 4 + 1)), np.ones((4, 4)))
-    return Mask((values[: shape[0], : shape[1]] * rng.integers(0, 256, shape)).astype(np.uint8))
+    return LayerMask((values[: shape[0], : shape[1]] * rng.integers(0, 256, shape)).astype(np.uint8))
 
 
 IMAGES = {"smooth": image(64, 64), "rough": image(64, 96, 0.9), "odd": image(27, 50), "bricks": bricks()}
@@ -127,7 +127,9 @@ def test_the_most_of_a_mask_is_that_of_every_block():
                 break
             columns, rows, level = (columns + 1) // 2, (rows + 1) // 2, level + 1
         assert at == len(covered.most)
-        domain = make_domain(field_of(shape, Coats((Coat(Detail(1.0), covered),))), 0, 1.0, 0.0)
+        domain = make_domain(
+            field_of(shape, DisplacementLayers((DisplacementLayer(Detail(1.0), covered),))), 0, 1.0, 0.0
+        )
         assert domain.mask_first.numpy()[-1] == at and domain.mask_top == level
 
 
@@ -140,13 +142,13 @@ def grounds(shape):
     """Return displacement layers of every kind, by name."""
     return {
         "an image": Tiled(0.2, 5.0, IMAGES["smooth"]),
-        "bricks in places": Coats((Coat(Tiled(0.3, 4.0, IMAGES["bricks"]), mask(shape)),)),
-        "noise in places": Coats((Coat(Detail(0.3, 3.0), mask(shape, 4)),)),
-        "three": Coats(
+        "bricks in places": DisplacementLayers((DisplacementLayer(Tiled(0.3, 4.0, IMAGES["bricks"]), mask(shape)),)),
+        "noise in places": DisplacementLayers((DisplacementLayer(Detail(0.3, 3.0), mask(shape, 4)),)),
+        "three": DisplacementLayers(
             (
-                Coat(Tiled(0.1, 3.0, IMAGES["rough"]), mask(shape, 5)),
-                Coat(Detail(0.1, 6.0, 0.5, 2)),
-                Coat(Tiled(2.0, 90.0, IMAGES["odd"]), mask(shape, 6)),
+                DisplacementLayer(Tiled(0.1, 3.0, IMAGES["rough"]), mask(shape, 5)),
+                DisplacementLayer(Detail(0.1, 6.0, 0.5, 2)),
+                DisplacementLayer(Tiled(2.0, 90.0, IMAGES["odd"]), mask(shape, 6)),
             )
         ),
     }
@@ -207,13 +209,17 @@ def test_a_mesh_depends_on_neither_threads_nor_history():
 def test_where_a_mask_is_0_the_mesh_is_that_without_detail():
     covered = np.zeros((33, 33), np.uint8)
     covered[:, 20:] = 255
-    field = field_of((33, 33), Coats((Coat(Tiled(0.3, 4.0, IMAGES["bricks"]), Mask(covered)),)))
+    field = field_of(
+        (33, 33), DisplacementLayers((DisplacementLayer(Tiled(0.3, 4.0, IMAGES["bricks"]), LayerMask(covered)),))
+    )
     plain = with_detail(field, None)
     view = View.look((-20.0, -40.0, 12.0), (-20.0, 0.0, 0.0), fov_deg=20.0, resolution=(320, 180), clip=(0.1, 1e6))
     criterion = Criterion(error_px=1.0, off_screen_factor=1000.0, guard_deg=0.0)
     one, two = (Terrain(f, 1).update(criterion, [view]).triangles for f in (field, plain))
     assert two <= one < 1.3 * two, "what is off the frame, or masked, takes next to nothing"
-    nothing = field_of((33, 33), Coats((Coat(Detail(0.3), Mask(np.zeros((33, 33), np.uint8))),)))
+    nothing = field_of(
+        (33, 33), DisplacementLayers((DisplacementLayer(Detail(0.3), LayerMask(np.zeros((33, 33), np.uint8))),))
+    )
     found = [Terrain(f, 1).update(Criterion(error_px=1.0), [ground_view(f)]) for f in (nothing, plain)]
     assert found[0].triangles <= 1.1 * found[1].triangles  # boxes are taller by the amplitude
 
@@ -245,7 +251,7 @@ def test_what_cannot_be_is_refused_in_a_sentence():
         Tiled(0.1, 0, IMAGES["smooth"])
     with pytest.raises(TerrainError, match="image has 4,196,352 pixels; expected 4,194,304 at most"):
         Tiled(0.1, 1.0, Painted(np.zeros((2049, 2048), np.float32)))
-    field = field_of((9, 9), Coats((Coat(Detail(0.1), mask((9, 10))),)))
+    field = field_of((9, 9), DisplacementLayers((DisplacementLayer(Detail(0.1), mask((9, 10))),)))
     with pytest.raises(TerrainError, match="A mask of displacement has the shape"):
         Terrain(field, 1).update(Criterion(error_px=0.0, error_m=1.0))
 

@@ -6,12 +6,14 @@ import warp as wp
 from ..field.domain import Domain
 from .band import measured_at, too_coarse
 from .excess import half, root
-from .pixels import Asked, coarsest
+from .pixels import CriterionArrays, coarsest
 from .stored_errors import error_at
 
 
 @wp.kernel
-def nested_paths(domain: Domain, asked: Asked, ways: wp.array(dtype=wp.uint64), found: wp.array(dtype=wp.int32)):
+def nested_paths(
+    domain: Domain, asked: CriterionArrays, ways: wp.array(dtype=wp.uint64), found: wp.array(dtype=wp.int32)
+):
     """Go down the diamonds. ways: bits that choose children. found, added up over the ways: diamonds; those with a
     finer pixel than their parent, with a larger error, split below one that is not, and with a coarser pixel than an
     ancestor allows."""

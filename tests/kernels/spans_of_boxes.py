@@ -5,12 +5,12 @@ import warp as wp
 
 from .coherence import FADED, Motion, Subtree, span_change
 from .diamond import Diamond
-from .pixels import Asked, LocalView, finest_in
+from .pixels import CriterionArrays, LocalView, finest_in
 
 
 @wp.kernel
 def spans_of_boxes(
-    asked: Asked,
+    asked: CriterionArrays,
     before: LocalView,
     motion: Motion,
     subtree: Subtree,

@@ -205,7 +205,7 @@ import numpy as np
 import warp as wp
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
-from adaptive_terrain.cbt_terrain.attributes.attribute import Asked
+from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest
 from adaptive_terrain.cbt_terrain.attributes.evaluate import EffectRequest, evaluate
 from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
 from adaptive_terrain.cbt_terrain.attributes.evaluate import kernels_of
@@ -216,7 +216,7 @@ from adaptive_terrain.cbt_terrain.terrain import Terrain
 field = from_array(np.random.default_rng(0).random((40, 50), np.float32) * 9, 3.0)
 view = View.look((50, 50, 60), (0, 0, 0), resolution=(60, 40))
 surface = Terrain(field, 1).update(Criterion(error_px=1.0), [view]).surface
-wanted = plan([Asked(name, ("a test",)) for name in sys.argv[1:]])
+wanted = plan([AttributeRequest(name, ("a test",)) for name in sys.argv[1:]])
 evaluate(field, EffectRequest(wanted, surface, [view]), FrameHistory())
 loaded = {m.__name__ for m in other_modules() if wp.get_module(m.__name__).execs}
 print(json.dumps([sorted(loaded), sorted(m.__name__ for m in kernels_of(wanted))]))

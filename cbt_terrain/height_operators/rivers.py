@@ -80,7 +80,7 @@ def _change(
 
 
 def doubts(coarser: Change, change: Change, cell: float) -> bool:
-    """Return whether the big rivers of both levels differ; see `LandEffect.doubts`."""
+    """Return whether the big rivers of both levels differ; see `HeightOperator.doubts`."""
     coarse, fine = (change.layers["flow"] / np.float32(cell) for change in (coarser, change))
     return max(_elsewhere(coarse, fine), _elsewhere(fine, coarse)) > ELSEWHERE
 

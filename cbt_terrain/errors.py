@@ -31,6 +31,11 @@ class TerrainError(Exception):
     def __str__(self) -> str:
         return to_sentence(self)
 
+    @property
+    def problem(self) -> str:
+        """The sentence without the fix, for a panel that shows the fix apart."""
+        return to_sentence(TerrainError(self.what, self.where, self.expected))
+
     def to_json(self) -> dict[str, str]:
         """Return the fields that are not empty."""
         return {name: value for name, value in zip(self.FIELDS, self.args, strict=True) if value}

@@ -13,7 +13,7 @@ from .. import jobs
 from ..session import session
 from ..text.numbers import SMALLEST, plain
 from ..text.shown_bounds import NO_BOUND, bound_text, limit_text
-from ..ui.panel_parts import TerrainSubpanel, figures, message
+from ..ui.panel_parts import TerrainSubpanel, error_lines, figures, message
 from . import measure as measure_accuracy
 from . import sweep as sweep_accuracy
 from .report import PAGE
@@ -38,8 +38,8 @@ class StatisticsPanel(TerrainSubpanel, bpy.types.Panel):
         column = self._columns()
         obj = context.object
         status = session.record_of(obj).status
-        if status.error:
-            message(column, status.error, "ERROR")
+        for text, icon in error_lines(status):
+            message(column, text, icon)
         if status.mode and status.request.note:
             message(column, status.request.note, "INFO")
         figures(column, statistics_lines(status))

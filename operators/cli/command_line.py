@@ -9,6 +9,7 @@ one line.
 import argparse
 import gc
 import importlib.util
+import json
 import re
 import signal
 import sys
@@ -89,7 +90,8 @@ def _run(argv: list[str] | None) -> int:
         return 2
     except (TerrainError, OSError) as error:
         message = unwritten(error) or shown(_sentence(error), LONGEST_LINE)
-        print_line(f"{PROGRAM}: error: {message}", file=sys.stderr)
+        fields = error.to_json() if isinstance(error, TerrainError) else {"what": str(message)}
+        print_line(json.dumps(fields) if arguments.json_errors else f"{PROGRAM}: error: {message}", file=sys.stderr)
         if arguments.progress == OPENJD:
             print_line(message, "openjd_fail")
         return 1
@@ -127,6 +129,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=PROGRAM, description="A terrain at exactly the detail that the camera can see."
     )
+    parser.add_argument("--json", dest="json_errors", action="store_true", help="print an error as JSON")
     subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     _add_import(subparsers)
     _add_info(subparsers)

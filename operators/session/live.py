@@ -255,7 +255,7 @@ def _finish(job: LiveUpdate) -> None:
 
 def _report(record: session.Record, error: Exception) -> None:
     if record.status.error != session.explain(error):
-        record.status.error = session.explain(error)
+        session.set_error(record, error)
         jobs.redraw_panels()
 
 

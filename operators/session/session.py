@@ -71,6 +71,7 @@ class Status:
     effects: dict[str, EffectStatus] = dataclasses.field(default_factory=dict)
     effects_bytes: int = 0
     error: str = ""
+    failure: TerrainError | None = None
 
     @property
     def digest(self) -> str:
@@ -78,7 +79,7 @@ class Status:
         return self.request.digest(self.field_key) if self.request else ""
 
 
-_NOT_OF_UPDATE = ("mode", "request", "field_key", "left", "ms", "effects", "effects_bytes", "error")
+_NOT_OF_UPDATE = ("mode", "request", "field_key", "left", "ms", "effects", "effects_bytes", "error", "failure")
 FIGURES = [item.name for item in dataclasses.fields(Status) if item.name not in _NOT_OF_UPDATE]  # copied from an Update
 
 
@@ -184,7 +185,7 @@ def update_object(obj, depsgraph=None, mode: str = VIEWPORT, **options):
                 raise
             return _update(obj, record, depsgraph, mode, options)
     except Exception as error:
-        record.status.error = explain(error)
+        set_error(record, error)
         raise
 
 
@@ -196,6 +197,12 @@ def _update(obj, record: Record, depsgraph, mode: str, options: dict):
         show(obj, record, request, update, mode)
     record.live_key = request.key() if mode == VIEWPORT else None
     return update
+
+
+def set_error(record: Record, error: Exception) -> None:
+    """Have the panel show an error of the last update."""
+    record.status.error = explain(error)
+    record.status.failure = error if isinstance(error, TerrainError) else None
 
 
 def explain(error: Exception) -> str:

@@ -68,6 +68,14 @@ def message(layout, text: str, icon: str) -> None:
         box.label(text=line, icon=icon if number == 0 else "NONE")
 
 
+def error_lines(status: session.Status) -> list[tuple[str, str]]:
+    """Return texts and icons for the error of a terrain's last update: the problem, and the fix if it is known."""
+    failure = status.failure
+    if failure is None or str(failure) != status.error or not failure.fix:
+        return [(status.error, "ERROR")] if status.error else []
+    return [(failure.problem, "ERROR"), (f"{failure.fix[0].upper()}{failure.fix[1:]}.", "FORWARD")]
+
+
 def fixed_lines(column, text: str, count: int) -> None:
     """Draw a sentence in exactly `count` lines; a longer one is cut."""
     lines = wrapped(text, LINE_LENGTH)

@@ -14,7 +14,7 @@ from ..bridge import camera as cameras
 from ..scatter.request import is_scatter
 from ..session import session
 from ..terrain import sight
-from .panel_parts import wrapped
+from .panel_parts import error_lines, wrapped
 
 POPUP_LINE = 80
 NOTICE_WIDTH = 0.7  # of the row; the button that mends it has the rest
@@ -123,11 +123,12 @@ class ShowMessage(bpy.types.Operator):
 
     def execute(self, context):
         terrain = _concerned(context.object)
-        lines = wrapped(session.record_of(terrain).status.error, POPUP_LINE)
+        texts = error_lines(session.record_of(terrain).status)
 
         def draw(popup, _context):
-            for line in lines:
-                popup.layout.label(text=line)
+            for text, icon in texts:
+                for number, line in enumerate(wrapped(text, POPUP_LINE)):
+                    popup.layout.label(text=line, icon=icon if number == 0 and icon != "ERROR" else "NONE")
 
         context.window_manager.popup_menu(draw, title=terrain.name, icon="ERROR")
         return {"FINISHED"}

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The command line on bad input and in bad circumstances: one clear sentence, and nothing half-done."""
 
+import json
 import os
 import shlex
 import subprocess
@@ -238,3 +239,10 @@ def test_what_the_system_refuses_is_one_sentence(store, tmp_path, capsys):
     assert command_line.main(["export", "--store", store, *where]) == 1
     said = capsys.readouterr().err
     assert said.startswith(f"adaptive-terrain: error: {taken} is a folder; expected a file") and said.count("\n") == 1
+
+
+def test_json_prints_the_fields_of_an_error(tmp_path, capsys):
+    missing = tmp_path / "none.store"
+    assert command_line.main(["--json", "info", str(missing)]) == 1
+    fields = json.loads(capsys.readouterr().err)
+    assert str(missing) in fields["what"] and fields["expected"] == "the file of a height map"

@@ -19,7 +19,7 @@ from adaptive_terrain.operators.terrain.request import gather
 from adaptive_terrain.operators.terrain.update_terrain import UpdateTerrain
 from adaptive_terrain.operators.text.shown_bounds import NO_BOUND
 from adaptive_terrain.operators.ui import status_bar
-from adaptive_terrain.operators.ui.panel_parts import wrapped
+from adaptive_terrain.operators.ui.panel_parts import error_lines, wrapped
 from adaptive_terrain.operators.ui.panels import OutputPanel, TerrainPanel
 from modal_runs import RunningOperator, running, turn
 
@@ -374,3 +374,14 @@ def test_the_status_bar_says_what_takes_long(scene, preparing, monkeypatch):
     monkeypatch.setattr(status_bar.live, "seconds_under_way", lambda: 12.4)
     monkeypatch.setattr(status_bar.live, "stage", lambda: "Making the overlay")
     assert status_bar.work() == (None, "Making the overlay, 12 s")
+
+
+def test_an_error_shows_its_fix_on_its_own_line():
+    error = TerrainError("The mask is damaged", "a.npy", "float32", "delete the file")
+    status = session.Status(error=str(error), failure=error)
+    assert error_lines(status) == [
+        ("The mask is damaged (a.npy); expected float32.", "ERROR"),
+        ("Delete the file.", "FORWARD"),
+    ]
+    status.error = "Another one."
+    assert error_lines(status) == [("Another one.", "ERROR")] and error_lines(session.Status()) == []

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How many leaves a refinement has at each of several steps of coarsening, in one pass that makes none of them.
+"""Leaf counts of a refinement for several relaxation steps, in one pass that writes no leaf.
 
-Criteria are nested in what is asked, too: a diamond is split at every step below one of its own, and all triangles that
-are split make one leaf more each. So it is enough to find each diamond's step and to count the triangles by it.
-Diamonds are judged as the walk judges them: by bands, and measured where those leave a doubt.
+A criterion is nested in its relaxation, too: each diamond has a last step at which it is split, and it is split at all
+steps before. Each split triangle adds one leaf. So the pass finds each diamond's last step and counts triangles by it.
+Diamonds are judged as in the walk: by intervals, and by measuring those in doubt.
 
-The pass does not follow the curve but the cells of a quadtree. A diamond of odd depth fills a cell, one of even depth
-lies on a side of two cells and is counted in the one north or east of it: each is met once, where a walk over triangles
-meets it twice. For a window of few steps it takes about half the time of a refinement.
+The pass follows the cells of a quadtree, not the curve. A diamond of odd depth fills a cell. One of even depth is
+centred on the side between two cells and is counted in the northern or eastern one. So each is visited once, while a
+walk over triangles visits it twice. For a window of few steps the pass takes about half the time of a refinement.
 """
 
 import warp as wp
@@ -31,7 +31,7 @@ from .count_state import CELLS, MARKS, Cell, Count, Part, add, last_split
 
 @wp.func
 def square_cell(domain: Domain, w: Count, square: wp.int32) -> Cell:
-    """A cell around a root square, which is its north-eastern quadrant; nothing is certain of it."""
+    """Return a cell whose north-eastern quadrant is a root square; all its diamonds are in doubt."""
     cell = Cell()
     row = square / domain.columns
     cell.x = (square - row * domain.columns) << domain.unit_bits
@@ -44,10 +44,10 @@ def square_cell(domain: Domain, w: Count, square: wp.int32) -> Cell:
 
 @wp.func
 def part_of(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> Part:
-    """A diamond of a cell.
+    """Return a diamond of a cell.
 
-    number: 3 .. 0 are the quadrants, so that the first is the next; then come the sides: south, west, and the terrain's
-    own two.
+    number: 3 .. 0 for the quadrants, in this order so that quadrant 0 is on top of the stack; -1 south side, -2 west
+    side, -3 north and -4 east side, which count only on the terrain's border.
     """
     half = (wp.int32(1) << domain.unit_bits) >> ((cell.depth + 1) >> 1)
     p = Part()
@@ -97,11 +97,11 @@ def judge(
     top: wp.int32,
     step: wp.int32,
 ):
-    """The last step at which a diamond is split, whether what is below it is looked into, and how many were measured.
+    """Return the last step at which a diamond is split, whether to visit its descendants, and the number measured.
 
-    What is certain below it is left in entry `top` of the stack. limits, coarse: those of `step`, the first that
-    counts, and of the last. Plain numbers are returned: a struct that changes in a branch Warp copies after it, taken
-    or not.
+    The interval below it is written into entry `top` of the stack. limits, coarse: limits of `step`, the first that
+    counts, and of the last step. Plain numbers are returned because Warp copies a struct that changes in a branch, even
+    if the branch is not taken.
     """
     error = wp.float32(0.0)
     sure = wp.float64(1.0)
@@ -118,7 +118,7 @@ def judge(
     if verdict == SPLIT:
         last = w.coarsest
         looks = p.number >= 0
-    # What is certain to be split is measured for what can be said below it.
+    # A diamond that is certainly split is measured for a tighter interval below it.
     if verdict == DOUBT or (looks and own <= cell.band.leaf_up_to):
         if sure < wp.float64(1.0):
             error = error_at(domain, p.x, p.y, p.depth)
@@ -139,7 +139,7 @@ def judge(
 
 @wp.func
 def fetch_quadrants(domain: Domain, p: Part):
-    """Bring errors two levels below into the cache: without it they are three quarters of the time."""
+    """Prefetch errors two levels below: without this, reading them takes three quarters of the time."""
     if leaves_tile(domain, p.depth + 1):
         ahead = p.half >> 1
         fetch_ahead(domain, p.x - ahead, p.y - ahead, p.depth + 2)
@@ -152,15 +152,15 @@ def fetch_quadrants(domain: Domain, p: Part):
 def count(domain: Domain, asked: CriterionArrays, w: Count):
     """Count the diamonds of the slice by the last step at which they are split.
 
-    As soon as there are more than `most` at the finest step, that is given up for the next one.
+    Whenever more than `most` triangles are split at the finest step, the next step becomes the finest.
     """
     none = wp.float64(0.0)
     asked.limit = w.limits[w.coarsest]
     coarse = limits_of(asked, none)
     step = wp.int32(w.finest)
-    total = wp.int64(0)  # triangles that are split at it
+    total = wp.int64(0)  # triangles that are split at `step`
     measured = wp.int64(0)  # diamonds
-    noted = wp.int32(0)  # places
+    noted = wp.int32(0)  # marks
     asked.limit = w.limits[step]
     limits = limits_of(asked, none)
     place = w.slot * CELLS

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a count of leaves reads and writes, and at which step of coarsening a diamond is split for the last time."""
+"""State of a leaf count, and the last relaxation step at which a diamond is split."""
 
 import warp as wp
 
@@ -11,7 +11,7 @@ CELLS = wp.constant(128)  # entries of a slice's stack: three for every second l
 STEPS_PER_OCTAVE = 128
 # Squared limits are 2^(1/64) apart: a step changes the number of triangles by about a hundredth.
 STEPS_PER_SQUARE = wp.constant(wp.float64(STEPS_PER_OCTAVE / 2))
-MARKS = wp.constant(256)  # places that a slice notes, evenly by what it has measured
+MARKS = wp.constant(256)  # cells that a slice notes, at equal numbers of measured diamonds
 
 
 @wp.struct
@@ -40,30 +40,29 @@ class Part:
 
 @wp.struct
 class Count:
-    """Which part of the quadtree a slice counts, and for which steps."""
+    """A slice's part of the quadtree, its range of steps, and the arrays of the count."""
 
     first_cell: wp.uint64  # slice [first_cell, end_cell) of deepest cells, all squares in a row
     end_cell: wp.uint64
     cell_bits: wp.int32  # deepest cells in a square: 2**cell_bits
     max_depth: wp.int32
-    has_errors: wp.int32  # 0: what is asked has nothing to do with errors
+    has_errors: wp.int32  # 0: the criterion does not depend on errors
     slot: wp.int32
-    finest: wp.int32  # steps from this one
-    coarsest: wp.int32  # ... to this one
-    most: wp.int64  # steps at which more triangles than this are split are of no interest
-    spacing: wp.int64  # diamonds that are measured from mark to mark
-    limits: wp.array(dtype=wp.float64)  # of each step: what is asked is multiplied by it
+    finest: wp.int32  # first step to count
+    coarsest: wp.int32  # last step
+    most: wp.int64  # steps at which more triangles than this are split need no count
+    spacing: wp.int64  # measured diamonds from mark to mark
+    limits: wp.array(dtype=wp.float64)  # per step: factor on the squared limits of the criterion
     stack: wp.array(dtype=Cell)
-    # Per slice and step: triangles for which it is the last at which they are split.
-    last_steps: wp.array(dtype=wp.int64)
-    from_step: wp.array(dtype=wp.int32)  # per slice: counts hold from here on; more than `coarsest`: nowhere
-    marks: wp.array(dtype=wp.uint64)  # per slice: places, see MARKS
+    last_steps: wp.array(dtype=wp.int64)  # per slice and step: triangles that are split for the last time at it
+    from_step: wp.array(dtype=wp.int32)  # per slice: first step with a valid count; more than `coarsest`: none
+    marks: wp.array(dtype=wp.uint64)  # per slice: cells, see MARKS
     measured: wp.array(dtype=wp.int64)  # per slice: diamonds
 
 
 @wp.func
 def add(w: Count, step: wp.int32, last: wp.int32, triangles: wp.int64) -> wp.int64:
-    """Count triangles that are split at step `last` for the last time; returns how many are split at `step`."""
+    """Count triangles that are split at step `last` for the last time; returns the number split at `step`."""
     counted = wp.int64(0)
     if last >= step:
         entry = w.slot * w.limits.shape[0] + last
@@ -74,9 +73,9 @@ def add(w: Count, step: wp.int32, last: wp.int32, triangles: wp.int64) -> wp.int
 
 @wp.func
 def last_split(asked: CriterionArrays, limits: Limits, w: Count, first: wp.int32, m: Measured) -> wp.int32:
-    """The last step at which a diamond is split that is at step `first`.
+    """Find the last step at which a diamond is split that is split at step `first`.
 
-    limits: those of `first`. A logarithm says which one it is or nearly so; what decides is what the walk does.
+    limits: those of `first`. A logarithm estimates the step; the walk's test `too_coarse` then decides exactly.
     """
     long2 = m.long2 + m.climb2
     legs2 = m.legs2 + m.climb2

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A band: what is certain of all diamonds below one that is split, from the finest and the coarsest pixel on its box.
+"""LOD intervals: which descendants of a split diamond will certainly be split, and which will certainly be leaves.
 
-Boxes and errors are nested, so what holds for the diamond holds for those below it. Margins are
-far above rounding: what a band says, measuring would say.
+The finest and the coarsest pixel footprint on the diamond's box bound the footprints of all its descendants, since
+boxes and errors are nested. Margins are far above rounding: measuring a descendant never contradicts an interval.
 """
 
 import warp as wp
@@ -16,14 +16,14 @@ BELOW = wp.constant(wp.float64(1.0 - 1e-9))
 # Verdicts on a triangle, by its diamond.
 LEAF = wp.constant(0)
 SPLIT = wp.constant(1)
-DOUBT = wp.constant(2)  # only measuring can tell
+DOUBT = wp.constant(2)  # the diamond must be measured
 EVEN_BLOCK = wp.constant(3)  # its leaves are all of one depth
 REUSED = wp.constant(4)  # its leaves are copied from the last frame
 
 
 @wp.struct
 class Limits:
-    """What is asked, as bands compare it."""
+    """The criterion in the form that intervals compare."""
 
     error_px: wp.float64
     metres_below: wp.float64
@@ -53,20 +53,20 @@ class Measured:
 
 @wp.struct
 class Band:
-    """What a diamond says of those below it."""
+    """Bounds that a split diamond gives for the diamonds below it."""
 
-    split_above: wp.float64  # metres of own error: above, a diamond is split
-    leaf_up_to: wp.float64  # ... up to these no error asks for a split
-    split_depth: wp.int32  # above it edges ask for a split
-    leaf_depth: wp.int32  # from it on they do not; both end one below the deepest leaves
-    calm: wp.int32  # 1: no error below asks for a split, so that depths alone decide
-    even_depth: wp.int32  # ... and all leaves are of this depth; 0: they may differ
-    in_frame: wp.int32  # 1: the frustums of all views hold it
+    split_above: wp.float64  # metres: a diamond with a larger stored error is split
+    leaf_up_to: wp.float64  # metres: a stored error up to this never requires a split
+    split_depth: wp.int32  # edges require a split at smaller depths
+    leaf_depth: wp.int32  # edges require none from this depth on; both end one below the deepest leaves
+    calm: wp.int32  # 1: no error below requires a split, so depths alone decide
+    even_depth: wp.int32  # depth of all leaves below; 0: depths may differ
+    in_frame: wp.int32  # 1: the frustums of all views contain the box
 
 
 @wp.func
 def limits_of(asked: CriterionArrays, slack: wp.float64) -> Limits:
-    """slack: the part by which spans of a pixel may change without any doubt of what a band says."""
+    """Return the limits of a criterion. slack: fraction by which footprints may change without changing a verdict."""
     one = wp.float64(1.0)
     limits = Limits()
     limits.error_px = wp.sqrt(asked.limit * asked.error_px2)
@@ -92,7 +92,7 @@ def measured_at(
     error: wp.float32,
     in_frame: wp.int32,
 ) -> Measured:
-    """Measure the diamond split at (x, y); in_frame: 1 where it is known that the frustums hold its box."""
+    """Measure the diamond split at (x, y) in all views. in_frame: 1 if the frustums are known to contain its box."""
     m = Measured()
     m.diamond = diamond_at(domain, x, y, depth)
     m.pixel2 = finest(asked, m.diamond, in_frame)
@@ -108,20 +108,20 @@ def measured_at(
 
 @wp.func
 def too_coarse(asked: CriterionArrays, limit: wp.float64, m: Measured) -> wp.bool:
-    """Whether a diamond is to be split at `limit` times what is asked: criteria combine by or."""
+    """Return whether a diamond exceeds any criterion, each relaxed by the squared factor `limit`."""
     return too_coarse_at(asked, limit, m.pixel2, m.metres2, m.long2 + m.climb2, m.legs2 + m.climb2)
 
 
 @wp.func
 def turning_span(limits: Limits, m: Measured) -> wp.float64:
-    """Metres of a pixel at which the diamond would be decided otherwise, as far as pixels decide."""
+    """Return the pixel footprint, metres, at which the verdict on the diamond changes; limits in metres are ignored."""
     edges2 = larger((m.long2 + m.climb2) * limits.per_edge2, (m.legs2 + m.climb2) * limits.per_area2)
     return wp.sqrt(larger(m.metres2 * limits.per_error2, edges2))
 
 
 @wp.func
 def nothing_certain() -> Band:
-    """The band of what has not been measured."""
+    """Return the interval that leaves every diamond in doubt."""
     band = Band()
     band.split_above = wp.float64(wp.inf)
     band.leaf_up_to = wp.float64(-1.0)
@@ -131,7 +131,7 @@ def nothing_certain() -> Band:
 
 @wp.func
 def foretold(band: Band, depth: wp.int32, sure: wp.float64, own: wp.float64) -> wp.int32:
-    """The verdict on a diamond below, of `sure` to `own` metres of error: whether it should be split."""
+    """Predict the verdict on a diamond below, whose error is between `sure` and `own` metres: SPLIT, LEAF or DOUBT."""
     verdict = wp.int32(LEAF)
     if depth < band.split_depth or sure > band.split_above:
         verdict = SPLIT
@@ -144,9 +144,10 @@ def foretold(band: Band, depth: wp.int32, sure: wp.float64, own: wp.float64) -> 
 def first_within(
     limits: Limits, depth: wp.int32, end: wp.int32, m: Measured, climb2: wp.float64, pixel2: wp.float64
 ) -> wp.int32:
-    """The first depth below a diamond of `depth`, `end` at most, whose edges and areas ask for no split.
+    """Find the first depth below `depth`, at most `end`, at which edges and areas require no split.
 
-    A bisection makes the legs the longest edge; new legs are half of it. climb2: how far edges climb, squared metres.
+    Bisection turns the legs into the longest edge; the new legs are half the old longest edge. climb2: squared height
+    difference along an edge, metres. pixel2: squared pixel footprint, metres.
     """
     edge2 = limits.edge2 * pixel2 - climb2
     area2 = limits.area2 * pixel2 - climb2
@@ -172,7 +173,10 @@ def band_below(
     max_depth: wp.int32,
     in_frame: wp.int32,
 ) -> Band:
-    """What is certain below a diamond that is split, from `limits` up to `coarse`, the same ones but in a count."""
+    """Compute the interval below a split diamond that holds for all limits between `limits` and `coarse`.
+
+    A walk passes the same limits twice; a count passes those of its finest and coarsest step.
+    """
     band = Band()
     fine2 = m.pixel2 * limits.finer
     band.leaf_up_to = wp.float64(wp.inf)  # errors are nested: below none there are none

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A block: a triangle bisected evenly, n times, whose leaves are written from a table instead of walked.
+"""Blocks: triangles bisected evenly n times, whose leaves are copied from a table instead of walked.
 
-Where only edge lengths ask, bands of equal depth surround the eye: of a million leaves over a plain two in three lie
-in blocks.
+Where edge lengths alone decide, zones of equal depth surround the eye: in a mesh of one million leaves over a plain,
+two thirds of the leaves are in blocks.
 """
 
 import warp as wp
@@ -14,7 +14,7 @@ MAX_BISECTIONS = wp.constant(8)
 
 @wp.struct
 class Blocks:
-    """For a state of the curve s and n bisections, entry 6 n + s: where its leaves and new vertices stand."""
+    """Table of blocks: entry 6 n + s locates the leaves and new vertices for curve state s and n bisections."""
 
     first_leaf: wp.array(dtype=wp.int32)
     first_vertex: wp.array(dtype=wp.int32)
@@ -26,7 +26,7 @@ class Blocks:
 
 @wp.func
 def new_vertices(blocks: Blocks, state: wp.int32, bisections: wp.int32) -> wp.int32:
-    """How many vertices a block makes."""
+    """Return the number of new vertices in a block."""
     return item_at(blocks.vertices, 6 * bisections + state)
 
 
@@ -44,7 +44,7 @@ def write_block(
     point: wp.array(dtype=wp.vec2i),
     first_point: wp.int64,
 ):
-    """The words of a block's leaves, each with the bits `extra`, and its new vertices, in the order of the curve."""
+    """Write the words of a block's leaves, each with the bits `extra`, and its new vertices, in curve order."""
     entry = 6 * bisections + state
     first = item_at(blocks.first_leaf, entry)
     copy_codes(blocks.code, wp.int64(first), 1 << bisections, extra, code, first_code)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Coherence from frame to frame: what a walk keeps of a subtree, and whether it still holds for a camera that moved.
+"""Frame coherence: cached subtrees, and a test whether they are still valid after the camera has moved.
 
-All decisions below a triangle compare the span of a pixel with a number that no camera changes. So a subtree keeps its
-*rooms*: by how much spans may fall or rise before any of them is decided otherwise (a slack, as the deferred priorities
-of ROAM; Duchaineau et al. 1997). While they last the next frame copies the subtree's leaves; the mesh is the one that
-a walk without memory gives.
+Every decision below a triangle compares a pixel footprint with a number that does not depend on the camera. So a cached
+subtree stores two margins: by how much footprints may fall or rise before a decision changes (as the deferred priority
+lists of ROAM; Duchaineau et al. 1997). While the margins last, the next frame copies the subtree's leaves. The mesh is
+the same as without a cache.
 """
 
 import warp as wp
@@ -37,7 +37,7 @@ ROUNDED = wp.constant(wp.float64(1e-9))  # relative: far above what rounding doe
 
 @wp.struct
 class Subtree:
-    """The leaves below a triangle, where a walk has written them, and what they may bear."""
+    """The cached leaves below a triangle, and the margins of pixel footprints within which they are valid."""
 
     cell: wp.uint64  # first deepest cell, all squares in a row
     depth: wp.int32
@@ -47,18 +47,18 @@ class Subtree:
     edges: wp.int32
     first_leaf: wp.int64  # entries in the arrays of the walk
     first_vertex: wp.int64
-    low: wp.vec3d  # the box of all diamonds in it, metres of the terrain's space
+    low: wp.vec3d  # the box of all its diamonds, metres in terrain space
     high: wp.vec3d
-    fine: wp.float64  # spans of a pixel in any of their boxes: from this, metres,
-    coarse: wp.float64  # to this
-    fall: wp.float64  # they may fall by less than this
-    rise: wp.float64  # ... and rise
-    stopped: wp.int32  # 1: one of its leaves is too coarse at the deepest level that there may be
+    fine: wp.float64  # finest pixel footprint on any of their boxes, metres
+    coarse: wp.float64  # coarsest one
+    fall: wp.float64  # margin, metres: footprints may shrink by less than this
+    rise: wp.float64  # ... and grow by less than this
+    stopped: wp.int32  # 1: one of its leaves is too coarse at the depth limit
 
 
 @wp.struct
 class Motion:
-    """How the view has moved since subtrees were kept."""
+    """The movement of the view since subtrees were cached."""
 
     eye: wp.vec3d  # before, as in LocalView
     depth: wp.vec4d
@@ -73,17 +73,17 @@ class Motion:
 
 @wp.func
 def weighed(view: LocalView, v: wp.vec3d) -> wp.float64:
-    """Length in camera space, metres."""
+    """Return the length of v in camera space, metres."""
     return wp.sqrt(view.weight[0] * (v[0] * v[0]) + view.weight[1] * (v[1] * v[1]) + view.weight[2] * (v[2] * v[2]))
 
 
 @wp.func
 def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
-    """By how much, least and most, depths or distances have grown in any box inside this one, metres; valid or not.
+    """Bound the growth of depth or distance, metres, in any box inside this one: lower, upper, and 1 if valid.
 
-    A span goes with the larger of the least depth in a box and of the least distance times a cosine. Depths change
-    linearly. The distance of a point p from eyes a and b: its change varies over p by 2 |a - b| / (|p - a| + |p - b|)
-    a metre at most.
+    A footprint is proportional to the larger of two values: the least depth in a box, and the least distance times a
+    cosine. Depths change linearly. The distance of a point p from eyes a and b changes by an amount that varies over p
+    by at most 2 |a - b| / (|p - a| + |p - b|) per metre.
     """
     half = wp.float64(0.5)
     centre = half * (low + high)
@@ -109,9 +109,9 @@ def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
 
 @wp.func
 def slant_change(now: wp.vec2d, before: wp.vec2d, step: wp.vec2d, low: wp.vec2d, high: wp.vec2d) -> wp.vec2d:
-    """Bound by how much the largest size of a row's product has grown in any rectangle inside this one: lower, upper.
+    """Bound the growth of max |row . (x, y)| in any rectangle inside this one: lower, upper.
 
-    step: how far the eye has moved; low, high: from where it was. The product is linear in the place.
+    step: movement of the eye. low, high: corners relative to the eye before. The product is linear in the position.
     """
     was = ends_of(before, low, high)
     grown = ends_of(now - before, low, high)
@@ -151,11 +151,11 @@ def slant_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d
 
 @wp.func
 def span_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d, fall: wp.float64, rise: wp.float64):
-    """Bound the factor on the span of a pixel in any box inside this one: lower, upper, gain, and whether they hold.
+    """Bound the factor on the pixel footprint in any box inside this one: lower, upper, squared gain, and 1 if valid.
 
-    fall, rise: the bounds of `change_of`. A span is the middle one of three: depth, depth^2 over slant times depth, and
-    depth times the largest gain. Where it is the first or the last in all boxes, before and now, its squared gain is
-    returned and the factors are without the depth's; else that gain is 0.
+    fall, rise: the bounds of `change_of`. A footprint is the median of three values: depth, depth^2 / (slant * depth),
+    and depth times the largest gain. If it is the first or the last in all boxes, before and now, its squared gain is
+    returned and the factors exclude the change of depth; otherwise the returned gain is 0.
     """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -202,11 +202,11 @@ def span_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d,
 
 @wp.func
 def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
-    """Bound the factor by which the fringe makes pixels coarser in any box inside this one: by what it has changed
-    (lower, upper), its size now (smallest, largest), and whether that is known.
+    """Bound the factor by which the frustum's fringe coarsens footprints in any box inside this one.
 
-    The factor is (1 + fade part)^4, where `part` is how far the box is beyond the planes over the width of the fringe,
-    0 to 1. Both change linearly, the width with the depth.
+    Returns bounds of its change (lower, upper) and of its value now (smallest, largest), and 1 if they are valid. The
+    factor is (1 + fade * f)^4, where f (0 to 1) is the distance beyond the planes over the width of the fringe. The
+    distance changes linearly with the position, the width linearly with the depth.
     """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -244,7 +244,7 @@ def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
 
 @wp.func
 def span_change(view: LocalView, motion: Motion, kept: Subtree):
-    """By how much, least and most, spans have grown in any box of the subtree, metres; and whether that is known."""
+    """Bound the growth of pixel footprints, metres, in any box of a subtree: lower, upper, and 1 if they are valid."""
     one = wp.float64(1.0)
     least = wp.float64(0.0)
     most = wp.float64(0.0)
@@ -269,7 +269,7 @@ def span_change(view: LocalView, motion: Motion, kept: Subtree):
     zero = wp.float64(0.0)
     least = least * wp.where(least < zero, faded[3], faded[2])
     most = most * wp.where(most > zero, faded[3], faded[2])
-    # Spans drift, and so do those at which diamonds are decided otherwise.
+    # Footprints drift, and so do those at which verdicts change.
     rounded = (ROUNDED + wp.float64(4.0) * motion.drift) * kept.coarse
     least = least * span + smaller(fall * kept.fine, fall * kept.coarse) - rounded
     most = most * span + larger(rise * kept.fine, rise * kept.coarse) + rounded
@@ -278,7 +278,7 @@ def span_change(view: LocalView, motion: Motion, kept: Subtree):
 
 @wp.func
 def stands_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
-    """Return how a subtree stands to the frustum: CLEAR, OUTSIDE or FADED; CROSSED if it cannot be cached."""
+    """Classify a subtree against the frustum: CLEAR, OUTSIDE or FADED; CROSSED if it cannot be cached."""
     stands = steady_stand_of(view, low, high)
     if stands == CROSSED and view.fade > wp.float64(0.0):
         stands = FADED
@@ -287,9 +287,9 @@ def stands_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
 
 @wp.func
 def carried(asked: CriterionArrays, motion: Motion, kept: Subtree, in_frame: wp.int32):
-    """The subtree as it stands for the view that has moved, and whether it holds: all of it is decided as it was.
+    """Update a subtree's margins for the moved view. Returns the subtree, and 1 if all its verdicts stay the same.
 
-    in_frame: 1 where it is known that the frustum holds it.
+    in_frame: 1 if the frustum is known to contain it.
     """
     least, most, holds = span_change(asked.view, motion, kept)
     kept.fall = kept.fall + least

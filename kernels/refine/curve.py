@@ -43,13 +43,13 @@ TO_CORNER = wp.constant(5)  # a new edge to a vertex that the square below has m
 
 @wp.func
 def left_state(state: wp.int32) -> wp.int32:
-    """State of child 0."""
+    """Return the curve state of child 0."""
     return (LEFT_STATES >> (4 * state)) & 7
 
 
 @wp.func
 def right_state(state: wp.int32, cell: wp.uint64) -> wp.int32:
-    """State of child 1 of the triangle whose first deepest cell is `cell`."""
+    """Return the curve state of child 1 of the triangle whose first deepest cell is `cell`."""
     s = (RIGHT_STATES >> (4 * state)) & 7
     if cell == wp.uint64(0):
         s = s & 6  # the curve starts on the border: the other half of its entry edge was never passed
@@ -58,13 +58,13 @@ def right_state(state: wp.int32, cell: wp.uint64) -> wp.int32:
 
 @wp.func
 def leaf_word(state: wp.int32, depth: wp.int32) -> wp.uint32:
-    """The word of a leaf, without its role on the border and its flags."""
+    """Pack a leaf's word, without its border role and its flags."""
     return wp.uint32(state | ((depth & 1) << PARITY) | (depth << DEPTH_SHIFT))
 
 
 @wp.func
 def touches_border(left: wp.vec2i, apex: wp.vec2i, right: wp.vec2i, corner: wp.vec2i, side: wp.int32) -> wp.bool:
-    """Whether a triangle has a vertex on the border of the square at `corner`."""
+    """Return whether a triangle has a vertex on the border of the square at `corner`."""
     low = wp.min(wp.min(left, right), apex) - corner
     high = wp.max(wp.max(left, right), apex) - corner
     return low[0] == 0 or low[1] == 0 or high[0] == side or high[1] == side
@@ -72,7 +72,7 @@ def touches_border(left: wp.vec2i, apex: wp.vec2i, right: wp.vec2i, corner: wp.v
 
 @wp.func
 def end_of_entry(state: wp.int32, apex: wp.vec2i, right: wp.vec2i) -> wp.vec2i:
-    """Where the edge ends through which the curve enters a triangle at its left vertex."""
+    """Return the end of the edge that begins at a triangle's left vertex and through which the curve enters."""
     end = apex
     if (state & 6) == HYP_LEG:
         end = right
@@ -81,7 +81,7 @@ def end_of_entry(state: wp.int32, apex: wp.vec2i, right: wp.vec2i) -> wp.vec2i:
 
 @wp.func
 def third_edge(state: wp.int32, left: wp.vec2i, apex: wp.vec2i, right: wp.vec2i):
-    """The edge that the curve does not pass: from a vertex that is known to the one that is new if the edge is."""
+    """Return the ends of the edge that the curve does not cross: a known vertex, and one that is new if the edge is."""
     passage = state & 6
     known = left
     if passage == LEG_HYP:
@@ -103,7 +103,7 @@ def border_role(
     columns: wp.int32,
     rows: wp.int32,
 ):
-    """Role of the third edge p - q of a leaf in the square at `corner`."""
+    """Return the border role of the third edge p - q of a leaf in the square at `corner`."""
     role = INNER
     if p[0] == q[0]:
         if p[0] == corner[0]:

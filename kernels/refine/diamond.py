@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A diamond: its box, how much its edges climb, and what its error weighs.
+"""Diamonds: their boxes, the height differences along their edges, and the weight of their errors.
 
-Its box covers every vertex that can come below it, so the children's boxes lie inside it; heights of the box and its
-error are saturated the same way. All that is done with them is monotone, also in rounded arithmetic, so a child never
-exceeds a parent.
+A diamond's box contains all vertices of its descendants, so the children's boxes are inside it. The heights of the box
+and its error are saturated the same way. All computations with them are monotone, also in rounded arithmetic, so a
+child never exceeds a parent.
 """
 
 import warp as wp
@@ -17,30 +17,32 @@ from .stored_errors import is_beyond, reach_of
 
 @wp.func
 def smaller(a: wp.float64, b: wp.float64) -> wp.float64:
-    """wp.min without its care for NaN, which costs four instructions for one; NaN in `a` gives `b`."""
+    """Return the smaller value. wp.min takes four instructions instead of one, to handle NaN; NaN in `a` gives `b`."""
     return wp.where(a < b, a, b)
 
 
 @wp.func
 def larger(a: wp.float64, b: wp.float64) -> wp.float64:
-    """As `smaller`, of wp.max."""
+    """Return the larger value; NaN in `a` gives `b`."""
     return wp.where(a > b, a, b)
 
 
 @wp.struct
 class Diamond:
-    """What a view needs to know of a diamond."""
+    """The properties of a diamond that do not depend on the view."""
 
-    low: wp.vec3d  # its box, metres of the terrain's space
+    low: wp.vec3d  # its box, metres in terrain space
     high: wp.vec3d
-    rise: wp.float64  # metres, the most that an edge of it can climb
-    rim: wp.int32  # 0: no padding is in it, 1: some is, 2: nothing else
+    rise: wp.float64  # largest height difference along one of its edges, metres
+    rim: wp.int32  # 0: it contains no padding, 1: some padding, 2: only padding
 
 
 @wp.func
 def heights_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1: wp.int32):
-    """Lowest and highest metres, before scaling, over the raster's cells from (i0, j0) to (i1, j1): of samples, or of
-    the control heights of bicubic patches."""
+    """Return the lowest and highest metres, before scaling, over the raster cells from (i0, j0) to (i1, j1).
+
+    They are those of the samples or, if the surface is bicubic, of the control heights of its patches.
+    """
     low = wp.float64(0.0)
     high = wp.float64(0.0)
     if domain.bicubic == 1:
@@ -69,7 +71,7 @@ def heights_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j
 
 @wp.func
 def range_entry(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32) -> wp.int64:
-    """Return where the range of a diamond is stored, `finer` bisections above the finest that are."""
+    """Return the entry of the height range of a diamond that is `finer` bisections above the finest stored ones."""
     group = finer >> 2
     shift = domain.unit_bits - domain.levels + 1 + 2 * group
     entry = tile_index(x >> shift, y >> shift, item_at(domain.range_pages, group))
@@ -78,15 +80,15 @@ def range_entry(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32) -> wp
 
 @wp.func
 def fetch_range(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
-    """Bring the range of the diamond split at (x, y) into the cache, of a depth that is stored; nothing is read."""
+    """Prefetch the height range of the diamond split at (x, y); ranges of its depth must be stored."""
     prefetch(domain.ranges, range_entry(domain, x, y, 2 * domain.levels - 2 - depth))
 
 
 @wp.func
 def narrowed(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32, r: wp.vec2i) -> wp.vec2i:
-    """What the range `r` and the stored one of a diamond, `finer` bisections above the finest that are, have in common.
+    """Intersect the range `r` with a diamond's stored one, `finer` bisections above the finest stored ones.
 
-    That of a diamond beside the domain is all heights.
+    A diamond outside the domain leaves `r` as it is.
     """
     if x >= 0 and y >= 0 and x <= (domain.columns << domain.unit_bits) and y <= (domain.rows << domain.unit_bits):
         index = range_entry(domain, x, y, finer)
@@ -98,9 +100,10 @@ def narrowed(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32, r: wp.ve
 
 @wp.func
 def range_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.vec2i:
-    """Codes between which the heights of a diamond's box lie, above the raster's cells.
+    """Return the lowest and highest height code in the box of a diamond that is coarser than the raster's cells.
 
-    Of the two finest depths the stored parents say it, or theirs: what all of them have in common is nested, too.
+    Ranges of the two finest depths are not stored. They are the intersection of the nearest stored ancestors' ranges,
+    which is nested, too.
     """
     r = wp.vec2i(0, 65535)
     finer = 2 * domain.levels - 2 - depth
@@ -114,7 +117,7 @@ def range_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.ve
             v = wp.where(turned, -u, u)
             r = narrowed(domain, x - u, y - v, 0, r)
             r = narrowed(domain, x + u, y + v, 0, r)
-        else:  # the middle of a side of one: one of the side's ends, and what is 2 u beside the other end
+        else:  # the middle of a side of one: one of the side's ends, and the points 2 u beside the other end
             along = wp.where((x & u) != 0, u, 0)
             across = u - along
             ends = wp.where((((x - along) + (y - across)) / (2 * u) & 1) == 1, 1, -1)
@@ -128,7 +131,7 @@ def range_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.ve
 
 @wp.func
 def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Diamond:
-    """The box of the diamond split at (x, y)."""
+    """Compute the box and the height differences of the diamond split at (x, y)."""
     half = (depth - 1) >> 1
     odd = depth & 1
     reach = reach_of(domain.unit_bits, depth)
@@ -149,7 +152,7 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
     d = Diamond()
     if x + reach > domain.east or y + reach > domain.north:
         d.rim = 1
-    if beyond or low > high:  # its box may touch the raster where no diamond below it does: then it has no range
+    if beyond or low > high:  # a box may touch the raster although no descendant does: its range is empty
         d.rim = 2
     z0 = low * domain.height_scale + domain.height_offset
     z1 = high * domain.height_scale + domain.height_offset
@@ -180,19 +183,21 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
 
 @wp.func
 def rest_of(domain: Domain, d: Diamond) -> wp.float64:
-    """Metres by which float32 positions may be off in a diamond's box, see `rounding` in cbt_terrain/refine/terms.py.
-    Boxes are nested, and so is this."""
+    """Bound the error, metres, that float32 positions add in a diamond's box; it is nested, as boxes are.
+
+    `rounding` in cbt_terrain/refine/terms.py explains its terms.
+    """
     return domain.rounding + smaller(domain.lean * (d.high[2] - d.low[2]), domain.max_lean)
 
 
 @wp.func
 def metres2_of(domain: Domain, error: wp.float32, rest: wp.float64) -> wp.float64:
-    """Squared metres of height that an error stands for, as the criterion weighs it.
+    """Return the squared metres of height that the criterion compares for a diamond's stored error.
 
-    All error is the diamond's own, what rounding to float32 adds, and what the source had rounded. Only the first can
-    be refined away. Where the second comes near what was asked, the weighed error asks for a quarter of that from the
-    first, and no more; where the source's rounding does, for four fifths. Where the first is a quarter of what both
-    take everywhere, nothing is gained any more: it weighs nothing.
+    The total error is the sum of the stored (geometric) error e, float32 rounding (`rest`), and the source's rounding.
+    Refinement reduces e only. If float32 rounding comes near the tolerance, e is required to meet a quarter of it, not
+    less; if the source's rounding does, four fifths. If e is at most `domain.enough`, a quarter of the two roundings,
+    refining gains nothing, and the result is 0.
     """
     e = wp.float64(error) * domain.error_scale
     own = smaller(e + rest, wp.float64(4.0) * e)
@@ -202,6 +207,6 @@ def metres2_of(domain: Domain, error: wp.float32, rest: wp.float64) -> wp.float6
 
 @wp.func
 def own_for(domain: Domain, metres: wp.float64, rest: wp.float64) -> wp.float64:
-    """The own error, metres, up to which `metres2_of` weighs no more than `metres`."""
+    """Return the largest stored error, metres, for which `metres2_of` is at most metres^2."""
     left = larger(metres - domain.source, wp.float64(0.8) * metres)
     return larger(larger(left - rest, wp.float64(0.25) * left), domain.enough)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Leaves as a walk writes them: a word each, a point for each new vertex. What does not fit is only counted."""
+"""Output of a walk: a word per leaf and a point per new vertex. Leaves beyond the capacity are only counted."""
 
 import warp as wp
 
@@ -28,14 +28,14 @@ from .walk_state import Cursor, Square, Walk, Written
 
 @wp.func
 def count_side(domain: Domain, w: Walk, q: Square, side: wp.int32):
-    """Count an edge on a side of a square: taken left, below, given right, above."""
+    """Count an edge on a side of a square. side: 0 taken left, 1 taken below, 2 given right, 3 given above."""
     entry = 4 * (w.slot * domain.columns * domain.rows + q.number) + side
     w.sides[entry] = w.sides[entry] + 1
 
 
 @wp.func
 def emit_entry(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
-    """The edge through which the curve enters a square, at its first leaf: flags, new vertices and edges."""
+    """Write the edge through which the curve enters a square; returns the first leaf's flags, vertices and edges."""
     flags = wp.uint32(1) << wp.uint32(FIRST)
     vertices = wp.int32(0)
     edges = wp.int32(0)
@@ -56,7 +56,7 @@ def emit_entry(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
 
 @wp.func
 def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
-    """Write a leaf's word and the vertices that are new with it; returns how many, and new edges."""
+    """Write a leaf's word and its new vertices; returns the numbers of new vertices and new edges."""
     code = leaf_word(c.state, c.depth)
     vertices = wp.int32(0)
     edges = wp.int32(1)  # that through which the curve leaves
@@ -91,8 +91,7 @@ def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
 
 @wp.func
 def stands_alone(w: Walk, q: Square, c: Cursor) -> wp.bool:
-    """Whether all leaves below a triangle are in this slice, and none bears a flag of its square or a role on its
-    border."""
+    """Return whether all leaves below a triangle are in this slice, without flags of the square or border roles."""
     end = c.cell + size_of(w, c.depth)
     inside = c.cell > wp.uint64(0) and end < size_of(w, 0) and c.cell >= q.start and q.base + end <= w.end_cell
     return inside and (w.grid == 0 or not touches_border(c.left, c.apex, c.right, q.corner, q.side))
@@ -100,7 +99,7 @@ def stands_alone(w: Walk, q: Square, c: Cursor) -> wp.bool:
 
 @wp.func
 def emit_block(w: Walk, q: Square, c: Cursor, n: Written, depth: wp.int32) -> wp.int32:
-    """Write the leaves of a triangle that are all of one depth, from the table; returns how many vertices are new."""
+    """Write a triangle's leaves of one depth from the table; returns the number of new vertices."""
     bisections = depth - c.depth
     leaves = 1 << bisections
     if n.leaves + wp.int64(leaves) <= w.leaf_capacity:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The excess of a mesh: the ground that has most of what no refinement could keep to.
+"""The excess of a mesh: the largest error, edge or area that refinement could not reduce to the request.
 
-Branch and bound. What a triangle has at most holds for all that is below it: errors, ranges of heights and boxes are
-nested. So of two triangles the one that may have more is looked into first, and none that cannot have more than what
-was found already.
+It is found by branch and bound. A triangle's upper bound holds for all triangles below it, since errors, height ranges
+and boxes are nested. So the triangle with the larger bound is searched first, and triangles whose bound is not above
+the largest value found are skipped.
 
-A diamond is refined for its whole box, which must be nested too, but for those on either side of it. Here a triangle
-counts with its box, in the raster's cells with the heights that the surface has there, and with the part of it that
-can be in the frame: one that reaches from under the camera into the frame is seen no nearer than where it enters.
+Refinement judges a diamond by its whole box, which contains the boxes of its neighbours' children, too. This search
+uses a tighter box: that of the triangle alone, inside the raster's cells with the heights that the surface has there,
+and clipped to the frame: a triangle that extends from below the camera into the frame counts from where it enters.
 
 A leaf that is large compared with its distance is divided further. Each part counts with its distance, and with the
 largest distance of the surface in it from the triangle that is drawn there.
@@ -32,15 +32,15 @@ from .pixels import (
 )
 from .stored_errors import detail_missed, halvings_at, is_beyond, raster_error_at
 
-# What is looked for.
-FIXED = wp.constant(0)  # spans of a pixel of what cannot be refined away: float32's and the source's rounding
-ERROR = wp.constant(1)  # spans of a pixel of all error
-EDGE = wp.constant(2)  # ... of the longest edge
-AREA = wp.constant(3)  # squared ones of twice the area
-METRES = wp.constant(4)  # metres of all error, in view or not
-STACK = wp.constant(80)  # triangles: one a level, and both of the last
-# A part of a leaf is small enough where squared spans of a pixel differ by less than the first factor in it; at the
-# frame's sides, where it may not be seen at all, by less than the second.
+# Quantities to search for.
+FIXED = wp.constant(0)  # rounding of float32 and of the source, which cannot be refined away: pixel footprints
+ERROR = wp.constant(1)  # total error: pixel footprints
+EDGE = wp.constant(2)  # longest edge: pixel footprints
+AREA = wp.constant(3)  # twice the area: squared pixel footprints
+METRES = wp.constant(4)  # total error, in view or not: metres
+STACK = wp.constant(80)  # triangles: one per level, and both of the last
+# A part of a leaf is small enough if squared pixel footprints differ by less than the first factor in it; at the
+# frame's sides, where it may be out of view, by less than the second.
 ONE_SPAN = wp.constant(wp.float64(1.2))
 ONE_SPAN_CROSSED = wp.constant(wp.float64(1.02))
 # The search ends within this factor of the largest square; for errors on screen, whose leaves it divides, within the
@@ -55,26 +55,26 @@ NESTED = wp.constant(wp.float64(1e-13))  # of heights, for each bisection; round
 
 @wp.struct
 class Triangle:
-    """A triangle that may have as much as was found, or more."""
+    """A triangle on the stack of the search, with its upper bound."""
 
     left: wp.vec2i  # ends of the longest edge, lattice units
     apex: wp.vec2i
     right: wp.vec2i
     depth: wp.int32
-    most2: wp.float64  # squared: what it has at most; UNSEEN if nothing of it is in view
-    is_small: wp.bool  # squared spans of a pixel hardly differ in it
-    is_drawn: wp.bool  # it is a part of a triangle that is drawn, whose plane is known
-    drawn: wp.vec2i  # that one's apex
-    plane: wp.vec3d  # metres, before scaling, there, and metres a lattice unit along x and y from there
-    fixed: wp.float64  # metres, see Excess in cbt_terrain/refine/contract.py; of a part those of its leaf
+    most2: wp.float64  # squared upper bound of the quantity; UNSEEN if the triangle is out of view
+    is_small: wp.bool  # squared pixel footprints hardly differ in it
+    is_drawn: wp.bool  # it is a part of a drawn triangle, whose plane is known
+    drawn: wp.vec2i  # apex of the drawn triangle
+    plane: wp.vec3d  # height at that apex, metres before scaling, and slopes along x and y, metres per lattice unit
+    fixed: wp.float64  # metres, see Excess in cbt_terrain/refine/contract.py; of a part the leaf's values
     total: wp.float64
 
 
 @wp.func
 def heights_between(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32):
-    """Lowest and highest metres, before scaling, of the bilinear surface over a rectangle of the lattice.
+    """Return the lowest and highest metres, before scaling, of the bilinear surface over a lattice rectangle.
 
-    In each cell they are at corners of what the rectangle has of it.
+    In each cell the extremes are at corners of the intersection of cell and rectangle.
     """
     bits = domain.unit_bits - domain.levels
     part = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)  # exact: a power of two
@@ -102,8 +102,7 @@ def heights_between(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1
 def box_between(
     domain: Domain, d: Diamond, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, depth: wp.int32
 ) -> Diamond:
-    """The part of a diamond's box that is over a rectangle of the lattice. Inside the raster's cells it has the heights
-    that a bilinear surface has there."""
+    """Cut a diamond's box to a lattice rectangle, and inside a bilinear cell to the surface's heights there."""
     box = Diamond()
     low = d.low[2]
     high = d.high[2]
@@ -128,11 +127,11 @@ def box_between(
 
 @wp.func
 def least_depth(view: LocalView, d: Diamond) -> wp.float64:
-    """Metres of depth that whatever is in the box and in the frustum has at least.
+    """Return a lower bound of the depth, metres, of all points in the box and in the frustum.
 
-    Linear programming with one plane of the frustum at a time: for any multiplier that is not negative, the least of
-    depth less multiplier times distance from the plane, over the box, is a lower bound (weak duality). It is greatest
-    where the multiplier cancels a coordinate.
+    This is linear programming with one frustum plane at a time. For any multiplier >= 0, the minimum over the box of
+    depth - multiplier * (distance from the plane) is a lower bound (weak duality). The bound is largest if the
+    multiplier cancels a coordinate.
     """
     found = wp.float64(-wp.inf)
     for p in range(view.plane_count):
@@ -154,8 +153,10 @@ def least_depth(view: LocalView, d: Diamond) -> wp.float64:
 
 @wp.func
 def finest_seen_in(view: LocalView, d: Diamond):
-    """Return squared metres that a pixel spans at least on the part of the box in view, infinity where there is none;
-    and at most, as ONE_SPAN compares it."""
+    """Return the squared finest and coarsest pixel footprint, metres, on the part of the box in view.
+
+    The finest is infinite if the box is out of view. The coarsest is scaled for the comparison with ONE_SPAN.
+    """
     pixel2 = wp.float64(wp.inf)
     coarse2 = wp.float64(0.0)
     stand = stand_of(view, d.low, d.high, wp.float64(0.0))
@@ -172,7 +173,7 @@ def finest_seen_in(view: LocalView, d: Diamond):
 
 @wp.func
 def finest_seen(domain: Domain, asked: CriterionArrays, d: Diamond, t: Triangle):
-    """Return the same of a triangle of a diamond, by all views; and whether spans hardly differ in it."""
+    """Return a triangle's squared finest footprint in all views, metres, and whether footprints hardly differ in it."""
     x0 = wp.min(t.apex[0], wp.min(t.left[0], t.right[0]))
     y0 = wp.min(t.apex[1], wp.min(t.left[1], t.right[1]))
     x1 = wp.min(wp.max(t.apex[0], wp.max(t.left[0], t.right[0])), domain.east)
@@ -193,10 +194,10 @@ def finest_seen(domain: Domain, asked: CriterionArrays, d: Diamond, t: Triangle)
 def error_below(domain: Domain, t: Triangle, x: wp.int32, y: wp.int32, deepest: wp.int32) -> wp.float64:
     """Bound the error, metres, of leaves at depth `deepest` in a triangle of the diamond split at (x, y).
 
-    Above the raster's cells it may be all that the diamond has. Inside of one it falls with each bisection: of a
-    bilinear surface it is a quarter of the cell's twist. A bicubic one has that of the diamond; but where that has no
-    side of the cell, those below it that have one take the error of the next cell: at most twice the cell's. What is
-    missed of a detail depends on the depth of the leaves alone.
+    A diamond larger than a raster cell may pass its whole error to its leaves. Inside a cell the error falls with each
+    bisection. A bilinear surface begins with a quarter of the cell's twist, a bicubic one with the diamond's error. If
+    a bicubic diamond contains no side of its cell, descendants on a side take the error of the next cell, which is at
+    most twice this cell's. The missed displacement depends on the depth of the leaves alone.
     """
     error = wp.float64(raster_error_at(domain, x, y, t.depth))
     if t.depth > 2 * domain.levels:
@@ -218,7 +219,7 @@ def error_below(domain: Domain, t: Triangle, x: wp.int32, y: wp.int32, deepest: 
 
 @wp.func
 def surface_height(domain: Domain, p: wp.vec2i) -> wp.float64:
-    """Return metres, before scaling, of the bilinear surface at a lattice point; beyond the border the nearest ones."""
+    """Return the bilinear surface's height, metres before scaling, at a lattice point clamped to the raster."""
     bits = domain.unit_bits - domain.levels
     part = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)
     i = wp.min(p[0] >> bits, domain.samples.columns - 2)
@@ -230,7 +231,7 @@ def surface_height(domain: Domain, p: wp.vec2i) -> wp.float64:
 
 @wp.func
 def plane_of(domain: Domain, t: Triangle) -> wp.vec3d:
-    """Return the plane through the surface at a triangle's corners, see Triangle. Its legs are at right angles."""
+    """Return the plane through the surface at a triangle's corners, as in Triangle. The legs are perpendicular."""
     base = surface_height(domain, t.apex)
     first = surface_height(domain, t.left) - base
     second = surface_height(domain, t.right) - base
@@ -244,8 +245,11 @@ def plane_of(domain: Domain, t: Triangle) -> wp.vec3d:
 
 @wp.func
 def distance_from_plane(domain: Domain, t: Triangle) -> wp.float64:
-    """Return the largest distance, metres before scaling, of the surface from the plane over the rectangle about a
-    triangle in one cell: there it is a saddle, which has its extremes at corners."""
+    """Return the largest distance, metres before scaling, of the surface from the plane of the drawn triangle.
+
+    It is taken over the bounding rectangle of a triangle inside one cell. There the difference is a saddle, whose
+    extremes are at corners.
+    """
     x0 = wp.min(t.apex[0], wp.min(t.left[0], t.right[0]))
     y0 = wp.min(t.apex[1], wp.min(t.left[1], t.right[1]))
     x1 = wp.max(t.apex[0], wp.max(t.left[0], t.right[0]))
@@ -262,7 +266,7 @@ def distance_from_plane(domain: Domain, t: Triangle) -> wp.float64:
 
 @wp.func
 def measured(domain: Domain, asked: CriterionArrays, what: wp.int32, deepest: wp.int32, t: Triangle) -> Triangle:
-    """Return the triangle with the most that leaves at depth `deepest` in it have, or the leaf that it is a part of."""
+    """Return the triangle with the upper bound for its leaves at depth `deepest`, or for the leaf that contains it."""
     x = (t.left[0] + t.right[0]) >> 1
     y = (t.left[1] + t.right[1]) >> 1
     d = diamond_at(domain, x, y, t.depth)
@@ -336,8 +340,11 @@ def find_most(
     stack: wp.array(dtype=Triangle),
     found: wp.array(dtype=wp.float64),
 ):
-    """found: the most, squared and rounded up, and its metres (see Triangle): -1 where none is above `least2`."""
-    most2 = least2  # what was found, rounded up
+    """Find the largest value of the quantity `what` among leaves at depth `deepest`.
+
+    found: its square, rounded up, and its fixed and total metres (see Triangle); -1 if no square is above `least2`.
+    """
+    most2 = least2  # largest square found, rounded up
     fixed = wp.float64(-1.0)
     total = wp.float64(-1.0)
     for n in range(2 * domain.columns * domain.rows):

@@ -1,58 +1,58 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether a diamond's box is hidden by nearer ground, by a polar map of horizons about the eye.
+"""Occlusion: test whether nearer ground hides a diamond's box, with a polar map of horizons around the eye.
 
-The map is in squares, not circles: a point is at the distance max(|dx|, |dy|), in one of four sides of the eye, and
-in one of BINS bins of the side by dy / dx (or dx / dy). So arcs are straight, and no sine and no logarithm is needed,
-which differ from machine to machine. Slopes are heights above the eye by that distance: they order the rays of one
-azimuth. Radii of the rings are the numbers with five bits behind their first: 2 - 3 % apart. (Of the demo's flight
-twice as many rings save 1 % more triangles, four times as many bins 1 %.) Bins go once around the eye, from the south-
-east on: those of the north and the west side against their dx / dy and dy / dx.
+The map uses squares, not circles. A point has the distance max(|dx|, |dy|), belongs to one of four sides of the eye,
+and to one of BINS bins of the side by dy / dx (or dx / dy). So arcs are straight, and neither sines nor logarithms are
+needed, whose last bits differ between machines. A slope is the height above the eye over that distance; slopes order
+the rays of one azimuth. Radii of the rings are the float64 numbers with five mantissa bits, 2 - 3 % apart. (In the
+demo's flight, twice the rings save 1 % more triangles, and four times the bins another 1 %.) Bins run once around the
+eye, from the south-east: on the north and the west side in the direction of falling dx / dy and dy / dx.
 
-kernels/refine/horizon_map.py fills the map. Each entry has the slope below which all rays of its bin are behind ground
-that is no farther than the ring, whatever mesh keeps what is asked; so entries rise with the ring. A box is hidden if
-all rays to it are below the entries of the ring that is just nearer than all of it.
+kernels/refine/horizon_map.py fills the map. An entry is a slope: every ray of its bin below it is behind ground that is
+no farther than the ring, for every mesh that satisfies the criterion. So entries rise with the ring. A box is hidden if
+all rays to it are below the entries of the last ring that is nearer than the whole box.
 
 **Nested.** A box inside a hidden box is hidden: it begins no nearer, so its ring is no nearer and has no lower entries;
-it meets none but the bins of the other; and no ray to it is higher. All this is done by differences, quotients and
-comparisons, which are monotone in rounded arithmetic, too.
+it meets no other bins; and no ray to it is higher. The test uses only differences, quotients and comparisons, which are
+monotone in rounded arithmetic, too.
 
-**It hides itself consistently.** Hidden ground, and ground outside the frame, is coarser than the map allows for the
-ground in front. It needs no further lowering. Take a ray to a hidden box, in the frame, and of all rings whose entry
-is above it the nearest. There the ray is lower than the surface less what the mesh may be off. The triangle that has
-this place cannot be hidden: the ray would meet its box or pass below it, so be below a nearer ring's entry. If it is
-outside the frame, its box does not hold the ray, which is in the frame; nor is the ray above the box, for it is below
-the surface there: so it passes below the box, and below the triangle in it. If neither, the mesh keeps what is asked.
-In all cases the ray is below the mesh, having been above it where it began. So the mesh hides the box. (So does the
-surface itself: what true heights show is never called hidden.)
+**Consistent.** Hidden ground, and ground outside the frame, is coarser than the map assumes for the ground in front.
+The map needs no further lowering. Take a ray in the frame to a hidden box, and the nearest ring whose entry is above
+the ray. There the ray is lower than the surface minus the permitted error of the mesh. The triangle at this point
+cannot be hidden: the ray would meet its box or pass below it, and so be below a nearer ring's entry. If the triangle is
+outside the frame, its box does not contain the ray, which is in the frame; nor is the ray above the box, since it is
+below the surface there: so it passes below the box, and below the triangle in it. Otherwise the mesh satisfies the
+criterion. In all cases the ray is below the mesh, and it began above it. So the mesh hides the box. (So does the
+surface: ground that the true heights show is never called hidden.)
 
-**By degrees.** Where points rise nothing may change at once. There a box is `covered` in part: by how far the highest
-ray to it is below the entries, of a ramp; the last ring counts the more, the nearer it comes to the next, the one
-before it wholly; and a bin beside the box counts less, the farther it is away, up to a bin. All of it goes on evenly
-with the eye, as do the entries (`steady_least` in kernels/refine/horizon_map.py). Nothing is covered that is not
-hidden; a box inside another is covered no less, in rounded arithmetic, too.
+**Occlusion fade.** With geomorphing the mesh must change continuously. So a box is `covered` in part: by the distance
+of the highest ray below the entries, over a ramp. The last ring counts more, the nearer the box comes to the next ring;
+the ring before counts fully. A bin beside the box counts less with its distance, up to one bin. The result is
+continuous in the eye's position, as are the entries (`steady_least` in kernels/refine/horizon_map.py). A box that is
+not hidden is not covered, and a box inside another is covered no less, in rounded arithmetic, too.
 """
 
 import warp as wp
 
-BINS = wp.constant(256)  # of each of the four sides
-ROW = wp.constant(1024)  # of all: entries of a ring
-RING_BITS = wp.constant(47)  # of a float64's 52 behind the first that tell no rings apart
-# A box that meets more is not called hidden; so those below it that are hidden are found one by one.
+BINS = wp.constant(256)  # bins of one side
+ROW = wp.constant(1024)  # bins of all four sides: entries of a ring
+RING_BITS = wp.constant(47)  # low mantissa bits of a float64, of 52, that do not distinguish rings
+# A box that meets more bins is not called hidden; its hidden descendants are found one by one.
 MAX_BINS = wp.constant(256)
 
 
 @wp.struct
 class Rings:
-    """A view's part of the map: first a row of floors, then a row a ring. No rings: nothing is hidden."""
+    """A view's rows in the map: first a row of floors, then one per ring. Without rings no box is hidden."""
 
     first: wp.int32  # number of the nearest ring
     count: wp.int32
-    at: wp.int32  # entry of the floors: rays below them may have passed below the mesh before it begins
+    at: wp.int32  # entry of the floors: a ray below its floor may pass below the mesh before the mesh begins
 
 
 @wp.func
 def ring_of(distance: wp.float64) -> wp.int32:
-    """Number of the largest ring that is no farther."""
+    """Return the number of the largest ring whose radius is at most a distance."""
     return wp.int32(wp.cast(distance, wp.int64) >> wp.int64(RING_BITS))
 
 
@@ -63,7 +63,7 @@ def radius_of(ring: wp.int32) -> wp.float64:
 
 @wp.func
 def nearest_of(low: wp.vec3d, high: wp.vec3d) -> wp.float64:
-    """Least distance, as above, of a box from the eye at 0."""
+    """Return the least distance max(|x|, |y|) of a box from the eye at 0."""
     across = wp.max(wp.max(low[0], -high[0]), wp.max(low[1], -high[1]))
     return wp.max(across, wp.float64(0.0))
 
@@ -75,13 +75,16 @@ def farthest_of(low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 @wp.func
 def bin_at(t: wp.float64) -> wp.int32:
-    """The bin of dy / dx = t, which is -1 .. 1."""
+    """Return the bin of dy / dx = t, -1 .. 1."""
     return wp.min(wp.int32((t + wp.float64(1.0)) * wp.float64(BINS / 2)), BINS - 1)
 
 
 @wp.func
 def reach_on(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) -> wp.vec2d:
-    """Least and most dy / dx that a box at `near` has on a side (0 .. 3: east, north, west, south); (1, -1): none."""
+    """Return the range of dy / dx of a box at distance `near` on a side (0 .. 3: east, north, west, south).
+
+    On the north and south side it is that of dx / dy. (1, -1): the box does not meet the side.
+    """
     one = wp.float64(1.0)
     zero = wp.float64(0.0)
     along = side & 1  # the axis along which the side lies
@@ -101,19 +104,19 @@ def reach_on(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) ->
 
 @wp.func
 def is_turned(side: wp.int32) -> wp.bool:
-    """Whether the bins of a side go against its dy / dx."""
+    """Return whether the bins of a side run in the direction of falling dy / dx."""
     return side == 1 or side == 2
 
 
 @wp.func
 def bin_of(side: wp.int32, k: wp.int32) -> wp.int32:
-    """Number of the k-th bin of a side along its dy / dx; or the other way round."""
+    """Return the number of the k-th bin of a side in the order of rising dy / dx. The order is its own inverse."""
     return side * BINS + wp.where(is_turned(side), BINS - 1 - k, k)
 
 
 @wp.func
 def bins_of(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) -> wp.vec2i:
-    """First and last bin of a side that a box at `near` meets; (0, -1): none."""
+    """Return the first and last bin of a side that a box at distance `near` meets; (0, -1): none."""
     reach = reach_on(side, low, high, near)
     found = wp.vec2i(0, -1)
     if reach[0] <= reach[1]:
@@ -125,7 +128,7 @@ def bins_of(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) -> 
 
 @wp.func
 def is_hidden(rings: Rings, slopes: wp.array(dtype=wp.float32), low: wp.vec3d, high: wp.vec3d) -> wp.bool:
-    """Whether a box is hidden; metres of the terrain's space from the eye."""
+    """Return whether a box is hidden. low, high: metres in terrain space from the eye."""
     zero = wp.float64(0.0)
     near = nearest_of(low, high)
     ring = wp.min(ring_of(near) - rings.first, rings.count - 1)
@@ -151,7 +154,7 @@ def is_hidden(rings: Rings, slopes: wp.array(dtype=wp.float32), low: wp.vec3d, h
 
 @wp.func
 def share_of(slope: wp.float64, above: wp.float64, ramp: wp.float64) -> wp.float64:
-    """How much of the ramp a slope is below another one: 0 to 1."""
+    """Return the distance of `slope` below `above` as a fraction of the ramp, clamped to 0 .. 1."""
     return wp.clamp((above - slope) / ramp, wp.float64(0.0), wp.float64(1.0))
 
 
@@ -159,8 +162,10 @@ def share_of(slope: wp.float64, above: wp.float64, ramp: wp.float64) -> wp.float
 def covered(
     rings: Rings, ramp: wp.float64, slopes: wp.array(dtype=wp.float32), low: wp.vec3d, high: wp.vec3d
 ) -> wp.float64:
-    """How much of a box's way to being hidden is done: 0 (something of it may be seen) to 1 (it is a slope of `ramp`
-    below what hides it)."""
+    """Return how far a box is hidden: 0 (part of it may be visible) to 1 (a slope of `ramp` below the horizon).
+
+    low, high: metres in terrain space from the eye.
+    """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
     half = wp.float64(BINS / 2)

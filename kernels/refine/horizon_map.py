@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The polar map of horizons about an eye, from least heights; kernels/refine/hiding.py has the map and what it proves.
+"""Computation of the polar horizon map from minimum heights; kernels/refine/hiding.py describes and proves the map.
 
-An entry's arc is straight: x or y is the ring's radius. A mesh over it is no lower than the least height about it less
-what the mesh may be off, and no ray of the bin passes beside it. Raster and mesh have no gap, so a ray that was above
-the mesh on a nearer arc, and is below it on this one, has met it in between. Beyond the raster nothing hides.
+An entry's arc is straight: x or y is the ring's radius. The mesh over it is no lower than the minimum height around it
+minus the mesh's permitted error, and every ray of the bin crosses the arc. Raster and mesh have no gap, so a ray that
+is above the mesh on a nearer arc and below it on this one has met it in between. Beyond the raster nothing hides.
 
-Where ground is hidden by degrees (`LocalView.ramp`), least heights go on evenly as the eye moves: see `steady_least`.
+With an occlusion fade (`LocalView.ramp`) minimum heights are continuous in the eye's position: see `steady_least`.
 """
 
 import warp as wp
@@ -19,31 +19,32 @@ from .hiding import BINS, ROW, bin_of, radius_of
 from .pixels import CriterionArrays, LocalView
 
 FINEST = wp.constant(2)  # the smallest blocks have 4 x 4 cells
-FEW_CELLS = wp.constant(8)  # along a rectangle: up to here cells are read, beyond it blocks
+FEW_CELLS = wp.constant(8)  # along a rectangle: up to this size cells are read, beyond it blocks
 MAX_BLOCKS = wp.constant(6)  # ... along a side
 NOTHING = wp.constant(wp.float64(-1e30))
-OUTWARD = wp.constant(wp.float64(2e-7))  # what float32 may round off, and more
+OUTWARD = wp.constant(wp.float64(2e-7))  # relative: above the rounding of float32
 
 
 @wp.struct
 class Blocks:
-    """Bounds of the surface's heights over blocks of cells, before scaling; those of a level have twice the side."""
+    """Bounds of the surface's heights over blocks of 2^level x 2^level cells, metres before scaling."""
 
-    least: wp.array(dtype=wp.float32)  # of heights, of negated heights; from FINEST on, row by row from the south-west
-    first: wp.array(dtype=wp.int32)  # number of a level's first block
-    wide: wp.array(dtype=wp.int32)
+    # Per block: minimum of heights, minimum of negated heights; from level FINEST, row by row from the south-west.
+    least: wp.array(dtype=wp.float32)
+    first: wp.array(dtype=wp.int32)  # per level: number of its first block
+    wide: wp.array(dtype=wp.int32)  # per level: blocks in a row
 
 
 @wp.func
 def least_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1: wp.int32, up: wp.float64):
-    """Least of up * height, before scaling, over the cells from (i0, j0) to (i1, j1)."""
+    """Return the minimum of up * height, metres before scaling, over the cells from (i0, j0) to (i1, j1)."""
     low, high = heights_of_cells(domain, i0, j0, i1, j1)
     return wp.where(up > wp.float64(0.0), low, -high)
 
 
 @wp.kernel
 def fill_blocks(offset: int, domain: Domain, wide: wp.int32, least: wp.array(dtype=wp.float32)):
-    """Row `offset + tid` of the smallest blocks."""
+    """Fill row `offset + tid` of the smallest blocks."""
     j = (offset + wp.tid()) << FINEST
     beside = (wp.int32(1) << FINEST) - 1
     j1 = wp.min(j + beside, domain.samples.rows - 2)
@@ -58,7 +59,7 @@ def fill_blocks(offset: int, domain: Domain, wide: wp.int32, least: wp.array(dty
 
 @wp.func
 def least_of_block(domain: Domain, blocks: Blocks, level: wp.int32, i: wp.int32, j: wp.int32, up: wp.float64):
-    """Least of up * height, before scaling, in a block; of level 0 in a cell."""
+    """Return the minimum of up * height, metres before scaling, in a block; a block of level 0 is a cell."""
     least = wp.float64(0.0)
     if level > 0:
         row = item_at(blocks.first, level) + j * item_at(blocks.wide, level)
@@ -72,8 +73,10 @@ def least_of_block(domain: Domain, blocks: Blocks, level: wp.int32, i: wp.int32,
 def least_over(
     domain: Domain, blocks: Blocks, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, sign: wp.float64
 ):
-    """Least of sign * height, metres as they are placed, over a rectangle of the lattice; what is beyond the raster
-    does not count. sign 1: how low the ground is; -1: how high, negated."""
+    """Return the minimum of sign * height, metres after scaling, over the raster in a lattice rectangle.
+
+    sign: 1 gives the lowest height, -1 the negated highest one.
+    """
     bits = domain.unit_bits - domain.levels
     i0 = wp.max(x0, 0) >> bits
     j0 = wp.max(y0, 0) >> bits
@@ -95,7 +98,7 @@ def least_over(
 
 @wp.func
 def placed(domain: Domain, least: wp.float64, sign: wp.float64) -> wp.float64:
-    """A least height of the raster, before scaling, as that of the surface with its detail, in metres."""
+    """Convert a minimum of the raster before scaling to that of the surface with displacement, metres after scaling."""
     if domain.detailed == 1:
         least -= domain.max_detail
     return least * domain.error_scale + sign * domain.height_offset
@@ -103,7 +106,7 @@ def placed(domain: Domain, least: wp.float64, sign: wp.float64) -> wp.float64:
 
 @wp.func
 def bilinear_at(domain: Domain, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Height at a place, in cells from the south-west corner, before scaling."""
+    """Return the height, metres before scaling, at (x, y) cells from the south-west corner."""
     i = wp.min(wp.int32(x), domain.samples.columns - 2)
     j = wp.min(wp.int32(y), domain.samples.rows - 2)
     return bilinear(corners_of(domain.samples, i, j), x - wp.float64(i), y - wp.float64(j))
@@ -111,7 +114,10 @@ def bilinear_at(domain: Domain, x: wp.float64, y: wp.float64) -> wp.float64:
 
 @wp.func
 def least_bilinear(domain: Domain, low: wp.vec2d, high: wp.vec2d, up: wp.float64) -> wp.float64:
-    """Least of up * height, before scaling, over a rectangle, in cells: in each cell it is at a corner."""
+    """Return the minimum of up * height, metres before scaling, over a rectangle in cells.
+
+    In each cell the minimum is at a corner of the intersection of cell and rectangle.
+    """
     least = wp.float64(wp.inf)
     for j in range(wp.int32(low[1]), wp.int32(high[1]) + 2):
         y = wp.clamp(wp.float64(j), low[1], high[1])
@@ -124,8 +130,11 @@ def least_bilinear(domain: Domain, low: wp.vec2d, high: wp.vec2d, up: wp.float64
 def least_of_windows(
     domain: Domain, blocks: Blocks, level: wp.int32, corner: wp.vec2d, size: wp.vec2d, up: wp.float64
 ) -> wp.float64:
-    """Of two neighbouring windows of whole blocks along each axis, all of which hold a rectangle, the mean by where in
-    a block its corner is: it is that of one window where the other one changes. Lengths in blocks."""
+    """Interpolate the minima of up * height, metres before scaling, between two windows of blocks along each axis.
+
+    All four windows contain the rectangle (corner, size; in blocks). The weights are the position of the corner in its
+    block, so a window has weight 0 when its set of blocks changes: the result is continuous.
+    """
     inf = wp.float64(wp.inf)
     i = wp.int32(wp.floor(corner[0]))
     j = wp.int32(wp.floor(corner[1]))
@@ -154,8 +163,10 @@ def least_of_windows(
 
 @wp.func
 def steady_least(domain: Domain, blocks: Blocks, grown: wp.int32, corner: wp.vec2d, size: wp.vec2d) -> wp.float64:
-    """A lower bound of the ground over a rectangle of the lattice, and `grown` units around it, metres, that goes on
-    evenly as the rectangle moves: the least itself of few bilinear cells, else by windows of blocks."""
+    """Return a lower bound of the ground, metres, over a lattice rectangle and a border of `grown` units.
+
+    It is continuous in the rectangle's position: the exact minimum over few bilinear cells, else `least_of_windows`.
+    """
     cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     margin = wp.float64(grown + 2)
     corner = (corner - wp.vec2d(margin, margin)) / cell
@@ -187,11 +198,14 @@ def off_at(
     across2: wp.float64,
     rise: wp.float64,
 ) -> wp.float64:
-    """Metres that the mesh may be off from the surface where it keeps `relaxed` times what is asked, at a place that is
-    sqrt(across2) from the eye in plan, and `rise` above it. Only errors keep a mesh near the surface."""
+    """Bound the distance, metres of height, of mesh and surface if the mesh satisfies the criterion times `relaxed`.
+
+    across2: squared horizontal distance from the eye, metres. rise: height above the eye, metres. Only error criteria
+    bound this distance.
+    """
     part2 = relaxed * relaxed * asked.error_px2 * view.pixel2 * view.max_gain2
     metres2 = relaxed * relaxed * asked.metres2
-    # A pixel must not grow as fast as the way to it: else higher ground might have a lower mesh.
+    # A footprint must grow more slowly than the distance: otherwise higher ground might have a lower mesh.
     if part2 * reach2 < wp.float64(0.5):
         metres2 = smaller(metres2, part2 * larger(reach2 * (across2 + rise * rise), view.near2))
     return larger(wp.sqrt(metres2), domain.enough) + domain.rounding + domain.max_lean
@@ -199,7 +213,7 @@ def off_at(
 
 @wp.func
 def reach2_of(view: LocalView) -> wp.float64:
-    """Squared: depths and distances of camera space are at most so many times those of the terrain's space."""
+    """Return the squared maximum factor from lengths in terrain space to depths and distances in camera space."""
     depth = view.depth
     weight = larger(larger(view.weight[0], view.weight[1]), view.weight[2])
     return larger(depth[0] * depth[0] + depth[1] * depth[1] + depth[2] * depth[2], weight)
@@ -207,7 +221,7 @@ def reach2_of(view: LocalView) -> wp.float64:
 
 @wp.func
 def ground_near(domain: Domain, blocks: Blocks, x: wp.float64, y: wp.float64, reach: wp.float64, grown: wp.int32):
-    """The highest ground within `reach` lattice units of (x, y), metres; infinity where that is not all raster."""
+    """Return the highest ground, metres, within `reach` lattice units of (x, y); infinity if that crosses the border."""
     bits = domain.unit_bits - domain.levels
     east = wp.float64((domain.samples.columns - 1) << bits)
     north = wp.float64((domain.samples.rows - 1) << bits)
@@ -240,10 +254,10 @@ def fill_horizon(
     grown: wp.int32,
     relaxed: wp.float64,
 ):
-    """Bin `offset + tid` of view `number`'s map: its floor, and its slope on every ring.
+    """Fill bin `offset + tid` of view `number`'s map: its floor, and its slope on every ring.
 
-    start: metres, a distance within which nothing may be drawn. grown: lattice units that a leaf at the depth limit
-    reaches, which may be coarser than is asked, but has its corners on the surface. relaxed: see `off_at`.
+    start: metres, a distance within which nothing may be drawn. grown: size of a leaf at the depth limit, lattice
+    units; such a leaf may exceed the criterion, but its corners are on the surface. relaxed: see `off_at`.
     """
     one = wp.float64(1.0)
     k = offset + wp.tid()
@@ -277,7 +291,7 @@ def fill_horizon(
         per1 = wp.vec2d(t1 / domain.unit_x, ahead / domain.unit_y)
     best = NOTHING
     cell = wp.float64(wp.int32(1) << bits) * wp.min(domain.unit_x, domain.unit_y)
-    due = wp.float64(0.0)  # rings nearer together than cells are say no more
+    due = wp.float64(0.0)  # rings closer together than cells add nothing
     for ring in range(rings.count):
         radius = radius_of(rings.first + ring)
         u0 = x + radius * per0[0]

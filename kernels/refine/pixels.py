@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is asked, and what a view makes of a diamond's box: what a pixel spans there, in the frame and hidden or not.
+"""The criterion, and pixel footprints: metres of height that a pixel spans on a diamond's box in each view.
 
-Boxes are nested, and all of this is monotone, also in rounded arithmetic: no pixel on a child's box is finer than on
-its parent's.
+Footprints are coarser outside the frustum and on hidden ground. Boxes are nested, and all functions are monotone, also
+in rounded arithmetic: no footprint on a child's box is finer than on its parent's.
 """
 
 import warp as wp
@@ -22,34 +22,34 @@ planes_type = wp.types.matrix(shape=(6, 4), dtype=wp.float64)
 
 @wp.struct
 class LocalView:
-    """A view from the terrain's own space. Lengths of camera space are in metres of the terrain's height."""
+    """A view in terrain space. Lengths in camera space are in metres of the terrain's height."""
 
     kind: wp.int32
     plane_count: wp.int32
     eye: wp.vec3d  # metres
-    unsure: wp.float64  # metres of height by which what is seen may be off the surface: boxes are higher by that
+    unsure: wp.float64  # largest distance of mesh and surface, metres of height: boxes are extended by it
     weight: wp.vec3d  # squared metres of camera space per squared metre along each axis
-    depth: wp.vec4d  # depth along the view = depth . (x, y, z, 1), metres, less what `unsure` takes off it
-    pixel2: wp.float64  # squared metres of a pixel; of perspective at unit depth and the frame's largest slant, of a
+    depth: wp.vec4d  # depth along the view = depth . (x, y, z, 1), metres, reduced by the effect of `unsure`
+    pixel2: wp.float64  # squared footprint, metres; of a perspective at unit depth and the frame's largest slant, of a
     # panorama at unit distance
     slant_x: wp.vec2d  # slant times depth, over the frame's largest, = slant_x . (dx, dy) across the view ...
     slant_y: wp.vec2d  # ... and slant_y . (dx, dy) along it; metres of camera space per metre from the eye
     max_gain2: wp.float64  # squared largest slant of the frame over the smallest that counts
-    cosine2: wp.float64  # squared least depth over distance inside the frame
-    near2: wp.float64  # squared distance below which nothing is seen
-    off_screen2: wp.float64  # squared factor by which pixels are coarser outside the frustum
-    fade: wp.float64  # 0: at once; else over a fringe it rises as (1 + fade * part)^4 does
-    fringe: wp.float64  # how wide that is beyond a plane: metres, of perspective a part of the depth
-    hidden2: wp.float64  # ... of what nearer ground hides
-    ramp: wp.float64  # 0: at once; else it rises up to this slope below what hides it
-    veil: wp.float64  # ... as (1 + veil * part)^4 does
+    cosine2: wp.float64  # squared minimum of depth over distance inside the frame
+    near2: wp.float64  # squared distance below which nothing is visible
+    off_screen2: wp.float64  # squared factor by which footprints are coarser outside the frustum
+    fade: wp.float64  # 0: that factor is a step; else it grows over the fringe as (1 + fade * fraction)^4
+    fringe: wp.float64  # width of the fringe beyond a plane: metres; of a perspective a fraction of the depth
+    hidden2: wp.float64  # squared factor by which footprints are coarser on hidden ground
+    ramp: wp.float64  # 0: that factor is a step; else it grows down to this slope below the horizon
+    veil: wp.float64  # ... as (1 + veil * fraction)^4
     rings: Rings
     planes: planes_type  # positive towards the frustum
 
 
 @wp.struct
 class CriterionArrays:
-    """What is asked, squared; infinity is off."""
+    """The criterion: squared limits; infinity switches one off."""
 
     view_count: wp.int32
     measures_edges: wp.int32
@@ -57,7 +57,7 @@ class CriterionArrays:
     metres2: wp.float64
     edge_px2: wp.float64
     area_px2: wp.float64  # twice the area: squared legs of a right triangle
-    limit: wp.float64  # all of these times this: 1, or more to meet a budget
+    limit: wp.float64  # factor on the limits above: 1, or more to meet a budget
     diagonal2: wp.float64  # squared length of a lattice unit's diagonal, the longer one, in camera space
     axis2: wp.float64  # squared length of a lattice unit's side, the longer one, in camera space
     view: LocalView  # the first view
@@ -85,8 +85,10 @@ def least_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 @wp.func
 def most_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
-    """How far the innermost corner of a box is inside of a plane of the frustum, of all planes the least: negative if
-    the box is outside. Infinite where there are no planes."""
+    """Return the minimum over all frustum planes of the innermost corner's distance inside the plane, metres.
+
+    It is negative if the box is outside the frustum, and infinite without planes.
+    """
     inside = wp.float64(wp.inf)
     planes = view.planes  # here, or Warp copies all of them for each
     for p in range(view.plane_count):
@@ -96,7 +98,10 @@ def most_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 @wp.func
 def least_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
-    """As `most_inside`, of the outermost corner: negative unless the frustum holds the box."""
+    """Return the minimum over all frustum planes of the outermost corner's distance inside the plane, metres.
+
+    It is negative unless the frustum contains the box, and infinite without planes.
+    """
     inside = wp.float64(wp.inf)
     planes = view.planes
     for p in range(view.plane_count):
@@ -106,8 +111,10 @@ def least_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 @wp.func
 def stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d, beyond: wp.float64) -> wp.int32:
-    """Whether the frustum holds a box (CLEAR), the one with planes `beyond` metres further out none of it (OUTSIDE), or
-    neither is known (CROSSED)."""
+    """Classify a box against the frustum.
+
+    CLEAR: the frustum contains it. OUTSIDE: it is more than `beyond` metres outside a plane. CROSSED: neither is known.
+    """
     zero = wp.float64(0.0)
     stand = CLEAR
     if least_inside(view, low, high) < zero:
@@ -119,7 +126,7 @@ def stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d, beyond: wp.float64)
 
 @wp.func
 def fringe_at(view: LocalView, deep: wp.float64) -> wp.float64:
-    """Return metres beyond a plane over which pixels get coarser, at a depth."""
+    """Return the width, metres, of the fringe beyond a plane at a depth."""
     wide = view.fringe
     if view.kind == PERSPECTIVE:
         wide = wide * larger(deep, wp.float64(0.0))
@@ -128,7 +135,7 @@ def fringe_at(view: LocalView, deep: wp.float64) -> wp.float64:
 
 @wp.func
 def steady_stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
-    """As `stand_of`; CROSSED also where pixels get coarser by parts."""
+    """Classify a box against the frustum as `stand_of` does; a box in the fringe is CROSSED, too."""
     beyond = wp.float64(0.0)
     if view.fade > beyond:
         beyond = fringe_at(view, most_of(view.depth, low, high))
@@ -137,7 +144,7 @@ def steady_stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
 
 @wp.func
 def sizes(asked: CriterionArrays, unit_bits: wp.int32, depth: wp.int32):
-    """Of the two level triangles at a diamond: squared length of the longest edge and twice the area."""
+    """Return the squared longest edge and twice the area of a level triangle at `depth`, in camera space."""
     side = wp.float64(wp.int32(1) << (unit_bits - ((depth - 1) >> 1)))
     side2 = side * side
     long2 = asked.diagonal2 * side2
@@ -150,8 +157,10 @@ def sizes(asked: CriterionArrays, unit_bits: wp.int32, depth: wp.int32):
 
 @wp.func
 def far2_at(view: LocalView, dx: wp.float64, dy: wp.float64, dz: wp.float64, deep: wp.float64) -> wp.float64:
-    """Return squared metres of camera space: of perspective the depth, else the distance, of a point (dx, dy, dz)
-    metres from the eye. In the frame a depth is at least the distance times a cosine."""
+    """Return the squared depth (perspective) or distance, metres of camera space, of a point.
+
+    dx, dy, dz: metres from the eye. deep: its depth. In the frame a depth is at least the distance times a cosine.
+    """
     far2 = view.weight[0] * (dx * dx) + view.weight[1] * (dy * dy) + view.weight[2] * (dz * dz)
     far2 = larger(far2, view.near2)
     if view.kind == PERSPECTIVE:
@@ -186,10 +195,10 @@ def slants2_of(slant_x: wp.vec2d, slant_y: wp.vec2d, eye: wp.vec3d, low: wp.vec3
 
 @wp.func
 def pixel2_at(view: LocalView, far2: wp.float64, slants2: wp.float64) -> wp.float64:
-    """Return squared metres of height that a pixel spans, at a depth or distance and at a slant times that depth.
+    """Return the squared pixel footprint, metres of height, at a depth or distance and at a slant times that depth.
 
-    A height e at depth z and slant s moves a point by f e s / z pixels. s counts as the floor at least, and in the
-    frame it is at most the largest.
+    A height e at depth z and slant s moves a point by f e s / z pixels. s is clamped to the shading floor and to the
+    largest slant in the frame.
     """
     gain2 = larger(smaller(far2 / slants2, view.max_gain2), wp.float64(1.0))
     return view.pixel2 * far2 * gain2
@@ -197,7 +206,7 @@ def pixel2_at(view: LocalView, far2: wp.float64, slants2: wp.float64) -> wp.floa
 
 @wp.func
 def nearest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.float64) -> wp.float64:
-    """Return `far2_at` of the nearest point of a box that is `deep` at least."""
+    """Return `far2_at` of the nearest point of a box whose least depth is `deep`."""
     zero = wp.float64(0.0)
     dx = larger(larger(low[0] - view.eye[0], view.eye[0] - high[0]), zero)
     dy = larger(larger(low[1] - view.eye[1], view.eye[1] - high[1]), zero)
@@ -207,7 +216,7 @@ def nearest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.float6
 
 @wp.func
 def farthest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
-    """Return `far2_at` of the farthest point of a box, at most."""
+    """Return an upper bound of `far2_at` in a box."""
     dx = larger(high[0] - view.eye[0], view.eye[0] - low[0])
     dy = larger(high[1] - view.eye[1], view.eye[1] - low[1])
     dz = larger(high[2] - view.eye[2], view.eye[2] - low[2]) + view.unsure
@@ -216,7 +225,7 @@ def farthest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 @wp.func
 def nearest_pixel2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.float64) -> wp.float64:
-    """Return squared metres that a pixel spans at least, anywhere in the box, which is `deep` at least."""
+    """Return the squared finest footprint, metres, anywhere in a box whose least depth is `deep`."""
     pixel2 = view.pixel2
     if view.kind != ORTHOGRAPHIC:
         far2 = nearest_far2(view, low, high, deep)
@@ -229,7 +238,7 @@ def nearest_pixel2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.floa
 
 @wp.func
 def farthest_pixel2(view: LocalView, d: Diamond) -> wp.float64:
-    """Return squared metres that a pixel spans at most, in any box inside this one."""
+    """Return the squared coarsest footprint, metres, in any box inside this one."""
     pixel2 = view.pixel2
     if view.kind != ORTHOGRAPHIC:
         far2 = farthest_far2(view, d.low, d.high)
@@ -244,7 +253,7 @@ def farthest_pixel2(view: LocalView, d: Diamond) -> wp.float64:
 def cover_of(
     rings: Rings, ramp: wp.float64, slopes: wp.array(dtype=wp.float32), low: wp.vec3d, high: wp.vec3d
 ) -> wp.float64:
-    """How hidden a box is by nearer ground: 0 (not at all) to 1 (all of it); metres from the eye."""
+    """Return how far nearer ground hides a box, 0 .. 1. low, high: metres from the eye."""
     part = wp.float64(0.0)
     if ramp > part:
         part = covered(rings, ramp, slopes, low, high)
@@ -255,7 +264,7 @@ def cover_of(
 
 @wp.func
 def veiled2(hidden2: wp.float64, veil: wp.float64, part: wp.float64) -> wp.float64:
-    """Squared factor by which pixels are coarser where so much is hidden, `part` above 0: it rises with it."""
+    """Return the squared factor by which footprints are coarser on ground that is hidden to the degree `part` > 0."""
     coarser2 = hidden2
     if part < wp.float64(1.0):
         factor = wp.float64(1.0) + veil * part
@@ -267,9 +276,9 @@ def veiled2(hidden2: wp.float64, veil: wp.float64, part: wp.float64) -> wp.float
 
 @wp.func
 def faded2(view: LocalView, inner: wp.float64, deep: wp.float64) -> wp.float64:
-    """Squared factor by which pixels are coarser at `inner` metres, negative, inside the planes and at a depth.
+    """Return the squared factor by which footprints are coarser at `inner` < 0 metres inside the planes, at a depth.
 
-    It falls as either rises, also in rounded arithmetic.
+    It falls as `inner` or the depth rises, also in rounded arithmetic.
     """
     coarser2 = view.off_screen2
     outer = inner + fringe_at(view, deep)
@@ -284,8 +293,10 @@ def faded2(view: LocalView, inner: wp.float64, deep: wp.float64) -> wp.float64:
 
 @wp.func
 def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, in_frame: wp.int32) -> wp.float64:
-    """Squared metres that a pixel spans at least, wherever in the box; coarser, as was asked, outside the frustum and
-    where nearer ground hides it. in_frame: 1 where it is known that the frustum holds the box."""
+    """Compute the squared finest footprint, metres, of a view on a box, coarser off screen and on hidden ground.
+
+    in_frame: 1 if the frustum is known to contain the box.
+    """
     zero = wp.float64(0.0)
     coarser2 = wp.float64(1.0)
     if in_frame == 0:
@@ -301,7 +312,7 @@ def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, i
 
 @wp.func
 def coarsest_in(view: LocalView, d: Diamond, in_frame: wp.int32):
-    """Squared metres that a pixel spans at most, in whatever box inside this one; and whether the frustum holds it."""
+    """Compute the squared coarsest footprint, metres, in any box inside this one; and 1 if the frustum contains it."""
     coarser2 = wp.float64(1.0)
     inside = wp.int32(1)
     if in_frame == 0:
@@ -316,7 +327,10 @@ def coarsest_in(view: LocalView, d: Diamond, in_frame: wp.int32):
 
 @wp.func
 def finest(asked: CriterionArrays, d: Diamond, in_frame: wp.int32) -> wp.float64:
-    """Squared metres of the finest pixel that any view has on the box: infinite beyond the rim. One view is at hand."""
+    """Compute the squared finest footprint, metres, of all views on a diamond; infinite beyond the raster's border.
+
+    The first view is read from the struct, not from the array: most terrains have only one.
+    """
     pixel2 = wp.float64(wp.inf)
     if asked.view_count > 0 and d.rim < 2:
         pixel2 = finest_in(asked.view, asked.slopes, d, in_frame)
@@ -327,9 +341,10 @@ def finest(asked: CriterionArrays, d: Diamond, in_frame: wp.int32) -> wp.float64
 
 @wp.func
 def coarsest(asked: CriterionArrays, d: Diamond, in_frame: wp.int32):
-    """As `coarsest_in`, of the view that has the finest pixels there; whether the frustums of all views hold it.
+    """Compute the least `coarsest_in` of all views; and 1 if the frustums of all views contain the diamond.
 
-    Some of the boxes inside one that reaches beyond the rim are wholly beyond it: none is certain to be split.
+    It is infinite for a diamond that extends beyond the raster's border: some of its descendants are wholly outside,
+    so none is certain to be split.
     """
     pixel2 = wp.float64(wp.inf)
     inside = wp.int32(1)
@@ -353,7 +368,10 @@ def too_coarse_at(
     long2: wp.float64,
     legs2: wp.float64,
 ):
-    """Whether a diamond is to be split at `limit` times what is asked, where a pixel spans sqrt(pixel2)."""
+    """Return whether a diamond exceeds the criterion times `limit`. All arguments are squared.
+
+    pixel2: footprint, metres. metres2: weighed error. long2, legs2: longest edge and twice the area.
+    """
     px2 = limit * pixel2
     coarse = metres2 > px2 * asked.error_px2 or metres2 > limit * asked.metres2
     return coarse or long2 > px2 * asked.edge_px2 or legs2 > px2 * asked.area_px2

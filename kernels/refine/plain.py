@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The method as a kernel without short cuts and without a past: the tests compare the walk with it.
+"""The method as a kernel without shortcuts and without a cache: tests compare the walk with it.
 
-cbt_terrain/refine/reference.py is the same method in Python, and the place to begin reading.
+cbt_terrain/refine/reference.py is the same method in Python; begin reading there.
 
-A triangle is split if its *diamond* is too coarse: it and the triangle behind its longest edge, which share the vertex
-that a split makes. How coarse a diamond is follows from its error and its box alone (diamond.py). Both are nested: no
-diamond has more error, or a finer pixel on its box, than those that it comes from. So whoever is to be split has
-parents that are: a walk from the roots that asks each triangle once gives a conforming mesh, and it is a function of
+A triangle is split if its *diamond* is too coarse. The diamond is the triangle and its neighbour across the longest
+edge; a split adds one vertex for both. The coarseness of a diamond depends only on its error and its box (diamond.py).
+Both are nested: no diamond has a larger error, or a finer pixel on its box, than its parents. So the parents of a split
+diamond are split: a walk from the roots that tests each triangle once gives a conforming mesh, which is a function of
 the view alone (Lindstrom and Pascucci 2002, section 4).
 
 Children are visited so that consecutive leaves share an edge: the Sierpinski curve (curve.py). It may be cut anywhere
-into slices, which are walked side by side: each goes down from the roots to its first cell.
+into slices for parallel walks; each walk descends from the roots to its first cell.
 """
 
 import warp as wp
@@ -24,9 +24,9 @@ from .stored_errors import error_at
 from .walk_state import Walk, Written
 
 
-# Tests make it a kernel: as one of this module it would be compiled before anybody's first frame.
+# Tests turn it into a kernel: declared here it would be compiled before the first frame.
 def walk(domain: Domain, asked: CriterionArrays, w: Walk):
-    """As the kernel of walk.py, for whatever is asked."""
+    """Refine the leaves of a slice as the kernel of walk.py does, measuring every diamond."""
     n = Written()
     end = w.first_cell
     square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))

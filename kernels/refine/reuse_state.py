@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What one slice of the walk may copy from the last frame, and what it caches for the next one: see reuse.py."""
+"""State of the cache of subtrees: the last frame's lists, and the lists for the next frame (see reuse.py)."""
 
 import warp as wp
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs: what lies in one row both in this frame's arrays and in the last one's."""
+"""Runs: contiguous entries that this frame's arrays share with the last frame's."""
 
 import warp as wp
 
@@ -8,13 +8,13 @@ NOT_CLEAR = wp.constant(1 << 30)  # no diamond is so deep
 
 @wp.struct
 class Run:
-    """What lies in one row in two streams, cells or points."""
+    """Cells or points that are contiguous in two streams."""
 
     first: wp.int64  # entry in the new stream
     before: wp.int64  # ... and in the old one
     count: wp.int64
-    coarse: wp.float64  # metres that a pixel spans at most on the diamonds of points; infinity: not known
-    clear_below: wp.int32  # depth: the frustums hold the boxes of all deeper diamonds of points
+    coarse: wp.float64  # coarsest footprint on the diamonds of points, metres; infinity: not known
+    clear_below: wp.int32  # depth: the frustums contain the boxes of all deeper diamonds of points
 
 
 @wp.struct

@@ -2,8 +2,8 @@
 """The classic update of a concurrent binary tree (Dupuy 2020; Deliot and Dupuy 2021): every leaf decides for itself.
 
 A leaf whose diamond is too coarse is split; one whose parent's diamond is not is merged, with the other halves of that
-diamond. The criterion is nested, so whatever a split forces to be split is too coarse too: no leaf is wanted by a split
-and by a merge, and both may be written in one pass.
+diamond. The criterion is nested, so every diamond that a split forces to be split is too coarse, too: no leaf takes
+part in a split and in a merge, and both may be written in one pass.
 """
 
 import warp as wp
@@ -37,7 +37,7 @@ def decide(
     max_depth: wp.int32,
     orders: wp.array(dtype=wp.uint64),
 ):
-    """Write what each leaf is to become: a node to be split, one whose children are to be merged, or 0."""
+    """Write an order for each leaf: a node to split, MERGE and a node whose children to merge, or 0."""
     k = offset + wp.tid()
     tree_id = heap_id_of(t, decode_leaf(t, k))
     node = node_of(grid, tree_id)
@@ -61,7 +61,7 @@ def decide(
 
 @wp.kernel
 def carry_out(offset: wp.int32, t: Bitfield, grid: SquareGrid, orders: wp.array(dtype=wp.uint64)):
-    """Split and merge as leaves have decided."""
+    """Split and merge by the orders of all leaves."""
     order = orders[offset + wp.tid()]
     if order >= MERGE:
         merge(t, order - MERGE)

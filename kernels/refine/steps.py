@@ -14,7 +14,7 @@ STOPPED = wp.constant(3)  # entry of a slice's counts: 1 if a leaf is too coarse
 
 @wp.func
 def square_at(domain: Domain, w: Walk, number: wp.int32) -> Square:
-    """A root square, and where in it the slice begins."""
+    """Return root square `number`, with the cell at which the slice begins in it."""
     q = Square()
     q.number = number
     q.row = number / domain.columns
@@ -29,7 +29,7 @@ def square_at(domain: Domain, w: Walk, number: wp.int32) -> Square:
 
 @wp.func
 def enter(w: Walk, q: Square) -> Cursor:
-    """The first of a square's two halves, the other put aside; nothing is certain of either."""
+    """Start at the first of a square's two halves and push the other on the stack; both are in doubt."""
     place = w.slot * STACK
     x0 = q.corner[0]
     y0 = q.corner[1]
@@ -49,22 +49,22 @@ def enter(w: Walk, q: Square) -> Cursor:
 
 @wp.func
 def size_of(w: Walk, depth: wp.int32) -> wp.uint64:
-    """Deepest cells of a triangle."""
+    """Return the number of deepest cells in a triangle at a depth."""
     return wp.uint64(1) << wp.uint64(w.cell_bits - depth)
 
 
 @wp.func
 def middle_of(c: Cursor) -> wp.vec2i:
-    """The vertex at which a triangle's diamond is split: the middle of its longest edge."""
+    """Return the vertex at which a triangle's diamond is split: the middle of its longest edge."""
     return wp.vec2i((c.left[0] + c.right[0]) >> 1, (c.left[1] + c.right[1]) >> 1)
 
 
 @wp.func
 def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
-    """On along the curve: of a triangle that is split to its first child, the second put aside (on the way to the
-    slice's first cell perhaps to the second); else to the next triangle that was put aside.
+    """Move the cursor along the curve: to a child of a split triangle, else to the next triangle on the stack.
 
-    Fields are assigned one by one: what is assigned whole in a branch, Warp copies after it, taken or not.
+    The first child comes first and the second is pushed, unless the slice begins after the first. Fields are assigned
+    one by one: Warp copies a struct that is assigned whole in a branch, even if the branch is not taken.
     """
     if verdict == SPLIT:
         middle = middle_of(c)
@@ -100,7 +100,7 @@ def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
 
 @wp.func
 def put_results(w: Walk, n: Written, end: wp.uint64):
-    """Write the slice's counts beside its STOPPED flag, which the walk has set, and the cell after its last leaf."""
+    """Write the slice's counts of leaves, vertices and edges, and the cell after its last leaf."""
     w.ends[w.slot] = end
     w.counts[4 * w.slot] = n.leaves
     w.counts[4 * w.slot + 1] = n.vertices

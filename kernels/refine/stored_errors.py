@@ -12,15 +12,15 @@ from ..field.hierarchy import round_up
 from ..field.layout import tile_index
 from ..unchecked import item_at, prefetch
 
-UP = wp.constant(wp.float32(1.0 + 2.0**-22))  # above what a sum of two float32 rounds
-SURE = wp.constant(wp.float64(0.5))  # an error inside the raster's cells is at least this part of what is stored
-RINGS = wp.constant(5)  # of cells whose twists are evaluated; a code that is an octave too large is 4^-6 of one there
-UP_MASKS = wp.constant(wp.float32(1.0 + 2.0**-19))  # ... of a dozen
+UP = wp.constant(wp.float32(1.0 + 2.0**-22))  # above the rounding of a sum of two float32
+SURE = wp.constant(wp.float64(0.5))  # an error inside the raster's cells is at least this fraction of the stored one
+RINGS = wp.constant(5)  # rings of cells whose twists are evaluated; beyond them a code counts at most 4^-6
+UP_MASKS = wp.constant(wp.float32(1.0 + 2.0**-19))  # above the rounding of a sum of a dozen
 
 
 @wp.func
 def cell_entry(domain: Domain, group: wp.int32, i: wp.int32, j: wp.int32) -> wp.float32:
-    """What `group` of the errors, the cells or the bends, holds for raster cell (i, j)."""
+    """Return the stored error, metres before scaling, of raster cell (i, j) in a group: cells or curvatures."""
     e = wp.float32(0.0)
     if i >= 0 and j >= 0 and i < domain.cell_columns and j < domain.cell_rows:
         index = item_at(domain.base, group) + tile_index(i, j, domain.cell_pages)
@@ -30,14 +30,16 @@ def cell_entry(domain: Domain, group: wp.int32, i: wp.int32, j: wp.int32) -> wp.
 
 @wp.func
 def cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
-    """Saturated error of the diamond in the middle of raster cell (i, j): the last level that is stored."""
+    """Return the saturated error, metres before scaling, of raster cell (i, j)'s diamond: the last stored level."""
     return cell_entry(domain, domain.cell_group, i, j)
 
 
 @wp.func
 def twist_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
-    """Return the error of the diamond in the middle of raster cell (i, j), by the cell's twist alone; of a leaf that is
-    drawn as a meshlet that of the triangles."""
+    """Return the error, metres before scaling, of the diamond in raster cell (i, j) from the cell's twist alone.
+
+    If leaves are drawn as meshlets, it is the error of their triangles.
+    """
     twist = wp.float64(0.0)
     if i < domain.samples.columns - 1 and j < domain.samples.rows - 1:  # a meshlet's errors reach beyond the raster
         twist = wp.float64(0.25) * twist_of(corners_of(domain.samples, i, j))
@@ -46,12 +48,12 @@ def twist_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
 
 @wp.func
 def exact_cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
-    """Return the same as `cell_error` from twists, where that is less: codes are rounded up, by up to an octave.
+    """Return the saturated error of raster cell (i, j) from twists if it is less than `cell_error`, a rounded-up code.
 
-    Saturated, an error is the largest T(b) / 4^d of all cells b that are d steps from neighbour to neighbour away. Here
-    twists are evaluated up to RINGS steps away, and the codes of the next ring stand for the rest: so a neighbour's
-    error is never more than four times this. Where no code of a ring counts, none of a later one does. Half of the own
-    code counts at least: a band can tell then what is certain without twists.
+    The saturated error is the maximum of T(b) / 4^d over all cells b, with the twist error T and the distance d in
+    steps between neighbours. Twists are evaluated up to RINGS steps away; the codes of the next ring bound the rest. So
+    a neighbour's error is at most four times this. If no code of a ring is large enough to count, none of a later ring
+    is. The result is at least SURE times the cell's code, so that intervals can decide without reading twists.
     """
     stored = wp.float32(0.0)
     found = wp.float32(0.0)
@@ -87,13 +89,13 @@ def exact_cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
 
 @wp.func
 def group_of(levels: wp.int32, depth: wp.int32) -> wp.int32:
-    """The group of a depth above the raster's cells."""
+    """Return the group of stored errors for a depth above the raster's cells."""
     return (levels - 1 - ((depth - 1) >> 1)) >> 1
 
 
 @wp.func
 def place(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
-    """Where the errors hold the diamond split at (x, y), above the raster's cells: see kernels/field/layout.py."""
+    """Return the entry of the diamond split at (x, y), above the raster's cells: see kernels/field/layout.py."""
     group = group_of(domain.levels, depth)
     shift = domain.unit_bits - domain.levels + 2 * group
     return item_at(domain.base, group) + tile_index(x >> shift, y >> shift, item_at(domain.pages, group))
@@ -101,10 +103,10 @@ def place(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64
 
 @wp.func
 def reach_of(unit_bits: wp.int32, depth: wp.int32) -> wp.int32:
-    """Lattice units that a diamond's box reaches from its split vertex along each axis.
+    """Return the half-width, lattice units, of a diamond's box around its split vertex.
 
-    With s for half a side of the cell, or half the edge, offsets to the vertices below add up to 3 s from a cell's
-    centre and 2 s from an edge's middle.
+    Let s be half a side of the cell, or half the edge. Offsets to the vertices below add up to 3 s from a cell's centre
+    and 2 s from an edge's middle.
     """
     s = wp.int32(1) << (unit_bits - ((depth - 1) >> 1) - 1)
     return 2 * s + (depth & 1) * s
@@ -122,8 +124,10 @@ def is_beyond(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.b
 
 @wp.func
 def halvings_at(domain: Domain, depth: wp.int32) -> wp.int32:
-    """How often the error of a raster cell is halved at a depth inside it: a bilinear patch halved has a quarter of the
-    twist; bends of a bicubic one halve with each bisection."""
+    """Return how many times the error of a raster cell is halved at a depth inside it.
+
+    Half of a bilinear patch has a quarter of its twist; the curvatures of a bicubic one halve with each bisection.
+    """
     finer = depth - 2 * domain.levels - 1
     return finer + wp.where(domain.bicubic == 0, finer & 1, 0)
 
@@ -170,10 +174,10 @@ def exact_raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.in
 
 @wp.func
 def most_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int32:
-    """The most of a mask over the box of the diamond split at (x, y): 255 is all.
+    """Return the maximum, 0 .. 255, of a mask over the box of the diamond split at (x, y).
 
-    It is looked up in blocks of cells that are as wide as the box, or more, so there are two by two of them at most.
-    Boxes are nested, and blocks are: so is this.
+    It is looked up in blocks of cells at least as wide as the box, so at most 2 x 2 are read. Boxes and blocks are
+    nested, and so is the result.
     """
     bits = domain.unit_bits - domain.levels
     reach = reach_of(domain.unit_bits, depth)
@@ -194,9 +198,10 @@ def most_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth
 
 @wp.func
 def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, leaf_depth: wp.int32) -> wp.float32:
-    """What leaves at `leaf_depth` in the diamond split at (x, y) miss of a detail, at most: metres, before scaling.
+    """Bound the displacement, metres before scaling, that leaves at `leaf_depth` in a diamond do not represent.
 
-    Beyond the rim the surface goes on level, so a triangle that reaches over it may miss all.
+    (x, y): where the diamond is split. Beyond the raster's border the surface is level, so a triangle that crosses the
+    border may miss all displacement.
     """
     at = leaf_depth
     if leaf_depth <= domain.border_depth:
@@ -223,7 +228,7 @@ def stored_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -
 
 @wp.func
 def may_be_less(domain: Domain, depth: wp.int32) -> wp.bool:
-    """Return whether `error_at` of a diamond at a depth may be less than what is stored."""
+    """Return whether `error_at` of a diamond at a depth may be less than its stored error."""
     return depth > 2 * domain.levels and domain.bicubic == 0 and domain.is_raised == 0
 
 
@@ -240,11 +245,11 @@ def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.fl
 
 @wp.func
 def leaves_tile(domain: Domain, depth: wp.int32) -> wp.bool:
-    """Whether the diamonds below those of `depth` are in other tiles of the arrays: every four bisections."""
+    """Return whether the diamonds below those of `depth` are in other tiles of the arrays: every four bisections."""
     return (depth & 1) == 0 and ((domain.levels - 1 - ((depth - 1) >> 1)) & 1) == 0 and depth < 2 * domain.levels
 
 
 @wp.func
 def fetch_ahead(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
-    """Bring the errors about the diamond split at (x, y) into the cache; nothing is read."""
+    """Prefetch the errors around the diamond split at (x, y)."""
     prefetch(domain.error, place(domain, x, y, depth))

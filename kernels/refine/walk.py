@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The refinement: one walk over the triangles in curve order that splits whatever is too coarse.
+"""The refinement: one walk over the triangles in curve order that splits every triangle that is too coarse.
 
-plain.py is the same method without short cuts. Here the leaves below a triangle may be *reused* from the last frame
-(reuse.py); otherwise its diamond is *judged*. Below a diamond that is split, a *band* says what is certain (band.py):
-most are judged by their error, or at their depth alone. A diamond that is in doubt is measured, and makes a
-narrower band for those below it. Leaves of one depth are written as an even block.
+plain.py is the same method without shortcuts. Here the leaves below a triangle may be *reused* from the last frame
+(reuse.py); otherwise its diamond is *judged*. A split diamond gives an *interval* (band.py) that decides most diamonds
+below it by their error, or by their depth alone. A diamond in doubt is measured, and gives a narrower interval for
+those below it. Leaves of one depth are written as an even block.
 """
 
 import warp as wp
@@ -48,7 +48,7 @@ NARROWED = wp.constant(2)
 
 @wp.func
 def judge(domain: Domain, asked: CriterionArrays, limits: Limits, w: Walk, r: Reuse, q: Square, c: Cursor, n: Written):
-    """Return the verdict on a triangle, SPLIT, LEAF or EVEN_BLOCK, and the band that holds below it."""
+    """Return the verdict on a triangle, SPLIT, LEAF or EVEN_BLOCK, and the entry of the interval below it."""
     middle = middle_of(c)
     above = w.bands[c.held]
     held = c.held
@@ -94,7 +94,7 @@ def judge(domain: Domain, asked: CriterionArrays, limits: Limits, w: Walk, r: Re
 
 @wp.func
 def fetch_children(domain: Domain, w: Walk, c: Cursor):
-    """Bring the errors of a triangle's children's children into the cache, a step ahead."""
+    """Prefetch the errors of a triangle's grandchildren, one step ahead."""
     if w.bands[c.held].calm == 0 and leaves_tile(domain, c.depth + 1):
         x = (c.left[0] + c.right[0]) >> 1
         y = (c.left[1] + c.right[1]) >> 1
@@ -105,7 +105,7 @@ def fetch_children(domain: Domain, w: Walk, c: Cursor):
 
 @wp.kernel
 def walk(domain: Domain, asked: CriterionArrays, w: Walk, r: Reuse):
-    """Refine the leaves whose first deepest cell lies in the slice; leaves that do not fit are only counted."""
+    """Refine the leaves whose first deepest cell belongs to the slice; leaves beyond the capacity are only counted."""
     limits = limits_of(asked, r.slack)
     n = Written()
     end = w.first_cell

@@ -11,7 +11,7 @@ STACK = wp.constant(64)  # entries of a walk's stacks: more than the deepest tre
 
 @wp.struct
 class Written:
-    """Counts of what a slice has written."""
+    """Numbers of leaves, vertices and edges that a slice has written."""
 
     leaves: wp.int64
     vertices: wp.int64
@@ -57,7 +57,7 @@ class Square:
 
 @wp.struct
 class Cursor:
-    """Where the walk stands: a triangle, and the band that holds there."""
+    """Position of the walk: a triangle, and the interval for it."""
 
     left: wp.vec2i
     apex: wp.vec2i
@@ -65,5 +65,5 @@ class Cursor:
     cell: wp.uint64  # its first deepest cell, in the square
     state: wp.int32  # of the curve
     depth: wp.int32
-    held: wp.int32  # entry of the band
-    top: wp.int32  # triangles that are put aside; -1: the slice or the square has ended
+    held: wp.int32  # entry of the interval
+    top: wp.int32  # triangles on the stack; -1: the slice or the square has ended

@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.refine import curve
-from ...kernels.refine.block import MAX_BISECTIONS, Blocks
+from ...kernels.refine.block import MAX_BISECTIONS, BlockTable
 
 STATES = 6
 
@@ -38,7 +38,7 @@ def _array(values, dtype) -> wp.array:
 
 
 @cache
-def blocks() -> Blocks:
+def blocks() -> BlockTable:
     """What n even bisections make of a triangle: see kernels/refine/block.py."""
     codes, legs, first_leaf, first_vertex, vertices = [], [], [], [], []
     for n in range(MAX_BISECTIONS + 1):
@@ -49,7 +49,7 @@ def blocks() -> Blocks:
             vertices.append(len(new))
             codes += leaves
             legs += new
-    table = Blocks()
+    table = BlockTable()
     table.first_leaf, table.first_vertex = _array(first_leaf, wp.int32), _array(first_vertex, wp.int32)
     table.vertices = _array(vertices, wp.int32)
     table.code, table.leg = _array(codes, wp.uint16), _array(legs, wp.vec2i)

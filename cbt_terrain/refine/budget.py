@@ -105,7 +105,7 @@ def count_splits(
     for slot, struct in enumerate(structs):
         bind(struct, first_cell=cuts[slot], end_cell=cuts[slot + 1], cell_bits=cell_bits, max_depth=max_depth)
         bind(struct, slot=slot, finest=finest, coarsest=coarsest, **arrays)
-        bind(struct, most=most, spacing=spacing, has_errors=int(min(asked.error_px2, asked.metres2) < math.inf))
+        bind(struct, max_splits=most, spacing=spacing, has_errors=int(min(asked.error_px2, asked.metres2) < math.inf))
     launch.slices(count, [[domain, asked, struct] for struct in structs], step="budget", recorded=scratch.launches)
     noted = np.minimum(scratch.numpy("count_measured")[:slices] // spacing, MARKS)
     marks = scratch.numpy("count_marks")[: slices * MARKS].reshape(slices, MARKS)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import warp as wp
 
 from ...kernels.field.domain import Domain
-from ...kernels.refine.excess import AREA, EDGE, ERROR, FIXED, METRES, STACK, Triangle, find_most
+from ...kernels.refine.excess import AREA, EDGE, ERROR, FIXED, METRES, STACK, Triangle, find_largest
 from ...kernels.refine.pixels import CriterionArrays
 from ..run import launch
 from ..run.buffers import Buffers
@@ -72,9 +72,9 @@ class Outcome:
         limit have, rounded up by a thousandth, of ERROR by a hundredth; None where none has more than `least`."""
         stack, found = self.buffers.get("excess_stack", STACK, Triangle), self.buffers.get("excess", 3, wp.float64)
         inputs = [self.domain, self.asked, what, self.max_depth, math.copysign(least * least, least), stack, found]
-        launch.once(find_most, inputs, step="bound")
-        most2, fixed, total = self.buffers.numpy("excess")[:3].tolist()
-        return None if total < 0.0 else Excess(math.sqrt(most2), fixed, total)
+        launch.once(find_largest, inputs, step="bound")
+        bound2, fixed, total = self.buffers.numpy("excess")[:3].tolist()
+        return None if total < 0.0 else Excess(math.sqrt(bound2), fixed, total)
 
     def factor(self, what: int, request: float) -> float:
         """Return the finite factor on a request, in the unit of `search`, that the mesh satisfies."""

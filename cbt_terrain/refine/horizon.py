@@ -8,7 +8,7 @@ import warp as wp
 
 from ...kernels.field.domain import Domain
 from ...kernels.refine.hiding import RING_BITS, ROW
-from ...kernels.refine.horizon_map import FINEST, Blocks, fill_blocks, fill_horizon
+from ...kernels.refine.horizon_map import FINEST, HeightBlocks, fill_blocks, fill_horizon
 from ...kernels.refine.pixels import CriterionArrays, LocalView
 from ..field.blocks import halvings, stacked
 from ..field.heightfield import HeightField
@@ -83,12 +83,16 @@ def horizon_of(
     return own
 
 
-def _blocks_of(field: HeightField, domain: Domain, threads: int) -> Blocks:
+def _blocks_of(field: HeightField, domain: Domain, threads: int) -> HeightBlocks:
     """The blocks of a field's surface: found once, and kept with the field."""
     key = "blocks", field.interpolation
-    least, first, wide = cached(field.found, key, lambda: _find_blocks(domain, threads))
-    blocks = Blocks()
-    blocks.least, blocks.first, blocks.wide = flat(least, wp.float32), flat(first, wp.int32), flat(wide, wp.int32)
+    min_height, first, wide = cached(field.found, key, lambda: _find_blocks(domain, threads))
+    blocks = HeightBlocks()
+    blocks.min_height, blocks.first, blocks.wide = (
+        flat(min_height, wp.float32),
+        flat(first, wp.int32),
+        flat(wide, wp.int32),
+    )
     return blocks
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ...kernels.refine.band import Band
 from ...kernels.refine.coherence import Motion, Subtree
+from ...kernels.refine.interval import LodInterval
 from ...kernels.refine.reuse_state import Reuse, ReuseCursor
 from ...kernels.refine.runs import Run, Runs
 from ...kernels.refine.walk_state import STACK, Walk
@@ -46,7 +46,7 @@ class Slices:
             "point": written.get("point", count * stride, wp.vec2i),
             "stack": scratch.get("walk_stack", count * STACK, wp.vec4i),
             "aside": scratch.get("walk_aside", count * STACK, wp.int32),
-            "bands": scratch.get("walk_bands", count * STACK, Band),
+            "intervals": scratch.get("walk_intervals", count * STACK, LodInterval),
             "blocks": blocks(),
             "sides": scratch.get("sides", count * 4 * squares, wp.int32),
             "counts": scratch.get("counts", count * 4, wp.int64),

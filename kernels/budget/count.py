@@ -13,20 +13,20 @@ walk over triangles visits it twice. For a window of few steps the pass takes ab
 import warp as wp
 
 from ..field.domain import Domain
-from ..refine.band import (
+from ..refine.interval import (
     DOUBT,
     SPLIT,
     Limits,
-    band_below,
-    foretold,
+    interval_below,
     limits_of,
-    measured_at,
-    nothing_certain,
+    measure_diamond,
+    predict,
     too_coarse,
+    unknown_interval,
 )
 from ..refine.pixels import CriterionArrays
 from ..refine.stored_errors import SURE, error_at, fetch_ahead, leaves_tile, may_be_less, stored_error_at
-from .count_state import CELLS, MARKS, Cell, Count, Part, add, last_split
+from .count_state import CELLS, MARKS, Cell, CellDiamond, Count, add, last_split
 
 
 @wp.func
@@ -38,19 +38,19 @@ def square_cell(domain: Domain, w: Count, square: wp.int32) -> Cell:
     cell.y = row << domain.unit_bits
     cell.depth = -1
     cell.code = wp.uint64(square) << wp.uint64(w.cell_bits)
-    cell.band = nothing_certain()
+    cell.interval = unknown_interval()
     return cell
 
 
 @wp.func
-def part_of(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> Part:
+def diamond_of_cell(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> CellDiamond:
     """Return a diamond of a cell.
 
     number: 3 .. 0 for the quadrants, in this order so that quadrant 0 is on top of the stack; -1 south side, -2 west
     side, -3 north and -4 east side, which count only on the terrain's border.
     """
     half = (wp.int32(1) << domain.unit_bits) >> ((cell.depth + 1) >> 1)
-    p = Part()
+    p = CellDiamond()
     p.number = number
     p.x = cell.x
     p.y = cell.y
@@ -88,12 +88,12 @@ def part_of(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> Part:
 @wp.func
 def judge(
     domain: Domain,
-    asked: CriterionArrays,
+    criterion: CriterionArrays,
     limits: Limits,
     coarse: Limits,
     w: Count,
     cell: Cell,
-    p: Part,
+    p: CellDiamond,
     top: wp.int32,
     step: wp.int32,
 ):
@@ -104,41 +104,43 @@ def judge(
     if the branch is not taken.
     """
     error = wp.float32(0.0)
-    sure = wp.float64(1.0)
+    min_error = wp.float64(1.0)
     if w.has_errors == 1:
         error = stored_error_at(domain, p.x, p.y, p.depth)
         if may_be_less(domain, p.depth):
-            sure = SURE
-    own = wp.float64(error) * domain.error_scale
-    verdict = foretold(cell.band, p.depth, sure * own, own)
+            min_error = SURE
+    error_m = wp.float64(error) * domain.error_scale
+    verdict = predict(cell.interval, p.depth, min_error * error_m, error_m)
     last = step - 1
-    looks = wp.bool(False)
+    visits = wp.bool(False)
     measured = wp.int32(0)
-    w.stack[top].band = cell.band
+    w.stack[top].interval = cell.interval
     if verdict == SPLIT:
         last = w.coarsest
-        looks = p.number >= 0
+        visits = p.number >= 0
     # A diamond that is certainly split is measured for a tighter interval below it.
-    if verdict == DOUBT or (looks and own <= cell.band.leaf_up_to):
-        if sure < wp.float64(1.0):
+    if verdict == DOUBT or (visits and error_m <= cell.interval.leaf_up_to):
+        if min_error < wp.float64(1.0):
             error = error_at(domain, p.x, p.y, p.depth)
-            own = wp.float64(error) * domain.error_scale
-        m = measured_at(domain, asked, p.x, p.y, p.depth, error, cell.band.in_frame)
+            error_m = wp.float64(error) * domain.error_scale
+        m = measure_diamond(domain, criterion, p.x, p.y, p.depth, error, cell.interval.in_frame)
         measured = 1
-        looks = wp.bool(False)
-        if too_coarse(asked, asked.limit, m):
-            last = last_split(asked, limits, w, step, m)
+        visits = wp.bool(False)
+        if too_coarse(criterion, criterion.limit, m):
+            last = last_split(criterion, limits, w, step, m)
             if p.number >= 0:
-                band = band_below(domain, asked, limits, coarse, m, p.depth, w.max_depth, cell.band.in_frame)
-                w.stack[top].band = band
-                looks = wp.bool(True)
-                if own <= band.leaf_up_to:
-                    looks = p.depth + 1 < wp.min(band.leaf_depth, w.max_depth)
-    return last, looks, measured
+                interval = interval_below(
+                    domain, criterion, limits, coarse, m, p.depth, w.max_depth, cell.interval.in_frame
+                )
+                w.stack[top].interval = interval
+                visits = wp.bool(True)
+                if error_m <= interval.leaf_up_to:
+                    visits = p.depth + 1 < wp.min(interval.leaf_depth, w.max_depth)
+    return last, visits, measured
 
 
 @wp.func
-def fetch_quadrants(domain: Domain, p: Part):
+def fetch_quadrants(domain: Domain, p: CellDiamond):
     """Prefetch errors two levels below: without this, reading them takes three quarters of the time."""
     if leaves_tile(domain, p.depth + 1):
         ahead = p.half >> 1
@@ -149,20 +151,20 @@ def fetch_quadrants(domain: Domain, p: Part):
 
 
 @wp.kernel
-def count(domain: Domain, asked: CriterionArrays, w: Count):
+def count(domain: Domain, criterion: CriterionArrays, w: Count):
     """Count the diamonds of the slice by the last step at which they are split.
 
     Whenever more than `most` triangles are split at the finest step, the next step becomes the finest.
     """
     none = wp.float64(0.0)
-    asked.limit = w.limits[w.coarsest]
-    coarse = limits_of(asked, none)
+    criterion.limit = w.limits[w.coarsest]
+    coarse = limits_of(criterion, none)
     step = wp.int32(w.finest)
     total = wp.int64(0)  # triangles that are split at `step`
     measured = wp.int64(0)  # diamonds
     noted = wp.int32(0)  # marks
-    asked.limit = w.limits[step]
-    limits = limits_of(asked, none)
+    criterion.limit = w.limits[step]
+    limits = limits_of(criterion, none)
     place = w.slot * CELLS
     square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
     while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and step <= w.coarsest:
@@ -174,16 +176,16 @@ def count(domain: Domain, asked: CriterionArrays, w: Count):
             number = wp.int32(3)
             last_number = wp.where(cell.depth < 0, 3, -4)
             while number >= last_number:
-                p = part_of(domain, w, cell, number)
+                p = diamond_of_cell(domain, w, cell, number)
                 if p.triangles > 0 and p.depth < w.max_depth:
-                    last, looks, new = judge(domain, asked, limits, coarse, w, cell, p, top, step)
+                    last, visits, new = judge(domain, criterion, limits, coarse, w, cell, p, top, step)
                     if p.code >= w.first_cell:
                         total += add(w, step, last, wp.int64(p.triangles))
                     measured += wp.int64(new)
                     if measured >= wp.int64(noted + 1) * w.spacing and noted < MARKS:
                         w.marks[w.slot * MARKS + noted] = p.code
                         noted += 1
-                    if looks:
+                    if visits:
                         w.stack[top].x = p.x
                         w.stack[top].y = p.y
                         w.stack[top].depth = p.depth
@@ -191,11 +193,11 @@ def count(domain: Domain, asked: CriterionArrays, w: Count):
                         fetch_quadrants(domain, p)
                         top += 1
                 number -= 1
-            while total > w.most and step <= w.coarsest:
+            while total > w.max_splits and step <= w.coarsest:
                 total -= w.last_steps[w.slot * w.limits.shape[0] + step]
                 step += 1
-                asked.limit = w.limits[step]
-                limits = limits_of(asked, none)
+                criterion.limit = w.limits[step]
+                limits = limits_of(criterion, none)
         square += 1
     w.from_step[w.slot] = step
     w.measured[w.slot] = measured

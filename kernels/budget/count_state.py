@@ -3,8 +3,8 @@
 
 import warp as wp
 
-from ..refine.band import Band, Limits, Measured, too_coarse
 from ..refine.diamond import larger, smaller
+from ..refine.interval import Limits, LodInterval, MeasuredDiamond, too_coarse
 from ..refine.pixels import CriterionArrays
 
 CELLS = wp.constant(128)  # entries of a slice's stack: three for every second level are enough
@@ -22,11 +22,11 @@ class Cell:
     y: wp.int32
     depth: wp.int32
     code: wp.uint64  # its first deepest cell, all squares in a row
-    band: Band  # certain at all steps that are counted
+    interval: LodInterval  # certain at all steps that are counted
 
 
 @wp.struct
-class Part:
+class CellDiamond:
     """A diamond of a cell."""
 
     number: wp.int32  # see `part_of`
@@ -50,7 +50,7 @@ class Count:
     slot: wp.int32
     finest: wp.int32  # first step to count
     coarsest: wp.int32  # last step
-    most: wp.int64  # steps at which more triangles than this are split need no count
+    max_splits: wp.int64  # steps at which more triangles than this are split need no count
     spacing: wp.int64  # measured diamonds from mark to mark
     limits: wp.array(dtype=wp.float64)  # per step: factor on the squared limits of the criterion
     stack: wp.array(dtype=Cell)
@@ -72,7 +72,7 @@ def add(w: Count, step: wp.int32, last: wp.int32, triangles: wp.int64) -> wp.int
 
 
 @wp.func
-def last_split(asked: CriterionArrays, limits: Limits, w: Count, first: wp.int32, m: Measured) -> wp.int32:
+def last_split(criterion: CriterionArrays, limits: Limits, w: Count, first: wp.int32, m: MeasuredDiamond) -> wp.int32:
     """Find the last step at which a diamond is split that is split at step `first`.
 
     limits: those of `first`. A logarithm estimates the step; the walk's test `too_coarse` then decides exactly.
@@ -83,8 +83,8 @@ def last_split(asked: CriterionArrays, limits: Limits, w: Count, first: wp.int32
     over = larger(over, m.metres2 / (limits.metres_above * limits.metres_above))
     beyond = wp.float64(wp.log2(wp.float32(over))) * STEPS_PER_SQUARE
     step = first + wp.int32(larger(smaller(beyond, wp.float64(w.coarsest - first)), wp.float64(0.0)))
-    while step < w.coarsest and too_coarse(asked, w.limits[step + 1], m):
+    while step < w.coarsest and too_coarse(criterion, w.limits[step + 1], m):
         step += 1
-    while step > first and not too_coarse(asked, w.limits[step], m):
+    while step > first and not too_coarse(criterion, w.limits[step], m):
         step -= 1
     return step

@@ -22,8 +22,8 @@ from ..detail.displace import with_detail
 from ..field.detail import PackedLayers
 from ..field.domain import Domain
 from ..mesh.displace import normal_of, surface_at
-from ..refine.band import ABOVE
 from ..refine.diamond import Diamond, diamond_at, larger, metres2_of, rest_of, smaller
+from ..refine.interval import ABOVE
 from ..refine.pixels import CriterionArrays, finest, sizes
 from ..refine.stored_errors import error_at, reach_of
 from .lattice import SplitVertex, above, depth_of, half_edge, split_vertex
@@ -44,7 +44,7 @@ def relief_of(domain: Domain, a: SplitVertex):
     """Return the relief of the diamond split at a vertex, and its `metres2`."""
     r = Relief()
     d = diamond_at(domain, a.point[0], a.point[1], a.depth)
-    r.low = wp.where(d.rim == 2, wp.float64(wp.inf), d.low[2])
+    r.low = wp.where(d.border == 2, wp.float64(wp.inf), d.low[2])
     r.high = d.high[2]
     r.rise = d.rise
     return r, metres2_of(domain, error_at(domain, a.point[0], a.point[1], a.depth), rest_of(domain, d))
@@ -67,7 +67,7 @@ def ratio2_of(
         domain.south + wp.float64(a.point[1] + reach) * domain.unit_y,
         r.high,
     )
-    d.rim = wp.where(r.low == wp.float64(wp.inf), 2, 0)
+    d.border = wp.where(r.low == wp.float64(wp.inf), 2, 0)
     pixel2 = finest(asked, d, in_frame)
     found = larger(metres2 / asked.metres2, metres2 / (pixel2 * asked.error_px2))
     if asked.measures_edges == 1:

@@ -13,7 +13,7 @@ MAX_BISECTIONS = wp.constant(8)
 
 
 @wp.struct
-class Blocks:
+class BlockTable:
     """Table of blocks: entry 6 n + s locates the leaves and new vertices for curve state s and n bisections."""
 
     first_leaf: wp.array(dtype=wp.int32)
@@ -25,14 +25,14 @@ class Blocks:
 
 
 @wp.func
-def new_vertices(blocks: Blocks, state: wp.int32, bisections: wp.int32) -> wp.int32:
+def new_vertices(blocks: BlockTable, state: wp.int32, bisections: wp.int32) -> wp.int32:
     """Return the number of new vertices in a block."""
     return item_at(blocks.vertices, 6 * bisections + state)
 
 
 @wp.func
 def write_block(
-    blocks: Blocks,
+    blocks: BlockTable,
     state: wp.int32,
     bisections: wp.int32,
     left: wp.vec2i,

@@ -21,8 +21,8 @@ from .pixels import (
     ends_of,
     farthest_far2,
     fringe_at,
-    least_of,
-    most_of,
+    max_of,
+    min_of,
     nearest_far2,
     planes_type,
     sizes_of,
@@ -97,14 +97,14 @@ def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
     if nearest <= radius or nearest * nearest <= NEAR * view.near2:
         valid = 0
     spread = wp.float64(2.0) * radius * motion.step / apart
-    least = now - before - spread
-    most = now - before + spread
+    min_growth = now - before - spread
+    max_growth = now - before + spread
     if view.kind == PERSPECTIVE:
         cosine = wp.sqrt(view.cosine2)
         change = view.depth - motion.depth
-        least = smaller(least * cosine, least_of(change, low, high))
-        most = larger(most * cosine, most_of(change, low, high))
-    return least, most, valid
+        min_growth = smaller(min_growth * cosine, min_of(change, low, high))
+        max_growth = larger(max_growth * cosine, max_of(change, low, high))
+    return min_growth, max_growth, valid
 
 
 @wp.func
@@ -162,7 +162,7 @@ def span_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d,
     before = view
     before.eye = motion.eye
     before.depth = motion.depth
-    nearest2 = nearest_far2(before, low, high, least_of(before.depth, low, high))
+    nearest2 = nearest_far2(before, low, high, min_of(before.depth, low, high))
     farthest2 = farthest_far2(before, low, high)
     nearest = wp.sqrt(nearest2)
     farthest = wp.sqrt(farthest2)
@@ -172,7 +172,7 @@ def span_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d,
     # Squared gains, before they are clamped to 1 and the largest.
     was2 = slants2_of(motion.slant_x, motion.slant_y, motion.eye, low, high)
     is2 = slants2_of(view.slant_x, view.slant_y, view.eye, low, high)
-    min_gain2 = smaller(nearest2 / was2[1], nearest_far2(view, low, high, least_of(view.depth, low, high)) / is2[1])
+    min_gain2 = smaller(nearest2 / was2[1], nearest_far2(view, low, high, min_of(view.depth, low, high)) / is2[1])
     max_gain2 = larger(farthest2 / was2[0], farthest_far2(view, low, high) / is2[0])
     known = wp.int32(1)
     gain2 = zero
@@ -219,19 +219,19 @@ def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
     outwards = zero  # metres that a point may have moved out and in
     inwards = zero
     for p in range(view.plane_count):
-        nearest = smaller(least_of(planes[p], low, high), nearest)
-        deepest = smaller(most_of(planes[p], low, high), deepest)
-        before_deepest = smaller(most_of(before[p], low, high), before_deepest)
+        nearest = smaller(min_of(planes[p], low, high), nearest)
+        deepest = smaller(max_of(planes[p], low, high), deepest)
+        before_deepest = smaller(max_of(before[p], low, high), before_deepest)
     for p in range(view.plane_count):  # but for planes that are not the nearest one of any point
-        if least_of(planes[p], low, high) <= deepest or least_of(before[p], low, high) <= before_deepest:
-            outwards = larger(-least_of(planes[p] - before[p], low, high), outwards)
-            inwards = larger(most_of(planes[p] - before[p], low, high), inwards)
-    narrow = fringe_at(view, least_of(view.depth, low, high))
-    wide = fringe_at(view, most_of(view.depth, low, high))
+        if min_of(planes[p], low, high) <= deepest or min_of(before[p], low, high) <= before_deepest:
+            outwards = larger(-min_of(planes[p] - before[p], low, high), outwards)
+            inwards = larger(max_of(planes[p] - before[p], low, high), inwards)
+    narrow = fringe_at(view, min_of(view.depth, low, high))
+    wide = fringe_at(view, max_of(view.depth, low, high))
     if view.kind == PERSPECTIVE:
         change = view.depth - motion.depth
-        outwards += view.fringe * larger(-least_of(change, low, high), zero)
-        inwards += view.fringe * larger(most_of(change, low, high), zero)
+        outwards += view.fringe * larger(-min_of(change, low, high), zero)
+        inwards += view.fringe * larger(max_of(change, low, high), zero)
     known = wp.where(narrow > zero and wide < inf, 1, 0)
     finest = one + view.fade * wp.clamp(-deepest / wide, zero, one)
     coarsest = one + view.fade * wp.clamp(-nearest / narrow, zero, one)
@@ -243,37 +243,39 @@ def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
 
 
 @wp.func
-def span_change(view: LocalView, motion: Motion, kept: Subtree):
+def span_change(view: LocalView, motion: Motion, subtree: Subtree):
     """Bound the growth of pixel footprints, metres, in any box of a subtree: lower, upper, and 1 if they are valid."""
     one = wp.float64(1.0)
-    least = wp.float64(0.0)
-    most = wp.float64(0.0)
+    min_growth = wp.float64(0.0)
+    max_growth = wp.float64(0.0)
     known = wp.int32(1)
     lowest = one
     highest = one
     gain2 = one
     if view.kind != ORTHOGRAPHIC:
-        least, most, known = change_of(view, motion, kept.low, kept.high)
+        min_growth, max_growth, known = change_of(view, motion, subtree.low, subtree.high)
     if view.max_gain2 > one or motion.max_gain2 > one:
-        lowest, highest, gain2, sure = span_factors(view, motion, kept.low, kept.high, least, most)
-        known = wp.min(known, sure)
+        lowest, highest, gain2, min_error = span_factors(
+            view, motion, subtree.low, subtree.high, min_growth, max_growth
+        )
+        known = wp.min(known, min_error)
     faded = wp.vec4d(one, one, one, one)
-    if kept.stands == OUTSIDE:
+    if subtree.stands == OUTSIDE:
         gain2 = gain2 * view.off_screen2
-    if kept.stands == FADED:
-        faded, sure = fade_change(view, motion, kept.low, kept.high)
-        known = wp.min(known, sure)
+    if subtree.stands == FADED:
+        faded, min_error = fade_change(view, motion, subtree.low, subtree.high)
+        known = wp.min(known, min_error)
     span = wp.sqrt(view.pixel2) * wp.sqrt(gain2)
     fall = motion.ratio * lowest * faded[0] - one
     rise = motion.ratio * highest * faded[1] - one
     zero = wp.float64(0.0)
-    least = least * wp.where(least < zero, faded[3], faded[2])
-    most = most * wp.where(most > zero, faded[3], faded[2])
+    min_growth = min_growth * wp.where(min_growth < zero, faded[3], faded[2])
+    max_growth = max_growth * wp.where(max_growth > zero, faded[3], faded[2])
     # Footprints drift, and so do those at which verdicts change.
-    rounded = (ROUNDED + wp.float64(4.0) * motion.drift) * kept.coarse
-    least = least * span + smaller(fall * kept.fine, fall * kept.coarse) - rounded
-    most = most * span + larger(rise * kept.fine, rise * kept.coarse) + rounded
-    return least, most, known
+    rounded = (ROUNDED + wp.float64(4.0) * motion.drift) * subtree.coarse
+    min_growth = min_growth * span + smaller(fall * subtree.fine, fall * subtree.coarse) - rounded
+    max_growth = max_growth * span + larger(rise * subtree.fine, rise * subtree.coarse) + rounded
+    return min_growth, max_growth, known
 
 
 @wp.func
@@ -286,23 +288,23 @@ def stands_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
 
 
 @wp.func
-def carried(asked: CriterionArrays, motion: Motion, kept: Subtree, in_frame: wp.int32):
+def carried(criterion: CriterionArrays, motion: Motion, subtree: Subtree, in_frame: wp.int32):
     """Update a subtree's margins for the moved view. Returns the subtree, and 1 if all its verdicts stay the same.
 
     in_frame: 1 if the frustum is known to contain it.
     """
-    least, most, holds = span_change(asked.view, motion, kept)
-    kept.fall = kept.fall + least
-    kept.rise = kept.rise - most
-    rounded = ROUNDED * kept.coarse
-    if not (kept.fall > rounded and kept.rise > rounded and kept.fine + least > rounded):
+    min_growth, max_growth, holds = span_change(criterion.view, motion, subtree)
+    subtree.fall = subtree.fall + min_growth
+    subtree.rise = subtree.rise - max_growth
+    rounded = ROUNDED * subtree.coarse
+    if not (subtree.fall > rounded and subtree.rise > rounded and subtree.fine + min_growth > rounded):
         holds = 0
-    if holds == 1 and kept.stands != FADED:
+    if holds == 1 and subtree.stands != FADED:
         stands = CLEAR
         if in_frame == 0:
-            stands = steady_stand_of(asked.view, kept.low, kept.high)
-        holds = wp.where(stands == kept.stands, 1, 0)
+            stands = steady_stand_of(criterion.view, subtree.low, subtree.high)
+        holds = wp.where(stands == subtree.stands, 1, 0)
     if holds == 1:
-        kept.fine = kept.fine + least
-        kept.coarse = kept.coarse + most
-    return kept, holds
+        subtree.fine = subtree.fine + min_growth
+        subtree.coarse = subtree.coarse + max_growth
+    return subtree, holds

@@ -34,7 +34,7 @@ class Diamond:
     low: wp.vec3d  # its box, metres in terrain space
     high: wp.vec3d
     rise: wp.float64  # largest height difference along one of its edges, metres
-    rim: wp.int32  # 0: it contains no padding, 1: some padding, 2: only padding
+    border: wp.int32  # 0: it contains no padding, 1: some padding, 2: only padding
 
 
 @wp.func
@@ -46,15 +46,15 @@ def heights_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j
     low = wp.float64(0.0)
     high = wp.float64(0.0)
     if domain.bicubic == 1:
-        least = wp.int32(65535)
-        most = wp.int32(0)
+        min_code = wp.int32(65535)
+        max_code = wp.int32(0)
         for j in range(j0, j1 + 1):
             for i in range(i0, i1 + 1):
                 index = wp.int64(2) * (domain.range_cells + tile_index(i, j, domain.cell_pages))
-                least = wp.min(least, wp.int32(item_at(domain.ranges, index)))
-                most = wp.max(most, wp.int32(item_at(domain.ranges, index + wp.int64(1))))
-        low = domain.range_base + wp.float64(least) * domain.range_step
-        high = domain.range_base + wp.float64(most) * domain.range_step
+                min_code = wp.min(min_code, wp.int32(item_at(domain.ranges, index)))
+                max_code = wp.max(max_code, wp.int32(item_at(domain.ranges, index + wp.int64(1))))
+        low = domain.range_base + wp.float64(min_code) * domain.range_step
+        high = domain.range_base + wp.float64(max_code) * domain.range_step
     else:
         lowest = sample_at(domain.samples, wp.int64(j0) * wp.int64(domain.samples.columns) + wp.int64(i0))
         highest = lowest
@@ -151,9 +151,9 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
         low, high = heights_of_cells(domain, wp.max((x - reach) >> bits, 0), wp.max((y - reach) >> bits, 0), i1, j1)
     d = Diamond()
     if x + reach > domain.east or y + reach > domain.north:
-        d.rim = 1
+        d.border = 1
     if beyond or low > high:  # a box may touch the raster although no descendant does: its range is empty
-        d.rim = 2
+        d.border = 2
     z0 = low * domain.height_scale + domain.height_offset
     z1 = high * domain.height_scale + domain.height_offset
     d.low = wp.vec3d(
@@ -173,7 +173,7 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
         part = wp.float64(wp.int64(1) << wp.int64(half - domain.levels))
         climb = wp.float64((1 + odd) * wp.where(domain.bicubic == 1, 3, 1))
         d.rise = d.rise * smaller(climb / part, wp.float64(1.0))
-    if domain.detailed == 1 and d.rim < 2:
+    if domain.detailed == 1 and d.border < 2:
         more = wp.vec3d(wp.float64(0.0), wp.float64(0.0), domain.max_detail * domain.error_scale)
         d.low = d.low - more
         d.high = d.high + more
@@ -200,13 +200,13 @@ def metres2_of(domain: Domain, error: wp.float32, rest: wp.float64) -> wp.float6
     refining gains nothing, and the result is 0.
     """
     e = wp.float64(error) * domain.error_scale
-    own = smaller(e + rest, wp.float64(4.0) * e)
-    weighed = smaller(own + domain.source, wp.float64(1.25) * own)
+    with_rest = smaller(e + rest, wp.float64(4.0) * e)
+    weighed = smaller(with_rest + domain.source, wp.float64(1.25) * with_rest)
     return wp.where(e > domain.enough, weighed * weighed, wp.float64(0.0))
 
 
 @wp.func
-def own_for(domain: Domain, metres: wp.float64, rest: wp.float64) -> wp.float64:
+def max_error_for(domain: Domain, metres: wp.float64, rest: wp.float64) -> wp.float64:
     """Return the largest stored error, metres, for which `metres2_of` is at most metres^2."""
     left = larger(metres - domain.source, wp.float64(0.8) * metres)
     return larger(larger(left - rest, wp.float64(0.25) * left), domain.enough)

@@ -5,7 +5,6 @@ import warp as wp
 
 from ..field.domain import Domain
 from ..unchecked import put
-from .band import EVEN_BLOCK, LEAF
 from .block import new_vertices, write_block
 from .curve import (
     BORDER,
@@ -22,6 +21,7 @@ from .curve import (
     third_edge,
     touches_border,
 )
+from .interval import EVEN_BLOCK, LEAF
 from .steps import size_of
 from .walk_state import Cursor, Square, Walk, Written
 
@@ -121,7 +121,7 @@ def emit(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written, verdict: wp.
             leaves = 1
             vertices, edges = emit_leaf(domain, w, q, c, n)
     elif verdict == EVEN_BLOCK:
-        depth = w.bands[c.held].even_depth
+        depth = w.intervals[c.held].even_depth
         leaves = 1 << (depth - c.depth)
         vertices = emit_block(w, q, c, n, depth)
         edges = leaves + vertices

@@ -25,7 +25,7 @@ from .pixels import (
     CriterionArrays,
     LocalView,
     farthest_pixel2,
-    least_of,
+    min_of,
     nearest_pixel2,
     sizes,
     stand_of,
@@ -61,7 +61,7 @@ class Triangle:
     apex: wp.vec2i
     right: wp.vec2i
     depth: wp.int32
-    most2: wp.float64  # squared upper bound of the quantity; UNSEEN if the triangle is out of view
+    bound2: wp.float64  # squared upper bound of the quantity; UNSEEN if the triangle is out of view
     is_small: wp.bool  # squared pixel footprints hardly differ in it
     is_drawn: wp.bool  # it is a part of a drawn triangle, whose plane is known
     drawn: wp.vec2i  # apex of the drawn triangle
@@ -107,11 +107,11 @@ def box_between(
     low = d.low[2]
     high = d.high[2]
     if depth > 2 * domain.levels and domain.bicubic == 0:
-        least, most = heights_between(domain, x0, y0, x1, y1)
-        least -= domain.max_detail
-        most += domain.max_detail
-        z0 = least * domain.height_scale + domain.height_offset
-        z1 = most * domain.height_scale + domain.height_offset
+        min_height, max_height = heights_between(domain, x0, y0, x1, y1)
+        min_height -= domain.max_detail
+        max_height += domain.max_detail
+        z0 = min_height * domain.height_scale + domain.height_offset
+        z1 = max_height * domain.height_scale + domain.height_offset
         # Margins shrink from depth to depth by more than rounding can do to the heights of the surface.
         margin = domain.rounding + NESTED * wp.float64(64 - depth) * larger(wp.abs(z0), wp.abs(z1))
         low = larger(low, smaller(z0, z1) - margin)
@@ -126,7 +126,7 @@ def box_between(
 
 
 @wp.func
-def least_depth(view: LocalView, d: Diamond) -> wp.float64:
+def min_depth_in(view: LocalView, d: Diamond) -> wp.float64:
     """Return a lower bound of the depth, metres, of all points in the box and in the frustum.
 
     This is linear programming with one frustum plane at a time. For any multiplier >= 0, the minimum over the box of
@@ -139,15 +139,15 @@ def least_depth(view: LocalView, d: Diamond) -> wp.float64:
         for axis in range(3):
             multiplier = view.depth[axis] / plane[axis]
             if multiplier > wp.float64(0.0) and multiplier < wp.float64(wp.inf):
-                least = view.depth[3] - multiplier * plane[3]
+                bound = view.depth[3] - multiplier * plane[3]
                 size = wp.abs(view.depth[3]) + wp.abs(multiplier * plane[3])
                 for k in range(3):
                     reach = larger(wp.abs(d.low[k]), wp.abs(d.high[k]))
                     size += (wp.abs(view.depth[k]) + wp.abs(multiplier * plane[k])) * reach
                     if k != axis:
                         factor = view.depth[k] - multiplier * plane[k]
-                        least += smaller(factor * d.low[k], factor * d.high[k])
-                found = larger(found, least - MARGIN * size)
+                        bound += smaller(factor * d.low[k], factor * d.high[k])
+                found = larger(found, bound - MARGIN * size)
     return found
 
 
@@ -161,9 +161,9 @@ def finest_seen_in(view: LocalView, d: Diamond):
     coarse2 = wp.float64(0.0)
     stand = stand_of(view, d.low, d.high, wp.float64(0.0))
     if stand != OUTSIDE:
-        deep = least_of(view.depth, d.low, d.high)
+        deep = min_of(view.depth, d.low, d.high)
         if view.kind == PERSPECTIVE:
-            deep = larger(least_depth(view, d), deep)
+            deep = larger(min_depth_in(view, d), deep)
         pixel2 = nearest_pixel2(view, d.low, d.high, deep)
         coarse2 = farthest_pixel2(view, d)
         if stand == CROSSED:
@@ -172,7 +172,7 @@ def finest_seen_in(view: LocalView, d: Diamond):
 
 
 @wp.func
-def finest_seen(domain: Domain, asked: CriterionArrays, d: Diamond, t: Triangle):
+def finest_seen(domain: Domain, criterion: CriterionArrays, d: Diamond, t: Triangle):
     """Return a triangle's squared finest footprint in all views, metres, and whether footprints hardly differ in it."""
     x0 = wp.min(t.apex[0], wp.min(t.left[0], t.right[0]))
     y0 = wp.min(t.apex[1], wp.min(t.left[1], t.right[1]))
@@ -182,8 +182,8 @@ def finest_seen(domain: Domain, asked: CriterionArrays, d: Diamond, t: Triangle)
     coarse2 = wp.float64(0.0)
     if x0 < x1 and y0 < y1:
         box = box_between(domain, d, x0, y0, x1, y1, t.depth)
-        for v in range(asked.view_count):
-            fine2, far2 = finest_seen_in(asked.views[v], box)
+        for v in range(criterion.view_count):
+            fine2, far2 = finest_seen_in(criterion.views[v], box)
             if fine2 < pixel2:
                 pixel2 = fine2
                 coarse2 = far2
@@ -265,7 +265,7 @@ def distance_from_plane(domain: Domain, t: Triangle) -> wp.float64:
 
 
 @wp.func
-def measured(domain: Domain, asked: CriterionArrays, what: wp.int32, deepest: wp.int32, t: Triangle) -> Triangle:
+def measured(domain: Domain, criterion: CriterionArrays, what: wp.int32, deepest: wp.int32, t: Triangle) -> Triangle:
     """Return the triangle with the upper bound for its leaves at depth `deepest`, or for the leaf that contains it."""
     x = (t.left[0] + t.right[0]) >> 1
     y = (t.left[1] + t.right[1]) >> 1
@@ -284,14 +284,14 @@ def measured(domain: Domain, asked: CriterionArrays, what: wp.int32, deepest: wp
             t.total = smaller(t.fixed + distance_from_plane(domain, t) * domain.error_scale, t.total)
     all2 = t.total * t.total
     if what == EDGE or what == AREA:
-        long2, legs2 = sizes(asked, domain.unit_bits, deepest)
+        long2, legs2 = sizes(criterion, domain.unit_bits, deepest)
         all2 = wp.where(what == EDGE, long2, legs2) + d.rise * d.rise
-    t.most2 = all2
+    t.bound2 = all2
     t.is_small = what != FIXED and what != ERROR
     if what != METRES:
-        pixel2, is_small = finest_seen(domain, asked, d, t)
+        pixel2, is_small = finest_seen(domain, criterion, d, t)
         t.is_small = t.is_small or is_small
-        t.most2 = wp.where(pixel2 < wp.float64(wp.inf), all2 / pixel2, UNSEEN)
+        t.bound2 = wp.where(pixel2 < wp.float64(wp.inf), all2 / pixel2, UNSEEN)
     return t
 
 
@@ -331,12 +331,12 @@ def half(t: Triangle, first: wp.vec2i, second: wp.vec2i) -> Triangle:
 
 
 @wp.kernel
-def find_most(
+def find_largest(
     domain: Domain,
-    asked: CriterionArrays,
+    criterion: CriterionArrays,
     what: wp.int32,
     deepest: wp.int32,
-    least2: wp.float64,
+    min2: wp.float64,
     stack: wp.array(dtype=Triangle),
     found: wp.array(dtype=wp.float64),
 ):
@@ -344,30 +344,30 @@ def find_most(
 
     found: its square, rounded up, and its fixed and total metres (see Triangle); -1 if no square is above `least2`.
     """
-    most2 = least2  # largest square found, rounded up
+    bound2 = min2  # largest square found, rounded up
     fixed = wp.float64(-1.0)
     total = wp.float64(-1.0)
     for n in range(2 * domain.columns * domain.rows):
-        stack[0] = measured(domain, asked, what, deepest, root(domain, n))
+        stack[0] = measured(domain, criterion, what, deepest, root(domain, n))
         top = wp.int32(0)
         while top >= 0:
             t = stack[top]
             top -= 1
-            if t.most2 >= wp.float64(0.0) and t.most2 > most2:
+            if t.bound2 >= wp.float64(0.0) and t.bound2 > bound2:
                 if t.depth >= deepest and (t.is_small or t.depth >= 2 * domain.unit_bits - 1):
-                    most2 = t.most2 * wp.where(what == ERROR, NEARLY_ON_SCREEN, NEARLY)
+                    bound2 = t.bound2 * wp.where(what == ERROR, NEARLY_ON_SCREEN, NEARLY)
                     fixed = t.fixed
                     total = t.total
                 else:
-                    a = measured(domain, asked, what, deepest, half(t, t.left, t.apex))
-                    b = measured(domain, asked, what, deepest, half(t, t.apex, t.right))
-                    if a.most2 > b.most2:
+                    a = measured(domain, criterion, what, deepest, half(t, t.left, t.apex))
+                    b = measured(domain, criterion, what, deepest, half(t, t.apex, t.right))
+                    if a.bound2 > b.bound2:
                         stack[top + 1] = b
                         stack[top + 2] = a
                     else:
                         stack[top + 1] = a
                         stack[top + 2] = b
                     top += 2
-    found[0] = most2
+    found[0] = bound2
     found[1] = fixed
     found[2] = total

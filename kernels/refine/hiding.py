@@ -28,7 +28,7 @@ surface: ground that the true heights show is never called hidden.)
 **Occlusion fade.** With geomorphing the mesh must change continuously. So a box is `covered` in part: by the distance
 of the highest ray below the entries, over a ramp. The last ring counts more, the nearer the box comes to the next ring;
 the ring before counts fully. A bin beside the box counts less with its distance, up to one bin. The result is
-continuous in the eye's position, as are the entries (`steady_least` in kernels/refine/horizon_map.py). A box that is
+continuous in the eye's position, as are the entries (`steady_min` in kernels/refine/horizon_map.py). A box that is
 not hidden is not covered, and a box inside another is covered no less, in rounded arithmetic, too.
 """
 
@@ -93,10 +93,10 @@ def reach_on(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) ->
     begin = wp.max(begin, near)
     found = wp.vec2d(one, -one)
     if begin <= end:
-        least = low[1 - along]
-        most = high[1 - along]
-        t0 = wp.where(least >= zero, least / end, least / begin)
-        t1 = wp.where(most >= zero, most / begin, most / end)
+        low_end = low[1 - along]
+        high_end = high[1 - along]
+        t0 = wp.where(low_end >= zero, low_end / end, low_end / begin)
+        t1 = wp.where(high_end >= zero, high_end / begin, high_end / end)
         if t0 <= one and t1 >= -one:
             found = wp.vec2d(wp.max(t0, -one), wp.min(t1, one))
     return found

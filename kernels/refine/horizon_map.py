@@ -5,7 +5,7 @@ An entry's arc is straight: x or y is the ring's radius. The mesh over it is no 
 minus the mesh's permitted error, and every ray of the bin crosses the arc. Raster and mesh have no gap, so a ray that
 is above the mesh on a nearer arc and below it on this one has met it in between. Beyond the raster nothing hides.
 
-With an occlusion fade (`LocalView.ramp`) minimum heights are continuous in the eye's position: see `steady_least`.
+With an occlusion fade (`LocalView.ramp`) minimum heights are continuous in the eye's position: see `steady_min`.
 """
 
 import warp as wp
@@ -26,24 +26,24 @@ OUTWARD = wp.constant(wp.float64(2e-7))  # relative: above the rounding of float
 
 
 @wp.struct
-class Blocks:
+class HeightBlocks:
     """Bounds of the surface's heights over blocks of 2^level x 2^level cells, metres before scaling."""
 
     # Per block: minimum of heights, minimum of negated heights; from level FINEST, row by row from the south-west.
-    least: wp.array(dtype=wp.float32)
+    min_height: wp.array(dtype=wp.float32)
     first: wp.array(dtype=wp.int32)  # per level: number of its first block
     wide: wp.array(dtype=wp.int32)  # per level: blocks in a row
 
 
 @wp.func
-def least_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1: wp.int32, up: wp.float64):
+def min_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1: wp.int32, up: wp.float64):
     """Return the minimum of up * height, metres before scaling, over the cells from (i0, j0) to (i1, j1)."""
     low, high = heights_of_cells(domain, i0, j0, i1, j1)
     return wp.where(up > wp.float64(0.0), low, -high)
 
 
 @wp.kernel
-def fill_blocks(offset: int, domain: Domain, wide: wp.int32, least: wp.array(dtype=wp.float32)):
+def fill_blocks(offset: int, domain: Domain, wide: wp.int32, min_height: wp.array(dtype=wp.float32)):
     """Fill row `offset + tid` of the smallest blocks."""
     j = (offset + wp.tid()) << FINEST
     beside = (wp.int32(1) << FINEST) - 1
@@ -53,25 +53,27 @@ def fill_blocks(offset: int, domain: Domain, wide: wp.int32, least: wp.array(dty
         i1 = wp.min(i + beside, domain.samples.columns - 2)
         low, high = heights_of_cells(domain, i, j, i1, j1)
         at = 2 * ((j >> FINEST) * wide + k)
-        least[at] = wp.float32(low - wp.abs(low) * OUTWARD)
-        least[at + 1] = wp.float32(-high - wp.abs(high) * OUTWARD)
+        min_height[at] = wp.float32(low - wp.abs(low) * OUTWARD)
+        min_height[at + 1] = wp.float32(-high - wp.abs(high) * OUTWARD)
 
 
 @wp.func
-def least_of_block(domain: Domain, blocks: Blocks, level: wp.int32, i: wp.int32, j: wp.int32, up: wp.float64):
+def min_of_block(domain: Domain, blocks: HeightBlocks, level: wp.int32, i: wp.int32, j: wp.int32, up: wp.float64):
     """Return the minimum of up * height, metres before scaling, in a block; a block of level 0 is a cell."""
-    least = wp.float64(0.0)
+    min_height = wp.float64(0.0)
     if level > 0:
         row = item_at(blocks.first, level) + j * item_at(blocks.wide, level)
-        least = wp.float64(item_at(blocks.least, wp.int64(2 * (row + i) + wp.where(up > wp.float64(0.0), 0, 1))))
+        min_height = wp.float64(
+            item_at(blocks.min_height, wp.int64(2 * (row + i) + wp.where(up > wp.float64(0.0), 0, 1)))
+        )
     else:
-        least = least_of_cells(domain, i, j, i, j, up)
-    return least
+        min_height = min_of_cells(domain, i, j, i, j, up)
+    return min_height
 
 
 @wp.func
-def least_over(
-    domain: Domain, blocks: Blocks, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, sign: wp.float64
+def min_over(
+    domain: Domain, blocks: HeightBlocks, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, sign: wp.float64
 ):
     """Return the minimum of sign * height, metres after scaling, over the raster in a lattice rectangle.
 
@@ -83,25 +85,25 @@ def least_over(
     i1 = wp.min(x1 >> bits, domain.samples.columns - 2)
     j1 = wp.min(y1 >> bits, domain.samples.rows - 2)
     up = wp.where(domain.height_scale < wp.float64(0.0), -sign, sign)
-    least = wp.float64(wp.inf)
+    min_height = wp.float64(wp.inf)
     if wp.max(i1 - i0, j1 - j0) <= FEW_CELLS:
-        least = least_of_cells(domain, i0, j0, i1, j1, up)
+        min_height = min_of_cells(domain, i0, j0, i1, j1, up)
     else:
         level = wp.int32(FINEST)
         while wp.max((i1 >> level) - (i0 >> level), (j1 >> level) - (j0 >> level)) >= MAX_BLOCKS:
             level += 1
         for j in range(j0 >> level, (j1 >> level) + 1):
             for i in range(i0 >> level, (i1 >> level) + 1):
-                least = smaller(least_of_block(domain, blocks, level, i, j, up), least)
-    return placed(domain, least, sign)
+                min_height = smaller(min_of_block(domain, blocks, level, i, j, up), min_height)
+    return placed(domain, min_height, sign)
 
 
 @wp.func
-def placed(domain: Domain, least: wp.float64, sign: wp.float64) -> wp.float64:
+def placed(domain: Domain, min_height: wp.float64, sign: wp.float64) -> wp.float64:
     """Convert a minimum of the raster before scaling to that of the surface with displacement, metres after scaling."""
     if domain.detailed == 1:
-        least -= domain.max_detail
-    return least * domain.error_scale + sign * domain.height_offset
+        min_height -= domain.max_detail
+    return min_height * domain.error_scale + sign * domain.height_offset
 
 
 @wp.func
@@ -113,22 +115,22 @@ def bilinear_at(domain: Domain, x: wp.float64, y: wp.float64) -> wp.float64:
 
 
 @wp.func
-def least_bilinear(domain: Domain, low: wp.vec2d, high: wp.vec2d, up: wp.float64) -> wp.float64:
+def min_bilinear(domain: Domain, low: wp.vec2d, high: wp.vec2d, up: wp.float64) -> wp.float64:
     """Return the minimum of up * height, metres before scaling, over a rectangle in cells.
 
     In each cell the minimum is at a corner of the intersection of cell and rectangle.
     """
-    least = wp.float64(wp.inf)
+    min_height = wp.float64(wp.inf)
     for j in range(wp.int32(low[1]), wp.int32(high[1]) + 2):
         y = wp.clamp(wp.float64(j), low[1], high[1])
         for i in range(wp.int32(low[0]), wp.int32(high[0]) + 2):
-            least = smaller(up * bilinear_at(domain, wp.clamp(wp.float64(i), low[0], high[0]), y), least)
-    return least
+            min_height = smaller(up * bilinear_at(domain, wp.clamp(wp.float64(i), low[0], high[0]), y), min_height)
+    return min_height
 
 
 @wp.func
-def least_of_windows(
-    domain: Domain, blocks: Blocks, level: wp.int32, corner: wp.vec2d, size: wp.vec2d, up: wp.float64
+def min_of_windows(
+    domain: Domain, blocks: HeightBlocks, level: wp.int32, corner: wp.vec2d, size: wp.vec2d, up: wp.float64
 ) -> wp.float64:
     """Interpolate the minima of up * height, metres before scaling, between two windows of blocks along each axis.
 
@@ -145,7 +147,7 @@ def least_of_windows(
     for y in range(wp.max(j - 1, 0), wp.min(j_end + 1, (domain.samples.rows - 2) >> level) + 1):
         row = wp.vec2d(inf, inf)
         for x in range(wp.max(i - 1, 0), wp.min(i_end + 1, (domain.samples.columns - 2) >> level) + 1):
-            h = least_of_block(domain, blocks, level, x, y, up)
+            h = min_of_block(domain, blocks, level, x, y, up)
             if x <= i_end:
                 row[0] = smaller(h, row[0])
             if x >= i:
@@ -157,15 +159,15 @@ def least_of_windows(
     right = corner[0] - wp.float64(i)
     a = south[0] + right * (south[1] - south[0])
     b = north[0] + right * (north[1] - north[0])
-    most = larger(larger(south[0], south[1]), larger(north[0], north[1]))
-    return smaller(a + (corner[1] - wp.float64(j)) * (b - a), most)
+    largest = larger(larger(south[0], south[1]), larger(north[0], north[1]))
+    return smaller(a + (corner[1] - wp.float64(j)) * (b - a), largest)
 
 
 @wp.func
-def steady_least(domain: Domain, blocks: Blocks, grown: wp.int32, corner: wp.vec2d, size: wp.vec2d) -> wp.float64:
+def steady_min(domain: Domain, blocks: HeightBlocks, grown: wp.int32, corner: wp.vec2d, size: wp.vec2d) -> wp.float64:
     """Return a lower bound of the ground, metres, over a lattice rectangle and a border of `grown` units.
 
-    It is continuous in the rectangle's position: the exact minimum over few bilinear cells, else `least_of_windows`.
+    It is continuous in the rectangle's position: the exact minimum over few bilinear cells, else `min_of_windows`.
     """
     cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     margin = wp.float64(grown + 2)
@@ -173,10 +175,10 @@ def steady_least(domain: Domain, blocks: Blocks, grown: wp.int32, corner: wp.vec
     size = (size + wp.float64(2.0) * wp.vec2d(margin, margin)) / cell
     longest = wp.max(size[0], size[1])
     up = wp.where(domain.height_scale < wp.float64(0.0), wp.float64(-1.0), wp.float64(1.0))
-    least = wp.float64(0.0)
+    min_height = wp.float64(0.0)
     if longest <= wp.float64(FEW_CELLS) and domain.bicubic == 0:
         last = wp.vec2d(wp.float64(domain.samples.columns - 1), wp.float64(domain.samples.rows - 1))
-        least = least_bilinear(domain, wp.max(corner, wp.vec2d()), wp.min(corner + size, last), up)
+        min_height = min_bilinear(domain, wp.max(corner, wp.vec2d()), wp.min(corner + size, last), up)
     else:
         level = wp.int32(0)
         if longest > wp.float64(FEW_CELLS):
@@ -184,14 +186,14 @@ def steady_least(domain: Domain, blocks: Blocks, grown: wp.int32, corner: wp.vec
             while longest >= wp.float64(wp.int32(MAX_BLOCKS) << level):
                 level += 1
         part = wp.float64(1.0) / wp.float64(wp.int32(1) << level)
-        least = least_of_windows(domain, blocks, level, corner * part, size * part, up)
-    return placed(domain, least, wp.float64(1.0))
+        min_height = min_of_windows(domain, blocks, level, corner * part, size * part, up)
+    return placed(domain, min_height, wp.float64(1.0))
 
 
 @wp.func
 def off_at(
     domain: Domain,
-    asked: CriterionArrays,
+    criterion: CriterionArrays,
     view: LocalView,
     reach2: wp.float64,
     relaxed: wp.float64,
@@ -203,8 +205,8 @@ def off_at(
     across2: squared horizontal distance from the eye, metres. rise: height above the eye, metres. Only error criteria
     bound this distance.
     """
-    part2 = relaxed * relaxed * asked.error_px2 * view.pixel2 * view.max_gain2
-    metres2 = relaxed * relaxed * asked.metres2
+    part2 = relaxed * relaxed * criterion.error_px2 * view.pixel2 * view.max_gain2
+    metres2 = relaxed * relaxed * criterion.metres2
     # A footprint must grow more slowly than the distance: otherwise higher ground might have a lower mesh.
     if part2 * reach2 < wp.float64(0.5):
         metres2 = smaller(metres2, part2 * larger(reach2 * (across2 + rise * rise), view.near2))
@@ -220,8 +222,8 @@ def reach2_of(view: LocalView) -> wp.float64:
 
 
 @wp.func
-def ground_near(domain: Domain, blocks: Blocks, x: wp.float64, y: wp.float64, reach: wp.float64, grown: wp.int32):
-    """Return the highest ground, metres, within `reach` lattice units of (x, y); infinity if that crosses the border."""
+def ground_near(domain: Domain, blocks: HeightBlocks, x: wp.float64, y: wp.float64, reach: wp.float64, grown: wp.int32):
+    """Return the highest ground, metres, within `reach` lattice units of (x, y); infinity across the border."""
     bits = domain.unit_bits - domain.levels
     east = wp.float64((domain.samples.columns - 1) << bits)
     north = wp.float64((domain.samples.rows - 1) << bits)
@@ -239,7 +241,7 @@ def ground_near(domain: Domain, blocks: Blocks, x: wp.float64, y: wp.float64, re
                     z += domain.max_detail * domain.error_scale
                 high = z + domain.height_offset
             else:
-                high = -least_over(domain, blocks, x0, y0, x1, y1, wp.float64(-1.0))
+                high = -min_over(domain, blocks, x0, y0, x1, y1, wp.float64(-1.0))
     return high
 
 
@@ -247,8 +249,8 @@ def ground_near(domain: Domain, blocks: Blocks, x: wp.float64, y: wp.float64, re
 def fill_horizon(
     offset: int,
     domain: Domain,
-    blocks: Blocks,
-    asked: CriterionArrays,
+    blocks: HeightBlocks,
+    criterion: CriterionArrays,
     number: wp.int32,
     start: wp.float64,
     grown: wp.int32,
@@ -261,14 +263,14 @@ def fill_horizon(
     """
     one = wp.float64(1.0)
     k = offset + wp.tid()
-    view = asked.views[number]
+    view = criterion.views[number]
     rings = view.rings
     reach2 = reach2_of(view)
     side = k / BINS
     t0 = wp.float64(bin_of(side, k - side * BINS) - side * BINS) / wp.float64(BINS / 2) - one
     t1 = t0 + one / wp.float64(BINS / 2)
-    most_t = wp.max(wp.abs(t0), wp.abs(t1))
-    slant2 = one + most_t * most_t
+    max_t = wp.max(wp.abs(t0), wp.abs(t1))
+    slant2 = one + max_t * max_t
     bits = domain.unit_bits - domain.levels
     east = wp.float64((domain.samples.columns - 1) << bits)
     north = wp.float64((domain.samples.rows - 1) << bits)
@@ -280,7 +282,7 @@ def fill_horizon(
     if high < wp.float64(wp.inf):
         begun = 1
         rise = high - view.eye[2]
-        off = off_at(domain, asked, view, reach2, relaxed, wp.float64(2.0) * start * start, rise)
+        off = off_at(domain, criterion, view, reach2, relaxed, wp.float64(2.0) * start * start, rise)
         floor = (rise + off) / start
     # Lattice units of an arc's ends from the eye, per metre of radius.
     ahead = wp.where(side < 2, one, -one)
@@ -310,16 +312,16 @@ def fill_horizon(
             across2 = radius * radius * slant2
             if begun == 0:  # the eye is beyond the rim: rays must come in above the ground
                 begun = 1
-                rise = -least_over(domain, blocks, x0, y0, x1, y1, -one) - view.eye[2]
-                floor = (rise + off_at(domain, asked, view, reach2, relaxed, across2, rise)) / radius
+                rise = -min_over(domain, blocks, x0, y0, x1, y1, -one) - view.eye[2]
+                floor = (rise + off_at(domain, criterion, view, reach2, relaxed, across2, rise)) / radius
             rise = -view.eye[2]
             if view.ramp > wp.float64(0.0):
-                rise += steady_least(domain, blocks, grown, wp.vec2d(u0, v0), radius * (per1 - per0))
+                rise += steady_min(domain, blocks, grown, wp.vec2d(u0, v0), radius * (per1 - per0))
             else:
-                rise += least_over(domain, blocks, x0, y0, x1, y1, one)
+                rise += min_over(domain, blocks, x0, y0, x1, y1, one)
             if rise > best * radius:
-                best = larger(best, (rise - off_at(domain, asked, view, reach2, relaxed, across2, rise)) / radius)
+                best = larger(best, (rise - off_at(domain, criterion, view, reach2, relaxed, across2, rise)) / radius)
         elif not inside and begun == 1 and best > NOTHING:
             begun = 2
-        asked.slopes[rings.at + (ring + 1) * ROW + k] = wp.float32(best - wp.abs(best) * OUTWARD)
-    asked.slopes[rings.at + k] = wp.float32(floor + wp.abs(floor) * OUTWARD)
+        criterion.slopes[rings.at + (ring + 1) * ROW + k] = wp.float32(best - wp.abs(best) * OUTWARD)
+    criterion.slopes[rings.at + k] = wp.float32(floor + wp.abs(floor) * OUTWARD)

@@ -42,7 +42,7 @@ class LocalView:
     fringe: wp.float64  # width of the fringe beyond a plane: metres; of a perspective a fraction of the depth
     hidden2: wp.float64  # squared factor by which footprints are coarser on hidden ground
     ramp: wp.float64  # 0: that factor is a step; else it grows down to this slope below the horizon
-    veil: wp.float64  # ... as (1 + veil * fraction)^4
+    occlusion_fade: wp.float64  # ... as (1 + veil * fraction)^4
     rings: Rings
     planes: planes_type  # positive towards the frustum
 
@@ -66,7 +66,7 @@ class CriterionArrays:
 
 
 @wp.func
-def most_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+def max_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
     """Return the largest plane . (x, y, z, 1) in a box."""
     found = plane[3] + larger(plane[0] * low[0], plane[0] * high[0])
     found += larger(plane[1] * low[1], plane[1] * high[1])
@@ -75,7 +75,7 @@ def most_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 
 @wp.func
-def least_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+def min_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
     """Return the smallest plane . (x, y, z, 1) in a box."""
     found = plane[3] + smaller(plane[0] * low[0], plane[0] * high[0])
     found += smaller(plane[1] * low[1], plane[1] * high[1])
@@ -92,12 +92,12 @@ def most_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
     inside = wp.float64(wp.inf)
     planes = view.planes  # here, or Warp copies all of them for each
     for p in range(view.plane_count):
-        inside = smaller(most_of(planes[p], low, high), inside)
+        inside = smaller(max_of(planes[p], low, high), inside)
     return inside
 
 
 @wp.func
-def least_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+def min_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
     """Return the minimum over all frustum planes of the outermost corner's distance inside the plane, metres.
 
     It is negative unless the frustum contains the box, and infinite without planes.
@@ -105,7 +105,7 @@ def least_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
     inside = wp.float64(wp.inf)
     planes = view.planes
     for p in range(view.plane_count):
-        inside = smaller(least_of(planes[p], low, high), inside)
+        inside = smaller(min_of(planes[p], low, high), inside)
     return inside
 
 
@@ -117,7 +117,7 @@ def stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d, beyond: wp.float64)
     """
     zero = wp.float64(0.0)
     stand = CLEAR
-    if least_inside(view, low, high) < zero:
+    if min_inside(view, low, high) < zero:
         stand = CROSSED
         if most_inside(view, low, high) + beyond < zero:
             stand = OUTSIDE
@@ -138,20 +138,20 @@ def steady_stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
     """Classify a box against the frustum as `stand_of` does; a box in the fringe is CROSSED, too."""
     beyond = wp.float64(0.0)
     if view.fade > beyond:
-        beyond = fringe_at(view, most_of(view.depth, low, high))
+        beyond = fringe_at(view, max_of(view.depth, low, high))
     return stand_of(view, low, high, beyond)
 
 
 @wp.func
-def sizes(asked: CriterionArrays, unit_bits: wp.int32, depth: wp.int32):
+def sizes(criterion: CriterionArrays, unit_bits: wp.int32, depth: wp.int32):
     """Return the squared longest edge and twice the area of a level triangle at `depth`, in camera space."""
     side = wp.float64(wp.int32(1) << (unit_bits - ((depth - 1) >> 1)))
     side2 = side * side
-    long2 = asked.diagonal2 * side2
-    legs2 = asked.axis2 * side2
+    long2 = criterion.diagonal2 * side2
+    legs2 = criterion.axis2 * side2
     if (depth & 1) == 0:
         long2 = legs2
-        legs2 = asked.diagonal2 * side2 * wp.float64(0.25)
+        legs2 = criterion.diagonal2 * side2 * wp.float64(0.25)
     return long2, legs2
 
 
@@ -220,7 +220,7 @@ def farthest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
     dx = larger(high[0] - view.eye[0], view.eye[0] - low[0])
     dy = larger(high[1] - view.eye[1], view.eye[1] - low[1])
     dz = larger(high[2] - view.eye[2], view.eye[2] - low[2]) + view.unsure
-    return far2_at(view, dx, dy, dz, most_of(view.depth, low, high))
+    return far2_at(view, dx, dy, dz, max_of(view.depth, low, high))
 
 
 @wp.func
@@ -263,11 +263,11 @@ def cover_of(
 
 
 @wp.func
-def veiled2(hidden2: wp.float64, veil: wp.float64, part: wp.float64) -> wp.float64:
+def hidden_factor2(hidden2: wp.float64, occlusion_fade: wp.float64, part: wp.float64) -> wp.float64:
     """Return the squared factor by which footprints are coarser on ground that is hidden to the degree `part` > 0."""
     coarser2 = hidden2
     if part < wp.float64(1.0):
-        factor = wp.float64(1.0) + veil * part
+        factor = wp.float64(1.0) + occlusion_fade * part
         factor2 = factor * factor
         factor4 = factor2 * factor2
         coarser2 = smaller(factor4 * factor4, coarser2)
@@ -302,12 +302,12 @@ def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, i
     if in_frame == 0:
         inner = most_inside(view, d.low, d.high)
         if inner < zero:
-            coarser2 = faded2(view, inner, most_of(view.depth, d.low, d.high))
+            coarser2 = faded2(view, inner, max_of(view.depth, d.low, d.high))
     if view.rings.count > 0 and coarser2 < view.hidden2:
         part = cover_of(view.rings, view.ramp, slopes, d.low - view.eye, d.high - view.eye)
         if part > zero:
-            coarser2 = larger(veiled2(view.hidden2, view.veil, part), coarser2)
-    return nearest_pixel2(view, d.low, d.high, least_of(view.depth, d.low, d.high)) * coarser2
+            coarser2 = larger(hidden_factor2(view.hidden2, view.occlusion_fade, part), coarser2)
+    return nearest_pixel2(view, d.low, d.high, min_of(view.depth, d.low, d.high)) * coarser2
 
 
 @wp.func
@@ -316,31 +316,31 @@ def coarsest_in(view: LocalView, d: Diamond, in_frame: wp.int32):
     coarser2 = wp.float64(1.0)
     inside = wp.int32(1)
     if in_frame == 0:
-        least = least_inside(view, d.low, d.high)
-        if least < wp.float64(0.0):
+        outer = min_inside(view, d.low, d.high)
+        if outer < wp.float64(0.0):
             inside = 0
-            coarser2 = faded2(view, least, least_of(view.depth, d.low, d.high))
+            coarser2 = faded2(view, outer, min_of(view.depth, d.low, d.high))
     if view.rings.count > 0:
         coarser2 = larger(coarser2, view.hidden2)
     return farthest_pixel2(view, d) * coarser2, inside
 
 
 @wp.func
-def finest(asked: CriterionArrays, d: Diamond, in_frame: wp.int32) -> wp.float64:
+def finest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32) -> wp.float64:
     """Compute the squared finest footprint, metres, of all views on a diamond; infinite beyond the raster's border.
 
     The first view is read from the struct, not from the array: most terrains have only one.
     """
     pixel2 = wp.float64(wp.inf)
-    if asked.view_count > 0 and d.rim < 2:
-        pixel2 = finest_in(asked.view, asked.slopes, d, in_frame)
-        for v in range(1, asked.view_count):
-            pixel2 = smaller(pixel2, finest_in(asked.views[v], asked.slopes, d, in_frame))
+    if criterion.view_count > 0 and d.border < 2:
+        pixel2 = finest_in(criterion.view, criterion.slopes, d, in_frame)
+        for v in range(1, criterion.view_count):
+            pixel2 = smaller(pixel2, finest_in(criterion.views[v], criterion.slopes, d, in_frame))
     return pixel2
 
 
 @wp.func
-def coarsest(asked: CriterionArrays, d: Diamond, in_frame: wp.int32):
+def coarsest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
     """Compute the least `coarsest_in` of all views; and 1 if the frustums of all views contain the diamond.
 
     It is infinite for a diamond that extends beyond the raster's border: some of its descendants are wholly outside,
@@ -348,20 +348,20 @@ def coarsest(asked: CriterionArrays, d: Diamond, in_frame: wp.int32):
     """
     pixel2 = wp.float64(wp.inf)
     inside = wp.int32(1)
-    if asked.view_count > 0:
-        pixel2, inside = coarsest_in(asked.view, d, in_frame)
-        for v in range(1, asked.view_count):
-            p2, also = coarsest_in(asked.views[v], d, in_frame)
+    if criterion.view_count > 0:
+        pixel2, inside = coarsest_in(criterion.view, d, in_frame)
+        for v in range(1, criterion.view_count):
+            p2, also = coarsest_in(criterion.views[v], d, in_frame)
             pixel2 = smaller(pixel2, p2)
             inside = wp.min(inside, also)
-    if d.rim > 0:
+    if d.border > 0:
         pixel2 = wp.float64(wp.inf)
     return pixel2, inside
 
 
 @wp.func
 def too_coarse_at(
-    asked: CriterionArrays,
+    criterion: CriterionArrays,
     limit: wp.float64,
     pixel2: wp.float64,
     metres2: wp.float64,
@@ -373,5 +373,5 @@ def too_coarse_at(
     pixel2: footprint, metres. metres2: weighed error. long2, legs2: longest edge and twice the area.
     """
     px2 = limit * pixel2
-    coarse = metres2 > px2 * asked.error_px2 or metres2 > limit * asked.metres2
-    return coarse or long2 > px2 * asked.edge_px2 or legs2 > px2 * asked.area_px2
+    coarse = metres2 > px2 * criterion.error_px2 or metres2 > limit * criterion.metres2
+    return coarse or long2 > px2 * criterion.edge_px2 or legs2 > px2 * criterion.area_px2

@@ -16,8 +16,8 @@ into slices for parallel walks; each walk descends from the roots to its first c
 import warp as wp
 
 from ..field.domain import Domain
-from .band import LEAF, SPLIT, measured_at, too_coarse
 from .emit import emit
+from .interval import LEAF, SPLIT, measure_diamond, too_coarse
 from .pixels import CriterionArrays
 from .steps import STOPPED, advance, enter, middle_of, put_results, square_at
 from .stored_errors import error_at
@@ -25,7 +25,7 @@ from .walk_state import Walk, Written
 
 
 # Tests turn it into a kernel: declared here it would be compiled before the first frame.
-def walk(domain: Domain, asked: CriterionArrays, w: Walk):
+def walk(domain: Domain, criterion: CriterionArrays, w: Walk):
     """Refine the leaves of a slice as the kernel of walk.py does, measuring every diamond."""
     n = Written()
     end = w.first_cell
@@ -36,9 +36,9 @@ def walk(domain: Domain, asked: CriterionArrays, w: Walk):
         while c.top >= 0 and n.leaves <= w.leaf_limit:
             middle = middle_of(c)
             error = error_at(domain, middle[0], middle[1], c.depth)
-            m = measured_at(domain, asked, middle[0], middle[1], c.depth, error, 0)
+            m = measure_diamond(domain, criterion, middle[0], middle[1], c.depth, error, 0)
             verdict = wp.int32(LEAF)
-            if too_coarse(asked, asked.limit, m):
+            if too_coarse(criterion, criterion.limit, m):
                 if c.depth < w.max_depth:
                     verdict = SPLIT
                 else:

@@ -4,8 +4,8 @@
 import warp as wp
 
 from ..field.domain import Domain
-from .band import LEAF, SPLIT
 from .emit import emit
+from .interval import LEAF, SPLIT
 from .steps import advance, enter, middle_of, put_results, square_at
 from .stored_errors import error_at
 from .walk_state import Walk, Written

@@ -4,11 +4,11 @@
 import warp as wp
 
 from ..unchecked import copy_codes, copy_items
-from .band import DOUBT, REUSED, Band, Limits, Measured, too_coarse, turning_span
 from .block import MAX_BISECTIONS
 from .coherence import Subtree, carried, stands_of
 from .diamond import smaller
 from .emit import stands_alone
+from .interval import DOUBT, REUSED, Limits, LodInterval, MeasuredDiamond, too_coarse, turning_span
 from .pixels import CLEAR, CROSSED, CriterionArrays, coarsest
 from .reuse_state import Reuse, ReuseCursor
 from .runs import NOT_CLEAR
@@ -93,7 +93,7 @@ def narrow(r: Reuse, slot: wp.int32, fall: wp.float64, rise: wp.float64):
 
 
 @wp.func
-def reuse_subtree(asked: CriterionArrays, w: Walk, r: Reuse, q: Square, c: Cursor, n: Written) -> wp.int32:
+def reuse_subtree(criterion: CriterionArrays, w: Walk, r: Reuse, q: Square, c: Cursor, n: Written) -> wp.int32:
     """Copy a triangle's leaves from the last frame if they are cached and still hold: REUSED; else DOUBT."""
     k = w.slot
     at = q.base + c.cell
@@ -102,7 +102,7 @@ def reuse_subtree(asked: CriterionArrays, w: Walk, r: Reuse, q: Square, c: Curso
         while r.cursor[k].cell < at or (r.cursor[k].cell == at and r.cursor[k].depth < c.depth):
             seek(r, k, r.cursor[k].next)
         if r.cursor[k].cell == at and r.cursor[k].depth == c.depth:
-            subtree, holds = carried(asked, r.motion, r.last_cached[r.cursor[k].next], w.bands[c.held].in_frame)
+            subtree, holds = carried(criterion, r.motion, r.last_cached[r.cursor[k].next], w.intervals[c.held].in_frame)
             if holds == 1 and c.cell >= q.start and at + size_of(w, c.depth) <= w.end_cell:
                 verdict = REUSED
                 copy_subtree(w, r, subtree, n)
@@ -145,22 +145,31 @@ def may_begin_subtree(w: Walk, r: Reuse, q: Square, c: Cursor) -> wp.bool:
 
 
 @wp.func
-def open_subtree(asked: CriterionArrays, w: Walk, r: Reuse, q: Square, c: Cursor, m: Measured, band: Band, n: Written):
+def open_subtree(
+    criterion: CriterionArrays,
+    w: Walk,
+    r: Reuse,
+    q: Square,
+    c: Cursor,
+    m: MeasuredDiamond,
+    interval: LodInterval,
+    n: Written,
+):
     """Begin to cache the leaves below a triangle that is split, if only few bisections are left."""
     k = w.slot
     opens = r.cursor[k].end == NOWHERE and r.cursor[k].count < r.room
     if opens:
-        few = m.own <= ERRORS_CACHED * band.leaf_up_to and band.leaf_depth - c.depth <= MAX_BISECTIONS
+        few = m.error_m <= ERRORS_CACHED * interval.leaf_up_to and interval.leaf_depth - c.depth <= MAX_BISECTIONS
         opens = few or w.max_depth - c.depth <= LAST_LEVELS
     if opens:
-        stands = stands_of(asked.view, m.diamond.low, m.diamond.high)
+        stands = stands_of(criterion.view, m.diamond.low, m.diamond.high)
         if stands_alone(w, q, c):
             r.cursor[k].end = q.base + c.cell + size_of(w, c.depth)
             r.cursor[k].before = n
             r.cursor[k].stopped_before = w.counts[4 * k + STOPPED]
             w.counts[4 * k + STOPPED] = wp.int64(0)
             entry = wp.int64(k) * r.room + r.cursor[k].count
-            coarse2, _inside = coarsest(asked, m.diamond, 0)
+            coarse2, _inside = coarsest(criterion, m.diamond, 0)
             span = wp.sqrt(m.pixel2)
             r.cached[entry].cell = q.base + c.cell
             r.cached[entry].depth = c.depth
@@ -174,14 +183,14 @@ def open_subtree(asked: CriterionArrays, w: Walk, r: Reuse, q: Square, c: Cursor
 
 
 @wp.func
-def note_turning(asked: CriterionArrays, limits: Limits, w: Walk, r: Reuse, m: Measured):
+def note_turning(criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse, m: MeasuredDiamond):
     """Limit the open subtree to footprints at which the diamond that was measured is decided as now."""
     if r.cursor[w.slot].end != NOWHERE:
         inf = wp.float64(wp.inf)
         away = turning_span(limits, m) - wp.sqrt(m.pixel2)
-        if not too_coarse(asked, asked.limit, m):
+        if not too_coarse(criterion, criterion.limit, m):
             narrow(r, w.slot, -away, inf)
-        elif not m.metres2 > asked.limit * asked.metres2:
+        elif not m.metres2 > criterion.limit * criterion.metres2:
             narrow(r, w.slot, inf, away)
 
 

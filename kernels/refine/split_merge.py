@@ -13,7 +13,7 @@ from ..leb.bisection import SquareGrid, can_merge, node_of, split_conforming, tr
 from ..tree.atomic import highest_bit
 from ..tree.bitfield import ONE, Bitfield, decode_leaf, heap_id_of
 from ..tree.edits import merge
-from .band import measured_at, too_coarse
+from .interval import measure_diamond, too_coarse
 from .pixels import CriterionArrays
 from .stored_errors import error_at
 
@@ -21,10 +21,12 @@ MERGE = wp.constant(wp.uint64(1 << 63))  # an order to merge the children of a n
 
 
 @wp.func
-def is_too_coarse(domain: Domain, asked: CriterionArrays, middle: wp.vec2i, depth: wp.int32) -> wp.bool:
+def is_too_coarse(domain: Domain, criterion: CriterionArrays, middle: wp.vec2i, depth: wp.int32) -> wp.bool:
     """Return whether the diamond that is split at `middle` is too coarse."""
     error = error_at(domain, middle[0], middle[1], depth)
-    return too_coarse(asked, asked.limit, measured_at(domain, asked, middle[0], middle[1], depth, error, 0))
+    return too_coarse(
+        criterion, criterion.limit, measure_diamond(domain, criterion, middle[0], middle[1], depth, error, 0)
+    )
 
 
 @wp.kernel
@@ -33,7 +35,7 @@ def decide(
     t: Bitfield,
     grid: SquareGrid,
     domain: Domain,
-    asked: CriterionArrays,
+    criterion: CriterionArrays,
     max_depth: wp.int32,
     orders: wp.array(dtype=wp.uint64),
 ):
@@ -46,13 +48,13 @@ def decide(
     if depth > 0:  # squares that only fill the tree up to a power of two are a leaf each
         left, apex, right = triangle_of(node, domain.unit_bits)
         if depth < max_depth:
-            if is_too_coarse(domain, asked, wp.vec2i((left[0] + right[0]) >> 1, (left[1] + right[1]) >> 1), depth):
+            if is_too_coarse(domain, criterion, wp.vec2i((left[0] + right[0]) >> 1, (left[1] + right[1]) >> 1), depth):
                 order = tree_id
         if order == wp.uint64(0) and depth > 1:
             # A triangle's apex is the vertex at which its parent's diamond was split.
             stays = depth <= max_depth
             if stays:
-                stays = is_too_coarse(domain, asked, apex, depth - 1)
+                stays = is_too_coarse(domain, criterion, apex, depth - 1)
             if not stays:
                 if can_merge(t, grid, tree_id >> ONE):
                     order = MERGE | (tree_id >> ONE)

@@ -5,8 +5,8 @@ import warp as wp
 
 from ..field.domain import Domain
 from ..unchecked import item_at, put
-from .band import SPLIT, nothing_certain
 from .curve import HYP_LEG, LEG_HYP, left_state, right_state
+from .interval import SPLIT, unknown_interval
 from .walk_state import STACK, Cursor, Square, Walk, Written
 
 STOPPED = wp.constant(3)  # entry of a slice's counts: 1 if a leaf is too coarse and as deep as leaves may be
@@ -43,7 +43,7 @@ def enter(w: Walk, q: Square) -> Cursor:
     c.top = 1
     w.stack[place] = wp.vec4i(x0 + q.side, y0 + q.side, x0, y0 + q.side)
     w.aside[place] = HYP_LEG | (1 << 3) | (place << 9)
-    w.bands[place] = nothing_certain()
+    w.intervals[place] = unknown_interval()
     return c
 
 

@@ -173,7 +173,7 @@ def exact_raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.in
 
 
 @wp.func
-def most_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int32:
+def max_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int32:
     """Return the maximum, 0 .. 255, of a mask over the box of the diamond split at (x, y).
 
     It is looked up in blocks of cells at least as wide as the box, so at most 2 x 2 are read. Boxes and blocks are
@@ -188,12 +188,12 @@ def most_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth
     shift = bits + level
     i1 = wp.min((x + reach - 1) >> shift, columns)
     j1 = wp.min((y + reach - 1) >> shift, rows)
-    most = wp.int32(0)
+    max_weight = wp.int32(0)
     for j in range(wp.max((y - reach) >> shift, 0), j1 + 1):
         for i in range(wp.max((x - reach) >> shift, 0), i1 + 1):
             at = first + wp.int64(j) * wp.int64(columns + 1) + wp.int64(i)
-            most = wp.max(most, wp.int32(item_at(domain.mask_max, at)))
-    return most
+            max_weight = wp.max(max_weight, wp.int32(item_at(domain.mask_max, at)))
+    return max_weight
 
 
 @wp.func
@@ -210,7 +210,7 @@ def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, lea
             at = 0
     missed = domain.detail[at][0]
     for k in range(domain.masked):
-        part = wp.float32(most_of_mask(domain, k, x, y, depth))
+        part = wp.float32(max_of_mask(domain, k, x, y, depth))
         missed += part * domain.detail[64 * (k + 1) + at][0]
     if domain.masked > 0:
         missed = missed * UP_MASKS

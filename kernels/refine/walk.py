@@ -2,29 +2,29 @@
 """The refinement: one walk over the triangles in curve order that splits every triangle that is too coarse.
 
 plain.py is the same method without shortcuts. Here the leaves below a triangle may be *reused* from the last frame
-(reuse.py); otherwise its diamond is *judged*. A split diamond gives an *interval* (band.py) that decides most diamonds
-below it by their error, or by their depth alone. A diamond in doubt is measured, and gives a narrower interval for
-those below it. Leaves of one depth are written as an even block.
+(reuse.py); otherwise its diamond is *judged*. A split diamond gives an *interval* (interval.py), which decides most
+diamonds below it by their error, or by their depth alone. A diamond in doubt is measured, and gives a narrower interval
+for those below it. Leaves of one depth are written as an even block.
 """
 
 import warp as wp
 
 from ..field.domain import Domain
-from .band import (
+from .block import MAX_BISECTIONS
+from .emit import emit, stands_alone
+from .interval import (
     DOUBT,
     EVEN_BLOCK,
     LEAF,
     REUSED,
     SPLIT,
     Limits,
-    band_below,
-    foretold,
+    interval_below,
     limits_of,
-    measured_at,
+    measure_diamond,
+    predict,
     too_coarse,
 )
-from .block import MAX_BISECTIONS
-from .emit import emit, stands_alone
 from .pixels import CriterionArrays
 from .reuse import (
     begin_reuse,
@@ -47,19 +47,21 @@ NARROWED = wp.constant(2)
 
 
 @wp.func
-def judge(domain: Domain, asked: CriterionArrays, limits: Limits, w: Walk, r: Reuse, q: Square, c: Cursor, n: Written):
+def judge(
+    domain: Domain, criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse, q: Square, c: Cursor, n: Written
+):
     """Return the verdict on a triangle, SPLIT, LEAF or EVEN_BLOCK, and the entry of the interval below it."""
     middle = middle_of(c)
-    above = w.bands[c.held]
+    above = w.intervals[c.held]
     held = c.held
     error = wp.float32(0.0)  # where depths alone decide, errors need not be read
-    sure = wp.float64(1.0)
+    min_error = wp.float64(1.0)
     if above.calm == 0:
         error = stored_error_at(domain, middle[0], middle[1], c.depth)
         if may_be_less(domain, c.depth):
-            sure = SURE
-    own = wp.float64(error) * domain.error_scale
-    verdict = foretold(above, c.depth, sure * own, own)
+            min_error = SURE
+    error_m = wp.float64(error) * domain.error_scale
+    verdict = predict(above, c.depth, min_error * error_m, error_m)
     if c.depth < w.max_depth:
         narrows = above.calm == 1 and above.even_depth == 0 and (c.depth & 1) == 0
         narrows = narrows and above.leaf_depth - c.depth > NARROWED
@@ -68,26 +70,26 @@ def judge(domain: Domain, asked: CriterionArrays, limits: Limits, w: Walk, r: Re
     elif w.counts[4 * w.slot + STOPPED] == wp.int64(1):
         verdict = LEAF  # its measure can add nothing
     if verdict == DOUBT:
-        if sure < wp.float64(1.0):
+        if min_error < wp.float64(1.0):
             error = error_at(domain, middle[0], middle[1], c.depth)
-        m = measured_at(domain, asked, middle[0], middle[1], c.depth, error, above.in_frame)
+        m = measure_diamond(domain, criterion, middle[0], middle[1], c.depth, error, above.in_frame)
         verdict = LEAF
-        if too_coarse(asked, asked.limit, m):
+        if too_coarse(criterion, criterion.limit, m):
             verdict = SPLIT
             if c.depth < w.max_depth:
-                band = band_below(domain, asked, limits, limits, m, c.depth, w.max_depth, above.in_frame)
+                interval = interval_below(domain, criterion, limits, limits, m, c.depth, w.max_depth, above.in_frame)
                 held = w.slot * STACK + c.top
-                w.bands[held] = band
-                open_subtree(asked, w, r, q, c, m, band, n)
-        note_turning(asked, limits, w, r, m)
+                w.intervals[held] = interval
+                open_subtree(criterion, w, r, q, c, m, interval, n)
+        note_turning(criterion, limits, w, r, m)
     if c.depth == w.max_depth and verdict == SPLIT:
         w.counts[4 * w.slot + STOPPED] = wp.int64(1)
         verdict = LEAF
-    bisections = w.bands[held].even_depth - c.depth
+    bisections = w.intervals[held].even_depth - c.depth
     if verdict == SPLIT and bisections > 0 and bisections <= MAX_BISECTIONS:
         if stands_alone(w, q, c):
             verdict = EVEN_BLOCK
-            if w.bands[held].leaf_depth > w.max_depth:
+            if w.intervals[held].leaf_depth > w.max_depth:
                 w.counts[4 * w.slot + STOPPED] = wp.int64(1)
     return verdict, held
 
@@ -95,7 +97,7 @@ def judge(domain: Domain, asked: CriterionArrays, limits: Limits, w: Walk, r: Re
 @wp.func
 def fetch_children(domain: Domain, w: Walk, c: Cursor):
     """Prefetch the errors of a triangle's grandchildren, one step ahead."""
-    if w.bands[c.held].calm == 0 and leaves_tile(domain, c.depth + 1):
+    if w.intervals[c.held].calm == 0 and leaves_tile(domain, c.depth + 1):
         x = (c.left[0] + c.right[0]) >> 1
         y = (c.left[1] + c.right[1]) >> 1
         fetch_ahead(domain, (c.left[0] + x) >> 1, (c.left[1] + y) >> 1, c.depth + 2)
@@ -104,9 +106,9 @@ def fetch_children(domain: Domain, w: Walk, c: Cursor):
 
 
 @wp.kernel
-def walk(domain: Domain, asked: CriterionArrays, w: Walk, r: Reuse):
+def walk(domain: Domain, criterion: CriterionArrays, w: Walk, r: Reuse):
     """Refine the leaves whose first deepest cell belongs to the slice; leaves beyond the capacity are only counted."""
-    limits = limits_of(asked, r.slack)
+    limits = limits_of(criterion, r.slack)
     n = Written()
     end = w.first_cell
     begin_reuse(r, w.slot)
@@ -115,10 +117,10 @@ def walk(domain: Domain, asked: CriterionArrays, w: Walk, r: Reuse):
         q = square_at(domain, w, square)
         c = enter(w, q)
         while c.top >= 0 and n.leaves <= w.leaf_limit:
-            verdict = reuse_subtree(asked, w, r, q, c, n)
+            verdict = reuse_subtree(criterion, w, r, q, c, n)
             held = c.held
             if verdict != REUSED:
-                verdict, held = judge(domain, asked, limits, w, r, q, c, n)
+                verdict, held = judge(domain, criterion, limits, w, r, q, c, n)
             c.held = held
             n = emit(domain, w, q, c, n, verdict)
             n = count_reused(r, w.slot, n, verdict)

@@ -3,8 +3,8 @@
 
 import warp as wp
 
-from .band import Band
-from .block import Blocks
+from .block import BlockTable
+from .interval import LodInterval
 
 STACK = wp.constant(64)  # entries of a walk's stacks: more than the deepest tree has levels
 
@@ -35,8 +35,8 @@ class Walk:
     point: wp.array(dtype=wp.vec2i)
     stack: wp.array(dtype=wp.vec4i)
     aside: wp.array(dtype=wp.int32)
-    bands: wp.array(dtype=Band)
-    blocks: Blocks
+    intervals: wp.array(dtype=LodInterval)
+    blocks: BlockTable
     sides: wp.array(dtype=wp.int32)  # per square: edges taken left, below, given right, above
     counts: wp.array(dtype=wp.int64)  # per slice: leaves, vertices, edges, and 1 if a leaf is too coarse at max_depth
     ends: wp.array(dtype=wp.uint64)  # per slice: the cell after its last leaf

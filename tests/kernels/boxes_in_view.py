@@ -5,7 +5,7 @@ import warp as wp
 
 from ..field.domain import Domain
 from .diamond import Diamond
-from .excess import heights_between, least_depth
+from .excess import heights_between, min_depth_in
 from .pixels import LocalView
 
 
@@ -14,7 +14,7 @@ def depth_of_box(view: LocalView, low: wp.vec3d, high: wp.vec3d, found: wp.array
     d = Diamond()
     d.low = low
     d.high = high
-    found[0] = least_depth(view, d)
+    found[0] = min_depth_in(view, d)
 
 
 @wp.kernel

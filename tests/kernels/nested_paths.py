@@ -4,8 +4,8 @@
 import warp as wp
 
 from ..field.domain import Domain
-from .band import measured_at, too_coarse
 from .excess import half, root
+from .interval import measure_diamond, too_coarse
 from .pixels import CriterionArrays, coarsest
 from .stored_errors import error_at
 
@@ -27,7 +27,7 @@ def nested_paths(
         for depth in range(1, 2 * domain.unit_bits - 1):
             x = (t.left[0] + t.right[0]) >> 1
             y = (t.left[1] + t.right[1]) >> 1
-            m = measured_at(domain, asked, x, y, depth, error_at(domain, x, y, depth), 0)
+            m = measure_diamond(domain, asked, x, y, depth, error_at(domain, x, y, depth), 0)
             below, _inside = coarsest(asked, m.diamond, 0)
             found[0] += 1
             if m.pixel2 < pixel2:
@@ -36,7 +36,7 @@ def nested_paths(
                 found[2] += 1
             if too_coarse(asked, asked.limit, m) and not split:
                 found[3] += 1
-            if m.diamond.rim == 0 and m.pixel2 > coarse2 * wp.float64(1.0 + 1e-12):
+            if m.diamond.border == 0 and m.pixel2 > coarse2 * wp.float64(1.0 + 1e-12):
                 found[4] += 1
             split = too_coarse(asked, asked.limit, m)
             pixel2 = m.pixel2

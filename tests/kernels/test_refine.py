@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The walk's short cuts, bands and even blocks, against a walk that measures every diamond: the same bytes."""
+"""The walk's shortcuts, intervals and even blocks, against a walk that measures every diamond: the same bytes."""
 
 from types import SimpleNamespace
 

@@ -8,7 +8,7 @@ boxes and errors are nested. Margins are far above rounding: measuring a descend
 import warp as wp
 
 from ..field.domain import Domain
-from .diamond import Diamond, diamond_at, larger, metres2_of, own_for, rest_of, smaller
+from .diamond import Diamond, diamond_at, larger, max_error_for, metres2_of, rest_of, smaller
 from .pixels import CriterionArrays, coarsest, finest, sizes, too_coarse_at
 
 ABOVE = wp.constant(wp.float64(1.0 + 1e-9))
@@ -38,12 +38,12 @@ class Limits:
 
 
 @wp.struct
-class Measured:
+class MeasuredDiamond:
     """A diamond as the views see it."""
 
     diamond: Diamond
     pixel2: wp.float64  # squared metres that a pixel spans at least
-    own: wp.float64  # metres of its own error
+    error_m: wp.float64  # metres of its own error
     rest: wp.float64  # metres that rounding to float32 adds
     metres2: wp.float64  # see `metres2_of`
     long2: wp.float64  # of level triangles, see `sizes`
@@ -52,7 +52,7 @@ class Measured:
 
 
 @wp.struct
-class Band:
+class LodInterval:
     """Bounds that a split diamond gives for the diamonds below it."""
 
     split_above: wp.float64  # metres: a diamond with a larger stored error is split
@@ -65,41 +65,41 @@ class Band:
 
 
 @wp.func
-def limits_of(asked: CriterionArrays, slack: wp.float64) -> Limits:
+def limits_of(criterion: CriterionArrays, slack: wp.float64) -> Limits:
     """Return the limits of a criterion. slack: fraction by which footprints may change without changing a verdict."""
     one = wp.float64(1.0)
     limits = Limits()
-    limits.error_px = wp.sqrt(asked.limit * asked.error_px2)
-    limits.metres_below = wp.sqrt(asked.limit * asked.metres2 * BELOW)
-    limits.metres_above = wp.sqrt(asked.limit * asked.metres2 * ABOVE)
+    limits.error_px = wp.sqrt(criterion.limit * criterion.error_px2)
+    limits.metres_below = wp.sqrt(criterion.limit * criterion.metres2 * BELOW)
+    limits.metres_above = wp.sqrt(criterion.limit * criterion.metres2 * ABOVE)
     limits.finer = (one - slack) * (one - slack) * BELOW
     limits.coarser = (one + slack) * (one + slack) * ABOVE
-    limits.per_error2 = one / (asked.limit * asked.error_px2)
-    limits.per_edge2 = one / (asked.limit * asked.edge_px2)
-    limits.per_area2 = one / (asked.limit * asked.area_px2)
-    limits.edge2 = asked.limit * asked.edge_px2
-    limits.area2 = asked.limit * asked.area_px2
+    limits.per_error2 = one / (criterion.limit * criterion.error_px2)
+    limits.per_edge2 = one / (criterion.limit * criterion.edge_px2)
+    limits.per_area2 = one / (criterion.limit * criterion.area_px2)
+    limits.edge2 = criterion.limit * criterion.edge_px2
+    limits.area2 = criterion.limit * criterion.area_px2
     return limits
 
 
 @wp.func
-def measured_at(
+def measure_diamond(
     domain: Domain,
-    asked: CriterionArrays,
+    criterion: CriterionArrays,
     x: wp.int32,
     y: wp.int32,
     depth: wp.int32,
     error: wp.float32,
     in_frame: wp.int32,
-) -> Measured:
+) -> MeasuredDiamond:
     """Measure the diamond split at (x, y) in all views. in_frame: 1 if the frustums are known to contain its box."""
-    m = Measured()
+    m = MeasuredDiamond()
     m.diamond = diamond_at(domain, x, y, depth)
-    m.pixel2 = finest(asked, m.diamond, in_frame)
-    m.own = wp.float64(error) * domain.error_scale
+    m.pixel2 = finest(criterion, m.diamond, in_frame)
+    m.error_m = wp.float64(error) * domain.error_scale
     m.rest = rest_of(domain, m.diamond)
     m.metres2 = metres2_of(domain, error, m.rest)
-    long2, legs2 = sizes(asked, domain.unit_bits, depth)
+    long2, legs2 = sizes(criterion, domain.unit_bits, depth)
     m.long2 = long2
     m.legs2 = legs2
     m.climb2 = m.diamond.rise * m.diamond.rise
@@ -107,42 +107,42 @@ def measured_at(
 
 
 @wp.func
-def too_coarse(asked: CriterionArrays, limit: wp.float64, m: Measured) -> wp.bool:
+def too_coarse(criterion: CriterionArrays, limit: wp.float64, m: MeasuredDiamond) -> wp.bool:
     """Return whether a diamond exceeds any criterion, each relaxed by the squared factor `limit`."""
-    return too_coarse_at(asked, limit, m.pixel2, m.metres2, m.long2 + m.climb2, m.legs2 + m.climb2)
+    return too_coarse_at(criterion, limit, m.pixel2, m.metres2, m.long2 + m.climb2, m.legs2 + m.climb2)
 
 
 @wp.func
-def turning_span(limits: Limits, m: Measured) -> wp.float64:
+def turning_span(limits: Limits, m: MeasuredDiamond) -> wp.float64:
     """Return the pixel footprint, metres, at which the verdict on the diamond changes; limits in metres are ignored."""
     edges2 = larger((m.long2 + m.climb2) * limits.per_edge2, (m.legs2 + m.climb2) * limits.per_area2)
     return wp.sqrt(larger(m.metres2 * limits.per_error2, edges2))
 
 
 @wp.func
-def nothing_certain() -> Band:
+def unknown_interval() -> LodInterval:
     """Return the interval that leaves every diamond in doubt."""
-    band = Band()
-    band.split_above = wp.float64(wp.inf)
-    band.leaf_up_to = wp.float64(-1.0)
-    band.leaf_depth = 1 << 30
-    return band
+    interval = LodInterval()
+    interval.split_above = wp.float64(wp.inf)
+    interval.leaf_up_to = wp.float64(-1.0)
+    interval.leaf_depth = 1 << 30
+    return interval
 
 
 @wp.func
-def foretold(band: Band, depth: wp.int32, sure: wp.float64, own: wp.float64) -> wp.int32:
+def predict(interval: LodInterval, depth: wp.int32, min_error: wp.float64, error_m: wp.float64) -> wp.int32:
     """Predict the verdict on a diamond below, whose error is between `sure` and `own` metres: SPLIT, LEAF or DOUBT."""
     verdict = wp.int32(LEAF)
-    if depth < band.split_depth or sure > band.split_above:
+    if depth < interval.split_depth or min_error > interval.split_above:
         verdict = SPLIT
-    elif depth < band.leaf_depth or own > band.leaf_up_to:
+    elif depth < interval.leaf_depth or error_m > interval.leaf_up_to:
         verdict = DOUBT
     return verdict
 
 
 @wp.func
 def first_within(
-    limits: Limits, depth: wp.int32, end: wp.int32, m: Measured, climb2: wp.float64, pixel2: wp.float64
+    limits: Limits, depth: wp.int32, end: wp.int32, m: MeasuredDiamond, climb2: wp.float64, pixel2: wp.float64
 ) -> wp.int32:
     """Find the first depth below `depth`, at most `end`, at which edges and areas require no split.
 
@@ -163,42 +163,44 @@ def first_within(
 
 
 @wp.func
-def band_below(
+def interval_below(
     domain: Domain,
-    asked: CriterionArrays,
+    criterion: CriterionArrays,
     limits: Limits,
     coarse: Limits,
-    m: Measured,
+    m: MeasuredDiamond,
     depth: wp.int32,
     max_depth: wp.int32,
     in_frame: wp.int32,
-) -> Band:
+) -> LodInterval:
     """Compute the interval below a split diamond that holds for all limits between `limits` and `coarse`.
 
     A walk passes the same limits twice; a count passes those of its finest and coarsest step.
     """
-    band = Band()
+    interval = LodInterval()
     fine2 = m.pixel2 * limits.finer
-    band.leaf_up_to = wp.float64(wp.inf)  # errors are nested: below none there are none
-    if m.own > wp.float64(0.0):
-        band.leaf_up_to = own_for(domain, smaller(limits.error_px * wp.sqrt(fine2), limits.metres_below), m.rest)
-    if asked.measures_edges == 1:
-        band.leaf_depth = first_within(limits, depth, max_depth + 1, m, m.climb2, fine2)
-        band.calm = wp.int32(m.own <= band.leaf_up_to)
-    if band.calm == 1 and band.leaf_depth == depth + 1:  # whatever the coarsest pixel is
-        band.split_above = wp.float64(wp.inf)
-        band.split_depth = depth + 1
-        band.in_frame = in_frame
+    interval.leaf_up_to = wp.float64(wp.inf)  # errors are nested: below none there are none
+    if m.error_m > wp.float64(0.0):
+        interval.leaf_up_to = max_error_for(
+            domain, smaller(limits.error_px * wp.sqrt(fine2), limits.metres_below), m.rest
+        )
+    if criterion.measures_edges == 1:
+        interval.leaf_depth = first_within(limits, depth, max_depth + 1, m, m.climb2, fine2)
+        interval.calm = wp.int32(m.error_m <= interval.leaf_up_to)
+    if interval.calm == 1 and interval.leaf_depth == depth + 1:  # whatever the coarsest pixel is
+        interval.split_above = wp.float64(wp.inf)
+        interval.split_depth = depth + 1
+        interval.in_frame = in_frame
     else:
-        coarse2, inside = coarsest(asked, m.diamond, in_frame)
+        coarse2, inside = coarsest(criterion, m.diamond, in_frame)
         coarse2 = coarse2 * limits.coarser
-        band.split_above = wp.float64(wp.inf)
-        if m.own > wp.float64(0.0):
+        interval.split_above = wp.float64(wp.inf)
+        if m.error_m > wp.float64(0.0):
             above = smaller(coarse.error_px * wp.sqrt(coarse2), coarse.metres_above)
-            band.split_above = own_for(domain, above, domain.rounding)
-        if asked.measures_edges == 1:
-            band.split_depth = first_within(coarse, depth, max_depth + 1, m, wp.float64(0.0), coarse2)
-        band.in_frame = inside
-    if band.calm == 1 and band.split_depth == band.leaf_depth:
-        band.even_depth = wp.min(band.leaf_depth, max_depth)
-    return band
+            interval.split_above = max_error_for(domain, above, domain.rounding)
+        if criterion.measures_edges == 1:
+            interval.split_depth = first_within(coarse, depth, max_depth + 1, m, wp.float64(0.0), coarse2)
+        interval.in_frame = inside
+    if interval.calm == 1 and interval.split_depth == interval.leaf_depth:
+        interval.even_depth = wp.min(interval.leaf_depth, max_depth)
+    return interval

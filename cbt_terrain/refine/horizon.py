@@ -30,7 +30,7 @@ def place_rings(domain: Domain, views: list[LocalView], factor: float, ramp: flo
     eye, and no map: nothing is hidden from them."""
     entries, factor = 0, min(factor, LARGEST)
     for view in views:
-        view.hidden2, view.veil, view.ramp = factor * factor, math.sqrt(math.sqrt(factor)) - 1, ramp
+        view.hidden2, view.occlusion_fade, view.ramp = factor * factor, math.sqrt(math.sqrt(factor)) - 1, ramp
         first, count = _rings_of(domain, view)
         if KINDS[view.kind] != ORTHOGRAPHIC and count > 0:
             view.rings.first, view.rings.count, view.rings.at = first, count, entries

@@ -42,7 +42,7 @@ class LocalView:
     fringe: wp.float64  # width of the fringe beyond a plane: metres; of a perspective a fraction of the depth
     hidden2: wp.float64  # squared factor by which footprints are coarser on hidden ground
     ramp: wp.float64  # 0: that factor is a step; else it grows down to this slope below the horizon
-    occlusion_fade: wp.float64  # ... as (1 + veil * fraction)^4
+    occlusion_fade: wp.float64  # ... as (1 + occlusion_fade * fraction)^4
     rings: Rings
     planes: planes_type  # positive towards the frustum
 

@@ -321,7 +321,7 @@ class Terrain:
                 hides = domain, asked, depth, relaxed * rises_until * (1 + MARGIN)
             outcome = Outcome(
                 domain=domain,
-                asked=asked,
+                arrays=asked,
                 relaxed=relaxed,
                 stopped=leaves.stopped,
                 max_depth=depth,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The table of what even bisections make of a triangle in each state of the curve, for the walk to copy from."""
+"""The table of blocks: leaves and new vertices of an evenly bisected triangle, for each state of the curve."""
 
 from functools import cache
 
@@ -13,9 +13,9 @@ STATES = 6
 
 
 def bisected(state: int, bisections: int) -> tuple[list[int], list[tuple[int, int]]]:
-    """State of each leaf of a triangle bisected evenly, in the order of the curve, and where its new vertices are.
+    """Return the states of a triangle's leaves after even bisections, in curve order, and its new vertices.
 
-    Vertices count from the apex, in 2^ceil(bisections / 2)-ths of the legs towards left and right.
+    A vertex is (a, b): from the apex a and b times 2^-ceil(bisections / 2) of the legs towards left and right.
     """
     leaves, legs, unit = [], [], 1 << (bisections + 1) // 2
 
@@ -39,7 +39,7 @@ def _array(values, dtype) -> wp.array:
 
 @cache
 def blocks() -> BlockTable:
-    """What n even bisections make of a triangle: see kernels/refine/block.py."""
+    """Return the table of all blocks of up to MAX_BISECTIONS: see kernels/refine/block.py."""
     codes, legs, first_leaf, first_vertex, vertices = [], [], [], [], []
     for n in range(MAX_BISECTIONS + 1):
         for state in range(STATES):

@@ -61,14 +61,14 @@ def ramp_start(
     step before and of this one. So it is continuous where the step changes: there is no jump.
     """
     last, roots = math.sqrt(limit_of(step)), 2 * lattice.squares
-    most = max(request.max_leaves, roots)
-    if step > MAX_STEP or (step == 0 and leaves < NEAR * most):
+    max_splits = max(request.max_leaves, roots)
+    if step > MAX_STEP or (step == 0 and leaves < NEAR * max_splits):
         return last
     marks = history.hints.marks
-    _, found = count_splits(lattice, request, history, threads, step, step, FAR_OVER * most, finer_by=1)
+    _, found = count_splits(lattice, request, history, threads, step, step, FAR_OVER * max_splits, finer_by=1)
     history.hints.marks = marks
-    finer = int(found[0]) + roots if len(found) else FAR_OVER * most
-    part = (finer - most) / (finer - leaves) if finer > most else 0.0
+    finer = int(found[0]) + roots if len(found) else FAR_OVER * max_splits
+    part = (finer - max_splits) / (finer - leaves) if finer > max_splits else 0.0
     return last * 2.0 ** (part / STEPS_PER_OCTAVE)
 
 
@@ -79,18 +79,18 @@ def count_splits(
     threads: int,
     finest: int,
     coarsest: int,
-    most: int,
+    max_splits: int,
     finer_by: int = 0,
 ) -> tuple[int, np.ndarray]:
-    """Count triangles that are split. Returns the first step from `finest` to `coarsest` with at most `most`, and the
-    counts from it on; `coarsest` + 1 and none if there is no such step.
+    """Count split triangles. Returns the first step from `finest` to `coarsest` with at most `max_splits`, and the
+    counts from it on; `coarsest` + 1 and no counts if there is no such step.
 
-    finer_by: count for limits that are so many steps finer.
+    finer_by: number of steps by which the limits are finer.
     """
-    domain, asked, max_depth, scratch = request.domain, request.asked, request.max_depth, history.scratch
+    domain, criterion, max_depth, scratch = request.domain, request.criterion, request.max_depth, history.scratch
     cell_bits, steps = max_depth + max_depth % 2, MAX_STEP + 2
-    cuts = _cuts(lattice, history.hints.marks, threads, cell_bits, most)
-    slices, spacing = len(cuts) - 1, most // 64 + 1
+    cuts = _cuts(lattice, history.hints.marks, threads, cell_bits, max_splits)
+    slices, spacing = len(cuts) - 1, max_splits // 64 + 1
     arrays = {
         "limits": _limits(finer_by),
         "stack": scratch.get("count_stack", slices * CELLS, Cell),
@@ -105,22 +105,27 @@ def count_splits(
     for slot, struct in enumerate(structs):
         bind(struct, first_cell=cuts[slot], end_cell=cuts[slot + 1], cell_bits=cell_bits, max_depth=max_depth)
         bind(struct, slot=slot, finest=finest, coarsest=coarsest, **arrays)
-        bind(struct, max_splits=most, spacing=spacing, has_errors=int(min(asked.error_px2, asked.metres2) < math.inf))
-    launch.slices(count, [[domain, asked, struct] for struct in structs], step="budget", recorded=scratch.launches)
+        bind(
+            struct,
+            max_splits=max_splits,
+            spacing=spacing,
+            has_errors=int(min(criterion.error_px2, criterion.metres2) < math.inf),
+        )
+    launch.slices(count, [[domain, criterion, struct] for struct in structs], step="budget", recorded=scratch.launches)
     noted = np.minimum(scratch.numpy("count_measured")[:slices] // spacing, MARKS)
     marks = scratch.numpy("count_marks")[: slices * MARKS].reshape(slices, MARKS)
     found = [row[:n] for row, n in zip(marks, noted, strict=True)]
     history.hints.marks = np.concatenate(found) / 2.0**cell_bits
     first = int(scratch.numpy("count_from_step")[:slices].max())
     splits = np.cumsum(last_steps[:, first : coarsest + 1].sum(axis=0)[::-1])[::-1]
-    more = int(np.count_nonzero(splits > most))  # each slice knows only its own splits
+    more = int(np.count_nonzero(splits > max_splits))  # each slice knows only its own splits
     return first + more, splits[more:]
 
 
-def _cuts(lattice: Lattice, marks: np.ndarray, threads: int, cell_bits: int, most: int) -> list[int]:
+def _cuts(lattice: Lattice, marks: np.ndarray, threads: int, cell_bits: int, max_splits: int) -> list[int]:
     """Return where the quadtree is cut for the threads: evenly by the work of the last count. Results are the same."""
     end = lattice.squares << cell_bits
-    if threads < 2 or most < launch.SLICE_ITEMS or len(marks) < threads:
+    if threads < 2 or max_splits < launch.SLICE_ITEMS or len(marks) < threads:
         return [0, end]
     at = [marks[len(marks) * k // threads] for k in range(1, threads)]
     return [0, *sorted({cut for cut in (int(mark * 2.0**cell_bits) for mark in at) if 0 < cut < end}), end]

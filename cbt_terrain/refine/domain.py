@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The height field, its lattice and its place, and what is asked, as the kernels read them; how deep they may go."""
+"""Kernel arguments: the height field with its lattice and placement, the criterion, and the depth limits."""
 
 import math
 
@@ -21,12 +21,12 @@ from ..view.morph import mean_ramp
 from ..view.spans import Spans
 from .terms import MARGIN, Rounding, weighed_as
 
-# Depth of the tree, root squares included: 8 MB of address space; with detail half a gigabyte. Only what is used is
-# committed.
+# Depth of the tree, root squares included: 8 MB of address space; with displacement half a gigabyte. The system commits
+# only pages that are used.
 MAX_TREE_DEPTH, MAX_DETAIL_DEPTH = 34, curve.DEEPEST
-# Bisections below the raster's cells where nothing else is asked: a patch's twist is then 4^4 times smaller.
+# Default bisections below the raster's cells: a patch's twist is then 4^4 times smaller.
 DEPTH_BELOW_CELLS = 8
-# An error is refined until it is this part of what float32 and the source take everywhere: no number of triangles makes
+# An error is refined until it is this fraction of the rounding of float32 and of the source: more triangles cannot make
 # a bound a fifth smaller.
 ENOUGH = 0.25
 EXACT = Rounding()
@@ -35,15 +35,15 @@ NO_BORDER = 2**31 - 1
 
 
 def depth_limit(field: HeightField) -> int:
-    """Deepest bisection of a root square that float32 plane coordinates and the tree can hold."""
+    """Return the deepest bisection of a root square that float32 plane coordinates and the tree can represent."""
     lattice = field.lattice
     side_bits = (max(lattice.columns, lattice.rows) - 1).bit_length()
-    most = MAX_DETAIL_DEPTH if field.detail else MAX_TREE_DEPTH
-    return max(1, min(2 * (PLANE_BITS - side_bits), most - lattice.square_bits))
+    tree_depth = MAX_DETAIL_DEPTH if field.detail else MAX_TREE_DEPTH
+    return max(1, min(2 * (PLANE_BITS - side_bits), tree_depth - lattice.square_bits))
 
 
 def usual_depth(field: HeightField) -> int:
-    """The depth at which refinement stops where nothing else is asked: with detail, where its shortest wave is seen."""
+    """Return the default depth at which refinement stops; with displacement it resolves the shortest wave."""
     lattice, depth = field.lattice, field.lattice.cell_depth + DEPTH_BELOW_CELLS
     edge = min((part.shortest for part in field.parts), default=0.0) / EDGES_A_WAVE
     if edge:
@@ -52,8 +52,11 @@ def usual_depth(field: HeightField) -> int:
     return min(depth, depth_limit(field))
 
 
-def rim(lattice: Lattice, unit_bits: int) -> tuple[int, int]:
-    """Lattice units at which the raster ends in the east and in the north; NO_RIM where the lattice does, too."""
+def raster_border(lattice: Lattice, unit_bits: int) -> tuple[int, int]:
+    """Return the lattice units at which the raster ends in the east and in the north.
+
+    NO_BORDER stands for a side where the lattice ends with the raster.
+    """
     bits, sides = unit_bits - lattice.levels, zip((lattice.cells_x, lattice.cells_y), lattice.span, strict=True)
     return tuple(NO_BORDER if cells == span else cells << bits for cells, span in sides)
 
@@ -61,9 +64,9 @@ def rim(lattice: Lattice, unit_bits: int) -> tuple[int, int]:
 def make_domain(
     field: HeightField, meshlet: int, height_scale: float, height_offset: float, rounding: Rounding = EXACT
 ) -> Domain:
-    """The height field as the kernels read it; memory is shared, nothing is read.
+    """Return the height field as kernel arguments, without reading or copying its arrays.
 
-    rounding: what float32 positions do, see `terms.rounding`.
+    rounding: errors of float32 positions, see `terms.rounding`.
     """
     lattice = field.lattice
     domain = Domain()
@@ -72,7 +75,7 @@ def make_domain(
     unit = 2.0 ** (lattice.levels - domain.unit_bits)
     domain.unit_x, domain.unit_y = lattice.step_x * unit, lattice.step_y * unit
     domain.west, domain.south, _, _ = lattice.rectangle()
-    domain.east, domain.north = rim(lattice, domain.unit_bits)
+    domain.east, domain.north = raster_border(lattice, domain.unit_bits)
     domain.height_scale, domain.height_offset = height_scale, height_offset
     domain.range_base, domain.range_step = field.range_base, field.range_step
     domain.error_scale = abs(height_scale)
@@ -109,20 +112,23 @@ def _pack_detail(domain: Domain, field: HeightField, meshlet: int) -> None:
 
 
 def pack(criterion: Criterion, views: list[LocalView], spans: Spans, source: float) -> CriterionArrays:
-    """What is asked, in spans of a pixel as the kernels measure them; `source`: metres that the source's own heights
-    may be off. Where points rise it is finer, so that the mean over the ramp is what the criterion says."""
-    asked, mean = CriterionArrays(), mean_ramp(criterion.rises_until)
+    """Return a criterion in the pixel footprints of the kernels.
+
+    With geomorphing it is finer, so that the mean over the ramp meets the criterion. source: largest error of the
+    source's heights, metres.
+    """
+    arrays, mean = CriterionArrays(), mean_ramp(criterion.rises_until)
 
     def squared(value: float) -> float:
         return value / mean * (value / mean) if value > 0 else math.inf
 
-    asked.view_count = len(views)
-    asked.measures_edges = int(criterion.measures_edges)
-    asked.error_px2, asked.edge_px2 = squared(criterion.error_px), squared(criterion.edge_px * spans.edge)
-    asked.area_px2 = 2 * squared(math.sqrt(criterion.area_px) * spans.edge)
-    asked.metres2 = squared(weighed_as(criterion.error_m, source, mean) * mean * (1 - 2 * MARGIN))
-    asked.diagonal2, asked.axis2 = spans.lengths
-    asked.limit = 1.0
+    arrays.view_count = len(views)
+    arrays.measures_edges = int(criterion.measures_edges)
+    arrays.error_px2, arrays.edge_px2 = squared(criterion.error_px), squared(criterion.edge_px * spans.edge)
+    arrays.area_px2 = 2 * squared(math.sqrt(criterion.area_px) * spans.edge)
+    arrays.metres2 = squared(weighed_as(criterion.error_m, source, mean) * mean * (1 - 2 * MARGIN))
+    arrays.diagonal2, arrays.axis2 = spans.lengths
+    arrays.limit = 1.0
     views = views or [LocalView()]
-    asked.view, asked.views = views[0], wp.array(views, dtype=LocalView, device="cpu")
-    return asked
+    arrays.view, arrays.views = views[0], wp.array(views, dtype=LocalView, device="cpu")
+    return arrays

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The polar maps of what nearer ground hides from each view; kernels/refine/hiding.py has the method and its proof."""
+"""The polar horizon maps of all views; kernels/refine/hiding.py describes and proves the method."""
 
 import math
 
@@ -19,15 +19,17 @@ from ..view.criterion import LARGEST
 from ..view.view import KINDS, ORTHOGRAPHIC
 
 BIN_COST = 2000.0  # of a bin's rings, in lookups
-# Where points rise, ground gets coarser as rays to it pass deeper below what hides it, up to this slope (height over
-# distance), not at once.
+# With geomorphing, ground gets coarser gradually, until rays to it are this slope (height over distance) below the
+# horizon.
 RAMP = 0.15
 
 
 def place_rings(domain: Domain, views: list[LocalView], factor: float, ramp: float = 0.0) -> int:
-    """Give each view its rings, for ground that may be `factor` times coarser where it is hidden: by degrees up to a
-    slope of `ramp` below what hides it, 0: at once. Returns how many entries all maps have. Orthographic views have no
-    eye, and no map: nothing is hidden from them."""
+    """Give each view its rings and its factors for hidden ground; returns the number of entries of all maps.
+
+    factor: how many times coarser hidden ground may be. ramp: slope below the horizon at which the factor is reached;
+    0: the factor is a step. Orthographic views have no eye and no map: no ground is hidden from them.
+    """
     entries, factor = 0, min(factor, LARGEST)
     for view in views:
         view.hidden2, view.occlusion_fade, view.ramp = factor * factor, math.sqrt(math.sqrt(factor)) - 1, ramp
@@ -38,25 +40,29 @@ def place_rings(domain: Domain, views: list[LocalView], factor: float, ramp: flo
     return entries
 
 
-def has_rings(asked: CriterionArrays) -> bool:
-    """Whether something may be hidden from a view."""
-    return bool(asked.view.rings.count or (asked.view_count > 1 and asked.views.numpy()["rings"]["count"].any()))
+def has_rings(criterion: CriterionArrays) -> bool:
+    """Return whether any view has a horizon map."""
+    return bool(
+        criterion.view.rings.count or (criterion.view_count > 1 and criterion.views.numpy()["rings"]["count"].any())
+    )
 
 
 def fill(
     field: HeightField,
     domain: Domain,
-    asked: CriterionArrays,
+    criterion: CriterionArrays,
     max_depth: int,
     relaxed: float,
     buffers: Buffers,
     threads: int,
 ) -> None:
-    """Fill the maps for meshes that keep `relaxed` times what is asked, and leaves down to `max_depth`; of an infinite
-    factor nothing is hidden."""
-    views = [(k, view) for k, view in enumerate(asked.views.numpy()) if view["rings"]["count"]]
+    """Fill the maps for meshes that satisfy the criterion times `relaxed`, with leaves down to `max_depth`.
+
+    With an infinite factor the maps hide nothing.
+    """
+    views = [(k, view) for k, view in enumerate(criterion.views.numpy()) if view["rings"]["count"]]
     entries = sum(int(view["rings"]["count"] + 1) for _, view in views) * int(ROW)
-    asked.slopes = buffers.get("horizons", entries, wp.float32)
+    criterion.slopes = buffers.get("horizons", entries, wp.float32)
     if relaxed == math.inf:
         buffers.numpy("horizons")[:entries] = -math.inf
         return
@@ -64,27 +70,26 @@ def fill(
     grown = 1 << (domain.unit_bits - ((max_depth - 1) >> 1))
     for k, view in views:
         start = _start(domain, view["near2"], view["cosine2"], view["weight"])
-        inputs = [domain, blocks, asked, k, start, grown, relaxed]
+        inputs = [domain, blocks, criterion, k, start, grown, relaxed]
         launch.spread(fill_horizon, int(ROW), inputs, step="horizon", threads=threads, cost=BIN_COST)
 
 
 def horizon_of(
-    field: HeightField, domain: Domain, asked: CriterionArrays, max_depth: int, off: float, threads: int
+    field: HeightField, domain: Domain, criterion: CriterionArrays, max_depth: int, off: float, threads: int
 ) -> CriterionArrays:
-    """What hides from the views of `asked`, with the maps, for a mesh that keeps `off` times what is asked and leaves
-    down to `max_depth`."""
-    views = asked.views.numpy().copy().view(np.recarray)
+    """Return a criterion's views with filled maps, for a mesh that satisfies it times `off`, down to `max_depth`."""
+    views = criterion.views.numpy().copy().view(np.recarray)
     entries = place_rings(domain, views, LARGEST)
-    own = CriterionArrays()
-    own.view_count, own.error_px2, own.metres2 = len(views), asked.error_px2, asked.metres2
-    own.views = wp.array(views, dtype=LocalView, device=launch.DEVICE)
+    hiding = CriterionArrays()
+    hiding.view_count, hiding.error_px2, hiding.metres2 = len(views), criterion.error_px2, criterion.metres2
+    hiding.views = wp.array(views, dtype=LocalView, device=launch.DEVICE)
     if entries:
-        fill(field, domain, own, max_depth, off, Buffers(), threads)
-    return own
+        fill(field, domain, hiding, max_depth, off, Buffers(), threads)
+    return hiding
 
 
 def _blocks_of(field: HeightField, domain: Domain, threads: int) -> HeightBlocks:
-    """The blocks of a field's surface: found once, and kept with the field."""
+    """Return the blocks of a field's surface; they are computed once and cached in the field."""
     key = "blocks", field.interpolation
     min_height, first, wide = cached(field.found, key, lambda: _find_blocks(domain, threads))
     blocks = HeightBlocks()
@@ -97,7 +102,7 @@ def _blocks_of(field: HeightField, domain: Domain, threads: int) -> HeightBlocks
 
 
 def _find_blocks(domain: Domain, threads: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The arrays of `Blocks`; the levels below FINEST are empty."""
+    """Compute the arrays of `HeightBlocks`; the levels below FINEST are empty."""
     wide, high = (((n - 2) >> FINEST) + 1 for n in (domain.samples.columns, domain.samples.rows))
     finest = np.empty((high, wide, 2), np.float32)
     inputs = [domain, wide, flat(finest, wp.float32)]
@@ -106,8 +111,10 @@ def _find_blocks(domain: Domain, threads: int) -> tuple[np.ndarray, np.ndarray, 
 
 
 def _rings_of(domain: Domain, view: LocalView) -> tuple[int, int]:
-    """Number of the first ring of a view, and how many there are: from a raster's cell, or from the raster, to its far
-    corner; none where the view begins."""
+    """Return the number of a view's first ring, and the number of its rings.
+
+    Rings extend from one raster cell away, from the raster's nearest point or from the clip start, to its far corner.
+    """
     cells = (domain.samples.columns - 1, domain.samples.rows - 1)
     unit = 1 << (domain.unit_bits - domain.levels)
     near, far = 0.0, 0.0
@@ -122,14 +129,15 @@ def _rings_of(domain: Domain, view: LocalView) -> tuple[int, int]:
 
 
 def _start(domain: Domain, near2: float, cosine2: float, weight) -> float:
-    """Metres of the terrain's space from the eye, along x or y, beyond which all in the frame is drawn.
+    """Return the distance max(|x|, |y|) from the eye, metres in terrain space, that the clip start cannot exceed.
 
-    Half the clip range's start is in `near2`; so far along the view is that far in camera space over the cosine.
+    near2 holds the square of half the clip start, which is measured along the view; dividing by the cosine gives the
+    distance.
     """
     nearest = 2.0 * math.sqrt(float(near2) / (float(cosine2) * min(float(weight[0]), float(weight[1]))))
     return max(nearest, domain.unit_x, domain.unit_y)
 
 
 def ring_of(distance: float) -> int:
-    """As in kernels/refine/hiding.py."""
+    """Return the number of the largest ring whose radius is at most a distance, as in kernels/refine/hiding.py."""
     return int(np.float64(distance).view(np.int64)) >> int(RING_BITS)

@@ -10,7 +10,7 @@ Then one walk from the roots that looks at each triangle once gives a mesh witho
 Sierpinski curve, and the mesh depends on nothing but the criterion. `nested` makes any criterion nested; the product's
 criteria are nested by construction (docs/method/pixels.md).
 
-kernels/refine/plain.py is `refine` as a kernel. walk.py beside it makes the same bytes faster.
+kernels/refine/plain.py is `refine` as a kernel. walk.py produces the same bytes faster.
 """
 
 import math
@@ -22,6 +22,7 @@ Criterion = Callable[[Point, float], bool]  # is the diamond split, by its split
 
 
 def middle(a: Point, b: Point) -> Point:
+    """Return the midpoint of two points."""
     return (a[0] + b[0]) / 2, (a[1] + b[1]) / 2
 
 

@@ -28,14 +28,14 @@ from .request import RefinementRequest
 from .slices import Slices
 from .step_search import Found
 
-# Indices are int32, three corners a triangle; beyond this a mesh is no use to Blender either.
+# Indices are int32, three corners a triangle; Blender cannot use larger meshes either.
 MAX_TRIANGLES = 1 << 26
 # Cost of a reused leaf in leaves that are found anew: 8 ns of 91, by a fit to flights of four speeds.
 REUSED_COST = 0.1
 # A count and a walk agree unless errors are not nested, except on step 0, which need not be counted.
 MAX_SEARCHES = 2
-# How far a triangle limit may relax the criterion while the horizons hold that were made for it: the first that do are
-# taken, the last hide nothing. For unlimited meshes, and for limited ones.
+# Relaxation factors for which horizon maps are tried, for unlimited and for limited meshes: the first map that the
+# result satisfies is used; the last hides nothing.
 RELAXED = (1.0, math.inf), (4.0, 64.0, math.inf)
 
 
@@ -47,17 +47,17 @@ def refine(
     Returns the leaves, and the factor by which the triangle limit relaxed the criterion (1: not at all). If vertices
     morph, it is the factor from which they do.
     """
-    domain, asked, depth, morphs = request.domain, request.asked, request.max_depth, request.morph_until > 1
+    domain, criterion, depth, morphs = request.domain, request.criterion, request.max_depth, request.morph_until > 1
     history.need_tree(field.lattice.square_bits + max(depth, MIN_DEPTH), threads)
-    hides, slices = has_rings(asked), None
+    hides, slices = has_rings(criterion), None
     for relaxed in RELAXED[request.is_limited] if hides else (math.inf,):
         if hides:
             off = relaxed * (request.morph_until * math.sqrt(limit_of(1)) if morphs else 1.0)
-            fill(field, domain, asked, depth, off, history.scratch, threads)
+            fill(field, domain, criterion, depth, off, history.scratch, threads)
         slices, step = _limited(field, request, history, threads, relaxed)
         if slices is not None:
             break
-    leaves, factor = _end(history, slices, field.lattice), math.sqrt(asked.limit)
+    leaves, factor = _end(history, slices, field.lattice), math.sqrt(criterion.limit)
     if morphs and request.is_limited:
         factor = ramp_start(field.lattice, request, history, threads, step, leaves.total)
     return leaves, factor
@@ -66,9 +66,9 @@ def refine(
 def _limited(field: HeightField, request: RefinementRequest, history: FrameHistory, threads: int, relaxed: float):
     """Return the finest walk that keeps to the limit, and its step; no walk if that relaxes the criterion by more than
     `relaxed`."""
-    asked, roots, hints = request.asked, 2 * field.lattice.squares, history.hints
+    criterion, roots, hints = request.criterion, 2 * field.lattice.squares, history.hints
     max_leaves = max(request.max_leaves, roots)
-    asked.limit, slices = 1.0, None
+    criterion.limit, slices = 1.0, None
     start, found = hints.step, Found(0)
     hints.step = found
     # Where the last refinement kept to the limit without relaxing, this one may, too.
@@ -79,8 +79,8 @@ def _limited(field: HeightField, request: RefinementRequest, history: FrameHisto
     while slices is None:
         near = start if start and start.step else None
         found = hints.step = search(field.lattice, request, history, threads, max_leaves, near, low)
-        asked.limit, low = limit_of(found.step), found.step + 1
-        if asked.limit > relaxed * relaxed:
+        criterion.limit, low = limit_of(found.step), found.step + 1
+        if criterion.limit > relaxed * relaxed:
             break
         slices = _walk(field, request, history, threads, max_leaves, found.splits + roots)
         too_many += slices is None
@@ -118,17 +118,17 @@ def _walk(
     expected: int = 0,
 ) -> Slices | None:
     """Walk, again with more room if it needs more; return None if there are more than `max_leaves`."""
-    domain, asked, depth, lattice = request.domain, request.asked, request.max_depth, field.lattice
+    domain, criterion, depth, lattice = request.domain, request.criterion, request.max_depth, field.lattice
     cuts = _cuts(history, lattice, threads)
     history.hints.make_room(expected // (len(cuts) - 1))
     # For edges alone, intervals decide so fast that caching costs as much as it saves; each map of horizons hides other
     # ground.
-    caches = asked.view_count == 1 and asked.error_px2 < math.inf and not asked.view.rings.count
-    motion = history.reuse_subtrees(domain, asked, depth) if caches else history.replace_leaves()
+    caches = criterion.view_count == 1 and criterion.error_px2 < math.inf and not criterion.view.rings.count
+    motion = history.reuse_subtrees(domain, criterion, depth) if caches else history.replace_leaves()
     while True:
         slices = Slices.of(history, lattice, cuts, depth, max_leaves)
         slices.bind_reuse(caches, motion)
-        inputs = [[domain, asked, walk, reuse] for walk, reuse in zip(slices.walks, slices.reuses, strict=True)]
+        inputs = [[domain, criterion, walk, reuse] for walk, reuse in zip(slices.walks, slices.reuses, strict=True)]
         launch.slices(kernels.walk, inputs, step="refine", recorded=history.next.arrays.launches)
         leaves = slices.read_counts()[:, 0]
         if leaves.sum() > max_leaves:
@@ -137,13 +137,13 @@ def _walk(
             break
         history.hints.make_room(leaves.max())
     room = slices.reuses[0].room
-    history.next.subtrees = CachedSubtrees(domain, asked, depth, len(cuts) - 1, room) if caches else None
+    history.next.subtrees = CachedSubtrees(domain, criterion, depth, len(cuts) - 1, room) if caches else None
     history.next.reused_points = slices.reused_points() if motion else None
     return slices
 
 
 def _cuts(history: FrameHistory, lattice: Lattice, threads: int) -> list[int]:
-    """Return where the curve is cut for the threads: evenly by what the last frame cost. Results are the same."""
+    """Return where the curve is cut for the threads: evenly by the cost of the last frame. Results are the same."""
     tree, last = history.tree, history.last.leaves
     end = lattice.squares << tree.max_depth - lattice.square_bits
     leaves = tree.leaf_count - (1 << lattice.square_bits) + lattice.squares

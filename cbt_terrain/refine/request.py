@@ -9,15 +9,15 @@ from ...kernels.refine.pixels import CriterionArrays
 
 @dataclass(frozen=True)
 class RefinementRequest:
-    """What to refine: the criterion `asked` on a placed field, down to `max_depth`, to at most `max_leaves`.
+    """The criterion on a placed field, the depth limit, and the largest number of leaves.
 
-    `is_limited`: a user has limited the triangles, so that `max_leaves` may well be too few. Vertices morph until the
-    ratio `morph_until`: then the mesh may be off by so many times the criterion. Fewer leaves than two a root square
-    are impossible.
+    `is_limited`: the user has limited the triangles, so `max_leaves` is often exceeded. `morph_until`: ratio at which
+    vertices finish morphing; the mesh's error may be that many times the criterion. A mesh has at least two leaves per
+    root square.
     """
 
     domain: Domain
-    asked: CriterionArrays
+    criterion: CriterionArrays
     max_depth: int
     max_leaves: int
     is_limited: bool = False

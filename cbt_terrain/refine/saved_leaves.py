@@ -11,9 +11,9 @@ from .domain import depth_limit
 
 
 def depths_in_squares(tree: bytes, field: HeightField, meshlet: int) -> tuple[int, np.ndarray]:
-    """Levels below a root square of a saved tree, and how often each leaf's square was bisected: uint8 [leaves].
+    """Return the levels of a saved tree below a root square, and each leaf's bisections of its square, uint8 [leaves].
 
-    Raises TerrainError unless it is of a tree over the field's squares whose leaves can be so many triangles each.
+    Raises TerrainError unless the field, with meshlets of level `meshlet`, can have such leaves.
     """
     (max_depth, depths), lattice = depths_from_bytes(tree), field.lattice
     cell_bits = max_depth - lattice.square_bits
@@ -21,10 +21,11 @@ def depths_in_squares(tree: bytes, field: HeightField, meshlet: int) -> tuple[in
     depths = (
         depths[np.cumsum(sizes) - sizes < lattice.squares << max(0, cell_bits)].astype(np.int64) - lattice.square_bits
     )
-    most = depth_limit(field) - 2 * meshlet if 0 <= meshlet <= MAX_MESHLET else 0
-    if not (cell_bits >= MIN_DEPTH and 1 <= depths.min() and depths.max() <= most):
+    max_bisections = depth_limit(field) - 2 * meshlet if 0 <= meshlet <= MAX_MESHLET else 0
+    if not (cell_bits >= MIN_DEPTH and 1 <= depths.min() and depths.max() <= max_bisections):
         raise TerrainError(
-            f"The saved tree has leaves of {depths.min()} .. {depths.max()} bisections of a square, expected 1 .. "
-            f"{most} with meshlets of level {meshlet}: it is of another height field or setting; save it again."
+            f"The saved tree has leaves of {depths.min()} .. {depths.max()} bisections of a square",
+            expected=f"1 .. {max_bisections} with this height field and meshlets of level {meshlet}",
+            fix="save it again with this height field and these settings",
         )
     return cell_bits, depths.astype(np.uint8)

@@ -73,7 +73,7 @@ class Slices:
         return cls(history, walks, [], capacity, cell_bits, counts, np.zeros(count, np.int64))
 
     def bind_reuse(self, caches: bool, motion: "Motion | None") -> None:
-        """Bind what the slices cache for the next frame and, if the view has moved by a known `motion`, reuse."""
+        """Bind the lists of subtrees to cache for the next frame and, if the view's `motion` is known, to reuse."""
         history, count, last = self.history, len(self.walks), self.history.last
         written, scratch, read = history.next.arrays, history.scratch, history.last.arrays
         room = room_for(self.capacity) if caches else 0
@@ -123,5 +123,5 @@ class Slices:
 
 
 def room_for(leaves: int) -> int:
-    """Return how many subtrees a slice of so many leaves may cache."""
+    """Return the number of subtrees that a slice with room for `leaves` leaves may cache."""
     return leaves // 8 + 8

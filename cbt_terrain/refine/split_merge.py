@@ -21,15 +21,16 @@ DECISION_COST = 40.0  # of a leaf's decision, in lookups: see `launch.spread`
 
 
 def split_merge(
-    tree: ConcurrentBinaryTree, lattice: Lattice, domain: Domain, asked: CriterionArrays, max_depth: int
+    tree: ConcurrentBinaryTree, lattice: Lattice, domain: Domain, criterion: CriterionArrays, max_depth: int
 ) -> int:
-    """Split and merge the leaves of a tree over the lattice's squares by one level at most, towards what is asked.
+    """Split and merge the leaves of a tree over the lattice's squares by at most one level towards the criterion.
 
-    Return how many leaves have decided so; 0 once the tree is the refinement. `max_depth`: bisections of a square.
+    Returns the number of leaves that were split or merged; 0 once the tree is the refinement. max_depth: bisections of
+    a square.
     """
     orders, grid = np.empty(tree.leaf_count, np.uint64), grid_of(lattice)
     shared_orders = shared(orders, wp.uint64)
-    inputs = [tree.bits, grid, domain, asked, max_depth, shared_orders]
+    inputs = [tree.bits, grid, domain, criterion, max_depth, shared_orders]
     launch.spread(kernels.decide, len(orders), inputs, step="decide", threads=tree.threads, cost=DECISION_COST)
     decided = int(np.count_nonzero(orders))
     if decided:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a bound is made of, and how far rounding to float32 can take a mesh from where it was computed."""
+"""The terms of an error bound, and bounds of the error that float32 positions add."""
 
 from dataclasses import dataclass
 
@@ -23,10 +23,10 @@ MARGIN = 1e-12  # ... of a few metres
 
 @dataclass(frozen=True)
 class Terms:
-    """The parts of a bound, in its own unit; they add up to it.
+    """The terms of a bound, in its unit; they add up to it.
 
-    `geometric`: what is given to the triangles; of a leaf that is drawn as a meshlet, to those that are drawn.
-    `precision`: what float32 positions take. `source`: what the source's own rounding of its heights takes.
+    `geometric`: error of the drawn triangles. `precision`: rounding of float32 positions. `source`: the source's
+    rounding of its heights.
     """
 
     geometric: float
@@ -35,7 +35,7 @@ class Terms:
 
     @classmethod
     def shares(cls, bound: float, *parts: float) -> "Terms":
-        """A bound divided in proportion to its three parts in metres, in the order above."""
+        """Divide a bound in proportion to its three terms in metres, in the order above."""
         total = add_up(parts)
         part = bound / total if total > 0.0 else 0.0
         return cls(*(p * part for p in parts))
@@ -45,8 +45,8 @@ class Terms:
 class Rounding:
     """Metres of height by which float32 positions can move a mesh.
 
-    `height`: the heights' own rounding. Plane coordinates that are rounded move a facet sideways, hence up or down by
-    that times its slope: `lean` metres a metre of the range of heights in its diamond's box, and `most_lean` at most.
+    `height`: rounding of the heights. Rounded plane coordinates move a facet sideways, and so up or down by that times
+    its slope: `lean` metres per metre of the range of heights in its diamond's box, and at most `max_lean` metres.
     """
 
     height: float = 0.0
@@ -55,31 +55,37 @@ class Rounding:
 
     @property
     def most(self) -> float:
+        """Return the largest sum of both terms, metres."""
         return self.height + self.max_lean
 
 
 def left_of(error_m: float, source: float) -> float:
-    """Metres of an error of height that are left to all but the source's rounding: what that does not take, but where
-    it takes more than half, so that little would be gained for many triangles, four fifths."""
+    """Return the part of a height error, metres, that remains for everything but the source's rounding.
+
+    If the source takes more than half of the error, four fifths of it: less would cost many triangles for little gain.
+    """
     return error_m - source if source <= 0.5 * error_m else 0.8 * error_m
 
 
 def weighed_as(error_m: float, source: float, mean: float = 1.0) -> float:
-    """Metres that the criterion (`metres2_of` in kernels/refine/diamond.py) weighs an error as, so that all of it
-    holds; `mean`: of a ramp (`mean_ramp`), which adds mean - 1 times as much to what the finest mesh is off."""
+    """Return the weighed metres (`metres2_of` in kernels/refine/diamond.py) to request so that `error_m` holds.
+
+    mean: from `mean_ramp`; geomorphing adds mean - 1 times the tolerance to the finest mesh's error.
+    """
     left = left_of(error_m, source)
     return min((left + source) / mean, left * (1.25 / (1.25 * mean - 0.25)))
 
 
 def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_offset: float) -> Rounding:
-    """What float32 positions of leaves at `depth` or above do.
+    """Return the rounding of float32 positions of leaves at `depth` or above.
 
-    A height is rounded by half a step of float32 at the highest. Coordinates that float32 holds exactly do not count.
-    Of heights that differ by R in all, no facet climbs more than R a raster cell along an axis: its corners are a cell
-    apart or more, or it lies in one cell, where a bilinear surface climbs by no more than the cell's corners differ
-    (a bicubic one: see above). So half steps of u and v cells along x and y move it by (u + v) R; and by no more
-    than (u + v) times the steepest climbs of all along x and y, added up. Where a rim cuts edges, a new vertex lies
-    between two that are rounded, and is rounded again. A detail climbs by what it does, wherever it is.
+    A height is rounded by half the spacing of float32 at the highest height. Coordinates that float32 represents
+    exactly do not count. Let R be the range of heights. No facet climbs more than R per raster cell along an axis: its
+    corners are at least a cell apart, or it is inside one cell, where a bilinear surface climbs by no more than the
+    cell's corners differ (BICUBIC_LEAN covers a bicubic one). So rounding by u and v cells along x and y moves the
+    facet by at most (u + v) R, and by at most (u + v) times the sum of the steepest climbs along x and y. Where the
+    border cuts an edge, the new vertex is between two rounded ones and is rounded again. Displacement adds its
+    steepest slope.
     """
     lattice = field.lattice
     climb = field.steepest_x * lattice.step_x + field.steepest_y * lattice.step_y  # metres a cell
@@ -87,7 +93,7 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
     x, y, z = (times * off for off in position_rounding(field, depth, vertical_scale, vertical_offset))
     cells = (x / lattice.step_x + y / lattice.step_y) * OUTWARD
     lean = cells * (BICUBIC_LEAN if field.interpolation == "bicubic" else 1.0)
-    # ... and its places, of which float64 holds no more, move it as little.
+    # The float64 rounding of the positions at which displacement is evaluated adds to this.
     spare = DISPLACEMENT_ERROR * add_up(lattice.span[k] * (lattice.step_x, lattice.step_y)[k] for k in (0, 1))
     along = steepest(field.parts) * abs(vertical_scale)
     detail = along * (cells * (lattice.step_x + lattice.step_y) + spare) if along else 0.0
@@ -97,7 +103,7 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
 def position_rounding(
     field: HeightField, depth: int, vertical_scale: float, vertical_offset: float
 ) -> tuple[float, float, float]:
-    """Metres by which float32 positions of leaves at `depth` or above are off along x, y and z, at most."""
+    """Return the largest error, metres along x, y and z, of float32 positions of leaves at `depth` or above."""
     lattice, plane = field.lattice, []
     sides = (lattice.cells_x, lattice.span[0], lattice.step_x), (lattice.cells_y, lattice.span[1], lattice.step_y)
     for cells, span, step in sides:
@@ -112,17 +118,17 @@ def position_rounding(
 
 
 def _half_step(largest: float) -> float:
-    """Half the distance between neighbouring float32 near a number."""
+    """Return half the spacing of float32 at a number."""
     return 0.5 * float(np.spacing(np.float32(largest))) if largest else 0.0
 
 
 def _is_exact(largest: float, spacing: float) -> bool:
-    """Whether float32 holds every number from -largest to largest in steps of `spacing`."""
+    """Return whether float32 represents all multiples of `spacing` from -largest to largest exactly."""
     quantum = min(_power_of_two(largest), _power_of_two(spacing))
     return largest <= quantum * 2.0**SINGLE_BITS
 
 
 def _power_of_two(number: float) -> float:
-    """The largest power of two of which a positive number is a multiple."""
+    """Return the largest power of two of which a positive number is a multiple."""
     numerator, denominator = number.as_integer_ratio()
     return (numerator & -numerator) / denominator

@@ -44,14 +44,14 @@ class CameraPath:
     clip: tuple[float, float]
 
     def view(self, frame: float, resolution: tuple[int, int]) -> View:
-        """The view at a frame, for a picture of `resolution` pixels."""
-        with np.errstate(all="ignore"):  # what comes out is checked
+        """Return the view at a frame, for a picture of `resolution` pixels."""
+        with np.errstate(all="ignore"):  # the result is checked below
             values = hermite(self.frames, self.values, frame)
             away = length(values[:3] - values[3:6])
         if not np.isfinite([*values, away]).all() or away == 0.0:
             raise TerrainError(
-                f"The camera path has no place and direction at frame {frame:g}; expected keyframes whose frames, eyes "
-                "and targets are neither too near each other nor too far apart."
+                f"The camera path has no place and direction at frame {frame:g}",
+                expected="keyframes whose frames, eyes and targets are neither too near each other nor too far apart",
             )
         # A curve may swing beyond its keyframes, so far that the tangent itself is out of reach.
         fov = math.degrees(2 * math.atan(math.exp(min(max(float(values[6]), -50.0), 50.0))))
@@ -60,7 +60,7 @@ class CameraPath:
 
 
 def hermite(times: np.ndarray, values: np.ndarray, at: float) -> np.ndarray:
-    """Cubic Hermite curve through `values` [K, N] at rising `times` [K], evaluated `at` a time; clamped to the ends."""
+    """Evaluate the cubic Hermite curve through `values` [K, N] at rising `times` [K]; `at` is clamped to the ends."""
     at = min(max(float(at), times[0]), times[-1])
     if len(times) == 1:
         return values[0].copy()
@@ -77,15 +77,15 @@ def hermite(times: np.ndarray, values: np.ndarray, at: float) -> np.ndarray:
 
 
 def read_camera_path(path: Path) -> CameraPath:
-    """Read and check a camera path; raises `TerrainError` that names the file, the keyframe and what was expected."""
+    """Read and check a camera path; raises TerrainError with the file, the keyframe and the expected value."""
     path = Path(path)
     text = read_named(path, "The camera path", EXPECTED, MAX_BYTES)
     try:
         data = json.loads(text.decode("utf-8-sig"), object_pairs_hook=named_once)
     except (ValueError, RecursionError) as error:
-        raise TerrainError(f"The camera path {path} cannot be read ({shown(error)}): expected {EXPECTED}.") from None
+        raise TerrainError(f"The camera path {path} cannot be read ({shown(error)})", expected=EXPECTED) from None
     if not isinstance(data, dict) or not isinstance(data.get("keyframes"), list) or not data["keyframes"]:
-        raise TerrainError(f'The camera path {path} has no keyframes; expected {{"keyframes": [{{"frame": 1, ...}}]}}.')
+        raise TerrainError(f"The camera path {path} has no keyframes", expected='{"keyframes": [{"frame": 1, ...}]}')
     _only(path, "the file", data, TOP_KEYS)
     clip = _clip(path, data)
     sensor = _number(path, "the file", data, "sensor", 36.0)
@@ -93,47 +93,47 @@ def read_camera_path(path: Path) -> CameraPath:
     for number, key in enumerate(data["keyframes"], 1):
         where = f"keyframe {number}"
         if not isinstance(key, dict):
-            raise _fault(path, f"{where} is {key!r}; expected an object with frame, eye, target.")
+            raise _fault(path, f"{where} is {key!r}", "an object with frame, eye, target")
         _only(path, where, key, KEY_KEYS)
         frames.append(_number(path, where, key, "frame"))
         eye, target = _numbers(path, where, key, "eye", 3), _numbers(path, where, key, "target", 3)
         if eye == target:
-            raise _fault(path, f"{where} has its eye at its target; expected different points.")
+            raise _fault(path, f"{where} has its eye at its target", "different points")
         fov = _fov(path, where, key if {"fov", "lens"} & set(key) else data, sensor)
         values.append([*eye, *target, math.log(math.tan(math.radians(fov) / 2))])
     if any(a >= b for a, b in pairwise(frames)):
-        raise _fault(path, f"the frames are {frames}; expected each larger than the one before.")
+        raise _fault(path, f"the frames are {frames}", "each larger than the one before")
     return CameraPath(np.array(frames), np.array(values), clip)
 
 
-def _fault(path: Path, what: str) -> TerrainError:
-    return TerrainError(f"In the camera path {path}, {what}")
+def _fault(path: Path, what: str, expected: str) -> TerrainError:
+    return TerrainError(f"In the camera path {path}, {what}", expected=expected)
 
 
 def _clip(path, data: dict) -> tuple[float, float]:
-    """Where the view starts and ends, metres; a start beyond the end is allowed, it hides nothing."""
+    """Return the clip range, metres; a start beyond the end is allowed and clips nothing."""
     start, end = _numbers(path, "the file", {"clip": [0.1, 1e6]} | data, "clip", 2)
     if start == end or not math.isfinite(2 * start * end / (start - end)):
-        raise _fault(path, f"the file has clip {[start, end]!r}; expected two different distances (m).")
+        raise _fault(path, f"the file has clip {[start, end]!r}", "two different distances (m)")
     return start, end
 
 
 def _fov(path, where: str, data: dict, sensor: float) -> float:
-    """Field of view in degrees: `fov` as it stands, else from `lens`, else 50."""
+    """Return the field of view in degrees: `fov`, else computed from `lens`, else 50."""
     if "lens" in data and "fov" not in data:
         lens = _number(path, where, data, "lens")
         fov = math.degrees(2 * math.atan2(sensor / 2, lens))
     else:
         fov = _number(path, where, data, "fov", 50.0)
     if not SMALLEST_FOV <= fov <= LARGEST_FOV:
-        expected = f"expected between {SMALLEST_FOV:g} and {LARGEST_FOV:.9g}."
-        raise _fault(path, f"{where} has a field of view of {fov:g} degrees; {expected}")
+        expected = f"between {SMALLEST_FOV:g} and {LARGEST_FOV:.9g}"
+        raise _fault(path, f"{where} has a field of view of {fov:g} degrees", expected)
     return fov
 
 
 def _only(path, where: str, data: dict, known: set[str]) -> None:
     if unknown := sorted(set(data) - known):
-        raise _fault(path, f"{where} has {unknown[0]!r}; expected {', '.join(sorted(known))}.")
+        raise _fault(path, f"{where} has {unknown[0]!r}", ", ".join(sorted(known)))
 
 
 def _number(path, where: str, data: dict, name: str, default: float | None = None) -> float:
@@ -146,5 +146,5 @@ def _numbers(path, where: str, data: dict, name: str, count: int) -> list[float]
     if not good or not all(type(v) in (int, float) and abs(v) <= sys.float_info.max for v in value):
         shown = value[0] if isinstance(value, list) and count == 1 else value
         expected = "a number" if count == 1 else f"{count} numbers"
-        raise _fault(path, f"{where} has {name} {shown!r}; expected {expected}.")
+        raise _fault(path, f"{where} has {name} {shown!r}", expected)
     return [float(v) for v in value]

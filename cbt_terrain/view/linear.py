@@ -38,7 +38,7 @@ def lengths(matrix: np.ndarray) -> np.ndarray:
 
 
 def determinant(m: np.ndarray) -> float:
-    """Of a matrix [3, 3]."""
+    """Return the determinant of a matrix [3, 3]."""
     (a, b, c), (d, e, f), (g, h, i) = np.asarray(m, np.float64).tolist()
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
@@ -65,12 +65,12 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def inverse(matrix: np.ndarray) -> np.ndarray:
-    """Of a float64 [n, n] matrix. Raises numpy's LinAlgError where there is none."""
+    """Return the inverse of a float64 [n, n] matrix. Raises numpy's LinAlgError if it is singular."""
     return solve(matrix, np.eye(len(matrix)))
 
 
 def least_stretch(matrix: np.ndarray) -> float:
-    """The least length that a unit vector has after a matrix [3, 3]: its smallest singular value.
+    """Return the least length of a unit vector after a matrix [3, 3]: its smallest singular value.
 
     Columns are rotated in pairs until all are at right angles (one-sided Jacobi).
     """
@@ -93,5 +93,5 @@ def least_stretch(matrix: np.ndarray) -> float:
 
 
 def settled(value: float) -> float:
-    """To 12 digits: the last bits of sines, exponentials and their like depend on the processor, those do not."""
+    """Round to 12 digits: only the last bits of sines, exponentials and the like depend on the processor."""
     return float(f"{value:.12g}")

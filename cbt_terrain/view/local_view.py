@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A view from the terrain's own space, packed into the numbers that the kernels read."""
+"""A view in terrain space, as the struct that the kernels read."""
 
 import math
 
@@ -12,12 +12,12 @@ from .linear import least_stretch, length, lengths, product, settled, solve
 from .spans import secant_of, slant_rows, slants_of
 from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
-# How many times coarser a terrain may be of which nothing is in view.
+# Factor by which a terrain that is wholly out of view may be coarser.
 HIDDEN = 1e90
 # Degrees of the field of view for which the guard band and the fringe are stated; of narrower ones both are narrower.
 NORMAL_FOV = 50.0
-# Where points rise, detail gets coarser outside the frame over this part of the depth (11 degrees at a field of view of
-# 50; of an orthographic frame the part of its half), not at once.
+# With geomorphing, footprints get coarser outside the frame gradually, over this fraction of the depth (11 degrees at a
+# field of view of 50) or of half an orthographic frame.
 FRINGE = 0.25
 
 
@@ -30,13 +30,15 @@ def localise(
     off: float = 0.0,
     margins: tuple[float, float] | None = None,
 ) -> LocalView:
-    """Return the view from the terrain's own space, as the kernels read it.
+    """Return a view in terrain space, as the kernels read it. Raises TerrainError if its numbers overflow.
 
-    `placement` float64 [4, 4] takes the terrain's space to the world, `box` float64 [2, 3] is everything that the
-    terrain may occupy in its own space. A metre of height counts as `height_scale` metres across the view. What is seen
-    of true heights may be `off` metres of height from the surface; the frustum is wider by that, and boxes are higher.
-    `margins`: degrees beyond the frame's sides, across and along the view, that are inside; those of the criterion's
-    guard band by default.
+    Args:
+        placement: float64 [4, 4], from terrain space to the world.
+        box: float64 [2, 3], the bounding box of the terrain in terrain space, metres.
+        height_scale: metres across the view that a metre of height counts as.
+        off: largest distance of mesh and surface, metres of height; the frustum is wider by it, and boxes are higher.
+        margins: degrees beyond the frame's sides, across and along the view, that count as inside; by default those of
+            the criterion's guard band.
     """
     to_camera = product(view.world_to_camera, placement)
     linear, shift = to_camera[:3, :3], to_camera[:3, 3]
@@ -51,12 +53,12 @@ def localise(
     near = max(start / 2, 1e-9 * length(stretch * (box[1] - box[0])), 1e-150)
     planes = product(frustum_planes(view, margins or guard_margins(view, criterion.guard_deg)), to_camera)
     planes[:, 3] += np.abs(planes[:, 2]) * off
-    # What rounding could put on the wrong side of a plane is inside.
+    # Points that rounding could put on the wrong side of a plane are inside.
     planes[:, 3] += 1e-12 * (product(np.abs(planes[:, :3]), np.abs(box).max(axis=0)) + np.abs(planes[:, 3]))
     narrow = _narrowness(view)  # ground off the screen is as coarse as a normal lens has it
     factor, fade, fringe = min(1 + (criterion.off_screen_factor - 1) / narrow, LARGEST), 0.0, 0.0
     if factor > 1 and _outside(planes, box):
-        factor = HIDDEN  # nothing of this terrain is in view: the smallest mesh will do
+        factor = HIDDEN  # this terrain is out of view: the smallest mesh is enough
     elif criterion.rises_until > 1:
         fade = math.sqrt(math.sqrt(factor)) - 1
         fringe = FRINGE * (min(b - a for a, b in view.bounds()) / 2 if view.kind == ORTHOGRAPHIC else narrow)
@@ -83,25 +85,31 @@ def localise(
     for name, value in numbers.items():
         if not np.isfinite(value).all():
             raise TerrainError(
-                "The camera or the terrain is so far away or so large that its numbers overflow; check both."
+                "The camera or the terrain is so far away or so large that its numbers overflow",
+                fix="check the location and scale of both",
             )
         setattr(local, name, value)
     return local
 
 
 def eye_of(to_camera: np.ndarray) -> np.ndarray:
-    """float64 [3]: the place that a matrix [4, 4] takes to the camera. Raises TerrainError where there is none."""
+    """Return the eye, float64 [3], from a matrix [4, 4] to camera space. Raises TerrainError if it is singular."""
     try:
         return -solve(to_camera[:3, :3], to_camera[:3, 3:])[:, 0]
     except np.linalg.LinAlgError:
         raise TerrainError(
-            "The terrain's or the camera's axes lie in one plane; give them scales and shears that keep them apart."
+            "The terrain's or the camera's axes lie in one plane",
+            expected="three independent axes",
+            fix="change its scale or shear",
         ) from None
 
 
 def guard_margins(view: View, guard_deg: float) -> tuple[float, float]:
-    """Return degrees of the guard band across and along the view. A perspective whose frame is narrower than NORMAL_FOV
-    along an axis has the band in proportion: else nine tenths of the triangles of a telephoto shot are outside it."""
+    """Return the guard band across and along the view, degrees.
+
+    A perspective frame narrower than NORMAL_FOV along an axis has a proportionally narrower band; otherwise nine tenths
+    of a telephoto shot's triangles would be outside the frame.
+    """
     if view.kind != PERSPECTIVE:
         return guard_deg, guard_deg
     fields = [settled(math.degrees(math.atan(high) - math.atan(low))) for low, high in view.bounds()]
@@ -145,7 +153,7 @@ def frustum_planes(view: View, margins: tuple[float, float]) -> np.ndarray:
 
 
 def _outside(planes: np.ndarray, box: np.ndarray) -> bool:
-    """Whether the box lies wholly on the far side of one of the planes."""
+    """Return whether the box is wholly on the far side of one of the planes."""
     if not len(planes):
         return False
     furthest = np.where(planes[:, :3] > 0, box[1], box[0])

@@ -1,21 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""No pop: points rise to their places as the view comes nearer, by the view alone. docs/method/morph.md has the proof.
+"""Geomorphing: vertices move to their final heights as the view comes nearer. docs/method/morph.md has the proof.
 
-A point is in the mesh where its diamond's ratio (how many times too coarse it would be) is above 1, and in its place
-from the ratio k on. Between them it rises by the smoothstep of (1 - 1 / ratio) / (1 - 1 / k). That makes the surface
-a mean of the meshes for 1 .. k times an error. So for a bound B the walk is asked for B over the mean of the ramp.
+A vertex is in the mesh if its diamond's ratio (how many times too coarse the diamond is) is above 1, and at its final
+height from the ratio k on. Between them its height follows the smoothstep of (1 - 1 / ratio) / (1 - 1 / k). So the
+surface is a mean of the meshes for 1 .. k times an error. For a bound B the walk uses B over the mean of the ramp.
 """
 
 from functools import lru_cache
 
-# A quarter to a half more triangles; jumps fall with the step of the camera.
+# The default takes a quarter to a half more triangles; jumps shrink with the step of the camera.
 SMOOTH = 1.5
-MOST = 4.0  # more than three quarters more triangles than without, and little smoother
+MAX_MORPH = 4.0  # takes over three quarters more triangles than without, and is little smoother
 
 
 @lru_cache(maxsize=64)
 def mean_ramp(k: float) -> float:
-    """m(k), the mean of the ratio over the ramp from 1 to k, 1 <= k <= MOST: 1.21 at k = 1.5.
+    """Return m(k), the mean of the ratio over the ramp from 1 to k, 1 <= k <= MAX_MORPH: 1.21 at k = 1.5.
 
     It is the integral of 6 u (1 - u) / (1 - c u) over u from 0 to 1, c = 1 - 1 / k. As a power series in c it has no
     logarithm, whose last bits differ from machine to machine.

@@ -10,7 +10,7 @@ import sys
 from dataclasses import dataclass
 
 from ..errors import TerrainError
-from .morph import MOST, SMOOTH
+from .morph import MAX_MORPH, SMOOTH
 
 FINITE = sys.float_info.max
 VIEWPORT, RENDER = "viewport", "render"
@@ -135,7 +135,7 @@ MODIFIERS = (
         "morph", "Geomorph",
         "Points rise to their places as the camera comes nearer, instead of popping. The bound holds as without; it "
         "takes a third more triangles or so",
-        1.0, render=SMOOTH, min=1.0, max=MOST, usual=SMOOTH, switch="smooth_transitions", option="--morph",
+        1.0, render=SMOOTH, min=1.0, max=MAX_MORPH, usual=SMOOTH, switch="smooth_transitions", option="--morph",
     ),
     CriterionSetting(
         "meshlet", "Meshlet Level",

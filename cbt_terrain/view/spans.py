@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Between pixels, as they are asked for and told, and spans of a pixel, as the kernels measure them.
+"""Conversion between pixels, as requested and reported, and pixel footprints ("spans"), as the kernels measure them.
 
-The kernels divide metres of height, or of an edge, by the metres that a pixel spans where it is finest. What that is on
-the screen depends on how much of it can be seen from the side, and on how far a ray is from the view's axis.
+The kernels divide metres of height, or of an edge, by the metres that a pixel spans where it is finest. The size on
+screen also depends on the slant at which the height is seen, and on the angle of the ray to the view's axis.
 """
 
 import math
@@ -15,24 +15,27 @@ from .criterion import LARGEST, Criterion
 from .linear import add_up, length, lengths, product, settled
 from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
-# Relative; far above what rounding does to pixels and metres, far below what can be seen of them.
+# Relative; far above the rounding of pixels and metres, far below a visible difference.
 ROUNDING = 1e-9
-# Without a shading floor a height counts as if it were seen at this part of the frame's largest slant at least. The
-# ground that this makes finer is a 256th of a picture that looks straight down.
+# Without a shading floor a height counts as seen at this fraction of the frame's largest slant, or more. This refines
+# a 256th of a picture that looks straight down.
 MIN_SLANT = 1 / 16
 # Where slants in the frame differ by less than this factor, one for all of them saves as many triangles, and time.
 EVEN_SLANTS = 1.06
-# A slant of which nothing is seen any more; none is smaller, so that everything stays finite.
+# The smallest slant, at which heights are invisible; it keeps all numbers finite.
 NO_SLANT = 1e-6
-# Edges are asked for shorter by what float32 corners may add to them at the depth limit, but by no more than this part:
-# where leaves get so small that it is more, the bound says so.
+# The request for edges is shorter by the length that float32 corners may add at the depth limit, but by at most this
+# fraction: for smaller leaves the bound is larger.
 MAX_STRETCH = 0.01
 
 
 @dataclass(frozen=True)
 class PlanUnits:
-    """What edges depend on: metres of a lattice unit along x and y, its bits in a root square's side, the deepest leaf,
-    and metres by which float32 corners may be off along each axis."""
+    """Lengths that edges depend on.
+
+    `steps`: metres of a lattice unit along x and y. `unit_bits`: a root square's side is 2^unit_bits units. `depth`:
+    of the deepest leaf. `off`: largest error of float32 corners along each axis, metres.
+    """
 
     steps: tuple[float, float]
     unit_bits: int
@@ -42,12 +45,12 @@ class PlanUnits:
 
 @dataclass(frozen=True)
 class Spans:
-    """What pixels are in spans, for each of `views`.
+    """Factors between pixels and pixel footprints ("spans"), for each of `views`.
 
-    `wholes`: see `whole_of`. `widenings`: the factor on spans that makes what holds in spans hold as it is seen.
-    `scales`: the largest slant in the frame, widened. `edge`: spans of an edge of one pixel. `lengths`: squared
-    diagonal and side of a lattice unit, in camera space. `allowed`: the part by which edges are asked for shorter, for
-    rounding.
+    `wholes`: see `whole_of`. `widenings`: see `widening`. `scales`: largest slant in the frame times the widening.
+    `edge`: spans of an edge of one pixel. `lengths`: squared diagonal and side of a lattice unit, in camera space.
+    `allowed`: factor by which the request for edges is shorter, for float32 rounding. `off`: largest error of float32
+    corners, in camera space.
     """
 
     views: tuple[View, ...] = ()
@@ -61,17 +64,17 @@ class Spans:
     unit_bits: int = 0
 
     def pixels(self, spans: float) -> float:
-        """Pixels on the screen of so many spans of error, in the view that shows most of them."""
+        """Return the screen error, pixels, for an error in spans, in the view where it is largest."""
         seen = zip(self.views, self.wholes, self.widenings, strict=True)
         return max(as_seen(view, whole, spans * (1 + 0.5 * ROUNDING) / wide) for view, whole, wide in seen)
 
     def excess_of_edges(self, depth: int) -> float:
-        """The factor, 1 or more, by which float32 corners make edges of leaves down to `depth` longer than allowed."""
+        """Return the factor >= 1 by which float32 corners make edges of leaves down to `depth` longer than allowed."""
         return max(1.0, _stretch(self.lengths, self.unit_bits, depth, self.off) / self.allowed)
 
 
 def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray, plan: PlanUnits) -> Spans:
-    """The spans of the views of a terrain that stands at `placement`."""
+    """Compute the spans of views of a terrain at `placement`."""
     slants = [slants_of(view, placement, criterion) for view in views]
     wholes = [whole_of(view, placement, smallest) for view, (_, smallest) in zip(views, slants, strict=True)]
     wide = [widening(view, whole, criterion.error_px) for view, whole in zip(views, wholes, strict=True)]
@@ -79,8 +82,8 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
     seen = tuple(views), tuple(wholes), tuple(wide)
     if not views or not criterion.measures_edges:
         return Spans(*seen, tuple(scales))
-    # Spans are those of heights, edges may lie across the view. One scale for the edges of all views: they must not
-    # depend on what errors do to each.
+    # Spans measure heights, but edges may be across the view. All views share one scale for edges, which must not
+    # depend on the widening of errors in each view.
     secants = [secant_of(v) for v in views]
     edge = max(scale / secant for scale, secant in zip(scales, secants, strict=True))
     scales = [edge * secant for secant in secants]
@@ -160,7 +163,7 @@ def as_seen(view: View, whole: float, pixels: float) -> float:
 def widening(view: View, whole: float, error_px: float) -> float:
     """Return the factor, 1 or more, on spans of a pixel that makes a limit on them one on pixels as they are seen.
 
-    `as_seen` is convex: at less than what was asked, spans times this factor are still not below it.
+    `as_seen` is convex: below the requested error, spans times this factor are not below `as_seen`, either.
     """
     if not error_px or error_px >= LARGEST or view.kind == ORTHOGRAPHIC:
         return 1 + ROUNDING
@@ -179,7 +182,7 @@ def secant_of(view: View) -> float:
 
 
 def unit_lengths(view: View, placement: np.ndarray, steps: tuple[float, float]) -> tuple[float, float]:
-    """Squared diagonal and squared side of a lattice unit, the longer ones, in camera space.
+    """Return the squared diagonal and squared side of a lattice unit, the longer ones, in camera space.
 
     `steps` are the metres of one lattice unit in x and y. In metres of the terrain's height, as all of `LocalView`.
     """
@@ -190,12 +193,12 @@ def unit_lengths(view: View, placement: np.ndarray, steps: tuple[float, float]) 
 
 
 def largest_offset(view: View, placement: np.ndarray, offsets: tuple[float, float, float]) -> float:
-    """How far a point that is off by so many metres along each axis can be from its place, in camera space as above."""
+    """Return the largest length in camera space of a shift by at most `offsets` metres along each axis."""
     return add_up(far * off for far, off in zip(lengths(_to_camera(view, placement)).tolist(), offsets, strict=True))
 
 
 def _to_camera(view: View, placement: np.ndarray) -> np.ndarray:
-    """float64 [3, 3]: the terrain's directions in camera space, as long as metres of its height."""
+    """Return float64 [3, 3]: the terrain's axes in camera space, in units of a metre of its height."""
     linear = product(view.world_to_camera, placement)[:3, :3]
     return linear / length(linear[:, 2])
 
@@ -206,8 +209,10 @@ def _squared(vector: np.ndarray) -> float:
 
 
 def _stretch(lengths2: tuple[float, float], unit_bits: int, depth: int, off: float) -> float:
-    """How many times longer than on the lattice the edges of leaves at `depth` or above may be, at most, where corners
-    are `off` from their places. `lengths2`: squared diagonal and side of a lattice unit, in the space of `off`."""
+    """Bound the factor by which edges of leaves at `depth` or above are longer if corners are shifted by up to `off`.
+
+    lengths2: squared diagonal and side of a lattice unit, in the space of `off`.
+    """
     diagonal2, axis2 = lengths2
     side = 2.0 ** (unit_bits - (depth - 1) // 2)
     shortest = side * (math.sqrt(axis2) if depth % 2 else 0.5 * math.sqrt(diagonal2))

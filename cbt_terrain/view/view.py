@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A view: what a camera sees, in numbers of float64, wherever the camera came from."""
+"""A view: a camera as float64 numbers, independent of its origin."""
 
 import math
 from collections.abc import Iterable
@@ -40,27 +40,27 @@ class View:
         if self.projection is not None:
             object.__setattr__(self, "projection", np.array(self.projection, np.float64))
         if self.kind not in KINDS:
-            raise TerrainError(f"The camera's kind is {self.kind!r}; expected one of {', '.join(KINDS)}.")
+            raise TerrainError(f"The camera's kind is {self.kind!r}", expected=f"one of {', '.join(KINDS)}")
         if self.world_to_camera.shape != (4, 4) or not np.isfinite(self.world_to_camera).all():
             raise TerrainError(
-                "The camera's matrix has a value that is not finite; check its location and its parents."
+                "The camera's matrix has a value that is not finite", fix="check its location and its parents"
             )
         keep_plain_numbers(self, "The view's")
         object.__setattr__(self, "resolution", _checked_resolution(self.resolution))
         if self.kind == PANORAMIC:
             if not 0 < self.radians_per_pixel < math.inf:
-                raise TerrainError(f"A panorama has {self.radians_per_pixel} radians a pixel; expected more than 0.")
+                raise TerrainError(f"A panorama has {self.radians_per_pixel} radians a pixel", expected="more than 0")
             return
         if self.projection is None or self.projection.shape != (4, 4) or not np.isfinite(self.projection).all():
-            raise TerrainError("The camera's projection is not finite; check its lens, sensor, scale and shift.")
+            raise TerrainError("The camera's projection is not finite", fix="check its lens, sensor, scale and shift")
         if self.projection[0, 0] == 0 or self.projection[1, 1] == 0:
-            raise TerrainError("The camera's projection sees 180 degrees or nothing; check its lens and sensor.")
+            raise TerrainError("The camera's projection sees 180 degrees or nothing", fix="check its lens and sensor")
 
     def __repr__(self) -> str:
         return f"<View: {self.kind.lower()}, {self.resolution[0]:g} x {self.resolution[1]:g} px>"
 
     def key(self) -> bytes:
-        """The same bytes for the same view."""
+        """Return bytes that are the same for equal views."""
         projection = b"" if self.projection is None else self.projection.tobytes()
         numbers = np.array([*self.resolution, *self.clip, self.radians_per_pixel])
         return self.kind.encode() + self.world_to_camera.tobytes() + projection + numbers.tobytes()
@@ -76,7 +76,7 @@ class View:
         )
 
     def bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """The frame's left and right, bottom and top: tangents from the view axis (perspective) or metres."""
+        """Return the frame's left and right, bottom and top: tangents from the view axis (perspective) or metres."""
         at = 2 if self.kind == PERSPECTIVE else 3
         sign = 1.0 if self.kind == PERSPECTIVE else -1.0
 
@@ -119,12 +119,12 @@ class View:
         ortho_width = plain_number(ortho_width, float, "The width of the orthographic view")
         start, end = clip = plain_number(clip, tuple[float, float], "The clip range")
         if kind == PERSPECTIVE and not 1e-7 < fov_deg < 180:
-            raise TerrainError(f"The field of view is {fov_deg} degrees; expected more than 1e-7 and less than 180.")
+            raise TerrainError(f"The field of view is {fov_deg} degrees", expected="more than 1e-7 and less than 180")
         eye, target = _point(eye, "eye"), _point(target, "target")
         back = eye - target
         distance = length(back)
         if not distance > 0:
-            raise TerrainError(f"The view's eye and target are both {eye.tolist()}; expected two different points.")
+            raise TerrainError(f"The view's eye and target are both {eye.tolist()}", expected="two different points")
         back /= distance
         up = np.array([0.0, 0.0, 1.0]) if abs(back[2]) < 0.999999 else np.array([0.0, 1.0, 0.0])
         right = np.cross(up, back)
@@ -141,7 +141,7 @@ class View:
         projection = np.zeros((4, 4))
         larger = max(width, height)
         if start == end:
-            raise TerrainError(f"The clip range is {clip}; expected a start before its end, in metres.")
+            raise TerrainError(f"The clip range is {clip}", expected="a start before its end, in metres")
         if kind == PERSPECTIVE:
             focal = 1.0 / settled(math.tan(math.radians(fov_deg) / 2))
             projection[0, 0], projection[1, 1] = focal * larger / width, focal * larger / height
@@ -157,7 +157,7 @@ def listed_views(views: Iterable[View]) -> list[View]:
     found = [views] if isinstance(views, View) else list(views) if isinstance(views, Iterable) else None
     wrong = [views] if found is None else [view for view in found if not isinstance(view, View)]
     if wrong:
-        raise TerrainError(f"The views have {shown(repr(wrong[0]))} among them; expected View objects, one a camera.")
+        raise TerrainError(f"The views have {shown(repr(wrong[0]))} among them", expected="View objects, one a camera")
     return found
 
 
@@ -165,7 +165,7 @@ def _point(place: ArrayLike, name: str) -> np.ndarray:
     """Return float64 [3], metres."""
     found = vectors(place, 3, f"view's {name}")
     if len(found) != 1:
-        raise TerrainError(f"The view's {name} has {len(found)} points; expected one: x, y and z in metres.")
+        raise TerrainError(f"The view's {name} has {len(found)} points", expected="one point: x, y and z in metres")
     return found[0]
 
 
@@ -173,5 +173,5 @@ def _checked_resolution(resolution: object) -> tuple[float, float]:
     """Return pixels each way, whole ones as ints, so that JSON has one text for a resolution."""
     pixels = plain_number(resolution, tuple[float, float], "The resolution")
     if not all(0 < n <= MAX_PIXELS for n in pixels):
-        raise TerrainError(f"The resolution is {resolution}; expected 1 to {MAX_PIXELS:,} pixels each way.")
+        raise TerrainError(f"The resolution is {resolution}", expected=f"1 to {MAX_PIXELS:,} pixels each way")
     return tuple(int(n) if n.is_integer() else n for n in pixels)

@@ -154,7 +154,7 @@ def fetch_quadrants(domain: Domain, p: CellDiamond):
 def count(domain: Domain, criterion: CriterionArrays, w: Count):
     """Count the diamonds of the slice by the last step at which they are split.
 
-    Whenever more than `most` triangles are split at the finest step, the next step becomes the finest.
+    Whenever more than `max_splits` triangles are split at the finest step, the next step becomes the finest.
     """
     none = wp.float64(0.0)
     criterion.limit = w.limits[w.coarsest]

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The walk that refines, and what it asks of a diamond."""
+"""The walk that refines, and the criterion that it tests on diamonds."""

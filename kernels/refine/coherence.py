@@ -67,7 +67,7 @@ class Motion:
     slant_x: wp.vec2d  # ... as are these
     slant_y: wp.vec2d
     max_gain2: wp.float64
-    ratio: wp.float64  # span of a pixel at unit depth over what it was
+    ratio: wp.float64  # footprint at unit depth over the one before
     drift: wp.float64  # part by which the lengths may have changed that spans are made of and compared with
 
 

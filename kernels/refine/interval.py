@@ -43,7 +43,7 @@ class MeasuredDiamond:
 
     diamond: Diamond
     pixel2: wp.float64  # squared metres that a pixel spans at least
-    error_m: wp.float64  # metres of its own error
+    error_m: wp.float64  # stored error, metres
     rest: wp.float64  # metres that rounding to float32 adds
     metres2: wp.float64  # see `metres2_of`
     long2: wp.float64  # of level triangles, see `sizes`

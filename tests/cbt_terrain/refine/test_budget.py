@@ -92,12 +92,12 @@ def called(monkeypatch):
 def walked(terrain: Terrain, request: RefinementRequest, step: int) -> int:
     """Count the leaves of a refinement at a step by the walk itself."""
     lattice, history = terrain.field.lattice, terrain.history
-    request.asked.limit = limit_of(step)
+    request.criterion.limit = limit_of(step)
     history.hints.capacity = 0
     end = lattice.squares << history.tree.max_depth - lattice.square_bits
     slices = Slices.of(history, lattice, [0, end], request.max_depth, 1 << 30)
     slices.bind_reuse(False, None)
-    launch.slices(walk.walk, [[request.domain, request.asked, slices.walks[0], slices.reuses[0]]], step="count")
+    launch.slices(walk.walk, [[request.domain, request.criterion, slices.walks[0], slices.reuses[0]]], step="count")
     return int(slices.counts[0, 0])
 
 

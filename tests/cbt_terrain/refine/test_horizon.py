@@ -183,7 +183,7 @@ def test_counts_of_a_triangle_limit_know_what_is_hidden(monkeypatch):
     def noted(field, request, history, threads, most, expected=0):
         slices = walk(field, request, history, threads, most, expected)
         if expected and slices is not None:  # step 0 need not be counted
-            counted.append((expected, int(slices.counts[:, 0].sum()), request.asked.limit))
+            counted.append((expected, int(slices.counts[:, 0].sum()), request.criterion.limit))
         return slices
 
     monkeypatch.setattr(refinement, "_walk", noted)

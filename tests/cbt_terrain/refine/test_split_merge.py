@@ -57,7 +57,7 @@ def walked(terrain: Terrain, criterion: Criterion, views: list[View], monkeypatc
     requests, refine = [], refinement.refine
     monkeypatch.setattr("adaptive_terrain.cbt_terrain.terrain.refine", lambda *a: requests.append(a[1]) or refine(*a))
     terrain.update(criterion, views)
-    return requests[-1].domain, requests[-1].asked, requests[-1].max_depth
+    return requests[-1].domain, requests[-1].criterion, requests[-1].max_depth
 
 
 def converge(tree: ConcurrentBinaryTree, lattice, asked: tuple) -> int:

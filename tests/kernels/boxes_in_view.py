@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels for test_excess.py: what is said of the depths in a box, and of the heights over a rectangle."""
+"""Kernels for test_excess.py: bounds of the depths in a box, and of the heights over a rectangle."""
 
 import warp as wp
 
@@ -19,7 +19,7 @@ def depth_of_box(view: LocalView, low: wp.vec3d, high: wp.vec3d, found: wp.array
 
 @wp.kernel
 def heights_of_rectangles(domain: Domain, rectangles: wp.array(dtype=wp.vec4i), found: wp.array(dtype=wp.vec2d)):
-    """rectangles: lowest x and y, highest x and y, lattice units. found: lowest and highest metres."""
+    """Write the lowest and highest metres over rectangles: lowest x and y, highest x and y, lattice units."""
     for k in range(found.shape[0]):
         r = rectangles[k]
         low, high = heights_between(domain, r[0], r[1], r[2], r[3])

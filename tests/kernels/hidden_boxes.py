@@ -10,7 +10,7 @@ from .hiding import Rings, covered, is_hidden
 def hidden_of_boxes(
     rings: Rings, slopes: wp.array(dtype=wp.float32), boxes: wp.array(dtype=wp.vec3d), found: wp.array(dtype=wp.int32)
 ):
-    """boxes: lowest and highest corner in turns, metres from the eye."""
+    """Write whether boxes are hidden. boxes: lowest and highest corner in turns, metres from the eye."""
     for k in range(found.shape[0]):
         found[k] = wp.int32(is_hidden(rings, slopes, boxes[2 * k], boxes[2 * k + 1]))
 
@@ -23,6 +23,6 @@ def covers_of_boxes(
     boxes: wp.array(dtype=wp.vec3d),
     found: wp.array(dtype=wp.float64),
 ):
-    """boxes: as above."""
+    """Write how far boxes are hidden, 0 .. 1. boxes: lowest and highest corner in turns, metres from the eye."""
     for k in range(found.shape[0]):
         found[k] = covered(rings, ramp, slopes, boxes[2 * k], boxes[2 * k + 1])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A kernel for test_coherence.py: the finest pixel on boxes, from two views, and what is said of their difference."""
+"""A kernel for test_coherence.py: the finest pixel on boxes, from two views, and the bounds of their difference."""
 
 import warp as wp
 
@@ -18,7 +18,10 @@ def spans_of_boxes(
     spans: wp.array2d(dtype=wp.float64),
     change: wp.array(dtype=wp.float64),
 ):
-    """boxes: lowest and highest corner in turns. spans [n, 2]: metres before and now. change: least, most, valid."""
+    """Write footprints on boxes and the bounds of their change.
+
+    boxes: lowest and highest corner in turns. spans [n, 2]: metres before and now. change: lower, upper, valid.
+    """
     subtree.fine = wp.float64(wp.inf)
     subtree.coarse = wp.float64(0.0)
     for k in range(spans.shape[0]):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Coherence from frame to frame: what a walk takes from the last frame is what it would have found itself."""
+"""Frame coherence: leaves that a walk reuses from the last frame are those that it would find without a cache."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -28,7 +28,7 @@ MANY_LEAVES = 100_000  # a flight with more has two frames
 
 
 def taken(terrain: Terrain) -> int:
-    """Leaves that the last update took from the frame before."""
+    """Return the number of leaves that the last update reused from the frame before."""
     history = terrain.history
     return int(history.scratch.numpy("reused")[: history.last.subtrees.slots].sum())
 
@@ -43,8 +43,10 @@ def a_field(rng):
 
 
 def flight(field, rng) -> list[View]:
-    """A view that goes on, turns, rolls and zooms a little each frame, and sometimes jumps; half have matrices of
-    float32, as Blender's are."""
+    """Return views that move, turn, roll and zoom a little each frame, and sometimes jump.
+
+    Half of them have float32 matrices, as Blender's cameras have.
+    """
     size = extent(field)
     eye = rng.uniform(-0.5, 0.5, 3) * size + [0, 0, (0.02 + rng.random() ** 3) * size[:2].max()]
     look = np.append(rng.uniform(-1, 1, 2), rng.uniform(-0.6, 0.1))
@@ -103,7 +105,7 @@ def test_each_frame_of_a_flight_is_what_a_new_terrain_gives(monkeypatch):
         for frame, view in enumerate(flight(field, rng)):
             found = result(flown, criterion, view, scale, offset)
             assert found == result(Terrain(field, 1), criterion, view, scale, offset), seed
-            if criterion.hidden_factor == 1:  # else each frame has a map of its own
+            if criterion.hidden_factor == 1:  # else each frame has another map
                 leaves += found[0]
                 from_last += taken(flown)
             if found[0] > MANY_LEAVES and frame == 1:
@@ -151,8 +153,8 @@ def test_a_kept_subtree_bounds_what_its_band_leaves_in_doubt():
     assert taken(flown) > 0 and found == result(fresh, criterion, view, 1.0, 0.0)
 
 
-def test_what_comes_into_the_frame_is_refined_and_what_leaves_it_is_not():
-    """A camera that only turns: spans of what is behind it stay, and only the frustum says that it is seen now."""
+def test_ground_entering_the_frame_is_refined_after_a_turn():
+    """The camera only turns: footprints of ground behind it stay, and only the frustum makes it visible."""
     criterion = Criterion(error_px=1.0, guard_deg=0.0, max_depth=17, shading_floor=1.0)
     field = rough(129, 129, 8, relief=20.0)
     flown, from_last = Terrain(field, 1), 0
@@ -172,8 +174,8 @@ def spans_kernel():
 @pytest.mark.parametrize("stands", [CLEAR, FADED])
 @pytest.mark.parametrize("kind", [PERSPECTIVE, PANORAMIC, ORTHOGRAPHIC])
 def test_footprints_in_a_box_change_within_the_bound(kind, stands, spans_kernel):
-    """Check the finest pixel on 2,000 boxes inside each of 300 after the camera has moved, turned and zoomed, in the
-    frame and across the fringe beside it."""
+    """Check the finest footprint on 2,000 boxes inside each of 300 after the camera has moved, turned and zoomed, in
+    the frame and across its fringe."""
     criterion = Criterion(morph=SMOOTH)
     rng = np.random.default_rng(11)
     narrow = []

@@ -49,7 +49,7 @@ def test_nothing_in_a_box_and_seen_is_less_deep_than_is_said(kernels):
     assert len(known) > 60 and np.median(known) > 0.7
 
 
-def test_heights_over_a_rectangle_are_those_of_the_bilinear_surface(kernels):
+def test_heights_over_a_rectangle_match_the_bilinear_surface(kernels):
     rng = np.random.default_rng(6)
     field = rough(9, 14, seed=2)
     domain = make_domain(field, 0, 1.0, 0.0)
@@ -69,7 +69,7 @@ def test_heights_over_a_rectangle_are_those_of_the_bilinear_surface(kernels):
 
 @pytest.mark.parametrize("seed", [0, 4, 5])
 def test_near_the_ground_a_bound_is_at_most_twice_the_truth(seed):
-    """Leaves at the depth limit are larger than their distance: the bound is at most twice what is seen."""
+    """Leaves at the depth limit are larger than their distance: the bound is at most twice the visible error."""
     rng = np.random.default_rng(seed)
     field = from_array(rough(65, 65, seed=seed).samples.astype(np.float64) * 2.0, 30.0)
     spot, heading = rng.uniform(-400, 400, 2), rng.uniform(0, 6.28)
@@ -84,8 +84,8 @@ def test_near_the_ground_a_bound_is_at_most_twice_the_truth(seed):
 
 @pytest.mark.parametrize("tilt", [0.0, -0.15, 0.3])
 @pytest.mark.parametrize("source_max", [0.0, 0.5])
-def test_low_over_the_ground_a_bound_is_that_of_the_nearest_ground_in_the_frame(tilt, source_max):
-    """20 m above ground of 37 degrees (median): what is nearer than any of it in the frame does not count."""
+def test_near_the_ground_a_bound_counts_ground_in_frame_only(tilt, source_max):
+    """20 m above ground of 37 degrees (median): ground nearer than all ground in the frame does not count."""
     field = replace(from_array(rough(65, 65, seed=3).samples.astype(np.float64) * 3.0, 30.0), source_max=source_max)
     plane = scattered(field, 200_000)
     ground = float(reference_heights(field, np.zeros((1, 2)))[0])

@@ -27,7 +27,7 @@ def kernel(kernels):
 
 
 def a_map(rng) -> tuple[Rings, np.ndarray]:
-    """Rings from a metre on; slopes that rise with the ring, smoothly along most of it."""
+    """Return rings from one metre on, and random slopes that rise with the ring, mostly smooth along it."""
     rings = Rings()
     rings.first, rings.count, rings.at = ring_of(1.0), RINGS, 0
     steps = rng.exponential(0.02, (RINGS, int(ROW))) * (rng.random((RINGS, int(ROW))) < 0.2)
@@ -81,7 +81,7 @@ def test_what_is_hidden_is_nested(kernel):
     assert hidden_below > 300
 
 
-def test_a_hidden_box_is_below_every_ray_that_is_drawn_through_it(kernel):
+def test_a_hidden_box_is_below_every_ray_drawn_to_it(kernel):
     """By angles and circles nothing is shared: of random points of a box each is below its own bin's entry."""
     rng = np.random.default_rng(1)
     rings, slopes = a_map(rng)

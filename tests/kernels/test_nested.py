@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Criteria are nested in rounded arithmetic: no diamond has a finer pixel or a larger error than its parent.
 
-ADAPTIVE_TERRAIN_FUZZ asks for so many random views.
+ADAPTIVE_TERRAIN_FUZZ is the number of random views.
 """
 
 import os

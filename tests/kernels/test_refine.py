@@ -62,7 +62,7 @@ def a_criterion(asks: str, rng) -> Criterion:
 
 
 def scenes(kind: str) -> list[tuple]:
-    """Everything that the walk may come upon: fields, views, criteria, two slices."""
+    """Return scenes that cover all cases of the walk: fields, views, criteria, two slices."""
     rng, found = np.random.default_rng(sum(map(ord, kind))), []
     for asks in ("error", "edge", "area", "metres", "all"):
         for shape in SHAPES:
@@ -77,7 +77,7 @@ def scenes(kind: str) -> list[tuple]:
 
 
 def refined(field, criterion: Criterion, views: list[View], scale: float, offset: float = 0.0) -> tuple:
-    """Leaves, whether one was stopped, the limit's factor, and all arrays."""
+    """Return the leaves, whether one was stopped, the limit's factor, and all arrays."""
     terrain, runs = Terrain(field, 2), []
     terrain.update(Criterion(error_px=8.0), views)  # so that there is something to cut for two slices
     with pytest.MonkeyPatch.context() as patch:
@@ -89,7 +89,7 @@ def refined(field, criterion: Criterion, views: list[View], scale: float, offset
 
 @pytest.fixture(scope="module")
 def measures_all():
-    """The walk without short cuts, as a kernel."""
+    """Return the walk without shortcuts, as a kernel."""
     return SimpleNamespace(walk=wp.kernel(plain.walk))
 
 
@@ -116,7 +116,7 @@ def test_the_walk_decides_as_measuring_every_diamond_does(kind, measures_all, mo
 
 
 def test_level_ground_is_walked_as_measuring_does(measures_all, monkeypatch):
-    """Where depths alone decide; and from so high that depths are what is left of two numbers of 16 digits."""
+    """Depths alone decide; and from so high that depths are the difference of two numbers of 16 digits."""
     view, asked = View.look((0.0, 0.0, 1e15 + 4.0), (9.0, 5.0, 1e15)), Criterion(error_px=0.0, edge_px=20.0)
     absurd = from_array(np.zeros((65, 65), np.float32)), asked, [view], 0.0, 1e15
     same_as_plain([*level_scenes(), absurd], measures_all, monkeypatch)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The same frames are the same bytes, with what is said of them, whatever the processor can do."""
+"""The same frames give the same bytes and the same bounds on every processor."""
 
 import hashlib
 import os
@@ -25,7 +25,7 @@ CORES = {
 
 
 def digest() -> str:
-    """Of what updates of one terrain give, from odd cameras."""
+    """Return a digest of one terrain's updates for unusual cameras."""
     field, found = rough(65, 97, seed=3), hashlib.blake2b()
     placement = np.eye(4)
     placement[:3, :3] += 0.2 * np.sin(np.arange(9.0)).reshape(3, 3)
@@ -44,7 +44,7 @@ def digest() -> str:
 
 
 def digest_on(cores: str, cache) -> str:
-    """`digest` in a process of its own; modules that are compiled for another processor are cached in a folder."""
+    """Return `digest` of a child process; modules compiled for another processor are cached in a folder."""
     core, without, tunables, target = CORES[cores]
     paths = [str(Path(__file__).parent), *sys.path]
     script = f"import sys, warp as wp; sys.path[:0] = {paths!r}; wp.config.quiet = True\n"

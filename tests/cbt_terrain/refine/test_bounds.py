@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What an update calls its bound is never below what is measured on the float32 positions that it delivers.
+"""The bound of an update is never below the error measured on its float32 positions.
 
-No comparison has a tolerance. ADAPTIVE_TERRAIN_FUZZ asks for more random scenes, a fifth of it.
+No comparison has a tolerance. A fifth of ADAPTIVE_TERRAIN_FUZZ is the number of random scenes.
 """
 
 import math
@@ -131,8 +131,10 @@ def pixels_off(view: View, truth: np.ndarray, below: np.ndarray, placement: np.n
 
 
 def sizes_seen(view: View, surface: Surface, placement: np.ndarray) -> tuple[float, float]:
-    """Pixels of the longest edge and square pixels of the largest triangle, of triangles that are wholly in the frame;
-    of a panorama as angles, and areas as half the product of two sides."""
+    """Return pixels of the longest edge and square pixels of the largest triangle wholly in the frame.
+
+    In a panorama, lengths are angles, and areas half the product of two sides.
+    """
     matrix = view.world_to_camera @ placement
     p = surface.positions.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     if view.kind == PANORAMIC:
@@ -164,7 +166,7 @@ def a_placement(rng: np.random.Generator) -> np.ndarray:
 
 
 def a_view(where: str, field: HeightField, placement: np.ndarray, rng: np.random.Generator) -> View:
-    """A view from `where`, in the terrain's space before it is placed."""
+    """Return a random view of the kind `where`, in terrain space before placement."""
     size = extent(field)
     size[2] = max(size[2], 0.05 * size[:2].max())
     eye = rng.uniform(-0.5, 0.5, 3) * size
@@ -263,7 +265,7 @@ def crop() -> Ground:
 
 @pytest.mark.parametrize("name", WASTE)
 def test_the_screen_bound_is_not_wasteful(name, crop):
-    """On a real elevation model the largest error in view is near what was asked for, and the bound is what was."""
+    """On a real elevation model the largest error in view is close to the request, and the bound equals it."""
     make, least = WASTE[name]
     field = crop.field
     view = make(192 * 30.0, field.min_height, field.max_height)
@@ -330,7 +332,7 @@ def test_nothing_in_view_is_a_bound_of_nothing(crop):
     assert len(found.surface.level) == 5, "two triangles a root square, cut at the rim"
 
 
-def test_from_above_a_lower_shading_floor_takes_fewer_triangles_and_the_bound_holds(crop):
+def test_a_lower_shading_floor_takes_fewer_triangles(crop):
     view = View.look((0, 0, 9000.0), (0, 0, 0), kind=ORTHOGRAPHIC, ortho_width=192 * 30.0)
     aside = View.look((0, -3000.0, 900.0), (0, 0, 300.0))
     counts, beside = [], set()

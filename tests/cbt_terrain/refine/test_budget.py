@@ -29,7 +29,7 @@ SHAPES = [(65, 65), (33, 129), (100, 37), (129, 129), (5, 3)]
 
 
 def scene(seed: int):
-    """A field, views, what is asked, and a number of triangles that is too few for it, mostly by far."""
+    """Return a field, views, a criterion, and a triangle limit that is too small for it, mostly by far."""
     rng = np.random.default_rng(seed)
     height, width = SHAPES[rng.integers(len(SHAPES))]
     if rng.random() < 0.7:
@@ -52,12 +52,12 @@ def scene(seed: int):
 
 
 def step_of(relaxed: float) -> int:
-    """The step that a refinement was coarsened by; the one beyond all where nothing fits."""
+    """Return the relaxation step of a refinement; MAX_STEP + 1 if no step fits."""
     return round(STEPS_PER_OCTAVE * math.log2(relaxed)) if relaxed < math.inf else MAX_STEP + 1
 
 
 def moved(view, rng):
-    """The view a thousandth of its distance further on."""
+    """Return the view moved by a thousandth of its distance."""
     shift = np.eye(4)
     shift[:3, 3] = 1e-3 * np.linalg.norm(view.world_to_camera[:3, 3]) * rng.normal(size=3)
     return replace(view, world_to_camera=shift @ view.world_to_camera)
@@ -83,7 +83,7 @@ def counted(monkeypatch):
 
 @pytest.fixture
 def called(monkeypatch):
-    """The request of each refinement."""
+    """Record the request of each refinement."""
     requests, refine = [], terrains.refine
     monkeypatch.setattr(terrains, "refine", lambda *args: requests.append(args[1]) or refine(*args))
     return requests
@@ -178,8 +178,8 @@ def test_threads_share_by_places_that_are_noted(monkeypatch, called):
 
 
 @pytest.mark.parametrize("most", [0, 10])
-def test_fewer_triangles_than_the_squares_have_are_no_reason_to_coarsen(most):
-    """12 squares have 24 at least, and what is asked needs no more."""
+def test_a_limit_below_the_root_triangles_does_not_coarsen(most):
+    """12 squares have at least 24 triangles, and the criterion needs no more."""
     field = from_array(np.random.default_rng(0).random((13, 17), np.float32))
     coarse, view = Criterion(error_px=100.0, max_triangles=most), View.look((0.0, 0.0, 50.0), (1.0, 0.0, 0.0))
     flown = Terrain(field, 1)
@@ -198,7 +198,7 @@ def test_a_limit_that_does_not_bind_is_searched_for_once(counted):
 
 
 def a_curve(rng) -> np.ndarray:
-    """Splits at each step: smooth, in stairs, or none from some step on."""
+    """Return random numbers of splits per step: smooth, in stairs, or 0 from some step on."""
     steps = np.arange(MAX_STEP + 2)
     octaves = rng.uniform(2, 24) - rng.uniform(0.2, 3.0) * steps / STEPS_PER_OCTAVE
     if rng.random() < 0.4:
@@ -228,7 +228,7 @@ def test_the_search_finds_the_finest_step_from_anywhere():
             if found.step == 0 and start is None:  # a guess, which may be wrong
                 found = lowest(counted, most, None, 1) if expected else found
             assert found.step == expected
-            if start is None and 4 <= expected <= MAX_STEP:  # again, from what was found
+            if start is None and 4 <= expected <= MAX_STEP:  # again, from the result
                 passes.clear()
                 assert lowest(counted, most, found, 0) == found and len(passes) == 1
 

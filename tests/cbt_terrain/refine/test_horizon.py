@@ -30,12 +30,14 @@ from horizon_scenes import behind_a_ridge, scenes, updated
 from invariants import arrays
 
 VIEWS = max(30, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 50)
-FEW = 8  # of so many entries one is looked at
+FEW = 8  # one of this many entries is checked
 
 
 def check_what_is_seen(scene) -> tuple[int, int]:
-    """Whatever is in front in the mesh with hidden ground 50 times coarser is a triangle of the mesh without, corner by
-    corner; of several views at least as fine as for its view alone. Returns how many triangles the two meshes have."""
+    """Check that visible triangles are the same if hidden ground may be 50 times coarser, corner by corner.
+
+    With several views they are at least as fine as for each view alone. Returns the triangle counts of both meshes.
+    """
     field, criterion, *rest = scene
     whole = updated(Terrain(field, 1), criterion, *rest)
     culled = updated(Terrain(field, 1), replace(criterion, hidden_factor=50.0), *rest)
@@ -60,7 +62,7 @@ def test_nothing_that_a_view_sees_is_hidden():
     assert sum(fewer) > VIEWS // 20 and min(a / b for a, b in counts) < 0.7, (sum(fewer), counts)
 
 
-def test_nothing_is_hidden_that_is_seen_through_the_gaps_of_a_detail():
+def test_ground_seen_through_gaps_of_displacement_is_not_hidden():
     """Case 71, with detail below the raster's cells: it cuts gaps into walls, and raises ground above them."""
     view = View.look((0, -480, 30), (0, 600, 0), resolution=(640, 360), clip=(0.1, 1e6))
     fewer = 0
@@ -81,7 +83,7 @@ def test_what_one_of_several_views_sees_is_not_hidden():
 
 
 def test_nothing_that_a_view_sees_is_covered_where_points_rise():
-    """Case 71, by degrees: what is in front has the heights, too, that it has with nothing hidden."""
+    """Case 71 with occlusion fade: visible ground has the same heights as without occlusion."""
     z, view = behind_a_ridge()
     ridge = from_array(z, 8.0), Criterion(error_px=1.0), [view], np.eye(4), (1.0, 0.0)
     for scene in (ridge, *scenes(71, 5)):
@@ -104,8 +106,10 @@ def test_horizons_go_on_evenly_with_the_eye_where_points_rise(interpolation, dep
 
 
 def horizon_map(field, eye: np.ndarray, depth: int) -> tuple[np.ndarray, np.ndarray]:
-    """The radii of the rings that an eye's map has where points rise, and its slopes, float32 [rings, entries]; the
-    terrain is turned over."""
+    """Return the ring radii and slopes, float32 [rings, entries], of an eye's map with occlusion fade.
+
+    The terrain is upside down.
+    """
     view = View.look(eye, eye + [1.0, 1.0, -0.3], resolution=(960, 540))
     criterion, placed, buffers = Criterion(error_px=1.0, hidden_factor=8.0), (-1.0, 300.0), Buffers()
     domain = Terrain(field, 1)._placed_domain(0, depth, *placed)
@@ -140,7 +144,7 @@ def test_orthographic_views_hide_nothing():
     assert arrays(plain.surface) == arrays(hiding.surface)
 
 
-def test_ground_behind_a_ridge_is_coarser_by_the_factor_and_no_more():
+def test_ground_behind_a_ridge_is_coarser_by_the_factor():
     z, view = behind_a_ridge()
     field = from_array(z, 8.0)
     found = [Terrain(field, 1).update(Criterion(error_px=1.0, hidden_factor=f), [view]) for f in (1, 2, 8, 1e30)]
@@ -150,7 +154,7 @@ def test_ground_behind_a_ridge_is_coarser_by_the_factor_and_no_more():
 
 
 def test_without_an_error_or_with_holes_nothing_is_hidden():
-    """Edges alone do not say how low the mesh in front is; through holes one sees what is behind them."""
+    """Edges alone do not bound the mesh in front from below; ground behind holes is visible through them."""
     z, view = behind_a_ridge(129)
     holes = z.copy()
     holes[60:64, 60:64] = np.nan
@@ -176,7 +180,7 @@ def test_a_hidden_mesh_is_a_function_of_the_view_alone(monkeypatch):
 
 
 def test_counts_of_a_triangle_limit_know_what_is_hidden(monkeypatch):
-    """What the search has counted is what the walk makes, however much the limit relaxes what is asked."""
+    """The search counts the leaves that the walk makes, however much the limit relaxes the criterion."""
     counted = []
     walk = refinement._walk
 

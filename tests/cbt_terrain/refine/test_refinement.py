@@ -61,7 +61,7 @@ def test_tree_holds_the_leaves_in_curve_order():
     assert leaves == sorted(leaves, key=lambda leaf: (leaf[0], leaf[1] / (1 << leaf[1].bit_length() - 1)))
 
 
-def test_vertical_error_is_view_independent_and_reaches_what_is_asked():
+def test_vertical_error_needs_no_view_and_meets_the_request():
     field = rough(33, 33)
     for asked in (50.0, 5.0, 0.5):
         update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=asked))
@@ -70,7 +70,7 @@ def test_vertical_error_is_view_independent_and_reaches_what_is_asked():
 
 @pytest.mark.parametrize("heights", [(1000.0,), (1000.0, 610.0), (333.0,)])
 def test_an_error_just_above_a_code_takes_no_extra_level(heights):
-    """On a cliff errors are h / 4^k; what is asked is 0.1 % above one of them, or 4 % above, beyond the rounding."""
+    """On a cliff errors are h / 4^k. The request is 0.1 % above one of them, or 4 % above, beyond the rounding."""
     y, x = np.mgrid[0:90, 0:121]
     steps = [np.where(x + 0.3 * y > 45 + 40 * k, h, 0.0) for k, h in enumerate(heights)]
     field = from_array(np.sum(steps, axis=0).astype(np.float32), 1.0)
@@ -163,7 +163,7 @@ def test_an_unusable_criterion_is_one_clear_error():
         Terrain(rough(9, 9), 1).update(Criterion())
 
 
-def test_depth_reaches_below_the_raster_where_the_view_asks_for_it():
+def test_a_near_view_refines_below_the_raster_cells():
     field = rough(17, 17)
     eye = np.array([0.0, 0.0, field.max_height + 1.0])
     update = Terrain(field, 1).update(Criterion(error_px=1.0), [View.look(eye, eye + extent(field) * [1, 0, -0.1])])

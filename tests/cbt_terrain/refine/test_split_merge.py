@@ -24,7 +24,7 @@ VIEWS = 75 if int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) else 4
 
 @cache
 def field(number: int):
-    """One square, a grid with a spare leaf, padded squares."""
+    """Return a field of one square, of a grid with a spare leaf, or of padded squares."""
     height, width = ((65, 65), (33, 97), (100, 37))[number]
     rng = np.random.default_rng(number)
     z = rng.standard_normal((height, width))
@@ -61,7 +61,7 @@ def walked(terrain: Terrain, criterion: Criterion, views: list[View], monkeypatc
 
 
 def converge(tree: ConcurrentBinaryTree, lattice, asked: tuple) -> int:
-    """Passes until no leaf changes."""
+    """Return the number of passes until no leaf changes."""
     passes = 0
     while split_merge(tree, lattice, *asked):
         passes += 1

@@ -14,7 +14,7 @@ from adaptive_terrain.cbt_terrain.view.view import View
 from fields import rough
 
 
-def test_rounding_is_half_a_step_of_the_highest_where_float32_holds_the_plane():
+def test_rounding_is_half_the_spacing_at_the_highest_height():
     field = from_array(np.full((17, 33), 5000.0, np.float32), 30.0)
     assert rounding(field, 17, 1.0, 0.0).most == pytest.approx(2.0**-12, rel=1e-5)
     assert rounding(field, 17, 1.0, 12000.0).most == pytest.approx(2.0**-10, rel=1e-5)
@@ -36,7 +36,7 @@ def test_rounding_of_plane_coordinates_counts_by_the_slope():
 
 @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
 @pytest.mark.parametrize("along_x", [True, False])
-def test_rounding_counts_facets_that_lean_where_the_surface_does_not(along_x, interpolation):
+def test_rounding_counts_facets_steeper_than_the_surface(along_x, interpolation):
     """Ridges and valleys in turn: a triangle from one to the other rises along them, and the surface does not."""
     violated = 0
     for rows, columns, depth in ((33, 3, 2), (17, 5, 4), (5, 17, 4), (33, 9, 6)):
@@ -78,13 +78,13 @@ def test_terms_add_up_to_the_bound():
     assert Terrain(field, 1).update(Criterion(error_px=0, error_m=2.0)).terms_px is None
 
 
-def test_rounding_alone_is_called_precision_and_is_not_refined_away():
+def test_rounding_is_reported_as_precision_and_not_refined():
     z = (8000 + 0.01 * np.random.default_rng(0).standard_normal((9, 9))).astype(np.float32)
     terrain = Terrain(from_array(z, 10.0), 1)
     lost = terrain.update(Criterion(error_px=0, error_m=10.0)).terms_m.precision
     update = terrain.update(Criterion(error_px=0, error_m=0.8 * lost))
     assert update.limited == "precision" and lost < update.bound_m <= 1.25 * lost * (1 + 1e-9)
-    # four thirds of what is lost can be had, and less costs no more than a few times that, however much less
+    # four thirds of the rounding can be met; a smaller request costs at most a few times more, however small it is
     none = terrain.update(Criterion(error_px=0, error_m=1e-9 * lost))
     assert (none.triangles, none.bound_m) == (update.triangles, update.bound_m)
     other = terrain.update(Criterion(error_px=0, error_m=1.5 * lost))
@@ -94,8 +94,7 @@ def test_rounding_alone_is_called_precision_and_is_not_refined_away():
 
 @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
 def test_no_facet_leans_by_more_than_the_heights_around_it_say(interpolation):
-    """Every triangle of meshes at many depths: its slope times what coordinates are off, against what the cells around
-    it allow for."""
+    """Compare each triangle's slope times the error of coordinates with the bound from the cells around it."""
     rng = np.random.default_rng(4)
     for rows, columns, depth in ((9, 9, 3), (17, 5, 6), (9, 17, 8), (5, 5, 13)):
         z = rng.standard_normal((rows, columns)).cumsum(axis=rng.integers(2)) * 100.0

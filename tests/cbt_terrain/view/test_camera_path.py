@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Camera paths: what is read, what is refused, and how frames between keyframes are found."""
+"""Camera paths: accepted files, refused files, and frames between keyframes."""
 
 import json
 import math

@@ -114,7 +114,7 @@ def test_points_that_rise_at_once_are_those_of_the_plain_mesh():
 
 
 def a_flight(rng):
-    """A field, what is asked, and views that go on a little each frame."""
+    """Return a field, a criterion, and views that move a little each frame."""
     field = rough(*((129, 65), (65, 65), (90, 50))[rng.integers(3)], int(rng.integers(99)), relief=60.0)
     if rng.random() < 0.3:
         field = interpolated(field, "bicubic")
@@ -171,7 +171,7 @@ def test_a_saved_tree_has_its_points_in_their_places():
     )
 
 
-def test_metres_hold_in_full_where_the_source_has_rounded_half_of_them():
+def test_metres_hold_if_the_source_has_rounded_half_of_them():
     """For a bound in metres beside one on screen; and what float32 takes is in both."""
     field, ahead = rough(33, 33, relief=60.0), View.look((0, -350, 125), (0, 0, 0), resolution=(640, 480))
     for part in (0.0, 0.1, 0.2, 0.3, 0.5):
@@ -186,7 +186,7 @@ def test_metres_hold_in_full_where_the_source_has_rounded_half_of_them():
     assert measured.vertical_max_m <= update.bound_m and measured.screen_px.max <= update.bound_px
 
 
-def test_a_triangle_limit_jumps_no_further_where_its_step_changes():
+def test_a_triangle_limit_does_not_jump_where_its_step_changes():
     """Each frame is relaxed by a little more than the last, across three steps of a thirty-second of an octave."""
     field = rough(65, 65, relief=60.0)
     terrain, plane, last, factors, moves = Terrain(field, 1), scattered(field, 400), None, [], []
@@ -204,8 +204,8 @@ def test_a_triangle_limit_jumps_no_further_where_its_step_changes():
     assert np.array(moves)[changes].max() < 2 * np.array(moves)[~changes].max() < 1.0
 
 
-def test_a_limit_that_is_just_not_reached_changes_nothing_at_once():
-    """From triangles enough on down to fewer than are asked for: the factor rises from 1 without a jump."""
+def test_a_limit_just_out_of_reach_takes_effect_gradually():
+    """As the limit falls from enough triangles to too few, the factor grows from 1 without a jump."""
     field, view = rough(65, 65, relief=60.0), View.look((0, -700, 250), (0, 0, 0), resolution=(960, 540))
     full = Terrain(field, 1).update(Criterion(error_px=4.0, morph=SMOOTH), [view]).triangles
     budgets = np.linspace(1.2 * full, 0.9 * full, 30).astype(int)

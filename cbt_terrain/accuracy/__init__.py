@@ -2,11 +2,11 @@
 """How far a delivered mesh is from the reference surface, measured."""
 
 from .interpolation import interpolation
-from .measure import Errors, Measured, Sight, look, measure, popping, shading_change, triangle_errors
+from .measure import Errors, Measurement, Sight, look, measure, popping, shading_change, triangle_errors
 
 __all__ = [
     "Errors",
-    "Measured",
+    "Measurement",
     "Sight",
     "interpolation",
     "look",

@@ -54,7 +54,7 @@ def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base:
     width, height = (int(pixels) // SMALL for pixels in view.resolution)
     side = min(SIDE // SMALL, width, height)
     apart = [picture.shaded(0, 0, width, height, 1 / SMALL, False) for picture in (drawn[0], drawn[-1])]
-    x, y = _most(np.abs(apart[0] - apart[1]).sum(axis=2), side)
+    x, y = _max_square(np.abs(apart[0] - apart[1]).sum(axis=2), side)
     place = SMALL * x, SMALL * y, SMALL * side, SMALL * side
     found = []
     for error, picture in zip(errors_px, drawn, strict=True):
@@ -65,7 +65,7 @@ def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base:
     return found
 
 
-def _most(values: np.ndarray, side: int) -> tuple[int, int]:
+def _max_square(values: np.ndarray, side: int) -> tuple[int, int]:
     """Column and row of the square of `side` pixels with the largest sum."""
     sums = np.pad(values.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     inside = sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]

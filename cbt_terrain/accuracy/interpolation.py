@@ -23,8 +23,8 @@ def interpolation(field: HeightField) -> Errors:
         inside, mirrored = _places(-1, width + 1, width)
         wide = (2 * h[:, inside] - h[:, mirrored]).T
         linear, cubic = _linear(wide).T, _cubic(wide).T
-        own = min(ROWS, height - row)
-        distances += [linear[1:][:own] - cubic[1:][:own], _linear(h) - _cubic(h), _linear(linear) - _cubic(cubic)]
+        count = min(ROWS, height - row)
+        distances += [linear[1:][:count] - cubic[1:][:count], _linear(h) - _cubic(h), _linear(linear) - _cubic(cubic)]
     return errors_of(np.concatenate([d.astype(np.float32).reshape(-1) for d in distances]))
 
 

@@ -28,7 +28,7 @@ from .screen import Sight
 
 
 @dataclass(frozen=True)
-class Measured:
+class Measurement:
     """What was found. Percentiles and means are by area: of the ground in plan without its holes, on screen of the
     picture.
 
@@ -65,7 +65,7 @@ def measure(
     threads: int | None = None,
     sight: Sight | None = None,
     on_progress: Progress = ignore,
-) -> Measured:
+) -> Measurement:
     """Measure a whole mesh of `field` against the reference surface, and as `view` sees both.
 
     placement, vertical_scale and vertical_offset are those of the update that made the mesh. `random_points` are drawn
@@ -98,7 +98,7 @@ def measure(
         outline = silhouette(sight, mesh, surface.positions, _part(on_progress, 0.8, 1.0))
     on_progress(1.0)
     largest = max(float(worst.max()), vertical.max)
-    return Measured(vertical, largest, float(rounding.max()), facet_deg, shading_deg, screen, hidden, outline)
+    return Measurement(vertical, largest, float(rounding.max()), facet_deg, shading_deg, screen, hidden, outline)
 
 
 def look(

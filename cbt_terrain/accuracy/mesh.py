@@ -76,7 +76,7 @@ class MeshGround:
         self.key = (field.key, self.scale, self.offset)
         # The lattice of the finest mesh: as many bits a side as `depth_limit` in refine/domain.py allows.
         self.bits = PLANE_BITS - (max(lattice.columns, lattice.rows) - 1).bit_length() - lattice.levels
-        g = self.packed = kernels.Ground()
+        g = self.packed = kernels.ReferenceSurface()
         g.bits = self.bits
         g.bicubic = int(field.interpolation == "bicubic")
         g.curved, g.max_detail = int(g.bicubic or bool(field.parts)), highest(field.parts)
@@ -107,7 +107,7 @@ class MeasuredMesh:
             raise TerrainError("The mesh has no vertices or positions that are not finite: it cannot be measured.")
         # Samples that the mesh covers, bool [height, width], once `differences` has found holes; None: all of them.
         self.covered: np.ndarray | None = None
-        m = self.packed = kernels.Mesh()
+        m = self.packed = kernels.DeliveredMesh()
         m.positions, m.normals = shared(surface.positions, wp.vec3f), shared(surface.normals, wp.vec3f)
         m.corners = shared(surface.corner_verts, wp.int32)
         self._surface = surface
@@ -181,7 +181,7 @@ class MeasuredMesh:
         launch.spread(point_kernels.sort_keys, count, inputs, step="measure", threads=g.threads)
         order = np.argsort(key)
         key = key[order]
-        p = point_kernels.Points()
+        p = point_kernels.MeasuredPoints()
         p.count, p.difference, p.owner = count, shared(difference, wp.float64), shared(owner, wp.int32)
         p.x, p.y, p.key, p.order = (shared(a, wp.int64) for a in (x, y, key, order))
         self.walk(point_kernels.locate, [p])

@@ -21,13 +21,13 @@ from ..refine.terms import Terms
 from ..terrain import Terrain
 from ..view.criterion import Criterion
 from ..view.view import View
-from . import Errors, Measured, Sight, look, measure, popping, shading_change
+from . import Errors, Measurement, Sight, look, measure, popping, shading_change
 from .cost_curve import CostCurve
 from .sweep_settings import Setting
 from .timed_runs import FRAME_RUNS, RUNS, TimedFrame, fastest, median_by_step, timed_runs, to_finished_mesh
 
 # Sights that are kept, of 16 bytes a pixel and 1 byte a sample each; the frames of a longer path are looked at anew.
-KEPT_SIGHTS = 16
+MAX_SIGHTS = 16
 # Errors that differ by less than this part are the same for the Pareto front.
 DIFFERENT = 0.02
 # Runs of the same that differ by more than this factor say nothing of what an error costs.
@@ -61,7 +61,7 @@ class Row:
     vertices: float
     surface_mb: float
     buffers_mb: float | None
-    measured: Measured
+    measured: Measurement
     terms: Terms | None = None
     popping_px: Errors | None = None
     shading_change: Errors | None = None
@@ -126,7 +126,7 @@ def sweep(
     def sight(reference: HeightField, view: View, frame: TimedFrame) -> Sight:
         """What a view sees is the same for every setting, and takes longest to find out."""
         found = look(reference, view, *frame.heights, threads=threads)
-        if found.key not in sights and len(sights) == KEPT_SIGHTS:
+        if found.key not in sights and len(sights) == MAX_SIGHTS:
             del sights[next(iter(sights))]
         return sights.setdefault(found.key, found)
 
@@ -220,7 +220,7 @@ def _row(
     criterion, terrain = setting.criterion(base), Terrain(heights, threads)
     if setting.unit == "m":
         frames = [dataclasses.replace(frames[0], views=(), after=None)]
-    looks = [(frame, view) for frame in frames for view in frame.views or [None]]
+    seen_frames = [(frame, view) for frame in frames for view in frame.views or [None]]
     updates, sizes, measured, changes, runs, spreads = [], [], [], [], [], []
     for frame in frames:
         update = terrain.update(criterion, frame.views, *frame.heights)
@@ -237,11 +237,11 @@ def _row(
                     *frame.heights,
                     threads=threads,
                     sight=sight(heights, view, frame) if view else None,
-                    on_progress=lambda fraction, done=done: on_part((done + fraction) / len(looks)),
+                    on_progress=lambda fraction, done=done: on_part((done + fraction) / len(seen_frames)),
                 )
             )
 
-        def made(surface: Surface, views: Sequence[View], frame: TimedFrame = frame) -> dict[str, Attribute]:
+        def make_attributes(surface: Surface, views: Sequence[View], frame: TimedFrame = frame) -> dict[str, Attribute]:
             request = EffectRequest(effects, surface, views, *frame.heights)
             return evaluate(heights, request, terrain.history, terrain.threads).attributes
 
@@ -249,7 +249,7 @@ def _row(
         if not frame.after:
             surface = None  # its memory is free for the runs
         count = RUNS if len(frames) == 1 else FRAME_RUNS
-        found = timed_runs(terrain, criterion, frame, count, write, made if effects.steps else None)
+        found = timed_runs(terrain, criterion, frame, count, write, make_attributes if effects.steps else None)
         runs.append(fastest(found))
         spreads.append(spread_of([run["cpu"] for run in found]))
         if frame.after:

@@ -48,29 +48,29 @@ class Setting:
 
     def criterion(self, base: Criterion) -> Criterion:
         """`base` with this setting in place of its errors, lengths, areas and limits."""
-        asked = {"error_px": 0.0, "error_m": 0.0, "edge_px": 0.0, "area_px": 0.0, f"error_{self.unit}": self.error}
+        errors = {"error_px": 0.0, "error_m": 0.0, "edge_px": 0.0, "area_px": 0.0, f"error_{self.unit}": self.error}
         limits = {"max_depth": self.max_depth, "max_triangles": MAX_TRIANGLES, "meshlet": self.meshlet}
         morph = base.morph if self.morph is None else self.morph
-        return dataclasses.replace(base, **asked, **limits, morph=morph)
+        return dataclasses.replace(base, **errors, **limits, morph=morph)
 
 
 def settings_for(heights: HeightField, frame: TimedFrame, morph: float = 1.0) -> list[Setting]:
     """What a whole sweep measures: pixels, depth limits and meshlets if there is a view; metres, plain and fitted; and
     every other error with the other interpolation. A fit has a bilinear surface without detail under it. Where a frame
     follows, some errors with the other transitions: `morph` is that of the criterion which is swept."""
-    own = {"interpolation": heights.interpolation}
+    same = {"interpolation": heights.interpolation}
     other = {"interpolation": next(name for name in INTERPOLATIONS if name != heights.interpolation)}
     settings = []
     if frame.views:
-        settings += [Setting("px", error, **own) for error in PIXELS]
+        settings += [Setting("px", error, **same) for error in PIXELS]
         depths = [heights.lattice.cell_depth - short for short in SHORT_OF_CELLS]
-        settings += [Setting("px", 1.0, max_depth=depth, **own) for depth in depths if depth >= 1]
-        settings += [Setting("px", 1.0, meshlet=meshlet, **own) for meshlet in MESHLETS]
+        settings += [Setting("px", 1.0, max_depth=depth, **same) for depth in depths if depth >= 1]
+        settings += [Setting("px", 1.0, meshlet=meshlet, **same) for meshlet in MESHLETS]
         settings += [Setting("px", error, **other) for error in PIXELS[::2]]
         changed = SMOOTH if morph == 1 else 1.0
-        settings += [Setting("px", error, **own, morph=changed) for error in BOTH_WAYS_PX if frame.after]
+        settings += [Setting("px", error, **same, morph=changed) for error in BOTH_WAYS_PX if frame.after]
     metres = metre_steps((heights.max_height - heights.min_height) * abs(frame.vertical_scale))
-    settings += [Setting("m", error, **own) for error in metres]
+    settings += [Setting("m", error, **same) for error in metres]
     settings += [Setting("m", error, **other) for error in metres[::2]]
     return settings + [Setting("m", error, fitted=True) for error in metres if not heights.detail]
 

@@ -18,7 +18,7 @@ from ..refine.refinement import MAX_TRIANGLES
 from ..run import launch
 from ..terrain import Terrain, Update
 from ..view.criterion import Criterion
-from .fitter import Fitter, Mesh
+from .fitter import FittedMesh, Fitter
 
 # A budget coarsens what was asked in steps of 2^(1/8).
 STEPS_PER_OCTAVE = 8
@@ -63,7 +63,7 @@ def fit(
     criterion = Criterion(error_px=0.0, error_m=error_m, max_triangles=max_triangles)
     error_m, max_triangles = criterion.error_m, criterion.max_triangles
     vertical_scale, vertical_offset = vertical(vertical_scale, vertical_offset)
-    most = MAX_TRIANGLES if max_triangles is None else min(max_triangles, MAX_TRIANGLES)
+    triangle_limit = MAX_TRIANGLES if max_triangles is None else min(max_triangles, MAX_TRIANGLES)
     with launch.stopwatch() as ms, launch.timed("total"):
         fitter = Fitter(field, vertical_scale, vertical_offset, threads, on_progress)
         heights: dict[str, Any] = {"vertical_scale": vertical_scale, "vertical_offset": vertical_offset}
@@ -77,12 +77,12 @@ def fit(
         assert plain.bound_m is not None  # the criterion has an error in metres
         best = None
         if plain.relaxed > 1.0:
-            best = _within(fitter, error_m, plain.relaxed, most, plain.bound_m)
+            best = _within(fitter, error_m, plain.relaxed, triangle_limit, plain.bound_m)
         elif plain.limited != "max_depth":
             best = fitter.run(error_m)
         if best is not None:
             more = plain.relaxed == 1.0 and (best.triangles, best.bound_m) > (plain.triangles, plain.bound_m)
-            more = more or (max_triangles is not None and len(fitter.ended(best).triangles) > most)
+            more = more or (max_triangles is not None and len(fitter.ended(best).triangles) > triangle_limit)
             if more or best.bound_m > max(plain.bound_m, fitter.within(error_m)):
                 best = None
         if best is None:
@@ -137,7 +137,7 @@ def check_interpolation(name: str) -> None:
         raise TerrainError(f"A fit is of the bilinear surface; the terrain's is {name}: choose bilinear interpolation.")
 
 
-def _within(fitter: Fitter, error_m: float, relaxed: float, most: int, plain_m: float) -> Mesh | None:
+def _within(fitter: Fitter, error_m: float, relaxed: float, triangle_limit: int, plain_m: float) -> FittedMesh | None:
     """The fit for the least step from `error_m` on that has at most `most` triangles when cut, as bisection finds it.
 
     relaxed, plain_m: by how much interpolation had to coarsen the error for as many, and the bound that it reached.
@@ -151,7 +151,7 @@ def _within(fitter: Fitter, error_m: float, relaxed: float, most: int, plain_m: 
         step = (low + high) // 2
         factor = 2.0 ** (step / STEPS_PER_OCTAVE)
         mesh = fitter.run(error_m * factor)
-        if mesh is not None and len(fitter.ended(mesh).triangles) <= most:
+        if mesh is not None and len(fitter.ended(mesh).triangles) <= triangle_limit:
             found, high = replace(mesh, relaxed=factor), step
         else:
             low = step

@@ -53,7 +53,7 @@ OUTWARD = 1.0 + 1e-12
 
 
 @dataclass(frozen=True)
-class Mesh:
+class FittedMesh:
     surface: Surface
     bound_m: float
     worst_m: float
@@ -89,7 +89,7 @@ class Fitter:
         self.depth = max(1, usual_depth(field))
         self.plain = make_domain(field, 0, *self.placement, rounding(field, self.depth, *self.placement))
 
-    def run(self, error_m: float) -> Mesh | None:
+    def run(self, error_m: float) -> FittedMesh | None:
         """The fit for one error; None if it was given up; of a raster with holes, whose filling it would fit."""
         if not self.scale or self.field.valid is not None:
             return None
@@ -99,10 +99,10 @@ class Fitter:
         domain = make_domain(replace(field, error=error, expanded={}), 0, *self.placement)
         domain.table = shared(table, wp.float32)
         domain.is_raised = 1
-        m, asked, known = self._mesh(error_m), _asked(error_m), self._nothing_known()
+        m, criterion, known = self._mesh(error_m), _vertical_criterion(error_m), self._nothing_known()
         m.codes, work = shared(error, wp.uint8), Sweeps(self, m, buffers)
         for rounds in range(1, MAX_MESHES + 1):
-            refine(field, RefinementRequest(domain, asked, self.depth, MAX_TRIANGLES), history, self.threads)
+            refine(field, RefinementRequest(domain, criterion, self.depth, MAX_TRIANGLES), history, self.threads)
             surface = build_surface(field, SurfaceRequest(domain, whole=True), history, self.threads)
             history.commit()
             work.bind(surface, known)
@@ -122,15 +122,17 @@ class Fitter:
             self.spread(binding.keep, work.vertices, [m, *known])
         return None
 
-    def ended(self, mesh: Mesh) -> Surface:
+    def ended(self, mesh: FittedMesh) -> Surface:
         """The mesh as it is delivered: cut at the raster's rim and for its holes."""
         return borders.end(mesh.surface, self.field, self.plain, threads=self.threads)[0]
 
-    def interpolated(self, update: Update, error_m: float) -> Mesh:
+    def interpolated(self, update: Update, error_m: float) -> FittedMesh:
         """The mesh of an update, measured as a fit is."""
         assert update.bound_m is not None and update.terms_m is not None  # its criterion has an error in metres
         if not self.scale:
-            return Mesh(update.surface, update.bound_m, 0.0, update.terms_m, update.limited, 0, relaxed=update.relaxed)
+            return FittedMesh(
+                update.surface, update.bound_m, 0.0, update.terms_m, update.limited, 0, relaxed=update.relaxed
+            )
         buffers, m = Buffers(), self._mesh(error_m)
         Sweeps(self, m, buffers).bind(update.surface, self._nothing_known())
         self._measure(m, update.surface)
@@ -146,17 +148,17 @@ class Fitter:
         """The largest bound of a mesh that holds an error as far as the source's rounding lets it."""
         return max(error_m, left_of(error_m, self.source) + self.source)
 
-    def _mesh(self, error_m: float) -> mesh_kernels.Mesh:
-        m = mesh_kernels.Mesh()
+    def _mesh(self, error_m: float) -> mesh_kernels.FitMesh:
+        m = mesh_kernels.FitMesh()
         m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - FINEST)
         left = left_of(error_m, self.source)
-        m.asked, m.bound = error_m, left - min(self._shift(error_m) + self._rounded(error_m), left / 2)
+        m.error, m.bound = error_m, left - min(self._shift(error_m) + self._rounded(error_m), left / 2)
         return m
 
     def _codes(self, error_m: float) -> tuple[np.ndarray, np.ndarray]:
         """The errors for the first mesh as codes that may be raised, and what these stand for, by group: powers of a
         root of two about what is asked, to the nearest, since the fit measures what it makes."""
-        field, base = self.field, raising.LEAST * error_m / self.scale
+        field, base = self.field, raising.MIN_ERROR * error_m / self.scale
         values = np.concatenate([[0.0], base * 2.0 ** (np.arange(255) / raising.PER_OCTAVE)])
         between = np.concatenate([[0.0], values[1:-1] * 2.0 ** (0.5 / raising.PER_OCTAVE)])
         found = np.empty_like(field.error)
@@ -171,11 +173,13 @@ class Fitter:
         vertices = (across + 1) * (up + 1)
         return [shared(np.zeros(vertices, np.float32), wp.float32), shared(np.zeros(vertices, np.uint8), wp.uint8)]
 
-    def _measure(self, m: mesh_kernels.Mesh, surface: Surface) -> None:
+    def _measure(self, m: mesh_kernels.FitMesh, surface: Surface) -> None:
         triangles = len(surface.triangles)
         self.spread(kernels.measure, triangles, [m], cost=self.ns_each(triangles) / 15.0)
 
-    def _judged(self, surface: Surface, buffers: Buffers, error_m: float, rounds: int, deepest: bool = False) -> Mesh:
+    def _judged(
+        self, surface: Surface, buffers: Buffers, error_m: float, rounds: int, deepest: bool = False
+    ) -> FittedMesh:
         """A mesh and its bound: the largest of what was measured, and what rounding adds, the mesh's and the source's.
 
         A plane coordinate that is rounded moves a facet sideways, and no facet is steeper than the surface but for
@@ -198,7 +202,7 @@ class Fitter:
         else:
             limited = "max_depth" if deepest else "precision"
         terms = Terms.shares(bound, *parts)
-        return Mesh(surface, bound, parts[0], terms, limited, rounds)
+        return FittedMesh(surface, bound, parts[0], terms, limited, rounds)
 
     def _rounded(self, far: float) -> float:
         """Metres by which a distance may be off that is computed in float64. Where a rim is cut afterwards, its new
@@ -244,10 +248,10 @@ class Fitter:
         launch.spread(kernel, count, inputs, step=f"fit {kernel.key}", threads=self.threads, cost=cost)
 
 
-def _asked(error_m: float) -> CriterionArrays:
+def _vertical_criterion(error_m: float) -> CriterionArrays:
     """Nothing but a vertical error."""
-    asked = CriterionArrays()
-    asked.error_px2 = asked.edge_px2 = asked.area_px2 = math.inf
-    asked.metres2, asked.limit = error_m * error_m, 1.0
-    asked.view, asked.views = LocalView(), wp.array([LocalView()], dtype=LocalView, device="cpu")
-    return asked
+    criterion = CriterionArrays()
+    criterion.error_px2 = criterion.edge_px2 = criterion.area_px2 = math.inf
+    criterion.metres2, criterion.limit = error_m * error_m, 1.0
+    criterion.view, criterion.views = LocalView(), wp.array([LocalView()], dtype=LocalView, device="cpu")
+    return criterion

@@ -53,11 +53,11 @@ def box_range(
     corners = map(wp.float64, (*low, *high))
     inputs = [surface, blocks_of(field, surface), column, first, *corners, shared(found, wp.vec2d)]
     launch.spread(kernels.row_ranges, rows, inputs, step="query", threads=threads, cost=high[0] - low[0] + 1)
-    least, greatest = float(found[:, 0].min()), float(found[:, 1].max())
-    if least > greatest:
+    low_z, high_z = float(found[:, 0].min()), float(found[:, 1].max())
+    if low_z > high_z:
         return math.nan, math.nan
     more = 0.0 if surface.bicubic else highest(field.parts) * abs(surface.scale)
-    return least - more, greatest + more
+    return low_z - more, high_z + more
 
 
 def _in_cells(numbers: list[float], lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:

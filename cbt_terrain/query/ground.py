@@ -20,7 +20,7 @@ MAX_PLACES = 50_000_000
 FARTHEST = 1e100  # metres; squares of lengths are numbers still
 
 
-class Ground(NamedTuple):
+class GroundSamples(NamedTuple):
     """Of n places: `heights` float64 [n] metres, unit `normals` float64 [n, 3], `slopes` float64 [n] radians, `inside`
     bool [n]. Where there is no ground, in holes and beyond the raster, `inside` is False and the others are NaN.
 
@@ -49,14 +49,14 @@ def ground_at(
     vertical_scale: float = 1.0,
     vertical_offset: float = 0.0,
     threads: int | None = None,
-) -> Ground:
+) -> GroundSamples:
     """The ground at places, float64 [n, 2], x and y in metres in the terrain's own space. Raises TerrainError.
 
     A place on the border of a hole or on the rim is inside; so is one that float32 has rounded off the rim. O(1) each.
     """
     surface, places = packed(field, vertical_scale, vertical_offset), vectors(places, 2, "places")
     count = len(places)
-    found = Ground(np.empty(count), np.empty((count, 3)), np.empty(count), np.empty(count, bool))
+    found = GroundSamples(np.empty(count), np.empty((count, 3)), np.empty(count), np.empty(count, bool))
     kinds = wp.float64, wp.vec3d, wp.float64, wp.bool
     outputs = [shared(array, kind) for array, kind in zip(found, kinds, strict=True)]
     inputs = [count, surface, shared(places, wp.vec2d), *outputs]
@@ -118,7 +118,7 @@ def _crossings(field: HeightField, line: np.ndarray, ends: np.ndarray) -> tuple[
     _check_count(float(np.abs(np.diff(cells, axis=0)).sum()) + len(line))
     along, places = [], []
     for n, (a, b) in enumerate(pairwise(line)):
-        parts, own = [np.array([0.0])], [a[None]]
+        parts, crossed = [np.array([0.0])], [a[None]]
         for axis in (0, 1):
             low, high = sorted(cells[n : n + 2, axis])
             numbers = np.arange(np.ceil(low), np.floor(high) + 1)
@@ -130,8 +130,8 @@ def _crossings(field: HeightField, line: np.ndarray, ends: np.ndarray) -> tuple[
             where[:, axis] = at  # to the last bit on the line of samples
             inner = (part > 0.0) & (part < 1.0)
             parts.append(part[inner])
-            own.append(where[inner])
-        part, where = np.concatenate(parts), np.concatenate(own)
+            crossed.append(where[inner])
+        part, where = np.concatenate(parts), np.concatenate(crossed)
         order = np.argsort(part, kind="stable")
         along.append(ends[n] + part[order] * (ends[n + 1] - ends[n]))
         places.append(where[order])

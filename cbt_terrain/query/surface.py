@@ -23,11 +23,11 @@ ROUNDED_HEIGHT = 1e-12
 SPARE = 1e-3
 
 
-def packed(field: HeightField, vertical_scale: float, vertical_offset: float) -> kernels.Surface:
+def packed(field: HeightField, vertical_scale: float, vertical_offset: float) -> kernels.QueriedSurface:
     """The surface; memory is shared, nothing is read. Raises TerrainError for a scale that a mesh cannot have."""
     vertical_scale, vertical_offset = vertical(vertical_scale, vertical_offset)
     box_of(field, vertical_scale, vertical_offset)
-    lattice, s = field.lattice, kernels.Surface()
+    lattice, s = field.lattice, kernels.QueriedSurface()
     s.west, s.south, east, north = lattice.rectangle()
     s.step_x, s.step_y = lattice.step_x, lattice.step_y
     s.per_x, s.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
@@ -41,9 +41,9 @@ def packed(field: HeightField, vertical_scale: float, vertical_offset: float) ->
     return s
 
 
-def blocks_of(field: HeightField, surface: kernels.Surface) -> crossing.Blocks:
+def blocks_of(field: HeightField, surface: kernels.QueriedSurface) -> crossing.HeightRanges:
     """The ranges of heights by which rays skip; memory is shared, nothing is read."""
-    lattice, b = field.lattice, crossing.Blocks()
+    lattice, b = field.lattice, crossing.HeightRanges()
     b.top = lattice.levels // ray_kernels.STEP * ray_kernels.STEP
     b.low_z, b.high_z = sorted(h * surface.scale + surface.offset for h in (field.min_height, field.max_height))
     b.spare = SPARE * (b.high_z - b.low_z + max(abs(b.low_z), abs(b.high_z)))
@@ -53,7 +53,7 @@ def blocks_of(field: HeightField, surface: kernels.Surface) -> crossing.Blocks:
     first, pages = lattice.range_layout()
     b.first, b.pages = shared(first, wp.int64), shared(pages, wp.int32)
     b.ranges = flat(field.ranges, wp.uint16)
-    b.cells, b.bends = first[-2], lattice.node_count
+    b.cells, b.curvatures = first[-2], lattice.node_count
     b.cell_pages, b.curvature_group = pages[-1], lattice.groups + 1
     b.table, b.error = flat(field.table, wp.float32), shared(field.error, wp.uint8)
     b.detail_curvature = add_up(part.splits[0].curvature for part in field.parts)

@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 
 from ...kernels.query import viewshed as kernels
-from ...kernels.query.surface import Surface
+from ...kernels.query.surface import QueriedSurface
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
 from ..plain_numbers import plain_number, vectors
@@ -61,7 +61,7 @@ def viewshed(
     return seen
 
 
-def _rows_near(surface: Surface, y: float, radius: float) -> tuple[int, int]:
+def _rows_near(surface: QueriedSurface, y: float, radius: float) -> tuple[int, int]:
     """The first row of samples within a radius of y, and the one after the last."""
     rows = (np.array([y - radius, y + radius]) - surface.south) / surface.step_y
     low, high = np.floor(np.clip(rows, -1, surface.samples.rows)).astype(int).tolist()

@@ -9,7 +9,7 @@ in PLACES places.
 
 import warp as wp
 
-from .facets import Facet, Ground, Mesh, facet_of, plane_at, reference_at
+from .facets import DeliveredMesh, MeasuredFacet, ReferenceSurface, facet_of, plane_at, reference_at
 
 PLACES = wp.constant(8)
 
@@ -36,7 +36,7 @@ def next_line(at: wp.int64, step: wp.int64, bits: wp.int64) -> wp.int64:
 
 
 @wp.func
-def on_edge(ground: Ground, f: Facet, k: wp.int32, along: wp.float64):
+def on_edge(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, along: wp.float64):
     """Cells east and north of the point `along` (0 .. 1) edge k."""
     n = (k + 1) % 3
     per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << wp.int64(ground.bits))
@@ -46,7 +46,7 @@ def on_edge(ground: Ground, f: Facet, k: wp.int32, along: wp.float64):
 
 
 @wp.func
-def difference_at(ground: Ground, f: Facet, u: wp.float64, v: wp.float64) -> wp.float64:
+def difference_at(ground: ReferenceSurface, f: MeasuredFacet, u: wp.float64, v: wp.float64) -> wp.float64:
     """Mesh less reference, metres."""
     return plane_at(f, u, v) - reference_at(ground, u, v)
 
@@ -63,7 +63,7 @@ def turning_point(e0: wp.float64, e1: wp.float64, e2: wp.float64) -> wp.float64:
 
 
 @wp.func
-def begin(ground: Ground, f: Facet, k: wp.int32) -> Stretch:
+def begin(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32) -> Stretch:
     """Before the first stretch of the edge from corner k to the next."""
     n = (k + 1) % 3
     s = Stretch()
@@ -84,7 +84,7 @@ def meets(at: wp.int64, step: wp.int64, line: wp.int64, bits: wp.int64) -> wp.fl
 
 
 @wp.func
-def advance(ground: Ground, f: Facet, k: wp.int32, s: Stretch) -> Stretch:
+def advance(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, s: Stretch) -> Stretch:
     """The next stretch of edge k."""
     n = (k + 1) % 3
     dx = f.x[n] - f.x[k]
@@ -108,13 +108,13 @@ def advance(ground: Ground, f: Facet, k: wp.int32, s: Stretch) -> Stretch:
 
 
 @wp.func
-def places_of(ground: Ground) -> wp.int32:
+def places_of(ground: ReferenceSurface) -> wp.int32:
     """How many places of a stretch are looked at."""
     return wp.where(ground.curved == 1, PLACES, 2)
 
 
 @wp.func
-def place_in(ground: Ground, f: Facet, k: wp.int32, s: Stretch, q: wp.int32):
+def place_in(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, s: Stretch, q: wp.int32):
     """Place q (1 .. `places_of`, the last one at the end) of a stretch of edge k: cells east and north."""
     along = wp.where(q == 1, s.turn, s.to)
     if ground.curved == 1:
@@ -124,7 +124,7 @@ def place_in(ground: Ground, f: Facet, k: wp.int32, s: Stretch, q: wp.int32):
 
 
 @wp.func
-def rounded_away(ground: Ground, f: Facet, k: wp.int32, position: wp.vec3f) -> wp.float64:
+def rounded_away(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, position: wp.vec3f) -> wp.float64:
     """Metres by which float32 has moved a triangle at corner k."""
     u, v = on_edge(ground, f, k, wp.float64(0.0))
     z = wp.float64(position[2])
@@ -142,15 +142,15 @@ def rounded_away(ground: Ground, f: Facet, k: wp.int32, position: wp.vec3f) -> w
 def edge_extremes(
     first: wp.int32,
     end: wp.int32,
-    ground: Ground,
-    mesh: Mesh,
+    ground: ReferenceSurface,
+    mesh: DeliveredMesh,
     worst: wp.array(dtype=wp.float64),
     rounding: wp.array(dtype=wp.float64),
 ):
     """Raises `worst` to the largest difference along the edges of some triangles; what float32 has moved them by."""
     for t in range(first, end):
         f = facet_of(ground, mesh, t)
-        most = worst[t]
+        largest = worst[t]
         moved = wp.float64(0.0)
         if f.area2 > wp.int64(0):
             for k in range(3):
@@ -160,6 +160,6 @@ def edge_extremes(
                     s = advance(ground, f, k, s)
                     for q in range(1, places_of(ground) + 1):
                         u, v = place_in(ground, f, k, s, q)
-                        most = wp.max(most, wp.abs(difference_at(ground, f, u, v)))
-        worst[t] = most
+                        largest = wp.max(largest, wp.abs(difference_at(ground, f, u, v)))
+        worst[t] = largest
         rounding[t] = moved

@@ -18,7 +18,7 @@ from .detail import detail_height
 
 
 @wp.struct
-class Ground:
+class ReferenceSurface:
     """The reference surface: bilinear or C1 bicubic between the samples, z = sample * scale + offset, metres."""
 
     bits: wp.int32  # 2**bits lattice units a cell
@@ -36,7 +36,7 @@ class Ground:
 
 
 @wp.struct
-class Mesh:
+class DeliveredMesh:
     """A delivered surface."""
 
     positions: wp.array(dtype=wp.vec3f)
@@ -45,7 +45,7 @@ class Mesh:
 
 
 @wp.struct
-class Facet:
+class MeasuredFacet:
     """A triangle: its corners in lattice units and its plane, in metres over cells."""
 
     x: wp.types.vector(length=3, dtype=wp.int64)
@@ -63,7 +63,7 @@ class Facet:
 
 
 @wp.func
-def place_of(ground: Ground, position: wp.vec3f):
+def place_of(ground: ReferenceSurface, position: wp.vec3f):
     """Cells east and north of the south-west corner, as delivered."""
     u = (wp.float64(position[0]) - ground.west) / ground.step_x
     v = (wp.float64(position[1]) - ground.south) / ground.step_y
@@ -77,9 +77,9 @@ def to_lattice(cells: wp.float64, bits: wp.int32) -> wp.int64:
 
 
 @wp.func
-def facet_of(ground: Ground, mesh: Mesh, t: wp.int32) -> Facet:
+def facet_of(ground: ReferenceSurface, mesh: DeliveredMesh, t: wp.int32) -> MeasuredFacet:
     """Triangle t. Where rounding has folded it over, its plane goes through the lattice points instead."""
-    f = Facet()
+    f = MeasuredFacet()
     u = wp.vec3d()
     v = wp.vec3d()
     z = wp.vec3d()
@@ -115,13 +115,13 @@ def facet_of(ground: Ground, mesh: Mesh, t: wp.int32) -> Facet:
 
 
 @wp.func
-def plane_at(f: Facet, u: wp.float64, v: wp.float64) -> wp.float64:
+def plane_at(f: MeasuredFacet, u: wp.float64, v: wp.float64) -> wp.float64:
     """Height of the triangle's plane, metres."""
     return f.z + f.slope_u * (u - f.u) + f.slope_v * (v - f.v)
 
 
 @wp.func
-def detail_in(ground: Ground, u: wp.float64, v: wp.float64) -> wp.float64:
+def detail_in(ground: ReferenceSurface, u: wp.float64, v: wp.float64) -> wp.float64:
     """Metres before scaling of the detail, u cells east and v cells north."""
     z = wp.float64(0.0)
     if ground.layers.count > 0:
@@ -130,7 +130,7 @@ def detail_in(ground: Ground, u: wp.float64, v: wp.float64) -> wp.float64:
 
 
 @wp.func
-def in_cell(ground: Ground, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
+def in_cell(ground: ReferenceSurface, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
     """Height of the reference surface in cell (i, j), metres."""
     p = corners_of(ground.samples, i, j)
     s = u - wp.float64(i)
@@ -145,7 +145,7 @@ def in_cell(ground: Ground, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float
 
 
 @wp.func
-def reference_at(ground: Ground, u: wp.float64, v: wp.float64) -> wp.float64:
+def reference_at(ground: ReferenceSurface, u: wp.float64, v: wp.float64) -> wp.float64:
     """Height of the reference surface, metres."""
     i = wp.clamp(wp.int32(wp.floor(u)), 0, ground.samples.columns - 2)
     j = wp.clamp(wp.int32(wp.floor(v)), 0, ground.samples.rows - 2)
@@ -153,7 +153,7 @@ def reference_at(ground: Ground, u: wp.float64, v: wp.float64) -> wp.float64:
 
 
 @wp.func
-def reference_sample(ground: Ground, i: wp.int32, j: wp.int32) -> wp.float64:
+def reference_sample(ground: ReferenceSurface, i: wp.int32, j: wp.int32) -> wp.float64:
     """Height of the reference surface at a sample, metres."""
     h = sample_at(ground.samples, wp.int64(j) * wp.int64(ground.samples.columns) + wp.int64(i))
     z = wp.float64(h) + detail_in(ground, wp.float64(i), wp.float64(j))
@@ -189,7 +189,9 @@ def shift_of(at: wp.int64, end: wp.int64) -> wp.int64:
 
 
 @wp.func
-def covers(f: Facet, finer: wp.int64, x: wp.int64, y: wp.int64, shift_x: wp.int64, shift_y: wp.int64) -> wp.bool:
+def covers(
+    f: MeasuredFacet, finer: wp.int64, x: wp.int64, y: wp.int64, shift_x: wp.int64, shift_y: wp.int64
+) -> wp.bool:
     """Whether the point (x, y), in units `finer` times finer than the lattice's, belongs to the triangle."""
     inside = f.area2 > wp.int64(0)
     for k in range(3):
@@ -203,7 +205,7 @@ def covers(f: Facet, finer: wp.int64, x: wp.int64, y: wp.int64, shift_x: wp.int6
 
 
 @wp.func
-def owns(ground: Ground, f: Facet, i: wp.int32, j: wp.int32) -> wp.bool:
+def owns(ground: ReferenceSurface, f: MeasuredFacet, i: wp.int32, j: wp.int32) -> wp.bool:
     """Whether sample (i, j) belongs to the triangle."""
     bits = wp.int64(ground.bits)
     shift_x = shift_of(wp.int64(i), wp.int64(ground.samples.columns - 1))
@@ -212,7 +214,7 @@ def owns(ground: Ground, f: Facet, i: wp.int32, j: wp.int32) -> wp.bool:
 
 
 @wp.func
-def sample_box(ground: Ground, f: Facet) -> wp.vec4i:
+def sample_box(ground: ReferenceSurface, f: MeasuredFacet) -> wp.vec4i:
     """First and last column, first and last row of the samples in the triangle's box."""
     bits = wp.int64(ground.bits)
     ahead = (wp.int64(1) << bits) - wp.int64(1)
@@ -228,8 +230,8 @@ def sample_box(ground: Ground, f: Facet) -> wp.vec4i:
 def differences(
     first: wp.int32,
     end: wp.int32,
-    ground: Ground,
-    mesh: Mesh,
+    ground: ReferenceSurface,
+    mesh: DeliveredMesh,
     difference: wp.array(dtype=wp.float32),
     worst: wp.array(dtype=wp.float64),
 ):
@@ -237,11 +239,11 @@ def differences(
     for t in range(first, end):
         f = facet_of(ground, mesh, t)
         box = sample_box(ground, f)
-        most = wp.float64(0.0)
+        largest = wp.float64(0.0)
         for j in range(box[2], box[3] + 1):
             for i in range(box[0], box[1] + 1):
                 if owns(ground, f, i, j):
                     d = plane_at(f, wp.float64(i), wp.float64(j)) - reference_sample(ground, i, j)
                     difference[j * ground.samples.columns + i] = toward_zero(d)
-                    most = wp.max(most, wp.abs(d))
-        worst[t] = most
+                    largest = wp.max(largest, wp.abs(d))
+        worst[t] = largest

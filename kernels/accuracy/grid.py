@@ -4,13 +4,15 @@
 import warp as wp
 
 from .edges import difference_at
-from .facets import Ground, Mesh, covers, facet_of, shift_of
+from .facets import DeliveredMesh, ReferenceSurface, covers, facet_of, shift_of
 
 PLACES_BITS = wp.constant(wp.int64(2))  # 4 x 4 places a cell, or in the box of a smaller triangle
 
 
 @wp.kernel
-def grid_extremes(first: wp.int32, end: wp.int32, ground: Ground, mesh: Mesh, worst: wp.array(dtype=wp.float64)):
+def grid_extremes(
+    first: wp.int32, end: wp.int32, ground: ReferenceSurface, mesh: DeliveredMesh, worst: wp.array(dtype=wp.float64)
+):
     """Raises `worst` of some triangles to the largest difference on a grid of places."""
     one = wp.int64(1)
     bits = wp.int64(ground.bits)
@@ -20,7 +22,7 @@ def grid_extremes(first: wp.int32, end: wp.int32, ground: Ground, mesh: Mesh, wo
     for t in range(first, end):
         f = facet_of(ground, mesh, t)
         if f.area2 > wp.int64(0):
-            most = worst[t]
+            largest = worst[t]
             extent = wp.max(f.east - f.west, f.north - f.south)
             side = bits
             while (one << side) > extent:
@@ -33,7 +35,7 @@ def grid_extremes(first: wp.int32, end: wp.int32, ground: Ground, mesh: Mesh, wo
                     if covers(f, one, x, y, shift_of(x, end_x), shift_of(y, end_y)):
                         u = wp.float64(x) * per_unit
                         v = wp.float64(y) * per_unit
-                        most = wp.max(most, wp.abs(difference_at(ground, f, u, v)))
+                        largest = wp.max(largest, wp.abs(difference_at(ground, f, u, v)))
                     x += spacing
                 y += spacing
-            worst[t] = most
+            worst[t] = largest

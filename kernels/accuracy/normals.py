@@ -5,7 +5,7 @@ import warp as wp
 
 from ..field.detail import detail_at
 from ..mesh.displace import on_sample
-from .facets import Facet, Ground, Mesh, facet_of, owns, sample_box
+from .facets import DeliveredMesh, MeasuredFacet, ReferenceSurface, facet_of, owns, sample_box
 
 DEGREES = wp.constant(wp.float64(57.29577951308232))
 
@@ -17,7 +17,7 @@ def angle_deg(a: wp.vec3d, b: wp.vec3d) -> wp.float32:
 
 
 @wp.func
-def normal_at(mesh: Mesh, f: Facet, t: wp.int32, x: wp.int64, y: wp.int64) -> wp.vec3d:
+def normal_at(mesh: DeliveredMesh, f: MeasuredFacet, t: wp.int32, x: wp.int64, y: wp.int64) -> wp.vec3d:
     """The vertex normals of triangle t, interpolated at a lattice point in it; not of unit length."""
     n = wp.vec3d()
     for k in range(3):
@@ -34,8 +34,8 @@ def normal_at(mesh: Mesh, f: Facet, t: wp.int32, x: wp.int64, y: wp.int64) -> wp
 def angles(
     first: wp.int32,
     end: wp.int32,
-    ground: Ground,
-    mesh: Mesh,
+    ground: ReferenceSurface,
+    mesh: DeliveredMesh,
     facet_deg: wp.array(dtype=wp.float32),
     shading_deg: wp.array(dtype=wp.float32),
 ):

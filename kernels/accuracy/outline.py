@@ -5,8 +5,8 @@ import warp as wp
 
 from ..query.rays import within
 from ..refine.pixels import PANORAMIC
-from .facets import Ground, Mesh
-from .rays import NOWHERE, Ray
+from .facets import DeliveredMesh, ReferenceSurface
+from .rays import NOWHERE, SightRay
 from .screen import Eye, ray_through
 
 
@@ -25,7 +25,7 @@ def from_point(p: wp.vec3f, origin: wp.vec3d) -> wp.vec3d:
 
 
 @wp.func
-def through_triangle(mesh: Mesh, t: wp.int32, origin: wp.vec3d, along: wp.vec3d) -> wp.float64:
+def through_triangle(mesh: DeliveredMesh, t: wp.int32, origin: wp.vec3d, along: wp.vec3d) -> wp.float64:
     """Where (origin + s * along) a line passes through triangle t, infinite where it does not.
 
     Both triangles at an edge compute the same number for it but for the sign, so no line passes between them (Woop,
@@ -47,7 +47,9 @@ def through_triangle(mesh: Mesh, t: wp.int32, origin: wp.vec3d, along: wp.vec3d)
 
 
 @wp.func
-def meets_mesh(ground: Ground, mesh: Mesh, boxes: Boxes, ray: Ray, start: wp.float64, end: wp.float64) -> wp.bool:
+def meets_mesh(
+    ground: ReferenceSurface, mesh: DeliveredMesh, boxes: Boxes, ray: SightRay, start: wp.float64, end: wp.float64
+) -> wp.bool:
     """Whether a ray meets the mesh between start and end."""
     x = ground.west + ray.u * ground.step_x
     y = ground.south + ray.v * ground.step_y
@@ -76,8 +78,8 @@ def meets_mesh(ground: Ground, mesh: Mesh, boxes: Boxes, ray: Ray, start: wp.flo
 @wp.kernel
 def mesh_cover(
     offset: wp.int32,
-    ground: Ground,
-    mesh: Mesh,
+    ground: ReferenceSurface,
+    mesh: DeliveredMesh,
     boxes: Boxes,
     eye: Eye,
     place: wp.array(dtype=wp.vec2d),

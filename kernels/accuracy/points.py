@@ -8,13 +8,13 @@ at most four squares of its own size that hold it (Morton 1966; Samet 1990, line
 
 import warp as wp
 
-from .facets import Facet, Ground, Mesh, covers, facet_of, plane_at, reference_at, shift_of
+from .facets import DeliveredMesh, MeasuredFacet, ReferenceSurface, covers, facet_of, plane_at, reference_at, shift_of
 
 POINT_BITS = wp.constant(7)  # of 23 bits a side, times two edges' coordinates: cross products fit 63 bits
 
 
 @wp.struct
-class Points:
+class MeasuredPoints:
     """Points in units of 2^-(bits + 7) cells, and what is found for them."""
 
     count: wp.int32
@@ -57,7 +57,7 @@ def sort_keys(
 
 
 @wp.func
-def first_from(points: Points, key: wp.int64) -> wp.int32:
+def first_from(points: MeasuredPoints, key: wp.int64) -> wp.int32:
     """The first point whose key is not below `key`."""
     low = wp.int32(0)
     high = points.count
@@ -71,7 +71,14 @@ def first_from(points: Points, key: wp.int64) -> wp.int32:
 
 
 @wp.func
-def visit(ground: Ground, f: Facet, t: wp.int32, points: Points, corner: wp.int64, side_bits: wp.int64):
+def visit(
+    ground: ReferenceSurface,
+    f: MeasuredFacet,
+    t: wp.int32,
+    points: MeasuredPoints,
+    corner: wp.int64,
+    side_bits: wp.int64,
+):
     """Every point of one square that the triangle covers."""
     bits = wp.int64(ground.bits) + wp.int64(POINT_BITS)
     finer = wp.int64(1) << wp.int64(POINT_BITS)
@@ -95,7 +102,7 @@ def visit(ground: Ground, f: Facet, t: wp.int32, points: Points, corner: wp.int6
 
 
 @wp.kernel
-def locate(first: wp.int32, end: wp.int32, ground: Ground, mesh: Mesh, points: Points):
+def locate(first: wp.int32, end: wp.int32, ground: ReferenceSurface, mesh: DeliveredMesh, points: MeasuredPoints):
     """Differences at all points that some triangles cover."""
     one = wp.int64(1)
     finer = wp.int64(POINT_BITS)

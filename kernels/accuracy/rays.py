@@ -15,7 +15,7 @@ import warp as wp
 from ..field.codes import corners_of
 from ..query.rays import within
 from .cubic import heights_about
-from .facets import Ground, in_cell
+from .facets import ReferenceSurface, in_cell
 
 CELL_BITS = wp.constant(1)  # level 1 is 2^(1 + 1) cells a side
 NOWHERE = wp.constant(wp.float64(wp.inf))
@@ -24,7 +24,7 @@ HALVINGS = wp.constant(44)  # of the way between two places: what float64 holds 
 
 
 @wp.struct
-class Blocks:
+class HeightPyramid:
     """The lowest and highest heights of blocks: level k (1 .. levels) is row-major from base[k] on, width[k] a row."""
 
     levels: wp.int32
@@ -38,7 +38,7 @@ class Blocks:
 
 
 @wp.struct
-class Ray:
+class SightRay:
     """Points (u, v, z) + t * (du, dv, dz): cells and metres. `tolerance`: metres that it may be beyond the surface."""
 
     u: wp.float64
@@ -75,7 +75,13 @@ def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
 
 @wp.func
 def in_one_cell(
-    ground: Ground, ray: Ray, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64, side: wp.float64
+    ground: ReferenceSurface,
+    ray: SightRay,
+    i: wp.int32,
+    j: wp.int32,
+    first: wp.float64,
+    last: wp.float64,
+    side: wp.float64,
 ):
     """Where (t) between first and last the ray is beyond the surface; and its side at the end.
 
@@ -116,14 +122,20 @@ def in_one_cell(
 
 
 @wp.func
-def above_patch(ground: Ground, ray: Ray, i: wp.int32, j: wp.int32, t: wp.float64) -> wp.float64:
+def above_patch(ground: ReferenceSurface, ray: SightRay, i: wp.int32, j: wp.int32, t: wp.float64) -> wp.float64:
     """Metres of the ray above the surface in cell (i, j)."""
     return ray.z + t * ray.dz - in_cell(ground, i, j, ray.u + t * ray.du, ray.v + t * ray.dv)
 
 
 @wp.func
 def between(
-    ground: Ground, ray: Ray, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64, side: wp.float64
+    ground: ReferenceSurface,
+    ray: SightRay,
+    i: wp.int32,
+    j: wp.int32,
+    first: wp.float64,
+    last: wp.float64,
+    side: wp.float64,
 ) -> wp.float64:
     """Where (t) between first and last, at which it is so, the ray comes to be beyond the surface."""
     low = first
@@ -138,7 +150,7 @@ def between(
 
 
 @wp.func
-def side_of_span(ray: Ray, t: wp.float64, out: wp.float64, a: wp.float64, b: wp.float64) -> wp.float64:
+def side_of_span(ray: SightRay, t: wp.float64, out: wp.float64, a: wp.float64, b: wp.float64) -> wp.float64:
     """1 where the ray is above all heights between a and b from t to `out`, -1 where below, 0 where that is not so."""
     z0 = ray.z + t * ray.dz
     z1 = ray.z + out * ray.dz
@@ -152,7 +164,13 @@ def side_of_span(ray: Ray, t: wp.float64, out: wp.float64, a: wp.float64, b: wp.
 
 @wp.func
 def in_one_patch(
-    ground: Ground, ray: Ray, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64, side: wp.float64
+    ground: ReferenceSurface,
+    ray: SightRay,
+    i: wp.int32,
+    j: wp.int32,
+    first: wp.float64,
+    last: wp.float64,
+    side: wp.float64,
 ):
     """As `in_one_cell`, of a curved surface: to what its places show."""
     hit = NOWHERE
@@ -180,7 +198,7 @@ def in_one_patch(
 
 
 @wp.func
-def over_ground(ground: Ground, blocks: Blocks, ray: Ray, start: wp.float64, end: wp.float64):
+def over_ground(ground: ReferenceSurface, blocks: HeightPyramid, ray: SightRay, start: wp.float64, end: wp.float64):
     """First and last t of start .. end where the ray is over the ground and near its heights."""
     zero = wp.float64(0.0)
     first, last = within(start, end, ray.u, ray.du, zero, wp.float64(ground.samples.columns - 1))
@@ -207,9 +225,9 @@ def cell_behind(place: wp.float64, speed: wp.float64, out: wp.float64, low: wp.i
 
 @wp.func
 def first_crossing(
-    ground: Ground,
-    blocks: Blocks,
-    ray: Ray,
+    ground: ReferenceSurface,
+    blocks: HeightPyramid,
+    ray: SightRay,
     start: wp.float64,
     end: wp.float64,
     start_level: wp.int32,

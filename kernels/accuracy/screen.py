@@ -10,9 +10,9 @@ import warp as wp
 from ..refine.pixels import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE
 from .edges import advance, begin, place_in, places_of
 from .facets import (
-    Facet,
-    Ground,
-    Mesh,
+    DeliveredMesh,
+    MeasuredFacet,
+    ReferenceSurface,
     facet_of,
     owns,
     plane_at,
@@ -22,7 +22,7 @@ from .facets import (
     toward_zero,
 )
 from .points import POINT_BITS
-from .rays import NOWHERE, Blocks, Ray, first_crossing
+from .rays import NOWHERE, HeightPyramid, SightRay, first_crossing
 
 OUTSIDE = wp.constant(wp.uint8(0))
 VISIBLE = wp.constant(wp.uint8(1))
@@ -86,12 +86,12 @@ def in_frame(eye: Eye, camera: wp.vec3d) -> wp.bool:
 
 
 @wp.func
-def kept_ahead(eye: Eye, truth: wp.vec3d, point: wp.vec3d) -> wp.vec3d:
+def move_ahead(eye: Eye, truth: wp.vec3d, point: wp.vec3d) -> wp.vec3d:
     """`point`, or where the way to it from `truth` comes to the depth below which nothing is promised."""
-    kept = point
+    moved = point
     if eye.kind == PERSPECTIVE and -point[2] < eye.near and -truth[2] > eye.near:
-        kept = truth + (point - truth) * ((-truth[2] - eye.near) / (point[2] - truth[2]))
-    return kept
+        moved = truth + (point - truth) * ((-truth[2] - eye.near) / (point[2] - truth[2]))
+    return moved
 
 
 @wp.func
@@ -101,8 +101,8 @@ def apart_px(eye: Eye, truth: wp.vec3d, a: wp.vec3d, b: wp.vec3d) -> wp.float64:
     if eye.kind == PANORAMIC:
         pixels = wp.atan2(wp.length(wp.cross(a, b)), wp.dot(a, b)) * eye.pixels_per_radian
     elif eye.kind == ORTHOGRAPHIC or -truth[2] > eye.near:  # of what is nearer nothing is promised
-        p = to_frame(eye, kept_ahead(eye, truth, a))
-        q = to_frame(eye, kept_ahead(eye, truth, b))
+        p = to_frame(eye, move_ahead(eye, truth, a))
+        q = to_frame(eye, move_ahead(eye, truth, b))
         x = (p[0] - q[0]) * eye.half_width
         y = (p[1] - q[1]) * eye.half_height
         pixels = wp.sqrt(x * x + y * y)
@@ -110,9 +110,17 @@ def apart_px(eye: Eye, truth: wp.vec3d, a: wp.vec3d, b: wp.vec3d) -> wp.float64:
 
 
 @wp.func
-def hidden(ground: Ground, blocks: Blocks, eye: Eye, u: wp.float64, v: wp.float64, z: wp.float64, camera: wp.vec3d):
+def hidden(
+    ground: ReferenceSurface,
+    blocks: HeightPyramid,
+    eye: Eye,
+    u: wp.float64,
+    v: wp.float64,
+    z: wp.float64,
+    camera: wp.vec3d,
+):
     """Whether the surface lies between the eye and one of its points; what the clip start cuts away does not hide."""
-    ray = Ray()
+    ray = SightRay()
     ray.tolerance = blocks.tolerance
     ray.u = u
     ray.v = v
@@ -136,7 +144,12 @@ def hidden(ground: Ground, blocks: Blocks, eye: Eye, u: wp.float64, v: wp.float6
 
 @wp.kernel
 def visibility(
-    offset: wp.int32, first_row: wp.int32, ground: Ground, blocks: Blocks, eye: Eye, state: wp.array(dtype=wp.uint8)
+    offset: wp.int32,
+    first_row: wp.int32,
+    ground: ReferenceSurface,
+    blocks: HeightPyramid,
+    eye: Eye,
+    state: wp.array(dtype=wp.uint8),
 ):
     """A row of samples, from `first_row` on: OUTSIDE the frame, VISIBLE or HIDDEN."""
     j = first_row + offset + wp.tid()
@@ -154,7 +167,7 @@ def visibility(
 @wp.kernel
 def point_errors(
     offset: wp.int32,
-    ground: Ground,
+    ground: ReferenceSurface,
     eye: Eye,
     x: wp.array(dtype=wp.int64),
     y: wp.array(dtype=wp.int64),
@@ -178,7 +191,7 @@ def point_errors(
 
 
 @wp.func
-def ray_through(eye: Eye, x: wp.float64, y: wp.float64) -> Ray:
+def ray_through(eye: Eye, x: wp.float64, y: wp.float64) -> SightRay:
     """The ray through a place of the frame in pixels from its middle; t is depth, of a panorama distance.
 
     A panorama's frame is taken to be equirectangular.
@@ -190,7 +203,7 @@ def ray_through(eye: Eye, x: wp.float64, y: wp.float64) -> Ray:
         latitude = y / eye.pixels_per_radian
         level = wp.cos(latitude)
         d = eye.axes * wp.vec3d(wp.sin(longitude) * level, wp.sin(latitude), -wp.cos(longitude) * level)
-    ray = Ray()
+    ray = SightRay()
     ray.u = o[0]
     ray.v = o[1]
     ray.z = o[2]
@@ -203,8 +216,8 @@ def ray_through(eye: Eye, x: wp.float64, y: wp.float64) -> Ray:
 @wp.kernel
 def seen_points(
     offset: wp.int32,
-    ground: Ground,
-    blocks: Blocks,
+    ground: ReferenceSurface,
+    blocks: HeightPyramid,
     eye: Eye,
     place: wp.array(dtype=wp.vec2d),
     x: wp.array(dtype=wp.int64),
@@ -227,7 +240,7 @@ def seen_points(
 
 
 @wp.func
-def seen_px(ground: Ground, eye: Eye, f: Facet, u: wp.float64, v: wp.float64) -> wp.float64:
+def seen_px(ground: ReferenceSurface, eye: Eye, f: MeasuredFacet, u: wp.float64, v: wp.float64) -> wp.float64:
     """Pixels between reference and triangle at a point; 0 outside the frame."""
     z = reference_at(ground, u, v)
     truth = to_camera(eye, u, v, z)
@@ -239,17 +252,22 @@ def seen_px(ground: Ground, eye: Eye, f: Facet, u: wp.float64, v: wp.float64) ->
 
 @wp.kernel
 def triangle_px(
-    first: wp.int32, end: wp.int32, ground: Ground, mesh: Mesh, eye: Eye, worst: wp.array(dtype=wp.float64)
+    first: wp.int32,
+    end: wp.int32,
+    ground: ReferenceSurface,
+    mesh: DeliveredMesh,
+    eye: Eye,
+    worst: wp.array(dtype=wp.float64),
 ):
     """Raises `worst` of some triangles to the most pixels of error at their samples and along their edges."""
     for t in range(first, end):
         f = facet_of(ground, mesh, t)
-        most = worst[t]
+        largest = worst[t]
         box = sample_box(ground, f)
         for j in range(box[2], box[3] + 1):
             for i in range(box[0], box[1] + 1):
                 if owns(ground, f, i, j):
-                    most = wp.max(most, seen_px(ground, eye, f, wp.float64(i), wp.float64(j)))
+                    largest = wp.max(largest, seen_px(ground, eye, f, wp.float64(i), wp.float64(j)))
         if f.area2 > wp.int64(0):
             for k in range(3):
                 s = begin(ground, f, k)
@@ -257,5 +275,5 @@ def triangle_px(
                     s = advance(ground, f, k, s)
                     for q in range(1, places_of(ground) + 1):
                         u, v = place_in(ground, f, k, s, q)
-                        most = wp.max(most, seen_px(ground, eye, f, u, v))
-        worst[t] = most
+                        largest = wp.max(largest, seen_px(ground, eye, f, u, v))
+        worst[t] = largest

@@ -4,7 +4,7 @@
 import warp as wp
 
 from ..field.domain import Domain
-from .mesh import KNOWN, PINNED, Mesh
+from .mesh import KNOWN, PINNED, FitMesh
 
 
 @wp.func
@@ -16,7 +16,7 @@ def slot_of(d: Domain, i: wp.int32, j: wp.int32) -> wp.int64:
 @wp.kernel
 def gather(
     offset: int,
-    m: Mesh,
+    m: FitMesh,
     positions: wp.array(dtype=wp.vec3f),
     heights: wp.array(dtype=wp.float32),
     states: wp.array(dtype=wp.uint8),
@@ -44,7 +44,7 @@ def gather(
 
 
 @wp.kernel
-def link(triangles: int, m: Mesh, corner_edges: wp.array(dtype=wp.int32), side: wp.array(dtype=wp.int32)):
+def link(triangles: int, m: FitMesh, corner_edges: wp.array(dtype=wp.int32), side: wp.array(dtype=wp.int32)):
     """Neighbours of the triangles, and a triangle of every vertex. `side` [E]: -1."""
     for c in range(3 * triangles):
         m.first[m.corner_verts[c]] = c / 3
@@ -59,7 +59,7 @@ def link(triangles: int, m: Mesh, corner_edges: wp.array(dtype=wp.int32), side: 
 
 
 @wp.kernel
-def keep(offset: int, m: Mesh, heights: wp.array(dtype=wp.float32), states: wp.array(dtype=wp.uint8)):
+def keep(offset: int, m: FitMesh, heights: wp.array(dtype=wp.float32), states: wp.array(dtype=wp.uint8)):
     """What `gather` of the next mesh is to find."""
     v = offset + wp.tid()
     d = m.domain

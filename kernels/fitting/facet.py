@@ -43,7 +43,7 @@ def surface(d: Domain, x: wp.int32, y: wp.int32) -> wp.float64:
 
 
 @wp.func
-def is_beyond_rim(d: Domain, s: Facet) -> wp.bool:
+def is_beyond_border(d: Domain, s: Facet) -> wp.bool:
     """Whether nothing of the raster is below the facet."""
     west = s.x + wp.min(wp.min(s.left_x, s.right_x), 0)
     south = s.y + wp.min(wp.min(s.left_y, s.right_y), 0)
@@ -116,7 +116,7 @@ def farthest_on_diagonal(
     bits = d.unit_bits - d.levels
     dx = x1 - x0
     dy = y1 - y0
-    most = known
+    largest = known
     cells = wp.abs(dx) >> bits
     if cells > 0:
         cell_x = wp.where(dx > 0, 1, -1)
@@ -126,36 +126,36 @@ def farthest_on_diagonal(
         slope = (s.slope_x * wp.float64(cell_x) + s.slope_y * wp.float64(cell_y)) * unit
         i = (s.x + x0) >> bits
         j = (s.y + y0) >> bits
-        most = wp.max(most, diagonal_inside(d.samples, i, j, cell_x, cell_y, cells, start, slope))
+        largest = wp.max(largest, diagonal_inside(d.samples, i, j, cell_x, cell_y, cells, start, slope))
     else:
         r0 = above(d, s, x0, y0)
         r1 = above(d, s, x1, y1)
         t, r = bulge(r0, r1, twist_over(d, s.x + x0, s.y + y0, dx, dy))
-        most = wp.max(wp.max(most, wp.abs(r)), wp.max(wp.abs(r0), wp.abs(r1)))
-    return most
+        largest = wp.max(wp.max(largest, wp.abs(r)), wp.max(wp.abs(r0), wp.abs(r1)))
+    return largest
 
 
 @wp.func
 def farthest(d: Domain, s: Facet) -> wp.float64:
     """Largest distance between the facet and the surface over it, metres before scaling; none beyond the rim."""
-    if is_beyond_rim(d, s):
+    if is_beyond_border(d, s):
         return wp.float64(0.0)
     bits = d.unit_bits - d.levels
     unit = wp.float64(wp.int32(1) << bits)
     i = s.x >> bits
     j = s.y >> bits
-    most = wp.float64(0.0)
+    largest = wp.float64(0.0)
     low, count = rows_of(s, bits)
     for k in range(count):
         first, samples = row_of(s, bits, low + k)
         plane = s.z + s.slope_y * (wp.float64(low + k) * unit) + s.slope_x * (wp.float64(first) * unit)
         slope = s.slope_x * unit
-        most = wp.max(most, row_inside(d.samples, i + first, j + low + k, samples, plane, slope))
+        largest = wp.max(largest, row_inside(d.samples, i + first, j + low + k, samples, plane, slope))
     if s.left_x == 0 or s.left_y == 0:
         if count == 0:
-            most = wp.abs(above(d, s, 0, 0))
-        most = farthest_on_diagonal(d, s, s.left_x, s.left_y, s.right_x, s.right_y, most)
+            largest = wp.abs(above(d, s, 0, 0))
+        largest = farthest_on_diagonal(d, s, s.left_x, s.left_y, s.right_x, s.right_y, largest)
     else:
-        most = farthest_on_diagonal(d, s, 0, 0, s.left_x, s.left_y, most)
-        most = farthest_on_diagonal(d, s, 0, 0, s.right_x, s.right_y, most)
-    return most
+        largest = farthest_on_diagonal(d, s, 0, 0, s.left_x, s.left_y, largest)
+        largest = farthest_on_diagonal(d, s, 0, 0, s.right_x, s.right_y, largest)
+    return largest

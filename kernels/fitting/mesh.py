@@ -18,12 +18,12 @@ NOT_MEASURED = wp.constant(wp.float64(-1.0))
 
 
 @wp.struct
-class Mesh:
+class FitMesh:
     """A mesh whose vertices' heights are fitted."""
 
     domain: Domain
     snap: wp.int32  # mesh vertices lie on multiples of 2**snap units
-    asked: wp.float64  # metres of error, as interpolation is asked
+    error: wp.float64  # metres of error, as interpolation is asked
     bound: wp.float64  # metres of distance that a triangle may have
     room: wp.int32  # triangles that the arrays have room for
     round: wp.int32  # triangles are split at the end of each
@@ -48,7 +48,7 @@ class Mesh:
 
 
 @wp.func
-def facet_of(m: Mesh, t: wp.int32) -> Facet:
+def facet_of(m: FitMesh, t: wp.int32) -> Facet:
     """A triangle over the plane. Legs are orthogonal and of one length."""
     left = m.corner_verts[3 * t]
     apex = m.corner_verts[3 * t + 1]
@@ -75,19 +75,19 @@ def facet_of(m: Mesh, t: wp.int32) -> Facet:
 
 
 @wp.func
-def is_marked(m: Mesh, t: wp.int32) -> wp.bool:
+def is_marked(m: FitMesh, t: wp.int32) -> wp.bool:
     """Whether a triangle is to be listed."""
     return ((m.marks[t >> 5] >> wp.uint32(t & 31)) & wp.uint32(1)) != wp.uint32(0)
 
 
 @wp.func
-def mark(m: Mesh, t: wp.int32):
+def mark(m: FitMesh, t: wp.int32):
     """A triangle is to be listed."""
     m.marks[t >> 5] = m.marks[t >> 5] | (wp.uint32(1) << wp.uint32(t & 31))
 
 
 @wp.func
-def corner_of(m: Mesh, t: wp.int32, v: wp.int32) -> wp.int32:
+def corner_of(m: FitMesh, t: wp.int32, v: wp.int32) -> wp.int32:
     """Which of a triangle's corners a vertex is."""
     k = wp.int32(0)
     if m.corner_verts[3 * t + 1] == v:
@@ -98,7 +98,7 @@ def corner_of(m: Mesh, t: wp.int32, v: wp.int32) -> wp.int32:
 
 
 @wp.func
-def mark_around(m: Mesh, v: wp.int32):
+def mark_around(m: FitMesh, v: wp.int32):
     """The triangles that have a vertex are to be listed."""
     start = m.first[v]
     t = start
@@ -114,7 +114,7 @@ def mark_around(m: Mesh, v: wp.int32):
 
 
 @wp.func
-def list_marked(m: Mesh, triangles: wp.int32) -> wp.int32:
+def list_marked(m: FitMesh, triangles: wp.int32) -> wp.int32:
     """List in their order the triangles that are marked, and clear the marks; returns how many there are.
 
     Memory is then read in its order too, which halves the time of a sweep over many triangles.
@@ -131,13 +131,13 @@ def list_marked(m: Mesh, triangles: wp.int32) -> wp.int32:
 
 
 @wp.func
-def put_on_surface(m: Mesh, v: wp.int32):
+def put_on_surface(m: FitMesh, v: wp.int32):
     d = m.domain
     m.z[v] = wp.float32(surface(d, m.point[v][0], m.point[v][1]) * d.height_scale + d.height_offset)
 
 
 @wp.func
-def replace_beside(m: Mesh, t: wp.int32, old: wp.int32, new: wp.int32):
+def replace_beside(m: FitMesh, t: wp.int32, old: wp.int32, new: wp.int32):
     """Of a triangle, if there is one, the neighbour."""
     if t >= 0:
         for k in range(3):
@@ -146,7 +146,7 @@ def replace_beside(m: Mesh, t: wp.int32, old: wp.int32, new: wp.int32):
 
 
 @wp.func
-def put_triangle(m: Mesh, t: wp.int32, corners: wp.vec3i, beside: wp.vec3i, level: wp.int32):
+def put_triangle(m: FitMesh, t: wp.int32, corners: wp.vec3i, beside: wp.vec3i, level: wp.int32):
     for c in range(3):
         m.corner_verts[3 * t + c] = corners[c]
         m.beside[3 * t + c] = beside[c]
@@ -155,7 +155,7 @@ def put_triangle(m: Mesh, t: wp.int32, corners: wp.vec3i, beside: wp.vec3i, leve
 
 
 @wp.func
-def halve(m: Mesh, t: wp.int32, new: wp.int32, middle: wp.int32, across: wp.int32, across_new: wp.int32):
+def halve(m: FitMesh, t: wp.int32, new: wp.int32, middle: wp.int32, across: wp.int32, across_new: wp.int32):
     """Bisect a triangle: it keeps its left half, `new` is its right one; `across` and `across_new` likewise beyond."""
     left = m.corner_verts[3 * t]
     apex = m.corner_verts[3 * t + 1]
@@ -172,7 +172,7 @@ def halve(m: Mesh, t: wp.int32, new: wp.int32, middle: wp.int32, across: wp.int3
 
 
 @wp.func
-def split(m: Mesh, t: wp.int32, size: wp.vec2i) -> wp.vec2i:
+def split(m: FitMesh, t: wp.int32, size: wp.vec2i) -> wp.vec2i:
     """Bisect a triangle and what has to be for a conforming mesh; the code of what is split rises to RAISED.
 
     `size`: triangles and vertices; as they are then is returned. New vertices are samples, on the surface. New

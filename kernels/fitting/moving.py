@@ -13,7 +13,7 @@ corners moved by more than it was within the aim.
 import warp as wp
 
 from .facet import farthest
-from .mesh import NOT_MEASURED, PINNED, Mesh, facet_of, is_marked, list_marked, mark, mark_around
+from .mesh import NOT_MEASURED, PINNED, FitMesh, facet_of, is_marked, list_marked, mark, mark_around
 from .push import Pushes, pushes_in_cell, pushes_of
 
 # Points beyond this part of the bound push; length of a step over the mean push, below 2.
@@ -24,7 +24,7 @@ NO_WEIGHT = wp.constant(wp.float32(1e-4))
 
 
 @wp.kernel
-def measure(offset: int, m: Mesh):
+def measure(offset: int, m: FitMesh):
     """How far each triangle is from the surface, in double precision; it pushes nothing until a corner moves."""
     t = offset + wp.tid()
     m.worst[t] = farthest(m.domain, facet_of(m, t)) * m.domain.error_scale
@@ -34,7 +34,7 @@ def measure(offset: int, m: Mesh):
 
 
 @wp.func
-def corners_of(m: Mesh, t: wp.int32) -> wp.vec3f:
+def corners_of(m: FitMesh, t: wp.int32) -> wp.vec3f:
     """Heights of a triangle's corners."""
     return wp.vec3f(m.z[m.corner_verts[3 * t]], m.z[m.corner_verts[3 * t + 1]], m.z[m.corner_verts[3 * t + 2]])
 
@@ -46,7 +46,7 @@ def weighted(q: wp.float32, weight: wp.float32, all: wp.float32) -> wp.vec2f:
 
 
 @wp.kernel
-def pull(first: int, end: int, m: Mesh):
+def pull(first: int, end: int, m: FitMesh):
     """How far listed triangles are from the surface and how they push their corners."""
     d = m.domain
     per_scale = wp.float64(1.0) / d.height_scale
@@ -71,8 +71,8 @@ def pull(first: int, end: int, m: Mesh):
             q = Pushes()
             if m.level[t] <= 2 * d.levels + 1:
                 height = (wp.float64(z[1]) - d.height_offset) * per_scale
-                rises = wp.vec2f(wp.float32(rise_left), wp.float32(rise_right))
-                q = pushes_of(d, left, apex, right, height, rises, wp.float32(aim / d.error_scale))
+                corner_climbs = wp.vec2f(wp.float32(rise_left), wp.float32(rise_right))
+                q = pushes_of(d, left, apex, right, height, corner_climbs, wp.float32(aim / d.error_scale))
             else:
                 q = pushes_in_cell(d, facet_of(m, t), aim / d.error_scale)
             around = wp.abs(rise_left) + wp.abs(rise_right) + wp.float64(q[0])
@@ -84,13 +84,13 @@ def pull(first: int, end: int, m: Mesh):
 
 
 @wp.func
-def add_push(m: Mesh, v: wp.int32, q: wp.vec2f):
+def add_push(m: FitMesh, v: wp.int32, q: wp.vec2f):
     m.push[2 * v] = m.push[2 * v] + wp.float64(q[0])
     m.push[2 * v + 1] = m.push[2 * v + 1] + wp.float64(q[1])
 
 
 @wp.kernel
-def move(count: int, triangles: int, m: Mesh, found: wp.array(dtype=wp.int32)):
+def move(count: int, triangles: int, m: FitMesh, found: wp.array(dtype=wp.int32)):
     """Every vertex by what pushes it; `m.active` becomes the list for the next sweep.
 
     `found` [2] receives how many that are, and how many triangles were beyond what they are allowed.

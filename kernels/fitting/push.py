@@ -4,7 +4,7 @@
 import warp as wp
 
 from ..field.domain import Domain
-from .facet import Facet, above, bulge, is_beyond_rim, twist_over
+from .facet import Facet, above, bulge, is_beyond_border, twist_over
 
 Pushes = wp.types.vector(length=7, dtype=wp.float32)
 
@@ -20,24 +20,24 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
     const int apex_y = apex[1] >> bits, left_y = (left[1] - apex[1]) >> bits, right_y = (right[1] - apex[1]) >> bits;
     const int n = wp::max(wp::abs(left_x), wp::abs(left_y));
     const float per_leg = 1.0f / ((float)left_x * (float)left_x + (float)left_y * (float)left_y);
-    const float slope_x = (rises[0] * (float)left_x + rises[1] * (float)right_x) * per_leg;
-    const float slope_y = (rises[0] * (float)left_y + rises[1] * (float)right_y) * per_leg;
+    const float slope_x = (corner_climbs[0] * (float)left_x + corner_climbs[1] * (float)right_x) * per_leg;
+    const float slope_y = (corner_climbs[0] * (float)left_y + corner_climbs[1] * (float)right_y) * per_leg;
     const float high = (float)z;  // two numbers for the apex: heights are small beside it, not beside 0
     const float rest = (float)(z - (double)high);
     const bool level = left_x == 0 || left_y == 0;
     const bool upright = left_x == right_x;
     const lanes number = {0.0f, 1.0f, 2.0f, 3.0f, 4.0f, 5.0f, 6.0f, 7.0f};
     const masks magnitude = (masks){} + 0x7fffffff, one = (masks){} + 0x3f800000;
-    lanes most = {}, count = {}, count_x = {}, count_y = {}, push = {}, push_x = {}, push_y = {};
+    lanes largest = {}, count = {}, count_x = {}, count_y = {}, push = {}, push_x = {}, push_y = {};
     const int origin = apex_y * width + apex_x;
-    const int right_rim = width - 1 - apex_x, upper_rim = height - 1 - apex_y;  // nothing counts beyond
+    const int right_border = width - 1 - apex_x, upper_border = height - 1 - apex_y;  // nothing counts beyond
     const int south = wp::min(wp::min(left_y, right_y), 0);
-    const int north = wp::min(wp::max(wp::max(left_y, right_y), 0), upper_rim);
+    const int north = wp::min(wp::max(wp::max(left_y, right_y), 0), upper_border);
     for (int y = south; y <= north; ++y) {
         const int away = wp::abs(y);
         int first = level ? (left_x + right_x < 0 ? away - n : 0) : upright ? (left_x > 0 ? away : -n) : -away;
         const int samples = !level && !upright ? 2 * away + 1 : n + 1 - away;
-        const int row = origin + y * width, last = wp::min(first + samples - 1, right_rim);
+        const int row = origin + y * width, last = wp::min(first + samples - 1, right_border);
         const float base = rest + slope_y * (float)y;
         for (int x = first; x <= last; x += 8) {
             int from = row + x;
@@ -53,8 +53,8 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
             const masks inside = (at >= (float)x) & (at <= (float)last);
             const lanes r = (heights - high) - (base + slope_x * at);
             const lanes far = (lanes)((masks)r & magnitude & inside);
-            const masks more = far > most;
-            most = (lanes)(((masks)far & more) | ((masks)most & ~more));
+            const masks more = far > largest;
+            largest = (lanes)(((masks)far & more) | ((masks)largest & ~more));
             const masks beyond = far > aim;
             const lanes over = (lanes)(((masks)(far - aim) | ((masks)r & ~magnitude)) & beyond);
             const lanes hit = (lanes)(one & beyond);
@@ -68,7 +68,7 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
     }
     float worst = 0.0f;
     for (int k = 0; k < 8; ++k)
-        worst = most[k] > worst ? most[k] : worst;
+        worst = largest[k] > worst ? largest[k] : worst;
     const auto sum = [](lanes v) { return ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7])); };
     float c = sum(count), c_x = sum(count_x), c_y = sum(count_y);
     float p = sum(push), p_x = sum(push_x), p_y = sum(push_y);
@@ -77,8 +77,8 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
         int x = level ? left_x : 0, y = level ? left_y : 0;
         const int end_x = level || side ? right_x : left_x, end_y = level || side ? right_y : left_y;
         const int dx = end_x > x ? 1 : -1, dy = end_y > y ? 1 : -1;
-        const int skip = wp::max(wp::max(dx < 0 ? x - right_rim : 0, dy < 0 ? y - upper_rim : 0), 0);
-        const int end = wp::min(wp::min(wp::abs(end_x - x), dx > 0 ? right_rim - x : n), dy > 0 ? upper_rim - y : n);
+        const int skip = wp::max(wp::max(dx < 0 ? x - right_border : 0, dy < 0 ? y - upper_border : 0), 0);
+        const int end = wp::min(wp::min(wp::abs(end_x - x), dx > 0 ? right_border - x : n), dy > 0 ? upper_border - y : n);
         if (skip >= end)
             continue;
         x += skip * dx;
@@ -126,7 +126,7 @@ def pushes_of(
     apex: wp.vec2i,
     right: wp.vec2i,
     z: wp.float64,
-    rises: wp.vec2f,
+    corner_climbs: wp.vec2f,
     aim: wp.float32,
 ) -> Pushes:
     """A triangle with its corners on samples against the bilinear surface over it.
@@ -161,7 +161,7 @@ def pushed_at(q: Pushes, r: wp.float64, u: wp.float64, v: wp.float64, aim: wp.fl
 @wp.func
 def pushes_in_cell(d: Domain, s: Facet, aim: wp.float64) -> Pushes:
     """As `pushes_of`, of a triangle inside a cell, where the points are its corners and the extrema along diagonals."""
-    if is_beyond_rim(d, s):
+    if is_beyond_border(d, s):
         return Pushes()
     zero = wp.float64(0.0)
     one = wp.float64(1.0)

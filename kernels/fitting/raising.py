@@ -11,7 +11,7 @@ from ..refine.stored_errors import place
 # Codes of errors while a mesh is fitted: an octave has so many, the first is for LEAST of what is asked, and to be
 # split is to have RAISED, twice of it.
 PER_OCTAVE = wp.constant(16)
-LEAST = wp.constant(0.125)
+MIN_ERROR = wp.constant(0.125)
 RAISED = wp.constant(1 + 4 * 16)
 
 

@@ -5,12 +5,12 @@ import warp as wp
 
 from ..refine.diamond import metres2_of
 from ..refine.stored_errors import cell_error, error_at
-from .mesh import PINNED, Mesh, list_marked, mark, mark_around, put_on_surface, split
+from .mesh import PINNED, FitMesh, list_marked, mark, mark_around, put_on_surface, split
 from .raising import raise_cells
 
 
 @wp.kernel
-def refine(count: int, max_depth: int, local: wp.float64, m: Mesh, found: wp.array(dtype=wp.int32)):
+def refine(count: int, max_depth: int, local: wp.float64, m: FitMesh, found: wp.array(dtype=wp.int32)):
     """Split triangles beyond the bound that interpolation would split too; of others the vertices go to the surface.
 
     `local`: only those whose excess is at least this part of the largest among the triangles that they touch, since
@@ -33,11 +33,11 @@ def refine(count: int, max_depth: int, local: wp.float64, m: Mesh, found: wp.arr
         if over > wp.float64(0.0):
             m.awake[t] = m.round + 1
             mark(m, t)
-            if over >= local * _most_pushed(m, t):
+            if over >= local * _max_push(m, t):
                 finer = m.level[t] - 2 * d.levels - 1
                 cell = _cell_of(m, t)
                 error = _grid_error(m, t, finer, cell)
-                too_coarse = metres2_of(d, error, d.rounding + d.max_lean) > m.asked * m.asked
+                too_coarse = metres2_of(d, error, d.rounding + d.max_lean) > m.error * m.error
                 if m.level[t] < max_depth and (too_coarse or _held(m, t, error)):
                     splits += 1
                     if finer >= 0:
@@ -67,7 +67,7 @@ def refine(count: int, max_depth: int, local: wp.float64, m: Mesh, found: wp.arr
 
 
 @wp.func
-def _push_corners(m: Mesh, count: int):
+def _push_corners(m: FitMesh, count: int):
     """To each vertex the largest excess of the listed triangles about it, in metres."""
     for k in range(count):
         t = m.active[k]
@@ -79,15 +79,15 @@ def _push_corners(m: Mesh, count: int):
 
 
 @wp.func
-def _most_pushed(m: Mesh, t: int):
-    most = wp.float64(0.0)
+def _max_push(m: FitMesh, t: int):
+    largest = wp.float64(0.0)
     for c in range(3):
-        most = wp.max(most, m.push[2 * m.corner_verts[3 * t + c]])
-    return most
+        largest = wp.max(largest, m.push[2 * m.corner_verts[3 * t + c]])
+    return largest
 
 
 @wp.func
-def _cell_of(m: Mesh, t: int):
+def _cell_of(m: FitMesh, t: int):
     """The raster's cell that a triangle within one is in: between its apex and the middle of its longest edge."""
     bits = m.domain.unit_bits - m.domain.levels
     middle = _middle(m, t)
@@ -98,12 +98,12 @@ def _cell_of(m: Mesh, t: int):
 
 
 @wp.func
-def _middle(m: Mesh, t: int):
+def _middle(m: FitMesh, t: int):
     return (m.point[m.corner_verts[3 * t]] + m.point[m.corner_verts[3 * t + 2]]) / 2
 
 
 @wp.func
-def _grid_error(m: Mesh, t: int, finer: int, cell: wp.vec2i):
+def _grid_error(m: FitMesh, t: int, finer: int, cell: wp.vec2i):
     """The error with its vertices on the surface, as stored; `finer`: levels below the raster's cells, or negative."""
     if finer < 0:
         middle = _middle(m, t)
@@ -112,7 +112,7 @@ def _grid_error(m: Mesh, t: int, finer: int, cell: wp.vec2i):
 
 
 @wp.func
-def _held(m: Mesh, t: int, error: wp.float32):
+def _held(m: FitMesh, t: int, error: wp.float32):
     """Whether its vertices are on the surface already, so that only a split helps what float32 positions add."""
     pinned = PINNED
     fresh = wp.float64(0.0)
@@ -125,7 +125,7 @@ def _held(m: Mesh, t: int, error: wp.float32):
 
 
 @wp.func
-def _pin_corners(m: Mesh, t: int):
+def _pin_corners(m: FitMesh, t: int):
     """Its vertices go to the surface; returns how many were not there."""
     pins = wp.int32(0)
     for c in range(3):

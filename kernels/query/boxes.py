@@ -5,15 +5,15 @@ import warp as wp
 
 from ..field.codes import bilinear, corners_of
 from ..field.layout import tile_index
-from .crossing import Blocks, range_at
-from .surface import Surface, is_ground
+from .crossing import HeightRanges, range_at
+from .surface import QueriedSurface, is_ground
 
 
 @wp.kernel
 def row_ranges(
     offset: int,
-    surface: Surface,
-    blocks: Blocks,
+    surface: QueriedSurface,
+    blocks: HeightRanges,
     first_column: int,
     first_row: int,
     west: wp.float64,

@@ -13,7 +13,7 @@ from ..field.codes import corners_of, error_of
 from ..field.layout import tile_index
 from ..refine.diamond import larger, smaller
 from ..unchecked import item_at
-from .surface import Surface, jet_in
+from .surface import QueriedSurface, jet_in
 
 NOWHERE = wp.constant(wp.float64(wp.inf))
 MAX_STEPS = wp.constant(100_000)  # far more than a cell ever takes; heights of a damaged store may be anything
@@ -21,7 +21,7 @@ CLOSE = wp.constant(wp.float64(1e-15))  # of the way along the ray: a step that 
 
 
 @wp.struct
-class Blocks:
+class HeightRanges:
     """Ranges of heights, of blocks of 2^2, 2^4 .. 2^top cells a side and, of a bicubic surface, of cells."""
 
     top: wp.int32  # 0: there are none
@@ -35,7 +35,7 @@ class Blocks:
     pages: wp.array(dtype=wp.int32)
     ranges: wp.array(dtype=wp.uint16)
     cells: wp.int64  # of a bicubic surface: the first entry of the raster's cells in the ranges
-    bends: wp.int64  # ... and in the errors
+    curvatures: wp.int64  # ... and in the errors
     cell_pages: wp.int32
     curvature_group: wp.int32
     table: wp.array(dtype=wp.float32)
@@ -58,7 +58,7 @@ class Ray:
 
 
 @wp.struct
-class Part:
+class RaySegment:
     """A part of a ray inside one cell or block."""
 
     i: wp.int32  # the cell, or one of the block
@@ -70,7 +70,7 @@ class Part:
 
 
 @wp.func
-def range_at(blocks: Blocks, at: wp.int64):
+def range_at(blocks: HeightRanges, at: wp.int64):
     """Lowest and highest metres of an entry of the ranges."""
     a = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * at)) * blocks.step
     b = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * at + wp.int64(1))) * blocks.step
@@ -103,7 +103,7 @@ def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
 
 
 @wp.func
-def in_bilinear(surface: Surface, ray: Ray, part: Part):
+def in_bilinear(surface: QueriedSurface, ray: Ray, part: RaySegment):
     """Where (t) in a part the ray comes to be `slack` beyond the surface; and its side at the end."""
     zero = wp.float64(0.0)
     first = part.first
@@ -136,7 +136,7 @@ def in_bilinear(surface: Surface, ray: Ray, part: Part):
 
 
 @wp.func
-def cell_range(surface: Surface, blocks: Blocks, i: wp.int32, j: wp.int32):
+def cell_range(surface: QueriedSurface, blocks: HeightRanges, i: wp.int32, j: wp.int32):
     """Lowest and highest metres in cell (i, j)."""
     low = wp.float64(0.0)
     high = wp.float64(0.0)
@@ -152,27 +152,31 @@ def cell_range(surface: Surface, blocks: Blocks, i: wp.int32, j: wp.int32):
 
 
 @wp.func
-def bend_along(surface: Surface, blocks: Blocks, ray: Ray, i: wp.int32, j: wp.int32) -> wp.float64:
+def half_curvature_along(
+    surface: QueriedSurface, blocks: HeightRanges, ray: Ray, i: wp.int32, j: wp.int32
+) -> wp.float64:
     """Half of the largest second derivative of the surface along the ray in cell (i, j), metres a square metre."""
     across = ray.du * ray.du + ray.dv * ray.dv
-    bend = wp.float64(0.0)
+    curvature = wp.float64(0.0)
     if surface.bicubic == 1:
-        at = blocks.bends + tile_index(i, j, blocks.cell_pages)
+        at = blocks.curvatures + tile_index(i, j, blocks.cell_pages)
         # what is stored is a quarter of the norm of the second derivatives over cells
-        bend = wp.float64(2.0) * wp.float64(error_of(blocks.table, blocks.curvature_group, blocks.error, at)) * across
+        curvature = (
+            wp.float64(2.0) * wp.float64(error_of(blocks.table, blocks.curvature_group, blocks.error, at)) * across
+        )
     else:
         p = corners_of(surface.samples, i, j)
-        bend = wp.abs(((p[3] - p[2]) - (p[1] - p[0])) * ray.du * ray.dv)
+        curvature = wp.abs(((p[3] - p[2]) - (p[1] - p[0])) * ray.du * ray.dv)
     x = ray.du * surface.step_x
     y = ray.dv * surface.step_y
-    return wp.abs(surface.scale) * (bend + wp.float64(0.5) * blocks.detail_curvature * (x * x + y * y))
+    return wp.abs(surface.scale) * (curvature + wp.float64(0.5) * blocks.detail_curvature * (x * x + y * y))
 
 
 @wp.func
-def in_curved(surface: Surface, blocks: Blocks, ray: Ray, part: Part):
+def in_curved(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
     """As `in_bilinear`, of a bicubic surface or one with detail."""
     zero = wp.float64(0.0)
-    bend = bend_along(surface, blocks, ray, part.i, part.j)
+    curvature = half_curvature_along(surface, blocks, ray, part.i, part.j)
     side = part.side
     hit = NOWHERE
     t = part.first
@@ -193,7 +197,7 @@ def in_curved(surface: Surface, blocks: Blocks, ray: Ray, part: Part):
             break
         if t >= part.last:
             break
-        step = first_root(-bend, side * slope, above)
+        step = first_root(-curvature, side * slope, above)
         if not (step > CLOSE * (wp.abs(t) + part.last - part.first)):
             if step >= zero:
                 hit = t
@@ -203,7 +207,7 @@ def in_curved(surface: Surface, blocks: Blocks, ray: Ray, part: Part):
 
 
 @wp.func
-def clear_of(low: wp.float64, high: wp.float64, ray: Ray, part: Part) -> wp.float64:
+def clear_of(low: wp.float64, high: wp.float64, ray: Ray, part: RaySegment) -> wp.float64:
     """The side of heights low .. high on which a part of a ray is, 1 above and -1 below; 0: on neither."""
     z0 = ray.z + part.first * ray.dz
     z1 = ray.z + part.last * ray.dz
@@ -216,7 +220,7 @@ def clear_of(low: wp.float64, high: wp.float64, ray: Ray, part: Part) -> wp.floa
 
 
 @wp.func
-def passed(part: Part, on_side: wp.float64):
+def passed(part: RaySegment, on_side: wp.float64):
     """Of a part that is clear on one side: where (t) the ray has met the surface, which is if it came from the other;
     and its side."""
     hit = NOWHERE
@@ -226,7 +230,7 @@ def passed(part: Part, on_side: wp.float64):
 
 
 @wp.func
-def in_one_cell(surface: Surface, blocks: Blocks, ray: Ray, part: Part):
+def in_one_cell(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
     """As `in_bilinear`, of any surface."""
     hit = NOWHERE
     side = wp.float64(0.0)

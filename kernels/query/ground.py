@@ -5,7 +5,7 @@ import warp as wp
 
 from ..effects.jet import arc_tangent
 from ..field.codes import prefetch_sample
-from .surface import Surface, cell_of, is_ground, shaded_in
+from .surface import QueriedSurface, cell_of, is_ground, shaded_in
 
 AHEAD = wp.constant(16)
 BLOCK = wp.constant(64)  # places of one call, which reads what does not change: 42 ns a place, 53 one by one
@@ -13,7 +13,7 @@ NOTHING = wp.constant(wp.float64(wp.nan))
 
 
 @wp.func
-def onto_rim(u: wp.float64, cells: wp.int32, slack: wp.float64) -> wp.float64:
+def onto_border(u: wp.float64, cells: wp.int32, slack: wp.float64) -> wp.float64:
     """A place that is no more than `slack` beyond the rim, on it."""
     most = wp.float64(cells)
     found = u
@@ -25,7 +25,7 @@ def onto_rim(u: wp.float64, cells: wp.int32, slack: wp.float64) -> wp.float64:
 
 
 @wp.func
-def fetch_about(surface: Surface, p: wp.vec2d):
+def fetch_about(surface: QueriedSurface, p: wp.vec2d):
     """Bring the samples about a place into the cache; nothing is read, so any place will do."""
     i = wp.int64((p[0] - surface.west) * surface.per_x)
     j = wp.int64((p[1] - surface.south) * surface.per_y)
@@ -41,7 +41,7 @@ def fetch_about(surface: Surface, p: wp.vec2d):
 def ground_at(
     offset: int,
     count: int,
-    surface: Surface,
+    surface: QueriedSurface,
     places: wp.array(dtype=wp.vec2d),
     heights: wp.array(dtype=wp.float64),
     normals: wp.array(dtype=wp.vec3d),
@@ -57,8 +57,8 @@ def ground_at(
         one = wp.float64(1.0)
         fetch_about(surface, places[wp.min(n + AHEAD, count - 1)])
         p = places[n]
-        u = onto_rim((p[0] - surface.west) / surface.step_x, cells_x, surface.border_x)
-        v = onto_rim((p[1] - surface.south) / surface.step_y, cells_y, surface.border_y)
+        u = onto_border((p[0] - surface.west) / surface.step_x, cells_x, surface.border_x)
+        v = onto_border((p[1] - surface.south) / surface.step_y, cells_y, surface.border_y)
         zero = wp.float64(0.0)
         found = u >= zero and v >= zero and u <= wp.float64(cells_x) and v <= wp.float64(cells_y)
         height = NOTHING

@@ -13,14 +13,14 @@ import warp as wp
 from ..field.layout import tile_index
 from ..refine.diamond import larger, smaller
 from ..unchecked import item_at
-from .crossing import NOWHERE, Blocks, Part, Ray, clear_of, in_one_cell, passed, range_at, side_of
-from .surface import Surface, cell_of, is_ground
+from .crossing import NOWHERE, HeightRanges, Ray, RaySegment, clear_of, in_one_cell, passed, range_at, side_of
+from .surface import QueriedSurface, cell_of, is_ground
 
 STEP = wp.constant(2)  # from a block to the next larger: 2^2 times its side; the least have 2^2 cells
 
 
 @wp.func
-def block_range(blocks: Blocks, bits: wp.int32, x: wp.int32, y: wp.int32):
+def block_range(blocks: HeightRanges, bits: wp.int32, x: wp.int32, y: wp.int32):
     """Lowest and highest metres of the block (x, y) of 2^bits cells a side."""
     group = bits / STEP - 1
     at = tile_index(1 + 2 * x, 1 + 2 * y, item_at(blocks.pages, group))
@@ -42,7 +42,7 @@ def within(first: wp.float64, last: wp.float64, at: wp.float64, step: wp.float64
 
 
 @wp.func
-def entry_of(surface: Surface, blocks: Blocks, ray: Ray, end: wp.float64, known: wp.float64):
+def entry_of(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, end: wp.float64, known: wp.float64):
     """The part of 0 .. end in which the ray may meet the surface, empty where first > last, and its side there."""
     zero = wp.float64(0.0)
     first, last = within(zero, end, ray.u, ray.du, zero, wp.float64(surface.samples.columns - 1))
@@ -57,7 +57,9 @@ def entry_of(surface: Surface, blocks: Blocks, ray: Ray, end: wp.float64, known:
 
 
 @wp.func
-def way_out(surface: Surface, ray: Ray, bits: wp.int32, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64):
+def way_out(
+    surface: QueriedSurface, ray: Ray, bits: wp.int32, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64
+):
     """Where (t, `last` at most) the ray leaves the block of cell (i, j), by which line, and the cell beyond."""
     zero = wp.float64(0.0)
     cells_x = surface.samples.columns - 1
@@ -87,7 +89,9 @@ def way_out(surface: Surface, ray: Ray, bits: wp.int32, i: wp.int32, j: wp.int32
 
 
 @wp.func
-def met_in(surface: Surface, blocks: Blocks, ray: Ray, bits: wp.int32, part: Part, known: wp.float64):
+def met_in(
+    surface: QueriedSurface, blocks: HeightRanges, ray: Ray, bits: wp.int32, part: RaySegment, known: wp.float64
+):
     """Where (t) the ray meets the surface in a part of it in a block, its side at the end, and whether that is all:
     else the block has to be looked into."""
     zero = wp.float64(0.0)
@@ -112,8 +116,8 @@ def met_in(surface: Surface, blocks: Blocks, ray: Ray, bits: wp.int32, part: Par
 
 @wp.func
 def first_hit(
-    surface: Surface,
-    blocks: Blocks,
+    surface: QueriedSurface,
+    blocks: HeightRanges,
     ray: Ray,
     end: wp.float64,
     known: wp.float64,
@@ -125,7 +129,7 @@ def first_hit(
     known: the side on which the ray is, 1 above, -1 below, 0: whichever it is, also after a hole. slack: metres that
     it has to be beyond the surface. bits: of the first block that is tried.
     """
-    part = Part()
+    part = RaySegment()
     first, last, side = entry_of(surface, blocks, ray, end, known)
     part.first = first
     part.side = side
@@ -162,7 +166,7 @@ def first_hit(
 
 
 @wp.func
-def ray_of(surface: Surface, p: wp.vec3d, d: wp.vec3d) -> Ray:
+def ray_of(surface: QueriedSurface, p: wp.vec3d, d: wp.vec3d) -> Ray:
     """From a point along a direction, metres."""
     ray = Ray()
     ray.u = (p[0] - surface.west) / surface.step_x
@@ -179,8 +183,8 @@ def ray_of(surface: Surface, p: wp.vec3d, d: wp.vec3d) -> Ray:
 @wp.kernel
 def pick(
     offset: int,
-    surface: Surface,
-    blocks: Blocks,
+    surface: QueriedSurface,
+    blocks: HeightRanges,
     origins: wp.array(dtype=wp.vec3d),
     directions: wp.array(dtype=wp.vec3d),
     distance: wp.array(dtype=wp.float64),

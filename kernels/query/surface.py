@@ -11,7 +11,7 @@ from ..mesh.displace import in_cell
 
 
 @wp.struct
-class Surface:
+class QueriedSurface:
     """Metres are height * scale + offset; memory is shared with the height field (cbt_terrain/query/surface.py)."""
 
     west: wp.float64  # metres
@@ -38,7 +38,7 @@ def cell_of(u: wp.float64, cells: wp.int32) -> wp.int32:
 
 
 @wp.func
-def whole(surface: Surface, i: wp.int32, j: wp.int32) -> wp.bool:
+def whole(surface: QueriedSurface, i: wp.int32, j: wp.int32) -> wp.bool:
     """Whether cell (i, j) is in the raster and has all its four samples."""
     found = i >= 0 and j >= 0 and i < surface.samples.columns - 1 and j < surface.samples.rows - 1
     if found:
@@ -47,7 +47,7 @@ def whole(surface: Surface, i: wp.int32, j: wp.int32) -> wp.bool:
 
 
 @wp.func
-def is_ground(surface: Surface, i: wp.int32, j: wp.int32, on_west: wp.bool, on_south: wp.bool) -> wp.bool:
+def is_ground(surface: QueriedSurface, i: wp.int32, j: wp.int32, on_west: wp.bool, on_south: wp.bool) -> wp.bool:
     """Whether there is ground at a place in cell (i, j), on its western or southern side too if that is said.
 
     What lies on a side belongs to both cells, so the border of a hole is ground.
@@ -65,7 +65,7 @@ def is_ground(surface: Surface, i: wp.int32, j: wp.int32, on_west: wp.bool, on_s
 
 
 @wp.func
-def in_saddle(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
+def in_saddle(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
     """Height and the bilinear patch's own gradient (metres a cell)."""
     p = corners_of(surface.samples, i, j)
     east = p[1] - p[0]
@@ -75,7 +75,7 @@ def in_saddle(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.f
 
 
 @wp.func
-def metric(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64, g: wp.vec3d) -> wp.vec3d:
+def metric(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64, g: wp.vec3d) -> wp.vec3d:
     """Height and gradient g (metres a cell) as metres a metre, that of the detail added."""
     found = wp.vec3d(g[0], g[1] * surface.per_x, g[2] * surface.per_y)
     if surface.layers.count > 0:
@@ -86,7 +86,7 @@ def metric(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.floa
 
 
 @wp.func
-def jet_in(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
+def jet_in(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
     """Height and its gradient before scaling (metres, metres a metre), s and t cells from the corner of cell (i, j)."""
     g = wp.vec3d()
     if surface.bicubic == 1:
@@ -97,7 +97,7 @@ def jet_in(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.floa
 
 
 @wp.func
-def shaded_in(surface: Surface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
+def shaded_in(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
     """As `jet_in`, with the gradient by which the mesh is shaded: of a bilinear surface it has no steps."""
     g = wp.vec3d()
     if surface.bicubic == 1:

@@ -3,17 +3,17 @@
 
 import warp as wp
 
-from .crossing import NOWHERE, Blocks
+from .crossing import NOWHERE, HeightRanges
 from .rays import first_hit, ray_of
-from .surface import Surface, is_ground, jet_in
+from .surface import QueriedSurface, is_ground, jet_in
 
 
 @wp.kernel
 def in_sight(
     offset: int,
     first: int,
-    surface: Surface,
-    blocks: Blocks,
+    surface: QueriedSurface,
+    blocks: HeightRanges,
     eye: wp.vec3d,
     target: wp.float64,
     radius2: wp.float64,

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, replace
 
 import bpy
 
-from ...cbt_terrain.accuracy import Measured, measure
+from ...cbt_terrain.accuracy import Measurement, measure
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.accuracy.sweep import is_unsteady, spread_of, unsteady_text, worst
 from ...cbt_terrain.accuracy.sweep_settings import PIXELS, metre_steps
@@ -31,7 +31,7 @@ class Result:
     """
 
     curve: CostCurve | None
-    measured: Measured
+    measured: Measurement
     digest: str
     no_curve: str = ""
 
@@ -43,16 +43,16 @@ class Result:
 
 
 def read_measured(detail) -> dict:
-    """Read what `Result.store` wrote: accuracy.Measured as a dict, and "digest"; {} if it is missing or damaged."""
+    """Read what `Result.store` wrote: accuracy.Measurement as a dict, and "digest"; {} if it is missing or damaged."""
     try:
         measured = json.loads(detail.measured)
     except (ValueError, RecursionError):
         return {}
-    names = {"digest", *Measured.__dataclass_fields__}
+    names = {"digest", *Measurement.__dataclass_fields__}
     return measured if isinstance(measured, dict) and measured.keys() >= names else {}
 
 
-def errors_text(measured: Measured) -> str:
+def errors_text(measured: Measurement) -> str:
     """Describe the largest measured errors: of visible points in pixels, if there is a view, and of heights."""
     seen = "" if measured.screen_px is None else f"{measured.screen_px.max:.3g} px on screen, "
     return f"measured at most {seen}{measured.vertical_max_m:.3g} m of height"

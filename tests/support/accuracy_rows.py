@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rows of a sweep whose figures are known, for what reports make of them."""
 
-from adaptive_terrain.cbt_terrain.accuracy import Errors, Measured
+from adaptive_terrain.cbt_terrain.accuracy import Errors, Measurement
 from adaptive_terrain.cbt_terrain.accuracy.sweep import Row
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import Setting
 
@@ -21,7 +21,7 @@ def known_rows() -> list[Row]:
     for setting, error, triangles, ms in known:
         errors = Errors(9, error, error / 2, error, error / 3, error / 3)
         on_screen = errors if setting.unit == "px" else None
-        measured = Measured(errors, error, 0.0, errors, errors, on_screen, on_screen, None)
+        measured = Measurement(errors, error, 0.0, errors, errors, on_screen, on_screen, None)
         bound = max(setting.error, error)
         rows.append(
             Row(

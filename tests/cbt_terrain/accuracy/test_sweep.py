@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.accuracy import Errors, Measured
+from adaptive_terrain.cbt_terrain.accuracy import Errors, Measurement
 from adaptive_terrain.cbt_terrain.accuracy.sweep import Row, curve_of, median_count, pareto, sweep, unsteady_row, worst
 from adaptive_terrain.cbt_terrain.accuracy.sweep_settings import PIXELS, Setting, metre_steps, settings_for
 from adaptive_terrain.cbt_terrain.accuracy.timed_runs import (
@@ -44,7 +44,7 @@ def errors(largest: float) -> Errors:
 
 def make_row(setting: Setting, error: float, triangles: int, ms: float, limited: str = "", ingest: float = 0.0) -> Row:
     pixels = errors(error) if setting.unit == "px" else None
-    measured = Measured(errors(error), error, 1e-6, errors(9.0), errors(2.0), pixels, pixels, pixels)
+    measured = Measurement(errors(error), error, 1e-6, errors(9.0), errors(2.0), pixels, pixels, pixels)
     times = {"total": ms, "refine": 0.5 * ms} | ({"ingest": ingest} if ingest else {})
     return Row(setting, setting.error, limited, triangles, triangles // 2, 1.0, 2.0, measured, ms=times)
 

@@ -12,7 +12,8 @@ from ..field.codes import Samples, sample_at
 
 @wp.func
 def hermite(p0: wp.float64, p1: wp.float64, p2: wp.float64, p3: wp.float64, s: wp.float64) -> wp.float64:
-    """Between p1 (s = 0) and p2 (s = 1) with the slopes of the chords p0 p2 and p1 p3."""
+    """Return the Hermite cubic between p1 (s = 0) and p2 (s = 1), whose slopes are those of the chords p0 p2 and p1
+    p3."""
     rise = p2 - p1
     start = wp.float64(0.5) * (p2 - p0)
     end = wp.float64(0.5) * (p3 - p1)
@@ -23,7 +24,7 @@ def hermite(p0: wp.float64, p1: wp.float64, p2: wp.float64, p3: wp.float64, s: w
 
 @wp.func
 def along_row(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64):
-    """Along row j of samples, s cells east of column i."""
+    """Return the height on row j of samples, s cells east of column i."""
     at = wp.int64(j) * wp.int64(samples.columns) + wp.int64(i)
     p1 = wp.float64(sample_at(samples, at))
     p2 = wp.float64(sample_at(samples, at + wp.int64(1)))
@@ -38,7 +39,7 @@ def along_row(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64):
 
 @wp.func
 def cubic_at(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.float64:
-    """Height of the samples' surface in cell (i, j), s cells east and t cells north of its corner."""
+    """Return the height of the samples' surface in cell (i, j), s cells east and t cells north of its corner."""
     z1 = along_row(samples, i, j, s)
     z2 = along_row(samples, i, j + 1, s)
     z0 = wp.float64(2.0) * z1 - z2
@@ -52,9 +53,9 @@ def cubic_at(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.fl
 
 @wp.func
 def heights_about(samples: Samples, i: wp.int32, j: wp.int32):
-    """Two heights between which the surface lies in cell (i, j).
+    """Return a lower and an upper bound of the surface in cell (i, j).
 
-    In one direction the samples' weights are negative by 1/8 in sum at most, hence in two by 9/32.
+    The negative weights of the samples add up to 1/8 at most in one direction, hence to 9/32 in two.
     """
     low = wp.float64(wp.inf)
     high = -wp.float64(wp.inf)

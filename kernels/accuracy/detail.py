@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A detail below the raster's cells as the measurement evaluates it: kernels/field/detail.py has other arithmetic.
+"""Detail below the raster's cells as the measurement evaluates it: kernels/field/detail.py has other arithmetic.
 
-What the two share is what says which surface it is: the numbers of `Detail`, the pixels, the masks and the hash.
+Both share only the definition of the surface: the numbers of `Detail`, the pixels, the masks and the hash.
 """
 
 import warp as wp
@@ -12,14 +12,14 @@ from ..field.noise import scramble
 
 @wp.func
 def weight(t: wp.float64) -> wp.float64:
-    """The quintic fade, as what is left of 1 at the other end."""
+    """Return the quintic fade at t, computed as 1 minus its mirror image."""
     r = wp.float64(1.0) - t
     return wp.float64(1.0) - r * r * r * (wp.float64(1.0) + wp.float64(3.0) * t + wp.float64(6.0) * t * t)
 
 
 @wp.func
 def noise_at(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
-    """Value noise: the four lattice values about (x, y) in the mean with their weights."""
+    """Return value noise at (x, y), -1 .. 1: the mean of the four lattice values around, weighted by the fade."""
     column = wp.int64(wp.floor(x))
     row = wp.int64(wp.floor(y))
     east = weight(x - wp.float64(column))
@@ -39,7 +39,8 @@ def noise_at(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
 
 @wp.func
 def octaves_height(d: PackedDetail, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Metres of height of all octaves at (x, y) metres: each turns and halves the place of the one before."""
+    """Return the height in metres of all octaves at (x, y) metres. Each turns and halves the domain of the one
+    before."""
     found = wp.float64(0.0)
     u = x * d.frequency
     v = y * d.frequency
@@ -55,12 +56,13 @@ def octaves_height(d: PackedDetail, x: wp.float64, y: wp.float64) -> wp.float64:
 
 @wp.func
 def mixed(a: wp.float64, b: wp.float64, part: wp.float64) -> wp.float64:
+    """Return the linear mix of a and b, `part` of it b."""
     return a * (wp.float64(1.0) - part) + b * part
 
 
 @wp.func
 def de_boor(p: wp.vec4d, t: wp.float64) -> wp.float64:
-    """A uniform cubic B-spline of four control heights, t from the second to the third (de Boor, 1972)."""
+    """Evaluate a uniform cubic B-spline of four control heights, t from the second to the third (de Boor, 1972)."""
     one = wp.float64(1.0)
     two = wp.float64(2.0)
     three = wp.float64(3.0)
@@ -74,7 +76,8 @@ def de_boor(p: wp.vec4d, t: wp.float64) -> wp.float64:
 
 @wp.func
 def image_height(c: PackedLayers, d: PackedDetail, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Metres of height of an image: of each row along x, then of those along y."""
+    """Return the height in metres of an image at (x, y) metres: interpolate each row along x, then the results along
+    y."""
     u = x * d.frequency
     v = y * d.frequency
     rows = wp.vec4d()
@@ -93,7 +96,8 @@ def image_height(c: PackedLayers, d: PackedDetail, x: wp.float64, y: wp.float64)
 
 @wp.func
 def mask_height(c: PackedLayers, first: wp.int64, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Part of a coat that lies at a place: its four samples in the mean with their weights."""
+    """Return the weight of a displacement layer at (x, y) metres, 0 .. 1, interpolated between four samples of its
+    mask."""
     s = wp.clamp((x - c.west) * c.per_x, wp.float64(0.0), wp.float64(c.columns - 1))
     t = wp.clamp((y - c.south) * c.per_y, wp.float64(0.0), wp.float64(c.rows - 1))
     found = wp.float64(0.0)
@@ -108,7 +112,7 @@ def mask_height(c: PackedLayers, first: wp.int64, x: wp.float64, y: wp.float64) 
 
 @wp.func
 def detail_height(c: PackedLayers, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Metres of height of all coats at (x, y) metres."""
+    """Return the height in metres of all displacement layers at (x, y) metres."""
     found = wp.float64(0.0)
     for k in range(c.count):
         d = c.layer[k]

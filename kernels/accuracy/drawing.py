@@ -16,10 +16,11 @@ def draw_triangles(
     nearness: wp.array(dtype=wp.float64),
     shown: wp.array(dtype=wp.int32),
 ):
-    """BAND rows of pixels: `shown` gets the triangle at the middle of each; where there is none, it stays as it is.
+    """Write to `shown` the triangle at the middle of each pixel in BAND rows. Pixels without a triangle stay as they
+    are.
 
-    `corners`: places of three a triangle. `places`: pixels from the left and from below, and a nearness that is linear
-    over the picture and larger for what is nearer. `nearness` [height * width] begins with -inf.
+    `corners`: three entries of `places` for each triangle. `places`: pixels from the left and from below, and a
+    nearness that is linear over the picture and larger for nearer points. `nearness` [height * width] begins with -inf.
     """
     bottom = (first + wp.tid()) * BAND
     top = wp.min(bottom + BAND, height) - 1

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The edges of a mesh, cell by cell: with the samples they hold every extremum of mesh less bilinear reference.
 
-Over one cell the reference is a saddle, so against a plane it has extrema only on the border of what a triangle covers
-of the cell. Along cell borders both are straight; along a triangle's edge the difference is a parabola in each cell.
-Against a bicubic reference it is a polynomial of degree six there, and a detail is no polynomial: then it is looked at
-in PLACES places.
+Over one cell the reference is a saddle, so its difference from a plane has extrema only on the border of the part of
+the cell that a triangle covers. Along cell borders both are straight; along a triangle's edge the difference is a
+parabola in each cell. For a bicubic reference the difference is a polynomial of degree six there, and with detail it is
+no polynomial: both are evaluated at PLACES points of each stretch.
 """
 
 import warp as wp
@@ -28,7 +28,7 @@ class Stretch:
 
 @wp.func
 def next_line(at: wp.int64, step: wp.int64, bits: wp.int64) -> wp.int64:
-    """Number of the first grid line beyond a lattice coordinate."""
+    """Return the number of the first grid line beyond a lattice coordinate."""
     line = (at >> bits) + wp.int64(1)
     if step < wp.int64(0):
         line = -((-at) >> bits) - wp.int64(1)
@@ -37,7 +37,7 @@ def next_line(at: wp.int64, step: wp.int64, bits: wp.int64) -> wp.int64:
 
 @wp.func
 def on_edge(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, along: wp.float64):
-    """Cells east and north of the point `along` (0 .. 1) edge k."""
+    """Return the point `along` (0 .. 1) edge k, as cells east and north."""
     n = (k + 1) % 3
     per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << wp.int64(ground.bits))
     u = (wp.float64(f.x[k]) + along * wp.float64(f.x[n] - f.x[k])) * per_unit
@@ -47,24 +47,24 @@ def on_edge(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, along: wp.f
 
 @wp.func
 def difference_at(ground: ReferenceSurface, f: MeasuredFacet, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Mesh less reference, metres."""
+    """Return mesh less reference, metres."""
     return plane_at(f, u, v) - reference_at(ground, u, v)
 
 
 @wp.func
 def turning_point(e0: wp.float64, e1: wp.float64, e2: wp.float64) -> wp.float64:
-    """Where between 0 and 1 the parabola through (0, e0), (1/2, e1), (1, e2) turns; 1/2 where it does not."""
-    bend = wp.float64(2.0) * (e0 + e2 - wp.float64(2.0) * e1)
-    slope = e2 - e0 - bend
+    """Return where between 0 and 1 the parabola through (0, e0), (1/2, e1), (1, e2) turns, 1/2 if it does not."""
+    curvature = wp.float64(2.0) * (e0 + e2 - wp.float64(2.0) * e1)
+    slope = e2 - e0 - curvature
     at = wp.float64(0.5)
-    if slope * bend < wp.float64(0.0) and wp.abs(slope) < wp.float64(2.0) * wp.abs(bend):
-        at = -slope / (wp.float64(2.0) * bend)
+    if slope * curvature < wp.float64(0.0) and wp.abs(slope) < wp.float64(2.0) * wp.abs(curvature):
+        at = -slope / (wp.float64(2.0) * curvature)
     return at
 
 
 @wp.func
 def begin(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32) -> Stretch:
-    """Before the first stretch of the edge from corner k to the next."""
+    """Return the empty stretch before the first one of the edge from corner k to the next."""
     n = (k + 1) % 3
     s = Stretch()
     u, v = on_edge(ground, f, k, wp.float64(0.0))
@@ -76,7 +76,7 @@ def begin(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32) -> Stretch:
 
 @wp.func
 def meets(at: wp.int64, step: wp.int64, line: wp.int64, bits: wp.int64) -> wp.float64:
-    """Where along the edge a grid line is met."""
+    """Return where along the edge (0 .. 1) it meets a grid line, 2 if it is parallel to the line."""
     along = wp.float64(2.0)
     if step != wp.int64(0):
         along = wp.float64((line << bits) - at) / wp.float64(step)
@@ -85,7 +85,7 @@ def meets(at: wp.int64, step: wp.int64, line: wp.int64, bits: wp.int64) -> wp.fl
 
 @wp.func
 def advance(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, s: Stretch) -> Stretch:
-    """The next stretch of edge k."""
+    """Return the stretch of edge k that follows s."""
     n = (k + 1) % 3
     dx = f.x[n] - f.x[k]
     dy = f.y[n] - f.y[k]
@@ -109,13 +109,13 @@ def advance(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, s: Stretch)
 
 @wp.func
 def places_of(ground: ReferenceSurface) -> wp.int32:
-    """How many places of a stretch are looked at."""
+    """Return the number of points at which a stretch is evaluated."""
     return wp.where(ground.curved == 1, PLACES, 2)
 
 
 @wp.func
 def place_in(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, s: Stretch, q: wp.int32):
-    """Place q (1 .. `places_of`, the last one at the end) of a stretch of edge k: cells east and north."""
+    """Return point q (1 .. `places_of`, the last one at the end) of a stretch of edge k, as cells east and north."""
     along = wp.where(q == 1, s.turn, s.to)
     if ground.curved == 1:
         along = s.from_ + (s.to - s.from_) * (wp.float64(q) / wp.float64(PLACES))
@@ -125,7 +125,7 @@ def place_in(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, s: Stretch
 
 @wp.func
 def rounded_away(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, position: wp.vec3f) -> wp.float64:
-    """Metres by which float32 has moved a triangle at corner k."""
+    """Return the height in metres by which float32 has moved a triangle at corner k."""
     u, v = on_edge(ground, f, k, wp.float64(0.0))
     z = wp.float64(position[2])
     by_plane = plane_at(f, u, v) - z
@@ -147,7 +147,8 @@ def edge_extremes(
     worst: wp.array(dtype=wp.float64),
     rounding: wp.array(dtype=wp.float64),
 ):
-    """Raises `worst` to the largest difference along the edges of some triangles; what float32 has moved them by."""
+    """Raise `worst` to the largest difference along the edges of some triangles; write to `rounding` by how much
+    float32 moved them, both in metres."""
     for t in range(first, end):
         f = facet_of(ground, mesh, t)
         largest = worst[t]

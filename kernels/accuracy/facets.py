@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far a mesh is from the reference surface: its triangles are walked, sample by sample and edge by edge.
+"""The distance of a mesh from the reference surface: its triangles are walked, sample by sample and edge by edge.
 
-Places are measured in raster cells from the south-west corner. What lies in which triangle is decided in integers:
+Points are measured in raster cells from the south-west corner. Which triangle owns a point is decided in integers:
 2^bits lattice units a cell, fine enough that float32 positions round to their own lattice point and to no other. A
 triangle's plane goes through its three float32 positions as they were delivered, evaluated in float64.
 
-Nothing of what makes bounds or fits (criterion.py, hierarchy.py, fitting/) is used here, though fitting/facet.py finds
-the same maximum: a fault in one of the two shows in the other.
+The code that makes bounds and fits (criterion.py, hierarchy.py, fitting/) is not used here, though fitting/facet.py
+finds the same maximum: a fault in one of the two shows in the other.
 """
 
 import warp as wp
@@ -64,7 +64,7 @@ class MeasuredFacet:
 
 @wp.func
 def place_of(ground: ReferenceSurface, position: wp.vec3f):
-    """Cells east and north of the south-west corner, as delivered."""
+    """Return a delivered position as cells east and north of the south-west corner."""
     u = (wp.float64(position[0]) - ground.west) / ground.step_x
     v = (wp.float64(position[1]) - ground.south) / ground.step_y
     return u, v
@@ -72,13 +72,13 @@ def place_of(ground: ReferenceSurface, position: wp.vec3f):
 
 @wp.func
 def to_lattice(cells: wp.float64, bits: wp.int32) -> wp.int64:
-    """The nearest lattice coordinate."""
+    """Return the nearest lattice coordinate."""
     return wp.int64(wp.floor(cells * wp.float64(wp.int64(1) << wp.int64(bits)) + wp.float64(0.5)))
 
 
 @wp.func
 def facet_of(ground: ReferenceSurface, mesh: DeliveredMesh, t: wp.int32) -> MeasuredFacet:
-    """Triangle t. Where rounding has folded it over, its plane goes through the lattice points instead."""
+    """Return triangle t. Where rounding has folded it over, its plane goes through the lattice points instead."""
     f = MeasuredFacet()
     u = wp.vec3d()
     v = wp.vec3d()
@@ -116,13 +116,13 @@ def facet_of(ground: ReferenceSurface, mesh: DeliveredMesh, t: wp.int32) -> Meas
 
 @wp.func
 def plane_at(f: MeasuredFacet, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Height of the triangle's plane, metres."""
+    """Return the height of the triangle's plane, metres."""
     return f.z + f.slope_u * (u - f.u) + f.slope_v * (v - f.v)
 
 
 @wp.func
 def detail_in(ground: ReferenceSurface, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Metres before scaling of the detail, u cells east and v cells north."""
+    """Return the height of the detail in metres before scaling, u cells east and v cells north."""
     z = wp.float64(0.0)
     if ground.layers.count > 0:
         z = detail_height(ground.layers, ground.west + u * ground.step_x, ground.south + v * ground.step_y)
@@ -131,7 +131,7 @@ def detail_in(ground: ReferenceSurface, u: wp.float64, v: wp.float64) -> wp.floa
 
 @wp.func
 def in_cell(ground: ReferenceSurface, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Height of the reference surface in cell (i, j), metres."""
+    """Return the height of the reference surface in cell (i, j), metres."""
     p = corners_of(ground.samples, i, j)
     s = u - wp.float64(i)
     t = v - wp.float64(j)
@@ -146,7 +146,7 @@ def in_cell(ground: ReferenceSurface, i: wp.int32, j: wp.int32, u: wp.float64, v
 
 @wp.func
 def reference_at(ground: ReferenceSurface, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Height of the reference surface, metres."""
+    """Return the height of the reference surface, metres."""
     i = wp.clamp(wp.int32(wp.floor(u)), 0, ground.samples.columns - 2)
     j = wp.clamp(wp.int32(wp.floor(v)), 0, ground.samples.rows - 2)
     return in_cell(ground, i, j, u, v)
@@ -154,7 +154,7 @@ def reference_at(ground: ReferenceSurface, u: wp.float64, v: wp.float64) -> wp.f
 
 @wp.func
 def reference_sample(ground: ReferenceSurface, i: wp.int32, j: wp.int32) -> wp.float64:
-    """Height of the reference surface at a sample, metres."""
+    """Return the height of the reference surface at a sample, metres."""
     h = sample_at(ground.samples, wp.int64(j) * wp.int64(ground.samples.columns) + wp.int64(i))
     z = wp.float64(h) + detail_in(ground, wp.float64(i), wp.float64(j))
     return z * ground.scale + ground.offset
@@ -162,7 +162,7 @@ def reference_sample(ground: ReferenceSurface, i: wp.int32, j: wp.int32) -> wp.f
 
 @wp.func
 def toward_zero(value: wp.float64) -> wp.float32:
-    """The float32 next to a float64 that is not larger in magnitude: what is measured is never overstated."""
+    """Round to the nearest float32 that is not larger in magnitude, so that no measurement is overstated."""
     single = wp.float32(value)
     if wp.abs(wp.float64(single)) > wp.abs(value):
         single = wp.cast(wp.cast(single, wp.int32) - 1, wp.float32)
@@ -171,9 +171,9 @@ def toward_zero(value: wp.float64) -> wp.float32:
 
 @wp.func
 def left_of(side: wp.int64, dx: wp.int64, dy: wp.int64, shift_x: wp.int64, shift_y: wp.int64) -> wp.bool:
-    """Whether a point is to the left of a directed edge (dx, dy), `side` being their cross product.
+    """Return whether a point is to the left of a directed edge (dx, dy), `side` being their cross product.
 
-    A point on the line is taken a hair away from it: east or west by `shift_x`, and far less north or south by
+    A point on the line is moved a hair away from it: east or west by `shift_x`, and far less north or south by
     `shift_y`. So every point belongs to exactly one triangle.
     """
     inside = side > wp.int64(0)
@@ -184,7 +184,8 @@ def left_of(side: wp.int64, dx: wp.int64, dy: wp.int64, shift_x: wp.int64, shift
 
 @wp.func
 def shift_of(at: wp.int64, end: wp.int64) -> wp.int64:
-    """Points are shifted east and north, but those on the far borders of the domain inward."""
+    """Return the direction in which a point is moved off an edge: east or north, inward at the far border of the
+    domain."""
     return wp.where(at >= end, wp.int64(-1), wp.int64(1))
 
 
@@ -192,7 +193,7 @@ def shift_of(at: wp.int64, end: wp.int64) -> wp.int64:
 def covers(
     f: MeasuredFacet, finer: wp.int64, x: wp.int64, y: wp.int64, shift_x: wp.int64, shift_y: wp.int64
 ) -> wp.bool:
-    """Whether the point (x, y), in units `finer` times finer than the lattice's, belongs to the triangle."""
+    """Return whether the triangle owns the point (x, y), in units `finer` times finer than the lattice's."""
     inside = f.area2 > wp.int64(0)
     for k in range(3):
         if inside:
@@ -206,7 +207,7 @@ def covers(
 
 @wp.func
 def owns(ground: ReferenceSurface, f: MeasuredFacet, i: wp.int32, j: wp.int32) -> wp.bool:
-    """Whether sample (i, j) belongs to the triangle."""
+    """Return whether the triangle owns sample (i, j)."""
     bits = wp.int64(ground.bits)
     shift_x = shift_of(wp.int64(i), wp.int64(ground.samples.columns - 1))
     shift_y = shift_of(wp.int64(j), wp.int64(ground.samples.rows - 1))
@@ -215,7 +216,7 @@ def owns(ground: ReferenceSurface, f: MeasuredFacet, i: wp.int32, j: wp.int32) -
 
 @wp.func
 def sample_box(ground: ReferenceSurface, f: MeasuredFacet) -> wp.vec4i:
-    """First and last column, first and last row of the samples in the triangle's box."""
+    """Return the first and last column, then the first and last row of the samples in the triangle's box."""
     bits = wp.int64(ground.bits)
     ahead = (wp.int64(1) << bits) - wp.int64(1)
     return wp.vec4i(
@@ -235,7 +236,8 @@ def differences(
     difference: wp.array(dtype=wp.float32),
     worst: wp.array(dtype=wp.float64),
 ):
-    """Mesh less reference at every sample of some triangles, metres, and the largest magnitude of each triangle."""
+    """Write mesh less reference at every sample of some triangles, metres, and the largest magnitude of each
+    triangle."""
     for t in range(first, end):
         f = facet_of(ground, mesh, t)
         box = sample_box(ground, f)

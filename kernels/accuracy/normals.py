@@ -12,13 +12,13 @@ DEGREES = wp.constant(wp.float64(57.29577951308232))
 
 @wp.func
 def angle_deg(a: wp.vec3d, b: wp.vec3d) -> wp.float32:
-    """Degrees between two directions; exact also where they are nearly one."""
+    """Return the degrees between two directions; exact also where they are nearly equal."""
     return wp.float32(wp.atan2(wp.length(wp.cross(a, b)), wp.dot(a, b)) * DEGREES)
 
 
 @wp.func
 def normal_at(mesh: DeliveredMesh, f: MeasuredFacet, t: wp.int32, x: wp.int64, y: wp.int64) -> wp.vec3d:
-    """The vertex normals of triangle t, interpolated at a lattice point in it; not of unit length."""
+    """Interpolate the vertex normals of triangle t at a lattice point in it. The result is not of unit length."""
     n = wp.vec3d()
     for k in range(3):
         a = (k + 1) % 3
@@ -39,7 +39,8 @@ def angles(
     facet_deg: wp.array(dtype=wp.float32),
     shading_deg: wp.array(dtype=wp.float32),
 ):
-    """Of some triangles, at every sample: the facet's normal and the interpolated one against the reference's."""
+    """Write the degrees between the reference's normal and the facet's and the interpolated normal of some triangles,
+    at every sample."""
     per_x = ground.scale / ground.step_x
     per_y = ground.scale / ground.step_y
     up = wp.float64(1.0)

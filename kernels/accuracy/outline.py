@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rays against a mesh, and distances to its outline in a frame. Places are in pixels from the frame's middle."""
+"""Rays against a mesh, and distances to its outline in a frame. Points are in pixels from the frame's middle."""
 
 import warp as wp
 
@@ -21,12 +21,13 @@ class Boxes:
 
 @wp.func
 def from_point(p: wp.vec3f, origin: wp.vec3d) -> wp.vec3d:
+    """Return the vector from `origin` to p."""
     return wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2])) - origin
 
 
 @wp.func
 def through_triangle(mesh: DeliveredMesh, t: wp.int32, origin: wp.vec3d, along: wp.vec3d) -> wp.float64:
-    """Where (origin + s * along) a line passes through triangle t, infinite where it does not.
+    """Return s where the line origin + s * along passes through triangle t, infinite where it does not.
 
     Both triangles at an edge compute the same number for it but for the sign, so no line passes between them (Woop,
     Benthin and Wald 2013).
@@ -50,7 +51,7 @@ def through_triangle(mesh: DeliveredMesh, t: wp.int32, origin: wp.vec3d, along: 
 def meets_mesh(
     ground: ReferenceSurface, mesh: DeliveredMesh, boxes: Boxes, ray: SightRay, start: wp.float64, end: wp.float64
 ) -> wp.bool:
-    """Whether a ray meets the mesh between start and end."""
+    """Return whether a ray meets the mesh between start and end."""
     x = ground.west + ray.u * ground.step_x
     y = ground.south + ray.v * ground.step_y
     along = wp.vec3d(ray.du * ground.step_x, ray.dv * ground.step_y, ray.dz)
@@ -85,14 +86,14 @@ def mesh_cover(
     place: wp.array(dtype=wp.vec2d),
     cover: wp.array(dtype=wp.bool),
 ):
-    """Whether the rays through places of the frame meet the mesh."""
+    """Write whether the rays through points of the frame meet the mesh."""
     p = offset + wp.tid()
     cover[p] = meets_mesh(ground, mesh, boxes, ray_through(eye, place[p][0], place[p][1]), eye.start, eye.end)
 
 
 @wp.func
 def to_segment(p: wp.vec2d, a: wp.vec2d, b: wp.vec2d, narrow: wp.float64) -> wp.float64:
-    """Distance of a point to a segment, lengths across taken `narrow` times."""
+    """Return the distance of a point from a segment, horizontal lengths multiplied by `narrow`."""
     px = (p[0] - a[0]) * narrow
     py = p[1] - a[1]
     dx = (b[0] - a[0]) * narrow
@@ -120,10 +121,10 @@ def nearest(
     place: wp.array(dtype=wp.vec2d),
     distance: wp.array(dtype=wp.float64),
 ):
-    """Pixels from each place to the nearest segment, or to the border of the area searched if that is nearer.
+    """Write the pixels from each point to the nearest segment, or to the border of the searched area if that is nearer.
 
-    Segments join two crossings; those first[n] .. first[n + 1] lie between the middles of pixel n and of the next to
-    the north-east. Rings of pixels are searched from the inside out.
+    Segments join two crossings. Segments first[n] .. first[n + 1] are in the square between the middles of pixel n and
+    of the next to the north-east. Rings of pixels are searched from the inside out.
     """
     p = offset + wp.tid()
     one = wp.float64(1.0)

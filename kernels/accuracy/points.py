@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which triangle of a mesh covers each of many points, and how far it is from the reference surface there.
+"""The triangle of a mesh that covers each of many points, and its distance from the reference surface there.
 
-Points are given on a grid 2^7 times finer than the lattice, sorted along the Morton curve: what lies in a square whose
-side is a power of two is one run of them, so a triangle of whatever size finds its points by one search in each of the
-at most four squares of its own size that hold it (Morton 1966; Samet 1990, linear quadtrees).
+Points are on a grid 2^7 times finer than the lattice, sorted along the Morton curve. The points of a square whose side
+is a power of two are one run of them, so a triangle finds its points by one search in each of the at most four squares
+of its size that hold it (Morton 1966; Samet 1990, linear quadtrees).
 """
 
 import warp as wp
@@ -15,7 +15,7 @@ POINT_BITS = wp.constant(7)  # of 23 bits a side, times two edges' coordinates: 
 
 @wp.struct
 class MeasuredPoints:
-    """Points in units of 2^-(bits + 7) cells, and what is found for them."""
+    """Points in units of 2^-(bits + 7) cells, and the results for them."""
 
     count: wp.int32
     x: wp.array(dtype=wp.int64)
@@ -28,7 +28,7 @@ class MeasuredPoints:
 
 @wp.func
 def spaced(value: wp.int64) -> wp.int64:
-    """The lowest 31 bits with a zero between each two."""
+    """Return the lowest 31 bits with a zero bit between each two."""
     b = value
     b = (b | (b << wp.int64(16))) & wp.int64(0x0000FFFF0000FFFF)
     b = (b | (b << wp.int64(8))) & wp.int64(0x00FF00FF00FF00FF)
@@ -39,6 +39,7 @@ def spaced(value: wp.int64) -> wp.int64:
 
 @wp.func
 def morton(x: wp.int64, y: wp.int64) -> wp.int64:
+    """Return the Morton key of (x, y)."""
     return spaced(x) | (spaced(y) << wp.int64(1))
 
 
@@ -51,14 +52,14 @@ def sort_keys(
     y: wp.array(dtype=wp.int64),
     key: wp.array(dtype=wp.int64),
 ):
-    """Place of a point along the curve; points on the far borders count to the squares inside."""
+    """Write each point's key along the curve; points on the far borders count to the squares inside."""
     p = offset + wp.tid()
     key[p] = morton(wp.min(x[p], end_x - wp.int64(1)), wp.min(y[p], end_y - wp.int64(1)))
 
 
 @wp.func
 def first_from(points: MeasuredPoints, key: wp.int64) -> wp.int32:
-    """The first point whose key is not below `key`."""
+    """Return the first point whose key is not below `key`."""
     low = wp.int32(0)
     high = points.count
     while low < high:
@@ -79,7 +80,7 @@ def visit(
     corner: wp.int64,
     side_bits: wp.int64,
 ):
-    """Every point of one square that the triangle covers."""
+    """Write the difference and the owner of every point of one square that the triangle covers."""
     bits = wp.int64(ground.bits) + wp.int64(POINT_BITS)
     finer = wp.int64(1) << wp.int64(POINT_BITS)
     per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << bits)
@@ -103,7 +104,7 @@ def visit(
 
 @wp.kernel
 def locate(first: wp.int32, end: wp.int32, ground: ReferenceSurface, mesh: DeliveredMesh, points: MeasuredPoints):
-    """Differences at all points that some triangles cover."""
+    """Write differences at all points that some triangles cover, metres."""
     one = wp.int64(1)
     finer = wp.int64(POINT_BITS)
     for t in range(first, end):

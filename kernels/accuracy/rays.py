@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rays against the reference surface: cell by cell, and past whole blocks of cells that lie above or below.
+"""Rays against the reference surface: they walk cell by cell, and skip whole blocks of cells above or below.
 
 Blocks of 4 x 4 cells, and of twice the side at each level above, hold the lowest and the highest height; a ray climbs
-to larger blocks while it clears them and descends where it does not (Tevs, Ihrke and Seidel 2008, maximum mipmaps;
-here with minima, as a ray may also run below). In one cell, ray less bilinear surface is a parabola along the ray, and
-what is found is exact. Of a bicubic surface, and of one with detail, it is looked at in PLACES + 1 places of the ray in
-the cell, and a change of sides between two of them is halved down: a ray that dips into the surface and out again
-between two places is not seen to touch it. Cells are left by their number, never by a rounded coordinate, and a change
-of sides between two cells is a crossing, so that no ray slips through. All arithmetic is float64.
+to larger blocks while it clears them and descends where it does not (Tevs, Ihrke and Seidel 2008, maximum mipmaps; here
+with minima, as a ray may also run below). In one cell, ray less bilinear surface is a parabola along the ray, and the
+crossing is exact. Against a bicubic surface, or one with detail, the ray is evaluated at PLACES + 1 points in the cell,
+and a change of sides between two of them is bisected: a ray that dips into the surface and out again between two points
+is not seen to touch it. Cells are left by their number, never by a rounded coordinate, and a change of sides between
+two cells is a crossing, so that no ray slips through. All arithmetic is float64.
 """
 
 import warp as wp
@@ -52,7 +52,7 @@ class SightRay:
 
 @wp.func
 def side_of(e: wp.float64, tolerance: wp.float64) -> wp.float64:
-    """1 above the surface, -1 below, 0 on it."""
+    """Return 1 if a height difference is above the surface, -1 if below, 0 if within the tolerance."""
     side = wp.float64(0.0)
     if e > tolerance:
         side = wp.float64(1.0)
@@ -63,7 +63,7 @@ def side_of(e: wp.float64, tolerance: wp.float64) -> wp.float64:
 
 @wp.func
 def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
-    """Smallest positive root of a t^2 + b t + c, which is positive at 0 and negative at some positive t."""
+    """Return the smallest positive root of a t^2 + b t + c, which is positive at 0 and negative at some positive t."""
     root = wp.sqrt(wp.max(b * b - wp.float64(4.0) * a * c, wp.float64(0.0)))
     t = wp.float64(0.0)
     if b < wp.float64(0.0):
@@ -83,9 +83,10 @@ def in_one_cell(
     last: wp.float64,
     side: wp.float64,
 ):
-    """Where (t) between first and last the ray is beyond the surface; and its side at the end.
+    """Return t between first and last where the ray comes to be beyond the surface, infinite if nowhere; and its side
+    at the end.
 
-    `side` is where the ray has come from, 0 where it has been on the surface so far.
+    `side`: the side that the ray comes from, 0 if it has been on the surface so far.
     """
     zero = wp.float64(0.0)
     p = corners_of(ground.samples, i, j)
@@ -123,7 +124,7 @@ def in_one_cell(
 
 @wp.func
 def above_patch(ground: ReferenceSurface, ray: SightRay, i: wp.int32, j: wp.int32, t: wp.float64) -> wp.float64:
-    """Metres of the ray above the surface in cell (i, j)."""
+    """Return the height of the ray above the surface in cell (i, j), metres."""
     return ray.z + t * ray.dz - in_cell(ground, i, j, ray.u + t * ray.du, ray.v + t * ray.dv)
 
 
@@ -137,7 +138,7 @@ def between(
     last: wp.float64,
     side: wp.float64,
 ) -> wp.float64:
-    """Where (t) between first and last, at which it is so, the ray comes to be beyond the surface."""
+    """Bisect for the t where the ray comes to be beyond the surface, given that it is at `last` and not at `first`."""
     low = first
     high = last
     for _ in range(HALVINGS):
@@ -151,7 +152,7 @@ def between(
 
 @wp.func
 def side_of_span(ray: SightRay, t: wp.float64, out: wp.float64, a: wp.float64, b: wp.float64) -> wp.float64:
-    """1 where the ray is above all heights between a and b from t to `out`, -1 where below, 0 where that is not so."""
+    """Return 1 if the ray is above all heights between a and b from t to `out`, -1 if below them, else 0."""
     z0 = ray.z + t * ray.dz
     z1 = ray.z + out * ray.dz
     side = wp.float64(0.0)
@@ -172,7 +173,7 @@ def in_one_patch(
     last: wp.float64,
     side: wp.float64,
 ):
-    """As `in_one_cell`, of a curved surface: to what its places show."""
+    """Return the same as `in_one_cell` for a curved surface, as far as PLACES + 1 points of the ray show it."""
     hit = NOWHERE
     a, b = heights_about(ground.samples, i, j)
     a = (a - ground.max_detail) * ground.scale + ground.offset
@@ -199,7 +200,7 @@ def in_one_patch(
 
 @wp.func
 def over_ground(ground: ReferenceSurface, blocks: HeightPyramid, ray: SightRay, start: wp.float64, end: wp.float64):
-    """First and last t of start .. end where the ray is over the ground and near its heights."""
+    """Return the first and last t of start .. end where the ray is over the ground and near its heights."""
     zero = wp.float64(0.0)
     first, last = within(start, end, ray.u, ray.du, zero, wp.float64(ground.samples.columns - 1))
     first, last = within(first, last, ray.v, ray.dv, zero, wp.float64(ground.samples.rows - 1))
@@ -210,7 +211,7 @@ def over_ground(ground: ReferenceSurface, blocks: HeightPyramid, ray: SightRay, 
 
 @wp.func
 def time_to(place: wp.float64, speed: wp.float64, low: wp.int32, high: wp.int32) -> wp.float64:
-    """t where the ray leaves low .. high along one axis, NOWHERE where it does not."""
+    """Return t where the ray leaves low .. high along one axis, NOWHERE where it does not."""
     t = NOWHERE
     if speed != wp.float64(0.0):
         t = (wp.float64(wp.where(speed > wp.float64(0.0), high, low)) - place) / speed
@@ -219,7 +220,7 @@ def time_to(place: wp.float64, speed: wp.float64, low: wp.int32, high: wp.int32)
 
 @wp.func
 def cell_behind(place: wp.float64, speed: wp.float64, out: wp.float64, low: wp.int32, high: wp.int32) -> wp.int32:
-    """Along the axis that the ray does not leave by: its cell at `out`, of the cells low .. high - 1."""
+    """Return the ray's cell at `out` along the axis that it does not leave by, clamped to low .. high - 1."""
     return wp.clamp(wp.int32(wp.floor(place + out * speed)), low, high - 1)
 
 
@@ -232,8 +233,10 @@ def first_crossing(
     end: wp.float64,
     start_level: wp.int32,
 ) -> wp.float64:
-    """The first t in start .. end where the ray passes through the surface, infinite where it does not.
-    `start_level`: of the first block that is tried."""
+    """Return the first t in start .. end where the ray passes through the surface, infinite where it does not.
+
+    `start_level`: of the first block that is tried.
+    """
     zero = wp.float64(0.0)
     cells_x = ground.samples.columns - 1
     cells_y = ground.samples.rows - 1

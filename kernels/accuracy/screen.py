@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a view sees of the reference surface, and how far from their places it sees the points of a mesh.
+"""What a view sees of the reference surface, and by how many pixels it sees the points of a mesh displaced.
 
 A point has two heights besides the reference's, from and to, above the same (x, y): reference and mesh, or a mesh
 before and after. Its error is the distance of their projections.
@@ -28,7 +28,7 @@ OUTSIDE = wp.constant(wp.uint8(0))
 VISIBLE = wp.constant(wp.uint8(1))
 HIDDEN = wp.constant(wp.uint8(2))
 
-# The bound where the mesh may reach the eye (criterion.LARGEST): no error is told that is more.
+# The bound where the mesh may reach the eye (criterion.LARGEST): no larger error is reported.
 MAX_PX = wp.constant(wp.float64(1e30))
 
 
@@ -59,13 +59,14 @@ class Eye:
 
 @wp.func
 def to_camera(eye: Eye, u: wp.float64, v: wp.float64, z: wp.float64) -> wp.vec3d:
+    """Return a point in camera space, metres."""
     p = wp.vec4d(u, v, z, wp.float64(1.0))
     return wp.vec3d(wp.dot(eye.right, p), wp.dot(eye.up, p), wp.dot(eye.back, p))
 
 
 @wp.func
 def to_frame(eye: Eye, camera: wp.vec3d) -> wp.vec2d:
-    """Normalised device coordinates: -1 .. 1 in the frame. Not of a panorama."""
+    """Return normalised device coordinates, -1 .. 1 in the frame. Not for a panorama."""
     p = wp.vec4d(camera[0], camera[1], camera[2], wp.float64(1.0))
     w = wp.dot(eye.to_w, p)
     return wp.vec2d(wp.dot(eye.to_x, p) / w, wp.dot(eye.to_y, p) / w)
@@ -73,7 +74,7 @@ def to_frame(eye: Eye, camera: wp.vec3d) -> wp.vec2d:
 
 @wp.func
 def in_frame(eye: Eye, camera: wp.vec3d) -> wp.bool:
-    """Whether a point of camera space is inside the clip range and the frame."""
+    """Return whether a point of camera space is inside the clip range and the frame."""
     one = wp.float64(1.0)
     depth = -camera[2]
     if eye.kind == PANORAMIC:
@@ -87,7 +88,7 @@ def in_frame(eye: Eye, camera: wp.vec3d) -> wp.bool:
 
 @wp.func
 def move_ahead(eye: Eye, truth: wp.vec3d, point: wp.vec3d) -> wp.vec3d:
-    """`point`, or where the way to it from `truth` comes to the depth below which nothing is promised."""
+    """Return `point`, or where the way to it from `truth` reaches the depth below which the error is not bounded."""
     moved = point
     if eye.kind == PERSPECTIVE and -point[2] < eye.near and -truth[2] > eye.near:
         moved = truth + (point - truth) * ((-truth[2] - eye.near) / (point[2] - truth[2]))
@@ -96,11 +97,12 @@ def move_ahead(eye: Eye, truth: wp.vec3d, point: wp.vec3d) -> wp.vec3d:
 
 @wp.func
 def apart_px(eye: Eye, truth: wp.vec3d, a: wp.vec3d, b: wp.vec3d) -> wp.float64:
-    """Pixels between the projections of two points of camera space, `truth` being the reference point in the frame."""
+    """Return the pixels between the projections of two points of camera space; `truth`: the reference point in the
+    frame."""
     pixels = wp.float64(0.0)
     if eye.kind == PANORAMIC:
         pixels = wp.atan2(wp.length(wp.cross(a, b)), wp.dot(a, b)) * eye.pixels_per_radian
-    elif eye.kind == ORTHOGRAPHIC or -truth[2] > eye.near:  # of what is nearer nothing is promised
+    elif eye.kind == ORTHOGRAPHIC or -truth[2] > eye.near:  # the error of nearer points is not bounded
         p = to_frame(eye, move_ahead(eye, truth, a))
         q = to_frame(eye, move_ahead(eye, truth, b))
         x = (p[0] - q[0]) * eye.half_width
@@ -119,7 +121,7 @@ def hidden(
     z: wp.float64,
     camera: wp.vec3d,
 ):
-    """Whether the surface lies between the eye and one of its points; what the clip start cuts away does not hide."""
+    """Return whether the surface hides one of its points from the eye. The part before the clip start does not hide."""
     ray = SightRay()
     ray.tolerance = blocks.tolerance
     ray.u = u
@@ -151,7 +153,7 @@ def visibility(
     eye: Eye,
     state: wp.array(dtype=wp.uint8),
 ):
-    """A row of samples, from `first_row` on: OUTSIDE the frame, VISIBLE or HIDDEN."""
+    """Write whether each sample of a row, from `first_row` on, is OUTSIDE the frame, VISIBLE or HIDDEN."""
     j = first_row + offset + wp.tid()
     for i in range(ground.samples.columns):
         u = wp.float64(i)
@@ -175,7 +177,8 @@ def point_errors(
     after: wp.array(dtype=wp.float64),
     pixels: wp.array(dtype=wp.float32),
 ):
-    """Pixels between the points `before` and `after` (metres above the reference) of reference points in the frame.
+    """Write the pixels between the points `before` and `after` (metres above the reference) of reference points in the
+    frame.
 
     Points are in units of 2^-(bits + 7) cells.
     """
@@ -192,9 +195,9 @@ def point_errors(
 
 @wp.func
 def ray_through(eye: Eye, x: wp.float64, y: wp.float64) -> SightRay:
-    """The ray through a place of the frame in pixels from its middle; t is depth, of a panorama distance.
+    """Return the ray through a point of the frame in pixels from its middle; t is depth, of a panorama distance.
 
-    A panorama's frame is taken to be equirectangular.
+    A panorama's frame is assumed to be equirectangular.
     """
     o = eye.origin * wp.vec3d(wp.float64(1.0), x / eye.half_width, y / eye.half_height)
     d = eye.direction * wp.vec3d(wp.float64(1.0), x / eye.half_width, y / eye.half_height)
@@ -223,9 +226,9 @@ def seen_points(
     x: wp.array(dtype=wp.int64),
     y: wp.array(dtype=wp.int64),
 ):
-    """The points of the reference surface that are seen at places of the frame, pixels from its middle; -1: none.
+    """Write the points of the reference surface that are seen at points of the frame, pixels from its middle; -1: none.
 
-    Points are in units of 2^-(bits + 7) cells.
+    Points of the surface are in units of 2^-(bits + 7) cells.
     """
     p = offset + wp.tid()
     ray = ray_through(eye, place[p][0], place[p][1])
@@ -241,7 +244,7 @@ def seen_points(
 
 @wp.func
 def seen_px(ground: ReferenceSurface, eye: Eye, f: MeasuredFacet, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Pixels between reference and triangle at a point; 0 outside the frame."""
+    """Return the pixels between reference and triangle at a point; 0 outside the frame."""
     z = reference_at(ground, u, v)
     truth = to_camera(eye, u, v, z)
     pixels = wp.float64(0.0)
@@ -259,7 +262,7 @@ def triangle_px(
     eye: Eye,
     worst: wp.array(dtype=wp.float64),
 ):
-    """Raises `worst` of some triangles to the most pixels of error at their samples and along their edges."""
+    """Raise `worst` of some triangles to the largest error in pixels at their samples and along their edges."""
     for t in range(first, end):
         f = facet_of(ground, mesh, t)
         largest = worst[t]

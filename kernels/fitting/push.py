@@ -78,7 +78,8 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
         const int end_x = level || side ? right_x : left_x, end_y = level || side ? right_y : left_y;
         const int dx = end_x > x ? 1 : -1, dy = end_y > y ? 1 : -1;
         const int skip = wp::max(wp::max(dx < 0 ? x - right_border : 0, dy < 0 ? y - upper_border : 0), 0);
-        const int end = wp::min(wp::min(wp::abs(end_x - x), dx > 0 ? right_border - x : n), dy > 0 ? upper_border - y : n);
+        const int cells = wp::min(wp::abs(end_x - x), dx > 0 ? right_border - x : n);
+        const int end = wp::min(cells, dy > 0 ? upper_border - y : n);
         if (skip >= end)
             continue;
         x += skip * dx;
@@ -95,7 +96,7 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
             const float r = r0 + t * (turn + twist * t);
             const float far = wp::abs(r);
             worst = far > worst ? far : worst;
-            const float hit = (bent & (far > aim)) ? 1.0f : 0.0f;  // no branches: nobody could predict them
+            const float hit = (bent & (far > aim)) ? 1.0f : 0.0f;  // no branches: they would be mispredicted
             const float over = hit * (r > 0.0f ? far - aim : aim - far);
             const float at_x = (float)x + t * (float)dx, at_y = (float)y + t * (float)dy;
             c += hit;

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Queries of a height field at full resolution, without a mesh: what is at a place, along a ray, in a box, in sight.
+"""Queries of a height field at full resolution, without a mesh.
 
-    ground_at   heights, normals and slopes at places
+    ground_at   heights, normals and slopes at points
     profile     heights along a line
     pick        where rays first meet the surface; nearest: along a direction, to either side
-    box_range   least and greatest height in a box
+    box_range   lowest and highest height in a box
     viewshed    which samples an eye sees
 
-All speak of metres in the terrain's own space, its middle at (0, 0), as positions of its mesh; heights become
-`height * vertical_scale + vertical_offset` as in `Terrain.update`. The surface is the field's own: bilinear or bicubic,
-with its detail; where holes are cut out there is none. What cannot be used raises a TerrainError.
+All use metres in the terrain's own space, its middle at (0, 0), as positions of its mesh; heights become `height *
+vertical_scale + vertical_offset` as in `Terrain.update`. The surface is the field's: bilinear or bicubic, with its
+detail; where holes are cut out there is none. Arguments that cannot be used raise a TerrainError.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The least and the greatest height in a box of the plan."""
+"""The lowest and the highest height in a box of the plan."""
 
 import math
 
@@ -27,10 +27,10 @@ def box_range(
     vertical_offset: float = 0.0,
     threads: int | None = None,
 ) -> tuple[float, float]:
-    """Least and greatest height in the box between two meridians and two parallels, all metres; (nan, nan) without
-    ground. Raises TerrainError.
+    """Return the lowest and highest height in the box between two meridians and two parallels, all in metres; (nan,
+    nan) without ground. Raises TerrainError.
 
-    Of a bilinear surface exact: in a cell its extrema are at the corners of what the box has of it. A bicubic one lies
+    Exact for a bilinear surface: in a cell its extrema are at the corners of the part inside the box. A bicubic one is
     between these heights, the control heights of the patches that the box touches (rounded outward by 1/65,535 of the
     terrain's relief), and one with detail at most the detail's amplitude beyond them. O(cells in the box).
     """
@@ -38,14 +38,14 @@ def box_range(
     west, south, east, north = numbers
     if not all(map(math.isfinite, numbers)) or west > east or south > north:
         raise TerrainError(
-            f"The box goes from {west} to {east} m east and from {south} to {north} m north; expected finite numbers, "
-            "the smaller ones first."
+            f"The box goes from {west} to {east} m east and from {south} to {north} m north",
+            expected="finite numbers, the smaller ones first",
         )
     surface, lattice = packed(field, vertical_scale, vertical_offset), field.lattice
     low, high = _in_cells(numbers, lattice)
     if (low > high).any():
         return math.nan, math.nan
-    # Of a hole's border the cells before it know, whose last side it is.
+    # The border of a hole may be the last side of the cells before it.
     before = low if field.valid is None else np.ceil(low) - 1
     column, first = (max(0, min(int(n), cells - 1)) for n, cells in zip(before, _cells(lattice), strict=True))
     rows = min(int(high[1]), lattice.cells_y - 1) - first + 1
@@ -61,7 +61,7 @@ def box_range(
 
 
 def _in_cells(numbers: list[float], lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the box in cells from the raster's south-western corner, cut at the rim."""
+    """Return corners of the box in cells from the raster's south-western corner, cut at the border."""
     corner, steps = np.array(lattice.rectangle()[:2]), np.array([lattice.step_x, lattice.step_y])
     low, high = ((np.array(pair) - corner) / steps for pair in (numbers[:2], numbers[2:]))
     return np.maximum(low, 0.0), np.minimum(high, _cells(lattice))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Heights, normals and slopes at places, and along a line."""
+"""Heights, normals and slopes at points, and along a line."""
 
 from itertools import pairwise
 from typing import NamedTuple
@@ -50,9 +50,10 @@ def ground_at(
     vertical_offset: float = 0.0,
     threads: int | None = None,
 ) -> GroundSamples:
-    """The ground at places, float64 [n, 2], x and y in metres in the terrain's own space. Raises TerrainError.
+    """Return the ground at points, float64 [n, 2], x and y in metres in the terrain's own space. Raises TerrainError.
 
-    A place on the border of a hole or on the rim is inside; so is one that float32 has rounded off the rim. O(1) each.
+    A point on the border of a hole or of the raster is inside; so is one that float32 has rounded off the border. O(1)
+    each.
     """
     surface, places = packed(field, vertical_scale, vertical_offset), vectors(places, 2, "places")
     count = len(places)
@@ -72,18 +73,17 @@ def profile(
     vertical_scale: float = 1.0,
     vertical_offset: float = 0.0,
 ) -> Profile:
-    """Heights along a line through the points `line`, float64 [m, 2] metres, m at least 2. Raises TerrainError.
+    """Return heights along a line through the points `line`, float64 [m, 2] metres, m at least 2. Raises TerrainError.
 
-    At its points and wherever it crosses a line of samples; between two of these a bilinear surface is a parabola. With
-    a spacing: every so many metres from its begin, and at its end.
+    Without a spacing, at its points and wherever it crosses a line of samples; between two of these a bilinear surface
+    is a parabola. With a spacing, every `spacing` metres from its beginning, and at its end.
     """
     line = vectors(line, 2, "points of the line")
     if len(line) < 2:
-        raise TerrainError(f"The line has {len(line)} points; expected 2 at least.")
+        raise TerrainError(f"The line has {len(line)} points", expected="2 at least")
     if np.abs(line).max() > FARTHEST:
-        raise TerrainError(
-            f"The line goes {np.abs(line).max():g} m from the terrain's middle; expected {FARTHEST:g} m at most."
-        )
+        what = f"The line goes {np.abs(line).max():g} m from the terrain's middle"
+        raise TerrainError(what, expected=f"{FARTHEST:g} m at most")
     x, y = np.diff(line, axis=0).T
     lengths = np.sqrt(x * x + y * y)
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
@@ -95,15 +95,16 @@ def profile(
 def _check_count(count: float) -> None:
     if count > MAX_PLACES:
         raise TerrainError(
-            f"The profile would have {count:,.0f} places, more than {MAX_PLACES:,}: make the line shorter or give a "
-            "larger spacing."
+            f"The profile would have {count:,.0f} places",
+            expected=f"at most {MAX_PLACES:,}",
+            fix="make the line shorter or give a larger spacing",
         )
 
 
 def _evenly(line: np.ndarray, ends: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Places every `spacing` metres, and the last point."""
+    """Return points every `spacing` metres, and the last point: metres along the line, and x and y."""
     if not (np.isfinite(spacing) and spacing > 0):
-        raise TerrainError(f"The spacing of the profile is {spacing} metres; expected a positive number.")
+        raise TerrainError(f"The spacing of the profile is {spacing} metres", expected="a positive number")
     _check_count(ends[-1] / spacing)
     along = np.arange(0.0, ends[-1], spacing)
     along = np.append(along, ends[-1])
@@ -111,7 +112,7 @@ def _evenly(line: np.ndarray, ends: np.ndarray, spacing: float) -> tuple[np.ndar
 
 
 def _crossings(field: HeightField, line: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The points of a line, and where it crosses lines of samples."""
+    """Return the points of a line and its crossings with lines of samples: metres along the line, and x and y."""
     lattice = field.lattice
     corner, steps = np.array(lattice.rectangle()[:2]), np.array([lattice.step_x, lattice.step_y])
     cells = np.clip((line - corner) / steps, 0.0, (lattice.cells_x, lattice.cells_y))

@@ -33,11 +33,11 @@ def pick(
     vertical_offset: float = 0.0,
     threads: int | None = None,
 ) -> Hits:
-    """Where rays first meet the surface, from above or from below. Raises TerrainError.
+    """Return where rays first meet the surface, from above or from below. Raises TerrainError.
 
     origins, directions: float64 [n, 3] in the terrain's own space, metres; directions have any length but 0. A ray that
-    begins on the surface hits it there, one that touches it does, one through a hole does not. Exact to what float64
-    rounds: of a bilinear surface a root is solved for, of others it is enclosed (kernels/query/crossing.py).
+    begins on the surface hits it there, one that touches it does, one through a hole does not. Exact up to float64
+    rounding: on a bilinear surface a root is solved for, on others it is enclosed (kernels/query/crossing.py).
     """
     origins, directions = _rays(origins, directions)
     surface = packed(field, vertical_scale, vertical_offset)
@@ -59,9 +59,9 @@ def nearest(
     vertical_offset: float = 0.0,
     threads: int | None = None,
 ) -> Hits:
-    """The nearest hit on the lines through points, along their directions and against them; arguments as `pick`.
+    """Return the nearest hit on the lines through points, along their directions and against them; arguments as `pick`.
 
-    `distance` is negative where it lies against the direction.
+    `distance` is negative for a hit against the direction.
     """
     points, directions = _rays(points, directions)
     heights = vertical_scale, vertical_offset, threads
@@ -71,16 +71,17 @@ def nearest(
 
 
 def _rays(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Checked; directions of the length 1."""
+    """Check origins and directions, and return them with directions of length 1."""
     origins, directions = vectors(origins, 3, "origins of rays"), vectors(directions, 3, "directions of rays")
     if len(origins) != len(directions):
-        raise TerrainError(
-            f"There are {len(origins)} origins of rays and {len(directions)} directions; expected one each."
-        )
+        what = f"There are {len(origins)} origins of rays and {len(directions)} directions"
+        raise TerrainError(what, expected="one each")
     largest = np.abs(directions).max(axis=1, initial=0.0)
     if not largest.all():
         at = int(np.argmin(largest != 0.0))
-        raise TerrainError(f"Number {at} of the directions of rays is (0, 0, 0): it leads nowhere; give it a length.")
+        raise TerrainError(
+            f"Number {at} of the directions of rays is (0, 0, 0)", expected="a direction", fix="give it a length"
+        )
     directions = directions / largest[:, None]  # squares neither overflow nor vanish
     x, y, z = directions.T
     return origins, directions / np.sqrt(x * x + y * y + z * z)[:, None]

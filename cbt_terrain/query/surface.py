@@ -15,7 +15,7 @@ from ..run.buffers import flat, shared
 from ..terrain import box_of
 from ..view.linear import add_up
 
-# Of the longer half side: what float32 rounds off a position on the rim.
+# Of the longer half side: the rounding error of a float32 position on the border.
 ROUNDED = 2.0 ** -(PLANE_BITS + 1)
 
 # Of the greatest height: more than float64 rounds off a sum of heights.
@@ -24,7 +24,8 @@ SPARE = 1e-3
 
 
 def packed(field: HeightField, vertical_scale: float, vertical_offset: float) -> kernels.QueriedSurface:
-    """The surface; memory is shared, nothing is read. Raises TerrainError for a scale that a mesh cannot have."""
+    """Return the surface for kernels. Memory is shared, nothing is read. Raises TerrainError for a scale that a mesh
+    cannot have."""
     vertical_scale, vertical_offset = vertical(vertical_scale, vertical_offset)
     box_of(field, vertical_scale, vertical_offset)
     lattice, s = field.lattice, kernels.QueriedSurface()
@@ -42,13 +43,13 @@ def packed(field: HeightField, vertical_scale: float, vertical_offset: float) ->
 
 
 def blocks_of(field: HeightField, surface: kernels.QueriedSurface) -> crossing.HeightRanges:
-    """The ranges of heights by which rays skip; memory is shared, nothing is read."""
+    """Return the ranges of heights by which rays skip. Memory is shared, nothing is read."""
     lattice, b = field.lattice, crossing.HeightRanges()
     b.top = lattice.levels // ray_kernels.STEP * ray_kernels.STEP
     b.low_z, b.high_z = sorted(h * surface.scale + surface.offset for h in (field.min_height, field.max_height))
     b.spare = SPARE * (b.high_z - b.low_z + max(abs(b.low_z), abs(b.high_z)))
     b.base, b.step = field.range_base * surface.scale + surface.offset, field.range_step * surface.scale
-    # ... and what float64 rounds of these
+    # ... and their float64 rounding errors
     b.more = highest(field.parts) * abs(surface.scale) + ROUNDED_HEIGHT * max(abs(b.low_z), abs(b.high_z))
     first, pages = lattice.range_layout()
     b.first, b.pages = shared(first, wp.int64), shared(pages, wp.int32)

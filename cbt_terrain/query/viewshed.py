@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which samples an eye sees."""
+"""Samples that an eye sees."""
 
 import math
 
@@ -30,23 +30,23 @@ def viewshed(
     vertical_offset: float = 0.0,
     threads: int | None = None,
 ) -> np.ndarray:
-    """Which samples an eye sees: bool [rows, columns], row 0 south. Raises TerrainError.
+    """Return which samples an eye sees: bool [rows, columns], row 0 south. Raises TerrainError.
 
     eye: x, y, z in metres in the terrain's own space. A sample is seen if nowhere the surface rises above the straight
-    line from `target_height` metres over it to the eye, which is looked for along the whole line: exact, as R3 of
-    Franklin, Ray and Mehta (1994, "Geometric algorithms for siting of air defense missile batteries") but over the
-    surface instead of its lines of samples. Within `radius` metres of the plan, all by default; what is no ground is
-    not seen, and does not hide. The earth is flat.
+    line from `target_height` metres over it to the eye. The whole line is searched: exact, as R3 of Franklin, Ray and
+    Mehta (1994, "Geometric algorithms for siting of air defense missile batteries") but over the surface instead of its
+    lines of samples. Within `radius` metres of the plan, all by default. Holes are not seen, and do not hide. The earth
+    is flat.
     """
     eye = vectors(eye, 3, "eye")
     if len(eye) != 1:
-        raise TerrainError(f"The eye came as {len(eye)} points; expected one: x, y and z in metres.")
+        raise TerrainError(f"The eye came as {len(eye)} points", expected="one, x, y and z in metres")
     target_height = plain_number(target_height, float, "The height of targets")
     radius = math.inf if radius is None else plain_number(radius, float, "The radius")
     if not (math.isfinite(target_height) and radius >= 0.0):
         raise TerrainError(
-            f"The height of targets is {target_height} m and the radius {radius} m; expected a finite number and one "
-            "that is not negative."
+            f"The height of targets is {target_height} m and the radius {radius} m",
+            expected="a finite number and one that is not negative",
         )
     surface = packed(field, vertical_scale, vertical_offset)
     blocks = blocks_of(field, surface)
@@ -62,7 +62,7 @@ def viewshed(
 
 
 def _rows_near(surface: QueriedSurface, y: float, radius: float) -> tuple[int, int]:
-    """The first row of samples within a radius of y, and the one after the last."""
+    """Return the first row of samples within a radius of y, and the one after the last."""
     rows = (np.array([y - radius, y + radius]) - surface.south) / surface.step_y
     low, high = np.floor(np.clip(rows, -1, surface.samples.rows)).astype(int).tolist()
     return max(low, 0), min(high + 2, surface.samples.rows)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Least and greatest heights of a box."""
+"""Lowest and highest heights of a box."""
 
 import warp as wp
 
@@ -22,7 +22,8 @@ def row_ranges(
     north: wp.float64,
     found: wp.array(dtype=wp.vec2d),
 ):
-    """Lowest and highest metres in row `first_row + offset + tid` of cells between two columns and rows (in cells)."""
+    """Write the lowest and highest metres in row `first_row + offset + tid` of cells between two columns and rows (in
+    cells)."""
     n = offset + wp.tid()
     j = first_row + n
     zero = wp.float64(0.0)

@@ -71,7 +71,7 @@ class RaySegment:
 
 @wp.func
 def range_at(blocks: HeightRanges, at: wp.int64):
-    """Lowest and highest metres of an entry of the ranges."""
+    """Return the lowest and highest metres of an entry of the ranges."""
     a = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * at)) * blocks.step
     b = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * at + wp.int64(1))) * blocks.step
     return smaller(a, b) - blocks.more, larger(a, b) + blocks.more
@@ -79,7 +79,7 @@ def range_at(blocks: HeightRanges, at: wp.int64):
 
 @wp.func
 def side_of(e: wp.float64) -> wp.float64:
-    """1 above the surface, -1 below, 0 on it."""
+    """Return 1 if a height difference is above the surface, -1 if below, 0 on it."""
     side = wp.float64(0.0)
     if e > wp.float64(0.0):
         side = wp.float64(1.0)
@@ -90,7 +90,7 @@ def side_of(e: wp.float64) -> wp.float64:
 
 @wp.func
 def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
-    """Smallest t > 0 with a t^2 + b t + c = 0 for c > 0; infinite without one."""
+    """Return the smallest t > 0 with a t^2 + b t + c = 0 for c > 0; infinite without one."""
     t = NOWHERE
     d = b * b - wp.float64(4.0) * a * c
     if d >= wp.float64(0.0):
@@ -104,7 +104,8 @@ def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
 
 @wp.func
 def in_bilinear(surface: QueriedSurface, ray: Ray, part: RaySegment):
-    """Where (t) in a part the ray comes to be `slack` beyond the surface; and its side at the end."""
+    """Return t where the ray comes to be `slack` beyond the surface in a segment, infinite if nowhere; and its side at
+    the end."""
     zero = wp.float64(0.0)
     first = part.first
     p = corners_of(surface.samples, part.i, part.j)
@@ -137,7 +138,7 @@ def in_bilinear(surface: QueriedSurface, ray: Ray, part: RaySegment):
 
 @wp.func
 def cell_range(surface: QueriedSurface, blocks: HeightRanges, i: wp.int32, j: wp.int32):
-    """Lowest and highest metres in cell (i, j)."""
+    """Return the lowest and highest metres in cell (i, j)."""
     low = wp.float64(0.0)
     high = wp.float64(0.0)
     if surface.bicubic == 1:
@@ -155,12 +156,13 @@ def cell_range(surface: QueriedSurface, blocks: HeightRanges, i: wp.int32, j: wp
 def half_curvature_along(
     surface: QueriedSurface, blocks: HeightRanges, ray: Ray, i: wp.int32, j: wp.int32
 ) -> wp.float64:
-    """Half of the largest second derivative of the surface along the ray in cell (i, j), metres a square metre."""
+    """Return half of the largest second derivative of the surface along the ray in cell (i, j), metres a square
+    metre."""
     across = ray.du * ray.du + ray.dv * ray.dv
     curvature = wp.float64(0.0)
     if surface.bicubic == 1:
         at = blocks.curvatures + tile_index(i, j, blocks.cell_pages)
-        # what is stored is a quarter of the norm of the second derivatives over cells
+        # the store holds a quarter of the norm of the second derivatives over cells
         curvature = (
             wp.float64(2.0) * wp.float64(error_of(blocks.table, blocks.curvature_group, blocks.error, at)) * across
         )
@@ -174,7 +176,7 @@ def half_curvature_along(
 
 @wp.func
 def in_curved(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
-    """As `in_bilinear`, of a bicubic surface or one with detail."""
+    """Return the same as `in_bilinear` for a bicubic surface or one with detail."""
     zero = wp.float64(0.0)
     curvature = half_curvature_along(surface, blocks, ray, part.i, part.j)
     side = part.side
@@ -208,7 +210,7 @@ def in_curved(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: Ray
 
 @wp.func
 def clear_of(low: wp.float64, high: wp.float64, ray: Ray, part: RaySegment) -> wp.float64:
-    """The side of heights low .. high on which a part of a ray is, 1 above and -1 below; 0: on neither."""
+    """Return the side of heights low .. high on which a segment of a ray is, 1 above and -1 below; 0: on neither."""
     z0 = ray.z + part.first * ray.dz
     z1 = ray.z + part.last * ray.dz
     side = wp.float64(0.0)
@@ -221,8 +223,8 @@ def clear_of(low: wp.float64, high: wp.float64, ray: Ray, part: RaySegment) -> w
 
 @wp.func
 def passed(part: RaySegment, on_side: wp.float64):
-    """Of a part that is clear on one side: where (t) the ray has met the surface, which is if it came from the other;
-    and its side."""
+    """Return t where a segment that is clear on one side has met the surface, and its side. It has met the surface at
+    its first point if the ray came from the other side; else t is infinite."""
     hit = NOWHERE
     if part.side * on_side < wp.float64(0.0):
         hit = part.first
@@ -231,7 +233,7 @@ def passed(part: RaySegment, on_side: wp.float64):
 
 @wp.func
 def in_one_cell(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
-    """As `in_bilinear`, of any surface."""
+    """Return the same as `in_bilinear` for any surface."""
     hit = NOWHERE
     side = wp.float64(0.0)
     if surface.bicubic == 0 and surface.layers.count == 0:

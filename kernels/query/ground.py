@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Heights and normals at places of the plan."""
+"""Heights and normals at points of the plan."""
 
 import warp as wp
 
@@ -8,25 +8,25 @@ from ..field.codes import prefetch_sample
 from .surface import QueriedSurface, cell_of, is_ground, shaded_in
 
 AHEAD = wp.constant(16)
-BLOCK = wp.constant(64)  # places of one call, which reads what does not change: 42 ns a place, 53 one by one
+BLOCK = wp.constant(64)  # points of one call, which reads constants once: 42 ns a point, 53 one by one
 NOTHING = wp.constant(wp.float64(wp.nan))
 
 
 @wp.func
 def onto_border(u: wp.float64, cells: wp.int32, slack: wp.float64) -> wp.float64:
-    """A place that is no more than `slack` beyond the rim, on it."""
-    most = wp.float64(cells)
+    """Return u, moved onto the raster's border if it is at most `slack` beyond it, in cells."""
+    border = wp.float64(cells)
     found = u
     if u < wp.float64(0.0) and u >= -slack:
         found = wp.float64(0.0)
-    if u > most and u <= most + slack:
-        found = most
+    if u > border and u <= border + slack:
+        found = border
     return found
 
 
 @wp.func
 def fetch_about(surface: QueriedSurface, p: wp.vec2d):
-    """Bring the samples about a place into the cache; nothing is read, so any place will do."""
+    """Prefetch the samples around a point into the cache. Nothing is read, so any point is allowed."""
     i = wp.int64((p[0] - surface.west) * surface.per_x)
     j = wp.int64((p[1] - surface.south) * surface.per_y)
     row = wp.int64(surface.samples.columns)
@@ -48,7 +48,7 @@ def ground_at(
     slopes: wp.array(dtype=wp.float64),
     inside: wp.array(dtype=wp.bool),
 ):
-    """Height, unit normal and slope (radians) at the places of block `offset + tid`; not numbers where there is no
+    """Write height, unit normal and slope (radians) at the points of block `offset + tid`; NaN where there is no
     ground."""
     begin = (offset + wp.tid()) * BLOCK
     cells_x = surface.samples.columns - 1

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rays against the surface: cell by cell, and past whole blocks of cells that lie above or below.
+"""Rays against the surface: they walk cell by cell, and skip whole blocks of cells above or below.
 
 Blocks are the diamonds at the middles of squares of 2^k cells a side (k = 2, 4 ..), whose ranges of heights every store
 has; a ray climbs to larger blocks while it clears them and descends where it does not (Tevs, Ihrke and Seidel 2008,
 "Maximum mipmaps for fast, accurate, and scalable dynamic height field rendering"; here with minima, as a ray may also
 come from below). Cells are left by their number, never by a rounded coordinate, and a change of sides between two cells
-is a crossing, so that no ray slips through. crossing.py has what happens in a cell.
+is a crossing, so that no ray slips through. crossing.py solves for the crossing in a cell.
 """
 
 import warp as wp
@@ -21,7 +21,7 @@ STEP = wp.constant(2)  # from a block to the next larger: 2^2 times its side; th
 
 @wp.func
 def block_range(blocks: HeightRanges, bits: wp.int32, x: wp.int32, y: wp.int32):
-    """Lowest and highest metres of the block (x, y) of 2^bits cells a side."""
+    """Return the lowest and highest metres of the block (x, y) of 2^bits cells a side."""
     group = bits / STEP - 1
     at = tile_index(1 + 2 * x, 1 + 2 * y, item_at(blocks.pages, group))
     return range_at(blocks, item_at(blocks.first, group) + at)
@@ -29,7 +29,7 @@ def block_range(blocks: HeightRanges, bits: wp.int32, x: wp.int32, y: wp.int32):
 
 @wp.func
 def within(first: wp.float64, last: wp.float64, at: wp.float64, step: wp.float64, low: wp.float64, high: wp.float64):
-    """The part of a range of t in which at + t * step lies between low and high; empty where first > last."""
+    """Return the part of first .. last in which at + t * step is between low and high; empty where first > last."""
     if step == wp.float64(0.0):
         if at < low or at > high:
             first = NOWHERE
@@ -42,8 +42,9 @@ def within(first: wp.float64, last: wp.float64, at: wp.float64, step: wp.float64
 
 
 @wp.func
-def entry_of(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, end: wp.float64, known: wp.float64):
-    """The part of 0 .. end in which the ray may meet the surface, empty where first > last, and its side there."""
+def enter(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, end: wp.float64, known: wp.float64):
+    """Return the part of 0 .. end in which the ray may meet the surface, empty where first > last, and its side
+    there."""
     zero = wp.float64(0.0)
     first, last = within(zero, end, ray.u, ray.du, zero, wp.float64(surface.samples.columns - 1))
     first, last = within(first, last, ray.v, ray.dv, zero, wp.float64(surface.samples.rows - 1))
@@ -60,7 +61,7 @@ def entry_of(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, end: wp.fl
 def way_out(
     surface: QueriedSurface, ray: Ray, bits: wp.int32, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64
 ):
-    """Where (t, `last` at most) the ray leaves the block of cell (i, j), by which line, and the cell beyond."""
+    """Return t (`last` at most) where the ray leaves the block of cell (i, j), by which line, and the cell beyond."""
     zero = wp.float64(0.0)
     cells_x = surface.samples.columns - 1
     cells_y = surface.samples.rows - 1
@@ -89,11 +90,11 @@ def way_out(
 
 
 @wp.func
-def met_in(
+def hit_in_block(
     surface: QueriedSurface, blocks: HeightRanges, ray: Ray, bits: wp.int32, part: RaySegment, known: wp.float64
 ):
-    """Where (t) the ray meets the surface in a part of it in a block, its side at the end, and whether that is all:
-    else the block has to be looked into."""
+    """Return t where the ray meets the surface in a segment of it in a block, infinite if nowhere; its side at the end;
+    and whether that is final. Otherwise the caller descends into the block."""
     zero = wp.float64(0.0)
     hit = NOWHERE
     side = part.side
@@ -124,13 +125,13 @@ def first_hit(
     slack: wp.float64,
     bits: wp.int32,
 ) -> wp.float64:
-    """The first t in 0 .. end where the ray meets the surface, infinite where it does not.
+    """Return the first t in 0 .. end where the ray meets the surface, infinite where it does not.
 
-    known: the side on which the ray is, 1 above, -1 below, 0: whichever it is, also after a hole. slack: metres that
-    it has to be beyond the surface. bits: of the first block that is tried.
+    known: the ray's side, 1 above, -1 below, 0 if any, also after a hole. slack: metres that the ray has to be beyond
+    the surface. bits: of the first block that is tried.
     """
     part = RaySegment()
-    first, last, side = entry_of(surface, blocks, ray, end, known)
+    first, last, side = enter(surface, blocks, ray, end, known)
     part.first = first
     part.side = side
     part.slack = slack
@@ -147,7 +148,7 @@ def first_hit(
     while True:
         out, line, next_i, next_j = way_out(surface, ray, bits, part.i, part.j, part.first, last)
         part.last = out
-        hit, side, done = met_in(surface, blocks, ray, bits, part, known)
+        hit, side, done = hit_in_block(surface, blocks, ray, bits, part, known)
         part.side = side
         if hit < NOWHERE:
             break
@@ -167,7 +168,7 @@ def first_hit(
 
 @wp.func
 def ray_of(surface: QueriedSurface, p: wp.vec3d, d: wp.vec3d) -> Ray:
-    """From a point along a direction, metres."""
+    """Return the ray from a point along a direction, both in metres."""
     ray = Ray()
     ray.u = (p[0] - surface.west) / surface.step_x
     ray.v = (p[1] - surface.south) / surface.step_y
@@ -189,7 +190,7 @@ def pick(
     directions: wp.array(dtype=wp.vec3d),
     distance: wp.array(dtype=wp.float64),
 ):
-    """Metres along unit direction `offset + tid` to the first hit; infinite without one."""
+    """Write the metres along unit direction `offset + tid` to the first hit; infinite without one."""
     n = offset + wp.tid()
     ray = ray_of(surface, origins[n], directions[n])
     distance[n] = first_hit(surface, blocks, ray, NOWHERE, wp.float64(0.0), wp.float64(0.0), blocks.top)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The surface that is asked: a height field's own at full resolution, as the displacement samples it."""
+"""The surface of queries: a height field at full resolution, as the displacement samples it."""
 
 import warp as wp
 
@@ -20,7 +20,7 @@ class QueriedSurface:
     step_y: wp.float64
     per_x: wp.float64  # samples a metre
     per_y: wp.float64
-    border_x: wp.float64  # cells that a place may be beyond the rim: what float32 positions round
+    border_x: wp.float64  # cells that a point may be beyond the border: the rounding of float32 positions
     border_y: wp.float64
     scale: wp.float64
     offset: wp.float64
@@ -33,13 +33,13 @@ class QueriedSurface:
 
 @wp.func
 def cell_of(u: wp.float64, cells: wp.int32) -> wp.int32:
-    """The cell that holds a place u cells from the raster's rim; the last one holds its far side."""
+    """Return the cell that holds a point u cells from the raster's border; the last cell holds its far side."""
     return wp.clamp(wp.int32(wp.floor(u)), 0, cells - 1)
 
 
 @wp.func
-def whole(surface: QueriedSurface, i: wp.int32, j: wp.int32) -> wp.bool:
-    """Whether cell (i, j) is in the raster and has all its four samples."""
+def is_whole_cell(surface: QueriedSurface, i: wp.int32, j: wp.int32) -> wp.bool:
+    """Return whether cell (i, j) is in the raster and has all its four samples."""
     found = i >= 0 and j >= 0 and i < surface.samples.columns - 1 and j < surface.samples.rows - 1
     if found:
         found = is_whole(surface.valid, surface.samples.columns, i, j)
@@ -48,25 +48,26 @@ def whole(surface: QueriedSurface, i: wp.int32, j: wp.int32) -> wp.bool:
 
 @wp.func
 def is_ground(surface: QueriedSurface, i: wp.int32, j: wp.int32, on_west: wp.bool, on_south: wp.bool) -> wp.bool:
-    """Whether there is ground at a place in cell (i, j), on its western or southern side too if that is said.
+    """Return whether there is ground at a point in cell (i, j).
 
-    What lies on a side belongs to both cells, so the border of a hole is ground.
+    `on_west`, `on_south`: whether the point is on that side of the cell. A side belongs to both cells, so the border of
+    a hole is ground.
     """
     found = surface.holed == 0
     if not found:
-        found = whole(surface, i, j)
+        found = is_whole_cell(surface, i, j)
         if not found and on_west:
-            found = whole(surface, i - 1, j)
+            found = is_whole_cell(surface, i - 1, j)
         if not found and on_south:
-            found = whole(surface, i, j - 1)
+            found = is_whole_cell(surface, i, j - 1)
         if not found and on_west and on_south:
-            found = whole(surface, i - 1, j - 1)
+            found = is_whole_cell(surface, i - 1, j - 1)
     return found
 
 
 @wp.func
 def in_saddle(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
-    """Height and the bilinear patch's own gradient (metres a cell)."""
+    """Return the height and the gradient (metres a cell) of the bilinear patch."""
     p = corners_of(surface.samples, i, j)
     east = p[1] - p[0]
     north = p[2] - p[0]
@@ -76,7 +77,7 @@ def in_saddle(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, 
 
 @wp.func
 def metric(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64, g: wp.vec3d) -> wp.vec3d:
-    """Height and gradient g (metres a cell) as metres a metre, that of the detail added."""
+    """Return height and gradient g (metres a cell) as metres a metre, those of the detail added."""
     found = wp.vec3d(g[0], g[1] * surface.per_x, g[2] * surface.per_y)
     if surface.layers.count > 0:
         x = surface.west + (wp.float64(i) + s) * surface.step_x
@@ -87,7 +88,8 @@ def metric(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: 
 
 @wp.func
 def jet_in(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
-    """Height and its gradient before scaling (metres, metres a metre), s and t cells from the corner of cell (i, j)."""
+    """Return height and gradient before scaling (metres, metres a metre), s and t cells from the corner of cell (i,
+    j)."""
     g = wp.vec3d()
     if surface.bicubic == 1:
         g = in_patch(surface.samples, i, j, s, t)
@@ -98,7 +100,7 @@ def jet_in(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: 
 
 @wp.func
 def shaded_in(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
-    """As `jet_in`, with the gradient by which the mesh is shaded: of a bilinear surface it has no steps."""
+    """Return the same as `jet_in` with the gradient that shades the mesh: that of a bilinear surface has no steps."""
     g = wp.vec3d()
     if surface.bicubic == 1:
         g = in_patch(surface.samples, i, j, s, t)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which samples an eye sees: a line of sight for each."""
+"""Samples that an eye sees: a line of sight for each."""
 
 import warp as wp
 
@@ -20,7 +20,8 @@ def in_sight(
     slack: wp.float64,
     seen: wp.array(dtype=wp.bool),
 ):
-    """Sample `first + offset + tid`: whether nothing rises above the line from `target` metres over it to the eye."""
+    """Write for sample `first + offset + tid` whether nothing rises above the line from `target` metres over it to the
+    eye."""
     n = first + offset + wp.tid()
     row = n / surface.samples.columns
     column = n - row * surface.samples.columns

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A static mesh: one error in metres everywhere, no camera. What `adaptive-terrain bake` does.
+"""A static mesh: one error in metres everywhere, no camera, as `adaptive-terrain bake` makes it.
 
-With `fit` its vertices need not lie on the surface: fewer triangles for the same vertical error. The bound is that of
-greedy insertion (Garland and Heckbert 1995), here on the triangles of longest-edge bisection; how heights are fitted is
-in fitter.py.
+With `fit` its vertices may leave the surface: fewer triangles for the same vertical error. The bound is that of greedy
+insertion (Garland and Heckbert 1995), here on the triangles of longest-edge bisection; fitter.py fits the heights.
 """
 
 import math
@@ -20,19 +19,20 @@ from ..terrain import Terrain, Update
 from ..view.criterion import Criterion
 from .fitter import FittedMesh, Fitter
 
-# A budget coarsens what was asked in steps of 2^(1/8).
+# A budget coarsens the requested error in steps of 2^(1/8).
 STEPS_PER_OCTAVE = 8
-# A fit never does with what interpolation needs for so many times the error: moving a chord halves its error at most.
+# A fit always needs more triangles than interpolation for this many times the error: moving a chord halves its error
+# at most.
 MAX_GAIN = 2.6
 
 
 @dataclass(frozen=True, repr=False)
 class Fitted(Update):
-    """What a fit did, as `Update`.
+    """The result of a fit, as `Update`.
 
     `worst_m`: the exact largest distance of the delivered heights from the surface, metres; `bound_m` is the largest
-    that has with what rounding of plane coordinates adds and what the source had rounded.
-    `rounds`: meshes it took; 0 if the interpolating mesh was best.
+    that includes the rounding of plane coordinates and of the source. `rounds`: meshes it took; 0 if the interpolating
+    mesh was best.
     """
 
     worst_m: float = 0.0
@@ -49,16 +49,20 @@ def fit(
     threads: int | None = None,
     on_progress: Callable[[float], None] = lambda _fraction: None,
 ) -> Fitted:
-    """The mesh that is nowhere more than `error_m` metres of height off, with vertices moved to save triangles.
+    """Return the mesh that is nowhere more than `error_m` metres of height off, with vertices moved to save triangles.
 
     Never more triangles than interpolation needs. With a limit of `max_triangles` the finest error that fits, in steps
     of 2^(1/8), if that is better than what interpolation reaches. Heights become `height * vertical_scale +
-    vertical_offset` metres. The same bytes for any number of threads. `on_progress` may raise: that cancels.
-    Raises TerrainError if a number cannot be used.
+    vertical_offset` metres. The same bytes for any number of threads. `on_progress` may raise: that cancels. Raises
+    TerrainError if a number cannot be used.
     """
     check_interpolation(field.interpolation)
     if field.detail:
-        raise TerrainError("A fit is of the raster's own surface; set the amplitude of the terrain's detail to 0.")
+        raise TerrainError(
+            "A surface with detail cannot be fitted",
+            expected="none",
+            fix="set the amplitude of the terrain's detail to 0",
+        )
     threads = launch.checked_threads(threads)
     criterion = Criterion(error_px=0.0, error_m=error_m, max_triangles=max_triangles)
     error_m, max_triangles = criterion.error_m, criterion.max_triangles
@@ -70,14 +74,14 @@ def fit(
         whole = Terrain(field, threads, whole=True)
         if max_triangles is None:
             plain = whole.update(criterion, **heights)
-        else:  # of the mesh as it is delivered: the cut at the rim makes two of some triangles
+        else:  # of the mesh as it is delivered: the cut at the border makes two of some triangles
             ended = Terrain(field, threads).update(criterion, **heights)
             plain = whole.update(replace(criterion, max_triangles=ended.leaves), **heights)
             plain = replace(plain, relaxed=ended.relaxed)
         assert plain.bound_m is not None  # the criterion has an error in metres
         best = None
         if plain.relaxed > 1.0:
-            best = _within(fitter, error_m, plain.relaxed, triangle_limit, plain.bound_m)
+            best = _fit_within(fitter, error_m, plain.relaxed, triangle_limit, plain.bound_m)
         elif plain.limited != "max_depth":
             best = fitter.run(error_m)
         if best is not None:
@@ -116,7 +120,8 @@ def bake(
     threads: int | None = None,
     on_progress: Callable[[float], None] = lambda _fraction: None,
 ) -> Update:
-    """The mesh that is nowhere more than `error_m` metres of height from the height field, which `open_store` gives.
+    """Return the mesh that is nowhere more than `error_m` metres of height from a height field, which `open_store`
+    gives.
 
     `fitted`: vertices leave the surface within that error, so that fewer triangles do (a `Fitted`, without meshlets);
     `on_progress` follows that, 0 .. 1, and may raise, which cancels. With a limit of `max_triangles` the finest error
@@ -132,15 +137,20 @@ def bake(
 
 
 def check_interpolation(name: str) -> None:
-    """Raise TerrainError unless a surface with this interpolation can be fitted; for before it is made."""
+    """Raise TerrainError unless a surface with this interpolation can be fitted. Call it before the surface is made."""
     if name != "bilinear":
-        raise TerrainError(f"A fit is of the bilinear surface; the terrain's is {name}: choose bilinear interpolation.")
+        raise TerrainError(
+            f"A {name} surface cannot be fitted", expected="a bilinear one", fix="choose bilinear interpolation"
+        )
 
 
-def _within(fitter: Fitter, error_m: float, relaxed: float, triangle_limit: int, plain_m: float) -> FittedMesh | None:
-    """The fit for the least step from `error_m` on that has at most `most` triangles when cut, as bisection finds it.
+def _fit_within(
+    fitter: Fitter, error_m: float, relaxed: float, triangle_limit: int, plain_m: float
+) -> FittedMesh | None:
+    """Return the fit for the smallest step from `error_m` on that has at most `triangle_limit` triangles when cut,
+    found by bisection.
 
-    relaxed, plain_m: by how much interpolation had to coarsen the error for as many, and the bound that it reached.
+    relaxed, plain_m: by how much interpolation had to coarsen the error for that limit, and the bound that it reached.
     """
     if not plain_m > error_m:
         return None

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How heights are fitted to a bound.
+"""Heights fitted to a bound.
 
-Between two points of a bend a chord that starts on the surface errs twice as much as one that is moved to the middle
-of its error, so heights that are free allow a coarser mesh. The mesh of the walk for a larger error is a start. A few
-sweeps move its vertices (kernels/fitting/moving.py); triangles that are still too far are split where they stand out,
-where they lie (kernels/fitting/mesh.py), and so on until none is. What was split is raised in a copy of the error
-hierarchy, so that the walk makes that mesh, in its order, and it keeps the heights.
+Over a curved stretch a chord that starts on the surface errs twice as much as one that is moved to the middle of its
+error, so heights that are free allow a coarser mesh. The mesh of the walk for a larger error is a start. A few sweeps
+move its vertices (kernels/fitting/moving.py); triangles that are still too far are split in place where they stand out
+(kernels/fitting/mesh.py), and so on until none is. Each split is raised in a copy of the error hierarchy, so that the
+walk makes that mesh, in its order, and the mesh keeps its heights.
 
-A triangle is split only if interpolation would split it too, else its vertices go back to the surface for good: at
-worst the end is the interpolating mesh, and on the way a triangle count can only stay below its own. What decides, and
-what is told, is each triangle's exact distance from the whole surface, of heights as they are delivered, and what the
-source had rounded.
+A triangle is split only if interpolation would split it too, else its vertices return to the surface for good: at worst
+the end is the interpolating mesh, and on the way the triangle count never exceeds that mesh's. Decisions and the bound
+use each triangle's exact distance from the whole surface, of heights as they are delivered, and the rounding of the
+source.
 """
 
 import math
@@ -41,12 +41,12 @@ from ..view.linear import add_up
 from .sweeps import FEW, Sweeps
 
 # The first mesh is the interpolating one for this many times the error: less leaves triangles that could be merged,
-# more has so many to split that neighbours of those that need it are split as well.
+# more requires many splits, so that neighbours of triangles that need them are split as well.
 START = 1.7
 MAX_MESHES = 16
 # Nanoseconds that a sweep takes for a triangle, and for a sample of it.
 TRIANGLE_NS, SAMPLE_NS = 80.0, 1.2
-# Vertices in raster cells lie on parts of a cell of 2^-FINEST.
+# Vertices in raster cells are multiples of 2^-FINEST of a cell.
 FINEST = DEPTH_BELOW_CELLS // 2 + 1
 # Far more than float64 rounds off the sum of a few terms.
 OUTWARD = 1.0 + 1e-12
@@ -54,6 +54,8 @@ OUTWARD = 1.0 + 1e-12
 
 @dataclass(frozen=True)
 class FittedMesh:
+    """A mesh that `Fitter` made, with its bound."""
+
     surface: Surface
     bound_m: float
     worst_m: float
@@ -68,7 +70,7 @@ class FittedMesh:
 
 
 class Fitter:
-    """What fits of one height field at one vertical scale have in common."""
+    """The parts that fits of one height field at one vertical scale share."""
 
     def __init__(
         self,
@@ -90,7 +92,7 @@ class Fitter:
         self.plain = make_domain(field, 0, *self.placement, rounding(field, self.depth, *self.placement))
 
     def run(self, error_m: float) -> FittedMesh | None:
-        """The fit for one error; None if it was given up; of a raster with holes, whose filling it would fit."""
+        """Return the fit for one error, None if it was given up or the raster has holes, whose filling it would fit."""
         if not self.scale or self.field.valid is not None:
             return None
         field, buffers = self.field, Buffers()
@@ -123,11 +125,11 @@ class Fitter:
         return None
 
     def ended(self, mesh: FittedMesh) -> Surface:
-        """The mesh as it is delivered: cut at the raster's rim and for its holes."""
+        """Return the mesh as it is delivered: cut at the raster's border and for its holes."""
         return borders.end(mesh.surface, self.field, self.plain, threads=self.threads)[0]
 
     def interpolated(self, update: Update, error_m: float) -> FittedMesh:
-        """The mesh of an update, measured as a fit is."""
+        """Return the mesh of an update, measured as a fit is."""
         assert update.bound_m is not None and update.terms_m is not None  # its criterion has an error in metres
         if not self.scale:
             return FittedMesh(
@@ -145,10 +147,11 @@ class Fitter:
         return replace(mesh, limited=update.limited or mesh.limited, relaxed=update.relaxed)
 
     def within(self, error_m: float) -> float:
-        """The largest bound of a mesh that holds an error as far as the source's rounding lets it."""
+        """Return the largest bound of a mesh that holds an error as far as the source's rounding allows."""
         return max(error_m, left_of(error_m, self.source) + self.source)
 
     def _mesh(self, error_m: float) -> mesh_kernels.FitMesh:
+        """Return an empty mesh for the kernels, with its error and its bound in metres."""
         m = mesh_kernels.FitMesh()
         m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - FINEST)
         left = left_of(error_m, self.source)
@@ -156,8 +159,9 @@ class Fitter:
         return m
 
     def _codes(self, error_m: float) -> tuple[np.ndarray, np.ndarray]:
-        """The errors for the first mesh as codes that may be raised, and what these stand for, by group: powers of a
-        root of two about what is asked, to the nearest, since the fit measures what it makes."""
+        """Return the errors for the first mesh as codes that may be raised, and the errors of these codes by group:
+        powers of a root of two around the requested error, rounded to the nearest, since the fit measures its
+        result."""
         field, base = self.field, raising.MIN_ERROR * error_m / self.scale
         values = np.concatenate([[0.0], base * 2.0 ** (np.arange(255) / raising.PER_OCTAVE)])
         between = np.concatenate([[0.0], values[1:-1] * 2.0 ** (0.5 / raising.PER_OCTAVE)])
@@ -167,8 +171,8 @@ class Fitter:
         return found, np.tile(values.astype(np.float32), len(field.table))
 
     def _nothing_known(self) -> list[wp.array]:
-        """Of every sample, and of what continues them in the padding, the height of its vertex and what is known of it.
-        Memory is committed where it is used."""
+        """Return empty heights and states of vertices, for every sample and its continuation into the padding. Memory
+        is committed where it is used."""
         across, up = self.field.lattice.span
         vertices = (across + 1) * (up + 1)
         return [shared(np.zeros(vertices, np.float32), wp.float32), shared(np.zeros(vertices, np.uint8), wp.uint8)]
@@ -180,11 +184,11 @@ class Fitter:
     def _judged(
         self, surface: Surface, buffers: Buffers, error_m: float, rounds: int, deepest: bool = False
     ) -> FittedMesh:
-        """A mesh and its bound: the largest of what was measured, and what rounding adds, the mesh's and the source's.
+        """Return a mesh with its bound: the largest measured distance, plus the rounding of the mesh and of the source.
 
         A plane coordinate that is rounded moves a facet sideways, and no facet is steeper than the surface but for
         twice the distance of its corners over the shortest way between them. The bound is rounded outward, but not over
-        what holds already.
+        one that holds already.
         """
         lattice, triangles = self.field.lattice, len(surface.triangles)
         worst = buffers.numpy("fit_worst")[:triangles]
@@ -205,24 +209,25 @@ class Fitter:
         return FittedMesh(surface, bound, parts[0], terms, limited, rounds)
 
     def _rounded(self, far: float) -> float:
-        """Metres by which a distance may be off that is computed in float64. Where a rim is cut afterwards, its new
-        vertices are rounded to float32 besides, of a mesh that is `far` metres off the surface."""
+        """Return the metres by which a distance computed in float64 may be off. Where a border is cut afterwards, its
+        new vertices are rounded to float32 besides, on a mesh that is `far` metres off the surface."""
         highest = max(abs(h) for h in (self.field.min_height, self.field.max_height))
         reach = highest * self.scale + abs(self.placement[1])
         cut = 2.0**-SINGLE_BITS * (reach + far) if self.field.lattice.is_padded else 0.0
         return DISPLACEMENT_ERROR * reach + cut
 
     def _shift(self, error_m: float) -> float:
-        """Metres of height that rounding the plane coordinates to float32 may add, vertices moved by `error_m`."""
+        """Return the metres of height that rounding plane coordinates to float32 may add, with vertices moved by
+        `error_m`."""
         lattice = self.field.lattice
-        # Of what is split in raster cells only the corners of the cells are moved.
+        # In raster cells that are split only the corners of the cells are moved.
         twist = float(self.field.table[lattice.groups][self.field.error[lattice.cell_base :].max()]) * self.scale
         finer = 2.0 ** math.ceil(0.5 * math.log2(twist / error_m) + 1) if error_m and twist > error_m else 1.0
         return self._sideways(2.0 * error_m * finer)
 
     def _sideways(self, steeper: float) -> float:
-        """The same for facets that are `steeper` metres a cell steeper than the surface. New vertices of a rim lie
-        between two that are rounded, and are rounded again."""
+        """Return the same for facets that are `steeper` metres a cell steeper than the surface. New vertices of a
+        border are between two that are rounded, and are rounded again."""
         lattice, shift = self.field.lattice, 0.0
         times = 2.0 if lattice.is_padded else 1.0
         axes = (
@@ -236,11 +241,11 @@ class Fitter:
         return shift
 
     def ns_each(self, triangles: int) -> float:
-        """Nanoseconds that one of so many triangles takes."""
+        """Return the nanoseconds that each of some triangles takes."""
         return TRIANGLE_NS + SAMPLE_NS * self.field.samples.size / triangles
 
     def tell_progress(self) -> None:
-        """Nobody knows how many rounds there will be: every one is a fifth of what was left."""
+        """Report progress: the number of rounds is unknown, so that each is a fifth of the rest."""
         self.rounds += 1
         self.on_progress(1.0 - 0.8**self.rounds)
 
@@ -249,7 +254,7 @@ class Fitter:
 
 
 def _vertical_criterion(error_m: float) -> CriterionArrays:
-    """Nothing but a vertical error."""
+    """Return a criterion with a vertical error alone."""
     criterion = CriterionArrays()
     criterion.error_px2 = criterion.edge_px2 = criterion.area_px2 = math.inf
     criterion.metres2, criterion.limit = error_m * error_m, 1.0

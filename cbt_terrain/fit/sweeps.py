@@ -22,7 +22,7 @@ MAX_ROUNDS = 64
 
 
 class Sweeps:
-    """A mesh that is being fitted: its triangles, and the list of those that are looked at."""
+    """A mesh that is being fitted: its triangles, and the list of those that the next sweep reads."""
 
     def __init__(self, fitter: Any, m: mesh_kernels.FitMesh, buffers: Buffers):
         self.fitter, self.m, self.buffers = fitter, m, buffers
@@ -46,7 +46,7 @@ class Sweeps:
         self.fitter.spread(binding.gather, vertices, [self.m, shared(surface.positions, wp.vec3f), *known])
 
     def _reserve(self, triangles: int, vertices: int) -> None:
-        """Make room; what was there is lost."""
+        """Make room; earlier contents are lost."""
         get = self.buffers.get
         for count, arrays in (
             (triangles, {"level": wp.int32, "worst": wp.float64, "seen": wp.vec3f}),
@@ -70,11 +70,11 @@ class Sweeps:
         launch.once(binding.link, inputs, step="fit link")
 
     def beyond(self) -> np.ndarray:
-        """bool [T]: whether a triangle is farther from the surface than it may be."""
+        """Return whether each triangle is farther from the surface than the bound, bool [T]."""
         return self.buffers.numpy("fit_worst")[: self.triangles] > self.m.bound
 
     def look_again(self, which: np.ndarray | slice) -> None:
-        """Triangles that a sweep is to measure."""
+        """Have the next sweep measure triangles."""
         self.buffers.numpy("fit_worst")[: self.triangles][which] = mesh_kernels.NOT_MEASURED.value
 
     def settle(self) -> None:
@@ -90,7 +90,7 @@ class Sweeps:
                 break
 
     def _sweep(self) -> int:
-        """Move the vertices; returns how many triangles were beyond the bound before the last move."""
+        """Move the vertices; returns the number of triangles beyond the bound before the last move."""
         for _ in range(SWEEPS):
             self._pull()
             inputs = [self.count, self.triangles, self.m, self.found]
@@ -102,12 +102,14 @@ class Sweeps:
         return int(self.found_np[1])
 
     def _pull(self) -> None:
+        """Measure the listed triangles and their pushes."""
         pieces = min(self.fitter.threads, int(self.count * self.fitter.ns_each(self.triangles) / 3e5)) or 1
         inputs = [[*piece, self.m] for piece in launch.ranges(self.count, pieces)]
         launch.slices(kernels.pull, inputs, step="fit pull", recorded=self.recorded)
 
     def refine(self, local: float) -> dict[str, int]:
-        """Split what is beyond the bound, or pin it to the surface."""
+        """Split triangles beyond the bound, or pin them to the surface; returns the counts of both and of what
+        remains."""
         self.found_np[1:3] = self.triangles, self.vertices
         inputs = [self.count, self.fitter.depth, wp.float64(local), self.m, self.found]
         launch.once(refine_kernels.refine, inputs, step="fit refine", recorded=self.recorded)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From a welded mesh to one that is fitted, and what the next one is to know of it."""
+"""From a welded mesh to one that is fitted, and the heights and states that the next one starts with."""
 
 import warp as wp
 
@@ -9,7 +9,7 @@ from .mesh import KNOWN, PINNED, FitMesh
 
 @wp.func
 def slot_of(d: Domain, i: wp.int32, j: wp.int32) -> wp.int64:
-    """Where a vertex on a sample, or on the padding's going on of their grid, is kept."""
+    """Return the entry of a vertex on a sample, or on the continuation of their grid into the padding."""
     return wp.int64(j) * wp.int64((d.columns << d.levels) + 1) + wp.int64(i)
 
 
@@ -21,7 +21,7 @@ def gather(
     heights: wp.array(dtype=wp.float32),
     states: wp.array(dtype=wp.uint8),
 ):
-    """Where each vertex is on the lattice, and the height that it had before."""
+    """Write where each vertex is on the lattice, and restore the height that it had before."""
     v = offset + wp.tid()
     d = m.domain
     p = positions[v]
@@ -45,7 +45,7 @@ def gather(
 
 @wp.kernel
 def link(triangles: int, m: FitMesh, corner_edges: wp.array(dtype=wp.int32), side: wp.array(dtype=wp.int32)):
-    """Neighbours of the triangles, and a triangle of every vertex. `side` [E]: -1."""
+    """Write the neighbours of the triangles, and a triangle of every vertex. `side` [E]: -1."""
     for c in range(3 * triangles):
         m.first[m.corner_verts[c]] = c / 3
         edge = corner_edges[c]
@@ -60,7 +60,7 @@ def link(triangles: int, m: FitMesh, corner_edges: wp.array(dtype=wp.int32), sid
 
 @wp.kernel
 def keep(offset: int, m: FitMesh, heights: wp.array(dtype=wp.float32), states: wp.array(dtype=wp.uint8)):
-    """What `gather` of the next mesh is to find."""
+    """Keep heights and states by sample for `gather` of the next mesh."""
     v = offset + wp.tid()
     d = m.domain
     bits = d.unit_bits - d.levels

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A triangle of a mesh over the surface that it stands for: how far they are apart, and where.
+"""A triangle of a mesh over the surface that it stands for, and the largest distance between the two.
 
-Against a plane the bilinear surface has its extrema at samples, at the triangle's corners, and on the diagonals of
-cells along its sides: `farthest` looks at all of them. Lengths are lattice units (Domain),
-heights metres before scaling, in float64: planes through float32 heights at power-of-two distances are exact.
+The difference of the bilinear surface from a plane has its extrema at samples, at the triangle's corners, and on the
+diagonals of cells along its sides: `farthest` evaluates all of them. Lengths are lattice units (Domain), heights metres
+before scaling, in float64: planes through float32 heights at power-of-two distances are exact.
 """
 
 import warp as wp
@@ -30,7 +30,7 @@ class Facet:
 
 @wp.func
 def surface(d: Domain, x: wp.int32, y: wp.int32) -> wp.float64:
-    """Height of the surface, metres before scaling; beyond the rim it goes on level."""
+    """Return the height of the surface, metres before scaling; beyond the border it goes on level."""
     bits = d.unit_bits - d.levels
     x = wp.min(x, d.east)
     y = wp.min(y, d.north)
@@ -44,7 +44,7 @@ def surface(d: Domain, x: wp.int32, y: wp.int32) -> wp.float64:
 
 @wp.func
 def is_beyond_border(d: Domain, s: Facet) -> wp.bool:
-    """Whether nothing of the raster is below the facet."""
+    """Return whether no part of the raster is below the facet."""
     west = s.x + wp.min(wp.min(s.left_x, s.right_x), 0)
     south = s.y + wp.min(wp.min(s.left_y, s.right_y), 0)
     return west >= d.east or south >= d.north
@@ -52,13 +52,14 @@ def is_beyond_border(d: Domain, s: Facet) -> wp.bool:
 
 @wp.func
 def above(d: Domain, s: Facet, x: wp.int32, y: wp.int32) -> wp.float64:
-    """Metres, before scaling, of the surface over the facet at (x, y) from its apex."""
+    """Return the height of the surface over the facet at (x, y) from its apex, metres before scaling."""
     return surface(d, s.x + x, s.y + y) - (s.z + s.slope_x * wp.float64(x) + s.slope_y * wp.float64(y))
 
 
 @wp.func
 def rows_of(s: Facet, bits: wp.int32):
-    """First row of samples in the facet, counted from its apex, and how many; none inside a cell."""
+    """Return the first row of samples in the facet, counted from its apex, and the number of rows; none inside a
+    cell."""
     low = wp.min(wp.min(s.left_y, s.right_y), 0) >> bits
     high = wp.max(wp.max(s.left_y, s.right_y), 0) >> bits
     count = high - low + 1
@@ -69,7 +70,7 @@ def rows_of(s: Facet, bits: wp.int32):
 
 @wp.func
 def row_of(s: Facet, bits: wp.int32, j: wp.int32):
-    """First sample and samples of row `j` of the facet, both counted from its apex."""
+    """Return the first sample of row `j` of the facet and the number of its samples, both counted from its apex."""
     n = wp.max(wp.abs(s.left_x), wp.abs(s.left_y)) >> bits
     away = wp.abs(j)
     first = wp.int32(0)
@@ -87,7 +88,8 @@ def row_of(s: Facet, bits: wp.int32, j: wp.int32):
 
 @wp.func
 def twist_over(d: Domain, x: wp.int32, y: wp.int32, dx: wp.int32, dy: wp.int32) -> wp.float64:
-    """Twist of the surface over a step (dx, dy), both of one length, along a diagonal of a cell from (x, y)."""
+    """Return the twist of the surface over a step (dx, dy), both of one length, along a diagonal of a cell from (x,
+    y)."""
     bits = d.unit_bits - d.levels
     i = wp.min(x, x + dx) >> bits
     j = wp.min(y, y + dy) >> bits
@@ -98,7 +100,7 @@ def twist_over(d: Domain, x: wp.int32, y: wp.int32, dx: wp.int32, dy: wp.int32) 
 
 @wp.func
 def bulge(r0: wp.float64, r1: wp.float64, twist: wp.float64):
-    """Where r0 (1 - t) + r1 t - twist t (1 - t) has its extremum, and its value; (0, r0) if not inside."""
+    """Return where r0 (1 - t) + r1 t - twist t (1 - t) has its extremum, and its value; (0, r0) if not inside."""
     slope = r1 - r0 - twist
     t = wp.float64(0.0)
     r = r0
@@ -112,7 +114,7 @@ def bulge(r0: wp.float64, r1: wp.float64, twist: wp.float64):
 def farthest_on_diagonal(
     d: Domain, s: Facet, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, known: wp.float64
 ) -> wp.float64:
-    """`known`, or the largest distance along a diagonal side of the facet if that is more."""
+    """Return `known`, or the largest distance along a diagonal side of the facet if that is more."""
     bits = d.unit_bits - d.levels
     dx = x1 - x0
     dy = y1 - y0
@@ -137,7 +139,8 @@ def farthest_on_diagonal(
 
 @wp.func
 def farthest(d: Domain, s: Facet) -> wp.float64:
-    """Largest distance between the facet and the surface over it, metres before scaling; none beyond the rim."""
+    """Return the largest distance between the facet and the surface over it, metres before scaling; 0 beyond the
+    border."""
     if is_beyond_border(d, s):
         return wp.float64(0.0)
     bits = d.unit_bits - d.levels

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The mesh of a fit: welded triangles that know their neighbours, and are bisected where they lie.
+"""The mesh of a fit: welded triangles that know their neighbours, and are bisected in place.
 
 Corners of a triangle, counter-clockwise: left, apex, right; its longest edge is the one from right to left. Arrays have
 room for triangles and vertices to come.
@@ -11,7 +11,7 @@ from ..field.domain import Domain
 from .facet import Facet, surface
 from .raising import RAISED, climb
 
-# What is known of a vertex, bits.
+# States of a vertex, bits.
 KNOWN = wp.constant(wp.uint8(1))  # it was in the mesh before
 PINNED = wp.constant(wp.uint8(2))  # on the surface, for good
 NOT_MEASURED = wp.constant(wp.float64(-1.0))
@@ -22,8 +22,8 @@ class FitMesh:
     """A mesh whose vertices' heights are fitted."""
 
     domain: Domain
-    snap: wp.int32  # mesh vertices lie on multiples of 2**snap units
-    error: wp.float64  # metres of error, as interpolation is asked
+    snap: wp.int32  # mesh vertices are multiples of 2**snap units
+    error: wp.float64  # metres of error, that of the criterion
     bound: wp.float64  # metres of distance that a triangle may have
     room: wp.int32  # triangles that the arrays have room for
     round: wp.int32  # triangles are split at the end of each
@@ -33,7 +33,7 @@ class FitMesh:
     worst: wp.array(dtype=wp.float64)  # [T] metres, largest distance, or NOT_MEASURED
     seen: wp.array(dtype=wp.vec3f)  # [T] heights of the corners when that was measured
     pushes: wp.array(dtype=wp.vec2f)  # [3 T] of each triangle on its corners, and their weights
-    active: wp.array(dtype=wp.int32)  # [T] the triangles that are looked at
+    active: wp.array(dtype=wp.int32)  # [T] the listed triangles
     marks: wp.array(dtype=wp.uint32)  # [T / 32] bits: triangles to be listed
     awake: wp.array(dtype=wp.int32)  # [T] the last round that measured it, or found it beyond the bound
     point: wp.array(dtype=wp.vec2i)  # [V] lattice units
@@ -42,14 +42,14 @@ class FitMesh:
     first: wp.array(dtype=wp.int32)  # [V] a triangle that has it
     push: wp.array(dtype=wp.float64)  # [2 V] pushes and weights
     movers: wp.array(dtype=wp.int32)  # [V] the vertices that a sweep moves
-    codes: wp.array(dtype=wp.uint8)  # errors that rise with what is split, see raising.py
+    codes: wp.array(dtype=wp.uint8)  # errors that are raised with each split, see raising.py
     splitting: wp.array(dtype=wp.int32)  # scratch: triangles that are to be split
     climbing: wp.array(dtype=wp.vec3i)  # scratch: diamonds whose errors are to rise
 
 
 @wp.func
 def facet_of(m: FitMesh, t: wp.int32) -> Facet:
-    """A triangle over the plane. Legs are orthogonal and of one length."""
+    """Return a triangle over the plane. Its legs are orthogonal and of one length."""
     left = m.corner_verts[3 * t]
     apex = m.corner_verts[3 * t + 1]
     right = m.corner_verts[3 * t + 2]
@@ -76,19 +76,19 @@ def facet_of(m: FitMesh, t: wp.int32) -> Facet:
 
 @wp.func
 def is_marked(m: FitMesh, t: wp.int32) -> wp.bool:
-    """Whether a triangle is to be listed."""
+    """Return whether a triangle is marked for the next list."""
     return ((m.marks[t >> 5] >> wp.uint32(t & 31)) & wp.uint32(1)) != wp.uint32(0)
 
 
 @wp.func
 def mark(m: FitMesh, t: wp.int32):
-    """A triangle is to be listed."""
+    """Mark a triangle for the next list."""
     m.marks[t >> 5] = m.marks[t >> 5] | (wp.uint32(1) << wp.uint32(t & 31))
 
 
 @wp.func
 def corner_of(m: FitMesh, t: wp.int32, v: wp.int32) -> wp.int32:
-    """Which of a triangle's corners a vertex is."""
+    """Return the index of a vertex among a triangle's corners."""
     k = wp.int32(0)
     if m.corner_verts[3 * t + 1] == v:
         k = 1
@@ -99,7 +99,7 @@ def corner_of(m: FitMesh, t: wp.int32, v: wp.int32) -> wp.int32:
 
 @wp.func
 def mark_around(m: FitMesh, v: wp.int32):
-    """The triangles that have a vertex are to be listed."""
+    """Mark the triangles that share a vertex for the next list."""
     start = m.first[v]
     t = start
     way = wp.int32(0)
@@ -115,7 +115,7 @@ def mark_around(m: FitMesh, v: wp.int32):
 
 @wp.func
 def list_marked(m: FitMesh, triangles: wp.int32) -> wp.int32:
-    """List in their order the triangles that are marked, and clear the marks; returns how many there are.
+    """List the marked triangles in their order, clear the marks, and return how many there are.
 
     Memory is then read in its order too, which halves the time of a sweep over many triangles.
     """
@@ -132,13 +132,14 @@ def list_marked(m: FitMesh, triangles: wp.int32) -> wp.int32:
 
 @wp.func
 def put_on_surface(m: FitMesh, v: wp.int32):
+    """Move a vertex to the height of the surface."""
     d = m.domain
     m.z[v] = wp.float32(surface(d, m.point[v][0], m.point[v][1]) * d.height_scale + d.height_offset)
 
 
 @wp.func
 def replace_beside(m: FitMesh, t: wp.int32, old: wp.int32, new: wp.int32):
-    """Of a triangle, if there is one, the neighbour."""
+    """Replace the neighbour `old` of triangle t by `new`; t below 0 is no triangle."""
     if t >= 0:
         for k in range(3):
             if m.beside[3 * t + k] == old:
@@ -147,6 +148,7 @@ def replace_beside(m: FitMesh, t: wp.int32, old: wp.int32, new: wp.int32):
 
 @wp.func
 def put_triangle(m: FitMesh, t: wp.int32, corners: wp.vec3i, beside: wp.vec3i, level: wp.int32):
+    """Write a triangle whose distance is not measured yet."""
     for c in range(3):
         m.corner_verts[3 * t + c] = corners[c]
         m.beside[3 * t + c] = beside[c]
@@ -173,9 +175,9 @@ def halve(m: FitMesh, t: wp.int32, new: wp.int32, middle: wp.int32, across: wp.i
 
 @wp.func
 def split(m: FitMesh, t: wp.int32, size: wp.vec2i) -> wp.vec2i:
-    """Bisect a triangle and what has to be for a conforming mesh; the code of what is split rises to RAISED.
+    """Bisect a triangle and those that a conforming mesh requires; raise the codes of their diamonds to RAISED.
 
-    `size`: triangles and vertices; as they are then is returned. New vertices are samples, on the surface. New
+    `size`: numbers of triangles and vertices; returns the new ones. New vertices are samples, on the surface. New
     triangles are marked.
     """
     d = m.domain

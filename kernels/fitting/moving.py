@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Kernels of the fit: triangles that are too far from the surface push their corners, and vertices move.
 
-What of a point's distance is beyond the aim pushes the three corners of its triangle, by their weights there; a vertex
-moves by the weighted mean of what pushes it. Weights of a point add up to 1, so a step of less than twice that mean
-never leads away from heights that keep the bound, if there are any: simultaneous projections as in SIRT (Gilbert 1972;
+The part of a point's distance beyond the aim pushes the three corners of its triangle, by their weights there; a vertex
+moves by the weighted mean of its pushes. Weights of a point add up to 1, so a step of less than twice that mean never
+leads away from heights that keep the bound, if there are any: simultaneous projections as in SIRT (Gilbert 1972;
 convergence in Censor and Elfving 2002). All moves of a sweep use the heights of the last one: no order, no history.
 
-A sweep looks at the triangles that are listed, of which a corner has moved, and measures one of them only if its
-corners moved by more than it was within the aim.
+A sweep reads the listed triangles, of which a corner has moved, and measures one of them only if its corners moved by
+more than it was within the aim.
 """
 
 import warp as wp
@@ -25,7 +25,8 @@ NO_WEIGHT = wp.constant(wp.float32(1e-4))
 
 @wp.kernel
 def measure(offset: int, m: FitMesh):
-    """How far each triangle is from the surface, in double precision; it pushes nothing until a corner moves."""
+    """Measure the distance of each triangle from the surface in double precision. It pushes nothing until a corner
+    moves."""
     t = offset + wp.tid()
     m.worst[t] = farthest(m.domain, facet_of(m, t)) * m.domain.error_scale
     m.seen[t] = corners_of(m, t)
@@ -35,19 +36,19 @@ def measure(offset: int, m: FitMesh):
 
 @wp.func
 def corners_of(m: FitMesh, t: wp.int32) -> wp.vec3f:
-    """Heights of a triangle's corners."""
+    """Return the heights of a triangle's corners."""
     return wp.vec3f(m.z[m.corner_verts[3 * t]], m.z[m.corner_verts[3 * t + 1]], m.z[m.corner_verts[3 * t + 2]])
 
 
 @wp.func
 def weighted(q: wp.float32, weight: wp.float32, all: wp.float32) -> wp.vec2f:
-    """Push and weight on a corner; none where the weight is only rounding."""
+    """Return push and weight on a corner; none where the weight is only rounding."""
     return wp.where(weight > NO_WEIGHT * all, wp.vec2f(q, weight), wp.vec2f())
 
 
 @wp.kernel
 def pull(first: int, end: int, m: FitMesh):
-    """How far listed triangles are from the surface and how they push their corners."""
+    """Measure the distance of listed triangles from the surface and their pushes on their corners."""
     d = m.domain
     per_scale = wp.float64(1.0) / d.height_scale
     for k in range(first, end):
@@ -85,15 +86,16 @@ def pull(first: int, end: int, m: FitMesh):
 
 @wp.func
 def add_push(m: FitMesh, v: wp.int32, q: wp.vec2f):
+    """Add a push and its weight to a vertex."""
     m.push[2 * v] = m.push[2 * v] + wp.float64(q[0])
     m.push[2 * v + 1] = m.push[2 * v + 1] + wp.float64(q[1])
 
 
 @wp.kernel
 def move(count: int, triangles: int, m: FitMesh, found: wp.array(dtype=wp.int32)):
-    """Every vertex by what pushes it; `m.active` becomes the list for the next sweep.
+    """Move every vertex by its pushes; `m.active` becomes the list for the next sweep.
 
-    `found` [2] receives how many that are, and how many triangles were beyond what they are allowed.
+    `found` [2] receives the length of the list, and the number of triangles beyond the bound.
     """
     beyond = wp.int32(0)
     pushed = wp.int32(0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a sweep asks of a triangle, in single precision: how far it is from the surface, and what pushes its corners."""
+"""A sweep's measurement of a triangle in single precision: its distance from the surface, and pushes on its corners."""
 
 import warp as wp
 
@@ -130,21 +130,22 @@ def pushes_of(
     corner_climbs: wp.vec2f,
     aim: wp.float32,
 ) -> Pushes:
-    """A triangle with its corners on samples against the bilinear surface over it.
+    """Measure a triangle with its corners on samples against the bilinear surface over it.
 
-    left, apex, right: its corners, lattice units; the apex, at the right angle, may be beyond the raster's rim, where
-    nothing counts. `z`: the triangle's height there; `rises`: of the left and of the right corner above it. Returns the
-    largest distance, then of the apex, of the left and of the right corner the weights of the points beyond `aim`,
-    summed, and the sum of what they are beyond it, weighted, positive upwards. Points: samples, and extrema along the
-    diagonals of cells on the triangle's sides. Nearly all time of a sweep passes here, in vectors of eight samples of a
-    row.
+    left, apex, right: its corners, lattice units; the apex, at the right angle, may be beyond the raster's border,
+    where nothing counts. `z`: the triangle's height there; `corner_climbs`: of the left and of the right corner above
+    it. Returns the largest distance, then for the apex, the left and the right corner the sum of the weights of the
+    points beyond `aim`, and the weighted sum of their distances beyond it, positive upwards. Points: samples, and
+    extrema along the diagonals of cells on the triangle's sides. Nearly all time of a sweep passes here, in vectors of
+    eight samples of a row.
     """
     ...
 
 
 @wp.func
 def pushed_at(q: Pushes, r: wp.float64, u: wp.float64, v: wp.float64, aim: wp.float64) -> Pushes:
-    """With one point more, where the surface is `r` above the triangle: `u` of the left corner, `v` of the right."""
+    """Return q with a point added where the surface is `r` above the triangle: `u` of the left corner, `v` of the
+    right."""
     far = wp.abs(r)
     q[0] = wp.max(q[0], wp.float32(far))
     if far > aim:
@@ -161,7 +162,7 @@ def pushed_at(q: Pushes, r: wp.float64, u: wp.float64, v: wp.float64, aim: wp.fl
 
 @wp.func
 def pushes_in_cell(d: Domain, s: Facet, aim: wp.float64) -> Pushes:
-    """As `pushes_of`, of a triangle inside a cell, where the points are its corners and the extrema along diagonals."""
+    """Return the same as `pushes_of` for a triangle in a cell. Points are its corners and extrema along diagonals."""
     if is_beyond_border(d, s):
         return Pushes()
     zero = wp.float64(0.0)

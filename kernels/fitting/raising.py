@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Errors that rise so that the next walk splits a diamond; they stay nested."""
+"""Errors that are raised so that the next walk splits a diamond; they stay nested."""
 
 import warp as wp
 
@@ -8,8 +8,8 @@ from ..field.layout import tile_index
 from ..morph.lattice import half_edge
 from ..refine.stored_errors import place
 
-# Codes of errors while a mesh is fitted: an octave has so many, the first is for LEAST of what is asked, and to be
-# split is to have RAISED, twice of it.
+# Codes of errors while a mesh is fitted: PER_OCTAVE in an octave, the first one stands for MIN_ERROR times the
+# requested error. A diamond with RAISED, twice the requested error, is split.
 PER_OCTAVE = wp.constant(16)
 MIN_ERROR = wp.constant(0.125)
 RAISED = wp.constant(1 + 4 * 16)
@@ -17,7 +17,7 @@ RAISED = wp.constant(1 + 4 * 16)
 
 @wp.func
 def entry_of(d: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
-    """Where the arrays hold the diamond split at (x, y), or the raster's cell that it is in."""
+    """Return the entry of the diamond split at (x, y), or of the raster's cell that it is in."""
     at = d.cell_base
     if depth <= 2 * d.levels:
         at = place(d, x, y, depth)

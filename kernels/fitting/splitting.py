@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where moving vertices is not enough: triangles that the fit splits, and vertices that go back to the surface."""
+"""Where moving vertices is not enough: the fit splits triangles, or returns vertices to the surface."""
 
 import warp as wp
 
@@ -11,14 +11,14 @@ from .raising import raise_cells
 
 @wp.kernel
 def refine(count: int, max_depth: int, local: wp.float64, m: FitMesh, found: wp.array(dtype=wp.int32)):
-    """Split triangles beyond the bound that interpolation would split too; of others the vertices go to the surface.
+    """Split triangles beyond the bound that interpolation would split too; return the vertices of others to the
+    surface.
 
-    `local`: only those whose excess is at least this part of the largest among the triangles that they touch, since
-    one split may help them all. `m.active` becomes the list for the next sweep. Triangles above the raster's cells are
-    split where they lie, those in cells only in `m.codes`, for the next walk.
-    `found` [7] receives how many are listed, triangles and vertices (which it holds before), how many are split, how
-    many vertices are new on the surface, how many splits wait for the next walk, and triangles too coarse at the
-    deepest level.
+    `local`: only those whose excess is at least this part of the largest among the triangles that they touch, since one
+    split may help them all. `m.active` becomes the list for the next sweep. Triangles above the raster's cells are
+    split in place, those in cells only in `m.codes`, for the next walk. `found` [7] receives the numbers of listed
+    triangles, of triangles and of vertices (which it holds before), of splits, of vertices that are new on the surface,
+    of splits that wait for the next walk, and of triangles too coarse at the deepest level.
     """
     d = m.domain
     size = wp.vec2i(found[1], found[2])
@@ -38,7 +38,7 @@ def refine(count: int, max_depth: int, local: wp.float64, m: FitMesh, found: wp.
                 cell = _cell_of(m, t)
                 error = _grid_error(m, t, finer, cell)
                 too_coarse = metres2_of(d, error, d.rounding + d.max_lean) > m.error * m.error
-                if m.level[t] < max_depth and (too_coarse or _held(m, t, error)):
+                if m.level[t] < max_depth and (too_coarse or _is_held(m, t, error)):
                     splits += 1
                     if finer >= 0:
                         raise_cells(d, cell[0], cell[1], (finer + 1) >> 1, m.codes, m.climbing)
@@ -68,7 +68,7 @@ def refine(count: int, max_depth: int, local: wp.float64, m: FitMesh, found: wp.
 
 @wp.func
 def _push_corners(m: FitMesh, count: int):
-    """To each vertex the largest excess of the listed triangles about it, in metres."""
+    """Write to each vertex the largest excess of the listed triangles around it, metres."""
     for k in range(count):
         t = m.active[k]
         over = m.worst[t] - m.bound
@@ -80,6 +80,7 @@ def _push_corners(m: FitMesh, count: int):
 
 @wp.func
 def _max_push(m: FitMesh, t: int):
+    """Return the largest excess at a triangle's corners, metres."""
     largest = wp.float64(0.0)
     for c in range(3):
         largest = wp.max(largest, m.push[2 * m.corner_verts[3 * t + c]])
@@ -88,7 +89,7 @@ def _max_push(m: FitMesh, t: int):
 
 @wp.func
 def _cell_of(m: FitMesh, t: int):
-    """The raster's cell that a triangle within one is in: between its apex and the middle of its longest edge."""
+    """Return the raster's cell of a triangle within one: between its apex and the middle of its longest edge."""
     bits = m.domain.unit_bits - m.domain.levels
     middle = _middle(m, t)
     return wp.vec2i(
@@ -99,12 +100,14 @@ def _cell_of(m: FitMesh, t: int):
 
 @wp.func
 def _middle(m: FitMesh, t: int):
+    """Return the middle of a triangle's longest edge, lattice units."""
     return (m.point[m.corner_verts[3 * t]] + m.point[m.corner_verts[3 * t + 2]]) / 2
 
 
 @wp.func
 def _grid_error(m: FitMesh, t: int, finer: int, cell: wp.vec2i):
-    """The error with its vertices on the surface, as stored; `finer`: levels below the raster's cells, or negative."""
+    """Return the stored error of a triangle with its vertices on the surface; `finer`: levels below the raster's cells,
+    or negative."""
     if finer < 0:
         middle = _middle(m, t)
         return error_at(m.domain, middle[0], middle[1], m.level[t])
@@ -112,8 +115,9 @@ def _grid_error(m: FitMesh, t: int, finer: int, cell: wp.vec2i):
 
 
 @wp.func
-def _held(m: FitMesh, t: int, error: wp.float32):
-    """Whether its vertices are on the surface already, so that only a split helps what float32 positions add."""
+def _is_held(m: FitMesh, t: int, error: wp.float32):
+    """Return whether its vertices are on the surface already, so that only a split reduces the error of float32
+    positions."""
     pinned = PINNED
     fresh = wp.float64(0.0)
     for c in range(3):
@@ -126,13 +130,13 @@ def _held(m: FitMesh, t: int, error: wp.float32):
 
 @wp.func
 def _pin_corners(m: FitMesh, t: int):
-    """Its vertices go to the surface; returns how many were not there."""
+    """Move its vertices to the surface; returns the number that were not there."""
     pins = wp.int32(0)
     for c in range(3):
         v = m.corner_verts[3 * t + c]
         if (m.state[v] & PINNED) == wp.uint8(0):
             m.state[v] = m.state[v] | PINNED
-            m.push[2 * v + 1] = wp.float64(1.0)  # its triangles' distances are of before
+            m.push[2 * v + 1] = wp.float64(1.0)  # the distances of its triangles are out of date
             put_on_surface(m, v)
             pins += 1
             mark_around(m, v)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far a delivered mesh is from the reference surface, measured."""
+"""The measured distance of a delivered mesh from the reference surface."""
 
 from .interpolation import interpolation
 from .measure import Errors, Measurement, Sight, look, measure, popping, shading_change, triangle_errors

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What an error costs on one terrain from one view: a curve through measured points, and its inverse."""
+"""The cost of an error on one terrain from one view: a curve through measured points, and its inverse."""
 
 import itertools
 import json
@@ -11,12 +11,12 @@ from dataclasses import asdict, dataclass
 from ..errors import TerrainError
 
 UNITS = ("px", "m")
-# An answer beyond what was measured is a guess; it goes this far and no further.
+# Beyond the measured points an answer is a guess; it goes this far and no further.
 FINER, COARSER = 4.0, 16.0
 # Answers are rounded to this many digits, so that machines whose logarithms differ in the last bit ask for the same.
 DIGITS = 4
 SAME = 1e-9
-# What is measured lies between these, and their ratios are numbers still.
+# Measured values are between these, and their ratios are still finite.
 SMALLEST, LARGEST = 1e-30, 1e30
 
 
@@ -24,8 +24,8 @@ SMALLEST, LARGEST = 1e-30, 1e30
 class CostCurve:
     """Straight lines between measured points, with both axes logarithmic; at least two points.
 
-    `unit`: of the error, "px" or "m". `error`: what was asked, strictly decreasing. `triangles`, `ms`: what it cost, of
-    a warm update; neither falls from one point to the next. Raises TerrainError for anything else.
+    `unit`: of the error, "px" or "m". `error`: the requested errors, strictly decreasing. `triangles`, `ms`: the cost
+    of a warm update; neither falls from one point to the next. Raises TerrainError for anything else.
     """
 
     unit: str
@@ -35,21 +35,21 @@ class CostCurve:
 
     def __post_init__(self):
         if self.unit not in UNITS:
-            raise TerrainError(f"The cost curve's unit is {self.unit!r}; expected px or m.")
+            raise TerrainError(f"The cost curve's unit is {self.unit!r}", expected="px or m")
         for name in ("error", "triangles", "ms"):
             object.__setattr__(self, name, _positive(name, getattr(self, name)))
         if not 2 <= len(self.error) == len(self.triangles) == len(self.ms):
             lengths = f"{len(self.error)} errors, {len(self.triangles)} triangle counts and {len(self.ms)} times"
-            raise TerrainError(f"The cost curve has {lengths}; expected as many of each, two or more.")
+            raise TerrainError(f"The cost curve has {lengths}", expected="the same number of each, two or more")
         if any(a <= b for a, b in itertools.pairwise(self.error)):
-            raise TerrainError(f"The cost curve's errors are {self.error}; expected each smaller than the one before.")
+            raise TerrainError(f"The cost curve's errors are {self.error}", expected="each smaller than the one before")
         for name in ("triangles", "ms"):
             if any(a > b for a, b in itertools.pairwise(getattr(self, name))):
-                raise TerrainError(f"The cost curve's {name} fall where the error gets finer; measure it again.")
+                raise TerrainError(f"The cost curve's {name} fall where the error gets finer", fix="measure it again")
 
     @classmethod
     def through(cls, unit: str, points: Iterable[tuple[float, float, float]]) -> "CostCurve":
-        """The curve through measured (error, triangles, ms), in any order.
+        """Return the curve through measured (error, triangles, ms), in any order.
 
         Errors measured more than once give their median. Where a finer error was measured to cost less, which is noise,
         the points are levelled to the nearest monotone curve (least squares of the logarithms).
@@ -64,16 +64,16 @@ class CostCurve:
         return cls(unit, tuple(error), *costs)
 
     def at(self, error: float) -> tuple[float, float]:
-        """(triangles, ms) at an error; beyond the measured points, along the slope at that end."""
+        """Return (triangles, ms) at an error; beyond the measured points, along the slope at that end."""
         if not 0 < error < math.inf:
-            raise TerrainError(f"The error is {error} {self.unit}; expected a finite number above 0.")
+            raise TerrainError(f"The error is {error} {self.unit}", expected="a finite number above 0")
         return self._cost(self.triangles, error), self._cost(self.ms, error)
 
     def error_for_ms(self, ms: float) -> float:
-        """The finest error whose update takes at most `ms`, within a quarter of the finest error that was measured and
-        16 times the coarsest; rounded up to four digits."""
+        """Return the finest error whose update takes at most `ms`, rounded up to four digits. It is within a quarter of
+        the finest measured error and 16 times the coarsest."""
         if not ms > 0:
-            raise TerrainError(f"The budget is {ms} milliseconds; expected more than 0.")
+            raise TerrainError(f"The budget is {ms} milliseconds", expected="more than 0")
         finest, coarsest = self.error[-1] / FINER, self.error[0] * COARSER
         fits = [i for i, cost in enumerate(self.ms) if cost <= ms]
         i = min(fits[-1], len(self.ms) - 2) if fits else 0
@@ -86,18 +86,19 @@ class CostCurve:
         return min(_rounded_up(math.exp(exponent)), coarsest) if exponent < math.log(coarsest) else coarsest
 
     def to_json(self) -> str:
+        """Return the curve as JSON."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: str) -> "CostCurve":
-        """The curve that `to_json` wrote; raises TerrainError where the text is damaged."""
+        """Read a curve that `to_json` wrote; raises TerrainError where the text is damaged."""
         try:
             data = json.loads(text)
         except (TypeError, ValueError, RecursionError) as reason:
-            raise TerrainError(f"The cost curve is damaged ({reason}); measure it again.") from None
+            raise TerrainError(f"The cost curve is damaged ({reason})", fix="measure it again") from None
         names = list(cls.__dataclass_fields__)
         if not isinstance(data, dict) or sorted(data) != sorted(names):
-            raise TerrainError(f"The cost curve is damaged: expected {', '.join(names)}; measure it again.")
+            raise TerrainError("The cost curve is damaged", expected=", ".join(names), fix="measure it again")
         return cls(**data)
 
     def _cost(self, costs: tuple[float, ...], error: float) -> float:
@@ -110,12 +111,12 @@ class CostCurve:
             return math.inf
 
     def _slope(self, costs: tuple[float, ...], i: int) -> float:
-        """Logarithm of cost over logarithm of error between points i and i + 1; 0 or less."""
+        """Return the logarithm of cost over logarithm of error between points i and i + 1; 0 or less."""
         return math.log(costs[i + 1] / costs[i]) / math.log(self.error[i + 1] / self.error[i])
 
 
 def _positive(name: str, values: Sequence) -> tuple[float, ...]:
-    """The values as float64, each within SMALLEST and LARGEST."""
+    """Return the values as float64, each within SMALLEST and LARGEST."""
     try:
         numbers = tuple(float(v) for v in values if not isinstance(v, str | bool))
         good = len(numbers) == len(values) and all(SMALLEST <= n <= LARGEST for n in numbers)
@@ -123,13 +124,13 @@ def _positive(name: str, values: Sequence) -> tuple[float, ...]:
         good = False
     if not good:
         expected = f"finite numbers above 0, from {SMALLEST:g} to {LARGEST:g}"
-        raise TerrainError(f"The cost curve's {name} are {values!r}; expected {expected}.")
+        raise TerrainError(f"The cost curve's {name} are {values!r}", expected=expected)
     return numbers
 
 
 def _level(values: Sequence[float]) -> list[float]:
-    """The nearest values that never fall: neighbours in the wrong order become their geometric mean (pool adjacent
-    violators; Barlow et al. 1972)."""
+    """Return the nearest values that never fall: neighbours in the wrong order become their geometric mean (pool
+    adjacent violators; Barlow et al. 1972)."""
     blocks: list[list[float]] = []
     for value in values:
         blocks.append([value])
@@ -144,7 +145,7 @@ def _mean(values: list[float]) -> float:
 
 
 def _rounded_up(value: float) -> float:
-    """To DIGITS digits; what is a rounding error above such a number becomes that number."""
+    """Round up to DIGITS digits. A value that is a rounding error above such a number becomes that number."""
     digits = DIGITS - 1 - math.floor(math.log10(value))
     scaled = math.ceil(value * 10.0**digits * (1 - SAME))
     return float(f"{scaled}e{-digits}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The same part of a frame at several errors, drawn: what an error looks like, beside what it costs."""
+"""One part of a frame drawn at several errors, with the cost of each."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,9 +39,10 @@ class Crop:
 
 
 def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base: Criterion | None = None) -> list[Crop]:
-    """One for each error, through the frame's first view, with the edges of triangles in its lower left half.
+    """Return one crop for each error, through the frame's first view, with the edges of triangles in its lower left
+    half.
 
-    The part is the one in which the first and the last error differ most. None of a panorama.
+    The part is the one in which the first and the last error differ most. There are none of a panorama.
     """
     if not errors_px or not frame.views or frame.views[0].kind == PANORAMIC:
         return []
@@ -66,7 +67,7 @@ def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base:
 
 
 def _max_square(values: np.ndarray, side: int) -> tuple[int, int]:
-    """Column and row of the square of `side` pixels with the largest sum."""
+    """Return column and row of the square of `side` pixels with the largest sum."""
     sums = np.pad(values.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     inside = sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
     row, column = np.unravel_index(inside.argmax(), inside.shape)
@@ -84,14 +85,15 @@ class _Drawn:
         ahead = clip[:, 3] > 0
         w = np.where(ahead, clip[:, 3], 1.0)
         self._pixels = (clip[:, :2] / w[:, None] + 1) / 2 * np.array(view.resolution)
-        self._weight = 1 / w  # of what is interpolated over a triangle
+        self._weight = 1 / w  # of values interpolated over a triangle
         self._nearness = 1 / w if perspective else points[:, 2]
         self._normals = surface.normals
         self._corners = surface.triangles[ahead[surface.triangles].all(axis=1)]
         self.triangles = len(surface.triangles)
 
     def shaded(self, x: int, y: int, width: int, height: int, scale: float, lines: bool) -> np.ndarray:
-        """float64 [height, width, 3], linear, row 0 below: pixels of a picture that is `scale` times the frame."""
+        """Return float64 [height, width, 3], linear, row 0 below: pixels of a picture that is `scale` times the
+        frame."""
         places = np.c_[self._pixels * scale - (x, y), self._nearness]
         ends = places[self._corners]
         low, high = ends.min(axis=1), ends.max(axis=1)
@@ -121,7 +123,8 @@ class _Drawn:
 
 
 def _barycentric(ends: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of points in triangles [n, 3, >= 2]: parts of the corners [n, 3], and pixels to the nearest edge [n]."""
+    """Return for points in triangles [n, 3, >= 2] the weights of the corners [n, 3], and pixels to the nearest edge
+    [n]."""
     corners, at = ends[..., :2], np.stack([x, y], axis=1)[:, None]
     from_, to = corners[:, (1, 2, 0)], corners[:, (2, 0, 1)]  # the edge across from each corner
     along, out = to - from_, at - from_

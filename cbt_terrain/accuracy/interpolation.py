@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the choice of interpolation adds: the bilinear reference against a smooth surface through the same samples."""
+"""The effect of the interpolation: the bilinear reference against a smooth surface through the same samples."""
 
 import numpy as np
 
@@ -10,14 +10,14 @@ ROWS = 256
 
 
 def interpolation(field: HeightField) -> Errors:
-    """|bilinear - bicubic| in metres at the centres of the raster's cells and at the middles of their sides.
+    """Return |bilinear - bicubic| in metres at the centres of the raster's cells and at the middles of their sides.
 
     The bicubic surface is the C1 cubic convolution with a = -1/2 (Keys 1981), known as Catmull-Rom: in the middle
     between two samples it weighs four by (-1, 9, 9, -1) / 16. Beyond the border heights go on straight.
     """
     distances, (height, width) = [], field.samples.shape
     for row in range(0, height, ROWS):
-        # the block's own rows, one before and two behind
+        # the rows of the block, one before and two behind
         inside, mirrored = _places(row - 1, min(row + ROWS + 2, height + 1), height)
         h = 2 * field.heights(inside).astype(np.float64) - field.heights(mirrored)
         inside, mirrored = _places(-1, width + 1, width)
@@ -29,17 +29,19 @@ def interpolation(field: HeightField) -> Errors:
 
 
 def _places(first: int, end: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """For each of `first` .. `end` the nearest of `count` samples, and the one as far behind that: twice the height of
-    the first less that of the other goes on straight beyond the border, and inside is the sample's own."""
+    """Return for each of `first` .. `end` the nearest of `count` samples, and the one as far behind that. Twice the
+    height of the first less that of the other goes on straight beyond the border, and inside is the height of the
+    sample."""
     places = np.arange(first, end)
     inside = np.clip(places, 0, count - 1)
     return inside, 2 * inside - places
 
 
 def _linear(h: np.ndarray) -> np.ndarray:
-    """Heights in the middle between rows that have one before and one behind."""
+    """Return heights in the middle between rows, linear; the first and the last row have no middle."""
     return (h[1:-2] + h[2:-1]) / 2
 
 
 def _cubic(h: np.ndarray) -> np.ndarray:
+    """Return heights in the middle between rows, cubic; the first and the last row have no middle."""
     return (9 * (h[1:-2] + h[2:-1]) - h[:-3] - h[3:]) / 16

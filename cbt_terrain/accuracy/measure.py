@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How accurate a delivered mesh is, measured: nothing here asks the tree or the code that makes bounds.
+"""The accuracy of a delivered mesh, measured without the tree or the code that makes bounds.
 
-What is measured is what Blender is given: the float32 arrays of a Surface, also after expansion to meshlets and where
-a fit has moved its heights. The truth is the reference surface: bilinear or bicubic between a field's samples, as the
-field says, and its detail. Of a bicubic one and of a detail the measurement has its own evaluation, and takes the
-largest of many places for the maximum (`MeasuredMesh.edge_extremes`, kernels/accuracy/rays.py).
+The measured mesh is the one that Blender gets: the float32 arrays of a Surface, also after expansion to meshlets and
+after a fit has moved its heights. The truth is the reference surface: bilinear or bicubic between a field's samples, as
+the field says, and its detail. Bicubic surfaces and detail are evaluated by the measurement's independent code, which
+takes the largest of many points for the maximum (`MeasuredMesh.edge_extremes`, kernels/accuracy/rays.py).
 """
 
 from collections.abc import Iterable
@@ -29,17 +29,17 @@ from .screen import Sight
 
 @dataclass(frozen=True)
 class Measurement:
-    """What was found. Percentiles and means are by area: of the ground in plan without its holes, on screen of the
+    """Errors of a mesh. Percentiles and means are by area: of the ground in plan without its holes, on screen of the
     picture.
 
-    `vertical_m`: |mesh - reference| at every raster sample and at random points between. `vertical_max_m`: the
-    maximum over the continuous surface, exact of a bilinear reference. `rounding_m`: largest height by which float32
-    positions have moved the mesh, over all of it: the delivered triangles against the same with float64 corners on the
-    reference, rounding of plane coordinates included; a fitted corner is not on the reference, there half a unit in the
-    last place of its height stands for the rounding of z. `facet_deg`, `shading_deg`: the triangles' normals and the
-    interpolated vertex normals against the reference's (central differences, which are a bicubic surface's own) at
-    every sample. `screen_px`, `hidden_px`, `silhouette_px`:
-    screen.py and outline.py say how; None without a view, the last also where no outline is in the frame.
+    `vertical_m`: |mesh - reference| at every raster sample and at random points between. `vertical_max_m`: the maximum
+    over the continuous surface, exact for a bilinear reference. `rounding_m`: largest height by which float32 positions
+    have moved the mesh, over all of it: the delivered triangles against the same with float64 corners on the reference,
+    rounding of plane coordinates included; a fitted corner is not on the reference, there half a unit in the last place
+    of its height stands for the rounding of z. `facet_deg`, `shading_deg`: the triangles' normals and the interpolated
+    vertex normals against the reference's (central differences, which are also the normals of a bicubic surface) at
+    every sample. `screen_px`, `hidden_px`, `silhouette_px`: see screen.py and outline.py; None without a view, the last
+    also where no outline is in the frame.
     """
 
     vertical_m: Errors
@@ -70,11 +70,11 @@ def measure(
 
     placement, vertical_scale and vertical_offset are those of the update that made the mesh. `random_points` are drawn
     with `seed`. The result does not depend on `threads`. `sight`: from `look` with the same arguments, where several
-    meshes are measured under one view: most of the time goes into its rays. `on_progress` is told the fraction done; an
-    exception that it raises ends the measurement. Raises TerrainError where the mesh does not cover the terrain.
+    meshes are measured under one view: most of the time goes into its rays. `on_progress` receives the fraction done;
+    an exception that it raises ends the measurement. Raises TerrainError where the mesh does not cover the terrain.
     """
     if view is not None:
-        sight = _same(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
+        sight = _checked_sight(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
     ground = MeshGround(field, vertical_scale, vertical_offset, checked_threads(threads))
     mesh = MeasuredMesh(ground, surface)
     difference, worst = mesh.differences()
@@ -110,9 +110,9 @@ def look(
     *,
     threads: int | None = None,
 ) -> Sight:
-    """What a view sees of the reference surface, for `measure` to use with every mesh that is seen from there.
+    """Return a view's sight of the reference surface, for `measure` to use with every mesh that is seen from there.
 
-    Rays are cast when they are first needed, and kept: 16 bytes a pixel and 1 byte a sample.
+    Rays are cast when they are first needed, and cached: 16 bytes a pixel and 1 byte a sample.
     """
     return Sight(MeshGround(field, vertical_scale, vertical_offset, checked_threads(threads)), view, placement)
 
@@ -127,11 +127,11 @@ def triangle_errors(
     *,
     threads: int | None = None,
 ) -> np.ndarray:
-    """float32 [T]: the largest error of what each triangle covers, in pixels, the largest over the views.
+    """Return the largest error that each triangle covers, in pixels, the largest over the views: float32 [T].
 
-    Looked at are its samples and, along its edges, where it is vertically furthest from the reference in each cell
-    (of a bicubic reference 8 places there), of these what is in the frame, hidden or not; and the point seen in each
-    pixel. 0 for triangles with nothing in any frame. Without views: metres, the maximum over the triangle.
+    The error is evaluated at its samples and, along its edges, where it is vertically furthest from the reference in
+    each cell (8 points there for a bicubic reference), if these are in the frame, hidden or not; and at the point seen
+    in each pixel. 0 for triangles with no part in any frame. Without views: metres, the maximum over the triangle.
     """
     ground = MeshGround(field, vertical_scale, vertical_offset, checked_threads(threads))
     mesh, views = MeasuredMesh(ground, surface), listed_views(views)
@@ -161,13 +161,12 @@ def popping(
     threads: int | None = None,
     sight: Sight | None = None,
 ) -> Errors:
-    """How far points jump on screen where mesh `after` takes the place of `before` under one view, in pixels.
+    """Return by how many pixels points jump on screen where mesh `after` takes the place of `before` under one view.
 
     Points are those of the screen error: the visible samples and the point of the reference in each pixel, each moving
-    from the height that one mesh has there to that of the other.
-    `sight` as in `measure`.
+    from the height that one mesh has there to that of the other. `sight` as in `measure`.
     """
-    sight = _same(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
+    sight = _checked_sight(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
     meshes = [MeasuredMesh(sight.ground, surface) for surface in (before, after)]
     samples = [mesh.differences()[0] for mesh in meshes]
     there = [mesh.differences_at(sight.visible_points())[0] for mesh in meshes]
@@ -188,10 +187,10 @@ def shading_change(
 ) -> Errors:
     """Return by how much the shading of pixels changes where mesh `after` takes the place of `before`, in 255ths.
 
-    Of the point of the reference in each pixel: 255 times the distance between the two unit normals that the meshes
-    have there. No light changes Lambert's shading of white ground by more. `sight` as in `measure`.
+    The change at the point of the reference in each pixel is 255 times the distance between the two unit normals that
+    the meshes have there. No light changes Lambert's shading of white ground by more. `sight` as in `measure`.
     """
-    sight = _same(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
+    sight = _checked_sight(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
     points = sight.visible_points()
     found = [MeasuredMesh(sight.ground, surface).normals_at(points) for surface in (before, after)]
     (first, in_first), (second, in_second) = found
@@ -199,13 +198,17 @@ def shading_change(
     return errors_of(change[(in_first >= 0) & (in_second >= 0)])
 
 
-def _same(sight: Sight | None, looked: Sight) -> Sight:
-    """The sight that was given, if it is of what is looked at; without one, `looked`."""
+def _checked_sight(sight: Sight | None, looked: Sight) -> Sight:
+    """Return the given sight if its view and terrain are those of `looked`; `looked` if none was given."""
     if sight is not None and sight.key != looked.key:
-        raise TerrainError("The sight is of another view or terrain; make it by `look` with the same arguments.")
+        raise TerrainError(
+            "The sight is of another view or terrain",
+            expected="that of the mesh",
+            fix="make it by `look` with the same arguments",
+        )
     return sight or looked
 
 
 def _part(on_progress: Progress, start: float, end: float) -> Progress:
-    """Progress of a part as progress of the whole."""
+    """Return the progress of a part as progress of the whole."""
     return lambda fraction: on_progress(start + (end - start) * fraction)

@@ -27,7 +27,7 @@ Progress = Callable[[float], None]
 
 
 def ignore(_fraction: float) -> None:
-    """Progress that nobody wants to know."""
+    """Ignore progress."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ NONE = Errors(0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def errors_of(values: np.ndarray) -> Errors:
-    """The distribution of magnitudes of float32 or float64 `values`, sums in float64; `values` are reordered."""
+    """Return the distribution of magnitudes of float32 or float64 `values`, sums in float64; `values` are reordered."""
     values = values.reshape(-1)
     if not values.size:
         return NONE
@@ -94,7 +94,7 @@ class MeshGround:
         return (lattice.width - 1) << self.bits + POINT_BITS, (lattice.height - 1) << self.bits + POINT_BITS
 
     def random_points(self, count: int, seed: int) -> np.ndarray:
-        """int64 [count, 2]: points of the domain in the units of points, evenly distributed."""
+        """Return int64 [count, 2]: points of the domain in the units of points, evenly distributed."""
         return np.random.default_rng(seed).integers(0, np.array(self.point_ends) + 1, (count, 2))
 
 
@@ -104,7 +104,7 @@ class MeasuredMesh:
     def __init__(self, ground: MeshGround, surface: Surface):
         self.ground, self.triangles = ground, len(surface.corner_verts) // 3
         if not len(surface.positions) or not np.isfinite(surface.positions).all():
-            raise TerrainError("The mesh has no vertices or positions that are not finite: it cannot be measured.")
+            raise TerrainError("The mesh has no vertices or positions that are not finite", expected="a finite mesh")
         # Samples that the mesh covers, bool [height, width], once `differences` has found holes; None: all of them.
         self.covered: np.ndarray | None = None
         m = self.packed = kernels.DeliveredMesh()
@@ -114,7 +114,7 @@ class MeasuredMesh:
         self._cuts = self._even_cuts(surface)
 
     def _even_cuts(self, surface: Surface) -> list[int]:
-        """Where the triangles are cut for the threads: evenly by the samples in their boxes."""
+        """Return the cuts of the list of triangles between threads: even by the samples in their boxes."""
         threads = self.ground.threads if self.triangles >= 2 else 1
         low = high = surface.positions[surface.corner_verts[::3], :2]
         for corner in (1, 2):
@@ -132,10 +132,11 @@ class MeasuredMesh:
         launch.slices(kernel, [[*piece, *of, *arrays] for piece in pairwise(self._cuts)], step="measure")
 
     def differences(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mesh less reference at every sample, float32 [height, width] metres; float64 [T], largest of each triangle.
+        """Return mesh less reference at every sample, float32 [height, width] metres; float64 [T], largest of each
+        triangle.
 
-        The float32 are rounded toward zero. Raises TerrainError where the mesh does not cover every sample; where holes
-        are cut out, what it does not cover, and what is no ground, are 0.
+        The float32 are rounded toward zero. Raises TerrainError where the mesh does not cover every sample; with holes,
+        samples that it does not cover or that are no ground are 0.
         """
         difference = np.full(self.ground.field.samples.shape, np.nan, np.float32)
         worst = np.zeros(self.triangles)
@@ -150,17 +151,19 @@ class MeasuredMesh:
         if np.isnan(np.sum(difference, dtype=np.float64)):
             missing = int(np.isnan(difference).sum())
             raise TerrainError(
-                f"The mesh does not cover {missing} samples of the terrain; measure the whole mesh of this terrain."
+                f"The mesh does not cover {missing} samples of the terrain",
+                expected="all covered",
+                fix="measure the whole mesh of this terrain",
             )
         return difference, worst
 
     def edge_extremes(self, worst: np.ndarray) -> np.ndarray:
         """Raise `worst` (float64 [T], metres) from that at samples to the maximum over each triangle.
 
-        Returns float64 [T], what float32 has moved each by. Over a cell a bilinear reference is a saddle, so mesh less
-        reference has its extrema at samples and on the triangles' edges, where it is a parabola in each cell: the
-        maximum is exact. Of a bicubic reference, or one with detail, it is the largest at the samples, at 8 places of
-        each edge in each cell and at 4 x 4 places of each cell, or of the box of a triangle that is smaller.
+        Returns float64 [T], by how much float32 has moved each. Over a cell a bilinear reference is a saddle, so mesh
+        less reference has its extrema at samples and on the triangles' edges, where it is a parabola in each cell: the
+        maximum is exact. For a bicubic reference, or one with detail, it is the largest at the samples, at 8 points of
+        each edge in each cell and at 4 x 4 points of each cell, or of the box of a triangle that is smaller.
         """
         rounding = np.zeros(self.triangles)
         self.walk(edge_kernels.edge_extremes, [shared(worst, wp.float64), shared(rounding, wp.float64)])
@@ -169,7 +172,7 @@ class MeasuredMesh:
         return rounding
 
     def differences_at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mesh less reference at int64 [n, 2] points (units of 2^-(bits + 7) cells), float64 [n] metres.
+        """Return mesh less reference at int64 [n, 2] points (units of 2^-(bits + 7) cells), float64 [n] metres.
 
         And the triangle that covers each, int32 [n]; -1 in a hole.
         """
@@ -188,8 +191,8 @@ class MeasuredMesh:
         return difference, owner
 
     def normals_at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return float64 [n, 3]: the vertex normals interpolated at points as in `differences_at`, of unit length; and
-        the triangle that covers each, int32 [n]; -1 in a hole."""
+        """Return float64 [n, 3]: the unit vertex normals interpolated at points as in `differences_at`; and the
+        triangle that covers each, int32 [n]; -1 in a hole."""
         _, owner = self.differences_at(points)
         packed, s = self.ground.packed, self._surface
         corners = s.triangles[np.maximum(owner, 0)]

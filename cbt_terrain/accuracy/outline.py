@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far the terrain's outline in a frame is displaced, in pixels.
+"""The displacement of the terrain's outline in a frame, in pixels.
 
 The outline is where coverage flips between the rays of two pixels that are neighbours in a row or a column; the
 crossing between their middles is found to 2^-11 px. The mesh's crossings are joined to lines through the squares
 between four pixels (marching squares). The error of a crossing of the reference is its distance to the nearest of these
 lines, searched in the frame and MARGIN pixels around it; where none is nearer than the border of that area, the
-distance to the border counts, so that an outline that is gone is understated. Rays stand a pixel apart: what of an
-outline is narrower than that may be missed, in the mesh or in the reference.
-An outline is wherever terrain ends: against the sky, at the raster's border or at the clip end. The frame of a
-panorama is taken to be equirectangular; across, its distances are those on the sphere.
+distance to the border counts, so that the error of a missing outline is understated. Rays are a pixel apart: narrower
+parts of an outline may be missed, in the mesh or in the reference. An outline is wherever terrain ends: against the
+sky, at the raster's border or at the clip end. The frame of a panorama is assumed to be equirectangular; across, its
+distances are those on the sphere.
 """
 
 from collections.abc import Callable
@@ -44,7 +44,7 @@ class _Rays:
         self.threads = mesh.ground.threads
 
     def meet(self, places: np.ndarray) -> np.ndarray:
-        """bool [n]: whether the rays through places of the frame (float64 [n, 2]) meet the mesh."""
+        """Return whether the rays through points of the frame (float64 [n, 2]) meet the mesh, bool [n]."""
         cover = np.zeros(len(places), bool)
         inputs = [*self.inputs, shared(places, wp.vec2d), shared(cover, wp.bool)]
         launch.spread(kernels.mesh_cover, len(cover), inputs, step="measure", threads=self.threads, cost=100)
@@ -54,7 +54,7 @@ class _Rays:
 def silhouette(
     sight: Sight, mesh: MeasuredMesh, positions: np.ndarray, on_progress: Progress = ignore
 ) -> Errors | None:
-    """Errors of the reference's outline in the frame, pixels; None where it has none.
+    """Return errors of the reference's outline in the frame, pixels; None where it has none.
 
     positions: float32 [V, 3], the mesh's.
     """
@@ -82,9 +82,10 @@ def silhouette(
 
 
 def _flips(cover: np.ndarray, sight: Sight, margin: int) -> list[np.ndarray]:
-    """float64 [n, 2] twice: the first pixels, in pixels from the frame's middle, of pairs of which one is covered.
+    """Return float64 [n, 2] twice: the first pixels, in pixels from the frame's middle, of pairs of which one is
+    covered.
 
-    The first of the two has pairs beside each other, the second pairs above each other.
+    The first of the two has pairs in one row, the second pairs in one column.
     """
     corner = np.array([0.5 - margin - sight.columns / 2, 0.5 - margin - sight.rows / 2])
     pairs = (cover[:, 1:] != cover[:, :-1]), (cover[1:] != cover[:-1])
@@ -92,7 +93,7 @@ def _flips(cover: np.ndarray, sight: Sight, margin: int) -> list[np.ndarray]:
 
 
 def _crossings(flips: list[np.ndarray], covers: Callable[[np.ndarray], np.ndarray]) -> list[np.ndarray]:
-    """Where between the two pixels of each pair coverage flips."""
+    """Return where between the two pixels of each pair coverage flips."""
     found = []
     for places, step in zip(flips, np.eye(2), strict=True):
         first, along, size = covers(places), np.zeros((len(places), 1)), 0.5
@@ -104,10 +105,10 @@ def _crossings(flips: list[np.ndarray], covers: Callable[[np.ndarray], np.ndarra
 
 
 def _lines(cover: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The flips joined through each square between four pixels.
+    """Join the flips through each square between four pixels.
 
-    Returns int32 [rows * columns + 1], the first line of each square (numbered by its south-west pixel), and int32
-    [n, 2], lines from flip to flip in the order of `_flips`. Of the two ways to join four flips one is taken always.
+    Returns int32 [rows * columns + 1], the first line of each square (numbered by its south-west pixel), and int32 [n,
+    2], lines from flip to flip in the order of `_flips`. Of the two ways to join four flips one is taken always.
     """
     beside, above = cover[:, 1:] != cover[:, :-1], cover[1:] != cover[:-1]
     number = [np.cumsum(beside).reshape(beside.shape) - 1, np.cumsum(above).reshape(above.shape) - 1 + beside.sum()]

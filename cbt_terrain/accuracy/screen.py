@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A mesh against the reference surface in pixels of a view.
 
-The error of a reference point in the frame is the distance between its projection and that of the mesh's point above
-or below it; of a panorama the angle between the two over `radians_per_pixel`. Points are every raster sample in the
-frame and the point seen in the middle of each pixel. In the frame is what lies between its borders and inside the clip
+The error of a reference point in the frame is the distance between its projection and that of the mesh's point above or
+below it; of a panorama the angle between the two over `radians_per_pixel`. Points are every raster sample in the frame
+and the point seen in the middle of each pixel. A point is in the frame if it is between its borders and inside the clip
 range (depth; distance of a panorama); a range that is upside down cuts nothing off in front of the eye. A panorama is
-taken to see all around, and its pixels to be equirectangular.
+assumed to see all around, and its pixels to be equirectangular.
 
 A sample is hidden where the reference surface between the clip start and it rises above its ray, or falls below where
 the eye is underneath, by more than 1e-9 of the surface's range of heights (1e-12 of the heights themselves). A mesh
-point of a perspective nearer than half the clip start, where the criterion promises nothing, counts at the place where
-the vertical way to it comes to that depth: the error stays finite, and understated. Where the reference itself is
-nearer than 1e-9 of the terrain's size, the error counts as 0; no error counts as more than 1e30, the largest bound.
+point of a perspective nearer than half the clip start, where the criterion bounds no error, counts at the point where
+the vertical way to it reaches that depth: the error stays finite, and understated. Where the reference itself is nearer
+than 1e-9 of the terrain's size, the error counts as 0; no error counts as more than 1e30, the largest bound.
 """
 
 from dataclasses import replace
@@ -35,10 +35,10 @@ BLOCK = 1 << 20
 
 
 def pack_blocks(ground: MeshGround) -> ray_kernels.HeightPyramid:
-    """The lowest and highest heights of blocks of 4 x 4 cells, of 8 x 8 and so on up to one block.
+    """Return the lowest and highest heights of blocks of 4 x 4 cells, of 8 x 8 and so on up to one block.
 
-    Bilinear heights are between the samples of a cell. Bicubic ones are beyond those around it by 9/32 of their range
-    at most, as that is what the samples' negative weights add up to.
+    Bilinear heights are between the samples of a cell. Bicubic ones are beyond those around it by at most 9/32 of their
+    range, the sum of the samples' negative weights.
     """
     around, heights = int(ground.packed.bicubic), ground.field.heights()
     low, high = (over_cells(heights, 4, reduce, around) for reduce in (np.minimum, np.maximum))
@@ -57,7 +57,7 @@ def pack_blocks(ground: MeshGround) -> ray_kernels.HeightPyramid:
 
 
 def pack_eye(view: View, placement: np.ndarray, ground: MeshGround) -> screen_kernels.Eye:
-    """The view as the kernels of the measurement read it: from cells and metres of height."""
+    """Return the view for the kernels of the measurement: from cells and metres of height."""
     g = ground.packed
     to_terrain = np.diag([g.step_x, g.step_y, 1.0, 1.0])
     to_terrain[:2, 3] = g.west, g.south
@@ -67,7 +67,11 @@ def pack_eye(view: View, placement: np.ndarray, ground: MeshGround) -> screen_ke
     except np.linalg.LinAlgError:
         back = np.full((4, 4), np.inf)
     if not np.isfinite(matrix).all() or not np.isfinite(back).all():
-        raise TerrainError("The camera or the terrain cannot be inverted; give them finite scales other than 0.")
+        raise TerrainError(
+            "The camera or the terrain cannot be inverted",
+            expected="finite scales other than 0",
+            fix="change their scale",
+        )
     culls = view.clip[0] < view.clip[1]
     start = view.clip[0] if culls else (-np.inf if view.kind == ORTHOGRAPHIC else 0.0)
     relief = (ground.field.max_height - ground.field.min_height) * ground.scale
@@ -102,7 +106,7 @@ def pack_eye(view: View, placement: np.ndarray, ground: MeshGround) -> screen_ke
 
 
 def pixel_grid(view: View) -> tuple[int, int]:
-    """Columns and rows of pixels: those of the frame; of a panorama at most all directions."""
+    """Return columns and rows of pixels: those of the frame; of a panorama at most all directions."""
     columns, rows = (max(1, int(np.floor(pixels))) for pixels in view.resolution)
     if view.kind == PANORAMIC:
         columns = min(columns, int(np.ceil(2 * np.pi / view.radians_per_pixel)))
@@ -111,7 +115,7 @@ def pixel_grid(view: View) -> tuple[int, int]:
 
 
 class Sight:
-    """What one view sees of the reference surface; nothing here knows a mesh, so one serves all meshes of a view."""
+    """A view's sight of the reference surface, independent of a mesh: one serves all meshes of a view."""
 
     def __init__(self, ground: MeshGround, view: View, placement: np.ndarray | None):
         placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
@@ -126,14 +130,16 @@ class Sight:
         return pack_blocks(self.ground)
 
     def points_at(self, places: np.ndarray) -> np.ndarray:
-        """int64 [n, 2]: the point seen at each place (float64 [n, 2], pixels from the middle); -1 in the sky."""
+        """Return the point seen at each point of the frame (float64 [n, 2], pixels from the middle), int64 [n, 2]; -1
+        in the sky."""
         x, y = np.zeros(len(places), np.int64), np.zeros(len(places), np.int64)
         inputs = [self.ground.packed, self.blocks, self.eye, shared(places, wp.vec2d)]
         self._launch(screen_kernels.seen_points, len(x), [*inputs, shared(x, wp.int64), shared(y, wp.int64)], cost=50.0)
         return np.stack([x, y], axis=1)
 
     def pixel_points(self, on_progress: Progress = ignore) -> np.ndarray:
-        """int64 [rows * columns, 2]: the point seen in the middle of each pixel, row 0 below; x is -1 in the sky."""
+        """Return the point seen in the middle of each pixel, int64 [rows * columns, 2], row 0 below; x is -1 in the
+        sky."""
         if self._pixels is None:
             points = np.zeros((self.rows * self.columns, 2), np.int64)
             for row, places in pixel_blocks(self.columns, self.rows):
@@ -143,16 +149,16 @@ class Sight:
         return self._pixels
 
     def visible_points(self) -> np.ndarray:
-        """int64 [n, 2]: those of the pixels that see the surface."""
+        """Return those of the pixels that see the surface, int64 [n, 2]."""
         points = self.pixel_points()
         return points[points[:, 0] >= 0]
 
     def covered(self) -> np.ndarray:
-        """bool [rows, columns]: whether a pixel sees the surface."""
+        """Return whether each pixel sees the surface, bool [rows, columns]."""
         return (self.pixel_points()[:, 0] >= 0).reshape(self.rows, self.columns)
 
     def states(self, on_progress: Progress = ignore) -> np.ndarray:
-        """uint8 [height * width]: whether each sample is outside the frame, visible or hidden."""
+        """Return whether each sample is outside the frame, visible or hidden, uint8 [height * width]."""
         if self._state is None:
             height, width = self.ground.field.samples.shape
             state = np.zeros(height * width, np.uint8)
@@ -188,11 +194,12 @@ class Sight:
         return found, errors_of(np.concatenate(unseen))
 
     def point_errors(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """float32 [n]: pixels between two heights (float64 [n], metres above the reference) of the visible points."""
+        """Return pixels between two heights (float64 [n], metres above the reference) of the visible points, float32
+        [n]."""
         return self._apart(self.visible_points(), before, after)
 
     def _apart(self, points: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """The same of any points in the frame, int64 [n, 2]."""
+        """Return the same for any points in the frame, int64 [n, 2]."""
         pixels = np.zeros(len(points), np.float32)
         inputs = [self.ground.packed, self.eye]
         inputs += [shared(np.ascontiguousarray(points[:, k]), wp.int64) for k in (0, 1)]
@@ -205,7 +212,8 @@ class Sight:
 
 
 def pixel_blocks(columns: int, rows: int):
-    """Blocks of at most BLOCK pixels about the frame's middle: first row and float64 [n, 2], the pixels' middles."""
+    """Yield blocks of at most BLOCK pixels around the frame's middle: first row and float64 [n, 2], the pixels'
+    middles."""
     for row, here in _row_blocks(rows, columns):
         places = np.empty((here, columns, 2))
         places[..., 0] = np.arange(columns) + (0.5 - columns / 2)
@@ -214,6 +222,6 @@ def pixel_blocks(columns: int, rows: int):
 
 
 def _row_blocks(rows: int, columns: int):
-    """First row and number of rows of blocks of at most BLOCK items."""
+    """Return first row and number of rows of blocks of at most BLOCK items."""
     at_once = max(1, BLOCK // columns)
     return ((row, min(at_once, rows - row)) for row in range(0, rows, at_once))

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What accuracy costs: one terrain refined with one setting after the other; what was asked, what was reached, what it
-took."""
+"""The cost of accuracy: one terrain refined with one setting after the other, with bounds, errors and times."""
 
 import dataclasses
 import math
@@ -26,11 +25,11 @@ from .cost_curve import CostCurve
 from .sweep_settings import Setting
 from .timed_runs import FRAME_RUNS, RUNS, TimedFrame, fastest, median_by_step, timed_runs, to_finished_mesh
 
-# Sights that are kept, of 16 bytes a pixel and 1 byte a sample each; the frames of a longer path are looked at anew.
+# Cached sights, of 16 bytes a pixel and 1 byte a sample each; those of a longer path are computed anew.
 MAX_SIGHTS = 16
 # Errors that differ by less than this part are the same for the Pareto front.
 DIFFERENT = 0.02
-# Runs of the same that differ by more than this factor say nothing of what an error costs.
+# Runs of the same that differ by more than this factor do not show the cost of an error.
 MAX_SPREAD = 2.0
 # A fit that takes this long is timed as it is.
 LONG_FIT_MS = 1000.0
@@ -43,15 +42,15 @@ PARTS = tuple(Errors.__dataclass_fields__)
 
 @dataclass(frozen=True)
 class Row:
-    """What a setting gave, over all frames: the largest errors and bounds, the median of triangles and times.
+    """Results of a setting over all frames: the largest errors and bounds, the median of triangles and times.
 
-    `bound`: in the setting's unit. `limited`: as in Update, of any frame. `surface_mb`: the
-    mesh's arrays; `buffers_mb`: address space of all arrays of the engine, of which the system commits what is touched
-    (None for a fit). `terms`: the parts of the largest bound, in the setting's unit.
-    `popping_px`, `shading_change` (255ths): None where no frame follows. `ms`: by step, and "total" of the update (of
-    the fit for a fitted row); "effects", making attributes, and "ingest", writing a Blender mesh, come on top; of each
-    frame those of its fastest run. `cpu_ms`: processor time of all threads to the finished mesh; `spread_ms`: that of
-    the fastest and of the slowest run, of the frame where they differ most.
+    `bound`: in the setting's unit. `limited`: as in Update, of any frame. `surface_mb`: the mesh's arrays;
+    `buffers_mb`: address space of all arrays of the engine, of which the system commits the pages that are used (None
+    for a fit). `terms`: the parts of the largest bound, in the setting's unit. `popping_px`, `shading_change` (255ths):
+    None where no frame follows. `ms`: by step, and "total" of the update (of the fit for a fitted row); "effects",
+    making attributes, and "ingest", writing a Blender mesh, come on top; of each frame those of its fastest run.
+    `cpu_ms`: processor time of all threads to the finished mesh; `spread_ms`: that of the fastest and of the slowest
+    run, of the frame where they differ most.
     """
 
     setting: Setting
@@ -85,7 +84,8 @@ class Row:
         return self.whole_ms if self.cpu_ms is None else self.cpu_ms
 
     def figures(self) -> dict[str, float | int | str | None]:
-        """Every figure under a name with its unit, the same names for every row; None where nothing was measured."""
+        """Return every figure under a name with its unit, the same names for every row; None for figures not
+        measured."""
         figures = {"asked" if k == "error" else k: v for k, v in dataclasses.asdict(self.setting).items()}
         figures |= {"bound": self.bound, "measured": self.error}
         figures |= {f"bound_{part}": getattr(self.terms, part, None) for part in TERMS}
@@ -115,16 +115,17 @@ def sweep(
     on_row: Callable[[Row], None] = lambda row: None,
     on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Row]:
-    """One row for each setting, measured over all frames; those in metres depend on no view and take the first frame.
+    """Return one row for each setting, measured over all frames; those in metres depend on no view and take the first
+    frame.
 
-    `base`: where guard band and culling come from. `write` puts a surface where it is used, a Blender mesh, and returns
-    the milliseconds of that step, "ingest". `effects`: whose attributes are made for every mesh. `on_progress`
-    gets 0 .. 1. Any of them may raise, which ends the sweep.
+    `base`: criterion with the guard band and culling. `write` puts a surface where it is used, a Blender mesh, and
+    returns the milliseconds of that step, "ingest". `effects`: plan of the attributes that are made for every mesh.
+    `on_progress` gets 0 .. 1. Any of them may raise, which ends the sweep.
     """
     rows, sights = [], {}
 
     def sight(reference: HeightField, view: View, frame: TimedFrame) -> Sight:
-        """What a view sees is the same for every setting, and takes longest to find out."""
+        """Return a cached sight: it is the same for every setting, and takes longest to compute."""
         found = look(reference, view, *frame.heights, threads=threads)
         if found.key not in sights and len(sights) == MAX_SIGHTS:
             del sights[next(iter(sights))]
@@ -158,8 +159,8 @@ def sweep(
 
 
 def curve_of(rows: Sequence[Row]) -> CostCurve:
-    """Return the cost curve through `curve_rows`, in processor time to the finished mesh. Raises TerrainError where
-    these are of one error."""
+    """Return the cost curve through `curve_rows`, in processor time to the finished mesh. Raises TerrainError if these
+    all have one error."""
     points = [(row.setting.error, row.triangles, row.cost_ms) for row in curve_rows(rows)]
     return CostCurve.through(rows[0].setting.unit if rows else "px", points)
 
@@ -176,7 +177,7 @@ def is_unsteady(spread_ms: tuple[float, float] | None) -> bool:
 
 
 def unsteady_text(setting: str, spread_ms: tuple[float, float]) -> str:
-    """Return the sentence that says why there is no curve; `setting`: at which runs differ."""
+    """Return the sentence that says why there is no curve; `setting`: the one at which runs differ."""
     low, high = spread_ms
     return (
         f"at {setting} runs of the same update took {low:.3g} to {high:.3g} ms of CPU, more than a factor of "
@@ -190,13 +191,14 @@ def _spread_factor(spread_ms: tuple[float, float] | None) -> float:
 
 
 def curve_rows(rows: Sequence[Row]) -> list[Row]:
-    """The plain rows of the first row's unit and interpolation, but for those that too many triangles held back."""
+    """Return the plain rows of the first row's unit and interpolation, without those that the triangle limit held
+    back."""
     alike = [r for r in rows if all(getattr(r.setting, n) == getattr(rows[0].setting, n) for n in ALIKE)]
     return [r for r in alike if r.setting.plain and r.limited != "max_triangles"]
 
 
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Which of the points (error, cost) no other beats, by rising cost: each is better than all cheaper ones, by
+    """Return the points (error, cost) that no other beats, by rising cost: each is better than all cheaper ones, by
     DIFFERENT at least, so that rounding and noise make no front."""
     front, best = [], math.inf
     for i in sorted(range(len(points)), key=lambda i: (points[i][1], points[i][0])):
@@ -286,12 +288,13 @@ def median_count(counts: Sequence[int]) -> float:
 
 
 def spread_of(times_ms: Sequence[float]) -> tuple[float, float] | None:
-    """The least and the most; None of a single time, which tells nothing about others."""
+    """Return the smallest and the largest time; None for a single time, which shows no spread."""
     return (min(times_ms), max(times_ms)) if len(times_ms) > 1 else None
 
 
 def _fitted_row(heights, setting: Setting, frame: TimedFrame, threads, on_part) -> Row:
-    """A fit depends on no view; its time is that of a second run where the first is short enough to be disturbed."""
+    """Return the row of a fit. It depends on no view; its time is that of a second run where the first is short enough
+    to be disturbed."""
     scale, offset = frame.vertical_scale, frame.vertical_offset
     for part in range(2):
         fitted = fit(
@@ -323,7 +326,8 @@ def _fitted_row(heights, setting: Setting, frame: TimedFrame, threads, on_part) 
 
 
 def _transitions(terrain: Terrain, criterion: Criterion, before: Surface, frame: TimedFrame, threads, sight) -> list:
-    """Jumps and changes of shading from the surface `before` to the one of the frame that follows, for each view."""
+    """Return jumps and changes of shading from the surface `before` to the one of the frame that follows, for each
+    view."""
     after = terrain.update(criterion, frame.views, *frame.heights).surface
     found = []
     for view in frame.views:
@@ -338,7 +342,7 @@ def _bytes(surface: Surface) -> int:
 
 
 def worst(parts: Sequence):
-    """The largest of every figure of several Errors or Measured, counts added; None of none."""
+    """Return the largest of every figure of several Errors or Measurements, counts added; None if there are none."""
     parts = [part for part in parts if part is not None]
     if not parts or isinstance(parts[0], float):
         return max(parts, default=None)

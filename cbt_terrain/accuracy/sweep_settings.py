@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a sweep varies: the error that is asked, limits of depth, meshlets, interpolation, fitted heights, how points
-come and go."""
+"""Settings of a sweep: errors, limits of depth, meshlets, interpolation, fitted heights, and geomorphs."""
 
 import dataclasses
 import math
@@ -13,22 +12,22 @@ from ..view.morph import SMOOTH
 from .timed_runs import TimedFrame
 
 PIXELS = (16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25)
-# Steps of a sweep in metres, each half of the one before; the coarsest is at most this part of the relief.
+# Steps of a sweep in metres, each half of the one before; the coarsest is at most this fraction of the relief.
 METRE_STEPS, COARSEST_PART = 7, 1 / 32
 MESHLETS = (1, 2, 3, 4)
 # Errors in pixels of which transitions are measured both ways, smooth and not.
 BOTH_WAYS_PX = (4.0, 2.0, 1.0, 0.5)
 # Bisections that a limit of depth stops short of the raster's cells.
 SHORT_OF_CELLS = (6, 4, 2, 0)
-# Beyond this many triangles a setting stays coarser than asked, so that no sweep fills the memory.
+# Beyond this many triangles a setting stays coarser than its error, so that no sweep fills the memory.
 MAX_TRIANGLES = 1 << 23
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One thing to measure. `error`: asked, in `unit`, "px" or "m" (of height). `max_depth`, `meshlet`: as in a
-    Criterion. `fitted`: heights of vertices are fitted (metres only). `interpolation`: of the height field. `morph`: in
-    place of the criterion's; None keeps that."""
+    """One thing to measure. `error`: of the criterion, in `unit`, "px" or "m" (of height). `max_depth`, `meshlet`: as
+    in a Criterion. `fitted`: heights of vertices are fitted (metres only). `interpolation`: of the height field.
+    `morph`: in place of the criterion's; None keeps that."""
 
     unit: str
     error: float
@@ -43,11 +42,11 @@ class Setting:
 
     @property
     def plain(self) -> bool:
-        """Whether the error is all that is asked, of whichever surface."""
+        """Whether the criterion has nothing but an error, of whichever surface."""
         return self.max_depth is None and self.meshlet == 0 and not self.fitted and self.morph is None
 
     def criterion(self, base: Criterion) -> Criterion:
-        """`base` with this setting in place of its errors, lengths, areas and limits."""
+        """Return `base` with this setting in place of its errors, lengths, areas and limits."""
         errors = {"error_px": 0.0, "error_m": 0.0, "edge_px": 0.0, "area_px": 0.0, f"error_{self.unit}": self.error}
         limits = {"max_depth": self.max_depth, "max_triangles": MAX_TRIANGLES, "meshlet": self.meshlet}
         morph = base.morph if self.morph is None else self.morph
@@ -55,9 +54,9 @@ class Setting:
 
 
 def settings_for(heights: HeightField, frame: TimedFrame, morph: float = 1.0) -> list[Setting]:
-    """What a whole sweep measures: pixels, depth limits and meshlets if there is a view; metres, plain and fitted; and
-    every other error with the other interpolation. A fit has a bilinear surface without detail under it. Where a frame
-    follows, some errors with the other transitions: `morph` is that of the criterion which is swept."""
+    """Return the settings of a whole sweep: pixels, depth limits and meshlets if there is a view; metres, plain and
+    fitted; and every other error with the other interpolation. A fit has a bilinear surface without detail under it.
+    Where a frame follows, some errors with the other transitions: `morph` is that of the swept criterion."""
     same = {"interpolation": heights.interpolation}
     other = {"interpolation": next(name for name in INTERPOLATIONS if name != heights.interpolation)}
     settings = []
@@ -76,6 +75,6 @@ def settings_for(heights: HeightField, frame: TimedFrame, morph: float = 1.0) ->
 
 
 def metre_steps(relief_m: float) -> list[float]:
-    """Errors in metres that suit a terrain of that relief, each half of the one before, powers of two."""
+    """Return errors in metres that suit a terrain of that relief, each half of the one before, powers of two."""
     coarsest = 2.0 ** math.floor(math.log2(relief_m * COARSEST_PART)) if relief_m > 0 else 1.0
     return [coarsest / 2**i for i in range(METRE_STEPS)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How long an update takes while a camera moves a little each frame: warm memory, and what the last frame leaves.
+"""Times of updates while a camera moves a little each frame: with warm memory, and with reuse of the last frame.
 
 Runs are compared by the processor time of all threads of this process: other programs lengthen the elapsed time of a
 run by any factor, its processor time by little. The fastest run is the one that was disturbed least.
@@ -31,8 +31,8 @@ MOVE, NUDGE = 1e-3, 1e-6
 
 @dataclass(frozen=True, eq=False)
 class TimedFrame:
-    """What one frame is refined for; arguments as of `Terrain.update`. `after`: the frame that follows it, to see what
-    pops between the two."""
+    """The arguments of one frame, as of `Terrain.update`. `after`: the frame that follows it, to measure popping
+    between the two."""
 
     views: Iterable[View] = ()
     placement: np.ndarray | None = None
@@ -59,10 +59,10 @@ def timed_runs(
 ) -> list[dict[str, float]]:
     """Return milliseconds by step of `count` runs: an update, or the mean of several where they are short.
 
-    "ingest" are those that `write` says it took, "effects" those of making the attributes that it then writes too, and
-    "cpu" the processor time of all threads to the finished mesh.
+    "ingest" are those that `write` returns, "effects" those of making the attributes that it then writes too, and "cpu"
+    the processor time of all threads to the finished mesh.
 
-    The camera stands a little to the right of its place, then to the left, and so on; where that changes no leaf,
+    The camera is a little to the right of its position, then to the left, and so on; where that changes no leaf,
     heights move instead.
     """
     field, lattice, scale = terrain.field, terrain.field.lattice, frame.vertical_scale
@@ -120,17 +120,17 @@ def _by_step(runs: list[dict[str, float]], mean: Callable) -> dict[str, float]:
 
 
 def to_finished_mesh(ms: dict[str, float]) -> float:
-    """Milliseconds of all steps that come one after the other."""
+    """Return the milliseconds of all steps that come one after the other."""
     return ms["total"] + ms.get("effects", 0.0) + ms.get("ingest", 0.0)
 
 
 def _moved(view: View, metres: float) -> View:
-    """The view from further to its right."""
+    """Return the view from further to its right."""
     matrix = view.world_to_camera.copy()
     matrix[0, 3] -= metres
     return dataclasses.replace(view, world_to_camera=matrix)
 
 
 def _stretch(placement: np.ndarray | None) -> float:
-    """World metres of a metre of the terrain's plane."""
+    """Return the world metres of a metre of the terrain's plane."""
     return 1.0 if placement is None else length(np.asarray(placement)[:3, 0])

@@ -45,7 +45,8 @@ def at_samples(
 
 
 def surfaces(field: HeightField, cell: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """At `place` (0 .. 1) in each cell: height and gradient a cell of one, (low, height, high) of the other."""
+    """Return at `place` (0 .. 1) in each cell height and gradient a cell of one evaluation, (low, height, high) of the
+    other."""
     rows, columns = field.samples.shape
     found, measured = np.zeros((len(cell), 3)), np.zeros((len(cell), 3))
     arrays = [(np.ascontiguousarray(cell, np.int32), wp.vec2i), (np.ascontiguousarray(place, np.float64), wp.vec2d)]
@@ -61,7 +62,7 @@ def random_field(shape, seed=0, step=(1.0, 1.0)) -> HeightField:
 
 
 def to_plane(field, place):
-    """Points of the terrain's own space, of places in samples from the south-west."""
+    """Return places in samples from the south-west as points of the terrain's own space."""
     lattice = field.lattice
     middle = np.array([lattice.width - 1, lattice.height - 1]) / 2
     return (place - middle) * [lattice.step_x, lattice.step_y]
@@ -98,7 +99,7 @@ def test_heights_and_gradients_agree_on_both_sides_of_a_border(shape):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_at_samples_the_gradient_is_the_central_difference_also_on_the_border(shape):
+def test_the_gradient_at_samples_is_the_central_difference(shape):
     field = random_field(shape, 3)
     rows, columns = shape
     expected = np.zeros((rows * columns, 3))
@@ -113,7 +114,7 @@ def test_at_samples_the_gradient_is_the_central_difference_also_on_the_border(sh
         assert np.abs(found - expected).max() < 1e-12 * 1000
 
 
-def test_planes_are_exact_everywhere_and_biquadratics_away_from_the_border():
+def test_planes_are_exact_and_biquadratics_inside():
     y, x = np.indices((9, 17)).astype(float)
     rng = np.random.default_rng(4)
     cell = np.stack([rng.integers(16, size=3000), rng.integers(8, size=3000)], axis=1)
@@ -133,7 +134,7 @@ def test_planes_are_exact_everywhere_and_biquadratics_away_from_the_border():
     assert inner.sum() > 1000 and np.abs(found[~inner, 0] - surface(u, v)[~inner]).max() > 0.01
 
 
-def test_it_overshoots_a_step_by_an_eighth_and_a_constant_stays_one():
+def test_a_step_overshoots_by_an_eighth_a_constant_does_not():
     box = np.tile(np.float32([0, 0, 1, 1, 0, 0]), (4, 1))
     middle = np.array([[2, 1]]), np.array([[0.5, 0.5]])
     assert surfaces(from_array(box), *middle)[0][0, 0] == 1.125

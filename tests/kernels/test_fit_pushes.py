@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a triangle of a fit pushes, against the same in numpy, point by point."""
+"""Pushes of a triangle of a fit, against the same in numpy, point by point."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def pushes(heights: np.ndarray, apex: tuple, left: tuple, right: tuple) -> np.nd
 
 
 def expected(heights: np.ndarray, apex: tuple, left: tuple, right: tuple) -> np.ndarray:
-    """Every sample and every extremum along a diagonal, one after the other."""
+    """Sum over every sample and every extremum along a diagonal, one after the other."""
     legs = np.array([left, right])
     n2 = legs[0] @ legs[0]
 

@@ -18,7 +18,7 @@ from invariants import with_arrays
 
 
 def mesh_of(field, error_m, scale=1.0, offset=0.0, **asked):
-    """A copy of the surface that a vertical error asks for."""
+    """Return a copy of the surface for a vertical error."""
     update = Terrain(field, 1).update(
         Criterion(error_px=0.0, error_m=error_m, **asked), vertical_scale=scale, vertical_offset=offset
     )
@@ -26,14 +26,14 @@ def mesh_of(field, error_m, scale=1.0, offset=0.0, **asked):
 
 
 def spiked(height=10.0):
-    """5 x 5 flat samples 8 m apart, one of them raised."""
+    """Return 5 x 5 flat samples 8 m apart, one of them raised."""
     samples = np.zeros((5, 5), np.float32)
     samples[1, 1] = height
     return from_array(samples, 8.0)
 
 
 def grid(field, per_cell):
-    """Points [n, 2] of the terrain's own space, `per_cell` to a cell's side."""
+    """Return points [n, 2] of the terrain's own space, `per_cell` to a cell's side."""
     lattice = field.lattice
     i = np.linspace(0, lattice.width - 1, (lattice.width - 1) * per_cell + 1)
     j = np.linspace(0, lattice.height - 1, (lattice.height - 1) * per_cell + 1)
@@ -114,7 +114,7 @@ def test_vertical_errors_are_those_of_brute_force(meshlet, error_m):
     assert worst.shape == (len(surface.level),) and worst.max() == np.float32(measured.vertical_max_m)
 
 
-def test_points_on_the_borders_of_triangles_are_found_once_and_all():
+def test_points_on_borders_of_triangles_are_found_once():
     field = rough(9, 17)
     ground = MeshGround(field, 1.0, 0.0, 1)
     mesh = MeasuredMesh(ground, mesh_of(field, 0.1, meshlet=1))
@@ -145,7 +145,7 @@ def test_a_mesh_whose_heights_were_moved_is_measured_as_it_is():
     assert 0 < measured.rounding_m < 1e-5  # half a unit in the last place of 100 m is 4e-6
 
 
-def test_rounding_of_positions_is_a_figure_of_its_own():
+def test_rounding_of_positions_is_a_separate_figure():
     j, i = np.mgrid[0:33, 0:33]
     field = from_array((64.0 * i).astype(np.float32), 0.1)
     measured = measure(field, mesh_of(field, 1e-12), random_points=0)
@@ -251,12 +251,12 @@ def test_interpolation_of_a_spike_differs_as_keys_kernel_says():
 
 
 @pytest.mark.parametrize("rows", [255, 256, 257, 258, 511, 513])
-def test_interpolation_of_a_parabola_is_off_by_its_bend_in_every_block(rows):
+def test_interpolation_of_a_parabola_is_off_by_its_curvature(rows):
     y = np.arange(rows, dtype=np.float32)
     field = from_array(np.repeat(y[:, None] ** 2, 5, axis=1), 1.0)
     assert field.samples.shape == (rows, 5)
     found = interpolation(field)
     high, wide = field.samples.shape
-    inner, outer = (high - 3) * 0.25, 2 * 0.125  # at the border the bend is half
+    inner, outer = (high - 3) * 0.25, 2 * 0.125  # at the border the curvature is half
     assert found.count == high * (wide - 1) + (high - 1) * wide + (high - 1) * (wide - 1)
     assert found.max == 0.25 and found.mean * found.count == pytest.approx((inner + outer) * (2 * wide - 1))

@@ -22,7 +22,7 @@ def seen_from(kind, eye=(-60, -190, 170), resolution=(60, 44)):
 
 
 def plane_of(field, points, bits):
-    """Points of the measurement in the terrain's own space, [n, 2] metres."""
+    """Return points of the measurement in the terrain's own space, [n, 2] metres."""
     lattice = field.lattice
     cells = points * 2.0 ** -(bits + 7)
     return (cells - (np.array([lattice.width, lattice.height]) - 1) / 2) * (lattice.step_x, lattice.step_y)
@@ -68,7 +68,7 @@ def test_screen_errors_are_those_of_brute_force(kind, placement):
 
 
 def first_crossings(field, sight, points, seen):
-    """Whether, walking densely, rays from the eye meet the surface before the points that they should meet first."""
+    """Walk densely from the eye: return whether rays meet the surface before the points that they should meet first."""
     eye = np.array(sight.eye.eye)
     eye[:2] = (eye[:2] - (np.array([field.lattice.width, field.lattice.height]) - 1) / 2) * 10.0
     along = np.linspace(0.0, 1.0, 4001)[:-4]
@@ -82,7 +82,7 @@ def first_crossings(field, sight, points, seen):
 
 
 @pytest.mark.parametrize("eye", [(-60, -190, 170), (10, 5, 90), (30, -40, -300)], ids=["outside", "inside", "below"])
-def test_pixels_and_samples_are_seen_where_no_surface_is_before_them(eye):
+def test_points_are_seen_where_no_surface_is_before_them(eye):
     field, view = rough(17, 33, seed=2), seen_from(PERSPECTIVE, eye, (24, 18))
     sight = look(field, view)
     seen = sight.visible_points()
@@ -101,7 +101,7 @@ def test_pixels_and_samples_are_seen_where_no_surface_is_before_them(eye):
         assert chosen.sum() > 5 and (early == covered).mean() > 0.97
 
 
-def test_a_wall_hides_what_lies_in_its_shadow_and_nothing_else():
+def test_a_wall_hides_exactly_the_ground_in_its_shadow():
     samples = np.zeros((33, 33), np.float32)
     samples[16] = 8.0
     field = from_array(samples, 1.0)
@@ -112,7 +112,7 @@ def test_a_wall_hides_what_lies_in_its_shadow_and_nothing_else():
     assert (states[:17] == int(VISIBLE)).all() and (states[24:] == int(VISIBLE)).all()
 
 
-def test_what_the_clip_start_cuts_away_hides_nothing():
+def test_ground_before_the_clip_start_hides_nothing():
     samples = np.zeros((33, 33), np.float32)
     samples[16] = 8.0
     field = from_array(samples, 1.0)
@@ -131,7 +131,7 @@ def full_mesh(field):
 
 
 @pytest.mark.parametrize("roll_deg", [0.0, 27.0])
-def test_a_ridge_raised_by_a_metre_moves_the_outline_by_its_pixels(roll_deg):
+def test_a_ridge_raised_by_a_metre_moves_the_outline(roll_deg):
     samples = np.zeros((33, 33), np.float32)
     samples[16] = 8.0
     field = from_array(samples, 1.0)
@@ -156,7 +156,7 @@ def test_no_sky_in_the_frame_is_no_outline():
     assert measured.silhouette_px is None and measured.screen_px.count > 1600
 
 
-def test_an_outline_that_is_gone_counts_with_the_way_to_the_border():
+def test_a_missing_outline_counts_with_the_border_distance():
     samples = np.zeros((33, 33), np.float32)
     samples[16] = 8.0
     field = from_array(samples, 1.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The cost curve: what an error costs, and which error a budget buys."""
+"""The cost curve: the cost of an error, and the error that a budget buys."""
 
 import dataclasses
 import itertools
@@ -27,7 +27,7 @@ def curves(draw):
     return CostCurve.through("m", zip(error, *costs, strict=True))
 
 
-def test_between_points_costs_follow_straight_lines_of_logarithms():
+def test_costs_are_interpolated_in_logarithms():
     assert [KNOWN.at(error) for error in KNOWN.error] == [(1000, 3), (2000, 3), (8000, 12)]
     assert KNOWN.at(math.sqrt(2)) == pytest.approx((4000, 6))
     assert KNOWN.at(math.sqrt(8)) == pytest.approx((1000 * math.sqrt(2), 3))
@@ -46,7 +46,7 @@ def test_a_budget_buys_the_finest_error_that_fits():
     assert KNOWN.error_for_ms(48.0) == 0.5
 
 
-def test_no_answer_is_far_beyond_what_was_measured():
+def test_no_answer_is_far_beyond_the_measured_points():
     assert STEEP.error_for_ms(1e12) == KNOWN.error_for_ms(math.inf) == 0.25
     assert STEEP.error_for_ms(1e-9) == 64.0
     third = CostCurve("m", (1.0, 0.3125), (1.0, 2.0), (1.0, 2.0))
@@ -57,7 +57,7 @@ def test_no_answer_is_far_beyond_what_was_measured():
 
 
 @given(curves(), numbers, numbers)
-def test_what_a_budget_buys_fits_and_more_buys_no_worse(curve, less, more):
+def test_an_update_fits_its_budget_and_more_buys_no_worse(curve, less, more):
     less, more = sorted((less, more))
     error = curve.error_for_ms(less)
     assert curve.error[-1] / 4 <= curve.error_for_ms(more) <= error <= curve.error[0] * 16
@@ -73,7 +73,7 @@ def test_an_answer_is_tight_to_four_digits(curve, budget):
 
 
 @given(curves())
-def test_a_measured_point_is_on_the_curve_and_a_level_stretch_is_level(curve):
+def test_measured_points_and_level_stretches_are_on_the_curve(curve):
     for error, triangles, ms in zip(curve.error, curve.triangles, curve.ms, strict=True):
         assert curve.at(error) == (triangles, ms)
     for (fine, less), (coarse, _) in itertools.pairwise(reversed(list(zip(curve.error, curve.ms, strict=True)))):
@@ -87,14 +87,14 @@ def test_json_brings_back_the_same_curve(curve):
 
 
 @given(some.lists(some.tuples(some.floats(1e-3, 1e3), numbers, numbers), min_size=2, unique_by=lambda p: p[0]))
-def test_the_order_of_measuring_does_not_matter_and_costs_never_fall(points):
+def test_costs_never_fall_whatever_the_order_of_measuring(points):
     curve = CostCurve.through("px", points)
     assert curve == CostCurve.through("px", reversed(points))
     assert all(a <= b for a, b in itertools.pairwise(curve.ms))
     assert curve.error == tuple(sorted((p[0] for p in points), reverse=True))
 
 
-def test_noise_is_levelled_to_the_geometric_mean_and_repeats_to_their_median():
+def test_noise_and_repeated_measurements_are_averaged():
     points = [(8, 100, 4.0), (4, 200, 1.0), (2, 400, 9.0), (1, 800, 10.0), (1, 800, 12.0), (1, 900, 11.0)]
     curve = CostCurve.through("px", points)
     assert curve.ms == pytest.approx((2.0, 2.0, 9.0, 11.0))
@@ -137,7 +137,7 @@ def test_text_that_is_no_curve_is_one_sentence(text):
         CostCurve.from_json(text)
 
 
-def test_budgets_and_errors_that_are_none_are_refused():
+def test_invalid_budgets_and_errors_are_refused():
     for bad in (0, -1, math.nan):
         with pytest.raises(TerrainError, match="expected more than 0"):
             KNOWN.error_for_ms(bad)

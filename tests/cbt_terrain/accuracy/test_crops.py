@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Crops of a frame at several errors: which triangle is seen where, and what is drawn of it."""
+"""Crops of a frame at several errors: the triangle at each pixel, and its colours."""
 
 import io
 
@@ -53,7 +53,7 @@ def above(**look) -> View:
     return View.look((0, -1, 2000), (0, 0, 0), resolution=(640, 640), kind=ORTHOGRAPHIC, ortho_width=640.0, **look)
 
 
-def test_a_crop_is_where_errors_differ_and_finer_errors_come_nearer(terrain):
+def test_a_crop_shows_where_errors_differ(terrain):
     frame = TimedFrame([above()], vertical_scale=2.0)
     coarse, middle, fine = crops(terrain, frame, (8.0, 2.0, 0.25))
     assert coarse.pixels.shape == (SIDE, SIDE, 3) and coarse.pixels.dtype == np.uint8
@@ -66,12 +66,12 @@ def test_a_crop_is_where_errors_differ_and_finer_errors_come_nearer(terrain):
     assert fine.pixels[bare].std() > 10, "it shows the rough east, not the plain west"
 
 
-def test_what_has_no_frame_has_no_crops(terrain):
+def test_panoramas_and_frames_without_views_have_no_crops(terrain):
     panorama = View.look((0, 0, 50), (1, 0, 50), kind=PANORAMIC, resolution=(64, 32))
     assert crops(terrain, TimedFrame([panorama]), (4.0, 1.0)) == []
     assert crops(terrain, TimedFrame([]), (4.0,)) == [] and crops(terrain, TimedFrame([above()]), ()) == []
 
 
-def test_a_png_is_what_others_read():
+def test_other_programs_read_the_png():
     pixels = np.random.default_rng(1).integers(0, 256, (7, 5, 3), np.uint8)
     assert (np.asarray(Image.open(io.BytesIO(png(pixels)))) == pixels).all()

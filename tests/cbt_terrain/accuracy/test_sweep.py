@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sweep: which settings, what a row holds, and that its times are of updates that reuse nothing."""
+"""The sweep: its settings, its rows, and that its times are of updates that reuse nothing."""
 
 import dataclasses
 import itertools
@@ -59,13 +59,13 @@ def test_no_other_point_is_as_good_in_both_and_better_in_one():
     assert {many[i] for i in pareto(many)} == {p for p, lost in zip(many, beaten, strict=True) if not lost}
 
 
-def test_metres_are_halved_powers_of_two_below_a_part_of_the_relief():
+def test_steps_in_metres_are_powers_of_two():
     assert metre_steps(1638.0) == [32.0, 16.0, 8.0, 4.0, 2.0, 1.0, 0.5]
     assert metre_steps(0.02)[0] == 2.0**-11 <= 0.02 / 32
     assert metre_steps(0.0)[0] == 1.0
 
 
-def test_a_sweep_with_a_camera_varies_pixels_depth_meshlets_and_metres(field):
+def test_a_sweep_with_a_camera_varies_every_kind_of_setting(field):
     settings = settings_for(field, TimedFrame([SEEN]))
     own, other = ([s for s in settings if s.interpolation == name] for name in ("bilinear", "bicubic"))
     assert [s.error for s in own if s.unit == "px" and s.plain] == list(PIXELS)
@@ -79,14 +79,14 @@ def test_a_sweep_with_a_camera_varies_pixels_depth_meshlets_and_metres(field):
     assert scaled[0].error == 2 * metres[0].error
 
 
-def test_a_sweep_of_a_smooth_surface_has_the_other_one_beside_it(field):
+def test_a_sweep_of_a_smooth_surface_includes_the_bilinear_one(field):
     settings = settings_for(interpolated(field, "bicubic"), TimedFrame([SEEN]))
     smooth, flat = ([s for s in settings if s.interpolation == name] for name in ("bicubic", "bilinear"))
     assert [s.error for s in smooth if s.unit == "px" and s.plain] == list(PIXELS)
     assert all(s.plain or s.fitted for s in flat) and not any(s.fitted for s in smooth)
 
 
-def test_transitions_are_measured_both_ways_where_a_frame_follows(field):
+def test_transitions_are_measured_with_and_without_geomorph(field):
     moving = TimedFrame([SEEN], after=TimedFrame([FURTHER]))
     for own, other in ((1.0, SMOOTH), (SMOOTH, 1.0), (2.5, 1.0)):
         changed = [s for s in settings_for(field, moving, own) if s.morph is not None]
@@ -96,7 +96,7 @@ def test_transitions_are_measured_both_ways_where_a_frame_follows(field):
     assert not any(s.morph for s in settings_for(field, TimedFrame([SEEN])))
 
 
-def test_a_setting_replaces_what_a_criterion_asks_and_keeps_what_it_does_off_screen():
+def test_a_setting_replaces_errors_but_not_off_screen_values():
     base = Criterion(error_px=3, edge_px=2, error_m=1, guard_deg=9, off_screen_factor=2, max_triangles=10, max_depth=5)
     asked = Setting("m", 0.5, meshlet=2).criterion(base)
     assert (asked.error_px, asked.edge_px, asked.error_m, asked.max_depth, asked.meshlet) == (0, 0, 0.5, None, 2)
@@ -104,7 +104,7 @@ def test_a_setting_replaces_what_a_criterion_asks_and_keeps_what_it_does_off_scr
     assert Setting("px", 0.5, max_depth=7).criterion(base).max_depth == 7
 
 
-def test_a_row_holds_what_was_asked_bounded_measured_and_paid(field):
+def test_a_row_holds_setting_bound_error_and_cost(field):
     settings = [Setting("px", 4.0), Setting("px", 1.0), Setting("px", 1.0, meshlet=2), Setting("m", 2.0)]
     settings += [Setting("px", 1.0, interpolation="bicubic"), Setting("m", 2.0, interpolation="bicubic")]
     told, progress = [], []
@@ -132,7 +132,7 @@ def _edges(row: Row) -> int:
     return row.vertices + row.triangles - 1  # Euler, of a disc
 
 
-def test_of_several_frames_the_worst_error_counts_and_popping_is_between_neighbours(field):
+def test_several_frames_give_the_worst_error_and_popping(field):
     setting = Setting("px", 2.0)
     apart = [sweep(field, [setting], [TimedFrame([view])])[0] for view in (SEEN, FURTHER)]
     both = sweep(field, [setting], [TimedFrame([SEEN], after=TimedFrame([FURTHER])), TimedFrame([FURTHER])])[0]
@@ -158,7 +158,7 @@ def test_raising_ends_a_sweep(field):
             sweep(field, [Setting("m", 4.0)], [TimedFrame()], **{callback: stop})
 
 
-def test_writing_the_mesh_is_a_step_of_its_own(field):
+def test_writing_the_mesh_is_a_separate_step(field):
     written = []
 
     def write(surface):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The fit: its bound against brute force, its triangles against interpolation, and what it leaves as it was."""
+"""The fit: its bound against brute force, its triangles against interpolation, and its side effects."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ SHAPES = {"square": (33, 33), "wide": (17, 65), "tall": (97, 33), "resampled": (
 
 
 def raster(kind: str, shape: tuple[int, int] = (33, 33)) -> np.ndarray:
-    """float32 [rows, columns] metres."""
+    """Return float32 [rows, columns] metres."""
     y, x = np.mgrid[: shape[0], : shape[1]]
     return {
         "spike": np.where((x == shape[1] // 3) & (y == shape[0] // 2 + 1), 1000.0, 0.0),
@@ -35,7 +35,7 @@ def plain(field: HeightField, error_m: float, **asked):
 
 
 def measured(field: HeightField, surface, scale: float = 1.0, offset: float = 0.0) -> float:
-    """Largest distance found at every sample, at the middles of cells, and at random points, metres."""
+    """Return the largest distance at every sample, at the middles of cells, and at random points, metres."""
     lattice = field.lattice
     j, i = np.mgrid[: 2 * lattice.height - 1, : 2 * lattice.width - 1] / 2
     x = (i - (lattice.width - 1) / 2) * lattice.step_x
@@ -45,7 +45,8 @@ def measured(field: HeightField, surface, scale: float = 1.0, offset: float = 0.
 
 
 def assert_holds(field: HeightField, fitted, error_m: float) -> None:
-    """The bound is kept, it is what is measured, and there are no more triangles than interpolation needs."""
+    """Check that the bound holds for the measured error, and that there are no more triangles than interpolation
+    needs."""
     assert_invariants(fitted.surface, field.lattice)
     found = measured(field, fitted.surface)
     assert found <= fitted.bound_m * (1 + 1e-6) + 1e-9
@@ -153,7 +154,7 @@ def test_a_budget_is_kept_and_never_worse_than_interpolation(budget):
 
 
 @pytest.mark.parametrize("error_m", [0.1, 0.01, 0.003])
-def test_a_budget_is_used_well_also_for_errors_that_nothing_reaches(error_m):
+def test_a_budget_is_used_well_for_errors_out_of_reach(error_m):
     field = rough(33, 33)
     fitted, base = fit(field, error_m, max_triangles=200), plain(field, error_m, max_triangles=200)
     assert fitted.rounds > 0 and fitted.triangles <= 200
@@ -161,7 +162,7 @@ def test_a_budget_is_used_well_also_for_errors_that_nothing_reaches(error_m):
 
 
 @pytest.mark.parametrize("shape", [(129, 300), (6, 100)])
-def test_a_budget_counts_what_the_cut_at_the_rim_adds(shape):
+def test_a_budget_counts_triangles_that_the_border_cut_adds(shape):
     field, error_m = rough(*shape), 1e-3
     least = plain(field, error_m, max_triangles=0).triangles
     for budget in (0, 150, 151, 777):
@@ -188,7 +189,7 @@ def test_rounded_plane_coordinates_are_part_of_the_bound():
     assert measured(field, fitted.surface) <= fitted.bound_m
 
 
-def test_what_the_cut_at_a_rim_rounds_is_part_of_the_bound():
+def test_rounding_at_the_border_cut_is_part_of_the_bound():
     """New vertices on the rim of a raster that does not fit its squares are rounded after distances are measured."""
     y, x = np.mgrid[:146, :50]
     field = from_array((5000.0 + 0.0644196262 * x + 0.0214732162 * y).astype(np.float32), 57.990065542440526)
@@ -199,7 +200,7 @@ def test_what_the_cut_at_a_rim_rounds_is_part_of_the_bound():
 
 
 @pytest.mark.parametrize("kind", ["noise", "hill", "cliff", "checkerboard"])
-def test_the_bound_is_not_below_what_is_measured(kind):
+def test_the_bound_is_not_below_the_measured_error(kind):
     """No tolerance: offsets and steps of which float64 and float32 round off most, budgets that nothing can keep."""
     large, turned, level, huge = (1.0, 1e7), (-2.0, -1234.5), (1e-9, 1e7), (1e9, 0.0)
     for shape, step, placed in (
@@ -233,6 +234,6 @@ def test_progress_goes_up_and_may_cancel():
 
 
 @pytest.mark.parametrize("error_m", [0.0, -1.0, float("nan")])
-def test_what_is_asked_must_be_a_distance(error_m):
+def test_the_requested_error_must_be_a_distance(error_m):
     with pytest.raises(TerrainError):
         fit(rough(9, 9), error_m)

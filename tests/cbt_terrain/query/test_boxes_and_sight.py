@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ranges of heights in boxes, and what an eye sees, beside brute force in numpy."""
+"""Ranges of heights in boxes, and samples that an eye sees, against brute force in numpy."""
 
 import math
 
@@ -22,19 +22,19 @@ BOXES = [
 ]
 
 
-def grid_in(field, box, most=40):
-    """Places in a box: its corners, crossings of lines of samples with it and in it, and even ones between."""
+def grid_in(field, box, count=40):
+    """Return points in a box: its corners, crossings of lines of samples with it and in it, and even ones between."""
     lines = []
     for low, high, end, cells in ((box[0], box[2], EAST, SHAPE[1] - 1), (box[1], box[3], NORTH, SHAPE[0] - 1)):
         low, high = max(low, -end), min(high, end)
-        own = (np.arange(cells + 1) - cells / 2) * STEP
-        lines.append(np.r_[own[(own >= low) & (own <= high)], np.linspace(low, high, most)])
+        sample_lines = (np.arange(cells + 1) - cells / 2) * STEP
+        lines.append(np.r_[sample_lines[(sample_lines >= low) & (sample_lines <= high)], np.linspace(low, high, count)])
     return np.stack(np.meshgrid(*lines), -1).reshape(-1, 2)
 
 
 @pytest.mark.parametrize("box", BOXES)
 @pytest.mark.parametrize("name", SURFACES)
-def test_a_box_encloses_the_surface_and_of_a_bilinear_one_touches_it(name, box):
+def test_a_box_encloses_the_surface_exactly_if_bilinear(name, box):
     field = SURFACES[name]
     truth = -2 * reference_heights(field, grid_in(field, box)) + 5
     low, high = box_range(field, *box, vertical_scale=-2.0, vertical_offset=5.0)
@@ -47,17 +47,17 @@ def test_a_box_encloses_the_surface_and_of_a_bilinear_one_touches_it(name, box):
         assert low > wide.min() - more and high < wide.max() + more
 
 
-def test_the_whole_raster_has_its_least_and_greatest_sample():
+def test_the_whole_raster_has_its_lowest_and_highest_sample():
     assert box_range(ROUGH, -1e9, -1e9, 1e9, 1e9) == (ROUGH.samples.min(), ROUGH.samples.max())
     assert box_range(ROUGH, -1e9, -1e9, 1e9, 1e9, threads=7) == (ROUGH.samples.min(), ROUGH.samples.max())
 
 
-def test_holes_and_what_is_beyond_the_rim_do_not_count():
+def test_holes_and_places_beyond_the_border_do_not_count():
     field = with_holes()
     x, y = WEST + 50 * STEP, SOUTH + 25 * STEP
     assert all(map(math.isnan, box_range(field, x - 20, y - 20, x + 20, y + 20)))
     assert all(map(math.isnan, box_range(field, EAST + 1, SOUTH, EAST + 9, NORTH)))
-    # its border is that of the ground beside it, on every side
+    # the border of a hole belongs to the neighbouring ground, on every side
     for column, row in ((39, 25), (60, 25), (50, 19), (50, 31)):
         x, y = WEST + column * STEP, SOUTH + row * STEP
         assert box_range(field, x, y, x, y) == (field.samples[row, column],) * 2
@@ -124,7 +124,7 @@ def test_a_radius_limits_the_view_and_threads_do_not_change_it():
     assert np.array_equal(viewshed(ROUGH, eye, threads=4), seen)
 
 
-def test_an_eye_below_the_ground_sees_none_of_it_and_one_on_a_sample_sees_that():
+def test_an_eye_below_sees_no_ground_and_one_on_a_sample_does():
     assert not viewshed(ROUGH, (0.0, 0.0, -1e4)).any()
     flat = from_array(np.full((5, 6), 2.0))
     assert viewshed(flat, (0.5, 0.0, 2.0)).all() and viewshed(flat, (0.5, 0.0, 5.0), radius=0.0).sum() == 1

@@ -34,7 +34,7 @@ def test_normals_are_those_of_smooth_surfaces(name):
     assert np.abs(normals[:, :2] / normals[:, 2:] + 3 * slope).max() < 2e-5
 
 
-def test_normals_of_bilinear_ground_are_central_differences_between_samples():
+def test_normals_of_bilinear_ground_are_central_differences():
     north, east = np.gradient(ROUGH.samples.astype(float), 7.0)
     places = scattered(ROUGH, 3000)
     normals = ground_at(ROUGH, places).normals
@@ -52,7 +52,7 @@ def test_the_mesh_lies_on_it_with_these_normals(name):
     assert np.abs(found.normals - surface.normals).max() < 1e-4
 
 
-def test_rims_that_float32_rounds_are_inside_and_what_is_beyond_is_not():
+def test_only_borders_that_float32_rounds_are_inside():
     field = from_array(np.ones((4, 3)), 1e5 / 3)
     rim = np.array(field.lattice.rectangle()[2:])
     corners = rim * [[1, 1], [-1, 1], [1, -1], [-1, -1]]

@@ -76,7 +76,7 @@ class MeshGround:
         self.key = (field.key, self.scale, self.offset)
         # The lattice of the finest mesh: as many bits a side as `depth_limit` in refine/domain.py allows.
         self.bits = PLANE_BITS - (max(lattice.columns, lattice.rows) - 1).bit_length() - lattice.levels
-        g = self.packed = kernels.ReferenceSurface()
+        g = self.packed = kernels.Reference()
         g.bits = self.bits
         g.bicubic = int(field.interpolation == "bicubic")
         g.curved, g.max_detail = int(g.bicubic or bool(field.parts)), highest(field.parts)

@@ -34,7 +34,7 @@ from .mesh import POINT_BITS, MeshGround, Progress, errors_of, ignore
 BLOCK = 1 << 20
 
 
-def pack_blocks(ground: MeshGround) -> ray_kernels.HeightPyramid:
+def pack_blocks(ground: MeshGround) -> ray_kernels.HeightBlocks:
     """Return the lowest and highest heights of blocks of 4 x 4 cells, of 8 x 8 and so on up to one block.
 
     Bilinear heights are between the samples of a cell. Bicubic ones are beyond those around it by at most 9/32 of their
@@ -48,7 +48,7 @@ def pack_blocks(ground: MeshGround) -> ray_kernels.HeightPyramid:
         high = np.nextafter((high + more).astype(np.float32), np.float32(np.inf))
     (lows, base, width), (highs, _, _) = stacked(halvings(low, np.minimum), 1), stacked(halvings(high, np.maximum), 1)
     ends = sorted(float(h[-1]) * ground.scale + ground.offset for h in (lows, highs))
-    b = ray_kernels.HeightPyramid()
+    b = ray_kernels.HeightBlocks()
     b.levels, b.low_z, b.high_z = len(base) - 1, *ends
     b.tolerance = max(1e-9 * (ends[1] - ends[0]), 1e-12 * max(abs(z) for z in ends))
     b.base, b.width = shared(base, wp.int32), shared(width, wp.int32)
@@ -125,7 +125,7 @@ class Sight:
         self._pixels = self._state = None
 
     @cached_property
-    def blocks(self) -> ray_kernels.HeightPyramid:
+    def blocks(self) -> ray_kernels.HeightBlocks:
         """The surface as rays read it."""
         return pack_blocks(self.ground)
 

@@ -9,7 +9,7 @@ no polynomial: both are evaluated at PLACES points of each stretch.
 
 import warp as wp
 
-from .facets import DeliveredMesh, MeasuredFacet, ReferenceSurface, facet_of, plane_at, reference_at
+from .facets import DeliveredMesh, MeasuredFacet, Reference, facet_of, plane_at, reference_at
 
 PLACES = wp.constant(8)
 
@@ -36,7 +36,7 @@ def next_line(at: wp.int64, step: wp.int64, bits: wp.int64) -> wp.int64:
 
 
 @wp.func
-def on_edge(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, along: wp.float64):
+def on_edge(ground: Reference, f: MeasuredFacet, k: wp.int32, along: wp.float64):
     """Return the point `along` (0 .. 1) edge k, as cells east and north."""
     n = (k + 1) % 3
     per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << wp.int64(ground.bits))
@@ -46,7 +46,7 @@ def on_edge(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, along: wp.f
 
 
 @wp.func
-def difference_at(ground: ReferenceSurface, f: MeasuredFacet, u: wp.float64, v: wp.float64) -> wp.float64:
+def difference_at(ground: Reference, f: MeasuredFacet, u: wp.float64, v: wp.float64) -> wp.float64:
     """Return mesh less reference, metres."""
     return plane_at(f, u, v) - reference_at(ground, u, v)
 
@@ -63,7 +63,7 @@ def turning_point(e0: wp.float64, e1: wp.float64, e2: wp.float64) -> wp.float64:
 
 
 @wp.func
-def begin(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32) -> Stretch:
+def begin(ground: Reference, f: MeasuredFacet, k: wp.int32) -> Stretch:
     """Return the empty stretch before the first one of the edge from corner k to the next."""
     n = (k + 1) % 3
     s = Stretch()
@@ -84,7 +84,7 @@ def meets(at: wp.int64, step: wp.int64, line: wp.int64, bits: wp.int64) -> wp.fl
 
 
 @wp.func
-def advance(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, s: Stretch) -> Stretch:
+def advance(ground: Reference, f: MeasuredFacet, k: wp.int32, s: Stretch) -> Stretch:
     """Return the stretch of edge k that follows s."""
     n = (k + 1) % 3
     dx = f.x[n] - f.x[k]
@@ -108,13 +108,13 @@ def advance(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, s: Stretch)
 
 
 @wp.func
-def places_of(ground: ReferenceSurface) -> wp.int32:
+def places_of(ground: Reference) -> wp.int32:
     """Return the number of points at which a stretch is evaluated."""
     return wp.where(ground.curved == 1, PLACES, 2)
 
 
 @wp.func
-def place_in(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, s: Stretch, q: wp.int32):
+def place_in(ground: Reference, f: MeasuredFacet, k: wp.int32, s: Stretch, q: wp.int32):
     """Return point q (1 .. `places_of`, the last one at the end) of a stretch of edge k, as cells east and north."""
     along = wp.where(q == 1, s.turn, s.to)
     if ground.curved == 1:
@@ -124,7 +124,7 @@ def place_in(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, s: Stretch
 
 
 @wp.func
-def rounded_away(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, position: wp.vec3f) -> wp.float64:
+def rounded_away(ground: Reference, f: MeasuredFacet, k: wp.int32, position: wp.vec3f) -> wp.float64:
     """Return the height in metres by which float32 has moved a triangle at corner k."""
     u, v = on_edge(ground, f, k, wp.float64(0.0))
     z = wp.float64(position[2])
@@ -142,7 +142,7 @@ def rounded_away(ground: ReferenceSurface, f: MeasuredFacet, k: wp.int32, positi
 def edge_extremes(
     first: wp.int32,
     end: wp.int32,
-    ground: ReferenceSurface,
+    ground: Reference,
     mesh: DeliveredMesh,
     worst: wp.array(dtype=wp.float64),
     rounding: wp.array(dtype=wp.float64),

@@ -18,7 +18,7 @@ from .detail import detail_height
 
 
 @wp.struct
-class ReferenceSurface:
+class Reference:
     """The reference surface: bilinear or C1 bicubic between the samples, z = sample * scale + offset, metres."""
 
     bits: wp.int32  # 2**bits lattice units a cell
@@ -63,7 +63,7 @@ class MeasuredFacet:
 
 
 @wp.func
-def place_of(ground: ReferenceSurface, position: wp.vec3f):
+def place_of(ground: Reference, position: wp.vec3f):
     """Return a delivered position as cells east and north of the south-west corner."""
     u = (wp.float64(position[0]) - ground.west) / ground.step_x
     v = (wp.float64(position[1]) - ground.south) / ground.step_y
@@ -77,7 +77,7 @@ def to_lattice(cells: wp.float64, bits: wp.int32) -> wp.int64:
 
 
 @wp.func
-def facet_of(ground: ReferenceSurface, mesh: DeliveredMesh, t: wp.int32) -> MeasuredFacet:
+def facet_of(ground: Reference, mesh: DeliveredMesh, t: wp.int32) -> MeasuredFacet:
     """Return triangle t. Where rounding has folded it over, its plane goes through the lattice points instead."""
     f = MeasuredFacet()
     u = wp.vec3d()
@@ -121,7 +121,7 @@ def plane_at(f: MeasuredFacet, u: wp.float64, v: wp.float64) -> wp.float64:
 
 
 @wp.func
-def detail_in(ground: ReferenceSurface, u: wp.float64, v: wp.float64) -> wp.float64:
+def detail_in(ground: Reference, u: wp.float64, v: wp.float64) -> wp.float64:
     """Return the height of the detail in metres before scaling, u cells east and v cells north."""
     z = wp.float64(0.0)
     if ground.layers.count > 0:
@@ -130,7 +130,7 @@ def detail_in(ground: ReferenceSurface, u: wp.float64, v: wp.float64) -> wp.floa
 
 
 @wp.func
-def in_cell(ground: ReferenceSurface, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
+def in_cell(ground: Reference, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
     """Return the height of the reference surface in cell (i, j), metres."""
     p = corners_of(ground.samples, i, j)
     s = u - wp.float64(i)
@@ -145,7 +145,7 @@ def in_cell(ground: ReferenceSurface, i: wp.int32, j: wp.int32, u: wp.float64, v
 
 
 @wp.func
-def reference_at(ground: ReferenceSurface, u: wp.float64, v: wp.float64) -> wp.float64:
+def reference_at(ground: Reference, u: wp.float64, v: wp.float64) -> wp.float64:
     """Return the height of the reference surface, metres."""
     i = wp.clamp(wp.int32(wp.floor(u)), 0, ground.samples.columns - 2)
     j = wp.clamp(wp.int32(wp.floor(v)), 0, ground.samples.rows - 2)
@@ -153,7 +153,7 @@ def reference_at(ground: ReferenceSurface, u: wp.float64, v: wp.float64) -> wp.f
 
 
 @wp.func
-def reference_sample(ground: ReferenceSurface, i: wp.int32, j: wp.int32) -> wp.float64:
+def reference_sample(ground: Reference, i: wp.int32, j: wp.int32) -> wp.float64:
     """Return the height of the reference surface at a sample, metres."""
     h = sample_at(ground.samples, wp.int64(j) * wp.int64(ground.samples.columns) + wp.int64(i))
     z = wp.float64(h) + detail_in(ground, wp.float64(i), wp.float64(j))
@@ -206,7 +206,7 @@ def covers(
 
 
 @wp.func
-def owns(ground: ReferenceSurface, f: MeasuredFacet, i: wp.int32, j: wp.int32) -> wp.bool:
+def owns(ground: Reference, f: MeasuredFacet, i: wp.int32, j: wp.int32) -> wp.bool:
     """Return whether the triangle owns sample (i, j)."""
     bits = wp.int64(ground.bits)
     shift_x = shift_of(wp.int64(i), wp.int64(ground.samples.columns - 1))
@@ -215,7 +215,7 @@ def owns(ground: ReferenceSurface, f: MeasuredFacet, i: wp.int32, j: wp.int32) -
 
 
 @wp.func
-def sample_box(ground: ReferenceSurface, f: MeasuredFacet) -> wp.vec4i:
+def sample_box(ground: Reference, f: MeasuredFacet) -> wp.vec4i:
     """Return the first and last column, then the first and last row of the samples in the triangle's box."""
     bits = wp.int64(ground.bits)
     ahead = (wp.int64(1) << bits) - wp.int64(1)
@@ -231,7 +231,7 @@ def sample_box(ground: ReferenceSurface, f: MeasuredFacet) -> wp.vec4i:
 def differences(
     first: wp.int32,
     end: wp.int32,
-    ground: ReferenceSurface,
+    ground: Reference,
     mesh: DeliveredMesh,
     difference: wp.array(dtype=wp.float32),
     worst: wp.array(dtype=wp.float64),

@@ -4,14 +4,14 @@
 import warp as wp
 
 from .edges import difference_at
-from .facets import DeliveredMesh, ReferenceSurface, covers, facet_of, shift_of
+from .facets import DeliveredMesh, Reference, covers, facet_of, shift_of
 
 PLACES_BITS = wp.constant(wp.int64(2))  # 4 x 4 places a cell, or in the box of a smaller triangle
 
 
 @wp.kernel
 def grid_extremes(
-    first: wp.int32, end: wp.int32, ground: ReferenceSurface, mesh: DeliveredMesh, worst: wp.array(dtype=wp.float64)
+    first: wp.int32, end: wp.int32, ground: Reference, mesh: DeliveredMesh, worst: wp.array(dtype=wp.float64)
 ):
     """Raise `worst` of some triangles to the largest difference on a grid of points, metres."""
     one = wp.int64(1)

@@ -5,7 +5,7 @@ import warp as wp
 
 from ..field.detail import detail_at
 from ..mesh.displace import on_sample
-from .facets import DeliveredMesh, MeasuredFacet, ReferenceSurface, facet_of, owns, sample_box
+from .facets import DeliveredMesh, MeasuredFacet, Reference, facet_of, owns, sample_box
 
 DEGREES = wp.constant(wp.float64(57.29577951308232))
 
@@ -34,7 +34,7 @@ def normal_at(mesh: DeliveredMesh, f: MeasuredFacet, t: wp.int32, x: wp.int64, y
 def angles(
     first: wp.int32,
     end: wp.int32,
-    ground: ReferenceSurface,
+    ground: Reference,
     mesh: DeliveredMesh,
     facet_deg: wp.array(dtype=wp.float32),
     shading_deg: wp.array(dtype=wp.float32),

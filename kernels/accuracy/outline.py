@@ -5,7 +5,7 @@ import warp as wp
 
 from ..query.rays import within
 from ..refine.pixels import PANORAMIC
-from .facets import DeliveredMesh, ReferenceSurface
+from .facets import DeliveredMesh, Reference
 from .rays import NOWHERE, SightRay
 from .screen import Eye, ray_through
 
@@ -49,7 +49,7 @@ def through_triangle(mesh: DeliveredMesh, t: wp.int32, origin: wp.vec3d, along: 
 
 @wp.func
 def meets_mesh(
-    ground: ReferenceSurface, mesh: DeliveredMesh, boxes: Boxes, ray: SightRay, start: wp.float64, end: wp.float64
+    ground: Reference, mesh: DeliveredMesh, boxes: Boxes, ray: SightRay, start: wp.float64, end: wp.float64
 ) -> wp.bool:
     """Return whether a ray meets the mesh between start and end."""
     x = ground.west + ray.u * ground.step_x
@@ -79,7 +79,7 @@ def meets_mesh(
 @wp.kernel
 def mesh_cover(
     offset: wp.int32,
-    ground: ReferenceSurface,
+    ground: Reference,
     mesh: DeliveredMesh,
     boxes: Boxes,
     eye: Eye,

@@ -8,7 +8,7 @@ of its size that hold it (Morton 1966; Samet 1990, linear quadtrees).
 
 import warp as wp
 
-from .facets import DeliveredMesh, MeasuredFacet, ReferenceSurface, covers, facet_of, plane_at, reference_at, shift_of
+from .facets import DeliveredMesh, MeasuredFacet, Reference, covers, facet_of, plane_at, reference_at, shift_of
 
 POINT_BITS = wp.constant(7)  # of 23 bits a side, times two edges' coordinates: cross products fit 63 bits
 
@@ -73,12 +73,7 @@ def first_from(points: MeasuredPoints, key: wp.int64) -> wp.int32:
 
 @wp.func
 def visit(
-    ground: ReferenceSurface,
-    f: MeasuredFacet,
-    t: wp.int32,
-    points: MeasuredPoints,
-    corner: wp.int64,
-    side_bits: wp.int64,
+    ground: Reference, f: MeasuredFacet, t: wp.int32, points: MeasuredPoints, corner: wp.int64, side_bits: wp.int64
 ):
     """Write the difference and the owner of every point of one square that the triangle covers."""
     bits = wp.int64(ground.bits) + wp.int64(POINT_BITS)
@@ -103,7 +98,7 @@ def visit(
 
 
 @wp.kernel
-def locate(first: wp.int32, end: wp.int32, ground: ReferenceSurface, mesh: DeliveredMesh, points: MeasuredPoints):
+def locate(first: wp.int32, end: wp.int32, ground: Reference, mesh: DeliveredMesh, points: MeasuredPoints):
     """Write differences at all points that some triangles cover, metres."""
     one = wp.int64(1)
     finer = wp.int64(POINT_BITS)

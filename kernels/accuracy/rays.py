@@ -15,7 +15,7 @@ import warp as wp
 from ..field.codes import corners_of
 from ..query.rays import within
 from .cubic import heights_about
-from .facets import ReferenceSurface, in_cell
+from .facets import Reference, in_cell
 
 CELL_BITS = wp.constant(1)  # level 1 is 2^(1 + 1) cells a side
 NOWHERE = wp.constant(wp.float64(wp.inf))
@@ -24,7 +24,7 @@ HALVINGS = wp.constant(44)  # of the way between two places: what float64 holds 
 
 
 @wp.struct
-class HeightPyramid:
+class HeightBlocks:
     """The lowest and highest heights of blocks: level k (1 .. levels) is row-major from base[k] on, width[k] a row."""
 
     levels: wp.int32
@@ -75,13 +75,7 @@ def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
 
 @wp.func
 def in_one_cell(
-    ground: ReferenceSurface,
-    ray: SightRay,
-    i: wp.int32,
-    j: wp.int32,
-    first: wp.float64,
-    last: wp.float64,
-    side: wp.float64,
+    ground: Reference, ray: SightRay, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64, side: wp.float64
 ):
     """Return t between first and last where the ray comes to be beyond the surface, infinite if nowhere; and its side
     at the end.
@@ -123,20 +117,14 @@ def in_one_cell(
 
 
 @wp.func
-def above_patch(ground: ReferenceSurface, ray: SightRay, i: wp.int32, j: wp.int32, t: wp.float64) -> wp.float64:
+def above_patch(ground: Reference, ray: SightRay, i: wp.int32, j: wp.int32, t: wp.float64) -> wp.float64:
     """Return the height of the ray above the surface in cell (i, j), metres."""
     return ray.z + t * ray.dz - in_cell(ground, i, j, ray.u + t * ray.du, ray.v + t * ray.dv)
 
 
 @wp.func
 def between(
-    ground: ReferenceSurface,
-    ray: SightRay,
-    i: wp.int32,
-    j: wp.int32,
-    first: wp.float64,
-    last: wp.float64,
-    side: wp.float64,
+    ground: Reference, ray: SightRay, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64, side: wp.float64
 ) -> wp.float64:
     """Bisect for the t where the ray comes to be beyond the surface, given that it is at `last` and not at `first`."""
     low = first
@@ -165,13 +153,7 @@ def side_of_span(ray: SightRay, t: wp.float64, out: wp.float64, a: wp.float64, b
 
 @wp.func
 def in_one_patch(
-    ground: ReferenceSurface,
-    ray: SightRay,
-    i: wp.int32,
-    j: wp.int32,
-    first: wp.float64,
-    last: wp.float64,
-    side: wp.float64,
+    ground: Reference, ray: SightRay, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64, side: wp.float64
 ):
     """Return the same as `in_one_cell` for a curved surface, as far as PLACES + 1 points of the ray show it."""
     hit = NOWHERE
@@ -199,7 +181,7 @@ def in_one_patch(
 
 
 @wp.func
-def over_ground(ground: ReferenceSurface, blocks: HeightPyramid, ray: SightRay, start: wp.float64, end: wp.float64):
+def over_ground(ground: Reference, blocks: HeightBlocks, ray: SightRay, start: wp.float64, end: wp.float64):
     """Return the first and last t of start .. end where the ray is over the ground and near its heights."""
     zero = wp.float64(0.0)
     first, last = within(start, end, ray.u, ray.du, zero, wp.float64(ground.samples.columns - 1))
@@ -226,12 +208,7 @@ def cell_behind(place: wp.float64, speed: wp.float64, out: wp.float64, low: wp.i
 
 @wp.func
 def first_crossing(
-    ground: ReferenceSurface,
-    blocks: HeightPyramid,
-    ray: SightRay,
-    start: wp.float64,
-    end: wp.float64,
-    start_level: wp.int32,
+    ground: Reference, blocks: HeightBlocks, ray: SightRay, start: wp.float64, end: wp.float64, start_level: wp.int32
 ) -> wp.float64:
     """Return the first t in start .. end where the ray passes through the surface, infinite where it does not.
 

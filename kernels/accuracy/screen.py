@@ -12,7 +12,7 @@ from .edges import advance, begin, place_in, places_of
 from .facets import (
     DeliveredMesh,
     MeasuredFacet,
-    ReferenceSurface,
+    Reference,
     facet_of,
     owns,
     plane_at,
@@ -22,7 +22,7 @@ from .facets import (
     toward_zero,
 )
 from .points import POINT_BITS
-from .rays import NOWHERE, HeightPyramid, SightRay, first_crossing
+from .rays import NOWHERE, HeightBlocks, SightRay, first_crossing
 
 OUTSIDE = wp.constant(wp.uint8(0))
 VISIBLE = wp.constant(wp.uint8(1))
@@ -113,13 +113,7 @@ def apart_px(eye: Eye, truth: wp.vec3d, a: wp.vec3d, b: wp.vec3d) -> wp.float64:
 
 @wp.func
 def hidden(
-    ground: ReferenceSurface,
-    blocks: HeightPyramid,
-    eye: Eye,
-    u: wp.float64,
-    v: wp.float64,
-    z: wp.float64,
-    camera: wp.vec3d,
+    ground: Reference, blocks: HeightBlocks, eye: Eye, u: wp.float64, v: wp.float64, z: wp.float64, camera: wp.vec3d
 ):
     """Return whether the surface hides one of its points from the eye. The part before the clip start does not hide."""
     ray = SightRay()
@@ -148,8 +142,8 @@ def hidden(
 def visibility(
     offset: wp.int32,
     first_row: wp.int32,
-    ground: ReferenceSurface,
-    blocks: HeightPyramid,
+    ground: Reference,
+    blocks: HeightBlocks,
     eye: Eye,
     state: wp.array(dtype=wp.uint8),
 ):
@@ -169,7 +163,7 @@ def visibility(
 @wp.kernel
 def point_errors(
     offset: wp.int32,
-    ground: ReferenceSurface,
+    ground: Reference,
     eye: Eye,
     x: wp.array(dtype=wp.int64),
     y: wp.array(dtype=wp.int64),
@@ -219,8 +213,8 @@ def ray_through(eye: Eye, x: wp.float64, y: wp.float64) -> SightRay:
 @wp.kernel
 def seen_points(
     offset: wp.int32,
-    ground: ReferenceSurface,
-    blocks: HeightPyramid,
+    ground: Reference,
+    blocks: HeightBlocks,
     eye: Eye,
     place: wp.array(dtype=wp.vec2d),
     x: wp.array(dtype=wp.int64),
@@ -243,7 +237,7 @@ def seen_points(
 
 
 @wp.func
-def seen_px(ground: ReferenceSurface, eye: Eye, f: MeasuredFacet, u: wp.float64, v: wp.float64) -> wp.float64:
+def seen_px(ground: Reference, eye: Eye, f: MeasuredFacet, u: wp.float64, v: wp.float64) -> wp.float64:
     """Return the pixels between reference and triangle at a point; 0 outside the frame."""
     z = reference_at(ground, u, v)
     truth = to_camera(eye, u, v, z)
@@ -255,12 +249,7 @@ def seen_px(ground: ReferenceSurface, eye: Eye, f: MeasuredFacet, u: wp.float64,
 
 @wp.kernel
 def triangle_px(
-    first: wp.int32,
-    end: wp.int32,
-    ground: ReferenceSurface,
-    mesh: DeliveredMesh,
-    eye: Eye,
-    worst: wp.array(dtype=wp.float64),
+    first: wp.int32, end: wp.int32, ground: Reference, mesh: DeliveredMesh, eye: Eye, worst: wp.array(dtype=wp.float64)
 ):
     """Raise `worst` of some triangles to the largest error in pixels at their samples and along their edges."""
     for t in range(first, end):

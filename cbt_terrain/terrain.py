@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A terrain: one height field and what keeps its mesh up to date with the views."""
+"""A terrain: one height field and its adaptive mesh, updated for the views."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,8 +14,8 @@ from .field.heightfield import HeightField
 from .history.frame_history import FrameHistory
 from .leb.location import locate
 from .mesh.builder import SurfaceRequest, build_surface
+from .mesh.geomorph import Geomorph
 from .mesh.pieces import Pieces, middles
-from .mesh.rising import Rising
 from .mesh.surface import Surface
 from .mesh.welding import TornMesh
 from .plain_numbers import plain_number, rows, vertical
@@ -45,18 +45,18 @@ from .view.view import View, listed_views
 
 @dataclass(frozen=True)
 class Update:
-    """What one update did. Bounds are None where nothing was asked of them.
+    """Result of one update. A bound is None if the criterion does not limit it.
 
     The arrays of `surface` are read-only, and later updates do not change them: memory is reused once they are no
     longer in use. `copy()` has arrays that can be written.
 
     `bound_px`: no visible point of the reference surface is further than this from the mesh's point below it, in pixels
     (0: nothing is in view; 1e30: the mesh may reach the eye). `bound_m`: the same in metres of height, everywhere.
-    Both include what float32 positions are off and what the source had rounded: they hold for the heights that it was
-    made of, too. `terms_px` and `terms_m` divide them. `bound_edge_px`, `bound_area_px`: longest edge, largest
-    triangle, also of float32 corners. `relaxed`: the factor by which a triangle limit coarsened what was asked.
-    `limited`: what kept a bound above what was asked: "", "max_triangles", "max_depth", "precision" (float32) or
-    "source" (its rounding). `changed`: False if the mesh is the one of the last update.
+    Both include the rounding of float32 positions and of the source, so they also hold for the heights before that
+    rounding. `terms_px` and `terms_m` divide them. `bound_edge_px`, `bound_area_px`: longest edge, largest triangle,
+    also of float32 corners. `relaxed`: the factor by which a triangle limit coarsened the criterion. `limited`: cause
+    of a bound above the criterion: "", "max_triangles", "max_depth", "precision" (float32) or "source" (its rounding).
+    `changed`: False if the mesh is the one of the last update.
     """
 
     surface: Surface
@@ -77,7 +77,7 @@ class Update:
         return len(self.surface.triangles)
 
     def copy(self) -> "Update":
-        """Return the same with a surface in new arrays, which can be written."""
+        """Return a copy with a surface in new arrays, which can be written."""
         return replace(self, surface=self.surface.copy())
 
     def __repr__(self) -> str:
@@ -87,10 +87,10 @@ class Update:
 
 @dataclass
 class _Result:
-    """What is known of the last mesh.
+    """The last mesh and its parameters.
 
     `shape`: the arguments that place its leaves' vertices, in the order of `_shape`. `horizon`: arguments of
-    `horizon_of`, if what it hides is known. `pieces`: of the surface, once triangles at points are requested.
+    `horizon_of`, None if occlusion is unknown. `pieces`: of the surface, once triangles at points are requested.
     """
 
     update: Update
@@ -102,9 +102,9 @@ class _Result:
 class Terrain:
     """The adaptive mesh of one height field. Updates are pure: the same arguments give the same bytes.
 
-    Threads may share a terrain: one call waits for another. `threads`: how many of its own it computes with, all cores
-    by default. `whole`: triangles that reach beyond the border of the raster are not cut there. `history` holds what
-    survives an update, which only saves time.
+    Threads may share a terrain: one call waits for another. `threads`: number of computing threads, all cores by
+    default. `whole`: triangles that reach beyond the border of the raster are not cut there. `history` holds the state
+    that survives an update, which only saves time.
     """
 
     def __init__(self, field: HeightField, threads: int | None = None, whole: bool = False):
@@ -131,7 +131,7 @@ class Terrain:
 
     @property
     def buffer_bytes(self) -> int:
-        """Address space of the engine's arrays; the system commits what is touched of it."""
+        """Address space of the engine's arrays; the system commits the pages that are touched."""
         return self.history.nbytes
 
     def update(
@@ -155,9 +155,9 @@ class Terrain:
         return self._make(key, lambda ms: self._update(key, criterion, views, placement, *heights, ms))
 
     def saved(self) -> tuple[bytes, dict]:
-        """The tree of the last update as bytes, and the other arguments with which `restore` makes its mesh again.
+        """Return the tree of the last update as bytes, and the other arguments with which `restore` rebuilds its mesh.
 
-        Where points were rising it says until which ratio: of their heights the tree knows nothing.
+        If points were morphing, `morph` is the ratio at which the ramp ends: the tree has no heights of points.
         """
         with self.history.alone():
             meshlet, _, scale, offset, morph = self._need_result().shape
@@ -173,10 +173,10 @@ class Terrain:
         vertical_offset: float = 0.0,
         morph: float = 1.0,
     ) -> Update:
-        """The mesh of a saved tree, without a criterion and a camera: of what `saved` gives the same, byte for byte.
+        """Rebuild the mesh of a saved tree without a criterion and a camera: the same bytes as when `saved` was called.
 
-        Where its points were rising (`morph` above 1), they are in their places now. Only its bound in metres is known.
-        Raises TerrainError for what is no tree of this height field.
+        Points that were morphing (`morph` above 1) are on the surface now. Only the bound in metres is known. Raises
+        TerrainError for bytes that are no tree of this height field.
         """
         meshlet = plain_number(meshlet, int, "The meshlet level of the saved tree")
         heights = vertical(vertical_scale, vertical_offset)
@@ -184,7 +184,8 @@ class Terrain:
         return self._make(key, lambda ms: self._restore(key, tree, meshlet, *heights, ms))
 
     def _make(self, key: tuple, make: Callable[[dict[str, float]], Update]) -> Update:
-        """Return what `make` makes, given where to note milliseconds; or the last update if its key is the same."""
+        """Return the update that `make` builds, or the last one if its key is the same. `make` gets the dict of step
+        times in ms."""
         with self.history.alone():
             if self.history.begin(key):
                 return replace(self._need_result().update, changed=False, ms={})
@@ -218,31 +219,31 @@ class Terrain:
                 surface = self._build(SurfaceRequest(domain, meshlet, whole=self._whole), changed)
             except TornMesh:
                 raise TerrainError(
-                    "The saved tree is corrupt: its leaves do not form a conforming mesh. Save it again."
+                    "The saved tree is corrupt", expected="leaves that form a conforming mesh", fix="save it again"
                 ) from None
             parts = error * domain.error_scale, domain.rounding + domain.max_lean, domain.source
-            most_m = add_up(parts) * (1 + MARGIN)
+            bound = add_up(parts) * (1 + MARGIN)
             update = Update(
                 surface=surface,
                 leaves=leaves.total,
                 changed=changed,
                 ms=ms,
-                bound_m=most_m,
-                terms_m=Terms.shares(most_m, *parts),
+                bound_m=bound,
+                terms_m=Terms.shares(bound, *parts),
             )
             self.history.commit(key, _Result(update, shape), keeps_vertices=not changed)
         return update
 
     def _is_other(self, shape: tuple) -> bool:
-        """Return whether the last frame displaced its leaves otherwise."""
+        """Return whether the last frame displaced its leaves with other arguments."""
         last = self._last
         return last is None or last.shape != shape
 
     def triangles_at(self, places: np.ndarray) -> np.ndarray:
-        """Which triangle of the last update's surface is at each place: int64 [n]; -1 in holes and beyond the raster.
+        """Return the triangle of the last update's surface at each point: int64 [n]; -1 in holes and beyond the raster.
 
-        places: float64 [n, 2], x and y in metres in the terrain's own space. The tree knows the leaf; where triangles
-        were cut at a rim or for holes, their parts are looked through too, which are listed once for a surface.
+        places: float64 [n, 2], x and y in metres in the terrain's space. The tree gives the whole triangle. Where
+        triangles were cut, their pieces are searched; the list of pieces is built once per surface.
         """
         places = rows(places, 2, "places")
         with self.history.alone():
@@ -256,15 +257,17 @@ class Terrain:
             return last.pieces.at(found, places)
 
     def horizon(self) -> "CriterionArrays | None":
-        """The maps of what the last update's mesh hides from the views that it was for; None where that is not known:
-        without views and an error asked, of a restored tree, and with holes, through which one sees."""
+        """Return the horizon maps of the last update's mesh for its views.
+
+        Return None without views or an error criterion, for a restored tree, and with holes, which do not occlude.
+        """
         with self.history.alone():
             last = self._need_result()
             return horizon_of(self.field, *last.horizon, self.threads) if last.horizon else None
 
     def _need_result(self) -> _Result:
         if self._last is None:
-            raise TerrainError("The terrain has no mesh yet; update it first.")
+            raise TerrainError("The terrain has no mesh yet", fix="update it first")
         return self._last
 
     def _need_tree(self) -> ConcurrentBinaryTree:
@@ -285,8 +288,8 @@ class Terrain:
         _check(criterion, views, placement)
         depth = self._max_depth(criterion)
         domain = self._placed_domain(criterion.meshlet, depth, vertical_scale, vertical_offset)
-        rises_until = criterion.rises_until
-        shape = (criterion.meshlet, depth, vertical_scale, vertical_offset, rises_until)
+        morph_until = criterion.rises_until
+        shape = (criterion.meshlet, depth, vertical_scale, vertical_offset, morph_until)
         off = position_rounding(self.field, depth + 2 * criterion.meshlet, vertical_scale, vertical_offset)
         plan = PlanUnits((domain.unit_x, domain.unit_y), domain.unit_bits, depth, off)
         spans = spans_of(criterion, views if criterion.needs_view else (), placement, plan)
@@ -297,31 +300,31 @@ class Terrain:
             return [localise(view, placement, box, criterion, scale, unsure, margins) for view, scale in seen]
 
         local = views_within()
-        if criterion.hides and self.field.valid is None:  # through holes one sees what ground beside them hides
-            place_rings(domain, local, criterion.hidden_factor, RAMP if rises_until > 1 else 0.0)
-        asked = pack(criterion, local, spans, domain.source)
+        if criterion.hides and self.field.valid is None:  # holes do not occlude, so rings need a raster without them
+            place_rings(domain, local, criterion.hidden_factor, RAMP if morph_until > 1 else 0.0)
+        packed = pack(criterion, local, spans, domain.source)
         with self.history.writing():
-            changed = self._is_other(shape) or rises_until > 1
-            most, limited = _max_leaves(criterion), criterion.max_triangles is not None
+            changed = self._is_other(shape) or morph_until > 1
+            max_leaves, limited = _max_leaves(criterion), criterion.max_triangles is not None
             while True:
-                request = RefinementRequest(domain, asked, depth, most, limited, rises_until)
+                request = RefinementRequest(domain, packed, depth, max_leaves, limited, morph_until)
                 leaves, relaxed = refine(self.field, request, self.history, self.threads)
                 # The same leaves displaced the same way are the same mesh.
                 changed |= leaves.changed
-                rising = Rising(asked, rises_until, relaxed) if rises_until > 1 else None
+                geomorph = Geomorph(packed, morph_until, relaxed) if morph_until > 1 else None
                 surface = None  # or its memory would be in use
-                surface = self._build(SurfaceRequest(domain, criterion.meshlet, rising, self._whole), changed)
+                surface = self._build(SurfaceRequest(domain, criterion.meshlet, geomorph, self._whole), changed)
                 # The cut at the border makes two of some triangles.
                 over = len(surface.level) - (criterion.max_triangles or 0) if limited else 0
-                if over <= 0 or leaves.total > most:
+                if over <= 0 or leaves.total > max_leaves:
                     break
-                most = leaves.total - 1  # the next step: with more triangles to spend a mesh is never coarser
+                max_leaves = leaves.total - 1  # the next step: with more triangles to spend a mesh is never coarser
             hides = None
             if local and (criterion.error_px or criterion.error_m) and self.field.valid is None:
-                hides = domain, asked, depth, relaxed * rises_until * (1 + MARGIN)
+                hides = domain, packed, depth, relaxed * morph_until * (1 + MARGIN)
             outcome = Outcome(
                 domain=domain,
-                arrays=asked,
+                arrays=packed,
                 relaxed=relaxed,
                 stopped=leaves.stopped,
                 max_depth=depth,
@@ -330,8 +333,8 @@ class Terrain:
                 buffers=self.history.scratch,
                 in_frame=lambda: pack(criterion, views_within((0.0, 0.0)), spans, domain.source),
             )
-            made = {"surface": surface, "leaves": leaves.total, "changed": changed, "ms": ms}
-            update = _described(criterion, spans, outcome, **made)
+            fields = {"surface": surface, "leaves": leaves.total, "changed": changed, "ms": ms}
+            update = _bounded(criterion, spans, outcome, **fields)
             self.history.commit(key, _Result(update, shape, hides), keeps_vertices=not changed)
         return update
 
@@ -343,7 +346,7 @@ class Terrain:
         return self._placed[1]
 
     def _max_depth(self, criterion: Criterion) -> int:
-        """Deepest bisection of a leaf, its meshlet's own bisections taken off."""
+        """Return the maximum number of bisections of a leaf, without those of its meshlet."""
         depth = usual_depth(self.field)
         if criterion.max_depth is not None:
             depth = min(depth_limit(self.field), criterion.max_depth)
@@ -351,20 +354,23 @@ class Terrain:
 
 
 def box_of(field: HeightField, vertical_scale: float, vertical_offset: float) -> np.ndarray:
-    """float64 [2, 3]: the corners of everything that the terrain occupies in its own space, metres.
+    """Return float64 [2, 3]: the corners of the terrain's bounding box in its own space, metres.
 
-    Raises TerrainError where a mesh, which has float32 positions, cannot hold that.
+    Raises TerrainError if a mesh, which has float32 positions, cannot hold it.
     """
     _, _, x, y = field.lattice.rectangle()
     z = sorted(h * vertical_scale + vertical_offset for h in (field.min_height, field.max_height))
     box = np.array([[-x, -y, z[0]], [x, y, z[1]]])
     largest = float(np.finfo(np.float32).max)
     if not max(x, y) < largest:
-        raise TerrainError(f"The terrain is {2 * x:g} x {2 * y:g} m, more than a mesh can hold; import it smaller.")
+        raise TerrainError(
+            f"The terrain is {2 * x:g} x {2 * y:g} m", expected="a size that float32 can hold", fix="import it smaller"
+        )
     if not np.abs(box).max() < largest:
         raise TerrainError(
-            f"The vertical scale {vertical_scale} and offset {vertical_offset} give heights beyond what a mesh can "
-            "hold (3e38 metres); make them smaller."
+            f"The vertical scale {vertical_scale} and offset {vertical_offset} give heights that no mesh can hold",
+            expected="less than 3e38 metres",
+            fix="make them smaller",
         )
     return box
 
@@ -375,17 +381,24 @@ def _max_leaves(criterion: Criterion) -> int:
 
 
 def _check(criterion: Criterion, views: Sequence[View], placement: np.ndarray) -> None:
-    """Raise TerrainError for what cannot be refined for."""
+    """Raise TerrainError for a criterion, views or a placement that an update cannot use."""
     if placement.shape != (4, 4) or not np.isfinite(placement).all():
-        raise TerrainError("The terrain's matrix has a value that is not finite; check its location and its parents.")
+        raise TerrainError(
+            "The terrain's matrix has a value that is not finite",
+            expected="4 x 4 finite numbers",
+            fix="check its location and its parents",
+        )
     if not abs(determinant(placement[:3, :3])) > 0:
-        raise TerrainError("The terrain is scaled to nothing in some direction; give it a scale other than 0.")
+        raise TerrainError("The terrain is scaled to zero in some direction", fix="give it a scale other than 0")
     if criterion.needs_view and not views:
-        raise TerrainError("The criterion is measured in pixels and there is no camera; add one or ask in metres.")
+        raise TerrainError(
+            "The criterion is measured in pixels and there is no camera",
+            fix="add a camera, or use a criterion in metres",
+        )
 
 
-def _described(criterion: Criterion, spans: Spans, outcome: Outcome, **made: Any) -> Update:
-    """The update with what holds of its mesh."""
+def _bounded(criterion: Criterion, spans: Spans, outcome: Outcome, **fields: Any) -> Update:
+    """Return the update with the bounds of its mesh. `fields`: its other fields."""
     px, metres = bound_px(criterion, spans, outcome), bound_m(criterion, outcome)
     edge, area = bound_edge_px(criterion, spans, outcome), bound_area_px(criterion, spans, outcome)
     relaxed = factor_of(criterion, outcome, [px, metres, edge, area])
@@ -398,5 +411,5 @@ def _described(criterion: Criterion, spans: Spans, outcome: Outcome, **made: Any
         terms_m=metres.terms if metres else None,
         relaxed=relaxed,
         limited=reason_of([px, metres, edge, area], relaxed),
-        **made,
+        **fields,
     )

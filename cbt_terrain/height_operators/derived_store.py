@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Shaped land as a cache: the store that a stack derives from a source's store, or a preview until it is there.
 
-A derived store lies in the folder beside its source (land_folder.py) and is named for the content of the source and the
+A derived store is in the folder next to its source (land_folder.py) and is named for the content of the source and the
 stack. So the settings alone decide which land is shown: Undo brings back the one before at once, and terrains with
 equal settings share one. Everything in the folder can be rebuilt, so a store that fails a check is removed and built
 again.
@@ -40,7 +40,7 @@ MAX_PREVIEWS = 4  # a preview holds about 12 MB
 MAX_REBUILDS = 3  # of one store in a session: a failing disk would keep the program busy for ever
 LIMITS_OF_PROCESS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)  # what this process lacks is no damage
 
-counts = {"previews": 0, "stores": 0}  # how often each was built, for tests of what a scene costs
+counts = {"previews": 0, "stores": 0}  # how often each was built, for tests of a scene's cost
 notify: Callable[[str], None] = print  # shows a sentence to the user
 _shaping = threading.Lock()
 _in_use: dict[int, str] = {}  # folder of the land that each user wants
@@ -57,7 +57,7 @@ class Land:
         source: folder of the source's store.
         folder: folder of the derived store, whether or not it is there.
         waits: whether the store is needed, and a preview is not enough.
-        stack: what is applied.
+        stack: the height operators to apply.
         seen: the views that need fine land, None for all of it.
     """
 

@@ -41,7 +41,7 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarse: Change | 
 def _smooth(change: np.ndarray, missing: np.ndarray | None) -> np.ndarray:
     """Apply [1 2 1] / 4 along both axes, which conserves the sum.
 
-    It removes the washboard that droplets leave on level ground and smooths what is linear between coarse samples.
+    It removes the washboard that droplets leave on level ground and smooths linear stretches between coarse samples.
     """
     out = change.copy()
     still = np.zeros(out.shape, bool) if missing is None else missing

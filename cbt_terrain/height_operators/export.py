@@ -28,7 +28,7 @@ HEIGHTS = "heights"
 def export_raster(
     store: str | os.PathLike, file: str | os.PathLike, names: tuple[str, ...] | None = None
 ) -> list[Path]:
-    """Write the heights of a store into `file` and its layers beside it; return the files. Raises TerrainError.
+    """Write the heights of a store into `file` and its layers next to that; return the files. Raises TerrainError.
 
     names: HEIGHTS and names of layers, None for all.
     """

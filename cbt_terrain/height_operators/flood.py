@@ -55,7 +55,7 @@ class Flood:
 
     @property
     def volume(self) -> float:
-        """m^3 of water on the bed and of what has left."""
+        """m^3 of water on the bed and of water that has left."""
         samples = math.fsum(self.water.ravel().tolist()) + self.left
         return samples * self.metres[0] * self.metres[1]
 

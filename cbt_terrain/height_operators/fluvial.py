@@ -95,7 +95,7 @@ class Bed:
 def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.ndarray | None:
     """Advance by `years`; `number` selects the noise of the receivers. values: parameters of rivers.py.
 
-    Returns the sediment that came to each sample, float64 [n], metres times samples, at outlets what has left; None
+    Return the sediment that reached each sample (at outlets: that has left), float64 [n], metres times samples; None
     without deposition.
     """
     ground, drainage = bed.heights, bed.drain(_draw(bed, number))

@@ -2,7 +2,7 @@
 """Height operators: a declaration, and a function that computes a change of a level of the ground.
 
 Levels halve the spacing. An operator is applied to the coarsest level first, with all its steps; on each finer level it
-starts from its coarser change and adds what the finer samples show. Units are metres and years. So halving the spacing
+starts from its coarser change and adds the detail of the finer samples. Units are metres and years. So half the spacing
 adds detail to the same land. Any other number of samples moves the samples of the coarse levels, and thereby valleys.
 """
 

@@ -14,7 +14,7 @@ from .fluvial import Bed
 from .height_operator import Change, OperatorGround
 from .river_borders import LAKE, LEVEL, WALL, neighbour
 
-# Coarse samples along an outlet, so many that no other pass is lower than its end.
+# Coarse samples along an outlet: enough that no other pass is lower than its end.
 LENGTH = 32
 # Least drainage area of an outlet in samples. A tile contains the whole shore of smaller lakes.
 MIN_AREA = 96**2

@@ -79,7 +79,7 @@ class LevelPlan:
     def margins(self, level: Level, numbers: Sequence[int]) -> list[tuple[int, int]]:
         """Return the rows and columns around a tile that each entry of a run reads, and last those of the result.
 
-        Each entry computes what the next one reads.
+        Each entry computes the region that the next one reads.
         """
         found = [(BAND, BAND)]
         for number in reversed(numbers):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tiles that were requested of a derived store, in a file beside it. The store may hold fewer of them."""
+"""The tiles that were requested of a derived store, in a file next to it. The store may hold fewer of them."""
 
 import hashlib
 import json

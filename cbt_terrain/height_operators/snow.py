@@ -25,7 +25,7 @@ from .levels import finer
 AZIMUTHS, GUSTS = 8, (-20.0, 0.0, 20.0)
 # Sweeps of slides on a level, their factor at the coarsest level, and samples of halo for each sweep.
 SWEEPS, AT_FIRST, REACH = 12, 4, 3.2
-# Metres around a tile that its horizons see; the coarser level adds what is farther.
+# Metres around a tile that its horizons see; the coarser level adds the terrain beyond.
 HORIZON = 300.0
 # Metres of water that melt the snow that falls into them.
 WET = 0.05

@@ -2,7 +2,7 @@
 """The surface of water as a mesh, cut at the shore, where the depth is 0.
 
 Ground and water are linear along the sides of triangles, so that the shore is where the water level meets the ground.
-A dry sample next to water gets the level of that water, below the ground. If the ground there lies below the level of a
+A dry sample next to water gets the level of that water, below the ground. If the ground there is below the level of a
 river, the sample gets a depth that ends the river half-way.
 """
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One frame: what an update has made, and what the next one may reuse of it."""
+"""One frame: the result of an update and the arrays that the next update may reuse."""
 
 from dataclasses import dataclass, field
 
@@ -40,7 +40,7 @@ class Leaves:
 
 @dataclass
 class Vertices:
-    """Which points the arrays "positions", "normals" and "uv" of a frame belong to.
+    """Description of the points in a frame's arrays "positions", "normals" and "uv".
 
     With meshlets, `leaves` counts leaves and `first_inner` is the first vertex inside one; the array "leaf_level" has
     the leaves' levels. `swapped`: vertices that have changed places where the mesh was cut, see `cut.py`.
@@ -55,7 +55,7 @@ class Vertices:
 
 @dataclass
 class Frame:
-    """The arrays of one frame and the facts that say what is in them.
+    """The arrays of one frame and the facts that describe them.
 
     `key`: the arguments of the update. `subtrees`: None if none were cached. `reused_points`: runs of points that were
     in the last frame, None without any. `result`: the update.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The only owner of what survives a frame.
+"""The only owner of the state that survives a frame.
 
 Two frames take turns. Functions read the past from `last`, which is committed, and write into `next`. With an empty
 history they make the same bytes: the past only saves time. So an update that fails or is interrupted discards it.
@@ -44,7 +44,7 @@ class Hints:
     marks: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def make_room(self, leaves: int) -> None:
-        """Have slices begin with room for so many leaves and some more."""
+        """Have slices begin with room for at least `leaves` leaves."""
         if leaves > self.capacity:
             self.capacity = int(1.25 * leaves) + 1024
 
@@ -78,8 +78,9 @@ class FrameHistory:
                 self._lock.broken = self._is_busy = False
             if self._is_busy:
                 raise TerrainError(
-                    "The terrain is being updated on this thread, where a signal or a callback interrupted it; "
-                    "expected one call after the other: call it later."
+                    "The terrain is being updated on this thread, where a signal or a callback interrupted it",
+                    expected="one call after the other",
+                    fix="call it later",
                 )
             self._is_busy = True
             try:
@@ -102,21 +103,21 @@ class FrameHistory:
         return key == self.last.key
 
     def commit(self, key: tuple | None = None, result: object = None, keeps_vertices: bool = False) -> None:
-        """Make the next frame the last one. `keeps_vertices`: it has the same mesh and no vertices of its own."""
+        """Make the next frame the last one. `keeps_vertices`: it has the same mesh and reuses its vertices."""
         if keeps_vertices:
             self.next.vertices = self.last.vertices
             self._replace_vertices()
         self.next.key, self.next.result = key, result
         self.last, self.next = self.next, self.last.emptied()
 
-    def reuse_subtrees(self, domain: Domain, asked: CriterionArrays, max_depth: int) -> "Motion | None":
+    def reuse_subtrees(self, domain: Domain, criterion: CriterionArrays, max_depth: int) -> "Motion | None":
         """Return how the view has moved since the last frame's subtrees were cached; None if none may be reused."""
         cached = self.last.subtrees
-        drift = cached.drift(domain, asked, max_depth) if cached else math.inf
+        drift = cached.drift(domain, criterion, max_depth) if cached else math.inf
         if drift > MAX_DRIFT:
             return None
         motion = self.scratch.struct(Motion)
-        move(motion, cached.asked.view, asked.view, drift)
+        move(motion, cached.criterion.view, criterion.view, drift)
         return motion
 
     def need_tree(self, max_depth: int, threads: int) -> None:
@@ -178,7 +179,7 @@ class FrameHistory:
 
     @property
     def nbytes(self) -> int:
-        """Address space of all arrays; the system commits what is touched of it."""
+        """Address space of all arrays; the system commits the pages that are touched."""
         memory = [
             m for buffers in (self.scratch, self.points, self.last.arrays, self.next.arrays) for m in buffers.memory()
         ]

@@ -45,7 +45,10 @@ def neighbours(lattice: Lattice, ids: np.ndarray) -> np.ndarray:
 def plant(tree: ConcurrentBinaryTree, lattice: Lattice) -> None:
     """Make the tree's leaves the two roots of each square, and one leaf for each number after the last square."""
     if tree.max_depth <= lattice.square_bits:
-        raise TerrainError(f"A tree of depth {tree.max_depth} is too shallow for {lattice.squares} root squares.")
+        raise TerrainError(
+            f"A tree of depth {tree.max_depth} is too shallow for {lattice.squares} root squares",
+            expected=f"a depth of {lattice.square_bits + 1} or more",
+        )
     roots = np.full(2 * lattice.squares, lattice.square_bits + 1)
     tree.set_depths(np.append(roots, np.full((1 << lattice.square_bits) - lattice.squares, lattice.square_bits)))
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Point location: which leaf, and which triangle of its meshlet, is at a place of the plan.
+"""Point location: the leaf, and the triangle of its meshlet, at a point of the plan.
 
-In a triangle a place has two coordinates (a, b), its parts of the way from the apex to the left and to the right
-corner. In the two halves of a bisection it has (a - b, 1 - a - b) or (1 - a - b, b - a): so the way down the tree is
-subtractions of integers, exact however deep it is, and its bits are the number of a deepest cell.
+A point in a triangle has the coordinates (a, b): fractions of the way from the apex to the left and the right corner.
+In the halves of a bisection they become (a - b, 1 - a - b) or (1 - a - b, b - a). So the descent in the tree subtracts
+integers, exact at any depth, and its bits are the number of a deepest cell.
 """
 
 import numpy as np
@@ -11,22 +11,22 @@ import numpy as np
 from ..field.lattice import Lattice
 from ..tree.concurrent_binary_tree import ConcurrentBinaryTree, depths_of
 
-UNIT_BITS = 40  # of a square's side: what places are rounded to
-AT_ONCE = 1 << 14  # places whose numbers stay in the processor's cache on the way down
+UNIT_BITS = 40  # points are rounded to 2**-UNIT_BITS of a square's side
+AT_ONCE = 1 << 14  # points whose data fits the processor's cache during the descent
 
 
 def locate(tree: ConcurrentBinaryTree, lattice: Lattice, places: np.ndarray, meshlet: int = 0) -> np.ndarray:
-    """Numbers of the triangles at `places`, in curve order, 4**meshlet for each leaf: int64 [n]; -1 beyond the raster.
+    """Return the numbers of the triangles at points: int64 [n] in curve order, 4**meshlet a leaf; -1 beyond the raster.
 
-    places: float64 [n, 2], x and y in metres in the terrain's own space. A place on an edge is in either triangle
-    beside it. Without meshlets a number is that of a leaf in the tree. O(depth) a place.
+    places: float64 [n, 2], x and y in metres in the terrain's space. A point on an edge is in one of its two triangles.
+    Without meshlets the numbers are those of the tree's leaves. O(depth) a point.
     """
     places = np.asarray(places, np.float64).reshape(-1, 2)
     west, south, east, north = lattice.rectangle()
     inside = ((places >= (west, south)) & (places <= (east, north))).all(axis=1)
     unit = np.ldexp((lattice.step_x, lattice.step_y), lattice.levels - UNIT_BITS)
     units = np.rint(np.where(inside[:, None], places - (west, south), 0.0) / unit).astype(np.int64)
-    # What is on the rim is in the triangle within it.
+    # Points on the far border belong to the triangle inside it.
     ends = np.array([lattice.cells_x, lattice.cells_y]) << UNIT_BITS - lattice.levels
     (column, row), (x, y) = np.divmod(np.minimum(units, ends - 1).T, 1 << UNIT_BITS)
     depth, below = tree.max_depth - lattice.square_bits, 2 * meshlet
@@ -42,7 +42,7 @@ def locate(tree: ConcurrentBinaryTree, lattice: Lattice, places: np.ndarray, mes
 
 
 def _path(x: np.ndarray, y: np.ndarray, depth: int) -> np.ndarray:
-    """Which halves hold places of a square, int64: a bit for each of `depth` bisections, the first one highest."""
+    """Return the halves that hold points of a square: int64, `depth` bits, the first bisection is the highest."""
     unit = 1 << UNIT_BITS
     second = x + y > unit  # of the square's two halves
     a, b = np.where(second, unit - y, y), np.where(second, unit - x, x)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A terrain surface as one .npz file: the same surface is the same bytes, on every machine and at any time."""
+"""A terrain surface as one .npz file. Its bytes depend on the surface alone, not on machine or time."""
 
 import io
 import json
@@ -17,7 +17,7 @@ from ..run.named_file import open_regular
 from ..run.partial_files import written_beside
 from .surface import Surface
 
-# The earliest date that a zip can hold: the file says nothing of when it was written.
+# The earliest date that a zip can hold: the bytes do not depend on the time.
 FIXED_DATE = (1980, 1, 1, 0, 0, 0)
 MAX_ENTRIES = 64
 
@@ -46,16 +46,22 @@ def write_npz(
         "tree": np.frombuffer(tree, np.uint8),
         "info": np.array(finite_json(dict(info) | {"attributes": about}, str(path), sort_keys=True, default=_plain)),
     }
-    if taken := entries.keys() & surface.attributes.keys():
-        raise TerrainError(f"An attribute is named {min(taken)!r}, as the file's own entry is: give it another name.")
+    if clashes := entries.keys() & surface.attributes.keys():
+        raise TerrainError(
+            f"An attribute is named {min(clashes)!r}, which is an entry of every exported file",
+            where=shown(path),
+            fix="give it another name",
+        )
     if not tree:
         del entries["tree"]
     entries |= {name: attribute.array for name, attribute in surface.attributes.items()}
     for name, array in entries.items():
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise TerrainError(
-                f"{path} would hold {shown(name)} with a value that is not a finite number; expected finite numbers: "
-                "import the terrain again, or remove the attribute."
+                f"The array {shown(name)} holds a value that is not a finite number",
+                where=shown(path),
+                expected="finite numbers",
+                fix="import the terrain again, or remove the attribute",
             )
     with written_beside(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
         for name, array in entries.items():
@@ -68,8 +74,10 @@ def finite_json(content: Mapping, where: str, **options) -> str:
         return json.dumps(content, allow_nan=False, **options)
     except ValueError:
         raise TerrainError(
-            f"{where} would hold a number that is not finite, perhaps of a camera or a bound; expected finite numbers: "
-            "check the camera and the terrain's scale."
+            "A number of the file's description is not finite",
+            where=where,
+            expected="finite numbers",
+            fix="check the camera and the terrain's scale",
         ) from None
 
 
@@ -78,7 +86,7 @@ def read_npz(path: str | os.PathLike) -> dict:
     path = Path(path)
     try:
         with open_regular(path, links=True) as file, zipfile.ZipFile(file) as archive:
-            # As `write_npz` writes them: then what they unpack to is bounded by the file's own size.
+            # `write_npz` does not compress, so the file's size bounds the size of its content.
             if len(archive.infolist()) > MAX_ENTRIES or any(e.compress_type for e in archive.infolist()):
                 raise ValueError("its entries are compressed or too many")
             entries = {name.removesuffix(".npy"): _array(archive, name) for name in archive.namelist()}
@@ -89,18 +97,22 @@ def read_npz(path: str | os.PathLike) -> dict:
             raise ValueError("its entry 'info' is no JSON object")
     except OSError as reason:
         why = reason.strerror or reason
-        raise TerrainError(f"{shown(path)} cannot be read ({why}): expected an exported .npz.") from reason
+        raise TerrainError(
+            f"The file cannot be read: {shown(why)}", where=shown(path), expected="an exported .npz"
+        ) from reason
     except Exception as reason:  # whatever the parsers of a damaged file raise
-        said = shown(reason).rstrip(".") or type(reason).__name__
-        raise TerrainError(f"{path} is no .npz that was exported here ({said}): export it again.") from reason
+        why = shown(reason).rstrip(".") or type(reason).__name__
+        raise TerrainError(
+            f"The file is not an .npz that this add-on exported: {why}", where=shown(path), fix="export it again"
+        ) from reason
     return entries | {"info": info}
 
 
 def _plain(value: object) -> object:
-    """Return a number of numpy, or an array, as JSON has it."""
+    """Convert a number or an array of numpy for JSON."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
-    raise TerrainError(f"The info of an .npz has {shown(repr(value))}; expected texts, numbers, lists and objects.")
+    raise TerrainError(f"The info of an .npz holds {shown(repr(value))}", expected="texts, numbers, lists and objects")
 
 
 def _array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
@@ -109,7 +121,7 @@ def _array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
 
 
 def _npy(array: np.ndarray) -> bytes:
-    """The array as the bytes of an .npy file, in C order and little endian."""
+    """Convert an array to the bytes of an .npy file, in C order and little endian."""
     buffer = io.BytesIO()
     array = np.asarray(array, order="C")
     np.lib.format.write_array(buffer, array.astype(array.dtype.newbyteorder("<"), copy=False), allow_pickle=False)

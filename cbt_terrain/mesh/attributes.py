@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Attributes of a mesh: named arrays, each with a domain and a unit.
 
-Whatever makes one (the welding, an overlay, an effect) adds it to the Surface by name; whoever takes a Surface (the
-mesh writer, the archive, the exporters) goes through them all. Names, domains and data types are Blender's.
+The welding, an overlay or an effect adds one to a Surface by name. The mesh writer, the archive and the exporters write
+all attributes of a Surface. Names, domains and data types are Blender's.
 """
 
 import math
@@ -41,16 +41,16 @@ class Attribute:
 
     @property
     def kind(self) -> tuple[str, int]:
-        """Its key in TYPES."""
+        """Key in TYPES: dtype and numbers an element."""
         return self.array.dtype.name, math.prod(self.array.shape[1:])
 
     def check(self, name: str, sizes: dict[str, int]) -> None:
-        """Raise TerrainError unless a mesh with so many elements of each domain can carry it."""
+        """Raise TerrainError unless a mesh with `sizes` elements of each domain can carry it."""
         what = f"The attribute {name!r} is {self.array.dtype} {list(self.array.shape)} of the domain {self.domain!r}"
         if self.domain not in sizes:
-            raise TerrainError(f"{what}; expected one of {', '.join(DOMAINS)}.")
+            raise TerrainError(what, expected=f"one of {', '.join(DOMAINS)}")
         if self.kind not in TYPES or self.array.ndim != (2 if self.kind[1] > 1 else 1):
             known = ", ".join(f"{width} {dtype}" for dtype, width in TYPES)
-            raise TerrainError(f"{what}; expected for each element one of these: {known}.")
+            raise TerrainError(what, expected=f"for each element one of these: {known}")
         if len(self.array) != sizes[self.domain]:
-            raise TerrainError(f"{what}; expected {sizes[self.domain]} elements, as many as the mesh has.")
+            raise TerrainError(what, expected=f"{sizes[self.domain]} elements, the number of the mesh")

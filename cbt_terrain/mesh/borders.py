@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the mesh of a raster ends: at its rim, and where holes are to be cut out, at those.
+"""Ends of a raster's mesh: its border and its holes.
 
-Holes have no signed value: a triangle in the cell of a hole may have all its corners on the hole's border, like one
-beside it. So what lies in a hole is left out whole. Errors have its border refined like everything else, down to the
-cells, of which no triangle reaches into two.
+Holes have no signed value: a triangle inside a hole may have all corners on the hole's border, as a triangle outside
+may. So triangles in holes are removed whole. The errors refine a hole's border down to single cells, so no triangle
+reaches into two cells there.
 """
 
 import numpy as np
@@ -16,34 +16,36 @@ from ..refine.domain import NO_BORDER
 from ..run import launch
 from ..run.buffers import shared
 from ..view.linear import add_up
-from .cut import Room, Side, copied, cut, drop, rim
+from .cut import Room, Side, border_side, copied, cut, drop
 
 
 def end(surface, field: HeightField, domain: Domain, *, room: Room = copied, threads: int = 1):
-    """The whole surface of the leaves cut at the rim of the raster and at its holes; `room` and the rest as in `cut`.
+    """Cut the whole surface of the leaves at the raster's border and at its holes. Arguments are those of `cut`.
 
-    Returns a Surface, and what was swapped, first things first.
+    Return a Surface, and the pairs of swapped vertices of each cut, in order.
     """
-    surface, at_rim = cut(surface, rims(domain), room=room, threads=threads)
+    surface, at_border = cut(surface, border_sides(domain), room=room, threads=threads)
     if field.valid is None:
-        return surface, [at_rim]
+        return surface, [at_border]
     surface, at_holes = drop(surface, in_holes(surface, field, domain, threads), room=room, threads=threads)
-    return surface, [at_rim, at_holes]
+    return surface, [at_border, at_holes]
 
 
-def rims(domain: Domain) -> list[Side]:
-    """Where the raster ends before its squares do: in the east, in the north, or nowhere."""
+def border_sides(domain: Domain) -> list[Side]:
+    """Return the sides where the raster ends before its squares do: the east, the north, both or none."""
     axes = (domain.east, domain.west, domain.unit_x), (domain.north, domain.south, domain.unit_y)
     # Points have float32's steps, and a point where an edge is cut has those of both axes.
     rounding = 2.0 * add_up(float(np.spacing(np.float32(abs(start)))) / unit for _, start, unit in axes)
-    # As the displacement places points.
+    # The same expression as in the displacement of points.
     return [
-        rim(axis, start + at * unit, rounding * unit) for axis, (at, start, unit) in enumerate(axes) if at != NO_BORDER
+        border_side(axis, start + at * unit, rounding * unit)
+        for axis, (at, start, unit) in enumerate(axes)
+        if at != NO_BORDER
     ]
 
 
 def in_holes(surface, field: HeightField, domain: Domain, threads: int = 1) -> np.ndarray:
-    """bool [T]: triangles whose middle is in a hole."""
+    """Return bool [T]: whether the centroid of each triangle is in a hole."""
     triangles = len(surface.level)
     flags = np.zeros(triangles, bool)
     lattice, valid = field.lattice, np.ascontiguousarray(field.valid).reshape(-1)

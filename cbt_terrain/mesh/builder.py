@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From leaves to the arrays that Blender keeps: welding, meshlets, displacement, and the cut at the border."""
+"""Build of a surface from leaves: welding, meshlets, displacement, and the cut at the border."""
 
 from dataclasses import dataclass
 
@@ -18,55 +18,59 @@ from ..run.memory import physical_memory
 from . import borders
 from .attributes import FACE, LEVEL, NORMALS, POINT, UV, Attribute
 from .displacement import displace, reuse_inner_points, reuse_points
+from .geomorph import Geomorph
 from .meshlet_template import template
-from .rising import Rising
 from .surface import Surface
 from .welding import mesh_arrays, weld
 
-# Of memory at most, until the mesh is written: measured in Blender 4.3, which encodes normals corner by corner.
+# Peak memory per triangle until the mesh is written, measured in Blender 4.3, which encodes normals per corner.
 TRIANGLE_BYTES = 600
 
 
 @dataclass(frozen=True)
 class SurfaceRequest:
-    """What to make of the next frame's leaves: 4**meshlet triangles of each, displaced on the placed field of `domain`,
-    or on the way there (`rising`). `whole`: leaves that reach beyond the border of the raster or into holes are not
-    cut."""
+    """Parameters of a surface: each leaf becomes 4**meshlet triangles on the placed field of `domain`.
+
+    `geomorph`: parameters of points that morph, None if none do. `whole`: leaves that reach beyond the border of the
+    raster or into holes are not cut.
+    """
 
     domain: Domain
     meshlet: int = 0
-    rising: Rising | None = None
+    geomorph: Geomorph | None = None
     whole: bool = False
 
 
 def build_surface(field: HeightField, request: SurfaceRequest, history: FrameHistory, threads: int = 1) -> Surface:
-    """Build the surface of the next frame's leaves: the same bytes whatever the history, in read-only arrays.
+    """Build the surface of the next frame's leaves in read-only arrays. Its bytes do not depend on the history.
 
-    Memory of earlier surfaces is written again when no caller uses it, so a warm build allocates no large array. Raises
-    TerrainError where a damaged field gives leaves that do not fit together or positions that are not finite, and for
-    more triangles than memory holds; then the history has to be discarded.
+    Memory of earlier surfaces is reused once no caller uses it, so a warm build allocates no large array.
+
+    Raises:
+        TerrainError: a damaged field gives leaves that do not fit together or positions that are not finite, or memory
+            cannot hold the triangles. The caller then discards the history.
     """
-    domain, meshlet, rising = request.domain, request.meshlet, request.rising
+    domain, meshlet, geomorph = request.domain, request.meshlet, request.geomorph
     leaves, arrays, scratch = history.next.leaves, history.next.arrays, history.scratch
     triangles, vertices, edges = leaves.counts.sum(axis=0).tolist()
     t = template(meshlet) if meshlet else None
     has_runs = t.inner_points > 0 if t else history.next.reused_points is not None
-    reuses, slots = history.reuse_vertices(domain, rising is not None, has_runs), None
+    reuses, slots = history.reuse_vertices(domain, geomorph is not None, has_runs), None
     _check_memory(triangles * 4**meshlet)
     weld(field, domain, history, level_in=arrays if t else scratch)
-    # Points lie slice by slice; those of meshlets lie in one row, points inside of leaves last.
+    # Points are stored slice by slice; those of meshlets in one row, points inside leaves last.
     point, parts = arrays.get("point", 0, wp.vec2i), _parts(leaves)
-    prefix, made = "leaf_", Vertices(domain, rising is not None)
+    prefix, built = "leaf_", Vertices(domain, geomorph is not None)
     if t:
-        made.leaves, made.first_inner = triangles, vertices + edges * (t.segments - 1)
+        built.leaves, built.first_inner = triangles, vertices + edges * (t.segments - 1)
         if reuses:
-            slots = reuse_inner_points(history, made, t.inner_points)
+            slots = reuse_inner_points(history, built, t.inner_points)
         point, triangles, vertices, edges = _expand(history, parts, triangles, vertices, edges, t, threads)
-        prefix, parts = "mesh_", [(0, made.first_inner), (made.first_inner, vertices - made.first_inner)]
+        prefix, parts = "mesh_", [(0, built.first_inner), (built.first_inner, vertices - built.first_inner)]
     elif reuses:
         slots = reuse_points(history)
     pieces = _pieces(vertices, threads) if t or len(parts) == 1 else 1
-    displace(field, domain, history, point, parts, pieces, slots, rising, meshlet)
+    displace(field, domain, history, point, parts, pieces, slots, geomorph, meshlet)
     surface = Surface(
         arrays.numpy("positions")[:vertices],
         scratch.numpy(prefix + "corner_verts")[: 3 * triangles],
@@ -85,18 +89,18 @@ def build_surface(field: HeightField, request: SurfaceRequest, history: FrameHis
         return scratch, prefix + ("level" if name == LEVEL else name)
 
     def room(name: str, _array: np.ndarray, count: int) -> np.ndarray:
-        buffers, own_name = memory_of(name)
-        return buffers.extend(own_name, count)
+        buffers, buffer_name = memory_of(name)
+        return buffers.extend(buffer_name, count)
 
     if not request.whole:
         surface, swapped = borders.end(surface, field, domain, room=room, threads=threads)
-        made.swapped = [items for items in swapped if items.size]
-    history.next.vertices = made
+        built.swapped = [items for items in swapped if items.size]
+    history.next.vertices = built
     return surface.with_arrays({n: history.lend(*memory_of(n), len(a)) for n, a in surface.arrays().items()})
 
 
 def _parts(leaves) -> list[tuple[int, int]]:
-    """Return where each slice's points lie: first entry and number."""
+    """Return the first entry and the number of each slice's points."""
     return [(int(base), n) for base, n in zip(leaves.base, leaves.counts[:, 1].tolist(), strict=True)]
 
 
@@ -109,10 +113,10 @@ def _expand(
     t: meshlet_kernels.Template,
     threads: int,
 ) -> tuple[wp.array, int, int, int]:
-    """Expand every leaf to the template's triangles; returns the points, and how many triangles, vertices and edges
-    there are."""
+    """Expand every leaf to the template's triangles; return the points and the numbers of triangles, vertices and
+    edges."""
     scratch, arrays, n = history.scratch, history.next.arrays, t.segments
-    coarse, fine = (scratch.struct(meshlet_kernels.Mesh, slot) for slot in range(2))
+    coarse, fine = (scratch.struct(meshlet_kernels.WeldedMesh, slot) for slot in range(2))
     triangles = leaves * t.triangles
     all_vertices = vertices + edges * (n - 1) + leaves * t.inner_points
     all_edges = edges * n + leaves * t.inner_lines
@@ -141,10 +145,11 @@ def _pieces(items: int, threads: int) -> int:
 
 
 def _check_memory(triangles: int) -> None:
-    """Refuse meshes for whose memory the system would end the process, which is Blender."""
-    most = physical_memory() * 3 // 4 // TRIANGLE_BYTES
-    if triangles > most:
+    """Raise TerrainError for a mesh so large that the system would end the process, which is Blender."""
+    max_triangles = physical_memory() * 3 // 4 // TRIANGLE_BYTES
+    if triangles > max_triangles:
         raise TerrainError(
-            f"The mesh would have {triangles:,} triangles, expected {most:,} at most, which this machine's memory "
-            "holds: ask for a larger error, or limit its triangles."
+            f"The mesh would have {triangles:,} triangles",
+            expected=f"at most {max_triangles:,}, which this machine's memory holds",
+            fix="choose a larger error, or limit the number of triangles",
         )

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A surface cut where a signed value at its vertices is 0: what is negative goes.
+"""Cut of a surface where a signed value at its vertices is 0: the negative part is removed.
 
-The value is linear over a triangle, so the cut is straight in it and what stays is the same surface: a bound of it
-holds. The rim of a padded raster is cut this way, and what a user has cut away.
+The value is linear over a triangle, so the cut is straight and the rest of the surface is unchanged: its bounds hold.
+The border of a padded raster and the outlines that users cut are made this way.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,12 +17,13 @@ from ..run.buffers import shared
 from ..view.linear import lengths
 from .attributes import CORNER, EDGE, FACE, NORMALS, POINT, UV
 
-# Parts of its largest coordinate in plan, 8 to 16 steps of float32: a vertex that is nearer to where an edge would be
-# cut is on the line. Rounding could turn the triangle between them over. New vertices keep apart by a part of that.
+# Fraction of a vertex' largest coordinate in plan, 8 to 16 steps of float32. A vertex that is nearer to the cut of one
+# of its edges is moved onto the line: rounding could turn the triangle between them over. New vertices that are nearer
+# to each other than APART are merged.
 TOLERANCE = 2.0**-20
 APART = TOLERANCE / 4
 TOPOLOGY = {"positions": POINT, "edges": EDGE, "corner_verts": CORNER, "corner_edges": CORNER}
-# What the elements of a domain belong to, and how many to each.
+# Kind of element that the values of a domain belong to, and their number per element.
 ITEMS = {
     POINT: (int(kernels.VERTEX), 1),
     EDGE: (int(kernels.EDGE), 1),
@@ -30,20 +31,23 @@ ITEMS = {
     CORNER: (int(kernels.TRIANGLE), 3),
 }
 
-# Of a planar graph, for each vertex.
+# Edges per vertex of a planar graph.
 MAX_EDGES = 3
 
 NONE_SWAPPED = np.empty((2, 0), np.int64)
 
-# Of the array `name` of a surface one with room for so many items that begins with it: the array itself, or a copy.
+# (name, array, count) -> the surface's array or a copy of it, with room for `count` items.
 Room = Callable[[str, np.ndarray, int], np.ndarray]
 
 
 @dataclass(frozen=True)
 class Side:
-    """What stays of a surface. `value`: of positions, float32 [V, 3], the signed value, float64 [V]; it must depend on
-    each position alone. `known`: arrays, columns and what they are on the line, exactly. `tolerance`: see TOLERANCE.
-    `rounding`: by what new vertices of the sides before it miss the line where the two lines meet in an edge."""
+    """The side of a line that a cut keeps.
+
+    `value`: function from positions, float32 [V, 3], to signed values, float64 [V]; each depends on its position alone.
+    `known`: arrays, columns and their exact values on the line. `tolerance`: see TOLERANCE. `rounding`: distance by
+    which new vertices of earlier sides may miss this line where both lines meet in an edge.
+    """
 
     value: Callable[[np.ndarray], np.ndarray]
     known: tuple[tuple[str, int, float], ...] = ()
@@ -52,35 +56,36 @@ class Side:
 
 
 def above(axis: int, at: float) -> Side:
-    """Keep where coordinate `axis` is at least `at`, metres, of which float32 is kept."""
+    """Keep positions whose coordinate `axis` is at least `at` metres, rounded to float32."""
     at = float(np.float32(at))
     return Side(lambda positions: np.subtract(positions[:, axis], at, dtype=np.float64), (("positions", axis, at),))
 
 
-def rim(axis: int, at: float, rounding: float) -> Side:
-    """Keep where coordinate `axis` is at most `at`; there texture coordinates are 1. Vertices are on the rim or cells
-    away from it, so none is near enough to be taken for one on it, but for the new ones of another rim: edges run along
-    rims or halfway between them, and one halfway may meet both in the raster's corner."""
+def border_side(axis: int, at: float, rounding: float) -> Side:
+    """Keep positions whose coordinate `axis` is at most `at` metres, the raster's border, where uv is 1.
+
+    Vertices are on the border or cells away from it, so none needs the tolerance. Only new vertices of the other border
+    may be within `rounding` of this one: an edge halfway between both may meet both in the raster's corner.
+    """
     at = float(np.float32(at))
     known = (("positions", axis, at), (UV, axis, 1.0))
     return Side(lambda positions: np.subtract(at, positions[:, axis], dtype=np.float64), known, 0.0, rounding)
 
 
 def copied(_name: str, array: np.ndarray, count: int) -> np.ndarray:
-    """Room in memory of its own."""
+    """Return a copy of an array in new memory with room for `count` items."""
     larger = np.empty((count, *array.shape[1:]), array.dtype)
     larger[: len(array)] = array
     return larger
 
 
 def cut(surface, sides: Sequence[Side], *, room: Room = copied, threads: int = 1):
-    """What is on all the `sides` (few: each may double what is at hand), and which vertices have changed places.
+    """Return the part of a surface on the inner side of all `sides`, and int64 [2, n]: pairs of swapped vertices.
 
-    One vertex is new on each edge that changes sign, so the mesh stays welded; its arrays are interpolated between the
-    edge's ends. Vertices, edges and triangles keep their numbers, but for the last ones, which fill the gaps.
-    Returns a Surface and int64 [2, n]: the items of the arrays of vertices that were swapped. With another `room` than
-    `copied` the arrays are overwritten; swapping back gives the vertices that there were. The same bytes for any number
-    of threads.
+    Each edge that changes sign gets one new vertex, so the mesh stays welded; its attributes are interpolated between
+    the edge's ends. Elements keep their numbers, except that the last ones fill the gaps. With another `room` than
+    `copied` the arrays are overwritten; swapping back restores the earlier vertices. The bytes do not depend on the
+    number of threads. `sides` should be few: each may double the number of listed triangles.
     """
     if not sides:
         return surface, NONE_SWAPPED
@@ -90,7 +95,7 @@ def cut(surface, sides: Sequence[Side], *, room: Room = copied, threads: int = 1
         near |= value <= 0.0
     if not near.any():
         return surface, NONE_SWAPPED
-    if any(side.tolerance for side in sides):  # what comes to be on the line may go, too
+    if any(side.tolerance for side in sides):  # vertices that are moved onto the line may be removed, too
         near[surface.triangles[_listed(near, surface.corner_verts, threads)]] = True
     work = _Work(surface, near, len(sides), room, threads)
     for side, value in zip(sides, values, strict=True):
@@ -99,7 +104,7 @@ def cut(surface, sides: Sequence[Side], *, room: Room = copied, threads: int = 1
 
 
 def drop(surface, triangles: np.ndarray, *, room: Room = copied, threads: int = 1):
-    """The surface without the `triangles`, bool [T]; all else as `cut`."""
+    """Remove `triangles`, bool [T], from a surface. Arguments and results are those of `cut`."""
     if not triangles.any():
         return surface, NONE_SWAPPED
     near = np.zeros(len(surface.positions), bool)
@@ -110,15 +115,15 @@ def drop(surface, triangles: np.ndarray, *, room: Room = copied, threads: int = 
 
 
 class _Work:
-    """A surface that is being cut, in arrays with room for what comes."""
+    """A surface that is being cut, in arrays with room for new elements."""
 
     def __init__(self, surface, near: np.ndarray, sides: int, room: Room, threads: int):
         self.surface = surface
         self.before = len(surface.positions), len(surface.edges), len(surface.triangles)
-        # So many vertices may go at most, and with them edges between them: as many of the last may fill the gaps.
-        most_gone = int(np.count_nonzero(near))
-        near[max(0, len(near) - most_gone) :] = True
-        near[surface.edges[max(0, len(surface.edges) - MAX_EDGES * most_gone) :]] = True
+        # At most this number of vertices is removed, with the edges between them: as many of the last fill the gaps.
+        max_removed = int(np.count_nonzero(near))
+        near[max(0, len(near) - max_removed) :] = True
+        near[surface.edges[max(0, len(surface.edges) - MAX_EDGES * max_removed) :]] = True
         listed = _listed(near, surface.corner_verts, threads)
         self.corners = surface.triangles[listed]
         # At a side each triangle may become two, with two new vertices and two new edges.
@@ -143,12 +148,12 @@ class _Work:
         m.gone, m.counts = shared(self.gone.view(np.uint8), wp.uint8), shared(self.counts, wp.int32)
 
     def _rows(self, name: str) -> np.ndarray:
-        """An array as one row for each vertex, edge or triangle."""
+        """Return a view of an array with one row for each vertex, edge or triangle."""
         array, each = self.arrays[name], self.items[name][1]
         return array[: len(array) // each * each].reshape(len(array) // each, -1)
 
     def cut(self, side: Side, value: np.ndarray) -> None:
-        """`value`: of the vertices that were there before all cuts."""
+        """Cut at a side. `value`: signed values of the vertices from before all cuts."""
         first, first_edge, first_face, _ = self.counts.tolist()
         self.value[self.corners] = value[self.corners]
         earlier, on_line = slice(len(value), first), np.zeros(first - len(value), bool)
@@ -172,9 +177,9 @@ class _Work:
                     new /= np.sqrt(np.sum(new * new, axis=1, keepdims=True))
                 rows[first:end] = new
             elif kind == kernels.TRIANGLE and name not in TOPOLOGY:
-                # What a triangle has at its corners is the same at all three.
+                # A triangle has the same values at all three corners.
                 rows[first_face:end_face] = rows[self.parent[: end_face - first_face]]
-            elif name not in TOPOLOGY:  # edges across a triangle are of no other
+            elif name not in TOPOLOGY:  # new edges across a triangle have no edge to copy from
                 rows[first_edge:end_edge] = 0
         for name, column, known in side.known:
             self.arrays[name][first:end, column] = known
@@ -183,7 +188,7 @@ class _Work:
             self._merge(np.arange(first_edge, end_edge))
 
     def _merge(self, new: np.ndarray) -> None:
-        """One vertex of two that a new edge joins and float32 can hardly tell apart, as where a needle is cut."""
+        """Merge the two ends of new edges that are too short for float32, as where a sliver is cut."""
         edges, corners, sides = (self.rows[name] for name in ("edges", "corner_verts", "corner_edges"))
         place = self.arrays["positions"][edges[new], :2].astype(np.float64)
         length = lengths((place[:, 0] - place[:, 1]).T)
@@ -207,7 +212,7 @@ class _Work:
         self.gone[kernels.EDGE, np.union1d(sides[flat], np.union1d(pairs, short))] = True
 
     def close(self):
-        """Fill the gaps with the last of those that stay."""
+        """Fill the gaps with the last remaining elements; return the surface and the pairs of swapped vertices."""
         launch.once(kernels.close, [self.m], step="cut")
         ends, moves, moved = zip(*(self._moves(kind) for kind in range(3)), strict=True)
         inputs = [self.m, *ends[:2], *(shared(to, wp.int32) for to in moved[:2])]
@@ -224,7 +229,8 @@ class _Work:
         return replace(self.surface, **views, attributes=attributes), moves[kernels.VERTEX]
 
     def _moves(self, kind: int) -> tuple[int, np.ndarray, np.ndarray]:
-        """How many stay; int64 [2, n]: where some move from, and where to; int32: of all behind the end where to."""
+        """Return the number of remaining elements, int64 [2, n]: old and new numbers of those that move, and int32: new
+        numbers of all elements behind the end, -1 for removed ones."""
         total = int(self.counts[kind])
         gone = np.flatnonzero(self.gone[kind, :total])
         end = total - len(gone)
@@ -235,21 +241,21 @@ class _Work:
 
 
 def _merged(pairs: np.ndarray, count: int) -> np.ndarray:
-    """int64 [count]: the least number that pairs, int [n, 2], join each number with."""
+    """Return int64 [count]: the smallest number that each number is joined with by pairs, int [n, 2]."""
     to = np.arange(count)
     for a, b in pairs.tolist():
-        least, other = sorted((to[a], to[b]))
-        to[to == other] = least
+        smaller, larger = sorted((to[a], to[b]))
+        to[to == larger] = smaller
     return to
 
 
 def swap(array: np.ndarray, swapped: np.ndarray) -> None:
-    """Change the places of items; doing it again undoes it."""
+    """Swap pairs of items, int64 [2, n]; a second call undoes it."""
     array[swapped] = array[swapped[::-1]]
 
 
 def _listed(near: np.ndarray, corner_verts: np.ndarray, threads: int) -> np.ndarray:
-    """int32, ascending: the triangles that have a vertex in `near`."""
+    """Return int32, ascending: the triangles that have a vertex in `near`."""
     triangles = len(corner_verts) // 3
     pieces = threads if triangles >= launch.SLICE_ITEMS else 1
     listed, found = np.empty(triangles, np.int32), np.zeros(pieces, np.int32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Displacement: positions, normals and uv of a frame's points. Points of the last frame are copied from it."""
+"""Displacement: positions, normals and uv of a frame's points. Points that the last frame had are copied."""
 
 from functools import cache
 
@@ -10,14 +10,14 @@ from ...kernels.detail import displace as detail_kernels
 from ...kernels.field.domain import Domain
 from ...kernels.mesh import displace as displace_kernels
 from ...kernels.mesh import meshlet as meshlet_kernels
-from ...kernels.morph import displace as rising_kernels
+from ...kernels.morph import displace as morph_kernels
 from ...kernels.refine.runs import Run, Runs
 from ..field.heightfield import HeightField
 from ..history.frame import Vertices
 from ..history.frame_history import FrameHistory
 from ..run import launch
 from ..run.buffers import bind
-from .rising import Rising, memories
+from .geomorph import Geomorph, thread_memories
 
 
 def displace(
@@ -28,18 +28,18 @@ def displace(
     parts: list[tuple[int, int]],
     pieces: int,
     slots: list[int] | None,
-    rising: Rising | None,
+    geomorph: Geomorph | None,
     meshlet: int,
 ) -> None:
-    """Displace points that lie in parts (base, count) of the array `point`, each part in so many pieces.
+    """Displace the points in parts (base, count) of the array `point`, each part in `pieces` pieces.
 
-    `slots`: each part's list of the runs that `reuse_points` or `reuse_inner_points` has bound; None: nothing is
-    copied. Raises TerrainError where a damaged field gives positions that are not finite.
+    `slots`: number of each part's list of runs, which `reuse_points` or `reuse_inner_points` has bound; None if nothing
+    is copied. Raises TerrainError if a damaged field gives positions that are not finite.
     """
     arrays, scratch, vertices = history.next.arrays, history.scratch, sum(int(n) for _, n in parts)
-    p = arrays.struct(displace_kernels.Points)
+    p = arrays.struct(displace_kernels.DisplacedPoints)
     if slots is None:
-        bind(p, taken=_no_runs())
+        bind(p, reused=_no_runs())
         slots = [0] * len(parts)
     bind(
         p,
@@ -56,10 +56,10 @@ def displace(
     not_finite = scratch.numpy("not_finite")
     not_finite[0] = 0
     kernel, detail = displace_kernels.displace, field.packed_detail
-    if rising:
-        packed = rising.pack(detail, meshlet, vertices, history)
-        kernel, own = rising_kernels.displace_morphing, memories(scratch, len(inputs))
-        inputs = [[*values, packed, memory] for values, memory in zip(inputs, own, strict=True)]
+    if geomorph:
+        packed = geomorph.pack(detail, meshlet, vertices, history)
+        kernel, memory = morph_kernels.displace_morphing, thread_memories(scratch, len(inputs))
+        inputs = [[*values, packed, m] for values, m in zip(inputs, memory, strict=True)]
     elif detail:
         kernel, inputs = detail_kernels.displace_detail, [[*values, detail] for values in inputs]
     launch.slices(kernel, inputs, step="displace", recorded=arrays.launches)
@@ -68,15 +68,15 @@ def displace(
 
 
 def reuse_points(history: FrameHistory) -> list[int]:
-    """Have the points copied that the walk has copied from the last frame; returns each slice's list of runs."""
+    """Bind the runs of points that the walk copied from the last frame; return the number of each slice's list."""
     leaves, before = history.next.leaves, history.last.leaves
     _copy(history, history.next.reused_points, before.base, np.cumsum([0, *before.counts[:-1, 1]]))
     return leaves.slots.tolist()
 
 
 def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> list[int]:
-    """Have the `points` inside each leaf copied that is in both frames; returns the list of runs of all other points
-    and that of these."""
+    """Bind the runs of the `points` inside leaves that both frames have; return the numbers of the list of all other
+    points and of the list of these."""
     scratch, before = history.scratch, history.last.vertices
     runs, room = scratch.struct(Runs, slot=1), min(before.leaves, now.leaves)
     bind(runs, runs=scratch.get("inner_runs", room, Run), counts=scratch.get("inner_run_counts", 1, wp.int64))
@@ -84,19 +84,19 @@ def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> lis
     levels = [frame.arrays.get("leaf_level", 1, wp.int32) for frame in (history.last, history.next)]
     firsts = before.first_inner, now.first_inner
     inputs = [before.leaves, now.leaves, *levels, *firsts, points, runs.runs, runs.counts]
-    launch.once(meshlet_kernels.points_that_stay, inputs, step="meshlets", recorded=history.next.arrays.launches)
+    launch.once(meshlet_kernels.find_common_points, inputs, step="meshlets", recorded=history.next.arrays.launches)
     nothing = np.zeros(1, np.int64)
     _copy(history, runs, nothing, nothing)
     return [1, 0]
 
 
 def _copy(history: FrameHistory, runs: Runs, base: np.ndarray, first: np.ndarray) -> None:
-    """Have runs of points copied from the last frame, where the points of slices lie from `base` on and have numbers
-    from `first` on."""
+    """Bind runs of points of the last frame. `base`: first entry of each slice's points there; `first`: number of its
+    first vertex."""
     arrays, last = history.next.arrays, history.last.arrays
     bind(
-        arrays.struct(displace_kernels.Points),
-        taken=runs,
+        arrays.struct(displace_kernels.DisplacedPoints),
+        reused=runs,
         last_base=history.scratch.table("last_slice_base", base, wp.int64),
         last_vertex=history.scratch.table("last_slice_vertex", first, wp.int64),
         last_slices=len(base),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The template of a meshlet: what an even number of bisections makes of one leaf, as tables of places."""
+"""The template of a meshlet: tables of the triangles into which an even number of bisections divides a leaf."""
 
 from functools import cache
 
@@ -8,7 +8,7 @@ import warp as wp
 
 from ...kernels.mesh.meshlet import Template
 
-# Corners and sides are kept left, apex, right at odd depths, and mirrored at even ones.
+# Corners and sides are stored left, apex, right at odd depths, and mirrored at even ones.
 _MIRRORED_CORNERS, _MIRRORED_SIDES = [2, 1, 0], [1, 0, 2]
 
 Place = tuple[int, int, int]  # barycentric, in n-ths: left, apex, right
@@ -16,7 +16,7 @@ Place = tuple[int, int, int]  # barycentric, in n-ths: left, apex, right
 
 @cache
 def template(meshlet: int) -> Template:
-    """The tables for 4**meshlet triangles a leaf; kernels/mesh/meshlet.py says in which order points and lines come."""
+    """Return the tables for 4**meshlet triangles a leaf; kernels/mesh/meshlet.py has the order of points and lines."""
     n = 1 << meshlet
     triangles = [((n, 0, 0), (0, n, 0), (0, 0, n))]
     for _ in range(2 * meshlet):
@@ -61,7 +61,7 @@ def template(meshlet: int) -> Template:
 
 
 def _side(*places: Place) -> int | None:
-    """The side on which all places lie: 0 from left to apex, 1 from apex to right, 2 from right to left."""
+    """Return the side that all places are on: 0 from left to apex, 1 from apex to right, 2 from right to left."""
     for side in range(3):
         if all(b[(side + 2) % 3] == 0 for b in places):
             return side

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What lies inside of an outline in plan, as sides of cuts.
+"""Cut sides for the inside of an outline in plan.
 
 A convex outline of few lines is cut line by line, exactly. Of any other the value is the distance to it: the border
 follows the outline where it is straight across a triangle, and rounds its corners off by less than a triangle.
@@ -10,15 +10,15 @@ import numpy as np
 from ..view.linear import lengths
 from .cut import Side
 
-# Each line of a convex outline is a cut of its own.
+# A convex outline with at most this number of lines is cut line by line.
 MAX_LINES = 32
-# Parts of the outline's size that rounding may be off.
+# Rounding error, as a fraction of the outline's size.
 SAME = 1e-9
 BLOCK = 1 << 20  # distances at a time
 
 
 def inside(triangles: np.ndarray, surface) -> list[Side]:
-    """Sides that keep what of `surface` is above or below any of `triangles`, float64 [n, 3, 2] metres in plan."""
+    """Return sides that keep the part of `surface` inside `triangles` in plan, float64 [n, 3, 2] metres."""
     triangles = counter_clockwise(triangles)
     border = outline(triangles) if len(triangles) else triangles
     if not len(border):
@@ -31,14 +31,14 @@ def inside(triangles: np.ndarray, surface) -> list[Side]:
 
 
 def counter_clockwise(triangles: np.ndarray) -> np.ndarray:
-    """float64 [m, 3, 2]: those of float64 [n, 3, 2] that have an area, turned over where they are clockwise."""
+    """Return the triangles, float64 [n, 3, 2], that have an area, all counter-clockwise."""
     (ux, uy), (vx, vy) = (triangles[:, k].T - triangles[:, 0].T for k in (1, 2))
     area2 = ux * vy - uy * vx
     return np.where((area2 < 0)[:, None, None], triangles[:, ::-1], triangles)[area2 != 0]
 
 
 def outline(triangles: np.ndarray) -> np.ndarray:
-    """float64 [m, 2, 2]: edges of counter-clockwise triangles that have triangles on their left alone, each once."""
+    """Return float64 [m, 2, 2]: the edges with a counter-clockwise triangle on their left side only, each once."""
     edges = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2, 2)
     grid = np.rint((edges - edges.min(axis=(0, 1))) / (SAME * np.ptp(edges, axis=(0, 1)).max())).astype(np.int64)
     _, number = np.unique(grid.reshape(-1, 2), axis=0, return_inverse=True)
@@ -49,7 +49,7 @@ def outline(triangles: np.ndarray) -> np.ndarray:
 
 
 def _lines(border: np.ndarray) -> np.ndarray:
-    """float64 [n, 3]: the lines on which the edges are, each once: a x + b y + c is the distance to the left."""
+    """Return float64 [n, 3]: the edges' lines (a, b, c), each once; a x + b y + c is the distance to the left."""
     along = border[:, 1] - border[:, 0]
     normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / lengths(along.T)[:, None]
     lines = np.concatenate([normal, -np.sum(normal * border[:, 0], axis=1, keepdims=True)], axis=1)
@@ -64,18 +64,20 @@ def _from_line(line: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _holds_all(lines: np.ndarray, points: np.ndarray) -> bool:
-    """Whether no point is to the right of a line."""
-    least = -1e3 * SAME * np.abs(points).max()
-    return all((_from_line(line, points) >= least).all() for line in lines)
+    """Return whether no point is to the right of a line."""
+    min_distance = -1e3 * SAME * np.abs(points).max()
+    return all((_from_line(line, points) >= min_distance).all() for line in lines)
 
 
 def _distances(triangles: np.ndarray, border: np.ndarray, surface) -> np.ndarray:
-    """float64 [V]: how far inside a vertex is, metres; where none of its triangles crosses the border only the sign is
-    right."""
+    """Return float64 [V]: distance of each vertex to the border in metres, positive inside.
+
+    The magnitude is exact only for vertices of triangles that cross the border; others have the right sign.
+    """
     place = surface.positions[:, :2].astype(np.float64)
-    kept = covered(triangles, place)
-    values = np.where(kept, 1.0, -1.0)
-    corners = kept[surface.triangles]
+    is_inside = covered(triangles, place)
+    values = np.where(is_inside, 1.0, -1.0)
+    corners = is_inside[surface.triangles]
     near = np.unique(surface.triangles[corners.any(axis=1) & ~corners.all(axis=1)])
     start, along = border[:, 0], border[:, 1] - border[:, 0]
     for part in np.array_split(near, 1 + len(near) * len(border) // BLOCK):
@@ -87,7 +89,7 @@ def _distances(triangles: np.ndarray, border: np.ndarray, surface) -> np.ndarray
 
 
 def covered(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """bool [n]: whether points, float64 [n, 2], are on any of the counter-clockwise triangles."""
+    """Return bool [n]: whether points, float64 [n, 2], are on any of the counter-clockwise triangles."""
     order = np.argsort(points[:, 0], kind="stable")
     x, y = points[order].T
     found = np.zeros(len(points), bool)

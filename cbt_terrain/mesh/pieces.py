@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which triangles of a surface that was cut are pieces of which triangles of the whole one."""
+"""Map from the triangles of a cut surface to the triangles of the whole surface that they are pieces of."""
 
 from dataclasses import dataclass
 
@@ -7,13 +7,15 @@ import numpy as np
 
 from .surface import Surface
 
-ROUNDED = 4 * float(np.finfo(np.float32).eps)  # by which part of the largest coordinate a corner may be off its place
+ROUNDED = 4 * float(np.finfo(np.float32).eps)  # rounding error of a corner, as a fraction of the largest coordinate
 
 
 @dataclass(frozen=True)
 class Pieces:
-    """`order` int64 [T]: the triangles of `surface`, sorted by the number of the whole triangle that each is of.
-    `whole` int64 [T]: those numbers, ascending."""
+    """Triangles of a cut surface, sorted by the whole triangle that each is a piece of.
+
+    `order` int64 [T]: triangles of `surface` in that order. `whole` int64 [T]: their whole triangles, ascending.
+    """
 
     surface: Surface
     order: np.ndarray
@@ -21,13 +23,17 @@ class Pieces:
 
     @classmethod
     def of(cls, surface: Surface, whole: np.ndarray) -> "Pieces":
-        """`whole` int64 [T]: of each triangle the whole one that it is of."""
+        """Sort the triangles of a surface. `whole` int64 [T]: the whole triangle of each triangle."""
         order = np.argsort(whole, kind="stable")
         return cls(surface, order, whole[order])
 
     def at(self, whole: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """int64 [n]: of the pieces of the triangles `whole`, int64 [n], those at `places`, float64 [n, 2] in metres; -1
-        where none is but for the rounding of their corners."""
+        """Find pieces at points; return int64 [n], -1 where no piece is, even if its corners are off by rounding.
+
+        Args:
+            whole: int64 [n], the whole triangle at each point.
+            places: float64 [n, 2], metres.
+        """
         first, end = (np.searchsorted(self.whole, whole, side=side) for side in ("left", "right"))
         found, depth = np.full(len(whole), -1), np.full(len(whole), -np.inf)
         for k in range(int((end - first).max(initial=0))):
@@ -41,12 +47,12 @@ class Pieces:
 
 
 def middles(surface: Surface) -> np.ndarray:
-    """float64 [T, 2]: the centroid of each triangle in plan."""
+    """Return float64 [T, 2]: the centroid of each triangle in plan, metres."""
     return surface.positions[surface.triangles, :2].astype(np.float64).mean(axis=1)
 
 
 def _depth(corners: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """How far inside of a triangle, float32 [n, 3, 2], counter-clockwise, a place is, metres; below 0: outside."""
+    """Return the depth of points inside counter-clockwise triangles, float32 [n, 3, 2], metres; negative outside."""
     corners = corners.astype(np.float64)
     sides, there = np.roll(corners, -1, axis=1) - corners, places[:, None] - corners
     across = sides[..., 0] * there[..., 1] - sides[..., 1] * there[..., 0]

@@ -44,18 +44,18 @@ class Surface:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """How many elements each domain has."""
+        """Number of elements of each domain."""
         corners = len(self.corner_verts)
         return {POINT: len(self.positions), EDGE: len(self.edges), FACE: corners // 3, CORNER: corners}
 
     def with_attributes(self, attributes: dict[str, Attribute]) -> "Surface":
-        """The same mesh with these too, in place of those of the same name. Raises TerrainError if one does not fit."""
+        """Return the mesh with added or replaced attributes. Raises TerrainError if one does not fit."""
         for name, attribute in attributes.items():
             attribute.check(name, self.sizes)
         return replace(self, attributes=self.attributes | attributes)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All arrays by name."""
+        """Return all arrays by name."""
         topology = {name: array for name, array in vars(self).items() if name != "attributes"}
         return topology | {name: attribute.array for name, attribute in self.attributes.items()}
 

@@ -19,7 +19,7 @@ NOT_NESTED = "its errors are not nested or its heights not finite, so that trian
 
 
 class TornMesh(TerrainError):
-    """Leaves do not fit together."""
+    """Error of leaves that do not fit together."""
 
 
 def weld(field: HeightField, domain: Domain, history: FrameHistory, level_in: Buffers) -> None:
@@ -66,7 +66,7 @@ def weld(field: HeightField, domain: Domain, history: FrameHistory, level_in: Bu
     torn = state[:, weld_state.TORN].any() or entered[0] or left[-1] or (entered[1:] != left[:-1]).any()
     # A single slice has no earlier ones that could have the edges it looks for.
     if torn or (slices == 1 and state[0, weld_state.IMPORTS]):
-        raise TornMesh(str(field.damage(NOT_NESTED)))
+        raise TornMesh(*field.damage(NOT_NESTED).args)
 
 
 def mesh_arrays(buffers: Buffers, prefix: str, triangles: int, edges: int, level_in: Buffers) -> dict[str, wp.array]:
@@ -80,7 +80,7 @@ def mesh_arrays(buffers: Buffers, prefix: str, triangles: int, edges: int, level
 
 
 def _tables(leaves: Leaves, scratch: Buffers) -> dict[str, wp.array]:
-    """Return what the kernel knows of the slices."""
+    """Return the kernel's tables of the slices."""
     return {
         "counts": scratch.table("slice_counts", leaves.counts, wp.int64),
         "leaf_base": scratch.table("slice_base", leaves.base, wp.int64),
@@ -90,7 +90,10 @@ def _tables(leaves: Leaves, scratch: Buffers) -> dict[str, wp.array]:
 
 
 def _check_sides(field: HeightField, sides: np.ndarray) -> None:
-    """Check that every square takes as many edges of a side as its neighbour gives; sides int32 [rows, columns, 4]."""
+    """Raise TornMesh unless neighbouring squares have equal numbers of edges on the side between them.
+
+    sides: int32 [rows, columns, 4], edges on the left, lower, right and upper side of each square.
+    """
     left, below, right, above = np.moveaxis(sides, 2, 0)
     if (left[:, 1:] != right[:, :-1]).any() or (below[1:] != above[:-1]).any():
-        raise TornMesh(str(field.damage(NOT_NESTED)))
+        raise TornMesh(*field.damage(NOT_NESTED).args)

@@ -57,7 +57,7 @@ class ConcurrentBinaryTree:
     def __init__(self, max_depth: int, threads: int | None = 1):
         if not (isinstance(max_depth, int) and MIN_DEPTH <= max_depth <= MAX_DEPTH):
             raise TerrainError(
-                f"The tree's depth is {max_depth!r}; expected a whole number, {MIN_DEPTH} .. {MAX_DEPTH}."
+                f"The tree's depth is {max_depth!r}", expected=f"a whole number, {MIN_DEPTH} .. {MAX_DEPTH}"
             )
         self.max_depth, self.cell_count, self.threads = max_depth, 1 << max_depth, threads
         self.bits = bitfield.Bitfield()
@@ -88,7 +88,7 @@ class ConcurrentBinaryTree:
         numbers = np.ascontiguousarray(numbers, np.int32)
         low, high = numbers.min(initial=0), numbers.max(initial=0)
         if low < 0 or high >= self.leaf_count:
-            raise TerrainError(f"The tree has no leaves {low} .. {high}; expected 0 .. {self.leaf_count - 1}.")
+            raise TerrainError(f"The tree has no leaves {low} .. {high}", expected=f"0 .. {self.leaf_count - 1}")
         ids = np.empty(len(numbers), np.uint64)
         self._spread(queries.decode_leaves, len(ids), [shared(numbers, wp.int32), shared(ids, wp.uint64)])
         return ids
@@ -125,7 +125,7 @@ class ConcurrentBinaryTree:
     def edit(self, kernel: wp.Kernel, count: int, inputs: list) -> None:
         """Run a kernel over `count` items that splits and merges nodes of `bits`, then sum above the changed words.
 
-        The kernel is repeated where the pool of pages was full, so what it does must not depend on what it has done.
+        The kernel runs again after the pool of pages was full, so a repeated run must give the same result.
         """
         if 2 * self._pages_used > self.bits.num_pages:  # pages of words that are no longer stored were lost
             depths = self.depths()
@@ -233,7 +233,7 @@ class ConcurrentBinaryTree:
             launch.once(reduction.reduce_words, [self.bits], step="tree", recorded=self._recorded)
 
     def _clear(self, num_pages: int) -> None:
-        """Make the root the only leaf, in a pool of so many pages."""
+        """Make the root the only leaf, in a pool of `num_pages` pages."""
         used = SLOTS * self._pages_used
         self._resize(num_pages)
         for array in self._arrays.values():
@@ -243,7 +243,7 @@ class ConcurrentBinaryTree:
         self._state[bitfield.PAGES_USED] = FIRST_PAGES
 
     def _resize(self, num_pages: int) -> None:
-        """Make room for so many pages; what they hold stays."""
+        """Make room for `num_pages` pages; they keep their content."""
         self._state[bitfield.PAGES_USED] = min(self._pages_used, self.bits.num_pages)
         self._state[bitfield.IS_FULL] = 0
         if num_pages != self.bits.num_pages:

@@ -5,7 +5,7 @@ import warp as wp
 
 from ..field.detail import PackedLayers, detail_at
 from ..field.domain import Domain
-from ..mesh.displace import AHEAD, Points, fetch_samples, find_run, put_vertex, runs_of, surface_at, take_run
+from ..mesh.displace import AHEAD, DisplacedPoints, fetch_samples, find_run, put_vertex, runs_of, surface_at, take_run
 from ..unchecked import item_at
 
 
@@ -29,7 +29,7 @@ def displace_detail(
     vertex_base: wp.int32,
     slot: wp.int32,
     domain: Domain,
-    points: Points,
+    points: DisplacedPoints,
     layers: PackedLayers,
 ):
     """Do the same as `displace` in kernels/mesh/displace.py on the surface with all displacement layers."""

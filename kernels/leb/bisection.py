@@ -122,24 +122,24 @@ def neighbours_of(grid: SquareGrid, node: LebNode):
     left = first_neighbour(grid, node, heap_id, 0)
     right = first_neighbour(grid, node, heap_id, 1)
     edge = first_neighbour(grid, node, heap_id, 2)
-    own = LebNode()
-    own.column = node.column
-    own.row = node.row
-    own.heap_id = wp.uint64(heap_id)
+    ancestor = LebNode()
+    ancestor.column = node.column
+    ancestor.row = node.row
+    ancestor.heap_id = wp.uint64(heap_id)
     for k in range(start, depth):
         bit = (node.heap_id >> wp.uint64(depth - 1 - k)) & ONE
-        # Child 0 lies beside child 1 to its left, child 1 beside child 0 to its right.
+        # Child 1 is the left neighbour of child 0; child 0 is the right neighbour of child 1.
         across = half(edge, ONE - bit)
         outer = half(right, ONE)
         if bit == ONE:
             outer = half(left, wp.uint64(0))
             left = across
-            right = half(own, wp.uint64(0))
+            right = half(ancestor, wp.uint64(0))
         else:
-            left = half(own, ONE)
+            left = half(ancestor, ONE)
             right = across
         edge = outer
-        own = half(own, bit)
+        ancestor = half(ancestor, bit)
     return left, right, edge
 
 
@@ -152,7 +152,7 @@ def edge_neighbour(grid: SquareGrid, node: LebNode) -> LebNode:
 
 @wp.func
 def split_conforming(t: Bitfield, grid: SquareGrid, tree_id: wp.uint64):
-    """Split a leaf with the other half of its diamond, and what is coarser beside them.
+    """Split a leaf, the other half of its diamond, and the coarser neighbours of both.
 
     A diamond is split on both sides or not at all: forced splits as in ROAM (Duchaineau et al. 1997). Threads may split
     neighbours at once: the one that splits a parent goes on from there. A parent comes before its half, for the bits

@@ -37,5 +37,5 @@ def write_neighbours(
 
 @wp.kernel
 def split_diamonds(offset: wp.int32, t: Bitfield, grid: SquareGrid, ids: wp.array(dtype=wp.uint64)):
-    """Split leaves, each with its diamond and what is coarser beside it."""
+    """Split leaves, each with its diamond and coarser neighbours."""
     split_conforming(t, grid, ids[offset + wp.tid()])

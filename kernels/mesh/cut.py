@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A triangle mesh cut where a signed value at its vertices is 0; what is negative goes.
+"""Cut of a triangle mesh where a signed value at its vertices is 0; the negative part is removed.
 
-A vertex is new where an edge changes sign, one for both triangles, so no T-junction comes of it. What stays keeps its
-number, but for the last ones, which fill the gaps: only what a cut touches costs time.
+An edge that changes sign gets one new vertex, which both of its triangles share, so the cut makes no T-junctions.
+Remaining elements keep their numbers, except that the last ones move into the gaps. So the cost depends only on the
+elements that a cut touches.
 """
 
 import warp as wp
@@ -19,11 +20,11 @@ class Cut:
     corner_edges: wp.array(dtype=wp.int32)
     edges: wp.array(dtype=wp.vec2i)
     value: wp.array(dtype=wp.float64)  # of each vertex of a listed triangle
-    listed: wp.array(dtype=wp.int32)  # triangles that are cut, left out or use what may move, and new ones
-    ends: wp.array(dtype=wp.vec2i)  # of each new vertex' edge: the positive end and the negative one
+    listed: wp.array(dtype=wp.int32)  # triangles that are cut, removed, new, or may use moved elements
+    ends: wp.array(dtype=wp.vec2i)  # positive and negative end of each new vertex' edge
     parent: wp.array(dtype=wp.int32)  # of each new triangle
-    gone: wp.array(dtype=wp.uint8, ndim=2)  # [VERTEX .. TRIANGLE, number]: 1 where it goes
-    counts: wp.array(dtype=wp.int32)  # [VERTEX .. LISTED]: how many there are, and how many triangles are listed
+    gone: wp.array(dtype=wp.uint8, ndim=2)  # [VERTEX .. TRIANGLE, number]: 1 if it is removed
+    counts: wp.array(dtype=wp.int32)  # [VERTEX .. LISTED]: number of each, and of listed triangles
 
 
 VERTEX, EDGE, TRIANGLE, LISTED = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
@@ -39,7 +40,7 @@ def list_near(
     listed: wp.array(dtype=wp.int32),
     found: wp.array(dtype=wp.int32),
 ):
-    """Triangles from `first` to `end` that have a vertex in `near`, to listed[first ..]; found[slot] is how many."""
+    """Write triangles from `first` to `end` with a vertex in `near` to listed[first ..]; found[slot]: their number."""
     n = first
     for t in range(first, end):
         if has_near_corner(near, corner_verts, t):
@@ -79,7 +80,7 @@ def flag_holes(
 
 @wp.func
 def part_near(tolerance: wp.float64, p: wp.vec3f, q: wp.vec3f) -> wp.float64:
-    """The part of the edge from p to q, in plan, that is as long as `tolerance` parts of their largest coordinate."""
+    """Return `tolerance` times the largest coordinate of p and q, as a fraction of the edge's length in plan."""
     largest = wp.max(wp.max(wp.abs(p[0]), wp.abs(p[1])), wp.max(wp.abs(q[0]), wp.abs(q[1])))
     x = wp.float64(q[0]) - wp.float64(p[0])
     y = wp.float64(q[1]) - wp.float64(p[1])
@@ -88,7 +89,7 @@ def part_near(tolerance: wp.float64, p: wp.vec3f, q: wp.vec3f) -> wp.float64:
 
 @wp.kernel
 def put_on_line(tolerance: wp.float64, positions: wp.array(dtype=wp.vec3f), m: Cut):
-    """A vertex that float32 could hardly tell from where an edge would be cut is on the line."""
+    """Set the value of a vertex to 0 if the cut of one of its edges would be as close to it as float32 resolves."""
     for i in range(m.counts[LISTED]):
         o = 3 * m.listed[i]
         for c in range(3):
@@ -103,8 +104,8 @@ def put_on_line(tolerance: wp.float64, positions: wp.array(dtype=wp.vec3f), m: C
 
 
 @wp.func
-def leave_out(m: Cut, t: wp.int32):
-    """A triangle goes, and with it what no triangle that stays uses: see `close`."""
+def remove_triangle(m: Cut, t: wp.int32):
+    """Mark a triangle, its vertices and its edges as removed; `close` restores those that other triangles use."""
     m.gone[TRIANGLE, t] = wp.uint8(1)
     for c in range(3):
         m.gone[VERTEX, m.corner_verts[3 * t + c]] = wp.uint8(1)
@@ -112,8 +113,8 @@ def leave_out(m: Cut, t: wp.int32):
 
 
 @wp.func
-def added(m: Cut, kind: wp.int32) -> wp.int32:
-    """The number of one more."""
+def add_one(m: Cut, kind: wp.int32) -> wp.int32:
+    """Count one more element of a kind; return its number."""
     number = m.counts[kind]
     m.counts[kind] = number + 1
     return number
@@ -121,12 +122,12 @@ def added(m: Cut, kind: wp.int32) -> wp.int32:
 
 @wp.func
 def cut_point(m: Cut, first: wp.int32, e: wp.int32, p: wp.int32, q: wp.int32) -> wp.int32:
-    """The vertex where edge e from p (positive) to q (negative) is cut; whoever comes first makes it, in place of q."""
+    """Return the vertex that cuts edge e from p (positive) to q (negative). The first call makes it, in place of q."""
     a = m.edges[e][0]
     b = m.edges[e][1]
     n = a + b - p
     if n == q:
-        n = added(m, VERTEX)
+        n = add_one(m, VERTEX)
         m.ends[n - first] = wp.vec2i(p, q)
         if a == q:
             m.edges[e] = wp.vec2i(n, b)
@@ -145,14 +146,14 @@ def put_triangle(m: Cut, t: wp.int32, v: wp.vec3i, e: wp.vec3i):
 
 @wp.func
 def clip(m: Cut, t: wp.int32, first_vertex: wp.int32, first_triangle: wp.int32):
-    """Keep what is not negative of a triangle that has a positive and a negative corner: a triangle or two.
+    """Replace a triangle with corners of both signs by its non-negative part: one or two triangles.
 
-    As Sutherland and Hodgman (1974) clip a polygon.
+    This is the polygon clipping of Sutherland and Hodgman (1974).
     """
-    v = wp.vec4i()  # corners of what stays, counter-clockwise
+    v = wp.vec4i()  # corners of the non-negative part, counter-clockwise
     e = wp.vec4i()  # ... and the edge from each to the next
     n = wp.int32(0)
-    line = added(m, EDGE)
+    line = add_one(m, EDGE)
     for i in range(3):
         p = m.corner_verts[3 * t + i]
         q = m.corner_verts[3 * t + (i + 1) % 3]
@@ -182,21 +183,21 @@ def clip(m: Cut, t: wp.int32, first_vertex: wp.int32, first_triangle: wp.int32):
         put_triangle(m, t, wp.vec3i(v[k], v[a], v[b]), wp.vec3i(line, e[a], e[b]))
     else:
         c = (k + 3) % n
-        across = added(m, EDGE)
+        across = add_one(m, EDGE)
         m.edges[across] = wp.vec2i(v[a], v[c])
         put_triangle(m, t, wp.vec3i(v[a], v[b], v[c]), wp.vec3i(e[a], e[b], across))
-        other = added(m, TRIANGLE)
+        other = add_one(m, TRIANGLE)
         m.parent[other - first_triangle] = t
-        m.listed[added(m, LISTED)] = other
+        m.listed[add_one(m, LISTED)] = other
         put_triangle(m, other, wp.vec3i(v[a], v[c], v[k]), wp.vec3i(across, e[c], line))
 
 
 @wp.kernel
 def cut(m: Cut):
-    """Cut every listed triangle; one serial thread, as all that follow."""
+    """Cut every listed triangle. This kernel and those below run on one thread."""
     first_vertex = m.counts[VERTEX]
     first_triangle = m.counts[TRIANGLE]
-    listed = m.counts[LISTED]  # those that come meanwhile are cut already
+    listed = m.counts[LISTED]  # triangles that `clip` adds are cut already
     for i in range(listed):
         t = m.listed[i]
         if m.gone[TRIANGLE, t] == wp.uint8(0):
@@ -207,7 +208,7 @@ def cut(m: Cut):
                 lowest = wp.min(lowest, value)
                 highest = wp.max(highest, value)
             if lowest < wp.float64(0.0):
-                leave_out(m, t)
+                remove_triangle(m, t)
                 if highest > wp.float64(0.0):
                     clip(m, t, first_vertex, first_triangle)
 
@@ -217,12 +218,12 @@ def drop(flagged: wp.array(dtype=wp.uint8), m: Cut):
     """Leave out the listed triangles that are flagged."""
     for i in range(m.counts[LISTED]):
         if flagged[m.listed[i]] != wp.uint8(0):
-            leave_out(m, m.listed[i])
+            remove_triangle(m, m.listed[i])
 
 
 @wp.kernel
 def close(m: Cut):
-    """What a triangle that stays uses stays."""
+    """Keep the vertices and edges of the triangles that remain."""
     for i in range(m.counts[LISTED]):
         t = m.listed[i]
         if m.gone[TRIANGLE, t] == wp.uint8(0):
@@ -246,7 +247,7 @@ def renumber(
     moved_vertices: wp.array(dtype=wp.int32),
     moved_edges: wp.array(dtype=wp.int32),
 ):
-    """Give vertices and edges behind the new ends their new numbers: only listed triangles that stay use any."""
+    """Renumber vertices and edges behind the new ends: only listed triangles that remain use any."""
     for i in range(m.counts[LISTED]):
         t = m.listed[i]
         if m.gone[TRIANGLE, t] == wp.uint8(0):

@@ -14,16 +14,16 @@ HIGHEST = wp.constant(wp.float64(3.4028235677973366e38))  # from here on float32
 
 
 @wp.struct
-class Points:
-    """Points of the lattice, and what becomes of them."""
+class DisplacedPoints:
+    """Lattice points, their vertices, and the vertices of the last frame that are reused."""
 
     point: wp.array(dtype=wp.vec2i)
     positions: wp.array(dtype=wp.vec3f)
     normals: wp.array(dtype=wp.vec3f)
     uv: wp.array(dtype=wp.vec2f)
     not_finite: wp.array(dtype=wp.int32)  # [1]: set to 1 where a position or a normal is not finite
-    # Points that were in the last frame, and what became of them.
-    taken: Runs
+    # Points that the last frame had, and its vertices.
+    reused: Runs
     last_base: wp.array(dtype=wp.int64)  # of each slice of it: its first point
     last_vertex: wp.array(dtype=wp.int64)  # ... and that one's number
     last_slices: wp.int32
@@ -34,14 +34,14 @@ class Points:
 
 @wp.func
 def per_cell(cells: wp.int32) -> wp.float64:
-    """What a difference over so many cells, 1 or 2, is multiplied by for one."""
+    """Return the factor that makes a difference over 1 or 2 cells one per cell."""
     return wp.where(cells == 2, wp.float64(0.5), wp.float64(1.0))
 
 
 @wp.func
 def on_sample(samples: Samples, i: wp.int32, j: wp.int32):
-    """Height and gradient (metres a cell) at a sample: central differences, one-sided on the border."""
-    west = wp.min(i, 1)  # cells that there are beside it
+    """Return height and gradient (metres a cell) at a sample: central differences, one-sided on the border."""
+    west = wp.min(i, 1)  # cells to the west, at most 1
     east = wp.min(samples.columns - 1 - i, 1)
     south = wp.min(j, 1)
     north = wp.min(samples.rows - 1 - j, 1)
@@ -54,9 +54,9 @@ def on_sample(samples: Samples, i: wp.int32, j: wp.int32):
 
 @wp.func
 def in_cell(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64):
-    """Height and gradient inside cell (i, j), bilinear between those of its four samples: each of the twelve samples
-    that they need is read once."""
-    west = wp.min(i, 1)  # cells that there are beside it
+    """Return height and gradient (metres a cell) inside cell (i, j), bilinear between those of its four samples. Each
+    of the twelve samples that they need is read once."""
+    west = wp.min(i, 1)  # cells to the west, at most 1
     east = wp.min(samples.columns - 2 - i, 1)
     south = wp.min(j, 1)
     north = wp.min(samples.rows - 2 - j, 1)
@@ -87,7 +87,7 @@ def in_cell(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.flo
 
 @wp.func
 def normal_of(domain: Domain, g: wp.vec3d) -> wp.vec3f:
-    """The unit normal where the surface has height and gradient g (metres a cell)."""
+    """Return the unit normal of a surface with height and gradient g (metres a cell)."""
     units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     nx = -g[1] * (domain.height_scale / (domain.unit_x * units))
     ny = -g[2] * (domain.height_scale / (domain.unit_y * units))
@@ -96,8 +96,8 @@ def normal_of(domain: Domain, g: wp.vec3d) -> wp.vec3f:
 
 
 @wp.func
-def put_vertex(points: Points, o: wp.int32, domain: Domain, p: wp.vec2i, g: wp.vec3d):
-    """Vertex `o` at the lattice point p, with height and gradient g: all in float64, cast to float32 last."""
+def put_vertex(points: DisplacedPoints, o: wp.int32, domain: Domain, p: wp.vec2i, g: wp.vec3d):
+    """Write vertex `o` at the lattice point p with height and gradient g: computed in float64, cast to float32 last."""
     units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     part = wp.float64(1.0) / units  # exact: a power of two
     slope_x = domain.height_scale / (domain.unit_x * units)
@@ -110,7 +110,7 @@ def put_vertex(points: Points, o: wp.int32, domain: Domain, p: wp.vec2i, g: wp.v
     nx = -g[1] * slope_x
     ny = -g[2] * slope_y
     nz = wp.float64(1.0) / wp.sqrt(nx * nx + ny * ny + wp.float64(1.0))
-    # Samples of a damaged store may be anything; whatever is not finite makes the sum so.
+    # A damaged store may hold any samples; one value that is not finite makes the sum not finite.
     if not (wp.abs(pz + (nx + ny) * nz) < HIGHEST):
         points.not_finite[0] = 1
     put(points.positions, o, wp.vec3f(wp.float32(px), wp.float32(py), wp.float32(pz)))
@@ -120,47 +120,51 @@ def put_vertex(points: Points, o: wp.int32, domain: Domain, p: wp.vec2i, g: wp.v
 
 
 @wp.func
-def runs_of(points: Points, slot: wp.int32):
-    """Where the list of the points that slice `slot` has taken begins and ends."""
-    run = wp.int64(slot) * points.taken.room
+def runs_of(points: DisplacedPoints, slot: wp.int32):
+    """Return begin and end of the list of runs that slice `slot` reuses."""
+    run = wp.int64(slot) * points.reused.room
     run_end = run
-    if slot < points.taken.lists:
-        run_end = run + points.taken.counts[slot]
+    if slot < points.reused.lists:
+        run_end = run + points.reused.counts[slot]
     return run, run_end
 
 
 @wp.func
-def find_run(points: Points, run: wp.int64, run_end: wp.int64, v: wp.int32, end: wp.int32, point_base: wp.int64):
-    """Which points of a run from point v on there are, both `end` if there is none; and the vertex of the last frame
-    that the first of them was."""
+def find_run(
+    points: DisplacedPoints, run: wp.int64, run_end: wp.int64, v: wp.int32, end: wp.int32, point_base: wp.int64
+):
+    """Return begin and end of the run's points from point v on (both `end` if it has none), and the vertex of the last
+    frame that the first of them was."""
     begin = end
     stop = end
     at = wp.int64(0)
     if run < run_end:
-        taken = points.taken.runs[run]
-        first = taken.first - point_base
+        reused = points.reused.runs[run]
+        first = reused.first - point_base
         begin = wp.clamp(wp.int32(first), v, end)
-        stop = wp.clamp(wp.int32(first + taken.count), v, end)
+        stop = wp.clamp(wp.int32(first + reused.count), v, end)
         if stop > begin:
             s = wp.int32(0)
-            while s + 1 < points.last_slices and taken.before >= points.last_base[s + 1]:
+            while s + 1 < points.last_slices and reused.before >= points.last_base[s + 1]:
                 s += 1
-            at = points.last_vertex[s] + taken.before - points.last_base[s] + wp.int64(begin) - first
+            at = points.last_vertex[s] + reused.before - points.last_base[s] + wp.int64(begin) - first
     return begin, stop, at
 
 
 @wp.func
-def next_new(points: Points, run: wp.int64, run_end: wp.int64, stop: wp.int32, end: wp.int32, point_base: wp.int64):
-    """Return the end of the points from `stop` to the next run, of AHEAD at most: they are to be fetched."""
+def next_new(
+    points: DisplacedPoints, run: wp.int64, run_end: wp.int64, stop: wp.int32, end: wp.int32, point_base: wp.int64
+):
+    """Return the end of the points to prefetch: from `stop` to the next run, AHEAD at most."""
     begin = wp.min(stop + AHEAD, end)
     if run < run_end:
-        begin = wp.min(begin, wp.int32(points.taken.runs[run].first - point_base))
+        begin = wp.min(begin, wp.int32(points.reused.runs[run].first - point_base))
     return begin
 
 
 @wp.func
-def take_run(points: Points, at: wp.int64, begin: wp.int32, stop: wp.int32, vertex_base: wp.int32):
-    """Copy what the last frame has of points, from its vertex `at` on."""
+def take_run(points: DisplacedPoints, at: wp.int64, begin: wp.int32, stop: wp.int32, vertex_base: wp.int32):
+    """Copy vertices `begin` .. `stop` from the last frame, where they begin at vertex `at`."""
     if stop > begin:
         count = stop - begin
         to = vertex_base + begin
@@ -171,7 +175,7 @@ def take_run(points: Points, at: wp.int64, begin: wp.int32, stop: wp.int32, vert
 
 @wp.func
 def fetch_samples(domain: Domain, q: wp.vec2i):
-    """Bring the samples about a lattice point into the cache; nothing is read."""
+    """Prefetch the samples around a lattice point."""
     bits = domain.unit_bits - domain.levels
     near = wp.int64(q[1] >> bits) * wp.int64(domain.samples.columns) + wp.int64(q[0] >> bits)
     prefetch_sample(domain.samples, near)
@@ -181,10 +185,10 @@ def fetch_samples(domain: Domain, q: wp.vec2i):
 
 @wp.func
 def surface_at(domain: Domain, p: wp.vec2i) -> wp.vec3d:
-    """Height and gradient (metres a cell) of the surface at a lattice point."""
+    """Return height and gradient (metres a cell) of the surface at a lattice point."""
     bits = domain.unit_bits - domain.levels
     cell = wp.int32(1) << bits
-    x = wp.min(p[0], domain.east)  # beyond the rim it goes on level
+    x = wp.min(p[0], domain.east)  # beyond the border the surface is level
     y = wp.min(p[1], domain.north)
     g = wp.vec3d()
     if ((x | y) & (cell - 1)) == 0:
@@ -210,11 +214,11 @@ def displace(
     vertex_base: wp.int32,
     slot: wp.int32,
     domain: Domain,
-    points: Points,
+    points: DisplacedPoints,
 ):
-    """Positions, normals and texture coordinates on the surface, about the local origin.
+    """Write positions (metres from the local origin), normals and texture coordinates of points on the surface.
 
-    `slot`: the list of points that were taken from the last frame.
+    `slot`: number of the list of runs that are copied from the last frame.
     """
     last = point_base + wp.int64(end - 1)
     run, run_end = runs_of(points, slot)

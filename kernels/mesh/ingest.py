@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a Blender mesh wants and a surface does not hold: values a corner, and where each face's corners begin."""
+"""Arrays that only a Blender mesh needs: texture coordinates per corner, and the first corner of each face."""
 
 import warp as wp
 

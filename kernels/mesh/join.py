@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Joining welded slices: what each import stands for, found slice by slice, and put in its place."""
+"""Joining of welded slices: each import is resolved, slice by slice, and replaced by its number."""
 
 import warp as wp
 
 from .weld_state import (
     END_FRONT,
     END_TOPS,
-    FIRST_OWN,
+    FIRST_BEGUN,
     FIXES,
     FRONT,
     IMPORTS,
@@ -27,7 +27,7 @@ from .weld_state import (
 
 @wp.func
 def settle(number: wp.int32, first: wp.int32, found: wp.array(dtype=wp.vec2i), of: wp.int32) -> wp.int32:
-    """The number itself, or the edge (of = 0) or vertex (of = 1) that an import stands for; `first`: of its slice."""
+    """Return a number, or the edge (of = 0) or vertex (of = 1) of an import. `first`: first import of its slice."""
     n = number
     if number < 0:
         n = found[first - 1 - number][of]
@@ -43,7 +43,7 @@ def resolve(
     open_level: wp.array(dtype=wp.int32),
     found: wp.array(dtype=wp.vec2i),
 ):
-    """Find the (edge, vertex) that each import stands for, slice by slice; settle what later slices will ask for."""
+    """Find the (edge, vertex) of each import, slice by slice, and settle the entries that later slices import."""
     squares = w.columns * w.rows
     tops = wp.vec2i(0, 0)
     for k in range(slices):
@@ -102,13 +102,13 @@ def resolve(
                     begin += w.before[4 * k + 2 + upper]
                 for i in range(begin, end):
                     w.side[i] = wp.vec2i(w.side[i][0], settle(w.side[i][1], first, found, 1))
-            if q >= w.state[e + FIRST_OWN] and (k + 1 == slices or q < w.state[e + STATE_SIZE + FIRST_OWN]):
+            if q >= w.state[e + FIRST_BEGUN] and (k + 1 == slices or q < w.state[e + STATE_SIZE + FIRST_BEGUN]):
                 w.corners[2 * q] = settle(w.corners[2 * q], first, found, 1)
 
 
 @wp.func
 def patch(slot: wp.int32, w: Weld, found: wp.array(dtype=wp.vec2i)):
-    """Put what was found in the place of the slice's negative numbers: of triangles and of the edges made for them."""
+    """Replace the imports (negative numbers) in a slice's triangles and in their edges by the numbers found."""
     room = base_of(w.counts, slot).room
     first = 2 * room
     for i in range(w.state[STATE_SIZE * slot + FIXES]):
@@ -131,10 +131,10 @@ def join(
     open_level: wp.array(dtype=wp.int32),
     found: wp.array(dtype=wp.vec2i),
 ):
-    """Join the slices: serial, as what they share is short.
+    """Join the slices on one thread: they share few elements.
 
-    `open`, `open_level`: room for two stacks of `size` entries, all that is open at the end of a slice. `found`: for
-    every import.
+    `open`, `open_level`: room for two stacks of `size` entries, the edges that are open at the end of a slice.
+    `found`: (edge, vertex) of every import.
     """
     resolve(slices, size, w, open, open_level, found)
     for k in range(slices):

@@ -4,8 +4,8 @@
 An even number of bisections puts 2^m segments on each of the three edges, so neighbours of any depth match. Points on
 an edge belong to the edge and are made once, in its own direction, from integers: the same for both leaves.
 
-A leaf's points are numbered first in an order of the template's own: left, apex and right corner, those between them on
-each side, those inside. Side 0 runs from left to apex, 1 from apex to right, 2 from right to left. Lines likewise.
+The template numbers a leaf's points in this order: left, apex and right corner, those between them on each side, those
+inside. Side 0 runs from left to apex, 1 from apex to right, 2 from right to left. Lines likewise.
 """
 
 import warp as wp
@@ -17,7 +17,7 @@ from ..unchecked import item_at, look_up, number_row, put
 
 @wp.struct
 class Template:
-    """What one leaf becomes: tables of places in a leaf's order of points and lines."""
+    """Triangles and lines of one leaf: tables of indices into the template's order of points and lines."""
 
     segments: wp.int32  # n = 2^m on an edge
     levels: wp.int32  # 2m bisections
@@ -33,8 +33,8 @@ class Template:
 
 
 @wp.struct
-class Mesh:
-    """A welded mesh, on either side of the expansion."""
+class WeldedMesh:
+    """A welded mesh, before or after the expansion."""
 
     vertices: wp.int32
     edge_count: wp.int32
@@ -47,13 +47,13 @@ class Mesh:
 
 @wp.func
 def step_along(p: wp.vec2i, q: wp.vec2i, n: wp.int32) -> wp.vec2i:
-    """An n-th of the way; exact: a lattice unit is fine enough for every segment."""
+    """Return an n-th of the vector from p to q; exact, for segments are whole lattice units."""
     return wp.vec2i((q[0] - p[0]) / n, (q[1] - p[1]) / n)
 
 
 @wp.func
-def expand_edge(e: wp.int32, n: wp.int32, source: Mesh, out: Mesh):
-    """The points and segments on an edge."""
+def expand_edge(e: wp.int32, n: wp.int32, source: WeldedMesh, out: WeldedMesh):
+    """Write the n - 1 points inside edge e and its n segments."""
     ends = source.edges[e]
     p = source.point[ends[0]]
     d = step_along(p, source.point[ends[1]], n)
@@ -73,12 +73,12 @@ def number_side(
     v: wp.int32,
     e: wp.int32,
     t: Template,
-    source: Mesh,
+    source: WeldedMesh,
     numbers: wp.array(dtype=wp.int32),
     points: wp.int32,
     lines: wp.int32,
 ):
-    """Numbers of the points and lines on side s of a leaf: edge e, which begins or ends at corner v."""
+    """Write the numbers of the points and lines on side s of a leaf: edge e, which begins or ends at corner v."""
     n = t.segments
     first_point = source.vertices + e * (n - 1)
     first_line = e * n
@@ -99,11 +99,11 @@ def expand(
     end_leaf: wp.int32,
     scratch: wp.int32,
     t: Template,
-    source: Mesh,
-    out: Mesh,
+    source: WeldedMesh,
+    out: WeldedMesh,
     numbers: wp.array(dtype=wp.int32),
 ):
-    """All that is on some edges and inside some leaves; `numbers` has room for one leaf's from `scratch` on."""
+    """Expand a range of edges and a range of leaves. `numbers`: scratch for one leaf from entry `scratch` on."""
     n = t.segments
     for e in range(first_edge, end_edge):
         expand_edge(e, n, source, out)
@@ -142,7 +142,7 @@ def expand(
 
 
 @wp.kernel
-def points_that_stay(
+def find_common_points(
     before: wp.int32,
     now: wp.int32,
     last_level: wp.array(dtype=wp.int32),
@@ -153,17 +153,17 @@ def points_that_stay(
     runs: wp.array(dtype=Run),
     count: wp.array(dtype=wp.int64),
 ):
-    """Runs of the points inside of leaves, so many each, that are in both of two meshes, and how many runs there are.
+    """Write the runs of points inside leaves that both meshes have, and the number of runs.
 
-    Levels in curve order say where a leaf begins, and with that all of it; of two that overlap, those of one level are
-    the same. `last_first` and `first` are the numbers of the first such point. One serial thread.
+    Levels in curve order locate every leaf: overlapping leaves of equal level are the same leaf. `points`: points
+    inside one leaf. `last_first`, `first`: number of the first such point of either mesh. One thread runs this.
     """
     i = wp.int32(0)
     j = wp.int32(0)
-    end_i = wp.int64(0)  # of the leaf at hand, along the curve
+    end_i = wp.int64(0)  # end of the current leaf along the curve
     end_j = wp.int64(0)
     found = wp.int64(0)
-    goes_on = wp.bool(False)  # the run of the leaf before
+    goes_on = wp.bool(False)  # whether the run of the previous leaf goes on
     if now > 0 and before > 0:
         end_i = wp.int64(1) << wp.int64(DEEPEST - level[0])
         end_j = wp.int64(1) << wp.int64(DEEPEST - last_level[0])

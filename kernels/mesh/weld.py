@@ -28,12 +28,12 @@ from ..refine.curve import (
     TO_CORNER,
 )
 from ..unchecked import item_at, put
-from .weld_border import corner_below, enter, give_above, give_right, take_side
+from .weld_border import corner_below, enter, give_above, give_right, read_side
 from .weld_state import (
     END_FRONT,
     END_TOPS,
+    FIRST_BEGUN,
     FIRST_LEVEL,
-    FIRST_OWN,
     FIXES,
     FRONT,
     LAST_LEVEL,
@@ -45,9 +45,9 @@ from .weld_state import (
     Base,
     Strip,
     Weld,
-    ask,
-    ask_stack,
+    add_import,
     base_of,
+    import_open_edge,
     meet,
     stack_base,
 )
@@ -58,13 +58,14 @@ RARE = wp.constant((7 << 4) | (1 << 7) | (1 << 15))  # BORDER, FIRST, LAST
 
 
 def by_shape(value) -> int:
-    """A table of two bits for every shape, the passage and parity that a leaf's word holds, to be shifted by SHAPE."""
+    """Pack a value of two bits for every shape (passage and parity) into a table that is shifted by a leaf's shape."""
     shapes = [(passage, odd) for passage in (LEG_LEG, HYP_LEG, LEG_HYP) for odd in (0, 1)]
     return sum(int(value(passage, odd)) << (passage | odd << PARITY) for passage, odd in shapes)
 
 
 def first_corner(passage: int, odd: int) -> int:
-    """Where the left vertex of the front is stored: left, apex, right at odd depths, and mirrored at even ones."""
+    """Return the corner (0 .. 2) that stores the front's left vertex: left, apex, right if the depth is odd, else
+    mirrored."""
     return 2 if passage == HYP_LEG else 1 - odd
 
 
@@ -80,13 +81,14 @@ THIRD_LEGS = wp.constant(1 << HYP_LEG | 1 << LEG_HYP)
 
 @wp.func
 def side_of(code: wp.int32) -> wp.int32:
-    """The side, 0 or 1, whose vertex of the front a leaf moves."""
+    """Return the side (0: left, 1: right) on which a leaf moves the front's vertex."""
     return (SIDES >> (code & SHAPE)) & 1
 
 
 @wp.func
 def level_of(code: wp.int32, legs: wp.int32) -> wp.int32:
-    """The level of an edge of a leaf: that of the triangles whose longest edge it is. `legs`: says if it is a leg."""
+    """Return the level of a leaf's edge: the depth of triangles that have it as longest edge. `legs`: a bit for each
+    passage, 1 if the edge is a leg."""
     return ((code >> DEPTH_SHIFT) & 63) + ((legs >> (code & PASSAGE)) & 1)
 
 
@@ -103,7 +105,7 @@ def write_triangle(
     third: wp.int32,
     leave: wp.int32,
 ):
-    """Front and far vertex are counter-clockwise; the passage says which of them is stored first."""
+    """Write a triangle. Front and far vertex are counter-clockwise; the passage decides which is stored first."""
     shape = code & SHAPE
     o0 = 3 * t + ((FIRST_CORNER >> shape) & 3)
     o1 = 3 * t + ((SECOND_CORNER >> shape) & 3)
@@ -119,7 +121,7 @@ def write_triangle(
 
 @wp.func
 def begin(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
-    """Nothing is open yet; the front is an import, if the slice does not begin with a square."""
+    """Return the strip at a slice's first leaf: no edge is open, and the front is an import unless a square begins."""
     e = STATE_SIZE * slot
     for i in range(STATE_SIZE):
         w.state[e + i] = 0
@@ -130,17 +132,17 @@ def begin(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
     s.edge = b.edge
     s.next0 = stack_base(b.room, leaves, 0)
     s.next1 = stack_base(b.room, leaves, 1)
-    # what is below looks like an import, so that no leaf closes it unseen
+    # the entry below each stack looks like an import, so the inner loop never closes it
     w.stack[s.next0 - 1] = wp.vec2i(-1, -1)
     w.stack[s.next1 - 1] = wp.vec2i(-1, -1)
     code = wp.int32(w.code[w.leaf_base[slot]])
     starts = code >> FIRST & 1
     w.state[e + SQUARE] = w.squares[slot] - starts
-    w.state[e + FIRST_OWN] = w.squares[slot] + 1 - starts
+    w.state[e + FIRST_BEGUN] = w.squares[slot] + 1 - starts
     if starts == 0:
-        s.front0 = ask(w, b, e, FRONT, 0)
-        s.front1 = ask(w, b, e, FRONT, 1)
-        s.entry = ask(w, b, e, FRONT, 2)
+        s.front0 = add_import(w, b, e, FRONT, 0)
+        s.front1 = add_import(w, b, e, FRONT, 1)
+        s.entry = add_import(w, b, e, FRONT, 2)
         s.level = level_of(code, ENTRY_LEGS)
     w.state[e + FIRST_LEVEL] = s.level
     return s
@@ -148,7 +150,7 @@ def begin(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
 
 @wp.func
 def begin_square(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int32, s: Strip) -> Strip:
-    """At a square's first leaf: the front is the edge by which the curve enters it, and nothing is open."""
+    """Return the strip at a square's first leaf: the front is the edge by which the curve enters; no edge is open."""
     e = STATE_SIZE * slot
     for i in range(4):
         w.state[e + LEFT + i] = 0
@@ -170,8 +172,10 @@ def begin_square(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.in
 
 @wp.func
 def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int32, s: Strip):
-    """The edge that the curve passes beside, closed or opened, and its far vertex, both the next ones if they are new;
-    and by how much the stack grows."""
+    """Return the third edge, which the curve does not cross, its far vertex, and the growth of the stack.
+
+    A new edge or vertex gets the next number. The stack grows by 1 if the edge is opened, by -1 if it is closed.
+    """
     e = STATE_SIZE * slot
     side = side_of(code)
     level = level_of(code, THIRD_LEGS)
@@ -183,16 +187,16 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
     grow = wp.int32(0)
     if (code & 1) == 1:
         if top == stack_base(b.room, leaves, side):
-            third = ask_stack(w, b, e, side, level)
+            third = import_open_edge(w, b, e, side, level)
             far = third
         else:
             third = w.stack[top - 1][0]
             far = w.stack[top - 1][1]
             grow = -1
     elif role == TAKE_LEFT or role == TAKE_BELOW:
-        taken = take_side(w, b, e, slot, role, level)
-        third = taken[0]
-        far = taken[1]
+        shared_edge = read_side(w, b, e, slot, role, level)
+        third = shared_edge[0]
+        far = shared_edge[1]
     elif role == GIVE_RIGHT:
         give_right(w, e, third, level, moved, far)
     elif role == GIVE_ABOVE:
@@ -221,7 +225,7 @@ def note_rare(w: Weld, b: Base, slot: wp.int32, code: wp.int32, s: Strip, t: wp.
 
 @wp.func
 def end(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32, s: Strip):
-    """What the slice leaves to the next."""
+    """Store the front and the open edges for the next slice."""
     e = STATE_SIZE * slot
     w.state[e + LAST_LEVEL] = s.level
     if s.torn != 0:
@@ -235,9 +239,8 @@ def end(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32, s: Strip):
 
 @wp.kernel
 def weld(slot: wp.int32, w: Weld):
-    """The inner loop takes a leaf with its third edge, and finds the next one's without a branch, as none could be
-    foreseen. It ends before a leaf that is rare: the first or last of a square, on a side that squares share, or with
-    an import."""
+    """Weld a slice. The inner loop writes a leaf and finds the next leaf's third edge without a branch, which could not
+    be predicted. It stops before a rare leaf: the first or last of a square, on a shared side, or with an import."""
     b = base_of(w.counts, slot)
     leaves = wp.int32(w.counts[3 * slot])
     first = w.leaf_base[slot]
@@ -259,7 +262,7 @@ def weld(slot: wp.int32, w: Weld):
             met = (item_at(w.stack_level, top - 1) ^ level) & (grow >> 31)
             s.torn = s.torn | (s.level ^ level_of(code, ENTRY_LEGS)) | met
             leave = s.edge + wp.where(third == s.edge, 1, 0)
-            # What is in vain of these three is overwritten.
+            # Later leaves overwrite those of these three that are not needed.
             put(w.edges, s.edge, wp.vec2i(moved, far))
             put(w.stack, top, wp.vec2i(third, moved))
             put(w.stack_level, top, level)

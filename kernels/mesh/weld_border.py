@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Welding across root squares: sides that two squares share are kept per side, edge by edge.
 
-Squares lie row by row; a square takes its left and its lower side, last edge first, and gives its right and upper one.
+Squares are numbered row by row. A square reads its left and lower side, last edge first, and writes its right and upper
+side.
 """
 
 import warp as wp
@@ -10,7 +11,7 @@ from ..refine.curve import CORNER, TAKE_LEFT
 from .weld_state import (
     ABOVE,
     BELOW,
-    FIRST_OWN,
+    FIRST_BEGUN,
     LEFT,
     LEVEL_SHIFT,
     RIGHT,
@@ -20,27 +21,27 @@ from .weld_state import (
     UPPER_RIGHT,
     Base,
     Weld,
-    ask,
+    add_import,
     meet,
 )
 
 
 @wp.func
-def own_side(w: Weld, slot: wp.int32, owner: wp.int32, passed: wp.int32, before: wp.int32) -> wp.bool:
-    """Has this slice made the edge that is number `passed` of a side (2: right, 3: above) of square `owner`?"""
+def is_in_slice(w: Weld, slot: wp.int32, owner: wp.int32, passed: wp.int32, before: wp.int32) -> wp.bool:
+    """Return whether this slice made edge `passed` on a side (`before`: 2 right, 3 above) of square `owner`."""
     first = w.squares[slot]
     return owner > first or (owner == first and passed >= w.before[4 * slot + before])
 
 
 @wp.func
 def corner_below(w: Weld, b: Base, e: wp.int32, square: wp.int32) -> wp.int32:
-    """The square's lower left corner, which the square below it has made as its upper left one."""
+    """Return the square's lower left corner: the upper left corner of the square below."""
     below = square - w.columns
     v = wp.int32(0)
-    if below >= w.state[e + FIRST_OWN]:
+    if below >= w.state[e + FIRST_BEGUN]:
         v = w.corners[2 * below]
     else:
-        v = ask(w, b, e, UPPER_LEFT, below)
+        v = add_import(w, b, e, UPPER_LEFT, below)
     return v
 
 
@@ -48,69 +49,72 @@ def corner_below(w: Weld, b: Base, e: wp.int32, square: wp.int32) -> wp.int32:
 def enter(
     w: Weld, b: Base, e: wp.int32, slot: wp.int32, code: wp.int32, level: wp.int32, vertices: wp.int32, edges: wp.int32
 ):
-    """Begin a square: the left side's first edge, of this level, from the upper left corner down. Returns corner, lower
-    end, edge, and how many vertices and edges were made."""
+    """Begin a square with the left side's first edge, of this level, from the upper left corner down.
+
+    Return corner, lower end, edge, and the next free vertex and edge number.
+    """
     square = w.state[e + SQUARE]
     column = square % w.columns
     corner = vertices
     end = wp.int32(0)
     entry = edges
-    made = wp.int32(0)
+    new_vertices = wp.int32(0)
     if column > 0:
         owner = square - 1
         at = w.side_base[square] - 1  # sides lie square by square: the left neighbour's last entry
         w.state[e + LEFT] = 1
-        if own_side(w, slot, owner, at - w.side_base[owner], 2):
+        if is_in_slice(w, slot, owner, at - w.side_base[owner], 2):
             corner = w.corners[2 * owner + 1]
             entry = w.side[at][0]
             end = w.side[at][1]
             meet(w, e, level, w.side_level[at])
         else:
-            corner = ask(w, b, e, UPPER_RIGHT, owner)
-            end = ask(w, b, e, SIDE | (level << LEVEL_SHIFT), at)
+            corner = add_import(w, b, e, UPPER_RIGHT, owner)
+            end = add_import(w, b, e, SIDE | (level << LEVEL_SHIFT), at)
             entry = end
     else:
-        made = 1
+        new_vertices = 1
         if ((code >> CORNER) & 1) == 1:
             end = corner_below(w, b, e, square)
         else:
             end = vertices + 1
-            made = 2
+            new_vertices = 2
         w.edges[entry] = wp.vec2i(corner, end)
     w.corners[2 * square] = corner
-    return corner, end, entry, vertices + made, edges + wp.min(made, 1)
+    return corner, end, entry, vertices + new_vertices, edges + wp.min(new_vertices, 1)
 
 
 @wp.func
-def take_side(w: Weld, b: Base, e: wp.int32, slot: wp.int32, role: wp.int32, level: wp.int32) -> wp.vec2i:
-    """The edge of this level, and its far vertex, that the square to the left or below has left on its side."""
+def read_side(w: Weld, b: Base, e: wp.int32, slot: wp.int32, role: wp.int32, level: wp.int32) -> wp.vec2i:
+    """Return the next edge, of this level, and its far vertex on the side shared with the square left or below."""
     square = w.state[e + SQUARE]
     at = wp.int32(0)
-    own = wp.bool(False)
+    is_here = wp.bool(False)
     if role == TAKE_LEFT:
         n = w.state[e + LEFT]
         w.state[e + LEFT] = n + 1
         at = w.side_base[square] - 1 - n
-        own = own_side(w, slot, square - 1, at - w.side_base[square - 1], 2)
+        is_here = is_in_slice(w, slot, square - 1, at - w.side_base[square - 1], 2)
     else:
         owner = square - w.columns
         n = w.state[e + BELOW]
         w.state[e + BELOW] = n + 1
         above = w.columns * w.rows + owner
         at = w.side_base[above + 1] - 1 - n
-        own = own_side(w, slot, owner, at - w.side_base[above], 3)
-    taken = wp.vec2i(0, 0)
-    if own:
-        taken = w.side[at]
+        is_here = is_in_slice(w, slot, owner, at - w.side_base[above], 3)
+    shared_edge = wp.vec2i(0, 0)
+    if is_here:
+        shared_edge = w.side[at]
         meet(w, e, level, w.side_level[at])
     else:
-        n = ask(w, b, e, SIDE | (level << LEVEL_SHIFT), at)
-        taken = wp.vec2i(n, n)
-    return taken
+        n = add_import(w, b, e, SIDE | (level << LEVEL_SHIFT), at)
+        shared_edge = wp.vec2i(n, n)
+    return shared_edge
 
 
 @wp.func
 def give_right(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32, far: wp.int32):
+    """Append an edge to the right side of the current square."""
     square = w.state[e + SQUARE]
     n = w.side_base[square] + w.state[e + RIGHT]
     w.side[n] = wp.vec2i(edge, begun)
@@ -122,6 +126,7 @@ def give_right(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.
 
 @wp.func
 def give_above(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32):
+    """Append an edge to the upper side of the current square."""
     n = w.side_base[w.columns * w.rows + w.state[e + SQUARE]] + w.state[e + ABOVE]
     w.side[n] = wp.vec2i(edge, begun)
     w.side_level[n] = level

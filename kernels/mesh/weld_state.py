@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the slices of a welding keep: their arrays, their numbers and the list of what they ask of each other.
+"""State of the slices of a welding: arrays, first numbers and the list of imports.
 
-What a slice needs from earlier ones is an import: it gets the negative number -1 - i, i being its place in the slice's
-list; join.py finds what each stands for.
+An import is a vertex or edge that an earlier slice made. Until join.py resolves it, it has the negative number -1 - i,
+where i is its index in the slice's list.
 """
 
 import warp as wp
 
-# What an import asks for; above these LEVEL_SHIFT bits is the edge's level, of STACK and SIDE.
+# Kinds of imports; STACK and SIDE hold the edge's level above these LEVEL_SHIFT bits.
 LEVEL_SHIFT = wp.constant(3)
 FRONT = wp.constant(0)  # value 0, 1: that vertex of the front, 2: its edge
 STACK = wp.constant(1)  # + side (1 or 2): the value-th edge from the top of the stack
@@ -15,13 +15,13 @@ SIDE = wp.constant(3)  # entry `value` of the shared sides
 UPPER_LEFT = wp.constant(4)  # upper left corner of square `value`
 UPPER_RIGHT = wp.constant(5)
 
-# Columns of a slice's state: what changes too rarely to be kept at hand, and what the slice leaves to the next.
+# Columns of a slice's state: values that rarely change, and those that the next slice needs.
 IMPORTS, FIXES = wp.constant(0), wp.constant(1)
 POPS = wp.constant(2)  # of each side, edges taken from earlier slices' stacks
 SQUARE = wp.constant(4)
 LEFT, BELOW, RIGHT, ABOVE = wp.constant(5), wp.constant(6), wp.constant(7), wp.constant(8)  # edges of its sides passed
-FIRST_OWN = wp.constant(9)  # the first square of which this slice has made the upper left corner
-RESTARTED = wp.constant(10)  # 1: a square began in the slice, so what was open before it is not needed
+FIRST_BEGUN = wp.constant(9)  # the first square that began in this slice, which made its upper left corner
+RESTARTED = wp.constant(10)  # 1: a square began in the slice, so edges left open before are not needed
 END_FRONT, END_TOPS = wp.constant(11), wp.constant(14)
 TORN = wp.constant(16)  # 1: an edge met one of another level, so the leaves do not fit together
 FIRST_LEVEL, LAST_LEVEL = wp.constant(17), wp.constant(18)  # of the edges of entry and leave; 0 at a square's ends
@@ -31,7 +31,7 @@ SPARE = wp.constant(8)  # entries of a slice's lists beyond one a leaf
 
 @wp.struct
 class Weld:
-    """What the slices read and write; the numbers of slices and squares are in its arrays."""
+    """Input and output arrays of all slices."""
 
     columns: wp.int32
     rows: wp.int32
@@ -57,17 +57,17 @@ class Weld:
 
 @wp.struct
 class Base:
-    """Where a slice's numbers and its share of the lists begin."""
+    """First numbers of a slice, and the begin of its part of the lists."""
 
     triangle: wp.int32
     vertex: wp.int32
     edge: wp.int32
-    room: wp.int32  # of each list: a place for every leaf before it, and some
+    room: wp.int32  # first entry in each list: an entry for every leaf before it, and some
 
 
 @wp.struct
 class Strip:
-    """Where a slice stands on its way along the curve."""
+    """Front and next free numbers of a slice while it is welded along the curve."""
 
     front0: wp.int32  # the front's vertices
     front1: wp.int32
@@ -82,6 +82,7 @@ class Strip:
 
 @wp.func
 def base_of(counts: wp.array(dtype=wp.int64), slot: wp.int32) -> Base:
+    """Return the first numbers of a slice."""
     b = Base()
     for s in range(slot):
         b.triangle += wp.int32(counts[3 * s])
@@ -93,12 +94,12 @@ def base_of(counts: wp.array(dtype=wp.int64), slot: wp.int32) -> Base:
 
 @wp.func
 def stack_base(room: wp.int32, leaves: wp.int32, side: wp.int32) -> wp.int32:
-    """Two stacks a slice, each with an entry to spare below its first."""
+    """Return the first entry of a slice's stack for a side; a spare entry is below it."""
     return 2 * room + 1 + side * (leaves + 2)
 
 
 @wp.func
-def ask(w: Weld, b: Base, e: wp.int32, kind: wp.int32, value: wp.int32) -> wp.int32:
+def add_import(w: Weld, b: Base, e: wp.int32, kind: wp.int32, value: wp.int32) -> wp.int32:
     """Write an import and return the number that stands for it."""
     n = w.state[e + IMPORTS]
     w.imports[2 * b.room + n] = wp.vec2i(kind, value)
@@ -107,15 +108,15 @@ def ask(w: Weld, b: Base, e: wp.int32, kind: wp.int32, value: wp.int32) -> wp.in
 
 
 @wp.func
-def ask_stack(w: Weld, b: Base, e: wp.int32, side: wp.int32, level: wp.int32) -> wp.int32:
-    """The next edge, of this level, from the top of what earlier slices have left open on a side."""
+def import_open_edge(w: Weld, b: Base, e: wp.int32, side: wp.int32, level: wp.int32) -> wp.int32:
+    """Import the next edge, of this level, from the top of the stack that earlier slices left open on a side."""
     n = w.state[e + POPS + side]
     w.state[e + POPS + side] = n + 1
-    return ask(w, b, e, (STACK + side) | (level << LEVEL_SHIFT), n)
+    return add_import(w, b, e, (STACK + side) | (level << LEVEL_SHIFT), n)
 
 
 @wp.func
 def meet(w: Weld, e: wp.int32, level: wp.int32, other: wp.int32):
-    """An edge of two leaves has one level. Levels differ only where errors are not nested: then the mesh is torn."""
+    """Mark the mesh as torn if the two leaves of an edge give it different levels: then errors are not nested."""
     if level != other:
         w.state[e + TORN] = 1

@@ -4,7 +4,17 @@
 import warp as wp
 
 from ..field.domain import Domain
-from ..mesh.displace import AHEAD, HIGHEST, Points, fetch_samples, find_run, next_new, put_vertex, runs_of, take_run
+from ..mesh.displace import (
+    AHEAD,
+    HIGHEST,
+    DisplacedPoints,
+    fetch_samples,
+    find_run,
+    next_new,
+    put_vertex,
+    runs_of,
+    take_run,
+)
 from ..refine.diamond import fetch_range
 from ..refine.runs import NOT_CLEAR
 from ..refine.stored_errors import fetch_ahead
@@ -17,7 +27,7 @@ RECORDS_AHEAD = wp.constant(wp.int64(8))
 
 
 @wp.func
-def put_height(points: Points, o: wp.int32, domain: Domain, height: wp.float64):
+def put_height(points: DisplacedPoints, o: wp.int32, domain: Domain, height: wp.float64):
     """Write the height of vertex `o`, which is complete otherwise, as `put_vertex` in kernels/mesh/displace.py does."""
     z = height * domain.height_scale + domain.height_offset
     if not (wp.abs(z) < HIGHEST):
@@ -27,7 +37,7 @@ def put_height(points: Points, o: wp.int32, domain: Domain, height: wp.float64):
 
 @wp.func
 def fetch_point(domain: Domain, p: wp.vec2i):
-    """Bring the samples about a lattice point, and what is stored of its diamond, into the cache; nothing is read."""
+    """Prefetch the samples around a lattice point, and the stored error and range of its diamond."""
     fetch_samples(domain, p)
     depth = depth_of(domain.unit_bits, p)
     if depth > 0 and depth < 2 * domain.levels - 1:
@@ -43,7 +53,7 @@ def displace_morphing(
     vertex_base: wp.int32,
     slot: wp.int32,
     domain: Domain,
-    points: Points,
+    points: DisplacedPoints,
     morphing: Morphing,
     memory: Memory,
 ):
@@ -58,7 +68,7 @@ def displace_morphing(
         settled = wp.float64(wp.inf)
         run_clear_below = NOT_CLEAR
         if stop > begin:
-            reused = points.taken.runs[run]
+            reused = points.reused.runs[run]
             settled = settled_from(morphing, reused.coarse * reused.coarse)
             run_clear_below = reused.clear_below
         run += wp.int64(1)

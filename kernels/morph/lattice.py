@@ -19,7 +19,7 @@ class SplitVertex:
 
 @wp.func
 def depth_of(unit_bits: wp.int32, p: wp.vec2i) -> wp.int32:
-    """The depth of the diamond that is split at p; 0: a corner of a root square."""
+    """Return the depth of the diamond that is split at p; 0 for a corner of a root square."""
     both = p[0] | p[1]
     step = both & -both  # the largest power of two of which both coordinates are multiples
     depth = wp.int32(0)
@@ -32,13 +32,13 @@ def depth_of(unit_bits: wp.int32, p: wp.vec2i) -> wp.int32:
 
 @wp.func
 def half_edge(unit_bits: wp.int32, p: wp.vec2i, depth: wp.int32) -> wp.vec2i:
-    """From the vertex p that a diamond of `depth` is split at to an end of the edge that it splits."""
+    """Return the vector from p, which splits a diamond of `depth`, to an end of the edge that it splits."""
     half = wp.int32(1) << (unit_bits - ((depth + 1) >> 1))
     along = wp.vec2i(half, 0)
     if (depth & 1) == 1:
         # The diagonals of the four cells in a cell meet in its middle; that of a root square goes down.
-        rises = depth > 1 and (((p[0] ^ p[1]) / half) & 2) == 0
-        along = wp.vec2i(half, wp.where(rises, half, -half))
+        is_upward = depth > 1 and (((p[0] ^ p[1]) / half) & 2) == 0
+        along = wp.vec2i(half, wp.where(is_upward, half, -half))
     elif (p[0] & half) == 0:
         along = wp.vec2i(0, half)
     return along
@@ -58,7 +58,7 @@ def split_vertex(unit_bits: wp.int32, p: wp.vec2i) -> SplitVertex:
 
 @wp.func
 def above(unit_bits: wp.int32, v: SplitVertex, bisections: wp.int32) -> SplitVertex:
-    """The diamond so many bisections, an even number, above that of v, with the whole edge in one of its triangles.
+    """Return the diamond an even number of bisections above that of v, with the whole edge in one of its triangles.
 
     Two above, the split vertex is that end of the edge which is two bisections older; the other end is older still.
     """

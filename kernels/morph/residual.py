@@ -52,7 +52,7 @@ def relief_of(domain: Domain, a: SplitVertex):
 
 @wp.func
 def ratio2_of(
-    domain: Domain, asked: CriterionArrays, a: SplitVertex, r: Relief, metres2: wp.float64, in_frame: wp.int32
+    domain: Domain, criterion: CriterionArrays, a: SplitVertex, r: Relief, metres2: wp.float64, in_frame: wp.int32
 ):
     """Return the squared ratio of the diamond of `a`, the largest of all criteria, and its finest squared pixel."""
     reach = reach_of(domain.unit_bits, a.depth)
@@ -68,13 +68,13 @@ def ratio2_of(
         r.high,
     )
     d.border = wp.where(r.low == wp.float64(wp.inf), 2, 0)
-    pixel2 = finest(asked, d, in_frame)
-    found = larger(metres2 / asked.metres2, metres2 / (pixel2 * asked.error_px2))
-    if asked.measures_edges == 1:
-        long2, legs2 = sizes(asked, domain.unit_bits, a.depth)
+    pixel2 = finest(criterion, d, in_frame)
+    found = larger(metres2 / criterion.metres2, metres2 / (pixel2 * criterion.error_px2))
+    if criterion.measures_edges == 1:
+        long2, legs2 = sizes(criterion, domain.unit_bits, a.depth)
         climb2 = r.rise * r.rise
-        found = larger((long2 + climb2) / (pixel2 * asked.edge_px2), found)
-        found = larger((legs2 + climb2) / (pixel2 * asked.area_px2), found)
+        found = larger((long2 + climb2) / (pixel2 * criterion.edge_px2), found)
+        found = larger((legs2 + climb2) / (pixel2 * criterion.area_px2), found)
     return found, pixel2
 
 
@@ -109,7 +109,7 @@ def see(
     morphing: Morphing,
     at: wp.vec2i,
     depth: wp.int32,
-    is_own: wp.bool,
+    is_vertex: wp.bool,
     vertex: wp.int32,
     last: wp.int64,
     clear_below: wp.int32,
@@ -121,7 +121,7 @@ def see(
     surface = wp.vec3d()
     known = Known()
     known.metres2 = wp.float64(wp.inf)
-    was_there = is_own and last >= wp.int64(0)
+    was_there = is_vertex and last >= wp.int64(0)
     if was_there:
         known = morphing.last_known[last]
     if depth > morphing.ramp.bisections:
@@ -136,20 +136,20 @@ def see(
         else:
             relief, metres2 = relief_of(domain, judged)
             known.metres2 = metres2
-        in_frame = wp.where(is_own and depth > clear_below, 1, 0)
-        ratio2, finest2 = ratio2_of(domain, morphing.asked, judged, relief, known.metres2, in_frame)
+        in_frame = wp.where(is_vertex and depth > clear_below, 1, 0)
+        ratio2, finest2 = ratio2_of(domain, morphing.criterion, judged, relief, known.metres2, in_frame)
         if morphing.ramp.limit != wp.float64(1.0):
             ratio2 = ratio2 / morphing.ramp.limit
         weight = weight_of(morphing.ramp, ratio2)
         pixel2 = finest2
-        if is_own and weight < wp.float64(1.0):
+        if is_vertex and weight < wp.float64(1.0):
             morphing.relief[vertex] = relief
     if not was_there:
         surface = surface_of(domain, morphing.ramp.layers, at)
         known.height = surface[0]
         known.normal = normal_of(domain, surface)
     known.is_settled = wp.where(weight < wp.float64(1.0), 0, 1)
-    if is_own:
+    if is_vertex:
         morphing.known[vertex] = known
     return weight, known, surface, pixel2
 
@@ -166,12 +166,12 @@ def with_end(ends: Ends, end: MorphedPoint) -> Ends:
 
 
 @wp.func
-def between(own: MorphedPoint, weight: wp.float64, ends: Ends) -> MorphedPoint:
+def between(target: MorphedPoint, weight: wp.float64, ends: Ends) -> MorphedPoint:
     """Return a point in this frame from its surface, W and two ends."""
     half = wp.float64(0.5)
-    found = own
-    found.z = half * ends.z + weight * (own.height - half * ends.height)
-    n = wp.vec3d(wp.float64(own.normal[0]), wp.float64(own.normal[1]), wp.float64(own.normal[2])) * weight
+    found = target
+    found.z = half * ends.z + weight * (target.height - half * ends.height)
+    n = wp.vec3d(wp.float64(target.normal[0]), wp.float64(target.normal[1]), wp.float64(target.normal[2])) * weight
     n += ends.normal * (half - half * weight)
     per_length = wp.float64(1.0) / wp.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
     n = n * per_length
@@ -183,7 +183,7 @@ def between(own: MorphedPoint, weight: wp.float64, ends: Ends) -> MorphedPoint:
 def settled_from(morphing: Morphing, pixel2: wp.float64) -> wp.float64:
     """Return the `metres2` above which points are settled if no pixel on their diamonds spans more than `pixel2`,
     squared metres."""
-    return pixel2 * morphing.ramp.end2 * morphing.ramp.limit * morphing.asked.error_px2 * ABOVE
+    return pixel2 * morphing.ramp.end2 * morphing.ramp.limit * morphing.criterion.error_px2 * ABOVE
 
 
 @wp.func
@@ -243,17 +243,17 @@ def morphed_point(
     ends = Ends()
     vertex_surface = wp.vec3d()
     is_settled = wp.bool(True)
-    is_own = wp.bool(True)
+    is_vertex = wp.bool(True)
     goes_on = wp.bool(True)
     while goes_on:
         entry = entry_of(memory, at)
         is_known = wp.bool(False)
-        if not is_own:
+        if not is_vertex:
             there = memory.points[entry]
             is_known = there.point == at
         if not is_known:
             depth = depth_of(domain.unit_bits, at)
-            weight, known, surface, pixel2 = see(domain, morphing, at, depth, is_own, vertex, last, clear_below)
+            weight, known, surface, pixel2 = see(domain, morphing, at, depth, is_vertex, vertex, last, clear_below)
             is_known = weight >= wp.float64(1.0)
             there.point = at
             there.height = known.height
@@ -261,7 +261,7 @@ def morphed_point(
             there.settled_metres2 = wp.where(is_known, known.metres2, wp.float64(0.0))
             there.normal = known.normal
             if not is_known:
-                if is_own and was_unsettled(morphing, last):
+                if is_vertex and was_unsettled(morphing, last):
                     # Pixels on the diamonds of the two ends are no coarser than on this one.
                     ends = morphing.last_ends[last]
                     is_known = ends.settled_metres2 > settled_from(morphing, pixel2)
@@ -276,7 +276,7 @@ def morphed_point(
                         waiting = Pending()
                         waiting.left = at - along
                         waiting.right = at + along
-                        waiting.own = there
+                        waiting.target = there
                         waiting.weight = weight
                         waiting.ends = no_ends()
                         memory.pending[top] = waiting
@@ -284,10 +284,10 @@ def morphed_point(
                     there = between(there, weight, ends)
             if is_known:
                 memory.points[entry] = there
-            if is_own:
+            if is_vertex:
                 vertex_surface = surface
                 is_settled = weight >= wp.float64(1.0)
-            is_own = False
+            is_vertex = False
         while is_known and top >= first:
             waiting = memory.pending[top]
             ends = with_end(waiting.ends, there)
@@ -295,7 +295,7 @@ def morphed_point(
             waiting.seen += 1
             is_known = waiting.seen == 2
             if is_known:
-                there = between(waiting.own, waiting.weight, ends)
+                there = between(waiting.target, waiting.weight, ends)
                 memory.points[entry_of(memory, there.point)] = there
                 top -= 1
             else:

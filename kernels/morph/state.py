@@ -13,12 +13,12 @@ NOWHERE = wp.constant(-1)
 
 @wp.struct
 class Ramp:
-    """Parameters of the ramp on which W rises from 0 to 1."""
+    """Parameters of the ramp on which the weight W increases from 0 to 1."""
 
-    limit: wp.float64  # squares of ratios are those to what is asked over this
+    limit: wp.float64  # divisor of squared ratios: above 1 if a triangle limit coarsens the criterion
     end2: wp.float64  # squared ratio k at which a point is in its place
     steep: wp.float64  # 1 / (1 - 1 / k)
-    bisections: wp.int32  # of meshlets: a point is judged by the diamond so many bisections above
+    bisections: wp.int32  # of meshlets: a point is judged by the diamond this number of bisections above
     layers: PackedLayers  # none: there is no detail
 
 
@@ -55,7 +55,7 @@ class Ends:
 
 @wp.struct
 class Relief:
-    """Heights of the diamond that a vertex is judged by, metres; `low` is infinite beyond the rim."""
+    """Heights of the diamond that a vertex is judged by, metres; `low` is infinite beyond the border."""
 
     low: wp.float64
     high: wp.float64
@@ -66,7 +66,7 @@ class Relief:
 class Morphing:
     """The ramp, and records of each vertex for the next frame and from the last one."""
 
-    asked: CriterionArrays
+    criterion: CriterionArrays
     ramp: Ramp
     known: wp.array(dtype=Known)
     last_known: wp.array(dtype=Known)
@@ -82,9 +82,9 @@ class Pending:
 
     left: wp.vec2i
     right: wp.vec2i
-    own: MorphedPoint  # in its place
+    target: MorphedPoint  # the point with a W of 1
     weight: wp.float64  # its W
-    seen: wp.int32  # how many of the two are in the sums
+    seen: wp.int32  # number of the two in the sums
     ends: Ends
 
 
@@ -105,7 +105,7 @@ for record in (Known, Relief, Ends):
 
 @wp.func
 def fetch_records(morphing: Morphing, last: wp.int64):
-    """Bring the records of a vertex of the last frame into the cache; nothing is read."""
+    """Prefetch the records of a vertex of the last frame."""
     fetch(morphing.last_known, last)
     fetch(morphing.last_relief, last)
     fetch(morphing.last_ends, last)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""All leaves at once, in the order of the curve: what a refinement writes."""
+"""Replacement of all leaves at once, in the order of the curve, as a refinement does."""
 
 import warp as wp
 
@@ -135,13 +135,13 @@ def close_word(
 ):
     """Store a word that a run has passed, up to `cell`, with `bits`, and with words below those in `entered` alone.
 
-    A word that runs share is not overwritten: each flips the bits that are its own, and the word is summed afterwards.
+    A word that runs share is not overwritten: each run flips only its bits, and the word is summed afterwards.
     """
     shift = wp.uint64(WORD_BITS * level)
     above = wp.uint64(WORD_BITS * (level + 1))
     base = ((cell - ONE) >> above) << above
     size = ONE << wp.uint64(wp.min(t.max_depth, WORD_BITS * level + WORD_BITS))
-    own = ALL_BITS
+    run_bits = ALL_BITS
     old = item_at(t.words, slot)
     old_stored = item_at(t.stored, slot)
     if base >= run.start and base + size <= run.end:
@@ -153,15 +153,15 @@ def close_word(
     else:
         part = (ONE << shift) - ONE
         if run.start > base:
-            own = ~bits_below(wp.int32((run.start - base + part) >> shift))
+            run_bits = ~bits_below(wp.int32((run.start - base + part) >> shift))
         if run.end < base + size:
-            own = own & bits_below(wp.int32((run.end - base + part) >> shift))
-        if (((old ^ bits) | (old_stored ^ entered)) & own) != wp.uint64(0):
-            fetch_xor(t.words, slot, (old ^ bits) & own)
-            fetch_xor(t.stored, slot, (old_stored ^ entered) & own)
+            run_bits = run_bits & bits_below(wp.int32((run.end - base + part) >> shift))
+        if (((old ^ bits) | (old_stored ^ entered)) & run_bits) != wp.uint64(0):
+            fetch_xor(t.words, slot, (old ^ bits) & run_bits)
+            fetch_xor(t.stored, slot, (old_stored ^ entered) & run_bits)
             t.state[DIFFERS] = 1
         mark_changed(t, slot, level)
-    gone = old_stored & ~entered & own
+    gone = old_stored & ~entered & run_bits
     while gone != wp.uint64(0):
         below = 64 * t.pages[slot] + lowest_bit(gone)
         t.words[below] = wp.uint64(0)

@@ -92,7 +92,7 @@ def test_a_mesh_that_memory_cannot_hold_is_refused_and_the_next_is_as_ever(monke
     finer = Criterion(error_px=1e-30, max_depth=14, meshlet=meshlet)
     # Room for twice as many triangles; `level` has four bytes of each.
     monkeypatch.setattr(builder, "physical_memory", lambda: 400 * len(before["terrain_level"]))
-    with pytest.raises(TerrainError, match="The mesh would have .* triangles, expected .* ask for a larger error"):
+    with pytest.raises(TerrainError, match="would have .* triangles; expected at most .*: choose a larger error"):
         terrain.update(finer, [view])
     monkeypatch.undo()
     assert arrays(terrain.update(asked, [view]).surface) == before

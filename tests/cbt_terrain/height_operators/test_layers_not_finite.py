@@ -114,9 +114,9 @@ def test_an_archive_takes_only_finite_numbers(shaped, tmp_path):
     values = np.zeros(len(surface.positions), np.float32)
     values[3] = np.inf
     wrong = surface.with_attributes({"dust": Attribute(values, "POINT")})
-    with pytest.raises(TerrainError, match="would hold dust with a value that is not a finite number"):
+    with pytest.raises(TerrainError, match="The array dust holds a value that is not a finite number"):
         write_npz(tmp_path / "a.npz", wrong, (0, 0, 0), {})
-    with pytest.raises(TerrainError, match="would hold a number that is not finite"):
+    with pytest.raises(TerrainError, match="A number of the file's description is not finite"):
         write_npz(tmp_path / "a.npz", surface, (0, 0, 0), {"bound_px": np.nan})
     assert not list(tmp_path.iterdir())
     assert finite_json({"a": 1.5}, "x") == '{"a": 1.5}' and set(NAMES) <= set(ATTRIBUTES)

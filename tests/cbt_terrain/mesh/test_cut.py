@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.mesh.attributes import EDGE, Attribute
-from adaptive_terrain.cbt_terrain.mesh.cut import TOLERANCE, Side, above, cut, drop, rim, swap
+from adaptive_terrain.cbt_terrain.mesh.cut import TOLERANCE, Side, above, border_side, cut, drop, swap
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
@@ -68,7 +68,7 @@ def test_what_stays_is_what_clipping_every_triangle_leaves(seed, meshlet):
 )
 def test_two_rims_leave_exactly_the_rectangle(error_m, meshlet, east, north):
     surface = surface_of(1, error_m, meshlet)
-    result, _ = cut(surface, [rim(0, east, 1e-3), rim(1, north, 1e-3)])
+    result, _ = cut(surface, [border_side(0, east, 1e-3), border_side(1, north, 1e-3)])
     place = result.positions[assert_welded(result)][:, :, :2]
     low, high = np.array([-320.0, -160.0], np.float32), np.array([east, north], np.float32)
     assert ((place == low) | (place == high)).all(axis=1).any(axis=1).all()
@@ -104,13 +104,13 @@ def test_an_edge_through_the_corner_of_a_raster_is_cut_once(rows, columns, step_
 
 def test_where_nothing_is_negative_the_surface_stays_as_it_is():
     surface = surface_of(2, 5.0, 0)
-    assert cut(surface, [rim(0, 320.5, 1e-3), rim(1, 160.5, 1e-3)])[0] is surface
-    on_rim, swapped = cut(surface, [rim(0, 320.0, 1e-3), rim(1, 160.0, 1e-3)])
+    assert cut(surface, [border_side(0, 320.5, 1e-3), border_side(1, 160.5, 1e-3)])[0] is surface
+    on_rim, swapped = cut(surface, [border_side(0, 320.0, 1e-3), border_side(1, 160.0, 1e-3)])
     assert not swapped.size and all(np.array_equal(getattr(on_rim, n), getattr(surface, n)) for n in ARRAYS)
 
 
 def test_nothing_is_left_where_all_is_negative():
-    result, _ = cut(surface_of(2, 5.0, 0), [rim(0, -400.0, 1e-3)])
+    result, _ = cut(surface_of(2, 5.0, 0), [border_side(0, -400.0, 1e-3)])
     assert not any(getattr(result, name).size for name in ARRAYS)
 
 
@@ -150,8 +150,8 @@ def test_the_finest_triangles_are_cut_and_none_is_flat_or_turned_over(seed):
 def test_any_number_of_threads_gives_the_same_bytes(threads):
     surface = surface_of(4, 0.2, 2)
     assert len(surface.level) > 20_000
-    one, _ = cut(surface, [rim(0, 95.0, 1e-3), above(2, 3.0)])
-    more, _ = cut(surface, [rim(0, 95.0, 1e-3), above(2, 3.0)], threads=threads)
+    one, _ = cut(surface, [border_side(0, 95.0, 1e-3), above(2, 3.0)])
+    more, _ = cut(surface, [border_side(0, 95.0, 1e-3), above(2, 3.0)], threads=threads)
     assert all(getattr(one, name).tobytes() == getattr(more, name).tobytes() for name in ARRAYS)
 
 
@@ -191,7 +191,7 @@ def test_edges_keep_what_they_carry_and_new_ones_have_none():
     surface = surface_of(7, 5.0, 0)
     carried = np.arange(1, len(surface.edges) + 1, dtype=np.int32)
     surface = surface.with_attributes({"number": Attribute(carried, EDGE)})
-    result, _ = cut(surface, [rim(0, 95.0, 1e-3)])
+    result, _ = cut(surface, [border_side(0, 95.0, 1e-3)])
     number = result.attributes["number"].array
     old, new = surface.positions[surface.edges[number - 1]], result.positions[result.edges]
     kept = (number > 0) & (new[:, :, 0] < 95.0).all(axis=1)

@@ -56,7 +56,7 @@ def test_what_is_no_tree_of_the_field_is_refused_and_the_last_mesh_stays():
     deep = depths_to_bytes(40, np.array([*range(1, 41), 40], np.uint8))
     for tree, meshlet, said in (
         (saved[:-1], 0, "cut short or damaged"),
-        (b"mesh", 0, "is not one that this add-on wrote"),
+        (b"mesh", 0, "was not written by this add-on"),
         (shallow, 0, "leaves of 0 .. 0 bisections"),
         (deep, 4, "bisections of a square, expected 1 .. "),
         (saved, 5, "with meshlets of level 5"),
@@ -81,6 +81,6 @@ def test_leaves_that_do_not_fit_together_are_refused():
     terrain = Terrain(rough(65, 65), 1)
     terrain.update(Criterion(error_px=2.0), VIEWS[:1])
     for torn in ([2, 3, 3, 1], [1, 3, 3, 3, 3], [2, 2, 1]):
-        with pytest.raises(TerrainError, match="do not form a conforming mesh"):
+        with pytest.raises(TerrainError, match="is corrupt; expected leaves that form a conforming mesh"):
             terrain.restore(depths_to_bytes(12, np.array(torn, np.uint8)))
     assert terrain.update(Criterion(error_px=2.0), VIEWS[:1]).triangles > 100

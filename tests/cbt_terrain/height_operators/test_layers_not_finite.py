@@ -41,7 +41,7 @@ def change(store: Path, name: str, value: float) -> None:
 
 @pytest.fixture(scope="module")
 def shaped(tmp_path_factory):
-    """A store with a layer of scree, 65 x 65 samples."""
+    """Shape a store of 65 x 65 samples with a layer of scree."""
     folder = tmp_path_factory.mktemp("layers")
     y, x = np.indices((65, 65)) / 9.0
     np.save(folder / "d.npy", (300 * np.sin(x) * np.cos(y) + 20 * x).astype(np.float32))

@@ -47,7 +47,7 @@ def test_a_preview_is_at_the_position_of_the_terrain(shape_):
 
 @pytest.fixture
 def made(monkeypatch):
-    """Names of the applied operators in order."""
+    """Record the names of the applied operators in order."""
     names, after = [], previews._after
     monkeypatch.setattr(previews, "_after", lambda *given: names.append(given[2].effect) or after(*given))
     return names

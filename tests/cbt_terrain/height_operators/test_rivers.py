@@ -18,7 +18,7 @@ LAYERS = ("sediment", "wear", "flow")
 
 @pytest.fixture
 def still(monkeypatch):
-    """Receivers without noise."""
+    """Select receivers without noise."""
     monkeypatch.setattr(fluvial, "JITTER", 0.0)
 
 

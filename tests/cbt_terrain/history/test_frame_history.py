@@ -91,7 +91,7 @@ def a_criterion(rng) -> Criterion:
 
 
 def a_flight(rng, ground):
-    """Views that creep, stand still and jump, one or two at a time."""
+    """Yield views that creep, stand still and jump, one or two at a time."""
     size = extent(ground)
     kind = (PERSPECTIVE, PERSPECTIVE, PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC)[rng.integers(5)]
     eye = rng.uniform(-0.5, 0.5, 3) * size + [0, 0, 0.2 * size[0]]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Point location against what the mesh itself says: the triangle that was found holds the place, and no other."""
+"""Point location against the mesh: the triangle that is found holds the point, and no other does."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ VIEW = View.look((0.0, -400.0, 120.0), (0, 0, 0), resolution=(640, 480))
 
 
 def inside(surface, triangle, place, slack=1e-3) -> bool:
-    """Whether a place lies in a triangle of the mesh in plan, or within `slack` metres of it."""
+    """Return whether a point is in a triangle of the mesh in plan, or within `slack` metres of it."""
     p = surface.positions[surface.triangles[triangle], :2].astype(np.float64)
     u, v = np.roll(p, -1, axis=0) - p, place - p
     return ((u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / np.linalg.norm(u, axis=1) >= -slack).all()

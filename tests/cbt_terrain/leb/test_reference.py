@@ -17,7 +17,7 @@ GRIDS = [(1, 1), (2, 1), (1, 3), (3, 2), (5, 3)]
 
 
 def leaves_of(tree, lattice):
-    """The grid's leaves as (square, id), without the unused numbers after the last square."""
+    """Return the grid's leaves as (square, id), without the unused numbers after the last square."""
     nodes = [bisection.from_tree_id(lattice, int(n)) for n in tree.leaves()]
     return {node for node in nodes if node[0] < lattice.squares}
 
@@ -155,7 +155,7 @@ def test_merge_undoes_split():
 
 
 @pytest.mark.parametrize("grid", GRIDS)
-def test_forced_split_reference_is_conforming_and_does_what_is_wanted(grid):
+def test_the_forced_split_reference_conforms_and_splits_enough(grid):
     columns, rows = grid
     max_depth, exponent = 8, 4
     side = 1 << exponent

@@ -120,11 +120,9 @@ HOWS = [
 
 
 @pytest.mark.parametrize("how", HOWS)
-def test_what_is_no_export_is_one_sentence(surface, tmp_path, how):
+def test_a_file_that_is_no_export_gives_one_sentence(surface, tmp_path, how):
     path = tmp_path / "a.npz"
     npz_of(path, how, surface)
-    with pytest.raises(
-        TerrainError, match="(not an .npz that this add-on exported|cannot be read).*a.npz"
-    ) as caught:
+    with pytest.raises(TerrainError, match="(not an .npz that this add-on exported|cannot be read).*a.npz") as caught:
         read_npz(path)
     assert "\n" not in str(caught.value)

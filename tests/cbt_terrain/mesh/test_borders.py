@@ -15,7 +15,7 @@ from own_surface import distances
 
 
 def raster(width: int, height: int, missing: int = 0) -> np.ndarray:
-    """Rough ground; samples that are missing lie in a block, on the rim and scattered."""
+    """Return rough ground whose missing samples form a block, touch the border and are scattered."""
     y, x = np.mgrid[:height, :width]
     random = np.random.default_rng(width)
     heights = 90.0 * np.sin(x / 17.0) * np.cos(y / 13.0) + 2.0 * random.standard_normal((height, width))
@@ -27,7 +27,7 @@ def raster(width: int, height: int, missing: int = 0) -> np.ndarray:
 
 @pytest.mark.parametrize("size", [(64, 64), (7, 200), (97, 50), (130, 33), (65, 33)])
 @pytest.mark.parametrize(("error_m", "meshlet"), [(1e9, 0), (8.0, 0), (8.0, 2), (0.8, 1)])
-def test_the_mesh_ends_exactly_on_the_rim(size, error_m, meshlet):
+def test_the_mesh_ends_exactly_on_the_border(size, error_m, meshlet):
     field = from_array(raster(*size), 8.0, 4.0)
     criterion = Criterion(error_px=0.0, error_m=error_m, meshlet=meshlet)
     surface = Terrain(field, 1).update(criterion).surface
@@ -46,19 +46,19 @@ def test_the_mesh_ends_exactly_on_the_rim(size, error_m, meshlet):
 
 @pytest.mark.parametrize("meshlet", [0, 2])
 @pytest.mark.parametrize("missing", [0, 25])
-def test_a_flight_gives_the_meshes_of_terrains_that_know_of_no_other_frame(missing, meshlet):
-    """What is cut away from one frame's arrays is there again for the next one, which copies what stays."""
+def test_a_flight_gives_the_meshes_of_terrains_without_history(missing, meshlet):
+    """Parts that are cut off one frame's arrays are restored for the next frame, which copies the common vertices."""
     field = from_array(raster(300, 150, missing), 10.0, holes=True)
-    criterion, kept = Criterion(error_px=1.0, meshlet=meshlet), Terrain(field, 2)
+    criterion, with_history = Criterion(error_px=1.0, meshlet=meshlet), Terrain(field, 2)
     for x in np.linspace(900.0, 1300.0, 6):
         view = View.look((x, 300.0, 150.0), (x + 300.0, 900.0, 0.0), resolution=(320, 240))
-        assert arrays(kept.update(criterion, [view]).surface) == arrays(
+        assert arrays(with_history.update(criterion, [view]).surface) == arrays(
             Terrain(field, 1).update(criterion, [view]).surface
         )
 
 
 @pytest.mark.parametrize("limit", [0, 2, 60, 500, 2000])
-def test_a_triangle_limit_counts_what_the_rim_adds(limit):
+def test_a_triangle_limit_counts_triangles_of_the_cut_border(limit):
     field = from_array(raster(64, 64, 20), 10.0, holes=True)
     update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=0.1, max_triangles=limit))
     assert update.triangles <= max(limit, 4) and update.limited == "max_triangles"
@@ -67,7 +67,7 @@ def test_a_triangle_limit_counts_what_the_rim_adds(limit):
 
 @pytest.mark.parametrize("meshlet", [0, 1])
 @pytest.mark.parametrize("size", [(97, 50), (65, 65), (40, 200)])
-def test_holes_are_the_cells_of_missing_samples_and_the_bound_holds_beside_them(size, meshlet):
+def test_holes_are_cells_of_missing_samples_and_the_bound_holds(size, meshlet):
     heights = raster(*size, missing=25)
     field = from_array(heights, 10.0, holes=True)
     missing = np.isnan(heights)
@@ -96,13 +96,13 @@ def test_a_fit_ends_where_the_mesh_of_an_update_does(missing):
     assert_welded(fitted.surface)
     assert areas(fitted.surface).sum() == areas(plain.surface).sum()
     assert fitted.worst_m <= fitted.bound_m <= 3.0
-    if missing:  # what is fitted would be the filling, too: it is left to interpolation
+    if missing:  # a fit would also fit the filling, so holes leave it to interpolation
         assert fitted.rounds == 0 and arrays(fitted.surface) == arrays(plain.surface)
     else:
         assert fitted.rounds > 0 and len(fitted.surface.level) < plain.triangles
 
 
-def test_what_is_measured_of_a_mesh_with_holes_is_within_its_bound():
+def test_the_error_of_a_mesh_with_holes_is_within_its_bound():
     field = from_array(raster(97, 50, missing=25), 10.0, holes=True)
     view = View.look((-300.0, -500.0, 300.0), (0.0, 0.0, 0.0), resolution=(160, 120))
     update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=2.0))

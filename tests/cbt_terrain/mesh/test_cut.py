@@ -26,7 +26,7 @@ def moments(polygon: np.ndarray) -> np.ndarray:
 
 
 def clipped(polygon: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """What of a polygon is not negative (Sutherland, Hodgman 1974)."""
+    """Clip a polygon to its non-negative part (Sutherland, Hodgman 1974)."""
     out = []
     for k in range(len(polygon)):
         p, q, a, b = polygon[k - 1], polygon[k], value[k - 1], value[k]
@@ -132,8 +132,8 @@ def test_a_coast_is_on_its_level_to_a_few_steps_of_float32():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_finest_triangles_are_cut_and_none_is_flat_or_turned_over(seed):
-    """Their edges have few steps of float32: where one is cut may be rounded to where a vertex is already."""
+def test_cuts_of_the_finest_triangles_leave_none_flat_or_flipped(seed):
+    """Their edges have few steps of float32, so a cut point may be rounded onto a vertex."""
     field = rough(65, 129, seed)
     rng = np.random.default_rng(seed)
     x, y, z = eye = sample_position(field, rng.integers(100, 128), rng.integers(1, 64))
@@ -155,7 +155,7 @@ def test_any_number_of_threads_gives_the_same_bytes(threads):
     assert all(getattr(one, name).tobytes() == getattr(more, name).tobytes() for name in ARRAYS)
 
 
-def test_what_stays_keeps_its_number_and_swapping_back_undoes_a_cut():
+def test_elements_keep_their_numbers_and_a_swap_undoes_a_cut():
     surface = surface_of(5, 2.0, 0)
     before = surface.positions.copy()
     held = {}

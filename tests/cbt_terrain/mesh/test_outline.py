@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Surfaces cut to what is inside of an outline, against areas and borders worked out by hand."""
+"""Surfaces cut to the inside of an outline, against areas and borders worked out by hand."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def cut_to(surface, triangles):
 
 
 def fan(*corners) -> list:
-    """A convex polygon as triangles."""
+    """Return the triangles of a convex polygon."""
     return [(corners[0], b, c) for b, c in zip(corners[1:], corners[2:], strict=False)]
 
 
@@ -42,8 +42,8 @@ def test_a_convex_outline_is_cut_exactly_however_coarse_the_mesh(error_m, degree
 
 
 @pytest.mark.parametrize("inside", [1.0, 0.1, 0.01, 0.001])
-def test_a_side_close_to_the_rim_of_two_triangles_is_where_it_was_put(inside):
-    """Somebody who stands there sees it, whatever part of a long edge that is."""
+def test_a_side_close_to_the_border_is_cut_at_its_position(inside):
+    """A viewer at the border sees the distance, however small a fraction of a long edge it is."""
     west, south, east, north = -320.0 + inside, -160.0 + inside, 320.0 - inside, 160.0 - inside
     result = cut_to(surface_of(1, 500.0, 0), fan((west, south), (east, south), (east, north), (west, north)))
     assert_welded(result)
@@ -93,5 +93,5 @@ def test_the_hole_of_a_ring_stays_empty():
     [[((900, 900), (901, 900), (900, 901))], [((0, 0), (5, 5), (9, 9))], [((0, 0), (100, 0), (100, 1e-9))]],
     ids=["beside", "a line", "a line but for rounding"],
 )
-def test_an_outline_beside_the_surface_or_without_an_area_leaves_nothing(triangles):
+def test_an_outline_off_the_surface_or_flat_leaves_nothing(triangles):
     assert not len(cut_to(surface_of(5, 5.0, 0), triangles).level)

@@ -40,7 +40,7 @@ def test_vertices_on_samples_have_the_samples_bits():
 
 
 @pytest.mark.parametrize("scale", [1.0, -3.0])
-def test_normals_are_those_of_the_height_field_at_full_resolution(scale):
+def test_normals_are_those_of_the_full_resolution_height_field(scale):
     field = rough(17, 33)
     criterion = Criterion(error_px=0.0, error_m=30.0, max_depth=9)  # coarse: normals must not depend on the triangles
     surface = Terrain(field, 1).update(criterion, vertical_scale=scale).surface
@@ -113,7 +113,7 @@ def test_a_warm_build_allocates_no_memory(meshlet, monkeypatch):
 
 
 def flown(field, meshlet=0, threads=2):
-    """A terrain after three frames of a slow flight, what it was asked for, and the views of the next ones."""
+    """Return a terrain after three frames of a slow flight, its criterion, and the views of the next frames."""
     terrain, views = Terrain(field, threads), [View.look((0.1 * n, -400.0, 120.0), (0, 0, 0)) for n in range(6)]
     asked = Criterion(error_px=0.2, meshlet=meshlet)
     for view in views[:3]:

@@ -27,7 +27,7 @@ def test_a_saved_tree_is_the_same_mesh_again(shape, meshlet, monkeypatch):
     before = arrays(terrain.update(criterion, VIEWS[:1], **heights).surface)
     saved = terrain.tree.to_bytes()
     other = Terrain(field, 1)
-    other.update(criterion, VIEWS[1:])  # what it had before does not matter
+    other.update(criterion, VIEWS[1:])  # its earlier mesh does not matter
     again = other.restore(saved, meshlet=meshlet, **heights)
     assert arrays(again.surface) == before and again.bound_px is None and other.tree.to_bytes() == saved
     assert not other.restore(saved, meshlet=meshlet, **heights).changed
@@ -47,7 +47,7 @@ def test_the_next_update_is_as_if_nothing_had_been_restored():
     assert (terrain.triangles_at([[0.0, 0.0]]) >= 0).all()
 
 
-def test_what_is_no_tree_of_the_field_is_refused_and_the_last_mesh_stays():
+def test_foreign_trees_are_refused_and_the_last_mesh_stays():
     terrain = Terrain(rough(65, 65), 1)
     before = arrays(terrain.update(Criterion(error_px=2.0), VIEWS[:1]).surface)
     saved = terrain.tree.to_bytes()

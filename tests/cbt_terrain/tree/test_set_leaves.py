@@ -26,7 +26,7 @@ def over(frame: int) -> View:
 
 
 def random_depths(rng, max_depth: int, rounds: int, depths: np.ndarray) -> np.ndarray:
-    """Depths of leaves of a tree, from those of another one by splits and merges of pairs."""
+    """Return the depths of a tree's leaves after random splits and merges of pairs."""
     for _ in range(rounds):
         splits = (rng.random(len(depths)) < rng.choice([0.05, 0.5, 0.9])) & (depths < max_depth)
         depths = np.repeat(depths + splits, 1 + splits)
@@ -44,7 +44,7 @@ def cells_of(depths: np.ndarray, max_depth: int) -> np.ndarray:
 
 
 def common_nodes(rng, before: np.ndarray, now: np.ndarray, max_depth: int) -> list[tuple[int, int, int]]:
-    """Nodes with the same leaves in two trees that do not overlap: first leaf and number of leaves now, and depth."""
+    """Return disjoint nodes with the same leaves in both trees: first leaf and number of leaves now, and depth."""
     cells, old = cells_of(now, max_depth), cells_of(before, max_depth)
     nodes, end = [], 0
     for leaf in np.sort(rng.integers(0, len(now), 40)).tolist():
@@ -60,7 +60,7 @@ def common_nodes(rng, before: np.ndarray, now: np.ndarray, max_depth: int) -> li
 
 
 def parts_of(rng, depths: np.ndarray, nodes: list, max_depth: int) -> list[LeafPart]:
-    """The leaves in parts with rubbish between, cut anywhere but in the nodes that stay."""
+    """Return the leaves in parts with rubbish between them, cut anywhere except inside `nodes`."""
     codes = (depths << 5).astype(np.uint16)
     inside = {leaf for first, count, _ in nodes for leaf in range(first + 1, first + count)}
     cuts = sorted({0, len(depths), *rng.integers(0, len(depths) + 1, rng.integers(0, 6)).tolist()} - inside)
@@ -94,14 +94,14 @@ def test_leaves_in_parts_give_the_tree_of_all_leaves(max_depth, seed, threads):
         assert fresh.to_bytes() == tree.to_bytes()
 
 
-def taken(terrain: Terrain) -> int:
-    """Leaves that the last update took from the frame before."""
+def reused_leaves(terrain: Terrain) -> int:
+    """Return the number of leaves that the last update reused from the frame before."""
     history = terrain.history
     return int(history.scratch.numpy("reused")[: history.last.subtrees.slots].sum())
 
 
 def assert_as_new(flown: Terrain, criterion: Criterion, view: View) -> None:
-    """The next update is to the bit what a new terrain gives: mesh and cells."""
+    """Assert that the next update gives the bytes of a new terrain: mesh and cells."""
     update, fresh = flown.update(criterion, [view]), Terrain(flown.field, 1)
     new = fresh.update(criterion, [view])
     assert arrays(update.surface) == arrays(new.surface) and update.leaves == new.leaves
@@ -117,7 +117,7 @@ def test_a_flights_tree_is_that_of_a_new_terrain(shape, threads, monkeypatch):
         assert_as_new(flown, ERROR, over(frame))
 
 
-def test_points_that_are_taken_without_room_for_runs_are_displaced_again(monkeypatch):
+def test_reused_points_without_room_for_runs_are_displaced_again(monkeypatch):
     monkeypatch.setattr(launch, "SLICE_ITEMS", 2)
     flown = Terrain(rough(129, 129, relief=20.0), 2)
     for frame, room in enumerate((1000, 2, 1000, 1)):
@@ -138,9 +138,9 @@ def test_a_new_tree_takes_nothing(monkeypatch):
         flown.update(ERROR, [over(1)])
     assert flown.tree is None
     assert_as_new(flown, ERROR, over(2))
-    assert taken(flown) == 0
+    assert reused_leaves(flown) == 0
     assert_as_new(flown, ERROR, over(3))
-    assert taken(flown) > 1000
+    assert reused_leaves(flown) > 1000
 
 
 def test_a_walk_that_is_given_up_changes_nothing():

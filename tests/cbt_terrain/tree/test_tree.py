@@ -41,7 +41,7 @@ class ReferenceTree:
 
 
 def random_tree(rng, max_depth, leaves):
-    """Leaves of a random tree, deep at one end of most branches."""
+    """Return the leaves of a random tree, deep at one end of most branches."""
     reference = ReferenceTree(max_depth)
     while len(reference.leaves) < leaves:
         candidates = [n for n in reference.leaves if n >> max_depth == 0]

@@ -12,13 +12,13 @@ MAX_NAME_BYTES = 765 if sys.platform == "win32" else 255
 
 
 class TerrainError(Exception):
-    """Something that came from outside cannot be used. Its text is one sentence for the user, made by `to_sentence`.
+    """Error of input that cannot be used. Its text is one sentence for the user, made by `to_sentence`.
 
     Attributes:
-        what: clause that says what is wrong: "The saved tree has version 3".
+        what: clause that names the fault: "The saved tree has version 3".
         where: file, object or setting, if `what` does not name it: "/land/alps.store".
-        expected: what can be used: "version 2".
-        fix: what the user can do: "save it again".
+        expected: usable values: "version 2".
+        fix: instruction for the user: "save it again".
         code: identifier for code that handles this error, "" if none does: "store.changed".
     """
 
@@ -98,7 +98,7 @@ def check_seed(name: str, seed: int) -> None:
 
 
 def check_free_name(kind: str, name: str, known: Container[str]) -> None:
-    """Raise TerrainError unless `name` is a lower-case identifier that nothing of this kind has."""
+    """Raise TerrainError unless `name` is a lower-case identifier that is not in `known`."""
     if not (name.isidentifier() and name == name.lower()):
         raise TerrainError(
             f"The name {name!r} of the {kind} is no identifier", expected="lower-case letters, digits, _"
@@ -108,7 +108,7 @@ def check_free_name(kind: str, name: str, known: Container[str]) -> None:
 
 
 def named_once(pairs: list[tuple[str, object]]) -> dict:
-    """Return a JSON object as a dict. Raise ValueError for a repeated name, of which Python would take the last."""
+    """Return a JSON object as a dict. Raise ValueError for a repeated name, of which Python would keep the last."""
     content = {}
     for name, value in pairs:
         if name in content:

@@ -137,7 +137,7 @@ class _Work:
         }
         self.rows = {name: self._rows(name) for name in self.arrays}
         self.value, self.ends = np.empty(self.before[0] + more), np.empty((more, 2), np.int32)
-        self.parent, self.gone = np.empty(more, np.int32), np.zeros((3, max(self.before) + more), bool)
+        self.parent, self.removed = np.empty(more, np.int32), np.zeros((3, max(self.before) + more), bool)
         m = self.m = kernels.Cut()
         m.corner_verts = shared(self.arrays["corner_verts"], wp.int32)
         m.corner_edges = shared(self.arrays["corner_edges"], wp.int32)
@@ -145,7 +145,7 @@ class _Work:
         self.listed = copied("", listed, len(listed) + more)
         m.listed = shared(self.listed, wp.int32)
         m.ends, m.parent = shared(self.ends, wp.vec2i), shared(self.parent, wp.int32)
-        m.gone, m.counts = shared(self.gone.view(np.uint8), wp.uint8), shared(self.counts, wp.int32)
+        m.removed, m.counts = shared(self.removed.view(np.uint8), wp.uint8), shared(self.counts, wp.int32)
 
     def _rows(self, name: str) -> np.ndarray:
         """Return a view of an array with one row for each vertex, edge or triangle."""
@@ -163,7 +163,7 @@ class _Work:
             self.value[earlier] = np.where(on_line, 0.0, found)
         if side.tolerance:
             positions = shared(self.arrays["positions"], wp.vec3f)
-            launch.once(kernels.put_on_line, [wp.float64(side.tolerance), positions, self.m], step="cut")
+            launch.once(kernels.snap_to_line, [wp.float64(side.tolerance), positions, self.m], step="cut")
         launch.once(kernels.cut, [self.m], step="cut")
         end, end_edge, end_face, _ = self.counts.tolist()
         p, q = self.ends[: end - first].T
@@ -196,8 +196,8 @@ class _Work:
         if not len(short):
             return
         listed = self.listed[: self.counts[kernels.LISTED]]
-        listed = listed[~self.gone[kernels.TRIANGLE, listed]]
-        gone = np.unique(edges[short])
+        listed = listed[~self.removed[kernels.TRIANGLE, listed]]
+        removed = np.unique(edges[short])
         to = _merged(edges[short], self.counts[kernels.VERTEX])
         corners[listed], used = to[corners[listed]], np.unique(sides[listed])
         edges[used] = to[edges[used]]
@@ -207,9 +207,9 @@ class _Work:
         pairs = [e[~p] for e, p in zip(sides[flat], points, strict=True) if p.sum() == 1]
         pairs = np.array(pairs, np.int64).reshape(-1, 2)
         sides[listed] = _merged(pairs, self.counts[kernels.EDGE])[sides[listed]]
-        self.gone[kernels.TRIANGLE, flat] = True
-        self.gone[kernels.VERTEX, np.union1d(gone, corners[flat])] = True
-        self.gone[kernels.EDGE, np.union1d(sides[flat], np.union1d(pairs, short))] = True
+        self.removed[kernels.TRIANGLE, flat] = True
+        self.removed[kernels.VERTEX, np.union1d(removed, corners[flat])] = True
+        self.removed[kernels.EDGE, np.union1d(sides[flat], np.union1d(pairs, short))] = True
 
     def close(self):
         """Fill the gaps with the last remaining elements; return the surface and the pairs of swapped vertices."""
@@ -232,9 +232,9 @@ class _Work:
         """Return the number of remaining elements, int64 [2, n]: old and new numbers of those that move, and int32: new
         numbers of all elements behind the end, -1 for removed ones."""
         total = int(self.counts[kind])
-        gone = np.flatnonzero(self.gone[kind, :total])
-        end = total - len(gone)
-        stays, gaps = np.flatnonzero(~self.gone[kind, end:total]), gone[gone < end]
+        removed = np.flatnonzero(self.removed[kind, :total])
+        end = total - len(removed)
+        stays, gaps = np.flatnonzero(~self.removed[kind, end:total]), removed[removed < end]
         moved = np.full(total - end, -1, np.int32)
         moved[stays] = gaps
         return end, np.stack([end + stays, gaps]), moved

@@ -5,7 +5,7 @@ import warp as wp
 
 from ..field.detail import PackedLayers, detail_at
 from ..field.domain import Domain
-from ..mesh.displace import AHEAD, DisplacedPoints, fetch_samples, find_run, put_vertex, runs_of, surface_at, take_run
+from ..mesh.displace import AHEAD, DisplacedPoints, copy_run, fetch_samples, find_run, put_vertex, runs_of, surface_at
 from ..unchecked import item_at
 
 
@@ -38,7 +38,7 @@ def displace_detail(
     v = first
     while v < end:
         begin, stop, at = find_run(points, run, run_end, v, end, point_base)
-        take_run(points, at, begin, stop, vertex_base)
+        copy_run(points, at, begin, stop, vertex_base)
         run += wp.int64(1)
         for u in range(v, begin):
             k = point_base + wp.int64(u)

@@ -23,7 +23,7 @@ class Cut:
     listed: wp.array(dtype=wp.int32)  # triangles that are cut, removed, new, or may use moved elements
     ends: wp.array(dtype=wp.vec2i)  # positive and negative end of each new vertex' edge
     parent: wp.array(dtype=wp.int32)  # of each new triangle
-    gone: wp.array(dtype=wp.uint8, ndim=2)  # [VERTEX .. TRIANGLE, number]: 1 if it is removed
+    removed: wp.array(dtype=wp.uint8, ndim=2)  # [VERTEX .. TRIANGLE, number]: 1 if it is removed
     counts: wp.array(dtype=wp.int32)  # [VERTEX .. LISTED]: number of each, and of listed triangles
 
 
@@ -79,7 +79,7 @@ def flag_holes(
 
 
 @wp.func
-def part_near(tolerance: wp.float64, p: wp.vec3f, q: wp.vec3f) -> wp.float64:
+def tolerance_along(tolerance: wp.float64, p: wp.vec3f, q: wp.vec3f) -> wp.float64:
     """Return `tolerance` times the largest coordinate of p and q, as a fraction of the edge's length in plan."""
     largest = wp.max(wp.max(wp.abs(p[0]), wp.abs(p[1])), wp.max(wp.abs(q[0]), wp.abs(q[1])))
     x = wp.float64(q[0]) - wp.float64(p[0])
@@ -88,7 +88,7 @@ def part_near(tolerance: wp.float64, p: wp.vec3f, q: wp.vec3f) -> wp.float64:
 
 
 @wp.kernel
-def put_on_line(tolerance: wp.float64, positions: wp.array(dtype=wp.vec3f), m: Cut):
+def snap_to_line(tolerance: wp.float64, positions: wp.array(dtype=wp.vec3f), m: Cut):
     """Set the value of a vertex to 0 if the cut of one of its edges would be as close to it as float32 resolves."""
     for i in range(m.counts[LISTED]):
         o = 3 * m.listed[i]
@@ -99,17 +99,17 @@ def put_on_line(tolerance: wp.float64, positions: wp.array(dtype=wp.vec3f), m: C
             b = m.value[q]
             if (a < wp.float64(0.0) and b > wp.float64(0.0)) or (a > wp.float64(0.0) and b < wp.float64(0.0)):
                 part = a / (a - b)
-                if wp.min(part, wp.float64(1.0) - part) < part_near(tolerance, positions[p], positions[q]):
+                if wp.min(part, wp.float64(1.0) - part) < tolerance_along(tolerance, positions[p], positions[q]):
                     m.value[wp.where(part < wp.float64(0.5), p, q)] = wp.float64(0.0)
 
 
 @wp.func
 def remove_triangle(m: Cut, t: wp.int32):
     """Mark a triangle, its vertices and its edges as removed; `close` restores those that other triangles use."""
-    m.gone[TRIANGLE, t] = wp.uint8(1)
+    m.removed[TRIANGLE, t] = wp.uint8(1)
     for c in range(3):
-        m.gone[VERTEX, m.corner_verts[3 * t + c]] = wp.uint8(1)
-        m.gone[EDGE, m.corner_edges[3 * t + c]] = wp.uint8(1)
+        m.removed[VERTEX, m.corner_verts[3 * t + c]] = wp.uint8(1)
+        m.removed[EDGE, m.corner_edges[3 * t + c]] = wp.uint8(1)
 
 
 @wp.func
@@ -138,7 +138,7 @@ def cut_point(m: Cut, first: wp.int32, e: wp.int32, p: wp.int32, q: wp.int32) ->
 
 @wp.func
 def put_triangle(m: Cut, t: wp.int32, v: wp.vec3i, e: wp.vec3i):
-    m.gone[TRIANGLE, t] = wp.uint8(0)
+    m.removed[TRIANGLE, t] = wp.uint8(0)
     for c in range(3):
         m.corner_verts[3 * t + c] = v[c]
         m.corner_edges[3 * t + c] = e[c]
@@ -200,7 +200,7 @@ def cut(m: Cut):
     listed = m.counts[LISTED]  # triangles that `clip` adds are cut already
     for i in range(listed):
         t = m.listed[i]
-        if m.gone[TRIANGLE, t] == wp.uint8(0):
+        if m.removed[TRIANGLE, t] == wp.uint8(0):
             lowest = wp.float64(wp.inf)
             highest = -wp.float64(wp.inf)
             for c in range(3):
@@ -226,10 +226,10 @@ def close(m: Cut):
     """Keep the vertices and edges of the triangles that remain."""
     for i in range(m.counts[LISTED]):
         t = m.listed[i]
-        if m.gone[TRIANGLE, t] == wp.uint8(0):
+        if m.removed[TRIANGLE, t] == wp.uint8(0):
             for c in range(3):
-                m.gone[VERTEX, m.corner_verts[3 * t + c]] = wp.uint8(0)
-                m.gone[EDGE, m.corner_edges[3 * t + c]] = wp.uint8(0)
+                m.removed[VERTEX, m.corner_verts[3 * t + c]] = wp.uint8(0)
+                m.removed[EDGE, m.corner_edges[3 * t + c]] = wp.uint8(0)
 
 
 @wp.func
@@ -250,7 +250,7 @@ def renumber(
     """Renumber vertices and edges behind the new ends: only listed triangles that remain use any."""
     for i in range(m.counts[LISTED]):
         t = m.listed[i]
-        if m.gone[TRIANGLE, t] == wp.uint8(0):
+        if m.removed[TRIANGLE, t] == wp.uint8(0):
             for c in range(3):
                 e = m.corner_edges[3 * t + c]
                 ends = m.edges[e]

@@ -163,7 +163,7 @@ def next_new(
 
 
 @wp.func
-def take_run(points: DisplacedPoints, at: wp.int64, begin: wp.int32, stop: wp.int32, vertex_base: wp.int32):
+def copy_run(points: DisplacedPoints, at: wp.int64, begin: wp.int32, stop: wp.int32, vertex_base: wp.int32):
     """Copy vertices `begin` .. `stop` from the last frame, where they begin at vertex `at`."""
     if stop > begin:
         count = stop - begin
@@ -225,7 +225,7 @@ def displace(
     v = first
     while v < end:
         begin, stop, at = find_run(points, run, run_end, v, end, point_base)
-        take_run(points, at, begin, stop, vertex_base)
+        copy_run(points, at, begin, stop, vertex_base)
         run += wp.int64(1)
         for u in range(v, begin):
             k = point_base + wp.int64(u)

@@ -20,13 +20,13 @@ from .weld_state import (
     UPPER_LEFT,
     Weld,
     base_of,
-    meet,
+    check_level,
     stack_base,
 )
 
 
 @wp.func
-def settle(number: wp.int32, first: wp.int32, found: wp.array(dtype=wp.vec2i), of: wp.int32) -> wp.int32:
+def resolve_number(number: wp.int32, first: wp.int32, found: wp.array(dtype=wp.vec2i), of: wp.int32) -> wp.int32:
     """Return a number, or the edge (of = 0) or vertex (of = 1) of an import. `first`: first import of its slice."""
     n = number
     if number < 0:
@@ -66,17 +66,17 @@ def resolve(
                 else:
                     at += (kind - STACK) * size
                     number = open[at]
-                    meet(w, e, level, open_level[at])
+                    check_level(w, e, level, open_level[at])
             elif kind == SIDE:
                 number = w.side[value]
-                meet(w, e, level, w.side_level[value])
+                check_level(w, e, level, w.side_level[value])
             elif kind == UPPER_LEFT:
                 number = wp.vec2i(0, w.corners[2 * value])
             else:
                 number = wp.vec2i(0, w.corners[2 * value + 1])
             found[first + i] = number
-        w.state[e + END_FRONT] = settle(w.state[e + END_FRONT], first, found, 1)
-        w.state[e + END_FRONT + 1] = settle(w.state[e + END_FRONT + 1], first, found, 1)
+        w.state[e + END_FRONT] = resolve_number(w.state[e + END_FRONT], first, found, 1)
+        w.state[e + END_FRONT + 1] = resolve_number(w.state[e + END_FRONT + 1], first, found, 1)
         for side in range(2):
             top = wp.max(tops[side] - w.state[e + POPS + side], 0)
             if w.state[e + RESTARTED] == 1:
@@ -85,7 +85,7 @@ def resolve(
                 at = stack_base(room, leaves, side) + i
                 edge = w.stack[at]
                 open_level[side * size + top] = w.stack_level[at]
-                open[side * size + top] = wp.vec2i(edge[0], settle(edge[1], first, found, 1))
+                open[side * size + top] = wp.vec2i(edge[0], resolve_number(edge[1], first, found, 1))
                 top += 1
             tops[side] = top
         # The sides and corners that this slice has written: up to where the next one begins.
@@ -101,9 +101,9 @@ def resolve(
                 if q == w.squares[k]:
                     begin += w.before[4 * k + 2 + upper]
                 for i in range(begin, end):
-                    w.side[i] = wp.vec2i(w.side[i][0], settle(w.side[i][1], first, found, 1))
+                    w.side[i] = wp.vec2i(w.side[i][0], resolve_number(w.side[i][1], first, found, 1))
             if q >= w.state[e + FIRST_BEGUN] and (k + 1 == slices or q < w.state[e + STATE_SIZE + FIRST_BEGUN]):
-                w.corners[2 * q] = settle(w.corners[2 * q], first, found, 1)
+                w.corners[2 * q] = resolve_number(w.corners[2 * q], first, found, 1)
 
 
 @wp.func
@@ -117,9 +117,11 @@ def patch(slot: wp.int32, w: Weld, found: wp.array(dtype=wp.vec2i)):
             edge = w.corner_edges[c]
             if edge >= 0:
                 ends = w.edges[edge]
-                w.edges[edge] = wp.vec2i(settle(ends[0], first, found, 1), settle(ends[1], first, found, 1))
-            w.corner_edges[c] = settle(edge, first, found, 0)
-            w.corner_verts[c] = settle(w.corner_verts[c], first, found, 1)
+                w.edges[edge] = wp.vec2i(
+                    resolve_number(ends[0], first, found, 1), resolve_number(ends[1], first, found, 1)
+                )
+            w.corner_edges[c] = resolve_number(edge, first, found, 0)
+            w.corner_verts[c] = resolve_number(w.corner_verts[c], first, found, 1)
 
 
 @wp.kernel

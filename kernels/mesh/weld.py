@@ -28,7 +28,7 @@ from ..refine.curve import (
     TO_CORNER,
 )
 from ..unchecked import item_at, put
-from .weld_border import corner_below, enter, give_above, give_right, read_side
+from .weld_border import append_above, append_right, begin_left_side, corner_below, read_side
 from .weld_state import (
     END_FRONT,
     END_TOPS,
@@ -47,8 +47,8 @@ from .weld_state import (
     Weld,
     add_import,
     base_of,
+    check_level,
     import_open_edge,
-    meet,
     stack_base,
 )
 
@@ -156,11 +156,11 @@ def begin_square(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.in
         w.state[e + LEFT + i] = 0
     w.state[e + SQUARE] = w.state[e + SQUARE] + 1
     w.state[e + RESTARTED] = 1
-    meet(w, e, 0, s.level)
+    check_level(w, e, 0, s.level)
     s.level = level_of(code, ENTRY_LEGS)
     s.next0 = stack_base(b.room, leaves, 0)
     s.next1 = stack_base(b.room, leaves, 1)
-    corner, end, entry, vertex, edge = enter(w, b, e, slot, code, s.level, s.vertex, s.edge)
+    corner, end, entry, vertex, edge = begin_left_side(w, b, e, slot, code, s.level, s.vertex, s.edge)
     s.entry = entry
     s.vertex = vertex
     s.edge = edge
@@ -198,9 +198,9 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
         third = shared_edge[0]
         far = shared_edge[1]
     elif role == GIVE_RIGHT:
-        give_right(w, e, third, level, moved, far)
+        append_right(w, e, third, level, moved, far)
     elif role == GIVE_ABOVE:
-        give_above(w, e, third, level, moved)
+        append_above(w, e, third, level, moved)
     else:
         if role == TO_CORNER:
             far = corner_below(w, b, e, w.state[e + SQUARE])
@@ -220,7 +220,7 @@ def note_rare(w: Weld, b: Base, slot: wp.int32, code: wp.int32, s: Strip, t: wp.
         leave = s.edge + wp.where(third == s.edge, 1, 0)
         pivot = wp.where(side_of(code) == 0, s.front1, s.front0)
         begun = wp.where((code & PASSAGE) == HYP_LEG, far, pivot)
-        give_above(w, e, leave, level_of(code, LEAVE_LEGS), begun)
+        append_above(w, e, leave, level_of(code, LEAVE_LEGS), begun)
 
 
 @wp.func

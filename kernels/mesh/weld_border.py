@@ -22,7 +22,7 @@ from .weld_state import (
     Base,
     Weld,
     add_import,
-    meet,
+    check_level,
 )
 
 
@@ -46,7 +46,7 @@ def corner_below(w: Weld, b: Base, e: wp.int32, square: wp.int32) -> wp.int32:
 
 
 @wp.func
-def enter(
+def begin_left_side(
     w: Weld, b: Base, e: wp.int32, slot: wp.int32, code: wp.int32, level: wp.int32, vertices: wp.int32, edges: wp.int32
 ):
     """Begin a square with the left side's first edge, of this level, from the upper left corner down.
@@ -67,7 +67,7 @@ def enter(
             corner = w.corners[2 * owner + 1]
             entry = w.side[at][0]
             end = w.side[at][1]
-            meet(w, e, level, w.side_level[at])
+            check_level(w, e, level, w.side_level[at])
         else:
             corner = add_import(w, b, e, UPPER_RIGHT, owner)
             end = add_import(w, b, e, SIDE | (level << LEVEL_SHIFT), at)
@@ -105,7 +105,7 @@ def read_side(w: Weld, b: Base, e: wp.int32, slot: wp.int32, role: wp.int32, lev
     shared_edge = wp.vec2i(0, 0)
     if is_here:
         shared_edge = w.side[at]
-        meet(w, e, level, w.side_level[at])
+        check_level(w, e, level, w.side_level[at])
     else:
         n = add_import(w, b, e, SIDE | (level << LEVEL_SHIFT), at)
         shared_edge = wp.vec2i(n, n)
@@ -113,7 +113,7 @@ def read_side(w: Weld, b: Base, e: wp.int32, slot: wp.int32, role: wp.int32, lev
 
 
 @wp.func
-def give_right(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32, far: wp.int32):
+def append_right(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32, far: wp.int32):
     """Append an edge to the right side of the current square."""
     square = w.state[e + SQUARE]
     n = w.side_base[square] + w.state[e + RIGHT]
@@ -125,7 +125,7 @@ def give_right(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.
 
 
 @wp.func
-def give_above(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32):
+def append_above(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32):
     """Append an edge to the upper side of the current square."""
     n = w.side_base[w.columns * w.rows + w.state[e + SQUARE]] + w.state[e + ABOVE]
     w.side[n] = wp.vec2i(edge, begun)

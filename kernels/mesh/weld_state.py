@@ -116,7 +116,7 @@ def import_open_edge(w: Weld, b: Base, e: wp.int32, side: wp.int32, level: wp.in
 
 
 @wp.func
-def meet(w: Weld, e: wp.int32, level: wp.int32, other: wp.int32):
+def check_level(w: Weld, e: wp.int32, level: wp.int32, other: wp.int32):
     """Mark the mesh as torn if the two leaves of an edge give it different levels: then errors are not nested."""
     if level != other:
         w.state[e + TORN] = 1

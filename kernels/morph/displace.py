@@ -8,12 +8,12 @@ from ..mesh.displace import (
     AHEAD,
     HIGHEST,
     DisplacedPoints,
+    copy_run,
     fetch_samples,
     find_run,
     next_new,
     put_vertex,
     runs_of,
-    take_run,
 )
 from ..refine.diamond import fetch_range
 from ..refine.runs import NOT_CLEAR
@@ -64,7 +64,7 @@ def displace_morphing(
     v = first
     while v < end:
         begin, stop, at = find_run(points, run, run_end, v, end, point_base)
-        take_run(points, at, begin, stop, vertex_base)
+        copy_run(points, at, begin, stop, vertex_base)
         settled = wp.float64(wp.inf)
         run_clear_below = NOT_CLEAR
         if stop > begin:

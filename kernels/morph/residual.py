@@ -26,7 +26,7 @@ from ..refine.diamond import Diamond, diamond_at, larger, metres2_of, rest_of, s
 from ..refine.interval import ABOVE
 from ..refine.pixels import CriterionArrays, finest, sizes
 from ..refine.stored_errors import error_at, reach_of
-from .lattice import SplitVertex, above, depth_of, half_edge, split_vertex
+from .lattice import SplitVertex, depth_of, diamond_above, half_edge, split_vertex
 from .state import NOWHERE, PENDING, REMEMBERED, Ends, Known, Memory, MorphedPoint, Morphing, Pending, Ramp, Relief
 
 
@@ -104,7 +104,7 @@ def forget_all(memory: Memory):
 
 
 @wp.func
-def see(
+def evaluate_point(
     domain: Domain,
     morphing: Morphing,
     at: wp.vec2i,
@@ -129,7 +129,7 @@ def see(
         judged.point = at
         judged.depth = depth
         if morphing.ramp.bisections > 0:
-            judged = above(domain.unit_bits, split_vertex(domain.unit_bits, at), morphing.ramp.bisections)
+            judged = diamond_above(domain.unit_bits, split_vertex(domain.unit_bits, at), morphing.ramp.bisections)
         relief = Relief()
         if was_there and known.is_settled == 0:
             relief = morphing.last_relief[last]
@@ -155,7 +155,7 @@ def see(
 
 
 @wp.func
-def with_end(ends: Ends, end: MorphedPoint) -> Ends:
+def add_end(ends: Ends, end: MorphedPoint) -> Ends:
     """Add an end to the sums."""
     ends.height += end.height
     ends.z += end.z
@@ -166,7 +166,7 @@ def with_end(ends: Ends, end: MorphedPoint) -> Ends:
 
 
 @wp.func
-def between(target: MorphedPoint, weight: wp.float64, ends: Ends) -> MorphedPoint:
+def morph_between(target: MorphedPoint, weight: wp.float64, ends: Ends) -> MorphedPoint:
     """Return a point in this frame from its surface, W and two ends."""
     half = wp.float64(0.5)
     found = target
@@ -253,7 +253,9 @@ def morphed_point(
             is_known = there.point == at
         if not is_known:
             depth = depth_of(domain.unit_bits, at)
-            weight, known, surface, pixel2 = see(domain, morphing, at, depth, is_vertex, vertex, last, clear_below)
+            weight, known, surface, pixel2 = evaluate_point(
+                domain, morphing, at, depth, is_vertex, vertex, last, clear_below
+            )
             is_known = weight >= wp.float64(1.0)
             there.point = at
             there.height = known.height
@@ -270,7 +272,7 @@ def morphed_point(
                     left = memory.points[entry_of(memory, at - along)]
                     right = memory.points[entry_of(memory, at + along)]
                     is_known = left.point == at - along and right.point == at + along
-                    ends = with_end(with_end(no_ends(), left), right)
+                    ends = add_end(add_end(no_ends(), left), right)
                     if not is_known:
                         top += 1
                         waiting = Pending()
@@ -281,7 +283,7 @@ def morphed_point(
                         waiting.ends = no_ends()
                         memory.pending[top] = waiting
                 if is_known:
-                    there = between(there, weight, ends)
+                    there = morph_between(there, weight, ends)
             if is_known:
                 memory.points[entry] = there
             if is_vertex:
@@ -290,12 +292,12 @@ def morphed_point(
             is_vertex = False
         while is_known and top >= first:
             waiting = memory.pending[top]
-            ends = with_end(waiting.ends, there)
+            ends = add_end(waiting.ends, there)
             waiting.ends = ends
             waiting.seen += 1
             is_known = waiting.seen == 2
             if is_known:
-                there = between(waiting.target, waiting.weight, ends)
+                there = morph_between(waiting.target, waiting.weight, ends)
                 memory.points[entry_of(memory, there.point)] = there
                 top -= 1
             else:

@@ -161,14 +161,14 @@ def close_word(
             fetch_xor(t.stored, slot, (old_stored ^ entered) & run_bits)
             t.state[DIFFERS] = 1
         mark_changed(t, slot, level)
-    gone = old_stored & ~entered & run_bits
-    while gone != wp.uint64(0):
-        below = 64 * t.pages[slot] + lowest_bit(gone)
+    freed = old_stored & ~entered & run_bits
+    while freed != wp.uint64(0):
+        below = 64 * t.pages[slot] + lowest_bit(freed)
         t.words[below] = wp.uint64(0)
         t.stored[below] = wp.uint64(0)
         t.counts[below] = 0
         t.pages[below] = 0
-        gone = gone & (gone - ONE)
+        freed = freed & (freed - ONE)
 
 
 @wp.kernel

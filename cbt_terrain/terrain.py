@@ -266,6 +266,7 @@ class Terrain:
             return horizon_of(self.field, *last.horizon, self.threads) if last.horizon else None
 
     def _need_result(self) -> _Result:
+        """Return the last result. Raises TerrainError before the first update."""
         if self._last is None:
             raise TerrainError("The terrain has no mesh yet", fix="update it first")
         return self._last
@@ -376,6 +377,7 @@ def box_of(field: HeightField, vertical_scale: float, vertical_offset: float) ->
 
 
 def _max_leaves(criterion: Criterion) -> int:
+    """Return the largest number of leaves whose triangles are within the limit."""
     triangles = MAX_TRIANGLES if criterion.max_triangles is None else min(MAX_TRIANGLES, criterion.max_triangles)
     return triangles >> (2 * criterion.meshlet)
 

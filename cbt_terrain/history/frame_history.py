@@ -165,6 +165,7 @@ class FrameHistory:
         return reuses
 
     def _replace_vertices(self) -> None:
+        """Let the next frame write its vertices into the memory of the last ones."""
         self.next.arrays.exchange(self.last.arrays, VERTEX_ARRAYS)
         self.last.vertices = None
 

@@ -59,6 +59,7 @@ def _lines(border: np.ndarray) -> np.ndarray:
 
 
 def _from_line(line: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the signed distance of points to a line, positive on its left, metres."""
     x, y = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
     return line[0] * x + line[1] * y + line[2]
 

@@ -138,6 +138,7 @@ def cut_point(m: Cut, first: wp.int32, e: wp.int32, p: wp.int32, q: wp.int32) ->
 
 @wp.func
 def put_triangle(m: Cut, t: wp.int32, v: wp.vec3i, e: wp.vec3i):
+    """Write triangle t with vertices v and edges e."""
     m.removed[TRIANGLE, t] = wp.uint8(0)
     for c in range(3):
         m.corner_verts[3 * t + c] = v[c]
@@ -234,6 +235,7 @@ def close(m: Cut):
 
 @wp.func
 def renumbered(number: wp.int32, end: wp.int32, moved: wp.array(dtype=wp.int32)) -> wp.int32:
+    """Return the new number of an element: moved[number - end] behind the end, otherwise its old one."""
     if number >= end:
         return moved[number - end]
     return number

@@ -46,6 +46,7 @@ def half_edge(unit_bits: wp.int32, p: wp.vec2i, depth: wp.int32) -> wp.vec2i:
 
 @wp.func
 def split_vertex(unit_bits: wp.int32, p: wp.vec2i) -> SplitVertex:
+    """Return the diamond that is split at a lattice point, and the edge that the point splits."""
     v = SplitVertex()
     v.point = p
     v.depth = depth_of(unit_bits, p)

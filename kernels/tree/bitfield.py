@@ -120,14 +120,21 @@ def page_below(t: Bitfield, slot: wp.int32) -> wp.int32:
     "const int* more = counts.data + first; for (;; bits &= bits - 1) { int bit = __builtin_ctzll(bits); "
     "if (number <= more[bit]) return number << 6 | bit; number -= 1 + more[bit]; }"
 )
-def select_bit(bits: wp.uint64, counts: wp.array(dtype=wp.int32), first: wp.int32, number: wp.int32) -> wp.int64: ...
+def select_bit(bits: wp.uint64, counts: wp.array(dtype=wp.int32), first: wp.int32, number: wp.int32) -> wp.int64:
+    """Return the bit of a word that holds leaf `number`, and the leaf's number within it, as number << 6 | bit.
+
+    counts[first + k]: number of leaves of bit k, less 1.
+    """
+    ...
 
 
 @wp.func_native(
     "int sum = __builtin_popcountll(bits & ((1ull << bit) - 1)); "
     "if (first) for (int k = 0; k < bit; ++k) sum += counts.data[first + k]; return sum;"
 )
-def count_before(bits: wp.uint64, counts: wp.array(dtype=wp.int32), first: wp.int32, bit: wp.int32) -> wp.int32: ...
+def count_before(bits: wp.uint64, counts: wp.array(dtype=wp.int32), first: wp.int32, bit: wp.int32) -> wp.int32:
+    """Return the number of leaves before a bit of a word. `first`: its page in `counts`, 0 if it has no words below."""
+    ...
 
 
 @wp.func

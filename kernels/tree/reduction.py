@@ -8,19 +8,23 @@ from .bitfield import LEVEL_SHIFT, NUM_CHANGED, ONE, ROOT, Bitfield
 
 
 @wp.func_native("int sum = 0; for (int k = 0; k < 64; ++k) sum += counts.data[first + k]; return sum;")
-def sum_page(counts: wp.array(dtype=wp.int32), first: wp.int32) -> wp.int32: ...
+def sum_page(counts: wp.array(dtype=wp.int32), first: wp.int32) -> wp.int32:
+    """Return the sum of the 64 counters of a page."""
+    ...
 
 
 @wp.func_native(
     "wp::uint64 stored = 0; for (int k = 0; k < 64; ++k) stored |= (wp::uint64)(words.data[first + k] != 0) << k; "
     "return stored;"
 )
-def stored_words(words: wp.array(dtype=wp.uint64), first: wp.int32) -> wp.uint64: ...
+def stored_words(words: wp.array(dtype=wp.uint64), first: wp.int32) -> wp.uint64:
+    """Return a bit for each of the 64 words of a page: 1 if the word is not 0."""
+    ...
 
 
 @wp.func
 def sum_word(t: Bitfield, slot: wp.int32):
-    """Count the leaves of a word again; of one whose first bit alone is left, store no word."""
+    """Count the leaves of a word again; stop storing a word whose only bit is the first."""
     bits = t.words[slot]
     below = 64 * t.pages[slot]
     t.stored[slot] = stored_words(t.words, below)

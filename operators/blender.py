@@ -5,7 +5,7 @@ from .export.frame_sources import import_bpy
 
 
 def need_bpy(what: str):
-    """The bpy module, with this extension registered; raises TerrainError that says who needs it."""
+    """Return the bpy module with this extension registered, or raise a TerrainError that names `what` needs it."""
     bpy = import_bpy(what)
     if not hasattr(bpy.types.Object, "adaptive_terrain"):
         from . import registration

@@ -100,7 +100,10 @@ def on_before_frame(scene, _unused=None) -> None:
 
 @persistent
 def on_frame_change(scene, depsgraph) -> None:
-    """What is kept on the ground comes first, in a pause too: a terrain may be refined for a camera among it."""
+    """Update objects on the ground, then terrains.
+
+    Objects come first, also in a pause, because a terrain may be refined for a camera among them.
+    """
     _note_update(depsgraph)  # before another evaluation puts its own in place
     with stopping.held():
         failed = _settle(scene, depsgraph)
@@ -109,7 +112,7 @@ def on_frame_change(scene, depsgraph) -> None:
 
 
 def _settle(scene, depsgraph) -> list[str]:
-    """Returns why objects could not be moved to the ground that a render needs."""
+    """Move objects to the ground; return the errors that kept those that a render needs from it."""
     waits = depsgraph.mode == RENDER or pauses.paused_now() or _mesh_is_needed_now()
     try:
         for note in keep_ground.settle(scene, depsgraph, depsgraph.mode, waits=waits, frame_changes=True):
@@ -148,7 +151,7 @@ def on_render_post(scene, _unused=None) -> None:
 
 @_unless_paused
 def on_render_end(scene, _unused=None) -> None:
-    """The viewport gets its own detail back; with a window, on the main thread, where no drawing can interfere."""
+    """Restore the detail of the viewport; with a window on the main thread, where no drawing can interfere."""
     stale_renders.leave()
     stale_renders.report()
     _rendered_frames.clear()

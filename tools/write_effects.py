@@ -74,12 +74,13 @@ SCALES = """## Two scales
 ADD = """## An effect of your own
 
 One file: a function over arrays, a declaration, and an example that proves it. The example below is a whole
-program, `examples/06_an_effect.py`, and is run as a test. To add an effect for good, put the function and the
-declaration into a file of `cbt_terrain/attributes/` and its name into the list of `catalogue.py`; the example is a
-test from then on, and the panel, the command line and this page have it.
+program, `examples/06_an_effect.py`, and is run as a test. It registers the effect with `register_attribute`. To add an
+effect to the extension, put the function and the declaration into a file of `cbt_terrain/attributes/` and its name into
+the list of `catalogue.py`; the panel, the command line and this page then have it, and its example is a test. If the
+function launches kernels, list their modules as `kernels` in the declaration.
 
-* A function of the place, the scale, its parameters and what it reads, and of nothing else. Asked for some
-  places or for all, it gives the same values: only new vertices are asked for.
+* The values depend on the position, the scale, the parameters and the effects read, and on nothing else. They are the
+  same whether some positions are evaluated or all: only new vertices are.
 * Same bytes on any machine: no BLAS, no random numbers, no clock.
 * Raise `version` whenever its values change.
 

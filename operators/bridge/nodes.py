@@ -11,7 +11,7 @@ class Nodes:
         self.tree = tree
 
     def add(self, kind: str, inputs: dict | None = None, **settings):
-        """A node with settings, its inputs (by name or index) set to values or linked to sockets."""
+        """Add a node with settings; set its inputs (by name or index) to values or link them to sockets."""
         node = self.tree.nodes.new(kind)
         for name, value in settings.items():
             setattr(node, name, value)
@@ -26,7 +26,7 @@ class Nodes:
         return self.add("ShaderNodeMath", dict(enumerate(values)), operation=operation).outputs[0]
 
     def vector(self, operation: str, *values):
-        """Of vectors; the result is a vector, or a number where the operation gives one."""
+        """Add an operation on vectors and return its result, a number where the operation gives one."""
         node = self.add("ShaderNodeVectorMath", dict(enumerate(values)), operation=operation)
         return node.outputs["Value" if operation in ("DOT_PRODUCT", "LENGTH", "DISTANCE") else "Vector"]
 
@@ -34,7 +34,7 @@ class Nodes:
         return self.add("ShaderNodeVectorMath", {0: vector, "Scale": factor}, operation="SCALE").outputs[0]
 
     def mix(self, factor, a, b):
-        """Of two colours."""
+        """Mix two colours."""
         node = self.add("ShaderNodeMix", data_type="RGBA", clamp_factor=True)
         for socket, value in zip((node.inputs[0], node.inputs[6], node.inputs[7]), (factor, a, b), strict=True):
             if isinstance(value, bpy.types.NodeSocket):
@@ -44,7 +44,7 @@ class Nodes:
         return node.outputs[2]
 
     def arrange(self) -> None:
-        """Columns from left to right by what feeds what, so that a reader can follow."""
+        """Arrange the nodes in columns, each to the right of the nodes that feed it."""
         column: dict = {}
         pending = list(self.tree.nodes)
         feeds = {node: {link.from_node for link in self.tree.links if link.to_node == node} for node in pending}

@@ -50,7 +50,7 @@ class LayerSources:
 
 
 def reads(sources: LayerSources) -> tuple[str, ...]:
-    """Names of the effects that the group reads as attributes."""
+    """Return the names of the effects that the group reads as attributes."""
     groups = range(-(-len(sources.layers) // A_GROUP))
     names = [f"splat_{group + 1}" for group in groups] + list(sources.light)
     return tuple(name for name in names if name not in sources.maps)
@@ -82,7 +82,7 @@ def dress(obj, sources: LayerSources) -> bpy.types.Material:
 
 
 def _found(obj) -> tuple[bpy.types.Material, bpy.types.Node] | None:
-    """The first material of the object that has the group, and its node."""
+    """Return the object's first material that has the group, and the group's node."""
     for slot in obj.material_slots:
         node = _group_node(slot.material)
         if node is not None:
@@ -107,7 +107,7 @@ def _is_worn_by_others(material, obj) -> bool:
 
 
 def _made(obj) -> tuple[bpy.types.Material, bpy.types.Node]:
-    """A new material, in the object's first slot."""
+    """Create a material in the object's first slot."""
     material = bpy.data.materials.new(f"{obj.name} Material")
     tree = tree_of_new(material)
     tree.nodes.clear()
@@ -128,7 +128,7 @@ def _made(obj) -> tuple[bpy.types.Material, bpy.types.Node]:
 
 
 def _socket_names(names: Sequence[str]) -> list[str]:
-    """Of layers: each once, and none that the group has for something else."""
+    """Return a socket name for each layer, unique among the layers and the group's other sockets."""
     taken = [VARIATION, SIZE, OCCLUSION, SHADOW]
     for name in names:
         numbered = (f"{name or 'Layer'} {number}" for number in count(2))
@@ -171,7 +171,7 @@ def build_group(tree, sources: LayerSources, size: float) -> None:
 
 
 def _set_interface(tree, inputs: Mapping[str, str], outputs: Mapping[str, str]) -> None:
-    """The sockets asked for, in that order; those that are there already stay, with what is linked to them."""
+    """Give the group these sockets in this order; existing sockets stay with their links."""
     for panel in [item for item in tree.interface.items_tree if item.item_type == "PANEL"]:
         tree.interface.remove(panel)
     wanted = [(name, kind, "OUTPUT") for name, kind in outputs.items()]  # which Blender keeps before the inputs
@@ -190,17 +190,18 @@ def _inputs(tree) -> list:
 
 
 def _value(n: Nodes, sources: LayerSources, name: str):
-    """A number of an effect, from its map or its attribute."""
+    """Read a number of an effect from its map or its attribute."""
     if name in sources.maps:
         return n.add("ShaderNodeSeparateColor", {0: _texture(n, sources, name)["Color"]}).outputs[0]
     return n.add("ShaderNodeAttribute", attribute_name=name).outputs["Fac"]
 
 
 def _texture(n: Nodes, sources: LayerSources, name: str):
-    """The image of a map, at the terrain's own place: its Color and Alpha.
+    """Read the image of a map at the terrain's own coordinates: its Color and Alpha.
 
-    Where two tiles meet EEVEE takes the jump from one to the other for the derivative of the place, and shows the mean
-    of a whole tile in a line of a pixel or two. So there it gets the image without mips: with cubic interpolation.
+    At the border of two tiles EEVEE takes the jump from one to the other for the derivative of the coordinates, and
+    shows the mean of a whole tile in a line of a pixel or two. So the image is read there without mips, with cubic
+    interpolation.
     """
     place = sources.place(n.tree) if sources.place else None
     inputs = {"Vector": place} if place else {}
@@ -215,7 +216,7 @@ def _texture(n: Nodes, sources: LayerSources, name: str):
 
 
 def _near_seams(n: Nodes, place, tile: float):
-    """1 within a few pixels of where tiles of `tile` metres meet, else 0."""
+    """Return 1 within a few pixels of the border between tiles of `tile` metres, else 0."""
     off = n.vector("ABSOLUTE", n.vector("SUBTRACT", n.vector("FRACTION", place), (0.5, 0.5, 0.5)))
     x, y, _ = n.add("ShaderNodeSeparateXYZ", {0: off}).outputs
     inside = n.math("SUBTRACT", 0.5 - MARGIN, n.math("MAXIMUM", x, y))
@@ -224,7 +225,7 @@ def _near_seams(n: Nodes, place, tile: float):
 
 
 def _weights(n: Nodes, sources: LayerSources, group: int):
-    """Three weights as a vector, and the fourth, of four layers."""
+    """Return the weights of four layers: three as a vector, and the fourth."""
     name = f"splat_{group + 1}"
     if name in sources.maps:
         outputs = _texture(n, sources, name)
@@ -234,7 +235,7 @@ def _weights(n: Nodes, sources: LayerSources, group: int):
 
 
 def _noise(n: Nodes, size):
-    """Three numbers of about -1 .. 1, no two alike, from two noises, of which the fine one is lost in the distance."""
+    """Return three different numbers of about -1 .. 1 from two noises; the finer noise fades with the distance."""
     place = n.vector("MULTIPLY", n.add("ShaderNodeTexCoord").outputs["Object"], (1.0, 1.0, BANDED))
     away = n.add("ShaderNodeCameraData").outputs["View Distance"]
     parts = []
@@ -250,7 +251,7 @@ def _noise(n: Nodes, size):
 
 
 def _mixed(n: Nodes, sources: LayerSources, colours: Sequence, noise):
-    """The layers' colours by their weights, whose borders the noise makes ragged."""
+    """Mix the layers' colours by their weights; the noise makes the borders ragged."""
     three = n.vector("MULTIPLY_ADD", noise, (RAGGED, RAGGED, RAGGED), (1.0, 1.0, 1.0))
     three = n.vector("MAXIMUM", three, (1.0 - RAGGED,) * 3)
     opposite = n.math("SUBTRACT", 2.0, n.add("ShaderNodeSeparateXYZ", {0: three}).outputs[0])

@@ -99,7 +99,10 @@ class AddPreset(AddPresetBase, bpy.types.Operator):
 
 
 def preset_text(layers) -> str:
-    """A preset file: Python that makes these layers of the active object. Painted images stay with their file."""
+    """Return a preset file: Python that recreates these layers on the active object.
+
+    Painted images stay with their file.
+    """
     lines = ["import bpy", "", "settings = bpy.context.object.adaptive_terrain", "settings.layers.clear()"]
     for layer in layers:
         lines += ["", "layer = settings.layers.add()", *_assignments("layer", layer)]
@@ -108,7 +111,7 @@ def preset_text(layers) -> str:
 
 
 def _assignments(path: str, group) -> list[str]:
-    """Those of a property group's members that differ from their defaults."""
+    """Return an assignment for each member of a property group that differs from its default."""
     lines = []
     names = dict.fromkeys(group.bl_rna.properties.keys())  # one that replaces another is there twice
     for item in (group.bl_rna.properties[name] for name in names if name != "rna_type"):
@@ -123,7 +126,7 @@ def _assignments(path: str, group) -> list[str]:
 
 
 def _shown(value) -> str:
-    """Numbers as short as Blender keeps them, in float32."""
+    """Return a value as text; numbers have float32's seven digits."""
     if isinstance(value, tuple):
         return f"({', '.join(map(_shown, value))})"
     return f"{value:.7g}" if isinstance(value, float) else repr(value)

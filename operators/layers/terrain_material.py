@@ -44,7 +44,7 @@ class TerrainMaterial(bpy.types.Operator):
 
 
 def sources_of(obj, light) -> LayerSources:
-    """What there is of the terrain: its layers, the light that is asked for, the maps that are baked."""
+    """Return the sources of the terrain's material: its layers, the light that it reads and its baked maps."""
     layers = colors_of(obj.adaptive_terrain)
     names = (COLORS, NORMAL, SKY, SUN, *NAMES[: -(-len(layers) // A_GROUP)])
     maps = {name: image for name in names if (image := map_image(obj, name)) is not None}

@@ -34,7 +34,7 @@ class AddScatter(bpy.types.Operator):
         return on_terrain_object(cls, context)
 
     def invoke(self, context, _event):
-        """The live update makes the points: it waits for no kernels."""
+        """Add the scatter without waiting for kernels; the live update makes the points."""
         return self._add(context.object, waits=not context.object.adaptive_terrain.live)
 
     def execute(self, context):
@@ -61,7 +61,7 @@ class AddScatter(bpy.types.Operator):
 
 
 def new_scatter(terrain, spacing: float):
-    """An object with a scatter of a terrain, one point on `spacing` x `spacing` metres, and the node group."""
+    """Create an object with a scatter of a terrain, one point on `spacing` x `spacing` metres, and the node group."""
     obj = bpy.data.objects.new(f"{terrain.name} Scatter", bpy.data.meshes.new(f"{terrain.name} Scatter"))
     settings = obj.adaptive_scatter
     settings.enabled, settings.spacing = True, spacing
@@ -77,15 +77,16 @@ def new_scatter(terrain, spacing: float):
 
 
 def rounded(value: float) -> float:
-    """To one digit."""
+    """Round to one digit."""
     ten = 10.0 ** math.floor(math.log10(value))
     return round(value / ten) * ten
 
 
 def _group() -> bpy.types.NodeTree:
-    """Points -> instances of a collection's objects: which by `variant`, turned by `rotation`, as large as `size`.
+    """Create the node group that turns points into instances of a collection's objects.
 
-    Without a collection cones stand there.
+    The attribute `variant` chooses the object, `rotation` turns it and `size` scales it. Without a collection the
+    instances are cones.
     """
     tree = bpy.data.node_groups.new(GROUP, "GeometryNodeTree")
     tree.is_modifier = True

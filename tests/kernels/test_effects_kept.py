@@ -12,7 +12,7 @@ from twins import load
 
 
 def surfaces(rng):
-    """Places of two surfaces: many in both and in the same order, some moved, one of them with another sign of 0."""
+    """Return the points of two surfaces: many in both in the same order, some moved, one with another sign of 0."""
     first = rng.integers(-9, 9, (3000, 3)).astype(np.float32) + np.arange(3000, dtype=np.float32)[:, None]
     second = np.delete(first, rng.integers(0, 3000, 40), axis=0)
     second = np.insert(second, rng.integers(0, len(second), 30), rng.uniform(-9, 9, (30, 3)), axis=0)
@@ -26,7 +26,7 @@ def surfaces(rng):
 
 
 def taken(first: np.ndarray, second: np.ndarray, threads: int = 1) -> tuple[list[np.ndarray], int]:
-    """Values of width 1 and 3 that were a function of the place, for the second surface; and how many were fresh."""
+    """Return reused values of width 1 and 3 at the second surface, and how many were computed anew."""
     kept, found = EffectValues(threads), []
     kept.move_to(first)
     kept.turn("level")[0][:] = first[:, 2] > 1500

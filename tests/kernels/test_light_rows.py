@@ -18,7 +18,7 @@ F = np.float32
 
 
 def horizons(heights, steps, azimuth, scale):
-    """Slopes of horizons, line by line, with an upper hull of what lies ahead; float64 until it is stored."""
+    """Compute slopes of horizons line by line with an upper hull, in float64 until they are stored."""
     rows, columns = heights.shape
     east, north = azimuth[0] / steps[0], azimuth[1] / steps[1]
     upright = abs(north) > abs(east)
@@ -85,7 +85,7 @@ def test_a_part_that_has_all_that_lies_ahead_sees_what_the_whole_sees(angle):
 
 
 def open_row(heights, per, azimuth, share, horizon, total):
-    """The sky over a row's samples, in float32 statement by statement."""
+    """Compute the sky over a row's samples in float32, statement by statement."""
     one, half_turn = F(1), F(1.5707963268)
     gy, gx = np.gradient(heights)
     edge = np.ones(heights.shape[1], F) * F(0.5)

@@ -20,7 +20,7 @@ def scrambled(a):
 
 
 def noise(shape, draw):
-    """By direction: 1 - jitter / 2 .. 1 + jitter / 2, float32 [rows, columns]."""
+    """Return the noise by direction, 1 - jitter / 2 .. 1 + jitter / 2, float32 [rows, columns]."""
     y, x = np.indices(shape).astype(U)
     with np.errstate(over="ignore"):
         a = scrambled(scrambled(y + U(draw.row) + U(draw.seed)) + U(draw.column) + x)

@@ -22,7 +22,7 @@ VIEW = View.look((0.0, -400.0, 120.0), (0, 0, 0))
 
 @pytest.fixture
 def in_warp_alone(tmp_path, monkeypatch):
-    """Kernels of the surface that import tests/kernels/checked.py in place of kernels/unchecked.py."""
+    """Replace kernels/unchecked.py by tests/kernels/checked.py in the kernels of the surface."""
     load("checked", Path(__file__).with_name("checked.py"))
     twins = {}
     users = {"weld": [welding], "displace": [displacement], "meshlet": [builder, displacement]}
@@ -41,7 +41,7 @@ def in_warp_alone(tmp_path, monkeypatch):
 
 
 def updates() -> list[dict[str, bytes]]:
-    """Surfaces that pass every snippet: several squares and slices, points on and between samples, meshlets."""
+    """Return surfaces that use every snippet: several squares and slices, points on and between samples, meshlets."""
     found = []
     for shape, criterion in (
         ((33, 97), Criterion(error_px=0.3, max_depth=16)),
@@ -56,7 +56,7 @@ def updates() -> list[dict[str, bytes]]:
 
 
 def walked(module) -> list[bytes]:
-    """What tests/kernels/walk_snippets.py writes, compiled as `module`."""
+    """Run tests/kernels/walk_snippets.py compiled as `module`; return its output arrays as bytes."""
     count, rng = 37, np.random.default_rng(3)
     made = []
     for dtype, scalar, columns in (

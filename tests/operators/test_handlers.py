@@ -19,7 +19,7 @@ def positions(obj):
 
 @pytest.fixture
 def flight(scene):
-    """The camera flies north over frames 1 to 9."""
+    """Animate the camera to the north over frames 1 to 9."""
     for frame, y in ((1, -900.0), (9, -100.0)):
         scene.camera.location.y = y
         scene.camera.keyframe_insert("location", frame=frame)
@@ -180,7 +180,7 @@ def turns(limit=500):
 
 @pytest.fixture
 def window(monkeypatch, scene):
-    """A window manager with one window on the scene, as the live timer asks for it."""
+    """Give the live timer a window manager with one window on the scene."""
     shown = SimpleNamespace(scene=scene, view_layer=bpy.context.view_layer, screen=SimpleNamespace(areas=[]))
     context = SimpleNamespace(window_manager=SimpleNamespace(windows=[shown]))
     types, app, data = bpy.types, SimpleNamespace(is_job_running=lambda kind: False), bpy.data

@@ -10,7 +10,7 @@ from adaptive_terrain.operators import handlers
 
 
 def trace():
-    """What an extension can leave behind: handlers, classes, properties, timers, menu entries."""
+    """Return everything that an extension can leave behind: handlers, classes, properties, timers, menu entries."""
     listed = {event: len(getattr(bpy.app.handlers, event)) for event in handlers.HANDLERS}
     names = [name for name in dir(bpy.types) if "adaptive_terrain" in name.lower() or "Terrain" in name]
     menu = len(bpy.types.VIEW3D_MT_mesh_add._dyn_ui_initialize())

@@ -43,7 +43,7 @@ def values(folder, name: str, tile: int) -> np.ndarray:
 
 
 def waves(x, y):
-    """Heights in metres, and their derivatives to the east and the north."""
+    """Return heights in metres and their derivatives to the east and the north."""
     return (
         9 * np.sin(x / 40) * np.cos(y / 30),
         9 / 40 * np.cos(x / 40) * np.cos(y / 30),

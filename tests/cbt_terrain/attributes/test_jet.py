@@ -17,7 +17,7 @@ ALL = {name: {} for name in OUTPUTS}
 
 
 def made(field, x, y, level=0.0, scale=1.0, offset=0.0, threads=1) -> dict[str, np.ndarray]:
-    """Everything at places x, y metres."""
+    """Compute all attributes at x, y metres."""
     positions = np.stack([np.ravel(x), np.ravel(y), np.zeros(np.size(x))], 1).astype(np.float32)
     levels = np.broadcast_to(np.asarray(level, np.float32), len(positions)).copy()
     return make(SamplePoints(field, positions, levels, scale, offset, threads), ALL, {})
@@ -52,7 +52,7 @@ def test_a_plane_is_exact_at_every_level(shape):
 
 
 def hill(x, y):
-    """A hill and its derivatives, float64: z, zx, zy, zxx, zxy, zyy."""
+    """Return a hill and its derivatives, float64: z, zx, zy, zxx, zxy, zyy."""
     a, b = 260.0, 170.0
     z = 90.0 * np.exp(-((x / a) ** 2) - (y / b) ** 2)
     p, q = -2 * x / a**2, -2 * y / b**2
@@ -123,7 +123,8 @@ def test_second_derivatives_are_continuous():
 
 
 def fields():
-    """512 samples that do not fit a lattice, a raster of 1000 x 700 with holes, 16-bit numbers, a bicubic surface."""
+    """Yield 512 samples that do not fit a lattice, a raster with holes, 16-bit codes, a bicubic and a very high
+    surface."""
     yield "512", from_array(raster(512, 512), 3.0), {}
     holes = raster(1000, 700)
     holes[200:300, 300:500] = holes[:3, :] = np.nan

@@ -35,7 +35,7 @@ def grid(field, values) -> np.ndarray:
 
 
 def both_skies(field, scale=1.0) -> tuple[np.ndarray, np.ndarray]:
-    """By rays and by the sweep, [rows, columns]."""
+    """Return the sky by rays and by the sweep, [rows, columns] each."""
     places = every_sample(field, scale)
     return grid(field, sky.seen_from(places)), grid(field, made("sky", places))
 

@@ -16,7 +16,7 @@ SHAPES = [(33, 33), (64, 97), (50, 21), (3, 3), (2, 2), (2, 40), (3, 8)]
 
 
 def halved(heights: np.ndarray) -> np.ndarray:
-    """The next level: first the axis is extended in straight lines, two samples each way, then weighed."""
+    """Compute the next level: extend each axis linearly by two samples on either side, then apply the weights."""
     for axis in (0, 1):
         h = np.moveaxis(heights, axis, 0)
         before = [2 * h[0] - h[1]]

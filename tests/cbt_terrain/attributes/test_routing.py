@@ -13,7 +13,7 @@ AROUND = [(a, b) for a, b in itertools.product((-1, 0, 1), repeat=2) if (a, b) !
 
 
 def flooded(h, holes):
-    """The least surface from which all drains to the rim or a hole: priority flood (Barnes et al. 2014)."""
+    """Return the lowest surface that drains to the border or a hole: priority flood (Barnes et al. 2014)."""
     rows, columns = h.shape
     inner = np.zeros(h.shape, bool)
     inner[1:-1, 1:-1] = True
@@ -31,7 +31,7 @@ def flooded(h, holes):
 
 
 def gathered(drainage, filled, step_x, step_y):
-    """Areas from above, shared in float64; the receiver has all where nothing is lower."""
+    """Accumulate drainage areas in float64, in shares; the receiver gets all where no neighbour is lower."""
     shape = filled.shape
     share = {(a, b): 0.5 * step_x * step_y / (a * a * step_y**2 + b * b * step_x**2) for a, b in AROUND}
     for b in (-1, 1):

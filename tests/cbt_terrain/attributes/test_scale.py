@@ -30,7 +30,7 @@ def turned(scale=(1.0, 1.0, 1.0), angles=(0.3, -0.5, 1.1)) -> np.ndarray:
 
 
 def moved(view: View, matrix: np.ndarray) -> View:
-    """The camera placed by a rigid matrix, as the terrain is."""
+    """Return the view of a camera that a rigid matrix moves with the terrain."""
     inverse = np.eye(4)
     inverse[:3, :3] = matrix[:3, :3].T
     inverse[:3, 3] = -product(matrix[:3, :3].T, matrix[:3, 3])
@@ -38,7 +38,7 @@ def moved(view: View, matrix: np.ndarray) -> View:
 
 
 def agree(found: np.ndarray, metres: np.ndarray) -> None:
-    """Steps of 1/8, none further than half of one from the logarithm; 0 at least and the coarsest level at most."""
+    """Assert that levels are multiples of 1/8 within 1/16 of the logarithm, from 0 to the coarsest level."""
     assert (found * 8 == np.rint(found * 8)).all()
     expected = np.clip(np.log2(metres / STEP), 0, 10)
     assert abs(found - expected).max() <= 1 / 16 + 1e-6

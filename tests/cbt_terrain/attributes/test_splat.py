@@ -71,7 +71,7 @@ def band(q, low, high, edge):
 
 
 def share_on_top(layer, places, read):
-    """Of one layer over another: how much it covers."""
+    """Return the share that a layer has of the ground when it covers another."""
     return weights(places, [Layer("ground"), layer], read, ("splat_1",))[:, 1].astype(np.float64)
 
 

@@ -42,7 +42,7 @@ def test_a_small_terrain_is_one_image_over_all_of_it():
 
 
 def lookup(tiles, u: float, v: float) -> tuple[float, float]:
-    """Where in the images the ground at `u`, `v` is, 0 .. 1 over the raster: what a material's nodes reckon."""
+    """Return the image coordinates of the ground at `u`, `v` (0 .. 1 over the raster), as a material's nodes do."""
     found = []
     for at, count in ((u, tiles.columns), (v, tiles.rows)):
         place = at * count

@@ -23,7 +23,7 @@ REACH = 25.0  # metres of the world
 
 
 def low_scenes(seed: int, count: int, views: int = 1):
-    """Of the random scenes every second one over the island, from eyes 30 m above its ground, which look across."""
+    """Yield random scenes; every second one is over the island with level views from 30 m above its ground."""
     rng, land = np.random.default_rng(seed), from_array(island(257)[:200], SIDE / 256)
     for k, (field, criterion, seen, placement, heights) in enumerate(scenes(seed, count, views)):
         criterion = replace(criterion, max_depth=16, meshlet=0)
@@ -58,8 +58,11 @@ def arrays(points: ScatterPoints) -> list[np.ndarray]:
 
 
 def check_what_is_left_out(scene, **asked) -> tuple[int, int]:
-    """What is left is as it is without the horizon. Of each point that is left out, five places within its reach have
-    a triangle in front, or are outside the frame. Returns how many points there are with and without."""
+    """Assert that the horizon removes only hidden points and changes no other.
+
+    Of each removed point, five places within its reach have a triangle in front or are outside the frame. Returns the
+    number of points without and with the horizon.
+    """
     _, _, views, placement, _ = scene
     terrain, scatterer = meshed(scene, **asked), scattered(scene)
     whole = scatterer.points(views, placement)

@@ -112,7 +112,7 @@ def test_the_page_says_what_the_source_has_rounded():
 
 
 def curve_of(plot) -> list[str]:
-    """The places that the plot's first curve goes through."""
+    """Return the points of the plot's first curve."""
     lines = (line for line in plot.iter(f"{SVG}polyline") if line.get("stroke") == "#000")
     return next(line.get("points") for line in lines if not line.get("stroke-opacity")).split()
 

@@ -31,7 +31,7 @@ OLD = CostCurve("px", (4.0, 1.0), (1000.0, 8000.0), (1.0, 5.0))
 
 @pytest.fixture
 def terrain(scene, add_terrain):
-    """A terrain with a curve from before, and errors that leave little to sweep."""
+    """Add a terrain with an older cost curve and few errors to sweep."""
     obj = add_terrain()
     for detail in (obj.adaptive_terrain.viewport, obj.adaptive_terrain.render):
         detail.curve = OLD.to_json()
@@ -46,7 +46,7 @@ def undisturbed(monkeypatch):
 
 @pytest.fixture
 def short(monkeypatch):
-    """A sweep of two errors."""
+    """Limit the sweep to two errors."""
     monkeypatch.setattr(measure_accuracy, "PIXELS", (8.0, 2.0))
 
 
@@ -56,7 +56,7 @@ def curves(obj):
 
 @pytest.fixture
 def held(monkeypatch):
-    """A measurement that waits, at its first report, until `go` is set; `reached` says that it is there."""
+    """Hold a measurement at its first report until `go` is set; `reached` is set when it waits."""
     gate = SimpleNamespace(go=threading.Event(), reached=threading.Event())
 
     def measure_request(field, request, on_progress):
@@ -284,7 +284,7 @@ def test_runs_that_were_disturbed_once_are_repeated(terrain, short, monkeypatch)
 
 
 def draw(terrain):
-    """What the panel Last Update puts into its layout."""
+    """Draw the panel Last Update into a mock layout."""
     layout = Mock()
     panel = SimpleNamespace(layout=layout, _columns=lambda: layout)
     panel._draw_measured = lambda *arguments: StatisticsPanel._draw_measured(panel, *arguments)

@@ -34,7 +34,7 @@ FEW = [
 
 @pytest.fixture
 def terrain(scene, add_terrain, tmp_path, monkeypatch):
-    """A terrain that asks for 2 px, a report folder, a sweep of few settings."""
+    """Add a terrain with a tolerance of 2 px, a report folder and a sweep of few settings."""
     monkeypatch.setattr(accuracy_subject, "settings_for", lambda heights, frame, morph: list(FEW))
     scene.render.resolution_percentage = 25  # looking takes longest
     obj = add_terrain()
@@ -45,7 +45,7 @@ def terrain(scene, add_terrain, tmp_path, monkeypatch):
 
 @pytest.fixture
 def held(monkeypatch):
-    """A sweep that waits before its first row until `go` is set; `reached` says that it is there."""
+    """Hold a sweep before its first row until `go` is set; `reached` is set when it waits."""
     gate = SimpleNamespace(go=threading.Event(), reached=threading.Event())
     sweep = sweep_accuracy.sweep
 

@@ -44,7 +44,7 @@ def terrain(scene, add_terrain):
 
 
 def read_by_material(obj, name: str):
-    """A material whose colour is an attribute; its node."""
+    """Give the object a material that shows an attribute; return the node that reads it."""
     made = bpy.data.materials.new("Rock")
     tree = tree_of_new(made)
     node = tree.nodes.new("ShaderNodeAttribute")

@@ -21,7 +21,7 @@ from demand_trees import Moved, colour, mix, new_material, shows
 
 @pytest.fixture
 def worn(scene, add_terrain):
-    """A terrain that wears a material which reads the slope and the height."""
+    """Add a terrain with a material that reads the slope and the height."""
     terrain = add_terrain()
     both = shows(
         new_material("Rock"), lambda tree: mix(tree, 0.5, colour(tree, "slope"), colour(tree, "height")).outputs[2]
@@ -31,7 +31,7 @@ def worn(scene, add_terrain):
 
 
 def made(terrain):
-    """Names of the effects that the mesh has."""
+    """Return the names of the effects that the mesh has."""
     return {name for name in ATTRIBUTES if name in terrain.data.attributes}
 
 
@@ -214,7 +214,7 @@ def test_an_update_that_an_effect_stops_keeps_the_last_mesh(worn, monkeypatch):
 
 
 def sun(elevation, azimuth, energy=2.0):
-    """A sun lamp, its angles in degrees; azimuth clockwise from north."""
+    """Add a sun lamp; angles in degrees, azimuth clockwise from north."""
     lamp = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
     lamp.data.energy, lamp.data.angle = energy, 0.01
     lamp.rotation_euler = math.radians(90 - elevation), 0.0, -math.radians(azimuth)

@@ -15,7 +15,7 @@ HIDDEN = ("hide_viewport", "excluded")
 
 @pytest.fixture
 def patch(scene):
-    """A square of 200 m, about a place north-east of the middle, in a collection of its own."""
+    """Add a square of 200 m north-east of the middle, in a separate collection."""
     mesh = bpy.data.meshes.new("Patch")
     mesh.from_pydata([(-100, -100, 5), (100, -100, 5), (100, 100, 5), (-100, 100, 5)], [], [(0, 1, 2, 3)])
     patch = bpy.data.objects.new("Patch", mesh)

@@ -41,7 +41,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 @pytest.fixture(scope="session")
 def hills(tmp_path_factory):
-    """A store of 33 x 33 samples, 10 m apart."""
+    """Import a store of 33 x 33 samples, 10 m apart."""
     y, x = np.mgrid[0:33, 0:33]
     folder = tmp_path_factory.mktemp("hills")
     np.save(folder / "hills.npy", (30 * np.sin(x / 4) * np.cos(y / 5)).astype(np.float32))
@@ -52,13 +52,13 @@ def hills(tmp_path_factory):
 
 @pytest.fixture
 def few(monkeypatch):
-    """A sweep of few settings."""
+    """Limit the sweep to few settings."""
     monkeypatch.setattr(accuracy_subject, "settings_for", lambda heights, frame, morph: list(FEW))
 
 
 @pytest.fixture
 def measured(monkeypatch):
-    """A sweep that has known rows."""
+    """Replace the sweep by one with known rows."""
 
     def known(heights, settings, frames, *, on_row, on_progress, **_):
         for i, row in enumerate(known_rows()):

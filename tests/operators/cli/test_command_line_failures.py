@@ -173,7 +173,7 @@ def test_a_signal_after_the_last_step_changes_nothing(number):
 
 
 def printed(store: str, redirected: str, **environment) -> subprocess.CompletedProcess:
-    """What the shell's `redirected` leaves of `query` in a process of its own, which buffers as Python does."""
+    """Run `query` with a redirection in a new process that buffers as Python does by default."""
     points = Path(store).parent / "two_points.csv"
     points.write_text("x,y\n0,0\n5,5\n")
     query = shlex.join([*PROGRAM, "query", "--store", store, "--points", str(points)])

@@ -21,7 +21,7 @@ from adaptive_terrain.operators.importing.panel import ImportedPanel, is_stale
 
 @pytest.fixture(scope="module")
 def utm(tmp_path_factory):
-    """A GeoTIFF of 40 x 30 samples, 25 m apart, in UTM 16 N."""
+    """Write a GeoTIFF of 40 x 30 samples, 25 m apart, in UTM 16 N."""
     import rasterio
     from rasterio.transform import from_origin
 
@@ -40,7 +40,7 @@ def imported(utm):
 
 @pytest.fixture
 def terrain(scene, add_terrain, utm, imported, tmp_path):
-    """A terrain as an import leaves it, with a store of its own."""
+    """Add a terrain as an import leaves it, with a copy of the store."""
     terrain = add_terrain()
     settings = terrain.adaptive_terrain
     settings.store = str(shutil.copytree(imported, tmp_path / "store"))

@@ -16,7 +16,7 @@ from land_scenes import add
 
 @pytest.fixture
 def folders(tmp_path, monkeypatch):
-    """The old folder and the new one, both of this test alone."""
+    """Create the old and the new data folder for this test alone."""
     old = tmp_path / "extensions" / ".user" / "user_default" / "adaptive_terrain" / "stores"
     new = tmp_path / "datafiles" / "adaptive_terrain" / "stores"
     old.mkdir(parents=True)

@@ -75,7 +75,7 @@ def test_a_preview_first_and_the_land_when_it_is_shaped(terrain):
 
 
 def note_where(monkeypatch, terrain, **said) -> str:
-    """The panel's, were the finest level's entry in the store, and the store, to say so."""
+    """Return the panel's note for a shaped store whose JSON has these other values."""
     read = shaped_land.stores.read_json
 
     def other(path):
@@ -152,7 +152,7 @@ def test_a_render_has_all_of_the_land_and_waits_for_it(terrain):
 
 
 def other_stores(store: str, *names: str) -> list[str]:
-    """Copies of a shaped store, as of other settings; the first was not used for longest, `store` for longer."""
+    """Copy a shaped store, as for other settings; order the ages so that `store` is the oldest, then the first copy."""
     found = [shutil.copytree(store, Path(store).with_name(name)) for name in names]
     for age, folder in enumerate((*reversed(found), store), 1):
         os.utime(folder, (1e9 - age, 1e9 - age))

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="Windows lets only so
 
 @pytest.fixture
 def precious(tmp_path):
-    """A folder of the user that a link leads to."""
+    """Create a folder of the user as the target of links."""
     folder = tmp_path / "precious"
     for name in ("mine.txt", "thesis/1.tex", "store.json", f"{'0' * 32}.npy"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -30,13 +30,13 @@ def precious(tmp_path):
 
 
 def content(folder) -> dict:
-    """Names, bytes and times of all files below a folder."""
+    """Return names, bytes and times of all files below a folder."""
     files = [file for file in Path(folder).rglob("*") if file.is_file()]
     return {str(file): (file.read_bytes(), file.stat().st_mtime_ns) for file in files}
 
 
 def folder_of_land(terrain) -> Path:
-    """The folder that the terrain's stack is shaped into."""
+    """Return the folder of the terrain's shaped store."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     return Path(land_request.land_of(terrain, terrain.evaluated_get(depsgraph), depsgraph, waits=True).folder)
 

@@ -24,13 +24,13 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def layer_of(shaped, folder):
-    """A by-product of a preset: float32 [rows, columns]."""
+    """Return a function that reads a by-product of a preset: float32 [rows, columns]."""
     return lambda name, layer: open_store(folder / name).layers[layer]
 
 
 @pytest.fixture(scope="module")
 def shaped(folder):
-    """Heights before and after, metres between samples, and the report, by the preset's name."""
+    """Shape every preset; return heights before and after, the spacing in metres and the report, by name."""
     made = {}
     for name, land in zip(NAMES, ("island", "canyon", "mountains", "mountains", "island"), strict=True):
         if not (folder / land).exists():

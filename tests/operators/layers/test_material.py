@@ -12,7 +12,7 @@ LAYERS = [(f"Layer {i}", (0.05 * i, 0.3, 1.0 - 0.05 * i)) for i in range(12)]
 
 @pytest.fixture
 def ground(empty):
-    """A plane of one square in front of a camera that sees nothing else, its world black but for one light."""
+    """Add a plane of one square in front of a camera; the world is black but for one light."""
     mesh = bpy.data.meshes.new("Ground")
     mesh.from_pydata([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [], [(0, 1, 2, 3)])
     mesh.uv_layers.new(name="UVMap")

@@ -24,7 +24,10 @@ def small_tiles(monkeypatch):
 
 
 def wear(obj, name: str | None = "detail_normal") -> None:
-    """A diffuse material, with a baked normal; what an object without one wears differs from Blender to Blender."""
+    """Give the object a diffuse material with a baked normal.
+
+    Blender versions differ in the surface of an object without material.
+    """
     material = bpy.data.materials.new("worn")
     tree = tree_of_new(material)
     tree.nodes.clear()
@@ -169,7 +172,7 @@ def test_terrains_of_one_name_in_two_files_use_two_folders(terrain, add_terrain,
 
 
 def turned_empty(terrain, name: str, data: bool) -> tuple:
-    """An image on a turned, scaled, tilted empty over a turned, scaled terrain; the empty, and the image's pixels."""
+    """Add an image on a turned, scaled, tilted empty over a terrain like it; return the empty and the pixels."""
     image = bpy.data.images.new(name, 24, 16, alpha=True, is_data=data)
     shown = np.random.default_rng(len(name)).integers(64, 192, (2, 3, 4)).repeat(8, 0).repeat(8, 1) / 255
     image.pixels.foreach_set(shown.astype(np.float32).ravel())

@@ -77,7 +77,7 @@ def test_unusual_cameras_see_points_that_keep_their_places(scene, terrain, scatt
 
 
 def instances(obj):
-    """The world matrices of an object's instances, and what is instanced."""
+    """Return the name of the instanced object and the world matrix of each instance."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     found = []
     for item in depsgraph.object_instances:  # which are gone at the next step

@@ -203,7 +203,7 @@ def test_nothing_is_added_while_a_mesh_is_edited(scene):
 
 
 def draw(panel):
-    """What a panel puts into its layout."""
+    """Draw a panel into a mock layout."""
     layout = Mock()
     panel.draw(SimpleNamespace(layout=layout, _columns=lambda: layout), bpy.context)
     return layout

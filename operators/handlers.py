@@ -25,7 +25,7 @@ from .session import live, pauses, session, stale_renders
 from .terrain.request import RENDER, VIEWPORT
 from .text.console import print_line
 
-# A terrain's mesh depends on no other, nor does what is read of it.
+# A terrain's mesh and attributes depend on no other type.
 SEEN_TYPES = bpy.types.Object, bpy.types.Camera, bpy.types.Scene, *kept.TYPES
 VIEWPORT_RENDER = "RENDER_OT_opengl"
 _rendered_frames: dict[int, tuple[int, float]] = {}  # session_uid of a scene -> frame and subframe of its render_pre
@@ -45,7 +45,7 @@ def _unless_paused(handler):
 
 
 def _note_update(depsgraph) -> None:
-    """Also in a pause: nobody says it again."""
+    """Note a change of the scene, also in a pause: Blender does not report it again."""
     if depsgraph is not None and depsgraph.mode == VIEWPORT:
         kept.note_update(depsgraph)
 
@@ -53,7 +53,7 @@ def _note_update(depsgraph) -> None:
 def update_all(scene, depsgraph, mode: str) -> list[str]:
     """Update the scene's terrains; one that fails keeps its mesh and does not stop the others. Returns why they failed.
 
-    A render needs those that its dependency graph has: what is rendered, and what that is made from.
+    A render needs the terrains in its dependency graph: rendered objects and their inputs.
     """
     failed = []
     for obj in session.terrains_of(scene):

@@ -32,8 +32,8 @@ Steps = Generator[None, None, object]
 
 @dataclass(frozen=True)
 class JobKind:
-    """A kind of job. `stays`: what a cancelled job leaves unchanged. `alone`: only one job of the kind runs at a time,
-    instead of one a terrain."""
+    """A kind of job. `stays`: name of the thing that a cancelled job leaves unchanged. `alone`: only one job of the
+    kind runs at a time, instead of one a terrain."""
 
     name: str
     title: str
@@ -63,8 +63,8 @@ class BackgroundJob:
     Attributes:
         uid: session_uid of the job's terrain, None for a job of the whole file.
         fraction: progress, 0 .. 1.
-        message: what the job does now, "" if its kind says enough.
-        result: what the steps have returned, None until they have ended well.
+        message: present step of the job, "" if its kind suffices.
+        result: return value of the steps, None until they have ended well.
         error: why the job failed, "" if it did not.
         child: the child process that the job waits for, None if there is none.
     """

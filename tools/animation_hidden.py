@@ -20,7 +20,7 @@ WEST, NORTH, ABOVE = -1500.0, 200.0, 40.0  # where the flights begin, metres; ab
 
 def fly(field: HeightField, step: float, criterion: Criterion) -> tuple[float, float]:
     """Return the largest jump of a hidden point, in pixels as if it were visible, and the triangles of a frame."""
-    terrain, before, most, triangles = Terrain(field), None, 0.0, 0
+    terrain, before, max_px, triangles = Terrain(field), None, 0.0, 0
     lattice = field.lattice
     column, row = round(WEST / lattice.step_x + SAMPLES // 2), round(NORTH / lattice.step_y + SAMPLES // 2)
     z = float(field.samples[row, column]) + ABOVE
@@ -33,9 +33,9 @@ def fly(field: HeightField, step: float, criterion: Criterion) -> tuple[float, f
             sight = look(field, view)
             meshes = [MeasuredMesh(sight.ground, surface) for surface in (before, after)]
             there = [mesh.differences_at(sight.visible_points())[0] for mesh in meshes]
-            most = max(most, sight.errors(*(mesh.differences()[0] for mesh in meshes), there)[1].max)
+            max_px = max(max_px, sight.errors(*(mesh.differences()[0] for mesh in meshes), there)[1].max)
         before = after
-    return most, triangles / FRAMES
+    return max_px, triangles / FRAMES
 
 
 def hidden_section() -> list:
@@ -44,7 +44,7 @@ def hidden_section() -> list:
     for how, morph in (("without", 1.0), ("smooth", SMOOTH)):
         found = [fly(field, step, Criterion(morph=morph, hidden_factor=FACTOR)) for step in STEPS]
         whole = fly(field, STEPS[0], Criterion(morph=morph))[1]
-        rows.append([how, *(f"{most:.3g}" for most, _ in found), f"{found[0][1] / whole:.2f}"])
+        rows.append([how, *(f"{max_px:.3g}" for max_px, _ in found), f"{found[0][1] / whole:.2f}"])
         print(rows[-1], flush=True)
     return [
         Text(

@@ -62,7 +62,7 @@ class Flight:
     shading and its 99.9th percentile in 255ths. Also the triangles of its frames.
     """
 
-    most: list[float]
+    largest_px: list[float]
     p999: list[float]
     shading: list[float]
     shading_p999: list[float]
@@ -76,26 +76,26 @@ def grounds(folder: Path) -> list[Ground]:
     rows, columns = model["elevation"].shape
     east = METRES_PER_DEGREE * math.cos(math.radians((model["ymin"] + model["ymax"]) / 2))
     extent = float((columns - 1) * model["dx"] * east), float((rows - 1) * model["dy"] * METRES_PER_DEGREE)
-    made = []
+    built = []
     for name, colour, settings, over in (
         ("the island", RED, ImportSettings(source="island", size=2049), 320.0),
         ("dunes", GREEN, ImportSettings(source="dunes", size=2049), 60.0),
         ("the Jacksboro fault", BLUE, ImportSettings(source=str(folder / "jacksboro.npy"), extent=extent), 500.0),
     ):
-        store = folder / f"{len(made)}.store"
+        store = folder / f"{len(built)}.store"
         import_source(settings, store)
         field = open_store(store)
         west, south, x, y = field.lattice.rectangle()
         eye = 0.3 * west, 0.5 * south, field.max_height * 0.5 + field.min_height * 0.5 + over
         aim = np.array([-eye[0], -eye[1]]) / math.hypot(eye[0], eye[1])
-        made.append(Ground(name, colour, field, eye, (float(aim[0]), float(aim[1]), 0.0)))
-    return made
+        built.append(Ground(name, colour, field, eye, (float(aim[0]), float(aim[1]), 0.0)))
+    return built
 
 
 def fly(ground: Ground, step: float, frames: int, morph: float) -> Flight:
     """Fly over a ground and measure how far points and shading jump between frames."""
     terrain, before = Terrain(ground.field), None
-    most, p999, shading, shading_p999, triangles = [], [], [], [], []
+    largest_px, p999, shading, shading_p999, triangles = [], [], [], [], []
     for number in range(frames):
         view = ground.view(number * step)
         update = terrain.update(Criterion(error_px=ERROR_PX, morph=morph), [view])
@@ -104,16 +104,16 @@ def fly(ground: Ground, step: float, frames: int, morph: float) -> Flight:
             sight = look(ground.field, view)
             jumps = popping(ground.field, before, after, view, sight=sight)
             change = shading_change(ground.field, before, after, view, sight=sight)
-            most.append(jumps.max)
+            largest_px.append(jumps.max)
             p999.append(jumps.p999)
             shading.append(change.max)
             shading_p999.append(change.p999)
         before = after
         triangles.append(update.triangles)
-    return Flight(most, p999, shading, shading_p999, sum(triangles) / len(triangles))
+    return Flight(largest_px, p999, shading, shading_p999, sum(triangles) / len(triangles))
 
 
-def slope(flights: dict[float, Flight], name: str = "most") -> float:
+def slope(flights: dict[float, Flight], name: str = "largest_px") -> float:
     """Return the slope of log jump (or another figure) against log camera step, by least squares."""
     x = np.log([step for step in flights])
     y = np.log([max(getattr(flight, name)) for flight in flights.values()])
@@ -127,13 +127,13 @@ def popping_section(folder: Path) -> list:
     for ground in grounds(folder):
         rough, smooth = ({step: fly(ground, step, FRAMES, morph) for step in STEPS} for morph in (1.0, SMOOTH))
         for flights, how, dash in ((rough, "without", "7 4"), (smooth, "smooth", "")):
-            points = [(step, max(flight.most)) for step, flight in flights.items()]
+            points = [(step, max(flight.largest_px)) for step, flight in flights.items()]
             curves.append(Curve(f"{ground.name}, {how}", ground.colour, points, dash))
         long = [fly(ground, LONG_STEP, LONG, morph) for morph in (1.0, SMOOTH)]
         rows.append(
             [
                 ground.name,
-                *(f"{max(flight.most):.3g}" for flight in long),
+                *(f"{max(flight.largest_px):.3g}" for flight in long),
                 *(f"{max(flight.p999):.3g}" for flight in long),
                 f"{slope(rough):.2f}",
                 f"{slope(smooth):.2f}",

@@ -41,8 +41,8 @@ def scatter_section(folder: Path) -> list:
     rows = [["Adaptive Scatter", f"{counts:,.0f}", f"{100 * (1 - moved):.4g} %"]]
     need_bpy("Blender's own distribution of points")
     rows += [
-        [f"Distribute Points on Faces, {name}", f"{n:,.0f}", f"{100 * kept:.2g} %"]
-        for name, n, kept in by_blender(field)
+        [f"Distribute Points on Faces, {name}", f"{n:,.0f}", f"{100 * share:.2g} %"]
+        for name, n, share in by_blender(field)
     ]
     return [
         Heading("Scatter that stands still"),
@@ -106,7 +106,7 @@ def by_blender(field):
     bpy.context.scene.collection.objects.link(obj)
     modifier = obj.modifiers.new("Points", "NODES")
     for method, inputs in METHODS.items():
-        modifier.node_group, before, kept, counts = _distribution(method, inputs), None, [], []
+        modifier.node_group, before, shares, counts = _distribution(method, inputs), None, [], []
         for frame in range(COMPARED):
             surface = terrain.update(Criterion(error_px=1.0), [view(frame)]).surface
             mesh.clear_geometry()
@@ -119,10 +119,10 @@ def by_blender(field):
             cells = np.rint(places.reshape(-1, 3)[:, :2].astype(np.float64) / SAME_PLACE).astype(np.int64)
             keys = cells[:, 0] << 32 ^ (cells[:, 1] & 0xFFFFFFFF)
             if before is not None:
-                kept.append(float(np.isin(before, keys).mean()))
+                shares.append(float(np.isin(before, keys).mean()))
             before = keys
             counts.append(len(keys))
-        yield method.lower(), float(np.mean(counts)), float(np.mean(kept))
+        yield method.lower(), float(np.mean(counts)), float(np.mean(shares))
     bpy.data.objects.remove(obj)
 
 

@@ -4,10 +4,10 @@
 from pathlib import Path
 
 from figures_of_data import band, error, frame, passes
-from figures_of_meshes import curve, diamond, rim, strip
+from figures_of_meshes import border, curve, diamond, strip
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
-FIGURES = {draw.__name__: draw for draw in (frame, diamond, curve, strip, band, error, rim, passes)}
+FIGURES = {draw.__name__: draw for draw in (frame, diamond, curve, strip, band, error, border, passes)}
 
 
 def main() -> None:

@@ -168,7 +168,7 @@ def strip() -> str:
     return picture(WIDTH, y + 40, "Welding along the curve: two stacks of open edges", parts)
 
 
-def rim() -> str:
+def border() -> str:
     """Draw a raster that does not fill its squares: padded, refined, and cut at its border."""
     columns, rows, side = 26, 11, 16
     unit, top, x0 = 16, 54, 40
@@ -183,14 +183,14 @@ def rim() -> str:
 
     left, high = at(0, rows)
     shape = f'<rect x="{left}" y="{high}" width="{columns * unit}" height="{rows * unit}"/>'
-    parts, inside, outside = [f'<defs><clipPath id="rim">{shape}</clipPath></defs>'], [], []
+    parts, inside, outside = [f'<defs><clipPath id="border">{shape}</clipPath></defs>'], [], []
     roots = [root for i in range(across) for root in square(i * side, 0, side)]
     for leaf in refine(roots, 8, nested(roots, 8, wanted)):
         points = [at(*p) for p in leaf]
         if any(x > columns or y > rows for x, y in leaf):
             outside.append(path(points, LINE, 1, PAPER, 'stroke-dasharray="2 3"'))
         inside.append(path(points, TEAL, 1.1, tint(TEAL, 14)))
-    parts += outside + ['<g clip-path="url(#rim)">', *inside, "</g>"]
+    parts += outside + ['<g clip-path="url(#border)">', *inside, "</g>"]
     for i in range(across):
         corners = [at(i * side, 0), at(i * side + side, 0), at(i * side + side, side), at(i * side, side)]
         parts.append(path([*corners, corners[0]], SOFT, 1.2, more='stroke-dasharray="6 4"'))
@@ -198,10 +198,10 @@ def rim() -> str:
     parts.append(text(x0, top - 22, "a raster of 27 x 12 samples, on two squares of 16 cells", look="bold"))
     x = at(across * side, 0)[0] + 28
     parts += lines(
-        x, top + 22, ("Red: the raster's rim.", "The mesh is cut there:", "one new vertex an edge."), "small"
+        x, top + 22, ("Red: the raster's border.", "The mesh is cut there:", "one new vertex an edge."), "small"
     )
     parts += lines(
         x, top + 96, ("Beyond it nothing is", "stored, and no error", "counts: the mesh stays", "as coarse as it may.")
     )
     parts += lines(x, top + 188, ("The samples stay where", "the file has them."))
-    return picture(WIDTH, at(0, 0)[1] + 26, "A padded raster, cut at its rim", parts)
+    return picture(WIDTH, at(0, 0)[1] + 26, "A padded raster, cut at its border", parts)

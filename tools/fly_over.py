@@ -111,8 +111,8 @@ def run(out: Path, blender: list[str], frames: int) -> dict:
     zip_path = worker.extension()
     worker.blender("--command", "extension", "install-file", "-r", "user_default", "--enable", zip_path)
     scene = "--scene", out / "fly_over.blend"
-    asked = "--frames", f"1-{frames}", "--chunk", -(-frames // CHUNKS), "--extension", zip_path, "--render"
-    worker.blender("--command", "adaptive_terrain", "submit", *scene, "--out", out / "job", *asked)
+    options = "--frames", f"1-{frames}", "--chunk", -(-frames // CHUNKS), "--extension", zip_path, "--render"
+    worker.blender("--command", "adaptive_terrain", "submit", *scene, "--out", out / "job", *options)
     order = random.Random(SEED).sample(range(1, frames + 1), frames)
     chunks = [sorted(order[number::CHUNKS]) for number in range(CHUNKS)]
     random.Random(SEED).shuffle(chunks)
@@ -128,8 +128,9 @@ def run(out: Path, blender: list[str], frames: int) -> dict:
     for frame in again:
         worker.blender("--command", "adaptive_terrain", "render", *scene, "--frames", frame, "--out", out / "again")
     pictures = [(out / place / f"frame_{frame:04d}.png" for place in ("job/frames", "again")) for frame in again]
-    said = [json.loads((out / "job/frames" / f"frame_{frame:04d}.json").read_text()) for frame in range(1, frames + 1)]
-    triangles = [terrain["triangles"] for summary in said for terrain in summary["terrains"]]
+    files = [out / "job/frames" / f"frame_{frame:04d}.json" for frame in range(1, frames + 1)]
+    summaries = [json.loads(file.read_text()) for file in files]
+    triangles = [terrain["triangles"] for summary in summaries for terrain in summary["terrains"]]
     return {
         "frames": frames,
         "chunks": CHUNKS,
@@ -137,7 +138,7 @@ def run(out: Path, blender: list[str], frames: int) -> dict:
         "prepare_s": round(prepared - started, 1),
         "frame_s": round((rendered - prepared) / frames, 2),
         "triangles": [min(triangles), max(triangles)],
-        "bound_px": max(terrain["bound_px"] for summary in said for terrain in summary["terrains"]),
+        "bound_px": max(terrain["bound_px"] for summary in summaries for terrain in summary["terrains"]),
         "again": AGAIN,
         "same": sum(np.array_equal(*(np.asarray(Image.open(path)) for path in pair)) for pair in pictures),
     }
@@ -173,8 +174,8 @@ class Worker:
 
     def job(self, step: str, *arguments: str) -> None:
         """Run a step of the farm's job."""
-        said = json.loads((self.out / "job" / "parameter_values.yaml").read_text())["parameterValues"]
-        values = {item["name"]: str(item["value"]) for item in said} | {
+        parameters = json.loads((self.out / "job" / "parameter_values.yaml").read_text())["parameterValues"]
+        values = {item["name"]: str(item["value"]) for item in parameters} | {
             "Blender": str(self.program),
             "ExtensionZip": "",
         }

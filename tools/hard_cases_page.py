@@ -157,8 +157,8 @@ def run(tests: list[Test]) -> tuple[dict[Test, str], int]:
             file = (case.get("classname") or case.get("name")).rpartition(".")[2] + ".py"
             function = case.get("name").partition("[")[0] if case.get("classname") else ""
             outcomes.setdefault((file, function), []).append(_outcome(case))
-    said = {test: outcomes.get((test.file, test.function)) or outcomes.get((test.file, "")) for test in tests}
-    return {test: _summary(words or [NO_RESULT]) for test, words in said.items()}, status
+    reasons = {test: outcomes.get((test.file, test.function)) or outcomes.get((test.file, "")) for test in tests}
+    return {test: _summary(words or [NO_RESULT]) for test, words in reasons.items()}, status
 
 
 def _outcome(case: ElementTree.Element) -> str:
@@ -168,10 +168,10 @@ def _outcome(case: ElementTree.Element) -> str:
     skip = case.find("skipped")
     if skip is None:
         return "passed"
-    said = skip.get("message", "")
-    if said == "collection skipped":  # a whole module: the reason follows the file in the text
-        said = (skip.text or "").rpartition("Skipped: ")[2].removesuffix(")")[:-1]
-    return f"skipped: {said}"
+    message = skip.get("message", "")
+    if message == "collection skipped":  # a whole module: the reason follows the file in the text
+        message = (skip.text or "").rpartition("Skipped: ")[2].removesuffix(")")[:-1]
+    return f"skipped: {message}"
 
 
 def _summary(outcomes: list[str]) -> str:

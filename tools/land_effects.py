@@ -165,9 +165,9 @@ def shaped(land: BuiltInTerrain, size: int, stack: Stack) -> Shown:
     heights, step = land.heights(size), land.side / (size - 1)
     field = from_array(heights, step)
     start = time.process_time()
-    made = shape(field, stack, whole_land(field.lattice))
+    shaped = shape(field, stack, whole_land(field.lattice))
     seconds = time.process_time() - start
-    return Shown(heights, heights + made.change, made.layers, step, seconds)
+    return Shown(heights, heights + shaped.change, shaped.layers, step, seconds)
 
 
 def rms(values: np.ndarray) -> float:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Write docs/effects.md: what each effect declares, how it looks on the built-in island, and what it costs.
+"""Write docs/effects.md: the declaration, picture and cost of each effect on the built-in island.
 
 `make effects` runs it in the environment of the tests; every figure on the page is of that run.
 """
@@ -101,7 +101,7 @@ def main() -> int:
             pictures = {f"effect_{name}.jpg": jpg(pixels) for name, pixels in drawn.items() if pixels.any()}
             sections = [section(effect, f"effect_{effect.name}.jpg" in pictures) for effect in ATTRIBUTES.values()]
             land, land_pictures = land_section()
-            page = [HEAD, *saving(demo, field), SCALES, "## All effects\n", *sections, *land, add_your_own()]
+            page = [HEAD, *saving(demo, field), SCALES, "## All effects\n", *sections, *land, example_section()]
     except TerrainError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -142,7 +142,7 @@ def at_a_glance(pictures: dict[str, bytes], worn: set[str]) -> bytes:
     return jpg(np.asarray(sheet))
 
 
-def add_your_own() -> str:
+def example_section() -> str:
     """Return the section with the example of an effect."""
     code = (ROOT / "examples" / "06_an_effect.py").read_text(encoding="utf-8")
     return ADD.format(code=code.split("\n", 1)[1])  # without the licence's line
@@ -219,30 +219,30 @@ def of_demo(folder: Path) -> Demo:
     criterion, frames = Criterion(error_px=1.0), range(FRAME, FRAME + 1)
     _, obj = demo_scene.build(folder, folder / "island", flight, frames, RESOLUTION, criterion)
 
-    def taken() -> tuple[int, float, int]:
+    def measure() -> tuple[int, float, int]:
         times = []
         for _ in range(RUNS + 1):  # the first fills the caches of the field
             session.record_of(obj).terrain = None  # nothing is known from before
             session.update_object(obj)
-            made = [status for status in session.record_of(obj).status.effects.values() if not status.skipped]
-            times.append(sum(status.ms for status in made))
-        return len(made), statistics.median(times[1:]), sum(status.nbytes for status in made)
+            computed = [status for status in session.record_of(obj).status.effects.values() if not status.skipped]
+            times.append(sum(status.ms for status in computed))
+        return len(computed), statistics.median(times[1:]), sum(status.nbytes for status in computed)
 
-    read = taken()
+    read = measure()
     statuses = session.record_of(obj).status.effects
     worn = {step.name for step in plan([AttributeRequest(name, ()) for name in demo_scene.MAPS]).steps}
     worn |= {name for name, status in statuses.items() if not status.skipped}
     for name in ATTRIBUTES:
         getattr(obj.adaptive_terrain.effects, name).when = "PINNED"
-    return Demo(read, taken(), len(obj.data.vertices), worn, color_given(obj.adaptive_terrain))
+    return Demo(read, measure(), len(obj.data.vertices), worn, color_given(obj.adaptive_terrain))
 
 
 def alone(name: str, field, surface, view: View) -> float:
     """Return the milliseconds of an effect and its inputs on one thread."""
-    asked, times = plan([AttributeRequest(name, ("a material",))]), []
+    planned, times = plan([AttributeRequest(name, ("a material",))]), []
     for _ in range(RUNS + 1):
         start = time.perf_counter()
-        evaluate(field, EffectRequest(asked, surface, [view]), FrameHistory())
+        evaluate(field, EffectRequest(planned, surface, [view]), FrameHistory())
         times.append((time.perf_counter() - start) * 1e3)
     return statistics.median(times[1:])
 
@@ -251,8 +251,8 @@ def picture(name: str, field, given: dict) -> np.ndarray:
     """Draw an effect over the whole island as colours in low sun: uint8 [rows, columns, 3], north at the top."""
     places, rows = _grid(field)
     read: dict = {}
-    taken = tuple(item for item in given.items() if item[0] in ATTRIBUTES[name].defaults())
-    for step in plan([AttributeRequest(name, ("this page",), parameters=taken)]).steps:
+    parameters = tuple(item for item in given.items() if item[0] in ATTRIBUTES[name].defaults())
+    for step in plan([AttributeRequest(name, ("this page",), parameters=parameters)]).steps:
         values = ATTRIBUTES[step.name].defaults() | dict(step.parameters)
         read |= ATTRIBUTES[step.name].make(places, {step.name: values}, read)
     values = read[name].reshape(rows, rows, -1).astype(np.float64)
@@ -290,8 +290,8 @@ def _scale(values: np.ndarray) -> np.ndarray:
     low, middle, high = np.percentile(values, (2, 50, 98))
     high = high if high > low else values.max()  # a layer that covers few places
     if low < 0 < high:  # both signs: white is 0
-        most = max(-low, high)
-        return matplotlib.colormaps["RdBu"](0.5 + 0.5 * values / most)[:, :, :3]
+        largest = max(-low, high)
+        return matplotlib.colormaps["RdBu"](0.5 + 0.5 * values / largest)[:, :, :3]
     if low > 0 and high > 100 * middle:  # spans decades
         values, low, high = np.log(values), np.log(low), np.log(high)
     return matplotlib.colormaps["viridis"]((values - low) / max(high - low, 1e-9))[:, :, :3]

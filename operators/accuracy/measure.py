@@ -75,7 +75,7 @@ def measure_requests(requests: dict[str, Request], on_progress) -> dict[str, Res
 def measure_request(field, request: Request, on_progress) -> Result:
     """Measure the cost of errors with everything else as in `request`, and the errors of its mesh.
 
-    `on_progress` gets the fraction done and a message; what it raises ends the measurement.
+    `on_progress` gets the finished fraction and a message; its exceptions end the measurement.
     """
     request = replace(request, frozen="")  # what errors cost is of a mesh that follows its camera
     unit = unit_asked(request.criterion)

@@ -7,7 +7,11 @@ from ...cbt_terrain.errors import TerrainError
 from .. import jobs
 from ..job_operator import JobOperator
 
-RENDERING = "Blender is rendering, which would disturb the measured times: measure again when it has finished."
+
+def rendering_error() -> TerrainError:
+    """Return the error for a measurement during a render."""
+    fix = "measure again when it has finished"
+    return TerrainError("Blender is rendering, which would disturb the measured times", fix=fix)
 
 
 def rendering() -> bool:
@@ -16,7 +20,7 @@ def rendering() -> bool:
 
 
 def stop() -> None:
-    """End a measurement, because an undo may have changed what it measures."""
+    """End a measurement, because an undo may have changed its terrain."""
     if job := jobs.find(jobs.MEASURE):
         job.stop()
 
@@ -33,7 +37,7 @@ class MeasuringOperator(JobOperator):
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         if rendering():
-            raise TerrainError(RENDERING)
+            raise rendering_error()
         measure = self.prepare(context)
         try:
             yield from jobs.wait_for_kernels(job)
@@ -43,11 +47,11 @@ class MeasuringOperator(JobOperator):
 
     def modal(self, context, event):
         if rendering() and not self.job.stopped:
-            self.job.stop(RENDERING)
+            self.job.stop(str(rendering_error()))
         return JobOperator.modal(self, context, event)
 
     def clean_up(self) -> None:
-        """Remove what the measurement leaves in the file."""
+        """Remove the measurement's data from the file."""
 
     def abandon(self) -> None:
         self.report({"INFO"}, "The terrain is gone; its measurement was dropped")

@@ -36,8 +36,8 @@ def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
     The first row has the interpolation that most rows have.
     """
 
-    def points(kept: list[Row], error) -> list[tuple[float, float]]:
-        coarse_first = sorted(kept, key=lambda row: -row.setting.error)
+    def points(candidates: list[Row], error) -> list[tuple[float, float]]:
+        coarse_first = sorted(candidates, key=lambda row: -row.setting.error)
         return [(cost_of(row, cost), error(row)) for row in coarse_first]
 
     def measured(row: Row) -> float:
@@ -46,8 +46,9 @@ def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
     def bound(row: Row) -> float:
         return row.bound if row.bound < LARGEST else math.inf  # which has no place in the plot
 
-    own = rows[0].setting.interpolation
-    plain, other = ([r for r in rows if r.setting.plain and (r.setting.interpolation == own) == is_] for is_ in (1, 0))
+    interpolation = rows[0].setting.interpolation
+    all_plain = [row for row in rows if row.setting.plain]
+    plain, other = ([r for r in all_plain if (r.setting.interpolation == interpolation) == is_] for is_ in (1, 0))
     fitted = [row for row in rows if row.setting.fitted]
     other_name = other[0].setting.interpolation if other else ""
     front = pareto_rows(rows, cost)
@@ -81,8 +82,9 @@ def pareto_rows(rows: list[Row], cost: str) -> list[Row]:
     """
     found, rows = [], [row for row in rows if row.setting.morph is None]
     for name in dict.fromkeys(row.setting.interpolation for row in rows):
-        kept = [r for r in rows if r.setting.interpolation == name and (cost == "triangles" or not r.setting.fitted)]
-        found += [kept[i] for i in pareto([(row.error, cost_of(row, cost)) for row in kept])]
+        candidates = [r for r in rows if r.setting.interpolation == name]
+        candidates = [r for r in candidates if cost == "triangles" or not r.setting.fitted]
+        found += [candidates[i] for i in pareto([(row.error, cost_of(row, cost)) for row in candidates])]
     return found
 
 

@@ -125,7 +125,7 @@ class Look:
         request, seen = self.request, f"through {through}, {size} pixels"
         heights, current = session.field_of(request), current_setting(request)
         found = AccuracySubject(self.name, heights, self.frames, self.numbers, seen, current, request.criterion)
-        found.called, found.effects = self.name, plan(request.effects.asked)
+        found.called, found.effects = self.name, plan(request.effects.requests)
         found.notes += notes_on(request.criterion)
         return found
 

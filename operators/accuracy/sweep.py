@@ -44,7 +44,7 @@ def report_folder(obj) -> Path:
     return path / file_name(obj)
 
 
-def need_folder_of_its_own(obj) -> None:
+def check_report_name(obj) -> None:
     """Raise TerrainError where another terrain's report would be written over this one's."""
     place = obj.adaptive_terrain.reports, file_name(obj).casefold()
     for other in session.all_terrains():
@@ -111,7 +111,7 @@ class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
     def prepare(self, context):
         obj, scene = context.object, context.scene
         folder = report_folder(obj)
-        need_folder_of_its_own(obj)
+        check_report_name(obj)
         # Raises errors that name this scene, not its copy.
         gather(obj, context.evaluated_depsgraph_get(), RENDER, criterion=Criterion())
         with beside(scene, context.view_layer) as (copy, view_layer):

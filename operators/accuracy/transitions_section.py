@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far points pop with geomorph and without, and what it costs: a part of the page of `accuracy`."""
+"""Jumps of points with and without geomorph and the cost of geomorph: a part of the page of `accuracy`."""
 
 from dataclasses import replace
 

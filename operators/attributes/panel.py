@@ -73,17 +73,17 @@ def about_text(name: str) -> str:
 
 def summary_lines(statuses, nbytes: int) -> list[tuple[str, str]]:
     """Return the three lines above the list. `nbytes`: memory that the effects hold, see MAX_BYTES."""
-    made = [status for status in statuses.values() if not status.skipped]
-    ms, megabytes = sum(status.ms for status in made), sum(status.nbytes for status in made) / 1e6
+    computed = [status for status in statuses.values() if not status.skipped]
+    ms, megabytes = sum(status.ms for status in computed), sum(status.nbytes for status in computed) / 1e6
     return [
-        ("Computed", f"{len(made)} of {len(ATTRIBUTES)}"),
+        ("Computed", f"{len(computed)} of {len(ATTRIBUTES)}"),
         ("Cost", f"{plain(ms)} ms, {plain(megabytes)} MB"),
         ("Held", f"{plain(nbytes / 1e6)} of {plain(MAX_BYTES / 1e6)} MB"),
     ]
 
 
 class ShowEffect(bpy.types.Operator):
-    """Show who reads this effect, what it takes, and its settings"""
+    """Show the readers of this effect, its cost and its settings"""
 
     bl_idname = "adaptive_terrain.show_effect"
     bl_label = "Show Effect"

@@ -26,10 +26,10 @@ PIN = Reader("a pin", PICTURE)
 
 @dataclass(frozen=True)
 class Effects:
-    """`asked`: effects to compute. `off`: those that are switched off, by name, with who would read them.
+    """`requests`: effects to compute. `off`: those that are switched off, by name, with who would read them.
     `geometry_metres`: the scale of what geometry is made from; 0 is the raster's own."""
 
-    asked: tuple[AttributeRequest, ...] = ()
+    requests: tuple[AttributeRequest, ...] = ()
     off: tuple[tuple[str, tuple[str, ...]], ...] = ()
     geometry_metres: float = 0.0
 
@@ -65,7 +65,7 @@ def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, 
     reads."""
     settings = evaluated.adaptive_terrain
     found = _read(obj, depsgraph, mode) if names is None else {n: [Reader("the export", GEOMETRY)] for n in names}
-    asked, off = [], []
+    requests, off = [], []
     for name in GROUPS:
         readers, when = found.get(name, []), getattr(settings.effects, name).when
         if when == PINNED and names is None:
@@ -77,8 +77,8 @@ def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, 
             family = GEOMETRY if any(reader.family == GEOMETRY for reader in readers) else PICTURE
             given = GIVEN[name](evaluated, placement, depsgraph) if name in GIVEN else {}
             parameters = tuple(sorted((*numbers_of(settings, name), *given.items())))
-            asked.append(AttributeRequest(name, words, family, parameters))
-    return Effects(tuple(asked), tuple(off), settings.effects.geometry_metres)
+            requests.append(AttributeRequest(name, words, family, parameters))
+    return Effects(tuple(requests), tuple(off), settings.effects.geometry_metres)
 
 
 def statuses(

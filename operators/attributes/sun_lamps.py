@@ -46,8 +46,8 @@ def suns_over(placement: np.ndarray, depsgraph) -> tuple[tuple[float, ...], ...]
 
 
 def _lamps(depsgraph) -> Iterator:
-    """Evaluated, each until the next one: Blender keeps one object for all instances. A render's graph lists what it
-    shows, with the instances; in a viewport those may be many."""
+    """Evaluated, each until the next one: Blender keeps one object for all instances. A render's graph lists all
+    visible objects and instances; in a viewport those may be many."""
     if depsgraph.mode == "RENDER":
         yield from filter(_is_sun, (instance.object for instance in depsgraph.object_instances))
     else:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender data in and out: meshes written in place, memory, cameras, evaluated objects, paths, what a scene reads."""
+"""Blender data in and out: meshes, memory, cameras, evaluated objects, paths, attributes that a scene reads."""

@@ -22,7 +22,7 @@ def found_in(depsgraph, obj, what: str) -> tuple:
     if _is_in(obj, depsgraph):
         found = obj.evaluated_get(depsgraph)
         return found, found.matrix_world
-    if _is_made_of_others(obj.data) or any(_acts(modifier, depsgraph.mode) for modifier in obj.modifiers):
+    if _is_composed(obj.data) or any(_acts(modifier, depsgraph.mode) for modifier in obj.modifiers):
         raise _not_there(obj, depsgraph, what, obj)
     return obj, _still_matrix(obj, depsgraph, what, obj)
 
@@ -48,7 +48,7 @@ def _is_animated(block) -> bool:
     return animation is not None and bool(animation.action or animation.drivers or animation.nla_tracks)
 
 
-def _is_made_of_others(data) -> bool:
+def _is_composed(data) -> bool:
     return data is not None and (_is_animated(data) or getattr(data, "shape_keys", None) is not None)
 
 
@@ -57,10 +57,10 @@ def _acts(modifier, mode: str) -> bool:
 
 
 def _not_there(obj, depsgraph, what: str, named) -> TerrainError:
-    whose = "it" if obj == named else f"its parent {obj.name!r}"
+    owner = "it" if obj == named else f"its parent {obj.name!r}"
     where = "renders" if depsgraph.mode == RENDER else "viewports"
     return TerrainError(
         f"The {what} {named.name!r} is hidden in {where}. There Blender evaluates no animation, constraints or "
-        f"modifiers of it, and {whose} has some",
+        f"modifiers of it, and {owner} has some",
         fix="show it, or apply them",
     )

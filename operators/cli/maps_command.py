@@ -59,8 +59,8 @@ def store_subjects(
 ) -> list[MapSubject]:
     """Return the terrain of a store, seen along a camera path at `frames` (None: all whole frames), or as a whole."""
     views = () if path is None else views_of(path, frames, resolution)
-    asked = tuple(AttributeRequest(name, (READER,)) for name in known(names))
-    request = MapRequest(asked, out, views, only_seen=bool(views))
+    requests = tuple(AttributeRequest(name, (READER,)) for name in known(names))
+    request = MapRequest(requests, out, views, only_seen=bool(views))
     return [MapSubject(StoreFrames.name, open_store(store), request)]
 
 

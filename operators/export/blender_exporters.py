@@ -11,7 +11,7 @@ from ...cbt_terrain.errors import TerrainError
 
 # Blender's types of attributes that glTF knows, and those of such a type that are no attributes of ours.
 GLTF_TYPES = ("FLOAT", "FLOAT2", "FLOAT_VECTOR", "FLOAT_COLOR")
-OWN_NAMES = ("position", "custom_normal")
+RESERVED_NAMES = ("position", "custom_normal")
 # Cosine between axes of an object; float32 rounds those of one that is not sheared to less.
 SHEARED = 1e-5
 ONLY = {"export_selected_objects": True, "apply_modifiers": False}
@@ -121,7 +121,7 @@ def _gltf_names(meshes):
         for mesh in meshes:
             names = [item.name for item in mesh.attributes if item.domain == "POINT" and item.data_type in GLTF_TYPES]
             for name in names:
-                if name not in OWN_NAMES and not name.startswith(("_", ".")):
+                if name not in RESERVED_NAMES and not name.startswith(("_", ".")):
                     mesh.attributes[name].name = "_" + name
                     renamed.append((mesh, name))
         yield

@@ -25,7 +25,7 @@ FRAME_NUMBER = "####"  # which Blender replaces
 def redirected_outputs(scene, folder: Path) -> Iterator[None]:
     """Let the File Output nodes of a scene write below `folder` during the block: each to its whole path, from there.
 
-    So Blender still fills in the names in braces that stand in a node's own path. From 5.0 on it leaves the frame's
+    Blender still fills in the names in braces of a node's path. From 5.0 on it leaves the frame's
     number out of the names while it renders one frame; here they get it, as in a render of all frames.
     """
     nodes = output_nodes(scene)

@@ -144,10 +144,10 @@ class SceneFrames:
                 raise TerrainError(
                     f"The scene {self.scene.name!r} has no camera {camera!r}; it has {cameras}", fix="choose one"
                 )
-        asked = {"camera": camera, "resolution": resolution, "scatters": with_scatters, **overrides.to_json()}
+        options = {"camera": camera, "resolution": resolution, "scatters": with_scatters, **overrides.to_json()}
         stores = {obj.name: obj.adaptive_terrain.store for obj in self.objects}
         fields = {name: field_identity(open_store(absolute_path(path))) for name, path in stores.items() if path}
-        self.settings = {"scene": content, "height_fields": fields, **asked}
+        self.settings = {"scene": content, "height_fields": fields, **options}
         self.files = [Path(blend), *(Path(absolute_path(path)) for path in stores.values() if path)]
 
     def inputs(self, frame: int) -> list[Path]:
@@ -164,28 +164,28 @@ class SceneFrames:
             self.scene.frame_set(frame)
         depsgraph = bpy.context.evaluated_depsgraph_get()
         for obj in self.objects:
-            asked = {"camera": self.camera, "resolution": self.resolution, "overrides": self.overrides}
-            yield scene_piece(obj, depsgraph, frame, **asked)
+            options = {"camera": self.camera, "resolution": self.resolution, "overrides": self.overrides}
+            yield scene_piece(obj, depsgraph, frame, **options)
 
 
-def scene_piece(obj, depsgraph, frame: int, **asked) -> Piece:
-    """Write the mesh of the terrain `obj` at the render's detail. `asked`: arguments of `request.gather`."""
+def scene_piece(obj, depsgraph, frame: int, **options) -> Piece:
+    """Write the mesh of the terrain `obj` at the render's detail. `options`: arguments of `request.gather`."""
     from ..bridge.cleanup import clean_up
     from ..scatter.request import scatters_of
     from ..session import session
     from ..terrain.request import RENDER, gather
 
     with session.engine_lock:  # the live update's thread would go on with the same engine
-        update = session.update_object(obj, depsgraph, RENDER, **asked)
-        request = gather(obj, depsgraph, RENDER, **asked)
+        update = session.update_object(obj, depsgraph, RENDER, **options)
+        request = gather(obj, depsgraph, RENDER, **options)
         record = session.record_of(obj)
         surface = clean_up(session.shown_surface(record, update), request.cleanup).copy()
         heights, (tree, how) = record.field, record.terrain.saved()
         children, scatters = {child.session_uid: child for child in scatters_of(obj)}, {}
-        for asked_one in request.scatters.asked:
-            child = children[asked_one.uid]
+        for item in request.scatters.items:
+            child = children[item.uid]
             stands = np.array(child.evaluated_get(depsgraph).matrix_world, np.float64)
-            scatters[file_name(child)] = record.scatters[asked_one.uid].points, stands
+            scatters[file_name(child)] = record.scatters[item.uid].points, stands
     info = describe(update, request.criterion, request.views, heights, request.placement)
     info |= {"frame": frame, **counts(surface), "tree": how, "frozen": bool(request.frozen)}
     return Piece(file_name(obj), surface, heights.origin, update, info, obj, tree, scatters)
@@ -340,7 +340,7 @@ def open_empty_file() -> None:
 
 
 def field_identity(field) -> list:
-    """Return what an export depends on in a height field; the key covers heights and spacing."""
+    """Return the properties of a height field that an export depends on; the key covers heights and spacing."""
     return [field.key, field.origin.tolist(), field.crs]
 
 

@@ -16,8 +16,8 @@ SAME = 1e-5  # float32 matrices are no better
 
 
 def write_points_csv(path, points: ScatterPoints, placement: np.ndarray) -> None:
-    """Write points that stand at `placement` (float64 [4, 4], their space to the world), atomically: metres, z up,
-    quaternions, and the scale of what stands there.
+    """Write points placed by `placement` (float64 [4, 4], their space to the world), atomically: metres, z up,
+    quaternions and the scale of each instance.
 
     Raises TerrainError where the placement does not scale all axes alike: no rotation and scale say that.
     """

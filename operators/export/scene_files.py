@@ -42,10 +42,10 @@ def color_config() -> list[Path]:
 
 def _listed_paths() -> Iterator[str]:
     """Yield the paths that Blender lists, made absolute."""
-    own = [os.path.normpath(bpy.utils.resource_path(kind)) + os.sep for kind in ("LOCAL", "SYSTEM")]
+    blender_folders = [os.path.normpath(bpy.utils.resource_path(kind)) + os.sep for kind in ("LOCAL", "SYSTEM")]
     for path in bpy.utils.blend_paths(absolute=True, packed=False, local=False):
         is_sound = os.path.splitext(path)[1].lower() in bpy.path.extensions_audio
-        if path and not is_sound and not path.startswith(tuple(own)):
+        if path and not is_sound and not path.startswith(tuple(blender_folders)):
             yield os.path.normpath(path)
 
 

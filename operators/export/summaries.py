@@ -110,7 +110,7 @@ def complete_summary(
 
 
 def file_fault(summary: dict, name: str, out: Path) -> str | None:
-    """Return what is wrong with a file of a summary: "is missing", "is cut short", "has another content"; or None."""
+    """Return the fault of a file of a summary: "is missing", "is cut short", "has another content"; or None."""
     path = file_named(name, out)
     try:
         size = os.stat(path).st_size

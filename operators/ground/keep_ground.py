@@ -19,7 +19,7 @@ from ...kernels.query import ground, rays
 from ..terrain.request import RENDER, VIEWPORT
 from . import vertical_moves as moves
 from . import world_ground
-from .properties import ON, any_kept
+from .properties import ON, is_any_on_ground
 
 MAX_MOVES = 3  # of an object; further ones correct float32 rounding
 _settled: dict[int, tuple] = {}  # session_uid of a scene -> key of its settled state in the viewport
@@ -44,7 +44,7 @@ def refusal(obj, align: bool = False) -> str:
 
 def objects_on_ground(scene) -> list:
     """Return the movable kept objects of a scene."""
-    if not any_kept():
+    if not is_any_on_ground():
         return []
     return [obj for obj in scene.objects if obj.adaptive_terrain_keep.keep and not moves.untouchable(obj)]
 

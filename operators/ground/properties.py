@@ -9,7 +9,7 @@ ON, ABOVE = "ON", "ABOVE"
 _looked: tuple[int, bool] | None = None  # number of objects at the last look, and whether any was kept
 
 
-def any_kept() -> bool:
+def is_any_on_ground() -> bool:
     """Tell whether any object of the file is kept on the ground. Objects are looked at only after a change: a frame of
     10,000 objects would take a third longer."""
     global _looked

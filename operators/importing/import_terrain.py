@@ -185,7 +185,7 @@ def _begin_again() -> None:
 
 
 def _give_back(obj) -> None:
-    """Restore the store, and what else the end of the import changed. No undo step covers what a viewport shows."""
+    """Restore the store and the other changes of the import. No undo step covers the contents of a viewport."""
     obj.adaptive_terrain.store = _added[obj.session_uid]
     imported.tag_object(obj)
     with suppress(TerrainError):  # the panel says why

@@ -79,7 +79,7 @@ def store_folder(obj, settings: ImportSettings) -> str:
 
 
 def baked_folder(obj) -> str:
-    """Return where the baked land of a terrain is written: beside its store, or beside the file if others use that."""
+    """Return the path for the baked land of a terrain: beside its store, or beside the file if others use the store."""
     store = obj.adaptive_terrain.store.rstrip("/\\")
     if is_shared(store):
         beside = can_write_beside()

@@ -166,5 +166,5 @@ class LandSettings(bpy.types.PropertyGroup):
     active: IntProperty(name="Active", options=set())
 
 
-OWN_RULES = [group for group in RULES.values() if group not in BANDS.values()]
-CLASSES = (*GROUPS.values(), *OWN_RULES, LandMask, LandEntry, LandSettings)
+OTHER_RULES = [group for group in RULES.values() if group not in BANDS.values()]
+CLASSES = (*GROUPS.values(), *OTHER_RULES, LandMask, LandEntry, LandSettings)

@@ -23,31 +23,31 @@ T = TypeVar("T")
 _read: dict[tuple[str, type], tuple[tuple, object]] = {}
 
 
-def painted_of(image, whose: str = "of a splat layer") -> Painted:
+def painted_of(image, user: str = "of a splat layer") -> Painted:
     """Return the red of an image, row 0 south. Raises TerrainError for an image without pixels."""
-    return cached_value(image, Painted, whose, _painted)
+    return cached_value(image, Painted, user, _painted)
 
 
 def _painted(_image, pixels: np.ndarray) -> Painted:
     return Painted(np.clip(np.nan_to_num(pixels[..., 0]), 0.0, 1.0))
 
 
-def cached_value(image, kind: type[T], whose: str, make: Callable[[object, np.ndarray], T]) -> T:
+def cached_value(image, kind: type[T], user: str, make: Callable[[object, np.ndarray], T]) -> T:
     """Return `make(image, pixels)`, cached until the image changes.
 
     pixels: float32 [rows, columns, channels], row 0 at the lower edge. Raises TerrainError for an image without pixels,
     or with a truncated file.
     """
     image = image.original
-    check_image_files(image, whose)
+    check_image_files(image, user)
     mark = *image.size, image.filepath, image.channels, image.colorspace_settings.name, image.alpha_mode
     cached = _read.get((image.name_full, kind))
     if cached is None or cached[0] != mark:
-        _check_whole(image, whose)
+        _check_whole(image, user)
         columns, rows = image.size
         if not image.channels or not rows * columns:
             raise TerrainError(
-                f"The image {image.name!r} {whose} has no pixels",
+                f"The image {image.name!r} {user} has no pixels",
                 expected="an image file that can be read",
                 fix="find it, or choose another",
             )
@@ -58,7 +58,7 @@ def cached_value(image, kind: type[T], whose: str, make: Callable[[object, np.nd
     return cached[1]
 
 
-def check_image_files(image, whose: str) -> None:
+def check_image_files(image, user: str) -> None:
     """Raise TerrainError where Blender would wait for the pixels of an image: its file is a pipe or a device."""
     if image.source == "GENERATED" or image.packed_file is not None:
         return
@@ -66,7 +66,7 @@ def check_image_files(image, whose: str) -> None:
     waiting = next(filter(blocks_reader, [path, *numbered_files(path, image.source)]), None)
     if waiting is not None:
         raise TerrainError(
-            f"The image {image.name!r} {whose} is {shown(waiting)}, a pipe, a socket or a device",
+            f"The image {image.name!r} {user} is {shown(waiting)}, a pipe, a socket or a device",
             expected="an image file",
             fix="choose another",
         )
@@ -80,7 +80,7 @@ def numbered_files(path: Path, source: str) -> list[Path]:
     return list(path.parent.glob("*".join(map(glob.escape, re.split(number, path.name)))))
 
 
-def _check_whole(image, whose: str) -> None:
+def _check_whole(image, user: str) -> None:
     """Raise TerrainError for a truncated PNG, of which Blender shows the missing part in black."""
     if image.is_dirty or image.source != "FILE":
         return  # painted: the file does not matter
@@ -93,7 +93,7 @@ def _check_whole(image, whose: str) -> None:
         return  # a file that was read once may be gone by now
     if damage:
         raise TerrainError(
-            f"The image {image.name!r} {whose} is damaged ({damage})",
+            f"The image {image.name!r} {user} is damaged ({damage})",
             expected="a whole PNG",
             fix="get the file again, and reload the image",
         )

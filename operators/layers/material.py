@@ -37,9 +37,9 @@ BROAD, FINE, SEEN = 3.0, 0.12, 500.0
 
 @dataclass(frozen=True)
 class LayerSources:
-    """What the group reads. `layers`: name and colour (linear RGB) of each, none where there is a map of COLORS.
-    `light`: which of SKY and SUN darken the colours. `maps`: baked images by effect; what has none is read as an
-    attribute. `place`: adds nodes to a tree that give the place in them; returns their output. `tile`: metres of the
+    """Inputs of the group. `layers`: name and colour (linear RGB) of each, none where there is a map of COLORS.
+    `light`: which of SKY and SUN darken the colours. `maps`: baked images by effect; effects without one are
+    attributes. `place`: adds nodes to a tree that give the place in them; returns their output. `tile`: metres of the
     world across an image of several that make a map."""
 
     layers: Sequence[tuple[str, tuple[float, float, float]]]
@@ -61,7 +61,7 @@ def dress(obj, sources: LayerSources) -> bpy.types.Material:
 
     What another object wears too, or another file has, stays as it is: the object gets a copy.
     """
-    material, node = _found(obj) or _made(obj)
+    material, node = _find(obj) or _create(obj)
     names = _socket_names([name for name, _ in sources.layers])
     layers = [(name, colour) for name, (_, colour) in zip(names, sources.layers, strict=True)]
     sources = replace(sources, layers=layers)
@@ -81,7 +81,7 @@ def dress(obj, sources: LayerSources) -> bpy.types.Material:
     return material
 
 
-def _found(obj) -> tuple[bpy.types.Material, bpy.types.Node] | None:
+def _find(obj) -> tuple[bpy.types.Material, bpy.types.Node] | None:
     """Return the object's first material that has the group, and the group's node."""
     for slot in obj.material_slots:
         node = _group_node(slot.material)
@@ -106,7 +106,7 @@ def _is_worn_by_others(material, obj) -> bool:
     return any(slot.material == material for other in others for slot in other.material_slots)
 
 
-def _made(obj) -> tuple[bpy.types.Material, bpy.types.Node]:
+def _create(obj) -> tuple[bpy.types.Material, bpy.types.Node]:
     """Create a material in the object's first slot."""
     material = bpy.data.materials.new(f"{obj.name} Material")
     tree = tree_of_new(material)
@@ -129,11 +129,11 @@ def _made(obj) -> tuple[bpy.types.Material, bpy.types.Node]:
 
 def _socket_names(names: Sequence[str]) -> list[str]:
     """Return a socket name for each layer, unique among the layers and the group's other sockets."""
-    taken = [VARIATION, SIZE, OCCLUSION, SHADOW]
+    names_in_use = [VARIATION, SIZE, OCCLUSION, SHADOW]
     for name in names:
         numbered = (f"{name or 'Layer'} {number}" for number in count(2))
-        taken.append(next(free for free in chain([name or "Layer"], numbered) if free not in taken))
-    return taken[4:]
+        names_in_use.append(next(free for free in chain([name or "Layer"], numbered) if free not in names_in_use))
+    return names_in_use[4:]
 
 
 def build_group(tree, sources: LayerSources, size: float) -> None:

@@ -24,7 +24,7 @@ class _LayerOperator:
 
 
 class AddLayer(_LayerOperator, bpy.types.Operator):
-    """Add a layer below the chosen one; it lies on top of those above it in the list"""
+    """Add a layer below the chosen one; it covers those above it in the list"""
 
     bl_idname = "adaptive_terrain.layer_add"
     bl_label = "Add Layer"
@@ -64,7 +64,7 @@ class RemoveLayer(_LayerOperator, bpy.types.Operator):
 
 
 class MoveLayer(_LayerOperator, bpy.types.Operator):
-    """Move the chosen layer in the list: layers further down lie on those above"""
+    """Move the chosen layer in the list: layers further down cover those above"""
 
     bl_idname = "adaptive_terrain.layer_move"
     bl_label = "Move Layer"

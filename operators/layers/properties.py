@@ -223,12 +223,12 @@ def rule_of(kind: str, band) -> rules.Rule:
 
 def barren(layers: tuple[rules.Layer, ...]) -> str:
     """Name the layers that cover nothing anywhere, and why; "" if all may cover something."""
-    said = []
+    notes = []
     for layer in layers:
         kinds = [rule.of for rule in layer.rules if rules.covers_nothing(rule)]
         labels = [BANDS[kind].bl_rna.properties["use"].name for kind in kinds]
-        said += [f"{layer.name} covers nothing: From is above To in {' and '.join(labels)}"] if kinds else []
-    return "; ".join(said)
+        notes += [f"{layer.name} covers nothing: From is above To in {' and '.join(labels)}"] if kinds else []
+    return "; ".join(notes)
 
 
 def _number_of(layers, name: str, before: int) -> int:

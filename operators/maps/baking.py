@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a bake of maps is asked for, in plain numbers, and its carrying out: nothing of Blender's."""
+"""A request to bake maps, in plain numbers, and its execution, both independent of Blender."""
 
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
@@ -20,11 +20,11 @@ from ...cbt_terrain.view.view import View
 
 @dataclass(frozen=True, eq=False)
 class MapRequest:
-    """One bake. `views`: that the maps are to be fine enough for, none for all that the height map has; `placement`
-    float64 [4, 4]. `only_seen`: what is in no view's frame gets the coarsest images. `store`, `land`: of the
-    heights, as of a scene's Request. Others as of `maps.bake.bake`."""
+    """One bake. `views`: the views that determine the resolution, none for that of the height map; `placement`
+    float64 [4, 4]. `only_seen`: tiles outside all frames get the coarsest images. `store`, `land`: of the
+    heights, as in a scene's Request. Others as in `attributes.bake.bake`."""
 
-    asked: tuple[AttributeRequest, ...]
+    requests: tuple[AttributeRequest, ...]
     folder: Path
     views: tuple[View, ...] = ()
     placement: np.ndarray | None = None
@@ -46,14 +46,14 @@ def carry_out(
     """Bake the requested maps of a height field, without touching Blender."""
     tiling = tiling_of(field.lattice)
     heights = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
-    finest = shown = sizing.shown_by(tiling, field, request.asked)
+    finest = shown = sizing.shown_by(tiling, field, request.requests)
     if request.views:
         placement = np.eye(4) if request.placement is None else request.placement
         finest = sizing.footprints(sizing.boxes(tiling, field, **heights), request.views, placement, request.only_seen)
-    texel_bytes = sum(coding_of(ATTRIBUTES[item.name], request.form).texel_bytes for item in request.asked)
+    texel_bytes = sum(coding_of(ATTRIBUTES[item.name], request.form).texel_bytes for item in request.requests)
     sides = sizing.resolutions(tiling, finest, shown, texel_bytes, request.budget_mb)
     more = {"form": request.form, "on_progress": on_progress, "lock": lock}
-    return bake(field, request.asked, request.folder, sides, **heights, **more)
+    return bake(field, request.requests, request.folder, sides, **heights, **more)
 
 
 def known(names: Iterable[str]) -> tuple[str, ...]:
@@ -61,8 +61,8 @@ def known(names: Iterable[str]) -> tuple[str, ...]:
     names = sorted(set(names))
     unknown = [name for name in names if name not in ATTRIBUTES]
     if unknown or not names:
-        said = f"There is no map {unknown[0]!r}" if unknown else "No map is asked for"
-        raise TerrainError(said, expected=f"one or more of {', '.join(sorted(ATTRIBUTES))}")
+        what = f"There is no map {unknown[0]!r}" if unknown else "No map is requested"
+        raise TerrainError(what, expected=f"one or more of {', '.join(sorted(ATTRIBUTES))}")
     return tuple(names)
 
 

@@ -26,7 +26,7 @@ GROUP = "Terrain Map UV"
 _marks: dict[int, str] = {}  # by session_uid
 
 
-def own_folder(obj) -> None:
+def reserve_folder(obj) -> None:
     """Make sure that no other terrain, of the same name in this file or another, has its maps in the same folder.
 
     A mark that an undo has removed is restored: the maps still exist.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a bake of maps is asked for: a scene and its settings in, plain numbers for the engine out."""
+"""The request for a bake of maps, in plain numbers, from a scene and its settings."""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -27,8 +27,8 @@ def names_of(obj, depsgraph) -> set[str]:
     settings = obj.adaptive_terrain.maps
     if settings.which == CHOSEN:
         return set(settings.chosen)
-    asked = gather(obj, depsgraph, RENDER).effects.asked
-    read = {item.name for item in asked if item.family == PICTURE} | read_as_images(obj)
+    requests = gather(obj, depsgraph, RENDER).effects.requests
+    read = {item.name for item in requests if item.family == PICTURE} | read_as_images(obj)
     if not read:
         raise TerrainError(
             f"No material of {obj.name!r} reads an attribute or a map",
@@ -62,9 +62,9 @@ def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[in
     `request.gather`. Raises TerrainError.
     """
     settings, depsgraph = obj.adaptive_terrain.maps, bpy.context.evaluated_depsgraph_get()
-    map_images.own_folder(obj)
+    map_images.reserve_folder(obj)
     for folder in (map_images.map_folder(obj).parent, map_images.map_folder(obj)):
-        check_folder(folder)  # a scene's own: what it is baked into must not lead elsewhere
+        check_folder(folder)  # chosen by the scene: no link in it may lead elsewhere
     names = known(names_of(obj, depsgraph) if names is None else names)
     if settings.folder.startswith("//") and not bpy.data.filepath:
         raise TerrainError(
@@ -82,7 +82,7 @@ def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[in
             yield views
     budget = settings.budget_mb if settings.use_budget else None
     yield MapRequest(
-        asked=first.effects.asked,
+        requests=first.effects.requests,
         folder=map_folder(obj),
         views=tuple(views),
         placement=first.placement,

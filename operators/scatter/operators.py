@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Add Scatter: points that stand on a terrain, and the node group that puts a collection's objects on them."""
+"""Add Scatter: points on a terrain, and the node group that puts a collection's objects on them."""
 
 import math
 
@@ -22,7 +22,7 @@ FULL_SPACINGS, REACH_SPACINGS = 200, 2
 
 
 class AddScatter(bpy.types.Operator):
-    """Add points that stand still on the terrain, as dense as the camera can see; choose what stands on them in their
+    """Add points that keep their places on the terrain, as dense as the camera can see; choose a collection in their
     modifier"""
 
     bl_idname = "adaptive_terrain.scatter_add"
@@ -44,7 +44,7 @@ class AddScatter(bpy.types.Operator):
         settings = terrain.adaptive_terrain
         try:
             if not settings.store:
-                raise TerrainError(f"The terrain {terrain.name!r} has no height field; import one from its panel.")
+                raise TerrainError(f"The terrain {terrain.name!r} has no height field", fix="import one from its panel")
             west, south, east, north = session.open_field(absolute_path(settings.store)).lattice.rectangle()
         except TerrainError as error:
             self.report({"ERROR"}, str(error))

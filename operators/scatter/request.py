@@ -25,9 +25,8 @@ MAX_IN_VIEWPORT = 4_000_000
 
 
 @dataclass(frozen=True)
-class AskedScatter:
-    """A scatter that is to be shown. `uid`: session_uid of its object; `name`: of that, for messages. `culls`: without
-    the points that the terrain hides."""
+class ScatterItem:
+    """A visible scatter. `uid`, `name`: session_uid and name of its object. `culls`: without hidden points."""
 
     uid: int
     name: str
@@ -41,12 +40,12 @@ class Scatters:
     """Visible scatters of a terrain, and the views that they are for; without a view, everywhere. `max_points`:
     of each scatter, and what limits it."""
 
-    asked: tuple[AskedScatter, ...] = ()
+    items: tuple[ScatterItem, ...] = ()
     views: tuple[View, ...] = ()
     max_points: tuple[int, str] | None = None
 
     def key(self) -> tuple:
-        return self.asked, tuple(view.key() for view in self.views)
+        return self.items, tuple(view.key() for view in self.views)
 
 
 @dataclass
@@ -73,19 +72,19 @@ def scatters_of(terrain) -> list:
 def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[View]]) -> Scatters:
     """Return the requests of a terrain's scatters that are visible in a render or in the viewport. `views` is called
     only if there is one."""
-    settings, asked = terrain.evaluated_get(depsgraph).adaptive_terrain, []
+    settings, items = terrain.evaluated_get(depsgraph).adaptive_terrain, []
     for obj in scatters_of(terrain):
         evaluated = obj.evaluated_get(depsgraph)
         if not (evaluated.is_evaluated and (render or obj.visible_get(view_layer=depsgraph.view_layer))):
             continue
-        own = evaluated.adaptive_scatter
-        on_mesh = own.roots == MESH
-        culls = own.cull_hidden and not on_mesh  # hidden triangles may be coarse, and carry points up into sight
+        properties = evaluated.adaptive_scatter
+        on_mesh = properties.roots == MESH
+        culls = properties.cull_hidden and not on_mesh  # hidden triangles may be coarse, and carry points up into sight
         try:
-            asked.append(AskedScatter(obj.session_uid, obj.name, scatter_of(own, settings), on_mesh, culls))
+            items.append(ScatterItem(obj.session_uid, obj.name, scatter_of(properties, settings), on_mesh, culls))
         except TerrainError as error:
             raise TerrainError(f"The scatter {obj.name!r} cannot be made. {error}") from None
-    return Scatters(tuple(asked), tuple(views()), max_points(render)) if asked else Scatters()
+    return Scatters(tuple(items), tuple(views()), max_points(render)) if items else Scatters()
 
 
 def max_points(render: bool) -> tuple[int, str]:
@@ -108,19 +107,19 @@ def make_points(
     below, outline = request.cleanup.key()
     whole = not request.cleanup.active  # through the cut one sees ground that it would hide
     horizon = cache(terrain.horizon)  # one for all scatters
-    for asked in scatters.asked:
-        record = records.setdefault(asked.uid, ScatterRecord())
+    for item in scatters.items:
+        record = records.setdefault(item.uid, ScatterRecord())
         key = (
-            asked.scatter,
+            item.scatter,
             heights.key,
             scale,
             outline,
             views,
             request.placement.tobytes(),
             below,
-            asked.on_mesh and serial,
+            item.on_mesh and serial,
         )
-        culls = asked.culls and whole
+        culls = item.culls and whole
         key += (culls and (request.criterion, request.frozen),)
         if key == record.key:
             continue
@@ -128,10 +127,10 @@ def make_points(
         try:
             boundary, hidden_by = request.cleanup.boundary, horizon() if culls else None
             placed = scatters.views, request.placement, *scale, boundary, hidden_by, scatters.max_points
-            points = place_points(heights, ScatterRequest(asked.scatter, *placed), record.history, terrain.threads)
+            points = place_points(heights, ScatterRequest(item.scatter, *placed), record.history, terrain.threads)
         except TerrainError as error:
-            raise TerrainError(f"The scatter {asked.name!r} cannot be made. {error}") from None
-        if asked.on_mesh:
+            raise TerrainError(f"The scatter {item.name!r} cannot be made. {error}") from None
+        if item.on_mesh:
             points = on_mesh(points, terrain, surface)
         if below is not None:  # the ground there is cut away
             points = points.only(np.flatnonzero(points.positions[:, 2] >= below))
@@ -141,11 +140,11 @@ def make_points(
 
 def show_points(terrain, records: dict[int, ScatterRecord], request) -> None:
     """Write the points of a request into the meshes of their objects, unless they are there already."""
-    asked = {item.uid for item in request.scatters.asked}
+    uids = {item.uid for item in request.scatters.items}
     children = {obj.session_uid: obj for obj in scatters_of(terrain)}
     for uid in set(records) - set(children):
         del records[uid]
-    for uid in asked & set(children):
+    for uid in uids & set(children):
         record, mesh = records[uid], children[uid].data
         shown = record.key, mesh.session_uid, len(mesh.vertices)
         if record.points is None or shown == record.shown:

@@ -96,10 +96,10 @@ def _rest(idle: bool) -> bool:
     if not resting_land.concerned():
         return False
     before = jobs.progress_shown()
-    made = resting_land.turn(_shown(), idle)
+    has_changed = resting_land.turn(_shown(), idle)
     if jobs.progress_shown() != before:
         jobs.redraw_panels()
-    return made
+    return has_changed
 
 
 def _windows_changed() -> bool:

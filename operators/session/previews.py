@@ -12,11 +12,11 @@ from ..terrain.request import Request
 
 def begun(request: Request, heights: HeightField) -> Request:
     """Replace slow effects without a cached value by previews; return the same request if there are none."""
-    names = [item.name for item in request.effects.asked]
+    names = [item.name for item in request.effects.requests]
     if sky.SKY.name not in names or sky_layer.is_known(heights, request.vertical_scale):
         return request
-    items = tuple(_preview(item) if item.name == sky.SKY.name else item for item in request.effects.asked)
-    return replace(request, effects=replace(request.effects, asked=items))
+    items = tuple(_preview(item) if item.name == sky.SKY.name else item for item in request.effects.requests)
+    return replace(request, effects=replace(request.effects, requests=items))
 
 
 def refine(request: Request, heights: HeightField) -> bool:

@@ -243,7 +243,7 @@ def _refine(record: Record, request: Request, heights: HeightField):
 
 def _make_effects(record: Record, request: Request, update, placed: dict[str, float]) -> None:
     """Compute the attributes of the request on the surface of an update."""
-    names, planned = set(record.effects), plan(request.effects.asked)
+    names, planned = set(record.effects), plan(request.effects.requests)
     effects = EffectRequest(
         planned,
         update.surface,

@@ -24,7 +24,7 @@ class Overrides:
     ground: Ground | None = None
 
     def to_json(self) -> dict:
-        """Return what a frame's digest covers, with the keys that version 0.3 wrote: such frames can be resumed."""
+        """Return the settings that a frame's digest covers, with the keys of version 0.3: its frames can be resumed."""
         others = asdict(self)
         criterion = dict.fromkeys(("error_px", "max_triangles", "meshlet", "shading_floor", "morph"))
         criterion |= others.pop("criterion")

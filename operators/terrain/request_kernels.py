@@ -17,18 +17,18 @@ from .request import Request
 
 def kernels_for(request: Request) -> list[ModuleType]:
     """Return the modules of kernels for `warmup.ask`. Raises TerrainError for effects that are not valid."""
-    asked = list(request.effects.asked)
+    attributes = list(request.effects.requests)
     if isinstance(request.ground, LayeredDetail):
-        asked.append(AttributeRequest(NAMES[0], ("detail",), parameters=(("layers", request.ground.layers),)))
-    for item in request.scatters.asked:
-        asked += [read for read, _ in item.scatter.reads()]
-    found = kernels_of(plan(asked)) + (kernels_of_stack(request.land.stack) if request.land is not None else [])
-    hides = request.criterion.hidden_factor != 1.0 or any(item.culls for item in request.scatters.asked)
+        attributes.append(AttributeRequest(NAMES[0], ("detail",), parameters=(("layers", request.ground.layers),)))
+    for item in request.scatters.items:
+        attributes += [read for read, _ in item.scatter.reads()]
+    found = kernels_of(plan(attributes)) + (kernels_of_stack(request.land.stack) if request.land is not None else [])
+    hides = request.criterion.hidden_factor != 1.0 or any(item.culls for item in request.scatters.items)
     rooms = (
         (detail, request.ground is not None),
         (bicubic, request.interpolation == "bicubic"),
         (morph, request.criterion.rises_until > 1),
-        (scatter, bool(request.scatters.asked)),
+        (scatter, bool(request.scatters.items)),
     )
-    found += [module for room, is_asked in rooms if is_asked for module in modules_of(room)]
+    found += [module for room, is_used in rooms if is_used for module in modules_of(room)]
     return [*found, horizon_map] if hides else found

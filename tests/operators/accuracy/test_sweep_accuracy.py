@@ -179,7 +179,7 @@ def test_a_render_ends_it_with_the_reason(terrain, held, monkeypatch):
     monkeypatch.setattr(measuring, "rendering", lambda: True)
     held.go.set()
     assert to_the_end(operator) == {"CANCELLED"}
-    assert operator.report.call_args.args == ({"ERROR"}, measuring.RENDERING)
+    assert operator.report.call_args.args == ({"ERROR"}, str(measuring.rendering_error()))
     assert running(SweepAccuracy, terrain).began == {"CANCELLED"}
 
 

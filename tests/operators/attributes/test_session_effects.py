@@ -175,7 +175,7 @@ def test_everything_is_computed_where_nobody_knows_what_is_read(worn):
 def test_a_command_may_name_effects_instead(worn):
     def asked(**override):
         request = gather(worn, bpy.context.evaluated_depsgraph_get(), "RENDER", overrides=Overrides(**override))
-        return [(item.name, item.readers, item.family) for item in request.effects.asked]
+        return [(item.name, item.readers, item.family) for item in request.effects.requests]
 
     assert [item[0] for item in asked()] == ["height", "slope"]
     assert asked(effects=()) == []

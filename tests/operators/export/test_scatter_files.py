@@ -69,7 +69,7 @@ def test_points_stand_where_blender_shows_them(export, monkeypatch):
     terrain = bpy.data.objects["Hills"]
     request = session.record_of(terrain).status.request
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    for name, asked, file in zip(names, request.scatters.asked, files[2:], strict=True):
+    for name, item, file in zip(names, request.scatters.items, files[2:], strict=True):
         shown = [
             np.array(item.matrix_world)
             for item in depsgraph.object_instances
@@ -84,7 +84,7 @@ def test_points_stand_where_blender_shows_them(export, monkeypatch):
         grown = scale > 0.1  # of the others float32 has no axes
         turned = axes(*(found[f"rotation_{part}"] for part in "wxyz"))
         assert np.abs(turned - shown[:, :3, :3] / scale[:, None, None])[grown].max() < 1e-4
-        alone = scatter_points(session.field_of(request), asked.scatter, request.views, placement=request.placement)
+        alone = scatter_points(session.field_of(request), item.scatter, request.views, placement=request.placement)
         assert found["id"].tolist() == alone.id.tolist() and found["variant"].tolist() == alone.variant.tolist()
         up = alone.normals @ (np.array(terrain.matrix_world)[:3, :3] / 1.3).T
         assert np.abs(np.column_stack([found[f"normal_{axis}"] for axis in "xyz"]) - up).max() < 1e-5

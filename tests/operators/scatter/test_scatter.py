@@ -132,7 +132,7 @@ def test_points_follow_the_camera_in_viewport_and_render(scene, terrain, scatter
     assert kept[1][0] == kept[1][1] != kept[9][0]
     request = session.record_of(terrain).status.request
     heights = session.field_of(request)
-    alone = scatter_points(heights, request.scatters.asked[0].scatter, request.views)
+    alone = scatter_points(heights, request.scatters.items[0].scatter, request.views)
     assert alone.positions.tobytes() == kept[1][0]
 
 
@@ -148,7 +148,7 @@ def test_a_hidden_scatter_costs_nothing(scene, terrain, scatter, monkeypatch):
         scene.camera.location.x += 50.0
         bpy.context.view_layer.update()
         session.update_object(terrain)
-        assert session.record_of(terrain).status.request.scatters.asked == ()
+        assert session.record_of(terrain).status.request.scatters.items == ()
     monkeypatch.undo()
     assert made == [] and session.record_of(terrain).scatters == {}
     scatter.hide_viewport = False
@@ -167,7 +167,7 @@ def test_a_render_has_points_that_the_viewport_hides(scene, terrain, scatter):
     bpy.app.handlers.render_post.append(lambda *_: seen.append(len(scatter.data.vertices)))
     bpy.ops.render.render()
     status = session.record_of(terrain).status
-    assert seen[0] > 100 and status.mode == "VIEWPORT" and status.request.scatters.asked == ()
+    assert seen[0] > 100 and status.mode == "VIEWPORT" and status.request.scatters.items == ()
     scatter.hide_render = True
     runs = record_of(terrain, scatter).runs
     bpy.ops.render.render()

@@ -162,11 +162,11 @@ def popping_section(folder: Path) -> list:
     return [
         Heading("No pop"),
         Text(
-            "Where a mesh takes a point it jumps, by up to the error that was asked for: small, but thousands of "
-            "points do it in every frame. With *Geomorph* (on in renders) a point enters where it changes "
-            "nothing, and rises to its place as the camera comes nearer. How far it has risen depends on the view "
-            "alone. So any frame can be rendered alone, in any order. The error that is asked for still holds: the "
-            "surface is a mean of meshes of which each holds it ([the proof](method/morph.md))."
+            "A vertex pops when it is added, by up to the tolerance: a small jump, but thousands of points jump in "
+            "every frame. With *Geomorph* (on in renders) a point enters where it changes nothing, and rises to its "
+            "place as the camera comes nearer. How far it has risen depends on the view alone. So any frame can be "
+            "rendered alone, in any order. The tolerance still holds: the surface is a mean of meshes of which each "
+            "holds it ([the proof](method/morph.md))."
         ),
         Text(
             f"Measured over {LONG} frames, {LONG_STEP:g} m a frame, at {ERROR_PX:g} px and {RESOLUTION[0]} x "

@@ -52,9 +52,9 @@ RAMPS = {"dunes": SAND, "canyon": ROCK, "mountains": MEADOWS}
 SEAS = ("island", "archipelago")
 HEAD = """## Effects that shape the land
 
-These change heights: a stack of them on a terrain makes a store of its own beside the source's, level by level
-and only for the tiles that a shot sees finer than that. They take metres and years, not pixels. What they leave behind
-(depth of scree, snow, water, what was worn) are layers, which materials, splats and maps may read;
+These change heights: a stack of them on a terrain makes a second store next to the source's, level by level
+and only for the tiles that a shot sees finer than that. They take metres and years, not pixels. Their by-products
+(depth of scree, snow, water, wear) are layers, which materials, splats and maps may read;
 `adaptive-terrain shape --store DIR --stack FILE.json --out DIR` applies a stack, and so does the panel Land.
 
 Two limits:
@@ -72,7 +72,7 @@ Two limits:
 ![A valley of the demo's island: a lake, scree below cliffs, snow above](images/land_valley.jpg)
 
 Each measured on the island, {size:,} x {size:,} samples {step:g} m apart, all levels, one thread, as its picture
-shows it. *Finer by one level*: root mean square of what the last halving of the spacing changed, at the samples that
+shows it. *Finer by one level*: root mean square of the change by the last halving of the spacing, at the samples that
 both have. Seconds are the processor's.
 
 | effect | changes heights by, rms | finer by one level | s | microseconds a sample |

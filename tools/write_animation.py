@@ -22,7 +22,7 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 INTRODUCTION = (
     "Written by `make animation`; do not edit it by hand. A film needs three things that meshes of changing detail do "
     "not give by themselves: ground that does not pop, things on it that stand still, and a farm that renders any "
-    "frame alone. Here is how each is had, and what was measured of it."
+    "frame alone. This page shows how each is achieved, with measurements."
 )
 
 

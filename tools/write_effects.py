@@ -61,7 +61,7 @@ Written by `make effects`; do not edit it by hand. Absolute times are of one mac
 An effect is something that a material, a modifier or a map may read of a terrain: its slope, its layers, how
 much sky it sees. **Only what is read is computed.** The extension looks which attributes your node trees read,
 adds what those effects read themselves, and runs that, once. `adaptive-terrain effects --scene shot.blend` says
-who reads what, and why the rest is skipped; so does the panel [Effects](reference/panel/effects.md).
+the readers of each effect, and why the rest is skipped; so does the panel [Effects](reference/panel/effects.md).
 """
 SCALES = """## Two scales
 
@@ -184,7 +184,7 @@ class Demo:
 
 def saving(demo: Demo, field) -> list[str]:
     """Return the time of the demo's frame for its material and for all effects, and the time of each effect alone."""
-    rows = [("nothing reads any", 0, 0.0, 0), ("**what the material reads**", *demo.read)]
+    rows = [("nothing reads any", 0, 0.0, 0), ("**the material**", *demo.read)]
     rows.append(("everything", *demo.everything))
     text = (
         "## What it saves\n\n"
@@ -193,7 +193,8 @@ def saving(demo: Demo, field) -> list[str]:
         "of a flight keeps a vertex, it keeps its values.\n\n"
         "| | effects | ms | MB |\n| --- | ---: | ---: | ---: |\n"
         + "\n".join(f"| {what} | {count} | {plain(ms)} | {plain(size / 1e6)} |" for what, count, ms, size in rows)
-        + "\n\nEach alone, with what it reads, on one thread; *declared* is what its declaration says:\n\n"
+        + "\n\nEach alone, with the effects that it reads, on one thread; *declared* is the cost in its "
+        "declaration:\n\n"
         "| effect | ns a vertex | declared | bytes a vertex |\n| --- | ---: | ---: | ---: |"
     )
     view = View.look(EYE, TARGET, fov_deg=50, resolution=RESOLUTION, clip=(1, 100_000))

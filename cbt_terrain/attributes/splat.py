@@ -136,7 +136,7 @@ SPLATS = tuple(
         choose=lambda values: reads(values["layers"]),
         nothing=lambda values, first=4 * k: len(values["layers"]) <= first,
         parameters=(LAYERS,),
-        halo="as what the rules are about",
+        halo="as far as the attributes of its rules",
         cost_ns=100,
         source="Bands of rules; exact shares by the method of the largest remainder",
     )

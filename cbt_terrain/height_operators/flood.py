@@ -212,7 +212,7 @@ FLOOD = HeightOperator(
         Parameter("minutes", 60.0, 0.0, 2880.0, "min", "Time that passes"),
         Parameter("rain", 50.0, 0.0, 1000.0, "mm/h", "Rain that falls all the while, where the mask lets it"),
         Parameter("sea", 0.0, -12000.0, 9000.0, "m", "Level of the sea: all ground below it is under water"),
-        Parameter("surge", 0.0, 0.0, 500.0, "m", "What the sea stands above its level when it is let go"),
+        Parameter("surge", 0.0, 0.0, 500.0, "m", "Height of the sea above its level at the start"),
         Parameter("roughness", 0.05, 0.005, 0.5, "s/m^(1/3)", "Manning's coefficient of the ground"),
     ),
     layers=(DEPTH, SPEED),

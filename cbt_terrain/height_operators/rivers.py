@@ -239,8 +239,8 @@ RIVERS = HeightOperator(
     "4.7, 2.3 m grown by 2 million; only for twice as many cells: with 1,030 samples instead of 1,025 valleys lie "
     "elsewhere, 8.6 m rms of a change of 60 m, and 91 of 289 m grown",
     cost_ns=650,
-    conserves="within one level, what is cut is deposited or leaves over the open border or into the sea, where it is "
-    "lost; on 257 x 257 samples of the mountains that was 91 % of what moved",
+    conserves="within one level, eroded ground is deposited or leaves over the open border or into the sea, where it "
+    "is lost; on 257 x 257 samples of the mountains that was 91 % of what moved",
     source="Braun and Willett 2013, section 3; deposition, Davy and Lague 2009; depressions, Cordonnier et al. 2019",
     version=10,
 )

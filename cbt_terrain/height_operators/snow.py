@@ -200,7 +200,7 @@ def example(evaluate: Evaluate) -> None:
 SNOW = HeightOperator(
     name="snow",
     label="Snow",
-    about="Snow by height, sun, wind and sky; what lies on steep ground slides",
+    about="Snow by height, sun, wind and sky; on steep ground it slides",
     apply=apply,
     kernels=(pyramid_kernels, sweep_kernels, kernels),
     example=example,

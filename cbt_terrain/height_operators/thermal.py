@@ -169,7 +169,7 @@ def example(shape: Evaluate) -> None:
 THERMAL = HeightOperator(
     name="thermal",
     label="Scree",
-    about="Cliffs break at the angle of their bed; the scree lies below at its own angle",
+    about="Cliffs break at the angle of their bed; the scree rests below at its angle of repose",
     apply=apply,
     kernels=(kernels,),
     example=example,

@@ -30,8 +30,8 @@ def land_section(heights: HeightField, of: str) -> list:
         Heading(f"What finer land{of} costs and changes"),
         Text(
             "Effects are applied to samples far apart first. Each finer level adds what it sees, and takes its time; "
-            "what is added shrinks from level to level. The land is what this page's errors are measured against: what "
-            "a finer level would add is not in them. " + _half(added)
+            "what is added shrinks from level to level. This page's errors are measured against this land: they do not "
+            "include the additions of finer levels. " + _half(added)
         ),
         Table(HEAD, lines),
     ]

@@ -39,8 +39,8 @@ WORDS = [
     ("asked", "The error that the mesh was refined for."),
     (
         "bound",
-        "What the refinement promises: no visible point of the terrain (pixels), no point at all (metres) is further "
-        "from its place. What float32 rounds and what the source had rounded are in it.",
+        "The promise of the refinement: no visible point of the terrain (pixels), no point at all (metres) has a "
+        "larger error. It includes the rounding of float32 and of the source.",
     ),
     (
         "measured",
@@ -55,9 +55,9 @@ WORDS = [
     ),
     (
         "ms of CPU",
-        "Processor time of all threads, of the same update: by it runs are compared, and it is what plots and what is "
-        "said of half the error show. A pale bar goes from the fastest to the slowest run. Where these differ by more "
-        "than a factor of 2 there is no curve.",
+        "Processor time of all threads, of the same update: runs are compared by it, and plots and the sentence on "
+        "half the error show it. A pale bar goes from the fastest to the slowest run. Where these differ by more than "
+        "a factor of 2 there is no curve.",
     ),
     ("depth", "A limit of bisections of a root square."),
     ("meshlet m", "Each leaf is drawn as 4^m triangles."),
@@ -65,10 +65,10 @@ WORDS = [
     ("fitted", "Vertices are moved off the surface, within the bound."),
     (
         "geometric, precision, source",
-        "The parts of a bound: what is given to the triangles, what float32 positions take, and what the source's own "
-        "rounding takes.",
+        "The parts of a bound: the share of the triangles, that of float32 positions, and that of the source's "
+        "rounding.",
     ),
-    ("hidden", "Points that lie in the picture behind other ground."),
+    ("hidden", "Points behind other ground in the picture."),
     (
         "silhouette",
         "How far the outline is displaced. It is followed by rays a pixel apart, so it alone may pass the bound where "
@@ -94,7 +94,7 @@ WORDS = [
     (
         "steps",
         "refine decides and lists the leaves; mark writes the tree; weld makes vertices and edges; displace positions "
-        "and normals; ingest Blender's mesh. engine is all but ingest, with what lies between its steps.",
+        "and normals; ingest Blender's mesh. engine is all but ingest, with the time between its steps.",
     ),
 ]
 

@@ -48,12 +48,12 @@ def transitions_section(rows: list[Row], of: str, plot: str) -> list:
         Text(
             "Pixels by which points of the ground jump from one frame's mesh to the next one's, the largest and what "
             "99.9 % of them stay within; the largest change of a pixel's shading, in 255ths of white ground under the "
-            "light that shows it most; the largest error of what is seen; and how many times as many triangles, and "
-            "milliseconds to the finished mesh, it takes. A jump without it is as large as the error. With it, points "
-            "move as far as the camera does: half the way a frame, half the jump."
+            "light that shows it most; the largest visible error; and the factors of triangles and of milliseconds to "
+            "the finished mesh. A jump without it is as large as the error. With it, points move as far as the camera "
+            "does: half the way a frame, half the jump."
         ),
         Table(HEAD, lines),
-        Plot(plot, "How far points pop against the error that is asked, both logarithmic.", _drawing(pairs)),
+        Plot(plot, "Jumps of points against the tolerance, both logarithmic.", _drawing(pairs)),
     ]
 
 

@@ -68,7 +68,7 @@ def test_snippets_find_and_copy_the_bytes_of_plain_warp(tmp_path, monkeypatch):
         assert fresh == as_many and [a.tobytes() for a in values] == [b.tobytes() for b in plain]
 
 
-def test_places_of_a_lattice_are_found_wherever_the_last_surface_has_them():
+def test_points_of_a_lattice_are_found_in_any_order():
     """Plane coordinates of a mesh have few bits: a hash has to spread them."""
     x, y = np.meshgrid(np.arange(-300.0, 300.0, 2.0), np.arange(-200.0, 200.0, 2.0))
     first = np.stack([x.ravel(), y.ravel(), 5.0 * np.sin(x.ravel())], 1).astype(np.float32)

@@ -15,7 +15,7 @@ STEPS = 12.0, 7.0
 
 @pytest.fixture(scope="module")
 def case():
-    """Drained noise with basins, and arrays of random numbers for what the loops read."""
+    """Return drained noise with basins, and random arrays for the inputs of the loops."""
     rng = np.random.default_rng(8)
     shape = (53, 121)
     h = (30 * rng.standard_normal(shape) + np.indices(shape)[0] * 2).astype(F)
@@ -102,7 +102,7 @@ def test_creep_is_that_of_numpy(case):
 
 
 def test_far_creep_solves_its_equations(case):
-    """Along the columns, then along the rows: what comes out, put into them, gives what went in."""
+    """Solve along the columns, then along the rows; the result satisfies the equations of both."""
     drainage, h, found = case
     z, part, fixed = h.copy(), found["weight"], drainage.base.reshape(53, 121) == 1
     s = soil(drainage, found, scratch=np.empty_like(h), change=np.empty_like(h), h=z)

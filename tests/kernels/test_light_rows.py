@@ -72,7 +72,7 @@ def test_a_sweep_has_the_bits_of_its_arithmetic_in_python(angle):
 
 
 @pytest.mark.parametrize("angle", [0.2, 1.3])
-def test_a_part_that_has_all_that_lies_ahead_sees_what_the_whole_sees(angle):
+def test_a_part_with_all_ground_ahead_gives_the_whole_result(angle):
     heights = (np.random.default_rng(3).standard_normal((47, 61)).cumsum(1) * 4).astype(F)
     azimuth, steps = np.array([np.cos(angle), np.sin(angle)]), (3.0, 2.0)
     whole, part, moved = np.empty((47, 61), F), np.empty((30, 40), F), np.empty((30, 40), F)
@@ -119,7 +119,7 @@ def open_row(heights, per, azimuth, share, horizon, total):
     return total + F(share) * (up * q - plane * up * (over - slope * q))
 
 
-def test_the_sky_of_a_row_has_the_bits_of_its_arithmetic_in_numpy():
+def test_the_sky_of_a_row_has_the_bits_of_numpy():
     rng = np.random.default_rng(5)
     heights = (rng.standard_normal((9, 37)) * 5).astype(F)
     horizon, total = rng.exponential(0.6, (9, 37)).astype(F), rng.random((9, 37)).astype(F)

@@ -68,7 +68,7 @@ def render(scene, tmp_path, **settings):
     bpy.ops.render.render(animation=True)
 
 
-def test_a_render_uses_its_own_settings_and_restores_the_viewports(flight, add_terrain, tmp_path):
+def test_a_render_uses_its_settings_and_restores_the_viewports(flight, add_terrain, tmp_path):
     terrain = add_terrain()
     terrain.adaptive_terrain.viewport.error_px = 10.0
     flight.render.resolution_percentage = 25

@@ -25,7 +25,7 @@ PATIENCE_S = 30.0
 needs_chromium = pytest.mark.skipif(
     CHROMIUM is None, reason="there is no Chromium here; on Debian: apt-get install chromium-headless-shell"
 )
-# Pictures (files and drawings) with what the page says of them, and whether they have a size.
+# Pictures (files and drawings) with their descriptions, and whether they have a size.
 PICTURES = """JSON.stringify([
   ...[...document.images].map(i => [i.alt, i.complete && i.naturalWidth > 1 && i.getBoundingClientRect().width > 1]),
   ...[...document.querySelectorAll('svg')].map(s => [s.getAttribute('aria-label'), s.getBBox().width > 1])])"""
@@ -33,8 +33,8 @@ PICTURES = """JSON.stringify([
 
 @dataclass(frozen=True)
 class Opened:
-    """`errors`: what the console, the network and scripts complain of. `pictures`: whether each is there, by its name.
-    `text`: what a reader can read. `wide`: how many pixels the page is wider than its window."""
+    """`errors`: those of the console, the network and scripts. `pictures`: whether each is there, by its name.
+    `text`: visible text. `wide`: by how many pixels the page is wider than its window."""
 
     errors: list[str]
     pictures: list[tuple[str, bool]]

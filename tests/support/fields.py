@@ -31,7 +31,7 @@ def rough(height: int, width: int, seed: int = 0, relief: float = 100.0, step: f
 
 
 def errors_of(field: HeightField, meshlet: int = 0) -> np.ndarray:
-    """float32 [node_count] metres: what the codes of a field's errors stand for."""
+    """Return the errors that a field's codes represent: float32 [node_count], metres."""
     return decode(field.lattice, error_for(field, meshlet), field.table)
 
 

@@ -300,7 +300,7 @@ def _run(prepare, arguments: list[str]) -> int:
 
 
 def _in_fork(do) -> tuple[int, str, float]:
-    """Return the exit status of `do` in a fork (-1 after LIMIT_S), what it printed, and its seconds."""
+    """Return the exit status of `do` in a fork (-1 after LIMIT_S), its output and its seconds."""
     read, write = os.pipe()
     start = time.monotonic()
     child = os.fork()

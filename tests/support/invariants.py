@@ -19,7 +19,7 @@ def assert_invariants(surface: Surface, lattice: Lattice, meshlet: int = 0) -> N
     for array in (positions, surface.normals, surface.uv):
         assert np.isfinite(array).all()
     assert np.abs(np.linalg.norm(surface.normals.astype(np.float64), axis=1) - 1).max() < 1e-6
-    beyond = np.array(lattice.span) / (lattice.cells_x, lattice.cells_y)  # what the squares reach beyond the raster
+    beyond = np.array(lattice.span) / (lattice.cells_x, lattice.cells_y)  # size of the squares relative to the raster
     assert surface.uv.min() >= 0 and (surface.uv <= beyond.astype(np.float32)).all()
 
     # indices in range, every vertex used

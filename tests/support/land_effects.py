@@ -11,7 +11,7 @@ SWEEPS = 4
 
 
 def diffuse(ground, values, coarser):
-    """Explicit diffusion: on each level so many sweeps at half the stable step, from the coarser change on."""
+    """Explicit diffusion: sweeps at half the stable step on each level, from the coarser change."""
     change = np.zeros_like(ground.heights) if coarser is None else coarser.heights.copy()
     for _ in range(int(values["sweeps"])):
         z = np.pad(ground.heights + change, 1, mode="edge")

@@ -33,12 +33,12 @@ def running(operator_class, obj):
 
 
 def turn(operator, event: str = "TIMER"):
-    """Send one event and return what the operator answers."""
+    """Send one event and return the operator's answer."""
     return operator.modal(operator.context, SimpleNamespace(type=event, value="PRESS"))
 
 
 def to_the_end(operator):
-    """Send timer events until the operator has ended; return what it ended with."""
+    """Send timer events until the operator has ended; return its last answer."""
     for _ in range(4000):
         ended = turn(operator)
         if ended != {"PASS_THROUGH"}:

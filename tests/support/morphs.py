@@ -10,7 +10,7 @@ from adaptive_terrain.cbt_terrain.view.view import View
 from fields import mesh_heights
 from reference_criterion import correction, reference_pixels
 
-# Points that rise at once: as the criterion without a morph, but for what is outside the frame.
+# Points that rise at once: as the criterion without a morph, except outside the frame.
 AT_ONCE = 1.0 + 1e-9
 
 

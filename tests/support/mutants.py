@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Stores with damage: copies of a store in which one or two files differ from those of an import.
 
-It shares nothing with the package, so that it also runs inside the Blender program: what it knows of a store's bytes
-is written down here a second time.
+It shares nothing with the package, so that it also runs inside the Blender program: this file describes a
+store's bytes a second time.
 """
 
 import hashlib

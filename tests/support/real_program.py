@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SCRIPTS = ROOT / "tests" / "blender" / "scripts"
 MARK = "RESULT "
 EXTENSION = "bl_ext.user_default.adaptive_terrain"
-# Kernels that the program compiles itself, as in a fresh install: of an effect, when one is asked for, and in the test
+# Kernels that the program compiles itself, as in a fresh install: of a requested effect, and in the test
 # of its panel those of a frame, at its start.
 EFFECT, FRAME = "effects.jet", "mesh."
 
@@ -66,7 +66,7 @@ class Program:
 
 
 def lend_kernels(cache: Path, *missing: str) -> None:
-    """Copy what this Python has compiled already into the program's cache, but what is `missing`, by how names begin:
+    """Copy compiled kernels of this Python into the program's cache, except those whose names begin with `missing`:
     compiling all takes a minute of a core. The same source is the same object; only its name says whose package it
     belongs to."""
     from adaptive_terrain.cbt_terrain.run import warmup

@@ -25,7 +25,7 @@ def flight(tmp_path):
 
 @pytest.fixture
 def export(store, flight, tmp_path, capsys):
-    """Run `export` of the small store; returns the exit code, what it printed, and the folder."""
+    """Run `export` of the small store; returns the exit code, the output and the folder."""
 
     def run(*arguments, out="out", path=flight):
         folder = tmp_path / out

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Baked images hold the effects at the places of their texels, without seams, and only what has changed is baked."""
+"""Baked images hold the attributes at their texels, without seams, and only changed images are baked."""
 
 import json
 import math

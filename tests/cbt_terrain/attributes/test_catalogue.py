@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every declaration says what it is, and its example holds."""
+"""Every declaration is complete, and its example holds."""
 
 import pytest
 from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES

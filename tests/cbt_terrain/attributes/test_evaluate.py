@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whatever came before: the same bytes as from scratch, and nothing computed that is known or that nobody reads."""
+"""Evaluation gives the same bytes with any history, and computes only unknown attributes that something reads."""
 
 import numpy as np
 import pytest
@@ -177,8 +177,8 @@ def test_another_field_of_the_same_places_takes_over_nothing():
 
 
 def test_values_beyond_the_limit_are_held_once():
-    """Half of a flight's memory without a limit: what is cheapest to make for its size is made anew, with the same
-    bytes, and the rest is taken over."""
+    """With half of the memory that a flight would hold, attributes that are cheap for their size are computed anew,
+    with the same bytes, and the others are reused."""
     heights, eye = field(), np.array([-900.0, -700.0, 600.0])
     wanted = plan([AttributeRequest(name, ("x",)) for name in ("slope", "detail_normal", "sun", "sky")])
     views = [View.look(eye + [k, 0, 0], (0, 0, 0), resolution=(60, 40)) for k in range(4)]

@@ -61,7 +61,7 @@ def hill(x, y):
 
 @pytest.mark.parametrize(("level", "accuracy"), [(0.0, 1.0), (1.0, 5.5), (1.625, 16.8)])
 def test_a_hill_has_its_analytic_derivatives(level, accuracy):
-    """Away from samples, which are 2 m apart. `accuracy`: the variance of what a level weighs, of level 0 the spline's
+    """Away from samples, which are 2 m apart. `accuracy`: the variance of a level's weights, of level 0 the spline's
     (1/3 squared samples), of level 1 [1 2 1]'s (1/2) and that of a spline of twice the width (4/3), and so on."""
     i, j = np.meshgrid(np.arange(401) - 200.0, np.arange(301) - 150.0)
     field = from_array(hill(2 * i, 2 * j)[0].astype(np.float32), 2.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Splat layers with detail of their own: their masks are the layers' weights, and the mesh keeps its bound."""
+"""Splat layers with separate displacement: their masks are the layers' weights, and the mesh keeps its bound."""
 
 import math
 

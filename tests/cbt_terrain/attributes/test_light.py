@@ -104,7 +104,7 @@ def test_the_shadow_of_a_wall_is_as_long_as_geometry_says(elevation, towards):
 
 
 def test_half_of_a_wide_sun_stands_over_a_wall_of_its_height():
-    """And what is seen of it falls smoothly, by the disc's share above a level edge."""
+    """The visible part falls smoothly, as the share of the disc above a level edge."""
     far = np.arange(200) * 1.0
     field = from_array(np.tile(np.where(far >= 150.0, 50.0, 0.0), (1001, 1)), 1.0)
     places = every_sample(field).only(500 * 200 + np.arange(200))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From what is read to what is run."""
+"""Plans: from the attributes that are read to the functions that run."""
 
 import pytest
 from adaptive_terrain.cbt_terrain.attributes.attribute import GEOMETRY, PICTURE, AttributeRequest

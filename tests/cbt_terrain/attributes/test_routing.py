@@ -109,7 +109,7 @@ def test_a_plateau_drains_along_the_shortest_ways():
     for _ in range(40):
         around = np.min([np.roll(away, at, (0, 1)) for at in AROUND], axis=0)
         away[1:-1, 1:-1] = np.minimum(away, around + 1)[1:-1, 1:-1]
-    # The last step leaves the edge, which is as high as the plateau and has lower ground beside it.
+    # The last step leaves the edge, which is as high as the plateau, next to lower ground.
     for start in np.argwhere(flat):
         (j, i), steps = start, 0
         while flat[j, i]:
@@ -161,8 +161,8 @@ def test_threads_change_no_bit():
     ("steps", "most", "rms"), [((8, 8), 1.6, 1.1), ((10, 8), 2.6, 1.6), ((6, 12), 7.5, 3.7), ((15, 5), 12.0, 6.0)]
 )
 def test_with_noise_the_mean_path_down_a_plane_is_its_fall(steps, most, rms):
-    """In degrees, over planes that fall anywhere: where samples lie in squares 3.4 at most if diagonals counted fully;
-    where they do not 7, 19 and 28 if steps along both axes counted alike. Without noise it would be up to 22."""
+    """In degrees, over planes of any direction: at most 3.4 on square cells if diagonals counted fully;
+    on other cells 7, 19 and 28 if steps along both axes counted alike. Without noise it would be up to 22."""
     y, x = np.indices((200, 200)) * np.array(steps)[::-1, None, None]
     off = []
     for degrees in range(4, 360, 11):

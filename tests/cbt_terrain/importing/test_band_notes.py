@@ -54,7 +54,7 @@ def test_alpha_bands_mask_samples(tmp_path, kind, most):
 
 
 def test_a_mask_file_counts_after_a_mosaic(tmp_path):
-    """Both run in one process, and a mosaic forbids GDAL to look for files beside its sources."""
+    """Both run in one process, and a mosaic forbids GDAL to look for neighbouring files of its sources."""
     write_raster(tmp_path / "a.tif", hills())
     (tmp_path / "a.vrt").write_text(
         '<VRTDataset rasterXSize="40" rasterYSize="30"><VRTRasterBand dataType="Float32" band="1"><SimpleSource>'

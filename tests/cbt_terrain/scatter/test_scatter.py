@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scatter: the points are those that every place is asked for, whatever is kept, cut into squares and shared out."""
+"""Scatter: caches, squares and threads do not change the points of any place."""
 
 import math
 from dataclasses import replace
@@ -62,7 +62,8 @@ def arrays(points):
 @pytest.mark.parametrize("placement", [np.eye(4), turned_and_scaled()], ids=["plain", "turned"])
 @pytest.mark.parametrize("views", VIEWS.values(), ids=VIEWS)
 def test_the_points_equal_those_of_a_test_by_hand(field, by_hand, views, placement):
-    """Ids, places and sizes; only what is within a centimetre of a frame's rim or just begins may differ."""
+    """Compare ids, positions and sizes; only points within a centimetre of a frame's border or at their first size may
+    differ."""
     points = scatter_points(
         field, SCATTER, views, placement=placement, vertical_scale=0.7, vertical_offset=5.0, threads=2
     )
@@ -185,7 +186,7 @@ def test_every_prefix_of_the_tile_keeps_apart_and_is_no_lattice(count):
 
 
 def test_windows_have_the_ranks_of_their_parts_of_the_tile():
-    """Of each halving: all that begin at a multiple of an eighth, or of their own side."""
+    """Yield the squares of each halving that begin at a multiple of an eighth or of their side."""
     own = tile()
     for halvings, starts in enumerate((1, 8, 8, 8, 16)):
         order, ends = own.order[halvings], own.first[halvings]
@@ -199,8 +200,8 @@ def test_windows_have_the_ranks_of_their_parts_of_the_tile():
 
 @pytest.mark.parametrize("few, tiles", [(1, 24), (4, 16), (64, 6)])
 def test_a_thin_scatter_neither_repeats_nor_has_close_points(few, tiles):
-    """Tiles seen from so far above that so many points of each are wanted: of those that are moved on by a tile, by a
-    half or both hardly one is on another. They keep as far apart as inside of a tile, and few are missing."""
+    """In tiles seen from far above, hardly any points coincide with those moved by a tile, by half a tile or by both.
+    They keep the distance of points inside a tile, and few are missing."""
     field, above = from_array(np.zeros((9, 9), np.float32), 16.0 * tiles), View.look((0, 0, 1e6), (0, 0, 0), fov_deg=1)
     scatter = Scatter(spacing=1.0, variation=0.0, seed=few, full_until=1e6 * math.sqrt(few / POINTS))
     points = scatter_points(field, scatter, [above])

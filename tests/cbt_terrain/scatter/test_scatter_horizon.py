@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scatter behind the horizon: what is left out nobody sees, and what is left is as it was."""
+"""Scatter behind the horizon: removed points are invisible, and the others do not change."""
 
 from dataclasses import replace
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panel Effects, the button Terrain Material and `effects --scene`: what is read is said, with who reads it."""
+"""The panel Effects, the button Terrain Material and `effects --scene` list the attributes that are read, by reader."""
 
 import bpy
 import numpy as np

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A terrain's updates compute what its scene reads, and nothing else; the panel is told why."""
+"""A terrain's updates compute only attributes that its scene reads; the panel shows the reason."""
 
 import math
 import time

@@ -78,7 +78,7 @@ def flight(tmp_path):
 
 @pytest.fixture
 def accuracy(hills, tmp_path, capsys):
-    """Run `accuracy` on the store of hills; returns the exit code, what it printed, and the folder."""
+    """Run `accuracy` on the store of hills; returns the exit code, the output and the folder."""
 
     def run(*arguments, source=("--store", hills), out="out"):
         folder = tmp_path / out

@@ -17,7 +17,7 @@ IMPOSSIBLE = {
     "long path": "ab/" * (MAX_PATH_BYTES // 3),
     "no character": "a\ud800b",
 }
-PLACES = ("DIR", "FILE", "FILE.json", "FILE.csv", "X.blend", "ZIP")  # what the help calls a path
+PLACES = ("DIR", "FILE", "FILE.json", "FILE.csv", "X.blend", "ZIP")  # names of paths in the help
 POSITIONAL = ("source", "path", "folder")
 
 

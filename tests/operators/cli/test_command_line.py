@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line: what it writes, what it says, and how it fails."""
+"""The command line: its files, output and failures."""
 
 import json
 import subprocess
@@ -171,7 +171,7 @@ def test_import_info_and_export_by_words(tmp_path, flight, capsys):
 
 
 def test_npz_needs_no_bpy(store, flight, tmp_path):
-    """In a Python where bpy cannot be imported, an export of .npz works and one of .ply says what is missing."""
+    """In a Python where bpy cannot be imported, an export of .npz works and one of .ply names the missing package."""
     out = tmp_path / "out"
     script = f"""
 import sys

@@ -15,7 +15,7 @@ FLIGHT = {"fov": 50, "clip": [1, 50000], "keyframes": [{"frame": 1, "eye": [0, -
 
 @pytest.fixture
 def export(store, tmp_path, capsys):
-    """Export a frame of the small store; returns the exit code, what was printed, and the folder."""
+    """Export a frame of the small store; returns the exit code, the output and the folder."""
     path = tmp_path / "flight.json"
     path.write_text(json.dumps(FLIGHT))
 

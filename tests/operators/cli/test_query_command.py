@@ -21,7 +21,7 @@ PLACED = {
 
 @pytest.fixture
 def query(tmp_path, capsys):
-    """Run `query` on lines of CSV; returns the exit code, rows as dicts and what was printed."""
+    """Run `query` on lines of CSV; returns the exit code, rows as dicts and the output."""
 
     def run(lines, *more, store="store"):
         (tmp_path / "points.csv").write_text("\n".join(lines), encoding="utf-8")

@@ -27,7 +27,7 @@ def island(tmp_path_factory):
 
 @pytest.fixture
 def run(island, tmp_path, capsys):
-    """Run `shape`; returns the exit code and what was printed."""
+    """Run `shape`; returns the exit code and the output."""
     (tmp_path / "stack.json").write_text(json.dumps(STACK))
     (tmp_path / "flight.json").write_text(json.dumps(FLIGHT))
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The group Terrain Layers reads what it says and no more, keeps what is linked to it, and has the layers' colours."""
+"""The group Terrain Layers reads only its declared inputs, keeps its links, and has the layers' colours."""
 
 import bpy
 import numpy as np

@@ -121,7 +121,7 @@ def test_instances_are_picked_by_variant(terrain, scatter):
 
 
 def test_points_follow_the_camera_in_viewport_and_render(scene, terrain, scatter):
-    """A frame change moves the camera; a render of another frame has that frame's points, and of its own size."""
+    """A frame change moves the camera; a render of another frame has that frame's points at the render's size."""
     scene.camera.keyframe_insert("location", frame=1)
     scene.camera.location.y = -400.0
     scene.camera.keyframe_insert("location", frame=9)
@@ -137,7 +137,7 @@ def test_points_follow_the_camera_in_viewport_and_render(scene, terrain, scatter
 
 
 def test_a_hidden_scatter_costs_nothing(scene, terrain, scatter, monkeypatch):
-    """No points are made, no views are gathered, no kernel is asked for; shown again it is there."""
+    """No points are made, no views gathered, no kernels requested; shown again it has its points."""
     made = []
     monkeypatch.setattr(scatters, "place_points", lambda *_: made.append(1))
     for hide in (lambda: scatter.hide_set(True), lambda: setattr(scatter, "hide_viewport", True)):

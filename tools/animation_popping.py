@@ -38,7 +38,7 @@ SHADING_HEAD = [
 
 
 @dataclass(frozen=True)
-class Ground:
+class FlownGround:
     """A height field and a straight flight over it, metres: the camera is at `eye` when it has flown 0."""
 
     name: str
@@ -69,7 +69,7 @@ class Flight:
     triangles: float
 
 
-def grounds(folder: Path) -> list[Ground]:
+def grounds(folder: Path) -> list[FlownGround]:
     """Return the island and the real elevation model."""
     model = get_sample_data("jacksboro_fault_dem.npz")
     np.save(folder / "jacksboro.npy", model["elevation"])
@@ -88,11 +88,11 @@ def grounds(folder: Path) -> list[Ground]:
         west, south, x, y = field.lattice.rectangle()
         eye = 0.3 * west, 0.5 * south, field.max_height * 0.5 + field.min_height * 0.5 + over
         aim = np.array([-eye[0], -eye[1]]) / math.hypot(eye[0], eye[1])
-        built.append(Ground(name, colour, field, eye, (float(aim[0]), float(aim[1]), 0.0)))
+        built.append(FlownGround(name, colour, field, eye, (float(aim[0]), float(aim[1]), 0.0)))
     return built
 
 
-def fly(ground: Ground, step: float, frames: int, morph: float) -> Flight:
+def fly(ground: FlownGround, step: float, frames: int, morph: float) -> Flight:
     """Fly over a ground and measure how far points and shading jump between frames."""
     terrain, before = Terrain(ground.field), None
     largest_px, p999, shading, shading_p999, triangles = [], [], [], [], []

@@ -22,7 +22,7 @@ _NUMBER = re.compile(r"(?P<head>.*?)(?P<number>\d+)(?P<tail>\D*)", re.DOTALL)
 
 
 def scene_files(frames: Sequence[int]) -> list[Path]:
-    """List the files that `frames` of the open file read beside it, as absolute paths; missing files too.
+    """List the external files that `frames` of the open file read, as absolute paths; missing files too.
 
     A sequence of images or volumes counts with the files of these frames. Folders of baked caches count with all their
     files. Packed files are part of the .blend file. Sounds and the files of Blender itself are left out. Raises

@@ -106,7 +106,7 @@ def _lands_of(obj, target: str) -> dict[str, str]:
 
 
 def _maps_of(obj, target: str) -> dict[str, str]:
-    """Return the folder of a terrain's maps if it is beside its store, and the new folder beside `target`."""
+    """Return the folder of a terrain's maps if it is next to its store, and the new folder next to `target`."""
     maps, folder = obj.adaptive_terrain.maps, real_path(map_folder(obj))
     if maps.folder or not maps.mark or not folder.is_dir():
         return {}

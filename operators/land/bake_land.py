@@ -84,7 +84,7 @@ def free_folder(wanted: str) -> str:
 
 class ExportHeights(_LandOperator, bpy.types.Operator, ExportHelper):
     """Write the heights of the land as a float32 raster with its place on Earth, GeoTIFF or EXR, and each by-product of
-    its stack in a file beside it"""
+    its stack in another file"""
 
     bl_idname = "adaptive_terrain.export_heights"
     bl_label = "Export Heights"

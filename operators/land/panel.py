@@ -128,7 +128,7 @@ class LandEffectPanel(TerrainSubpanel, bpy.types.Panel):
         entry = land.entries[land.active]
         effect = HEIGHT_OPERATORS.get(entry.effect)
         if effect is None:
-            fixed_lines(self.layout.column(align=True), land_stack.unknown(entry.effect), 4)
+            fixed_lines(self.layout.column(align=True), str(land_stack.unknown(entry.effect)), 4)
             return
         fixed_lines(self.layout.column(align=True), effect.about, ABOUT_LINES)
         column = self._columns()

@@ -92,7 +92,7 @@ class AddLandPreset(AddPresetBase, bpy.types.Operator):
     def _remove(self, found: str | None):
         user = bpy.utils.user_resource("SCRIPTS", path="presets")
         if not found or not Path(found).is_relative_to(user):
-            raise TerrainError(f"The preset {self.name!r} is not one of yours, and stays")
+            raise TerrainError(f"The preset {self.name!r} cannot be removed", expected="one of your own presets")
         remove_file(found, may_be_link=True)
         return {"FINISHED"}
 

@@ -18,11 +18,12 @@ from .entries import add_entry
 from .properties import BY_IMAGE, BY_OBJECT, BY_RULE, EVERYWHERE, GROUPS, RULES, number_of, set_number
 
 
-def unknown(effect: str) -> str:
-    """Return the message for an entry whose effect this version does not have."""
-    return (
-        f"The effect {effect!r} is not one of this version's: {', '.join(HEIGHT_OPERATORS)}; remove it, switch it off, "
-        "or open the file with the version that made it."
+def unknown(effect: str) -> TerrainError:
+    """Return the error for an entry whose effect this version does not have."""
+    return TerrainError(
+        f"The effect {effect!r} is not one of this version's",
+        expected=f"one of {', '.join(HEIGHT_OPERATORS)}",
+        fix="remove it, switch it off, or open the file with the version that made it",
     )
 
 
@@ -40,7 +41,7 @@ def stack_of(terrain, depsgraph, masks: Path) -> Stack:
 
 def _entry(entry, terrain, depsgraph, masks: Path) -> Entry:
     if entry.effect not in GROUPS:
-        raise TerrainError(unknown(entry.effect))
+        raise unknown(entry.effect)
     mask = _mask(entry, terrain, depsgraph, masks)
     return Entry(entry.effect, _parameters(entry), entry.seed, True, mask, entry.name)
 
@@ -110,7 +111,7 @@ def preset_of(land) -> Stack:
     found = []
     for entry in land.entries:
         if entry.effect not in GROUPS:
-            raise TerrainError(unknown(entry.effect))
+            raise unknown(entry.effect)
         mask, kind = None, entry.mask.kind
         if kind == BY_IMAGE and entry.mask.image is not None:
             image = absolute_path(entry.mask.image.filepath)

@@ -83,7 +83,7 @@ def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[V
         try:
             items.append(ScatterItem(obj.session_uid, obj.name, scatter_of(properties, settings), on_mesh, culls))
         except TerrainError as error:
-            raise TerrainError(f"The scatter {obj.name!r} cannot be made. {error}") from None
+            raise error.within(f"The scatter {obj.name!r} cannot be made") from None
     return Scatters(tuple(items), tuple(views()), max_points(render)) if items else Scatters()
 
 
@@ -129,7 +129,7 @@ def make_points(
             placed = scatters.views, request.placement, *scale, boundary, hidden_by, scatters.max_points
             points = place_points(heights, ScatterRequest(item.scatter, *placed), record.history, terrain.threads)
         except TerrainError as error:
-            raise TerrainError(f"The scatter {item.name!r} cannot be made. {error}") from None
+            raise error.within(f"The scatter {item.name!r} cannot be made") from None
         if item.on_mesh:
             points = on_mesh(points, terrain, surface)
         if below is not None:  # the ground there is cut away

@@ -16,4 +16,4 @@ def ground_of(settings, name: str) -> Ground | LayeredDetail | None:
         details = tuple((number, detail) for number, detail in found if detail is not None)
         return LayeredDetail(everywhere, layers_of(settings), details) if details else everywhere
     except TerrainError as error:
-        raise TerrainError(f"The terrain {name!r} cannot be refined. {error}") from None
+        raise error.within(f"The terrain {name!r} cannot be refined") from None

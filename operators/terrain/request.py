@@ -194,7 +194,7 @@ def _named(obj):
     try:
         yield
     except TerrainError as error:
-        raise TerrainError(f"The terrain {obj.name!r} cannot be refined. {error}") from None
+        raise error.within(f"The terrain {obj.name!r} cannot be refined") from None
 
 
 def criterion_from(detail, overrides: Overrides = NO_OVERRIDES) -> Criterion:

@@ -27,6 +27,16 @@ def test_fields_become_one_sentence(fields, sentence):
     assert str(TerrainError(**fields)) == sentence
 
 
+def test_an_error_within_another_keeps_its_fields():
+    error = TerrainError(**FIELDS).within("The mesh cannot be made")
+    assert str(error) == f"The mesh cannot be made. {TerrainError(**FIELDS)}"
+    assert error.to_json() == {
+        "what": "The mesh cannot be made. The saved tree has version 3",
+        "expected": "version 2",
+        "fix": "save it again",
+    }
+
+
 def test_fields_survive_json_and_pickle():
     error = TerrainError(**FIELDS)
     assert error.to_json() == FIELDS

@@ -97,7 +97,7 @@ def test_a_stack_is_saved_and_opened(terrain, tmp_path):
 def test_an_effect_of_another_version_is_told_of(terrain):
     entry = add("relief")
     entry.effect = "glacier"
-    with pytest.raises(session.TerrainError, match="'glacier' is not one of this version's: rivers"):
+    with pytest.raises(session.TerrainError, match="'glacier' is not one of this version's; expected one of rivers"):
         session.update_object(terrain)
     entry.on = False
     session.update_object(terrain)

@@ -79,7 +79,7 @@ def store_folder(obj, settings: ImportSettings) -> str:
 
 
 def baked_folder(obj) -> str:
-    """Return the path for the baked land of a terrain: next to its store, or next to the file if others use the store."""
+    """Return the path for the baked land of a terrain: beside its store, or beside the file if others use the store."""
     store = obj.adaptive_terrain.store.rstrip("/\\")
     if is_shared(store):
         beside = can_write_beside()

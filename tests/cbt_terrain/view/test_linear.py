@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sums and small products have the same bits in every Python; tests/test_sums.py forbids functions without that property."""
+"""Sums and small products have the same bits in every Python; tests/test_sums.py forbids other functions."""
 
 import hashlib
 from fractions import Fraction

@@ -54,7 +54,7 @@ class Rounding:
     max_lean: float = 0.0
 
     @property
-    def most(self) -> float:
+    def max_total(self) -> float:
         """Return the largest sum of both terms, metres."""
         return self.height + self.max_lean
 

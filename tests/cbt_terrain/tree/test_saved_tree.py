@@ -58,7 +58,7 @@ def test_foreign_trees_are_refused_and_the_last_mesh_stays():
         (saved[:-1], 0, "cut short or damaged"),
         (b"mesh", 0, "was not written by this add-on"),
         (shallow, 0, "leaves of 0 .. 0 bisections"),
-        (deep, 4, "bisections of a square, expected 1 .. "),
+        (deep, 4, "bisections of a square; expected 1 .. "),
         (saved, 5, "with meshlets of level 5"),
     ):
         with pytest.raises(TerrainError, match=said):

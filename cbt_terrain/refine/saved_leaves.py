@@ -25,7 +25,7 @@ def depths_in_squares(tree: bytes, field: HeightField, meshlet: int) -> tuple[in
     if not (cell_bits >= MIN_DEPTH and 1 <= depths.min() and depths.max() <= max_bisections):
         raise TerrainError(
             f"The saved tree has leaves of {depths.min()} .. {depths.max()} bisections of a square",
-            expected=f"1 .. {max_bisections} with this height field and meshlets of level {meshlet}",
+            expected=f"1 .. {max_bisections} for this height field with meshlets of level {meshlet}",
             fix="save it again with this height field and these settings",
         )
     return cell_bits, depths.astype(np.uint8)

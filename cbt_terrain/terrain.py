@@ -289,7 +289,7 @@ class Terrain:
         _check(criterion, views, placement)
         depth = self._max_depth(criterion)
         domain = self._placed_domain(criterion.meshlet, depth, vertical_scale, vertical_offset)
-        morph_until = criterion.rises_until
+        morph_until = criterion.morph_until
         shape = (criterion.meshlet, depth, vertical_scale, vertical_offset, morph_until)
         off = position_rounding(self.field, depth + 2 * criterion.meshlet, vertical_scale, vertical_offset)
         plan = PlanUnits((domain.unit_x, domain.unit_y), domain.unit_bits, depth, off)

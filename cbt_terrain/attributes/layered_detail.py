@@ -35,7 +35,7 @@ class LayeredDetail:
     details: tuple[tuple[int, Detail | Tiled], ...]
 
 
-def laid(
+def displaced(
     field: HeightField,
     ground: Ground | LayeredDetail | None,
     vertical_scale: float,

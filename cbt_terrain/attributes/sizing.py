@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
-from ..view.linear import least_stretch, lengths, product
+from ..view.linear import min_stretch, lengths, product
 from ..view.local_view import eye_of, frustum_planes
 from ..view.view import ORTHOGRAPHIC, View
 from .attribute import AttributeRequest
@@ -69,7 +69,7 @@ def _pixels(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarray:
         eye = eye_of(to_camera)
         away = np.maximum(np.maximum(boxes[:, 0] - eye, eye - boxes[:, 1]), 0.0) * stretch
         # As in local_view.py: shear may make a distance shorter than its components suggest.
-        distance = least_stretch(linear / stretch) * np.sqrt((away * away).sum(axis=1))
+        distance = min_stretch(linear / stretch) * np.sqrt((away * away).sum(axis=1))
     return distance / (view.pixels_per_unit * max(stretch[0], stretch[1]))
 
 

@@ -93,7 +93,7 @@ RELIEF = HeightOperator(
     halo=lambda values, step: REACH * values["wave"] + step,
     limit="none: a function of the place; waves under two spacings are left out",
     conserves="nothing: it replaces detail that the data lacks",
-    converges="half the spacing adds 0.45 of what the doubling before it added, which is the gain of its waves",
+    converges="half the spacing adds 0.45 of the addition before it, which is the gain of its waves",
     cost_ns=110.0,
     source="Musgrave, Kolb and Mace (1989), section 2; Quilez, more noise (2008); Perlin, Improving noise (2002)",
 )

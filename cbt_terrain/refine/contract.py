@@ -126,7 +126,7 @@ def _bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound:
     fixed = o.search(FIXED, -1.0)
     if fixed is None:
         return Bound(0.0, "", Terms(0.0, 0.0, 0.0))
-    mean, source = mean_ramp(criterion.rises_until), o.domain.source
+    mean, source = mean_ramp(criterion.morph_until), o.domain.source
     wanted = criterion.error_px * o.factor(ERROR, criterion.error_px / mean)
     finest = wanted / mean
     min_fixed, max_fixed = o.domain.rounding + source, _fixed(o)
@@ -153,7 +153,7 @@ def bound_m(criterion: Criterion, o: Outcome) -> Bound | None:
     """Return the bound of the height, metres, between mesh and surface anywhere; None without that criterion."""
     if not criterion.error_m:
         return None
-    fixed, source, mean = _fixed(o), o.domain.source, mean_ramp(criterion.rises_until)
+    fixed, source, mean = _fixed(o), o.domain.source, mean_ramp(criterion.morph_until)
     finest = weighed_as(criterion.error_m, source, mean)
     factor = o.factor(METRES, finest)
     finest *= factor
@@ -170,7 +170,7 @@ def bound_edge_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | Non
     """Return the bound of the longest edge between float32 corners, pixels; None without that criterion."""
     if not criterion.edge_px:
         return None
-    mean = mean_ramp(criterion.rises_until)
+    mean = mean_ramp(criterion.morph_until)
     wanted = criterion.edge_px * o.factor(EDGE, criterion.edge_px / mean * spans.edge)
     finest = wanted / mean
     over, longer = o.stopped_above(EDGE, finest * spans.edge), spans.excess_of_edges(o.deepest)
@@ -185,7 +185,7 @@ def bound_area_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | Non
     """
     if not criterion.area_px:
         return None
-    request, mean = math.sqrt(2 * criterion.area_px), mean_ramp(criterion.rises_until)
+    request, mean = math.sqrt(2 * criterion.area_px), mean_ramp(criterion.morph_until)
     factor = o.factor(AREA, request / mean * spans.edge)
     wanted, finest = request * factor, request * factor / mean
     over, longer = o.stopped_above(AREA, finest * spans.edge), spans.excess_of_edges(o.deepest)

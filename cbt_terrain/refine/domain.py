@@ -117,7 +117,7 @@ def pack(criterion: Criterion, views: list[LocalView], spans: Spans, source: flo
     With geomorphing it is finer, so that the mean over the ramp meets the criterion. source: largest error of the
     source's heights, metres.
     """
-    arrays, mean = CriterionArrays(), mean_ramp(criterion.rises_until)
+    arrays, mean = CriterionArrays(), mean_ramp(criterion.morph_until)
 
     def squared(value: float) -> float:
         return value / mean * (value / mean) if value > 0 else math.inf

@@ -73,7 +73,7 @@ class Criterion:
         return self.hidden_factor > 1 and bool(self.error_px or self.error_m)
 
     @property
-    def rises_until(self) -> float:
+    def morph_until(self) -> float:
         """Return the ratio at which vertices are at their final heights. 1: all are; without a view none moves."""
         return self.morph if self.needs_view else 1.0
 
@@ -86,6 +86,6 @@ class Criterion:
         return bool(self.error_px or self.edge_px or self.area_px)
 
 
-def unit_asked(criterion: Criterion) -> str:
+def requested_unit(criterion: Criterion) -> str:
     """Return the unit of the error that is swept and budgeted: px with a screen error, else m, else ""."""
     return "px" if criterion.error_px else "m" if criterion.error_m else ""

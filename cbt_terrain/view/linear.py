@@ -69,7 +69,7 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
     return solve(matrix, np.eye(len(matrix)))
 
 
-def least_stretch(matrix: np.ndarray) -> float:
+def min_stretch(matrix: np.ndarray) -> float:
     """Return the least length of a unit vector after a matrix [3, 3]: its smallest singular value.
 
     Columns are rotated in pairs until all are at right angles (one-sided Jacobi).

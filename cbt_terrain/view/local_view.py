@@ -8,7 +8,7 @@ import numpy as np
 from ...kernels.refine.pixels import MAX_PLANES, LocalView
 from ..errors import TerrainError
 from .criterion import LARGEST, Criterion
-from .linear import least_stretch, length, lengths, product, settled, solve
+from .linear import min_stretch, length, lengths, product, settled, solve
 from .spans import secant_of, slant_rows, slants_of
 from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
@@ -46,7 +46,7 @@ def localise(
     # A distance in camera space is at least sigma times the one with each axis stretched by itself; sigma is below 1
     # only under shear. The last factor keeps rounding on the safe side.
     stretch = lengths(linear)
-    sigma = least_stretch(linear / stretch)
+    sigma = min_stretch(linear / stretch)
     pixels = view.pixels_per_unit * height_scale
     # Nothing nearer than the clip start is seen; half of it leaves room for the error itself.
     start = view.clip[0] if view.clip[0] < view.clip[1] else 0.0
@@ -59,7 +59,7 @@ def localise(
     factor, fade, fringe = min(1 + (criterion.off_screen_factor - 1) / narrow, LARGEST), 0.0, 0.0
     if factor > 1 and _outside(planes, box):
         factor = HIDDEN  # this terrain is out of view: the smallest mesh is enough
-    elif criterion.rises_until > 1:
+    elif criterion.morph_until > 1:
         fade = math.sqrt(math.sqrt(factor)) - 1
         fringe = FRINGE * (min(b - a for a, b in view.bounds()) / 2 if view.kind == ORTHOGRAPHIC else narrow)
     largest, smallest = slants_of(view, placement, criterion)

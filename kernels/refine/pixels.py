@@ -84,7 +84,7 @@ def min_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 
 @wp.func
-def most_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+def max_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
     """Return the minimum over all frustum planes of the innermost corner's distance inside the plane, metres.
 
     It is negative if the box is outside the frustum, and infinite without planes.
@@ -119,7 +119,7 @@ def stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d, beyond: wp.float64)
     stand = CLEAR
     if min_inside(view, low, high) < zero:
         stand = CROSSED
-        if most_inside(view, low, high) + beyond < zero:
+        if max_inside(view, low, high) + beyond < zero:
             stand = OUTSIDE
     return stand
 
@@ -300,7 +300,7 @@ def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, i
     zero = wp.float64(0.0)
     coarser2 = wp.float64(1.0)
     if in_frame == 0:
-        inner = most_inside(view, d.low, d.high)
+        inner = max_inside(view, d.low, d.high)
         if inner < zero:
             coarser2 = faded2(view, inner, max_of(view.depth, d.low, d.high))
     if view.rings.count > 0 and coarser2 < view.hidden2:

@@ -9,7 +9,7 @@ import warp as wp
 
 from ..refine.diamond import larger
 from ..refine.hiding import is_hidden
-from ..refine.pixels import CLEAR, ORTHOGRAPHIC, OUTSIDE, LocalView, most_inside, stand_of
+from ..refine.pixels import CLEAR, ORTHOGRAPHIC, OUTSIDE, LocalView, max_inside, stand_of
 
 
 @wp.struct
@@ -43,7 +43,7 @@ def wanted_by(full2: wp.float64, view: LocalView, p: wp.vec3d, clear: wp.int32) 
     """Return the density of a view at a point in its frame with the margin (`clear`: known to be so); 0 elsewhere."""
     inside = wp.float64(0.0)
     if clear == 0:
-        inside = most_inside(view, p, p)
+        inside = max_inside(view, p, p)
     want = wp.float64(0.0)
     if inside >= wp.float64(0.0):
         want = ramp(full2, distance2(view, p[0] - view.eye[0], p[1] - view.eye[1], p[2] - view.eye[2]))

@@ -13,7 +13,7 @@ from ...cbt_terrain.accuracy.sweep_settings import PIXELS, metre_steps
 from ...cbt_terrain.accuracy.timed_runs import TimedFrame, fastest, timed_runs
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.terrain import Terrain
-from ...cbt_terrain.view.criterion import unit_asked
+from ...cbt_terrain.view.criterion import requested_unit
 from ..session import session
 from ..terrain.request import RENDER, VIEWPORT, Request, gather
 from .measuring import MeasuringOperator
@@ -78,7 +78,7 @@ def measure_request(field, request: Request, on_progress) -> Result:
     `on_progress` gets the finished fraction and a message; its exceptions end the measurement.
     """
     request = replace(request, frozen="")  # what errors cost is of a mesh that follows its camera
-    unit = unit_asked(request.criterion)
+    unit = requested_unit(request.criterion)
     name = f"error_{unit}"
     relief_m = (field.max_height - field.min_height) * abs(request.vertical_scale)
     swept = PIXELS if unit == "px" else metre_steps(relief_m)
@@ -133,7 +133,7 @@ def _requests(obj, depsgraph) -> tuple[dict[str, Request], list[str]]:
     for mode in DETAIL:
         try:
             request = gather(obj, depsgraph, mode)
-            unit = unit_asked(request.criterion)
+            unit = requested_unit(request.criterion)
             if not unit:
                 raise TerrainError("Measure Accuracy has no error to vary", fix="set Screen Error or Vertical Error")
             # Without its time budget, whose curve is about to be replaced.

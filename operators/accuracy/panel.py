@@ -7,7 +7,7 @@ import bpy
 
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.errors import TerrainError, shown
-from ...cbt_terrain.view.criterion import LARGEST, unit_asked
+from ...cbt_terrain.view.criterion import LARGEST, requested_unit
 from ...cbt_terrain.view.settings import BOUNDS
 from .. import jobs
 from ..session import session
@@ -127,7 +127,7 @@ def statistics_lines(status) -> list[tuple[str, str]]:
     """Return names and figures of the last update, each figure with its unit."""
     if not status.mode:
         return [("No update yet", "")]
-    unit = unit_asked(status.request.criterion)
+    unit = requested_unit(status.request.criterion)
     lines = [("Asked", f"{plain(getattr(status.request.criterion, f'error_{unit}'), 4)} {unit}")] if unit else []
     for name, value, unit, terms in _bounds(status):
         lines.append((name, _bound(value, unit, 4)))

@@ -17,7 +17,7 @@ from ...cbt_terrain.attributes.plan import AttributePlan, plan
 from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.view.camera_path import read_camera_path
-from ...cbt_terrain.view.criterion import Criterion, unit_asked
+from ...cbt_terrain.view.criterion import Criterion, requested_unit
 from ...cbt_terrain.view.linear import length
 from ...cbt_terrain.view.view import View
 from ..export.frame_sources import SceneFrames, file_name
@@ -163,7 +163,7 @@ def look_at(scene, view_layer, objects, numbers: Sequence[int], **look) -> list[
 def current_setting(request) -> Setting | None:
     """Return the part of a request that a sweep varies: its error in pixels or metres, limits, interpolation."""
     criterion = request.criterion
-    unit = unit_asked(criterion)
+    unit = requested_unit(criterion)
     if not unit:
         return None
     limits = criterion.max_depth, criterion.meshlet
@@ -173,7 +173,7 @@ def current_setting(request) -> Setting | None:
 def notes_on(criterion: Criterion) -> list[str]:
     """Describe the parts of a criterion that a sweep leaves out."""
     notes = []
-    if not unit_asked(criterion):
+    if not requested_unit(criterion):
         notes.append("The terrain asks for no error, so no setting is marked as the current one.")
     if criterion.error_px and criterion.error_m:
         notes.append("The terrain asks for metres too; the setting marked as current is its error in pixels alone.")

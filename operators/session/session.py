@@ -13,7 +13,7 @@ import bpy
 
 from ...cbt_terrain.accuracy.time_correction import TimeCorrection
 from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
-from ...cbt_terrain.attributes.layered_detail import laid
+from ...cbt_terrain.attributes.layered_detail import displaced
 from ...cbt_terrain.attributes.plan import plan
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.bicubic import interpolated
@@ -287,7 +287,7 @@ def field_of(request: Request):
     raster = derived_store.raster_of(request.store, request.land, open_field)
     field = interpolated(raster, request.interpolation)
     placed = request.vertical_scale, request.vertical_offset
-    return laid(field, request.ground, *placed, launch.default_threads())
+    return displaced(field, request.ground, *placed, launch.default_threads())
 
 
 def open_field(store: str):

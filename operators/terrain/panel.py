@@ -5,7 +5,7 @@ import bpy
 
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.view.criterion import unit_asked
+from ...cbt_terrain.view.criterion import requested_unit
 from ...cbt_terrain.view.settings import CRITERIA, LIMITS, MODIFIERS, CriterionSetting
 from ..text.numbers import plain
 from ..ui.panel_parts import TerrainSubpanel, fixed_lines, switched
@@ -47,7 +47,7 @@ def _budget(detail) -> str:
         return str(error)
     if note:
         return note
-    unit, curve = unit_asked(criterion), CostCurve.from_json(detail.curve)
+    unit, curve = requested_unit(criterion), CostCurve.from_json(detail.curve)
     error = getattr(criterion, f"error_{unit}")
     fits = curve.at(error)[1] <= detail.max_ms * (1 + ROUNDED)
     text = f"{'Finest error that fits' if fits else 'None fits; coarsest error'}: {plain(error, 4)} {unit}"

@@ -19,7 +19,7 @@ from ...cbt_terrain.field.displacement_layers import Ground
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS
 from ...cbt_terrain.height_operators.derived_store import Land
 from ...cbt_terrain.height_operators.requested_tiles import SeenTiles
-from ...cbt_terrain.view.criterion import Criterion, unit_asked
+from ...cbt_terrain.view.criterion import Criterion, requested_unit
 from ...cbt_terrain.view.linear import determinant
 from ...cbt_terrain.view.settings import SETTINGS
 from ...cbt_terrain.view.view import View
@@ -210,7 +210,7 @@ def within_time(criterion: Criterion, detail) -> tuple[Criterion, str]:
     """
     if not detail.limit_time:
         return criterion, ""
-    unit = unit_asked(criterion)
+    unit = requested_unit(criterion)
     if not unit:
         return criterion, "Time budget needs an error to vary: set Screen Error or Vertical Error"
     if not detail.curve:

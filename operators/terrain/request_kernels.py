@@ -27,7 +27,7 @@ def kernels_for(request: Request) -> list[ModuleType]:
     rooms = (
         (detail, request.ground is not None),
         (bicubic, request.interpolation == "bicubic"),
-        (morph, request.criterion.rises_until > 1),
+        (morph, request.criterion.morph_until > 1),
         (scatter, bool(request.scatters.items)),
     )
     found += [module for room, is_used in rooms if is_used for module in modules_of(room)]

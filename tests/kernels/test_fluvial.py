@@ -133,11 +133,11 @@ def test_sediment_is_that_of_a_loop_in_double_precision(case):
         if drainage.to[i] == 4:
             continue
         most, cut = max(carried[i], 0.0), D(before[i]) - D(z[i])
-        laid = min(most, 0.25 * (D(filled[i]) - D(z[i])))
+        displaced = min(most, 0.25 * (D(filled[i]) - D(z[i])))
         if filled[i] <= z[i]:
-            laid = most * min(1.7 / drainage.catchments[i], 1.0)
-            laid = min(laid, 0.5 * max(cut, 0.0) + 0.05 * most) / (1.0 + D(found["rate"][i]))
-        z[i] = F(D(z[i]) + laid * D(found["weight"][i]))
+            displaced = most * min(1.7 / drainage.catchments[i], 1.0)
+            displaced = min(displaced, 0.5 * max(cut, 0.0) + 0.05 * most) / (1.0 + D(found["rate"][i]))
+        z[i] = F(D(z[i]) + displaced * D(found["weight"][i]))
         carried[other[i]] += carried[i] + (D(before[i]) - D(z[i]))
     assert np.array_equal(made, z) and np.array_equal(load, carried) and (z != h).mean() > 0.3
 

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.attributes import evaluate, layered_detail
-from adaptive_terrain.cbt_terrain.attributes.layered_detail import LayeredDetail, laid
+from adaptive_terrain.cbt_terrain.attributes.layered_detail import LayeredDetail, displaced
 from adaptive_terrain.cbt_terrain.attributes.splat_rules import HEIGHT, SLOPE, Layer, Rule
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -25,12 +25,12 @@ def test_a_mask_is_the_weight_of_its_layer():
     heights = np.tile(np.arange(21, dtype=np.float32) * 5.0, (13, 1))
     field = from_array(heights, 10.0, 7.0)
     ground = LayeredDetail(None, (Layer("Grass"), HIGH), ((1, Detail(0.3)),))
-    (coat,) = laid(field, ground, 1.0, 0.0, 2).detail.layers
+    (coat,) = displaced(field, ground, 1.0, 0.0, 2).detail.layers
     wanted = np.clip((heights - 50.0) / 20.0, 0.0, 1.0)
     wanted = wanted * wanted * (3.0 - 2.0 * wanted)
     linear = np.clip((heights - 50.0) / 20.0, 0.0, 1.0)
     assert min(np.abs(coat.mask.values / 255 - w).max() for w in (wanted, linear)) < 3e-3
-    (turned,) = laid(field, ground, -1.0, 100.0, 1).detail.layers
+    (turned,) = displaced(field, ground, -1.0, 100.0, 1).detail.layers
     assert np.abs(turned.mask.values.astype(int) - coat.mask.values[:, ::-1]).max() <= 1
 
 
@@ -38,17 +38,17 @@ def test_masks_are_cached_and_independent_of_threads(monkeypatch):
     heights = rough(50, 37, relief=80.0).heights()
     ground = LayeredDetail(Detail(0.05), (Layer("Grass"), STEEP, HIGH), ((1, Detail(0.3)), (2, Detail(0.1, 9.0))))
     field = from_array(heights, 10.0)
-    first = laid(field, ground, 1.0, 0.0, 1)
-    assert laid(field, ground, 1.0, 0.0, 1) is first
+    first = displaced(field, ground, 1.0, 0.0, 1)
+    assert displaced(field, ground, 1.0, 0.0, 1) is first
     assert [coat.mask is None for coat in first.detail.layers] == [True, False, False]
     monkeypatch.setattr(evaluate, "BAND", 100)
-    second = laid(from_array(heights, 10.0), ground, 1.0, 0.0, 3)
+    second = displaced(from_array(heights, 10.0), ground, 1.0, 0.0, 3)
     assert second.key == first.key
 
 
 def test_the_bound_holds_on_layers_with_detail():
     ground = LayeredDetail(Detail(0.05), (Layer("Grass"), STEEP, HIGH), ((1, Detail(0.5)), (2, Detail(0.2, 9.0))))
-    field = laid(rough(50, 37, relief=80.0), ground, 1.0, 0.0, 2)
+    field = displaced(rough(50, 37, relief=80.0), ground, 1.0, 0.0, 2)
     view = ground_view(field, above=3.0)
     found = Terrain(field, 2).update(Criterion(error_px=1.0, max_triangles=4000), [view])
     assert 0.05 < check(found, field, [view])
@@ -58,4 +58,4 @@ def test_a_raster_too_large_for_masks_is_refused(monkeypatch):
     monkeypatch.setattr(layered_detail, "MAX_SAMPLES", 100)
     ground = LayeredDetail(None, (Layer("Grass"),), ((0, Detail(0.3)),))
     with pytest.raises(TerrainError, match="has 11 x 11 samples; expected at most 100 for detail of splat layers"):
-        laid(from_array(np.zeros((11, 11), np.float32), 1.0), ground, 1.0, 0.0, 1)
+        displaced(from_array(np.zeros((11, 11), np.float32), 1.0), ground, 1.0, 0.0, 1)

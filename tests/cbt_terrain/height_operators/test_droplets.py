@@ -53,8 +53,8 @@ def test_mass_is_lost_only_at_the_border():
         )
         moved = np.abs(made.heights).sum(dtype=np.float64)
         lost.append(-made.heights.sum(dtype=np.float64) / moved)
-        laid, taken = (made.layers[name].sum(dtype=np.float64) for name in ("sediment", "wear"))
-        assert moved > 1e3 and abs(taken - laid - lost[-1] * moved) < 1e-6 * moved
+        displaced, taken = (made.layers[name].sum(dtype=np.float64) for name in ("sediment", "wear"))
+        assert moved > 1e3 and abs(taken - displaced - lost[-1] * moved) < 1e-6 * moved
     assert lost[0] > 1e-3 and abs(lost[1]) < 1e-6
 
 

@@ -59,8 +59,8 @@ HEAD = """# Effects
 Written by `make effects`; do not edit it by hand. Absolute times are of one machine on one day.
 
 An effect is something that a material, a modifier or a map may read of a terrain: its slope, its layers, how
-much sky it sees. **Only effects that something reads are computed.** The extension looks which attributes your node trees read,
-adds what those effects read themselves, and runs that, once. `adaptive-terrain effects --scene shot.blend` says
+much sky it sees. **Only effects that something reads are computed.** The extension looks which attributes your
+node trees read, adds what those effects read themselves, and runs that, once. `adaptive-terrain effects --scene shot.blend` says
 the readers of each effect, and why the rest is skipped; so does the panel [Effects](reference/panel/effects.md).
 """
 SCALES = """## Two scales

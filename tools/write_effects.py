@@ -60,8 +60,9 @@ Written by `make effects`; do not edit it by hand. Absolute times are of one mac
 
 An effect is something that a material, a modifier or a map may read of a terrain: its slope, its layers, how
 much sky it sees. **Only effects that something reads are computed.** The extension looks which attributes your
-node trees read, adds what those effects read themselves, and runs that, once. `adaptive-terrain effects --scene shot.blend` says
-the readers of each effect, and why the rest is skipped; so does the panel [Effects](reference/panel/effects.md).
+node trees read, adds the inputs of those, and computes each once. `adaptive-terrain effects --scene shot.blend`
+lists the readers of each effect and why the others are skipped; so does the panel
+[Effects](reference/panel/effects.md).
 """
 SCALES = """## Two scales
 

@@ -19,7 +19,7 @@ def _initialise_quietly() -> None:
     """Start Warp without its banner, and without the warning about a missing GPU that its C++ code writes to stderr."""
     wp.config.log_level = wp.LOG_ERROR
     try:
-        sink, kept = os.open(os.devnull, os.O_WRONLY), os.dup(2)
+        sink, saved = os.open(os.devnull, os.O_WRONLY), os.dup(2)
     except OSError:  # a window without a console has no stderr
         _initialise()
         return
@@ -27,9 +27,9 @@ def _initialise_quietly() -> None:
         os.dup2(sink, 2)
         _initialise()
     finally:
-        os.dup2(kept, 2)
+        os.dup2(saved, 2)
         os.close(sink)
-        os.close(kept)
+        os.close(saved)
 
 
 def _initialise() -> None:

@@ -107,17 +107,18 @@ def has_near_corner(near: wp.array(dtype=wp.uint8), corner_verts: wp.array(dtype
 
 @wp.func_native(
     "const int *p = (const int*)(a.data + i), *q = (const int*)(b.data + j); int k = 0; "
-    "while (k < most && p[3 * k] == q[3 * k] && p[3 * k + 1] == q[3 * k + 1] && p[3 * k + 2] == q[3 * k + 2]) ++k; "
+    "while (k < max_count && p[3 * k] == q[3 * k] && p[3 * k + 1] == q[3 * k + 1] && p[3 * k + 2] == q[3 * k + 2]) "
+    "++k; "
     "return k;"
 )
 def count_same_vec3s(
-    a: wp.array(dtype=wp.vec3f), i: wp.int32, b: wp.array(dtype=wp.vec3f), j: wp.int32, most: wp.int32
+    a: wp.array(dtype=wp.vec3f), i: wp.int32, b: wp.array(dtype=wp.vec3f), j: wp.int32, max_count: wp.int32
 ) -> wp.int32: ...
 
 
 @wp.func_native(
-    "const float *p = a.data + i, *q = b.data + j; int k = 0; while (k < most && p[k] == q[k]) ++k; return k;"
+    "const float *p = a.data + i, *q = b.data + j; int k = 0; while (k < max_count && p[k] == q[k]) ++k; return k;"
 )
 def count_same_floats(
-    a: wp.array(dtype=wp.float32), i: wp.int32, b: wp.array(dtype=wp.float32), j: wp.int32, most: wp.int32
+    a: wp.array(dtype=wp.float32), i: wp.int32, b: wp.array(dtype=wp.float32), j: wp.int32, max_count: wp.int32
 ) -> wp.int32: ...

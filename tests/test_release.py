@@ -38,7 +38,7 @@ def git(folder, *arguments) -> None:
 
 @pytest.fixture
 def checkout(tmp_path):
-    """A repository with the four files that name the version, all of them 1.2.3."""
+    """Write a repository with the four files that name the version, each with 1.2.3."""
     (tmp_path / "blender_manifest.toml").write_text('version = "1.2.3"\n')
     (tmp_path / "pyproject.toml").write_text('[project]\nversion = "1.2.3"\n')
     (tmp_path / "__init__.py").write_text('__version__ = "1.2.3"\n')

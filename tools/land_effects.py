@@ -152,7 +152,7 @@ def effect_section(effect: HeightOperator, parameters: dict) -> str:
     lines.append(" · ".join(facts) + "\n")
     lines.append("| parameter | | | |\n| --- | ---: | --- | --- |")
     lines += [
-        f"| `{p.name}` | {p.default:g} {p.unit} | {p.least:g} to {p.most:g} | {p.about} |" for p in effect.parameters
+        f"| `{p.name}` | {p.default:g} {p.unit} | {p.min:g} to {p.max:g} | {p.about} |" for p in effect.parameters
     ]
     if effect.layers:
         lines.append("\n| layer | | |\n| --- | --- | --- |")

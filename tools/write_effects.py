@@ -162,7 +162,7 @@ def section(effect: AttributeDeclaration, drawn: bool) -> str:
     numbers = [p for p in effect.parameters if isinstance(p.default, int | float)]
     if numbers:
         lines.append("| parameter | | | |\n| --- | ---: | --- | --- |")
-        lines += [f"| `{p.name}` | {p.default:g} {p.unit} | {p.least:g} to {p.most:g} | {p.about} |" for p in numbers]
+        lines += [f"| `{p.name}` | {p.default:g} {p.unit} | {p.min:g} to {p.max:g} | {p.about} |" for p in numbers]
         lines.append("")
     return "\n".join(lines)
 

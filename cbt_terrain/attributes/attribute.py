@@ -20,12 +20,12 @@ LINEAR_RGB = "linear RGB"  # unit of colours, Rec. 709
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number with its default, range (`least`, `most`) and unit, "" if it has none."""
+    """A number with its default, range (`min`, `max`) and unit, "" if it has none."""
 
     name: str
     default: float
-    least: float
-    most: float
+    min: float
+    max: float
     unit: str
     about: str
 
@@ -123,8 +123,8 @@ class AttributeDeclaration:
                 expected = f"one of: {', '.join(known)}" if known else "no parameters"
                 raise TerrainError(f"The effect {self.name!r} has no parameter {name!r}", expected=expected)
             p = known[name]
-            if isinstance(p.default, int | float) and not p.least <= value <= p.most:
-                expected = f"{p.least:g} to {p.most:g} {p.unit}".rstrip()
+            if isinstance(p.default, int | float) and not p.min <= value <= p.max:
+                expected = f"{p.min:g} to {p.max:g} {p.unit}".rstrip()
                 raise TerrainError(f"{name} of the effect {self.name!r} is {value}", expected=expected)
 
 

@@ -49,8 +49,8 @@ class Baked:
     """The result of a bake: the content of maps.json, and the numbers of written and unchanged images."""
 
     index: dict
-    made: int
-    kept: int
+    written: int
+    unchanged: int
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
-from ..view.linear import min_stretch, lengths, product
+from ..view.linear import lengths, min_stretch, product
 from ..view.local_view import eye_of, frustum_planes
 from ..view.view import ORTHOGRAPHIC, View
 from .attribute import AttributeRequest

@@ -39,7 +39,7 @@ class LayerMask:
         object.__setattr__(self, "digest", hashlib.blake2b(content, digest_size=16).hexdigest())
 
     @cached_property
-    def most(self) -> np.ndarray:
+    def max_cells(self) -> np.ndarray:
         """Return the maximum of each cell, of 2 x 2 cells, and so on, uint8 [n], in the order of `mask_levels`."""
         v = self.values
         cells = np.maximum(np.maximum(v[1:, 1:], v[1:, :-1]), np.maximum(v[:-1, 1:], v[:-1, :-1]))
@@ -112,7 +112,7 @@ def layer_tables(ground: Ground | None, finest: float, lattice: Lattice, meshlet
 
 
 def mask_levels(lattice: Lattice) -> np.ndarray:
-    """Return the first entry of each level of `Mask.most`, and the number of entries, int64 [levels + 1]."""
+    """Return the first entry of each level of `LayerMask.max_cells`, and the number of entries, int64 [levels + 1]."""
     columns, rows, first = lattice.width - 1, lattice.height - 1, [0]
     while True:
         first.append(first[-1] + columns * rows)
@@ -122,9 +122,9 @@ def mask_levels(lattice: Lattice) -> np.ndarray:
 
 
 def max_of_masks(ground: Ground | None) -> np.ndarray:
-    """Return `Mask.most` of each layer with a mask, in the order of `coat_tables`, uint8 [masks * entries]."""
-    most = [layer.mask.most for layer in layers_below(ground) if layer.mask is not None]
-    return most[0] if len(most) == 1 else np.concatenate([np.empty(0, np.uint8), *most])
+    """Return `LayerMask.max_cells` of the layers with masks, ordered as in `layer_tables`, uint8 [masks * entries]."""
+    max_cells = [layer.mask.max_cells for layer in layers_below(ground) if layer.mask is not None]
+    return max_cells[0] if len(max_cells) == 1 else np.concatenate([np.empty(0, np.uint8), *max_cells])
 
 
 def packed(ground: Ground | None, finest: float, lattice: Lattice) -> kernels.PackedLayers:

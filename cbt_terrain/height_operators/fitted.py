@@ -42,7 +42,7 @@ def fitted(stack: Stack, low: float, high: float) -> Stack:
             if parameter.name in found and key in LEVELS | RATES:
                 value = found[parameter.name]
                 value = level(value) if key in LEVELS else value * ratio
-                found[parameter.name] = min(max(value, parameter.least), parameter.most)
+                found[parameter.name] = min(max(value, parameter.min), parameter.max)
         return found
 
     entries = (replace(e, parameters=adapt_parameters(e), mask=adapt_mask(e.mask)) for e in stack.entries)

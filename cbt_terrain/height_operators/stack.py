@@ -169,8 +169,8 @@ def _check_entry(where: str, entry: Entry) -> None:
             known = f"some of: {', '.join(parameters)}" if parameters else "no parameters"
             raise TerrainError(f"{name} has a parameter {shown(repr(parameter))}", expected=known)
         p = parameters[parameter]
-        if not p.least <= value <= p.most:
-            expected = f"{p.least:g} to {p.most:g} {p.unit}".rstrip()
+        if not p.min <= value <= p.max:
+            expected = f"{p.min:g} to {p.max:g} {p.unit}".rstrip()
             raise TerrainError(f"{name} has {parameter} {value:g}", expected=expected)
     if not 0 <= entry.seed <= MAX_SEED:
         raise TerrainError(f"{name} has the seed {shown(entry.seed)}", expected=f"0 to {MAX_SEED}")

@@ -8,7 +8,7 @@ import warp as wp
 
 from ...kernels.field.domain import Domain
 from ...kernels.refine.hiding import RING_BITS, ROW
-from ...kernels.refine.horizon_map import FINEST, HeightBlocks, fill_blocks, fill_horizon
+from ...kernels.refine.horizon_map import FINEST, HorizonBlocks, fill_blocks, fill_horizon
 from ...kernels.refine.pixels import CriterionArrays, LocalView
 from ..field.blocks import halvings, stacked
 from ..field.heightfield import HeightField
@@ -88,11 +88,11 @@ def horizon_of(
     return hiding
 
 
-def _blocks_of(field: HeightField, domain: Domain, threads: int) -> HeightBlocks:
+def _blocks_of(field: HeightField, domain: Domain, threads: int) -> HorizonBlocks:
     """Return the blocks of a field's surface; they are computed once and cached in the field."""
     key = "blocks", field.interpolation
     min_height, first, wide = cached(field.found, key, lambda: _find_blocks(domain, threads))
-    blocks = HeightBlocks()
+    blocks = HorizonBlocks()
     blocks.min_height, blocks.first, blocks.wide = (
         flat(min_height, wp.float32),
         flat(first, wp.int32),

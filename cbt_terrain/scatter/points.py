@@ -70,7 +70,7 @@ class ScatterRequest:
     `placement`: 4 x 4 matrix to the world. `boundary`: triangles that points are above or below, float64 [n, 3, 2], x
     and y in the terrain's space. `horizon`: Terrain.horizon for the same views; squares of the plan that are hidden
     from all of them, including everything within `margin_m`, have no points then. The other points do not change.
-    `most`: the maximum number of points and the name of the limit for the message.
+    `max_points`: the maximum number of points and the name of the limit for the message.
     """
 
     scatter: Scatter
@@ -80,7 +80,7 @@ class ScatterRequest:
     vertical_offset: float = 0.0
     boundary: np.ndarray | None = None
     horizon: "CriterionArrays | None" = None
-    most: tuple[int, str] | None = None
+    max_points: tuple[int, str] | None = None
 
 
 def scatter_points(
@@ -97,7 +97,7 @@ def place_points(
     depend on it.
 
     Raises TerrainError for an invalid view, the horizon of other views, too many candidates for the memory, more points
-    than `most`, and heights that are not finite.
+    than `max_points`, and heights that are not finite.
     """
     views, threads = listed_views(request.views), launch.checked_threads(threads)
     with history.alone():
@@ -125,9 +125,9 @@ def _points(
     inputs = [[*piece, seen, pattern, listed, candidates, chosen] for piece in pieces_of(squares.count, threads)]
     launch.slices(kernels.choose, inputs, step="choose")
     counts = scratch.numpy("counts")[: len(runs)].astype(np.int64)
-    if request.most is not None and counts.sum() > request.most[0]:
-        max_points, limit = request.most
-        raise too_many(f"{counts.sum():,}", f"at most {max_points:,}, {limit}")
+    if request.max_points is not None and counts.sum() > request.max_points[0]:
+        limit, limit_name = request.max_points
+        raise too_many(f"{counts.sum():,}", f"at most {limit:,}, {limit_name}")
     total = int(counts.sum())
     first = flat((np.cumsum(counts) - counts).astype(np.int32), wp.int32)
     inputs = [listed, first, candidates, chosen, ground.style, _room(history, total)]

@@ -8,7 +8,7 @@ import numpy as np
 from ...kernels.refine.pixels import MAX_PLANES, LocalView
 from ..errors import TerrainError
 from .criterion import LARGEST, Criterion
-from .linear import min_stretch, length, lengths, product, settled, solve
+from .linear import length, lengths, min_stretch, product, settled, solve
 from .spans import secant_of, slant_rows, slants_of
 from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 

@@ -26,7 +26,7 @@ OUTWARD = wp.constant(wp.float64(2e-7))  # relative: above the rounding of float
 
 
 @wp.struct
-class HeightBlocks:
+class HorizonBlocks:
     """Bounds of the surface's heights over blocks of 2^level x 2^level cells, metres before scaling."""
 
     # Per block: minimum of heights, minimum of negated heights; from level FINEST, row by row from the south-west.
@@ -58,7 +58,7 @@ def fill_blocks(offset: int, domain: Domain, wide: wp.int32, min_height: wp.arra
 
 
 @wp.func
-def min_of_block(domain: Domain, blocks: HeightBlocks, level: wp.int32, i: wp.int32, j: wp.int32, up: wp.float64):
+def min_of_block(domain: Domain, blocks: HorizonBlocks, level: wp.int32, i: wp.int32, j: wp.int32, up: wp.float64):
     """Return the minimum of up * height, metres before scaling, in a block; a block of level 0 is a cell."""
     min_height = wp.float64(0.0)
     if level > 0:
@@ -73,7 +73,7 @@ def min_of_block(domain: Domain, blocks: HeightBlocks, level: wp.int32, i: wp.in
 
 @wp.func
 def min_over(
-    domain: Domain, blocks: HeightBlocks, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, sign: wp.float64
+    domain: Domain, blocks: HorizonBlocks, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, sign: wp.float64
 ):
     """Return the minimum of sign * height, metres after scaling, over the raster in a lattice rectangle.
 
@@ -130,7 +130,7 @@ def min_bilinear(domain: Domain, low: wp.vec2d, high: wp.vec2d, up: wp.float64) 
 
 @wp.func
 def min_of_windows(
-    domain: Domain, blocks: HeightBlocks, level: wp.int32, corner: wp.vec2d, size: wp.vec2d, up: wp.float64
+    domain: Domain, blocks: HorizonBlocks, level: wp.int32, corner: wp.vec2d, size: wp.vec2d, up: wp.float64
 ) -> wp.float64:
     """Interpolate the minima of up * height, metres before scaling, between two windows of blocks along each axis.
 
@@ -164,7 +164,7 @@ def min_of_windows(
 
 
 @wp.func
-def steady_min(domain: Domain, blocks: HeightBlocks, grown: wp.int32, corner: wp.vec2d, size: wp.vec2d) -> wp.float64:
+def steady_min(domain: Domain, blocks: HorizonBlocks, grown: wp.int32, corner: wp.vec2d, size: wp.vec2d) -> wp.float64:
     """Return a lower bound of the ground, metres, over a lattice rectangle and a border of `grown` units.
 
     It is continuous in the rectangle's position: the exact minimum over few bilinear cells, else `min_of_windows`.
@@ -222,7 +222,9 @@ def reach2_of(view: LocalView) -> wp.float64:
 
 
 @wp.func
-def ground_near(domain: Domain, blocks: HeightBlocks, x: wp.float64, y: wp.float64, reach: wp.float64, grown: wp.int32):
+def ground_near(
+    domain: Domain, blocks: HorizonBlocks, x: wp.float64, y: wp.float64, reach: wp.float64, grown: wp.int32
+):
     """Return the highest ground, metres, within `reach` lattice units of (x, y); infinity across the border."""
     bits = domain.unit_bits - domain.levels
     east = wp.float64((domain.samples.columns - 1) << bits)
@@ -249,7 +251,7 @@ def ground_near(domain: Domain, blocks: HeightBlocks, x: wp.float64, y: wp.float
 def fill_horizon(
     offset: int,
     domain: Domain,
-    blocks: HeightBlocks,
+    blocks: HorizonBlocks,
     criterion: CriterionArrays,
     number: wp.int32,
     start: wp.float64,

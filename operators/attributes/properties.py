@@ -28,7 +28,7 @@ def numbers_of(settings, name: str) -> tuple[tuple[str, float], ...]:
     for parameter in filter(is_number, ATTRIBUTES[name].parameters):
         value = getattr(group, parameter.name)
         if np.float32(value) != np.float32(parameter.default):  # as Blender keeps it
-            found.append((parameter.name, min(max(value, parameter.least), parameter.most)))
+            found.append((parameter.name, min(max(value, parameter.min), parameter.max)))
     return tuple(found)
 
 
@@ -37,8 +37,8 @@ def _property(parameter: Parameter):
     label = parameter.name.replace("_", " ").title()
     words = {"name": label, "description": about, "default": parameter.default, "update": changed}
     if isinstance(parameter.default, int):
-        return IntProperty(**words, min=int(parameter.least), max=int(parameter.most))
-    return FloatProperty(**words, min=parameter.least, max=parameter.most, precision=3)
+        return IntProperty(**words, min=int(parameter.min), max=int(parameter.max))
+    return FloatProperty(**words, min=parameter.min, max=parameter.max, precision=3)
 
 
 def _settings_of(effect: AttributeDeclaration) -> type:

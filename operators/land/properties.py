@@ -46,11 +46,11 @@ def number_of(parameter: Parameter, group) -> float:
     24 bits: a number that agrees with the default to 24 bits is the default."""
     value = getattr(group, parameter.name)
     if isinstance(parameter.default, int):
-        return min(max(value, int(parameter.least)), int(parameter.most))
+        return min(max(value, int(parameter.min)), int(parameter.max))
     if np.float32(value) == np.float32(_stored(parameter, parameter.default)) or not math.isfinite(value):
         return parameter.default
     value = math.degrees(value) if parameter.unit == DEGREES else value
-    return min(max(float(f"{value:.7g}"), parameter.least), parameter.most)
+    return min(max(float(f"{value:.7g}"), parameter.min), parameter.max)
 
 
 def set_number(parameter: Parameter, group, value: float) -> None:
@@ -71,8 +71,8 @@ def _property(parameter: Parameter):
         label, about = (with_unit, about) if len(with_unit) <= LABEL else (label, f"{about}, {unit}")
     words = {"name": label, "description": about[:1].upper() + about[1:]} | STILL
     if isinstance(parameter.default, int):
-        return IntProperty(**words, default=parameter.default, min=int(parameter.least), max=int(parameter.most))
-    low, high, default = (_stored(parameter, value) for value in (parameter.least, parameter.most, parameter.default))
+        return IntProperty(**words, default=parameter.default, min=int(parameter.min), max=int(parameter.max))
+    low, high, default = (_stored(parameter, value) for value in (parameter.min, parameter.max, parameter.default))
     if not parameter.unit and (low, high) == (0.0, 1.0):
         known = {"subtype": "FACTOR"}
     # About as many digits of a default of 2e-6 as of one of 300,000; where it is 0, of all that is usual.

@@ -70,8 +70,8 @@ def summary(baked: Baked, name: str) -> str:
     """Describe a bake in one line."""
     sides = {tile["resolution"] for entry in baked.index["maps"].values() for tile in entry["tiles"]}
     between = " to ".join(str(side) for side in sorted({min(sides), max(sides)}))
-    images = "image" if baked.made == 1 else "images"
+    images = "image" if baked.written == 1 else "images"
     return (
-        f"{name}: {baked.made} {images} baked, {baked.kept} kept, {between} texels a side: "
+        f"{name}: {baked.written} {images} baked, {baked.unchanged} kept, {between} texels a side: "
         f"{', '.join(baked.index['maps'])}"
     )

@@ -31,7 +31,7 @@ def _parameter(parameter) -> str:
     if not isinstance(parameter.default, int | float):
         return parameter.about
     unit = f" {parameter.unit}" if parameter.unit else ""
-    return f"{parameter.default:g}{unit} ({parameter.least:g} to {parameter.most:g}): {parameter.about}"
+    return f"{parameter.default:g}{unit} ({parameter.min:g} to {parameter.max:g}): {parameter.about}"
 
 
 def status_line(name: str, status) -> str:

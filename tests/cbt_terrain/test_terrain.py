@@ -84,7 +84,7 @@ def test_an_update_that_was_stopped_leaves_nothing_behind(monkeypatch, step, thr
 
 
 @pytest.mark.parametrize("meshlet", [0, 2])
-def test_a_mesh_that_memory_cannot_hold_is_refused_and_the_next_is_as_ever(monkeypatch, meshlet):
+def test_a_mesh_too_large_for_memory_is_refused(monkeypatch, meshlet):
     terrain = Terrain(rough(65, 65), 1)
     view = View.look((0, -300.0, 200.0), (0, 0, 0), resolution=(640, 480))
     asked = Criterion(error_px=1.0, max_depth=12, meshlet=meshlet)

@@ -120,17 +120,17 @@ def test_only_what_has_changed_is_baked_again(tmp_path, small_tiles):
     tiles = tiling_of(field.lattice)
     sides = [64] * len(tiles)
     first = bake(field, [NORMAL, SLOPE], tmp_path, sides)
-    assert (first.made, first.kept) == (2 * len(tiles), 0)
-    assert (bake(field, [NORMAL, SLOPE], tmp_path, sides).made) == 0
+    assert (first.written, first.unchanged) == (2 * len(tiles), 0)
+    assert (bake(field, [NORMAL, SLOPE], tmp_path, sides).written) == 0
     finer = [128, *sides[1:]]
     again = bake(field, [NORMAL, SLOPE], tmp_path, finer)
-    assert (again.made, again.kept) == (2, 2 * len(tiles) - 2)
-    assert bake(field, [SLOPE], tmp_path, finer, vertical_scale=2.0).made == len(tiles)
+    assert (again.written, again.unchanged) == (2, 2 * len(tiles) - 2)
+    assert bake(field, [SLOPE], tmp_path, finer, vertical_scale=2.0).written == len(tiles)
     damaged = tmp_path / "slope.1002.png"
     damaged.write_bytes(damaged.read_bytes()[:-20])
-    assert bake(field, [SLOPE], tmp_path, finer, vertical_scale=2.0).made == 1
+    assert bake(field, [SLOPE], tmp_path, finer, vertical_scale=2.0).written == 1
     other = rough(60, 95, seed=1, step=2.0)
-    assert bake(other, [SLOPE], tmp_path, finer, vertical_scale=2.0).made == len(tiles)
+    assert bake(other, [SLOPE], tmp_path, finer, vertical_scale=2.0).written == len(tiles)
 
 
 def test_maps_of_the_same_ground_stay_and_others_go(tmp_path):
@@ -147,7 +147,7 @@ def test_a_parameter_makes_another_image(tmp_path):
     for metres in (5.0, 5.0, 9.0):
         asked = AttributeRequest("ambient_occlusion", (), parameters=(("radius", metres),))
         baked = bake(field, [asked], tmp_path, [64])
-        key.setdefault(baked.made, []).append(metres)
+        key.setdefault(baked.written, []).append(metres)
     assert key == {1: [5.0, 9.0], 0: [5.0]}
 
 

@@ -121,12 +121,12 @@ def test_the_most_of_a_mask_is_that_of_every_block():
             for j in range(rows):
                 for i in range(columns):
                     block = v[j * side : (j + 1) * side + 1, i * side : (i + 1) * side + 1]
-                    assert covered.most[at + j * columns + i] == block.max()
+                    assert covered.max_cells[at + j * columns + i] == block.max()
             at += rows * columns
             if rows * columns == 1:
                 break
             columns, rows, level = (columns + 1) // 2, (rows + 1) // 2, level + 1
-        assert at == len(covered.most)
+        assert at == len(covered.max_cells)
         domain = make_domain(
             field_of(shape, DisplacementLayers((DisplacementLayer(Detail(1.0), covered),))), 0, 1.0, 0.0
         )

@@ -36,7 +36,9 @@ def test_a_loss_is_made_up_for_nearby():
     net[90:120, 98:104], net[90:120, 104:110], net[100, 30], net[100, 170] = -4.0, 4.0, 2.0, -2.0
     taken, displaced = np.maximum(-net, 0), np.maximum(net, 0)
     taken[90:120, 98:104] = 3.0
-    made, took = balanced(displaced, taken, 2 * taken, displaced - taken, net, OperatorGround(net, 5.0, 5.0, whole=net.shape))
+    made, took = balanced(
+        displaced, taken, 2 * taken, displaced - taken, net, OperatorGround(net, 5.0, 5.0, whole=net.shape)
+    )
     assert (took == taken).all()
     assert made[90:120, 104:110].mean() == pytest.approx(3.0, abs=1e-4) and made[100, 30] == pytest.approx(2.0)
     assert 2.0 < made[90:120, 104:110].min() < made[90:120, 104:110].max() < 3.5
@@ -66,7 +68,9 @@ def test_erosion_at_a_border_balances_distant_deposits(width):
     net = finer(coarse, shape)
     displaced, taken = np.maximum(net, 0), np.maximum(-net, 0)
     room = np.where(taken > 0, taken + np.float32(1.0), taken)
-    laid_there, took = balanced(displaced, taken, room, displaced - taken, net, OperatorGround(net, 5.0, 9.0, whole=shape))
+    laid_there, took = balanced(
+        displaced, taken, room, displaced - taken, net, OperatorGround(net, 5.0, 9.0, whole=shape)
+    )
     assert abs(laid_there - displaced)[50:-50].max() < 1e-4 and 0.01 < abs(took - taken).max() < 1.0
     assert (took <= room).all() and took.min() >= 0
     total = math.fsum((laid_there - took).ravel().tolist())

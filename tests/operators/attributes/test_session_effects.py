@@ -189,9 +189,9 @@ def test_settings_are_made_from_the_declarations(worn):
         assert getattr(settings.effects, name).when == "DEMAND"
         assert numbers_of(settings, name) == ()
         for parameter in effect.parameters:
-            if isinstance(parameter.default, float) and math.isfinite(parameter.most):
-                setattr(getattr(settings.effects, name), parameter.name, 2.0 * parameter.most)
-                assert numbers_of(settings, name) == ((parameter.name, parameter.most),), "kept in its range"
+            if isinstance(parameter.default, float) and math.isfinite(parameter.max):
+                setattr(getattr(settings.effects, name), parameter.name, 2.0 * parameter.max)
+                assert numbers_of(settings, name) == ((parameter.name, parameter.max),), "kept in its range"
                 getattr(settings.effects, name).property_unset(parameter.name)
 
 

@@ -27,7 +27,7 @@ def test_settings_are_those_of_the_declarations(terrain, tmp_path, effect):
     assert stack_now(terrain, tmp_path).entries[0].parameters == {}
     for parameter in declared:
         assert land_properties.number_of(parameter, group) == parameter.default
-        for value in (parameter.least, parameter.most):
+        for value in (parameter.min, parameter.max):
             land_properties.set_number(parameter, group, value)
             assert land_properties.number_of(parameter, group) == pytest.approx(value, rel=1e-6, abs=1e-12)
     stack_now(terrain, tmp_path).check()

@@ -31,6 +31,10 @@ class TerrainError(Exception):
     def __str__(self) -> str:
         return to_sentence(self)
 
+    def within(self, clause: str) -> "TerrainError":
+        """Return this error, without its code, after a clause: "The scatter 'Firs' cannot be made"."""
+        return TerrainError(f"{clause}. {self.what}", self.where, self.expected, self.fix)
+
     @property
     def problem(self) -> str:
         """The sentence without the fix, for a panel that shows the fix apart."""

@@ -112,7 +112,11 @@ class LevelWork:
         )
 
     def _layer(self, name: str, land: LandWindow) -> np.ndarray:
-        """Return a layer before an operator: the source's with earlier depths added, or replaced by earlier states."""
+        """Return a layer as an operator finds it, float32 [rows, columns] in the layer's unit.
+
+        What earlier operators of the stack have left is added to the source's layer if it is a depth, and replaces it
+        if it is a state.
+        """
         current, source = land.layers.get(name), self.source.layers.get(name)
         source = None if source is None else source[land.window]
         if current is not None and source is not None and name in self.depths:

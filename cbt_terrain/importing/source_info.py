@@ -54,6 +54,10 @@ def _answer(request: dict, *_) -> dict:
 
 
 def _describe(settings: ImportSettings) -> dict:
+    """Return the facts of a height map, in a child process that first gives up its rights.
+
+    Lengths are metres, except `middle`, in the unit of the file's coordinate system.
+    """
     guard(Path(settings.source).suffix.lower(), None)
     child.end_with_parent()
     raster = open_source(settings)

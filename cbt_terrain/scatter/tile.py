@@ -62,7 +62,10 @@ class Tile:
 
 @cache
 def tile() -> Tile:
-    """Return the one tile, computed on first use in integers, so that it is the same on every machine."""
+    """Return the tile of POINTS ranked points that every scatter repeats over its terrain.
+
+    It is computed once, in integers, so it is the same on every machine.
+    """
     side = 1 << int(kernels.BITS)
     near, place = np.full(side * side, side * side, np.int32), np.empty((POINTS, 2), np.int32)
     launch.once(kernels.best_candidates, [POINTS, flat(near, wp.int32), shared(place, wp.vec2i)], step="scatter tile")

@@ -9,7 +9,7 @@ from .pyramid import Pyramid, filtered_height
 
 @wp.func
 def bilinear(ground: Pyramid, level: wp.int32, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Interpolate a level at x, y cells from its first sample."""
+    """Interpolate the heights of a pyramid level at x, y cells from its first sample; metres before scaling."""
     columns = ground.columns[level]
     i = wp.min(wp.int32(x), columns - 2)
     j = wp.min(wp.int32(y), ground.rows[level] - 2)

@@ -59,7 +59,10 @@ def fill_blocks(offset: int, domain: Domain, wide: wp.int32, min_height: wp.arra
 
 @wp.func
 def min_of_block(domain: Domain, blocks: HorizonBlocks, level: wp.int32, i: wp.int32, j: wp.int32, up: wp.float64):
-    """Return the minimum of up * height, metres before scaling, in a block; a block of level 0 is a cell."""
+    """Return the minimum of up * height, metres before scaling, in a block; a block of level 0 is a cell.
+
+    up: 1 for the lowest height, -1 for the negative of the highest.
+    """
     min_height = wp.float64(0.0)
     if level > 0:
         row = item_at(blocks.first, level) + j * item_at(blocks.wide, level)

@@ -206,7 +206,7 @@ def pixel2_at(view: LocalView, far2: wp.float64, slants2: wp.float64) -> wp.floa
 
 @wp.func
 def nearest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.float64) -> wp.float64:
-    """Return `far2_at` of the nearest point of a box whose least depth is `deep`."""
+    """Return the smallest squared depth (perspective) or distance in a box whose smallest depth is `deep`."""
     zero = wp.float64(0.0)
     dx = larger(larger(low[0] - view.eye[0], view.eye[0] - high[0]), zero)
     dy = larger(larger(low[1] - view.eye[1], view.eye[1] - high[1]), zero)
@@ -216,7 +216,10 @@ def nearest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.float6
 
 @wp.func
 def farthest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
-    """Return an upper bound of `far2_at` in a box."""
+    """Return the largest squared depth (perspective) or distance in a box, metres of camera space: see `far2_at`.
+
+    `view.unsure`: metres by which heights in the box may be off.
+    """
     dx = larger(high[0] - view.eye[0], view.eye[0] - low[0])
     dy = larger(high[1] - view.eye[1], view.eye[1] - low[1])
     dz = larger(high[2] - view.eye[2], view.eye[2] - low[2]) + view.unsure

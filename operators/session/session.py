@@ -283,7 +283,7 @@ def paint(record: Record, request: Request, update) -> None:
 
 
 def field_of(request: Request):
-    """Return the height field of a request with its interpolation and its displacement layers."""
+    """Return the height field of a request: its land shaped by height operators, interpolation and displacement."""
     raster = derived_store.raster_of(request.store, request.land, open_field)
     field = interpolated(raster, request.interpolation)
     placed = request.vertical_scale, request.vertical_offset

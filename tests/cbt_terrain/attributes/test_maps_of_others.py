@@ -38,7 +38,7 @@ def test_a_damaged_map_is_baked_again(tmp_path):
     bake(rough(9, 9), [SLOPE], tmp_path, [16])
     whole = (tmp_path / "slope.png").read_bytes()
     (tmp_path / "slope.png").write_bytes(whole[:50])
-    assert bake(rough(9, 9), [SLOPE], tmp_path, [16]).made == 1
+    assert bake(rough(9, 9), [SLOPE], tmp_path, [16]).written == 1
     assert (tmp_path / "slope.png").read_bytes() == whole
 
 
@@ -61,5 +61,5 @@ def test_an_image_is_not_written_through_a_link(tmp_path):
 def test_maps_go_into_a_folder_that_the_user_has_linked(tmp_path):
     (tmp_path / "disk").mkdir()
     (tmp_path / "out").symlink_to(tmp_path / "disk")
-    assert bake(rough(9, 9), [SLOPE], tmp_path / "out", [16]).made == 1
+    assert bake(rough(9, 9), [SLOPE], tmp_path / "out", [16]).written == 1
     assert sorted(os.listdir(tmp_path / "disk")) == ["maps.json", "slope.png"]

@@ -146,5 +146,5 @@ def test_a_name_that_is_taken_is_refused(mesh, grid_surface, tmp_path):
     values = Attribute(np.zeros(9, np.float32), "POINT")
     with pytest.raises(TerrainError, match="'position'"):
         write_mesh(mesh, surface.with_attributes({"position": values}))
-    with pytest.raises(TerrainError, match="'edges', as the file's own entry is"):
+    with pytest.raises(TerrainError, match="'edges', which is an entry of every exported file"):
         write_npz(tmp_path / "a.npz", surface.with_attributes({"edges": values}), np.zeros(3), {})

@@ -218,7 +218,8 @@ def test_the_panel_of_a_scatter_opens_what_went_wrong(scene, terrain, scatter):
     ShowMessage.execute(None, SimpleNamespace(object=scatter, window_manager=manager))
     manager.popup_menu.call_args.args[0](lines, None)
     text = " ".join(call.kwargs["text"] for call in lines.layout.label.call_args_list)
-    assert text == session.record_of(terrain).status.error
+    failure = session.record_of(terrain).status.failure
+    assert text == f"{failure.problem} Choose another." and failure.fix == "choose another"
     scatter.parent = None
     assert not bpy.ops.adaptive_terrain.show_message.poll()
 

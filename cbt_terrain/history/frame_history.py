@@ -53,8 +53,8 @@ class FrameHistory:
     """The tree, cached subtrees, reusable vertices, geomorph memory, attribute values and scatter candidates of the
     last frame, with the key of the request that made it.
 
-    `values` and `ground` belong to attributes (attributes/) and to a scatter (scatter/). Whoever updates one takes it
-    out and puts it back when it is complete.
+    A terrain has one history and each scatter another one. `values` belong to attributes, `ground` and `points` to a
+    scatter. A function that updates `values` or `ground` takes it out and puts it back when it is complete.
     """
 
     def __init__(self):

@@ -329,6 +329,8 @@ class Terrain:
                 relaxed=relaxed,
                 stopped=leaves.stopped,
                 max_depth=depth,
+                tree=cast(ConcurrentBinaryTree, self.tree),
+                squares=1 << self.field.lattice.square_bits,
                 deepest=int(surface.level.max(initial=0)) - 2 * criterion.meshlet,
                 relief=float(box[1, 2] - box[0, 2]) * (1 + MARGIN),
                 buffers=self.history.scratch,

@@ -16,10 +16,11 @@ from dataclasses import dataclass, replace
 import warp as wp
 
 from ...kernels.field.domain import Domain
-from ...kernels.refine.excess import AREA, EDGE, ERROR, FIXED, METRES, STACK, Triangle, find_largest
+from ...kernels.refine.excess import ANY, AREA, EDGE, ERROR, FIXED, METRES, STACK, Triangle, find_largest
 from ...kernels.refine.pixels import CriterionArrays
 from ..run import launch
 from ..run.buffers import Buffers
+from ..tree.concurrent_binary_tree import ConcurrentBinaryTree
 from ..view.criterion import LARGEST, Criterion
 from ..view.morph import mean_ramp
 from ..view.spans import Spans
@@ -59,8 +60,8 @@ class Outcome:
 
     `relaxed`: the factor by which a triangle limit coarsened the criterion; infinity if no factor is enough and the
     mesh is the root triangles. `stopped`: whether a leaf at `max_depth` is still too coarse. `deepest`: the depth of
-    the deepest leaf. `relief`: metres between the lowest and the highest point. `in_frame`: returns `arrays` without
-    the guard band.
+    the deepest leaf. `tree`: holds the leaves; `squares` is its node for the first root square. `relief`: metres
+    between the lowest and the highest point. `in_frame`: returns `arrays` without the guard band.
     """
 
     domain: Domain
@@ -69,6 +70,8 @@ class Outcome:
     stopped: bool
     max_depth: int
     deepest: int
+    tree: ConcurrentBinaryTree
+    squares: int
     relief: float
     buffers: Buffers
     in_frame: Callable[[], CriterionArrays]
@@ -86,6 +89,8 @@ class Outcome:
             what,
             self.max_depth,
             math.copysign(threshold * threshold, threshold),
+            self.tree.bits,
+            self.squares,
             stack,
             found,
         ]
@@ -103,6 +108,17 @@ class Outcome:
     def stopped_above(self, what: int, threshold: float) -> Excess | None:
         """Find the largest value above `threshold` of a quantity if a leaf at the depth limit is too coarse."""
         return self.search(what, threshold) if self.stopped else None
+
+    def tighten(self, what: int, finest: float, guaranteed: float, wanted: float) -> tuple[float, Excess | None]:
+        """Return the smaller of two bounds of an error: `guaranteed`, and the worst leaf's; and that leaf's error.
+
+        The leaves, refined to the tolerance `finest`, are searched only if rounding makes `guaranteed` exceed `wanted`,
+        and not if the depth limit stopped one, which `stopped_above` finds.
+        """
+        if self.stopped or guaranteed <= wanted * (1 + MARGIN):
+            return guaranteed, None
+        worst = replace(self, max_depth=ANY).search(what, finest)
+        return min(guaranteed, worst.value if worst else finest), worst
 
 
 def reason_of(bounds: list[Bound | None], relaxed: float) -> str:
@@ -137,8 +153,9 @@ def _bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound:
         fixed.value * (1 + o.relief / min_fixed) if min_fixed else 0.0,
     )
     over = o.stopped_above(ERROR, min(guaranteed, limit))
+    guaranteed, worst = o.tighten(ERROR, finest, guaranteed, finest)
     guaranteed = min(guaranteed + (wanted - finest), limit)
-    at = over or fixed
+    at = over or worst or fixed
     per = at.value / at.total if at.total else 0.0  # spans of a metre
     value = over.value + (wanted - finest) if over else guaranteed
     found = _bound(wanted, value, (at.fixed - source) * per, source * per, over is not None)
@@ -159,6 +176,7 @@ def bound_m(criterion: Criterion, o: Outcome) -> Bound | None:
     finest *= factor
     guaranteed, limit, morph_error = _guaranteed(finest, fixed, source, source), o.relief + fixed, (mean - 1) * finest
     over = o.stopped_above(METRES, min(guaranteed, limit))
+    guaranteed, _worst = o.tighten(METRES, finest, guaranteed, criterion.error_m * factor - morph_error)
     precision, value = (
         (over.fixed if over else fixed) - source,
         over.value + morph_error if over else min(guaranteed + morph_error, limit),

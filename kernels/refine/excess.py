@@ -11,13 +11,16 @@ and clipped to the frame: a triangle that extends from below the camera into the
 
 A leaf that is large compared with its distance is divided further. Each part counts with its distance, and with the
 largest distance of the surface in it from the triangle that is drawn there.
+
+The leaves are those at a given depth, or all leaves of the tree.
 """
 
 import warp as wp
 
 from ..field.codes import bilinear, corners_of, twist_of
 from ..field.domain import Domain
-from .diamond import Diamond, diamond_at, larger, rest_of, smaller
+from ..tree.bitfield import Bitfield, is_leaf
+from .diamond import Diamond, diamond_at, larger, max_error_for, rest_of, smaller
 from .pixels import (
     CROSSED,
     OUTSIDE,
@@ -38,6 +41,7 @@ ERROR = wp.constant(1)  # total error: pixel footprints
 EDGE = wp.constant(2)  # longest edge: pixel footprints
 AREA = wp.constant(3)  # twice the area: squared pixel footprints
 METRES = wp.constant(4)  # total error, in view or not: metres
+ANY = wp.constant(0)  # instead of the depth of leaves: all leaves of the tree
 STACK = wp.constant(80)  # triangles: one per level, and both of the last
 # A part of a leaf is small enough if squared pixel footprints differ by less than the first factor in it; at the
 # frame's sides, where it may be out of view, by less than the second.
@@ -61,6 +65,8 @@ class Triangle:
     apex: wp.vec2i
     right: wp.vec2i
     depth: wp.int32
+    node: wp.uint64  # its heap id in the tree
+    leaf_depth: wp.int32  # depth of the leaf that it contains or is in; ANY if it contains leaves of the tree
     bound2: wp.float64  # squared upper bound of the quantity; UNSEEN if the triangle is out of view
     is_small: wp.bool  # squared pixel footprints hardly differ in it
     is_drawn: wp.bool  # it is a part of a drawn triangle, whose plane is known
@@ -265,11 +271,20 @@ def distance_from_plane(domain: Domain, t: Triangle) -> wp.float64:
 
 
 @wp.func
-def measured(domain: Domain, criterion: CriterionArrays, what: wp.int32, deepest: wp.int32, t: Triangle) -> Triangle:
-    """Return the triangle with the upper bound for its leaves at depth `deepest`, or for the leaf that contains it."""
+def measured(
+    domain: Domain, criterion: CriterionArrays, what: wp.int32, tolerance2: wp.float64, tree: Bitfield, t: Triangle
+) -> Triangle:
+    """Return the triangle with the upper bound for its leaves, or for the leaf that contains it.
+
+    tolerance2: the square of the error that all leaves of the tree keep to unless rounding prevents that.
+    """
     x = (t.left[0] + t.right[0]) >> 1
     y = (t.left[1] + t.right[1]) >> 1
     d = diamond_at(domain, x, y, t.depth)
+    if t.leaf_depth == ANY:
+        if is_leaf(tree, t.node):
+            t.leaf_depth = t.depth
+    deepest = wp.where(t.leaf_depth == ANY, t.depth, t.leaf_depth)
     if t.depth <= deepest:
         t.fixed = rest_of(domain, d) + domain.source
         t.total = t.fixed
@@ -286,18 +301,23 @@ def measured(domain: Domain, criterion: CriterionArrays, what: wp.int32, deepest
     if what == EDGE or what == AREA:
         long2, legs2 = sizes(criterion, domain.unit_bits, deepest)
         all2 = wp.where(what == EDGE, long2, legs2) + d.rise * d.rise
-    t.bound2 = all2
     t.is_small = what != FIXED and what != ERROR
+    pixel2 = wp.float64(1.0)
     if what != METRES:
         pixel2, is_small = finest_seen(domain, criterion, d, t)
         t.is_small = t.is_small or is_small
-        t.bound2 = wp.where(pixel2 < wp.float64(wp.inf), all2 / pixel2, UNSEEN)
+    if t.leaf_depth == ANY:
+        # No leaf below has a larger error than the criterion allows. As a part of a footprint that is most where the
+        # footprint is finest, or the tolerance.
+        allowed = t.fixed + max_error_for(domain, wp.sqrt(tolerance2 * pixel2), t.fixed - domain.source)
+        all2 = smaller(larger(allowed * allowed, tolerance2 * pixel2), all2)
+    t.bound2 = wp.where(pixel2 < wp.float64(wp.inf), all2 / pixel2, UNSEEN)
     return t
 
 
 @wp.func
-def root(domain: Domain, n: wp.int32) -> Triangle:
-    """Return one of the two halves of a root square."""
+def root(domain: Domain, n: wp.int32, leaf_depth: wp.int32, squares: wp.uint64) -> Triangle:
+    """Return one of the two halves of a root square. `squares`: the tree's node for the first square."""
     side = wp.int32(1) << domain.unit_bits
     square = n >> 1
     x0 = (square % domain.columns) << domain.unit_bits
@@ -311,17 +331,24 @@ def root(domain: Domain, n: wp.int32) -> Triangle:
         t.apex = wp.vec2i(x0 + side, y0 + side)
         t.right = wp.vec2i(x0, y0 + side)
     t.depth = 1
+    t.node = wp.uint64(2) * squares + wp.uint64(n)
+    t.leaf_depth = leaf_depth
     return t
 
 
 @wp.func
-def half(t: Triangle, first: wp.vec2i, second: wp.vec2i) -> Triangle:
-    """Return the triangle below t whose longest edge goes from corner `first` to corner `second` of it."""
+def half(t: Triangle, number: wp.int32) -> Triangle:
+    """Return half 0 or 1 of a triangle."""
     below = Triangle()
-    below.left = first
+    below.left = t.left
+    below.right = t.apex
+    if number == 1:
+        below.left = t.apex
+        below.right = t.right
     below.apex = wp.vec2i((t.left[0] + t.right[0]) >> 1, (t.left[1] + t.right[1]) >> 1)
-    below.right = second
     below.depth = t.depth + 1
+    below.node = wp.uint64(2) * t.node + wp.uint64(number)
+    below.leaf_depth = t.leaf_depth
     below.is_drawn = t.is_drawn
     below.drawn = t.drawn
     below.plane = t.plane
@@ -335,32 +362,36 @@ def find_largest(
     domain: Domain,
     criterion: CriterionArrays,
     what: wp.int32,
-    deepest: wp.int32,
+    leaf_depth: wp.int32,
     min2: wp.float64,
+    tree: Bitfield,
+    squares: wp.uint64,
     stack: wp.array(dtype=Triangle),
     found: wp.array(dtype=wp.float64),
 ):
-    """Find the largest value of the quantity `what` among leaves at depth `deepest`.
+    """Find the largest value of the quantity `what` among leaves at depth `leaf_depth`, or all of the tree.
 
-    found: its square, rounded up, and its fixed and total metres (see Triangle); -1 if no square is above `least2`.
+    squares: the tree's node for the first square. found: its square, rounded up, and its fixed and total metres (see
+    Triangle); -1 if no square is above `min2`. In the tree, `min2` is the squared tolerance.
     """
     bound2 = min2  # largest square found, rounded up
     fixed = wp.float64(-1.0)
     total = wp.float64(-1.0)
     for n in range(2 * domain.columns * domain.rows):
-        stack[0] = measured(domain, criterion, what, deepest, root(domain, n))
+        stack[0] = measured(domain, criterion, what, min2, tree, root(domain, n, leaf_depth, squares))
         top = wp.int32(0)
         while top >= 0:
             t = stack[top]
             top -= 1
             if t.bound2 >= wp.float64(0.0) and t.bound2 > bound2:
-                if t.depth >= deepest and (t.is_small or t.depth >= 2 * domain.unit_bits - 1):
+                is_part = t.leaf_depth != ANY and t.depth >= t.leaf_depth
+                if is_part and (t.is_small or t.depth >= 2 * domain.unit_bits - 1):
                     bound2 = t.bound2 * wp.where(what == ERROR, NEARLY_ON_SCREEN, NEARLY)
                     fixed = t.fixed
                     total = t.total
                 else:
-                    a = measured(domain, criterion, what, deepest, half(t, t.left, t.apex))
-                    b = measured(domain, criterion, what, deepest, half(t, t.apex, t.right))
+                    a = measured(domain, criterion, what, min2, tree, half(t, 0))
+                    b = measured(domain, criterion, what, min2, tree, half(t, 1))
                     if a.bound2 > b.bound2:
                         stack[top + 1] = b
                         stack[top + 2] = a

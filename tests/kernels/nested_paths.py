@@ -19,7 +19,7 @@ def nested_paths(
     ancestor allows."""
     for n in range(ways.shape[0]):
         way = ways[n]
-        t = root(domain, wp.int32(way % wp.uint64(2 * domain.columns * domain.rows)))
+        t = root(domain, wp.int32(way % wp.uint64(2 * domain.columns * domain.rows)), 0, wp.uint64(1))
         pixel2 = wp.float64(0.0)
         metres2 = wp.float64(wp.inf)
         split = wp.bool(True)
@@ -42,7 +42,4 @@ def nested_paths(
             pixel2 = m.pixel2
             metres2 = m.metres2
             coarse2 = wp.min(below, coarse2)
-            if ((way >> wp.uint64(depth)) & wp.uint64(1)) == wp.uint64(1):
-                t = half(t, t.left, t.apex)
-            else:
-                t = half(t, t.apex, t.right)
+            t = half(t, wp.int32((way >> wp.uint64(depth)) & wp.uint64(1)))

@@ -11,7 +11,7 @@ from adaptive_terrain.cbt_terrain.fit.fit import fit
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
-from fields import mesh_heights, reference_heights, rough, scattered, screen_error
+from fields import mesh_heights, random_view, reference_heights, rough, scattered, screen_error
 from rasters import imported, write_exr, write_raster
 
 STEP = 10.0
@@ -169,6 +169,29 @@ def test_rounded_samples_move_bicubic_surfaces_further():
         update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=2.0))
         assert update.bound_m == pytest.approx(LEVERAGE * 0.5) and worst <= update.bound_m
         assert worst == pytest.approx(LEVERAGE * 0.5), "and by no less"
+
+
+def test_flats_state_the_rounding_and_what_leaves_miss():
+    heights = np.zeros((65, 65), np.float32)
+    heights[20:40, 20:40] = 1.0
+    # Twists of 1 m at the corners: leaves miss a quarter of a quarter.
+    for missed, samples in ((0.0, np.zeros_like(heights)), (0.0625, heights)):
+        update = Terrain(from_array(samples, 10.0, source_max=0.5), 1).update(Criterion(error_px=0.0, error_m=0.25))
+        assert 0.5 + missed <= update.bound_m <= (0.5 + missed) * 1.002 and update.limited == "source"
+
+
+def test_bounds_limited_by_rounding_hold_in_random_views():
+    rng, tight = np.random.default_rng(4), 0
+    for seed in range(25):
+        field = from_array(np.round(rough(33, 49, seed, relief=20.0).samples), 10.0, source_max=0.5)
+        moved = field.samples + 0.5 * rng.choice([-1.0, 1.0], field.samples.shape)
+        view, plane = random_view(rng, field), scattered(field, 4000, seed)
+        error_px, morph = float(10 ** rng.uniform(-2, 0)), float(rng.choice([1.0, 1.5]))
+        criterion = Criterion(error_px=error_px, meshlet=int(rng.integers(3)), morph=morph)
+        update = Terrain(field, 1).update(criterion, [view])
+        assert screen_error(view, replace(field, samples=moved, steps=None), update.surface, plane) <= update.bound_px
+        tight += update.limited == "source" and update.terms_px.geometric < 0.2 * update.terms_px.source
+    assert tight > 3
 
 
 def test_the_term_follows_the_vertical_scale_and_not_the_place():

@@ -96,21 +96,22 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
 
 def slants_of(view: View, placement: np.ndarray, criterion: Criterion) -> tuple[float, float]:
     """Return the largest and the smallest slant that counts in the frame: metres that a metre of height moves a point
-    across the view of a perspective, at a depth of 1 m.
+    across the view of a perspective, at a depth of 1 m; of a panorama across the ray, at a distance of 1 m.
 
     The shading floor is the smallest, since shading and shadows show an error too. Edges have no slant: where they are
-    measured, all spans are those of the largest. So they are in a panorama.
+    measured, all spans are those of the largest.
     """
     if view.kind == PANORAMIC:
-        return 1.0, 1.0
-    x, y, z = _up(view, placement).tolist()
-    frame = view.bounds() if view.kind == PERSPECTIVE else ((0.0, 0.0), (0.0, 0.0))
-    # Across and along the view a slant is linear in the tangent of the ray.
-    ends = [sorted(f * (end * z + u) for end in at) for f, at, u in zip(_aspect(view), frame, (x, y), strict=True)]
-    largest = max(criterion.shading_floor, NO_SLANT, length([max(-low, high) for low, high in ends]))
+        largest, smallest = 1.0, 0.0
+    else:
+        x, y, z = _up(view, placement).tolist()
+        frame = view.bounds() if view.kind == PERSPECTIVE else ((0.0, 0.0), (0.0, 0.0))
+        # Across and along the view a slant is linear in the tangent of the ray.
+        ends = [sorted(f * (end * z + u) for end in at) for f, at, u in zip(_aspect(view), frame, (x, y), strict=True)]
+        largest = max(criterion.shading_floor, NO_SLANT, length([max(-low, high) for low, high in ends]))
+        smallest = length([max(low, -high, 0.0) for low, high in ends])
     if view.kind == ORTHOGRAPHIC or criterion.measures_edges:
         return largest, largest
-    smallest = length([max(low, -high, 0.0) for low, high in ends])
     smallest = max(criterion.shading_floor, MIN_SLANT * largest, smallest)
     return largest, largest if largest < EVEN_SLANTS * smallest else smallest
 
@@ -121,9 +122,14 @@ def slant_rows(view: View, placement: np.ndarray) -> np.ndarray:
     height of the point changes nothing: it stays on its vertical.
 
     That is f (u_z c - u c_z) for a point c and the unit vector u of height in camera space, f being the pixels of
-    either axis over those of the larger.
+    either axis over those of the larger. In a panorama it is the distance of c from the eye's vertical, in two
+    directions at right angles to u, times the squared distance.
     """
     up, linear = _up(view, placement), product(view.world_to_camera, placement)[:3, :2]
+    if view.kind == PANORAMIC:
+        east = np.cross(np.cross(up, linear[:, 0]), up)  # the terrain's own, so that no turn of the camera counts
+        east = east / length(east)
+        return product(np.array([east, np.cross(up, east)]), linear)
     return np.array([f * (up[2] * linear[k] - up[k] * linear[2]) for k, f in enumerate(_aspect(view))])
 
 
@@ -140,9 +146,9 @@ def _aspect(view: View) -> tuple[float, float]:
 
 def whole_of(view: View, placement: np.ndarray, slant: float) -> float:
     """Return pixels of an error that reaches the eye: of a perspective as long as the depth, measured along the view,
-    and seen at the smallest slant; of a panorama as long as the distance."""
+    and seen at the smallest slant; of a panorama as long as the distance, at that slant."""
     if view.kind == PANORAMIC:
-        return view.pixels_per_unit
+        return view.pixels_per_unit * slant
     return view.pixels_per_unit * slant / max(abs(float(_up(view, placement)[2])), NO_SLANT)
 
 
@@ -151,12 +157,18 @@ def as_seen(view: View, whole: float, pixels: float) -> float:
 
     A span is taken at the reference surface, and an error towards the camera looks larger than that. Of an error e at
     depth z or more, and at distance d or more, a perspective of focal length f shows f e slant / (z - |u_z| e) at most,
-    a panorama the angle asin(e / d). Beyond what could ever be asked, where the mesh may reach the eye: LARGEST.
+    a panorama the angle whose tangent is e slant / (d - e steep), with slant^2 + steep^2 = 1, and at most asin(e / d)
+    where e > d steep. Beyond what could ever be asked, where the mesh may reach the eye: LARGEST.
     """
     if view.kind == PERSPECTIVE:
         return min(pixels / (1 - pixels / whole), LARGEST) if pixels < whole else LARGEST
     if view.kind == PANORAMIC:
-        return whole * (settled(math.asin(pixels / whole)) if pixels < whole else math.pi)
+        slant, part = whole / view.pixels_per_unit, pixels / whole
+        steep = math.sqrt(max(0.0, 1 - slant * slant))
+        angle = settled(math.asin(part)) if part < 1 else math.pi
+        if part < steep:
+            angle = settled(math.atan2(part * slant, 1 - part * steep))
+        return view.pixels_per_unit * angle
     return pixels
 
 
@@ -168,8 +180,11 @@ def widening(view: View, whole: float, error_px: float) -> float:
     if not error_px or error_px >= LARGEST or view.kind == ORTHOGRAPHIC:
         return 1 + ROUNDING
     if view.kind == PANORAMIC:
-        angle = error_px / whole
-        return angle / settled(math.sin(min(angle, math.pi / 2))) * (1 + ROUNDING)
+        slant, angle = whole / view.pixels_per_unit, error_px / view.pixels_per_unit
+        steep = math.sqrt(max(0.0, 1 - slant * slant))
+        sine, cosine = (settled(f(min(angle, math.pi / 2))) for f in (math.sin, math.cos))
+        part = sine if sine > steep else sine / (slant * cosine + steep * sine)  # of the distance, see `as_seen`
+        return angle / (part * slant) * (1 + ROUNDING)
     return (1 + error_px / whole) * (1 + ROUNDING)
 
 

@@ -38,7 +38,8 @@ def reference_pixels(field, view: View, x: float, y: float, depth: int, rounded:
     nearest = np.clip(eye, corners.min(axis=0), corners.max(axis=0))
     distance = max(np.linalg.norm(nearest - eye), view.clip[0] / 2)
     if view.kind != PERSPECTIVE:
-        return view.pixels_per_unit * error / distance
+        upright = max(np.hypot(*(corner - eye)[:2]) for corner in corners) / distance
+        return view.pixels_per_unit * error * min(max(upright, 0.5), 1.0) / distance
     secant = math.sqrt(1 + sum(max(map(abs, ends)) ** 2 for ends in view.bounds()))
     depth_m = max(0.0, -(corners @ view.world_to_camera[2, :3] + view.world_to_camera[2, 3]).max())
     depth_m = max(depth_m, distance / secant)
@@ -59,11 +60,13 @@ def slants_of(view: View) -> tuple[float, float]:
 
 
 def correction(view: View, asked: float) -> float:
-    """Return the correction of an error e at distance d: e / (d - e) in a plane, asin(e / d) in a panorama."""
+    """Return the correction of an error e at distance d, in a panorama seen 30 degrees off the vertical or steeper."""
     if view.kind == PERSPECTIVE:
         ahead = abs(view.world_to_camera[2, 2])
         return 1 + asked * ahead / (view.pixels_per_unit * slants_of(view)[0])
     if view.kind == ORTHOGRAPHIC:
         return 1.0
     radians = asked * view.radians_per_pixel
-    return radians / math.sin(min(radians, math.pi / 2))
+    steepness = np.radians(np.linspace(0, 30, 3001))  # by the law of sines
+    part = (np.sin(min(radians, math.pi / 2)) / np.sin(np.minimum(radians + steepness, math.pi / 2))).min()
+    return radians / (0.5 * part)

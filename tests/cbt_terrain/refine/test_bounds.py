@@ -253,7 +253,7 @@ WASTE = {
     "map": (lambda w, low, high: View.look((0, -w, low + 0.5 * w), (0, 0, low), kind=ORTHOGRAPHIC, ortho_width=w), 0.9),
     "panorama": (
         lambda w, low, high: View.look((0, 0, high + 0.05 * w), (1, 0, low), kind=PANORAMIC, fov_deg=360),
-        0.9,
+        0.88,
     ),
 }
 

@@ -30,7 +30,7 @@ def view_at(frame: int) -> View:
 def effects_flight_row() -> BenchmarkRow:
     """Measure attributes and twelve splat layers against the update of the same frames."""
     field = scenes.island_of(scenes.SAMPLES)
-    ground(field, 1.0, 0.0, 1)  # computed once for a store
+    ground(field.raster, 1.0, 0.0, 1)  # computed once for a store
     criterion = scenes.errors(scenes.pixels_for(field, view_at(0), scenes.errors, MILLION))
     terrain = Terrain(field)
     wanted = plan(

@@ -142,7 +142,7 @@ def _image(place: _Place, request: AttributeRequest, tile: int, side: int, form:
     content = (
         VERSION,
         [(step.name, ATTRIBUTES[step.name].version, sorted(step.parameters)) for step in steps],
-        (place.field.raster_key, place.vertical_scale, place.vertical_offset),
+        (place.field.raster.digest, place.vertical_scale, place.vertical_offset),
         (place.tiling, tile, side, place.image_level(side)),
         coding,
     )
@@ -204,7 +204,7 @@ def _opened(folder: Path, image: _Image, pool, stack: ExitStack):
 
 def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) -> SamplePoints:
     """Return the ground under `rows` rows of texels from row `first`, for an image of `side` texels along a side."""
-    ground, grid, tiling = packed(place.field, np.empty(1, np.float32)), kernels.Texels(), place.tiling
+    ground, grid, tiling = packed(place.field.raster, np.empty(1, np.float32)), kernels.Texels(), place.tiling
     ground.height_scale, ground.height_offset = place.vertical_scale, place.vertical_offset
     grid.columns = side
     grid.west, grid.north = tiling.first_texel(tile, side)
@@ -243,7 +243,7 @@ def _index(place: _Place, images: list[_Image], before: dict | None) -> dict:
     index = {
         "version": VERSION,
         "generator": "Adaptive Terrain",
-        "height_field": place.field.raster_key,
+        "height_field": place.field.raster.digest,
         "place": {"west": west, "south": south, "east": east, "north": north, "unit": "m"},
         "origin": place.field.origin.tolist(),
         "crs": place.field.crs,

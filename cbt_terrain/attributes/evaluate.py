@@ -245,7 +245,7 @@ def _computed(
     found = ATTRIBUTES[group[0].name].make(places, wanted, read)
     for name, array in found.items():
         if not np.isfinite(array).all():
-            raise places.field.damage(f"its heights give values of {name} that are not finite")
+            raise places.field.raster.damage(f"its heights give values of {name} that are not finite")
     return found
 
 

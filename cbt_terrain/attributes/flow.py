@@ -10,7 +10,7 @@ from ...kernels.effects import catchment
 from ...kernels.effects import flow as kernels
 from ...kernels.effects import pyramid as pyramid_kernels
 from ...kernels.effects import routing as routing_kernels
-from ..field.heightfield import HeightField
+from ..field.heightfield import HeightField, HeightRaster
 from ..field.lattice import fit
 from ..run import launch
 from ..run.buffers import flat, shared
@@ -29,8 +29,8 @@ def routed_level(field: HeightField) -> int:
     return level_with(field.lattice, MAX_SAMPLES)
 
 
-def logarithms(field: HeightField, vertical_scale: float, threads: int) -> HeightField:
-    """Return natural logarithms of drainage areas in m^2 at the samples of `routed_level`, as a field."""
+def logarithms(field: HeightField, vertical_scale: float, threads: int) -> HeightRaster:
+    """Return natural logarithms of drainage areas in m^2 at the samples of `routed_level`, as a raster."""
     level = routed_level(field)
     (rows, columns), lattice = shapes(field.lattice)[level], field.lattice
     # Slopes are only compared with each other, so that only the sign of their scale matters.
@@ -38,7 +38,7 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
     steps = lattice.step_x * 2**level, lattice.step_y * 2**level
 
     def make() -> np.ndarray:
-        heights = level_of(field, level, threads) * np.float32(sign)
+        heights = level_of(field.raster, level, threads) * np.float32(sign)
         holes = None if field.valid is None else field.valid[:: 2**level, :: 2**level] == 0
         if holes is not None:  # a level may end beyond the border
             short = rows - holes.shape[0], columns - holes.shape[1]

@@ -44,7 +44,7 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
         arrays[name] = np.empty((len(places), *shape), np.float32)
         setattr(values, field, shared(arrays[name], dtype))
     values.wanted = sum(int(OUTPUTS[name][3]) for name in wanted)
-    heights = ground(places.field, places.vertical_scale, places.vertical_offset, places.threads)
+    heights = ground(places.field.raster, places.vertical_scale, places.vertical_offset, places.threads)
     inputs = [heights, shared(places.positions, wp.vec3f), flat(places.level, wp.float32), values]
     launch.spread(kernels.from_jets, len(places), inputs, step="jets", threads=places.threads, cost=6)
     if "detail_normal" in arrays:

@@ -69,7 +69,7 @@ def _masks(
     """Return the masks of these layers, cached with the field."""
     key = layers, numbers, heights
     with caching:
-        cache = field.found.setdefault((KIND,), OrderedDict())
+        cache = field.cache.results.setdefault((KIND,), OrderedDict())
         if key not in cache:
             cache[key] = _compute_masks(field, layers, numbers, heights, threads)
             while len(cache) > MAX_CACHED:

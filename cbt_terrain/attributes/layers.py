@@ -8,7 +8,7 @@ import warp as wp
 
 from ...kernels.effects import flow as kernels
 from ...kernels.effects import pyramid as pyramid_kernels
-from ..field.heightfield import HeightField, as_heights
+from ..field.heightfield import HeightField, HeightRaster
 from ..run import launch
 from ..run.buffers import flat, shared
 from ..run.locks import cached
@@ -35,7 +35,7 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     for name in wanted:
         values[name] = out = np.zeros(len(places), np.float32)
         if name in places.field.layers:
-            pyramid = ground(_as_field(places.field, name), 1.0, 0.0, places.threads)
+            pyramid = ground(_as_raster(places.field, name), 1.0, 0.0, places.threads)
             where = shared(places.positions, wp.vec3f), flat(places.level, wp.float32)
             inputs = [pyramid, *where, flat(out, wp.float32)]
             launch.spread(kernels.layer_at, len(places), inputs, step="layers", threads=places.threads, cost=3)
@@ -49,10 +49,10 @@ def lacks(field: HeightField, name: str) -> str:
     return f"the terrain has no layer {name}: no effect of its stack leaves one"
 
 
-def _as_field(field: HeightField, name: str) -> HeightField:
-    """Return a layer as the samples of a field, which has a pyramid."""
-    key = f"{field.raster_key}-{name}"
-    return cached(field.found, ("layer", name), lambda: as_heights(field, field.layers[name], key))
+def _as_raster(field: HeightField, name: str) -> HeightRaster:
+    """Return a layer as the samples of a raster, which has a pyramid."""
+    digest, lattice = f"{field.raster.digest}-{name}", field.lattice
+    return cached(field.cache.results, ("layer", name), lambda: HeightRaster(field.layers[name], lattice, digest))
 
 
 def _example(name: str) -> Callable[[Evaluate], None]:

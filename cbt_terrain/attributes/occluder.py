@@ -28,7 +28,7 @@ def occluder_of(places: SamplePoints) -> kernels.Occluder:
     """Return the ground of a field at the vertical scale of `places`; its blocks are cached with the field."""
     occluder = every_crossing(places.field, places.vertical_scale)
     reduce, field = np.minimum if occluder.scale < 0.0 else np.maximum, places.field
-    tops, first, wide = cached(field.found, ("tops", reduce), lambda: find_tops(field, reduce))
+    tops, first, wide = cached(field.cache.results, ("tops", reduce), lambda: find_tops(field, reduce))
     occluder.tops, occluder.first, occluder.wide = flat(tops, wp.float32), flat(first, wp.int32), flat(wide, wp.int32)
     occluder.levels = len(wide)
     return occluder

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The pyramid of prefiltered heights of a height field, computed on first use and cached with the field.
+"""The pyramid of prefiltered heights of a raster, computed on first use and cached with it.
 
-Level 0 is the field's samples, mapped or coded. The coarser levels are float32, a third as many samples. A level of a
+Level 0 is the raster's samples, mapped or coded. The coarser levels are float32, a third as many samples. A level of a
 raster of any size ends with the sample at or beyond the border.
 """
 
@@ -10,7 +10,7 @@ import warp as wp
 
 from ...kernels.effects import pyramid as kernels
 from ..field import codes
-from ..field.heightfield import HeightField
+from ..field.heightfield import HeightRaster
 from ..field.lattice import Lattice
 from ..field.store import shapes_of_effects as shapes  # rows and columns of each level
 from ..run import launch
@@ -24,43 +24,43 @@ def level_with(lattice: Lattice, max_samples: int, finest: int = 0) -> int:
     return next((level for level, size in enumerate(sizes) if level >= finest and size <= max_samples), len(sizes) - 1)
 
 
-def ground(field: HeightField, vertical_scale: float, vertical_offset: float, threads: int) -> kernels.Pyramid:
+def ground(raster: HeightRaster, vertical_scale: float, vertical_offset: float, threads: int) -> kernels.Pyramid:
     """Return the pyramid for kernels, with heights `height * vertical_scale + vertical_offset`."""
     with caching:
-        if not field.prefiltered:
-            field.prefiltered.append(_coarser_levels(field, threads))  # complete ones only
-    found = packed(field, field.prefiltered[0])
+        if not raster.cache.pyramid:
+            raster.cache.pyramid.append(_coarser_levels(raster, threads))  # complete ones only
+    found = packed(raster, raster.cache.pyramid[0])
     found.height_scale, found.height_offset = vertical_scale, vertical_offset
     return found
 
 
-def _coarser_levels(field: HeightField, threads: int) -> np.ndarray:
+def _coarser_levels(raster: HeightRaster, threads: int) -> np.ndarray:
     """Compute the coarser levels, float32, concatenated."""
-    count = sum(int(rows * columns) for rows, columns in shapes(field.lattice)[1:])
+    count = sum(int(rows * columns) for rows, columns in shapes(raster.lattice)[1:])
     coarser = np.empty(max(count, 1), np.float32)
-    below = packed(field, coarser)
+    below = packed(raster, coarser)
     for level in range(1, below.levels):
-        rows, columns = shapes(field.lattice)[level]
+        rows, columns = shapes(raster.lattice)[level]
         inputs = [below, level, below.coarser]
         launch.spread(kernels.halve, rows, inputs, step="prefilter", threads=threads, cost=columns)
     return coarser
 
 
-def level_of(field: HeightField, level: int, threads: int = 1) -> np.ndarray:
+def level_of(raster: HeightRaster, level: int, threads: int = 1) -> np.ndarray:
     """Return the heights of a level, float32 [rows, columns] metres, row 0 south."""
     if level == 0:
-        return field.heights()
-    first = int(ground(field, 1.0, 0.0, threads).first.numpy()[level])
-    rows, columns = shapes(field.lattice)[level]
-    return field.prefiltered[0][first : first + rows * columns].reshape(rows, columns)
+        return raster.heights()
+    first = int(ground(raster, 1.0, 0.0, threads).first.numpy()[level])
+    rows, columns = shapes(raster.lattice)[level]
+    return raster.cache.pyramid[0][first : first + rows * columns].reshape(rows, columns)
 
 
-def packed(field: HeightField, coarser: np.ndarray) -> kernels.Pyramid:
+def packed(raster: HeightRaster, coarser: np.ndarray) -> kernels.Pyramid:
     """Return the heights and the coarser levels (float32 [n], the finest first) for kernels."""
-    lattice = field.lattice
+    lattice = raster.lattice
     sizes = np.array(shapes(lattice))
     found = kernels.Pyramid()
-    found.samples = codes.packed(field.samples, field.steps)
+    found.samples = codes.packed(raster.samples, raster.steps)
     found.coarser = flat(coarser, wp.float32)
     first = np.concatenate([[0, 0], np.cumsum(sizes[1:].prod(axis=1))[:-1]])[: len(sizes)]
     found.first = wp.array(first, dtype=wp.int64, device=launch.DEVICE)

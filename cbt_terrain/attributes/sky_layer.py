@@ -41,11 +41,11 @@ def layer_level(field: HeightField) -> int:
 def is_known(field: HeightField, scale: float) -> bool:
     """Return whether the layer is complete, so that values from it take no time."""
     with caching:
-        looked = field.found.setdefault((LOOKED,), set())
-        if (LAYER, scale) not in field.found and scale not in looked:
+        looked = field.cache.results.setdefault((LOOKED,), set())
+        if (LAYER, scale) not in field.cache.results and scale not in looked:
             looked.add(scale)
             _load(field, scale)
-        return field.found.get((LAYER, scale), {}).get("azimuths") == AZIMUTHS
+        return field.cache.results.get((LAYER, scale), {}).get("azimuths") == AZIMUTHS
 
 
 def sky_layer(field: HeightField, scale: float, threads: int) -> kernels.SkyLayer:
@@ -68,7 +68,7 @@ def _advanced(field: HeightField, scale: float, threads: int) -> dict:
         if state["azimuths"] < AZIMUTHS:
             level = layer_level(field)
             steps = field.lattice.step_x * 2**level, field.lattice.step_y * 2**level
-            heights = np.ascontiguousarray(level_of(field, level, threads))
+            heights = np.ascontiguousarray(level_of(field.raster, level, threads))
             rows, columns = heights.shape
             azimuth, found = azimuths()[state["azimuths"]], np.empty(heights.shape, np.float32)
             sweep(heights, steps, azimuth, scale, threads, found)
@@ -88,7 +88,7 @@ def _advanced(field: HeightField, scale: float, threads: int) -> dict:
 
 def _state(field: HeightField, scale: float) -> dict:
     """Return the state of the layer from memory or from the store."""
-    if (LAYER, scale) not in field.found:
+    if (LAYER, scale) not in field.cache.results:
         _load(field, scale)
     state = _cache_entry(field, LAYER, scale)
     if "sky" not in state:
@@ -123,7 +123,7 @@ def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.
     with caching:
         state = _cache_entry(field, PREVIEW, scale)
         if "horizons" not in state:
-            heights = np.ascontiguousarray(level_of(field, level, threads))
+            heights = np.ascontiguousarray(level_of(field.raster, level, threads))
             steps = field.lattice.step_x * 2**level, field.lattice.step_y * 2**level
             found = np.empty((PREVIEW_AZIMUTHS, *heights.shape), np.float32)
             for azimuth, out in zip(azimuths(), found, strict=False):
@@ -168,12 +168,12 @@ def sweep(
 
 def _cache_entry(field: HeightField, kind: str, scale: float) -> dict:
     """Return the cache entry of a kind at a vertical scale, and drop scales before the last MAX_SCALES."""
-    if (kind, scale) not in field.found:
-        others = [key for key in field.found if key[0] == kind]
+    if (kind, scale) not in field.cache.results:
+        others = [key for key in field.cache.results if key[0] == kind]
         for key in others[: len(others) + 1 - MAX_SCALES]:
-            del field.found[key]
-        field.found[kind, scale] = {}
-    return field.found[kind, scale]
+            del field.cache.results[key]
+        field.cache.results[kind, scale] = {}
+    return field.cache.results[kind, scale]
 
 
 def _layer(field: HeightField, values: np.ndarray, level: int) -> kernels.SkyLayer:

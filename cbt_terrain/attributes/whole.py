@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..field import store
-from ..field.heightfield import HeightField, as_heights
+from ..field.heightfield import HeightField, HeightRaster
 from ..field.lattice import Lattice
 from ..field.store_arrays import verify_array
 from ..run.locks import caching
@@ -21,18 +21,18 @@ from ..run.locks import caching
 # Bytes of results in memory, including their pyramids; the last result stays whatever its size.
 MAX_BYTES = 1 << 28
 
-_results: OrderedDict[str, HeightField] = OrderedDict()
+_results: OrderedDict[str, HeightRaster] = OrderedDict()
 
 
 def whole(
     name: str, version: int, parameters: tuple, field: HeightField, lattice: Lattice, make: Callable[[], np.ndarray]
-) -> HeightField:
-    """Return the result of the attribute `name`, finite float32 [lattice.height, lattice.width], as a field.
+) -> HeightRaster:
+    """Return the result of the attribute `name`, finite float32 [lattice.height, lattice.width], as a raster.
 
     `make` computes it if it is not cached. Other results may be evicted from memory for it.
     """
     file = file_of(name, version, parameters)
-    key = f"{field.raster_key}-{file}"
+    key = f"{field.raster.digest}-{file}"
     with caching:  # threads that need the same result wait for it
         if key in _results:
             _results.move_to_end(key)
@@ -41,7 +41,7 @@ def whole(
         if samples is None:
             samples = make()
             store.keep(field, file, samples)
-        _results[key] = as_heights(field, samples, key, lattice)
+        _results[key] = HeightRaster(samples, lattice, key)
         while len(_results) > 1 and sum(int(_nbytes(values)) for values in _results.values()) > MAX_BYTES:
             _results.popitem(last=False)
         return _results[key]
@@ -59,7 +59,7 @@ def forget() -> None:
         _results.clear()
 
 
-def _nbytes(result: HeightField) -> int:
+def _nbytes(result: HeightRaster) -> int:
     return result.samples.nbytes * 4 // 3
 
 

@@ -37,7 +37,7 @@ from ..run.buffers import flat
 from ..run.locks import cached
 from . import codes, hierarchy, store
 from .codes import MAX_EXPONENT, MIN_EXPONENT
-from .heightfield import BICUBIC_KEY, INTERPOLATIONS, HeightField, with_detail
+from .heightfield import INTERPOLATIONS, HeightField, SurfaceSpec, with_detail
 from .hierarchy import items, ranges_at, stored_at, upward
 
 # Indices of Warp's arrays are int32.
@@ -58,9 +58,9 @@ def interpolated(field: HeightField, name: str) -> HeightField:
         raise TerrainError(f"The interpolation is {name!r}", expected=" or ".join(INTERPOLATIONS))
     if name == field.interpolation:
         return field
-    if field.detail:
-        return with_detail(interpolated(with_detail(field, None), name), field.detail)
-    return cached(field.surfaces, name, lambda: bicubic(field))
+    plain, surfaces = with_detail(field, None), field.cache.surfaces
+    surfaces.setdefault(plain.surface, plain)
+    return with_detail(cached(surfaces, SurfaceSpec(name), lambda: bicubic(plain)), field.detail)
 
 
 def bicubic(field: HeightField) -> HeightField:
@@ -75,23 +75,19 @@ def bicubic(field: HeightField) -> HeightField:
         )
     arrays = _load(field)
     if arrays is None:
-        field.check_samples()
+        field.raster.check_samples()
         built = build(field, launch.default_threads())
         for name, array in built.items():
             store.keep(field, name, array)
         arrays = _load(field) or built  # mapped arrays of a store free the memory of the built ones
     return replace(
         field,
-        interpolation="bicubic",
+        surface=SurfaceSpec("bicubic"),
         error=arrays["error_c"],
         ranges=arrays["ranges_c"],
         source_max=LEVERAGE * field.source_max,
         **dict(zip(NUMBERS, arrays["numbers_c"].tolist(), strict=False)),
         exponents=[int(exponent) for exponent in arrays["numbers_c"][len(NUMBERS) :]],
-        key=field.key + BICUBIC_KEY,
-        expanded={},
-        surfaces={"bilinear": field},
-        detailed={},
     )
 
 

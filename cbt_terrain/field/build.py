@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import TerrainError
 from ..run import launch
 from . import cleaning, codes, hierarchy
-from .heightfield import HeightField
+from .heightfield import HeightField, HeightRaster
 from .holes import holes_leave_ground, refine_borders
 from .lattice import Lattice, fit
 
@@ -100,8 +100,7 @@ def build(
     error = allocate("error", (lattice.node_count,), np.dtype(np.uint8))
     exponents = codes.encode(lattice, errors, error, threads)
     return HeightField(
-        samples=samples,
-        lattice=lattice,
+        HeightRaster(samples, lattice, content_key(samples, lattice, source_max, valid), filled=missing, valid=valid),
         error=error,
         exponents=exponents,
         ranges=ranges,
@@ -111,10 +110,7 @@ def build(
         max_height=high,
         steepest_x=climb_x / lattice.step_x,
         steepest_y=climb_y / lattice.step_y,
-        key=content_key(samples, lattice, source_max, valid),
-        valid=valid,
         source_max=source_max,
-        filled=missing,
     )
 
 
@@ -137,7 +133,7 @@ def from_array(
         source_max: largest rounding error of the samples, metres.
         holes: whether samples that are not finite are cut out instead of filled.
         threads: largest number of threads.
-        origin, crs, provenance: see HeightField.
+        origin, crs, provenance: see HeightRaster.
     """
     step_y = step_x if step_y is None else step_y
     samples = np.asarray(samples)
@@ -148,5 +144,4 @@ def from_array(
     raster, missing = cleaning.clean_rows(cleaning.widen(samples))
     options = {"missing": missing, "source_max": source_max, "threads": threads, "holes": holes}
     built = build(np.ascontiguousarray(raster), step_x, step_y, **options)
-    built.origin, built.crs, built.provenance = np.asarray(origin, np.float64), crs, provenance or {}
-    return built
+    return built.with_raster(origin=np.asarray(origin, np.float64), crs=crs, provenance=provenance or {})

@@ -4,6 +4,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -19,41 +20,115 @@ from .lattice import Lattice
 INTERPOLATIONS = ("bilinear", "bicubic")
 # Plane coordinates are float32 in the mesh, so lattice lines are at least 2^-23 of the longer side apart.
 PLANE_BITS = 23
-BICUBIC_KEY = "-bicubic"  # is appended to the samples' key for a bicubic surface
-DETAIL_KEY = "-detail-"  # separates the surface's key from the detail's
 # Cached surfaces with detail, since several objects of a scene may share a raster.
 MAX_DETAILED = 8
 
 
-@dataclass(eq=False)
-class HeightField:
-    """A terrain ready for refinement; arrays may be memory-mapped and are never written.
+@dataclass(frozen=True)
+class SurfaceSpec:
+    """The choice of a surface through a raster's samples.
+
+    Attributes:
+        interpolation: reference surface between the samples, one of INTERPOLATIONS.
+        detail: displacement of that surface (detail.py, tiled.py, displacement_layers.py) or None.
+    """
+
+    interpolation: str = "bilinear"
+    detail: Ground | None = None
+
+
+@dataclass(frozen=True)
+class FieldKey:
+    """The identity of a height field: fields with equal keys are equal. Its text goes into files and hashes."""
+
+    raster: str
+    interpolation: str
+    detail: str
+
+    def __str__(self) -> str:
+        surface = "" if self.interpolation == "bilinear" else f"-{self.interpolation}"
+        return self.raster + surface + (f"-detail-{self.detail}" if self.detail else "")
+
+
+@dataclass(frozen=True)
+class FieldCache:
+    """Results that are computed once for a raster.
+
+    Attributes:
+        surfaces: height fields by specification; the raster's own is there once there is another.
+        expanded: error hierarchies by interpolation and level of meshlets (meshlet_errors.py).
+        pyramid: coarser levels of the heights (attributes/pyramid.py), if computed.
+        results: for light, occlusion and previews, by kind.
+    """
+
+    surfaces: dict[SurfaceSpec, "HeightField"] = field(default_factory=dict)
+    expanded: dict[tuple[str, int], np.ndarray] = field(default_factory=dict)
+    pyramid: list[np.ndarray] = field(default_factory=list)
+    results: dict[tuple, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class HeightRaster:
+    """Samples on their lattice and their origin; arrays may be memory-mapped and are never written.
 
     Attributes:
         samples: [height, width], row 0 south, column 0 west: float32 metres, or uint16 numbers of `steps` (codes.py).
-        interpolation: reference surface between the samples, one of INTERPOLATIONS; `interpolated` returns another.
-        detail: displacement of that surface (detail.py, tiled.py, coats.py) or None; `error`, `ranges` and slopes do
-            not include it.
-        error: uint8 [lattice.node_count], codes of the saturated errors of all diamonds (hierarchy.py) in the order of
-            lattice.py; curvatures of a bicubic surface follow (bicubic.py).
-        exponents: powers of two that multiply the table of codes for each group of depths (codes.py).
-        ranges: uint16 [lattice.range_count, 2] of diamonds of 4 x 4 cells and more: heights from range_base +
-            q * range_step metres; for a bicubic surface those of the raster's cells follow.
-        min_height, max_height: limits of the surface, metres.
-        steepest_x, steepest_y: largest slopes of the surface along each axis.
-        source_max: largest distance, metres, by which the rounding of the source has moved the surface.
+        digest: identifies the heights and their bounds: rasters with equal digests have equal surfaces.
         filled: number of missing samples that were filled.
         valid: None or, if holes are cut out, uint8 [height, width], 0 at missing samples; cells with such a corner are
             holes (holes.py).
-        layers: by-products of height operators (land/), by name: float32 [height, width], row 0 south.
+        layers: by-products of height operators, by name: float32 [height, width], row 0 south.
         origin: float64 [3], CRS coordinates of the local origin.
-        key: identifies the content: terrains with equal keys are equal.
-        prefiltered: coarser levels of the heights' pyramid (attributes/pyramid.py), if computed.
-        found: cached results for light and occlusion (occluder.py and sky_layer.py of attributes, refine/horizon.py).
+        path: of the store, None for a raster in memory.
+        cache: empty in a copy that `replace` has made.
     """
 
     samples: np.ndarray
     lattice: Lattice
+    digest: str
+    steps: codes.Steps | None = None
+    filled: int = 0
+    valid: np.ndarray | None = None
+    layers: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False)
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    crs: str = ""
+    provenance: dict = field(default_factory=dict)
+    path: Path | None = None
+    cache: FieldCache = field(default_factory=FieldCache, repr=False, init=False)
+
+    def heights(self, *index) -> np.ndarray:
+        """Return samples[index], or all of them, in float32 metres."""
+        samples = self.samples[index]
+        return samples if self.steps is None else self.steps.heights(samples)
+
+    def damage(self, what: str) -> TerrainError:
+        """Return the error for arrays that no import has written. what: clause about the fault."""
+        name = f"The store {self.path}" if self.path else "The height field"
+        return TerrainError(f"{name} is damaged ({what})", fix="import it again")
+
+    def check_samples(self) -> None:
+        """Raise TerrainError if a sample is not finite. This reads all samples, so only slower code should call it."""
+        finite = (np.isfinite(self.samples[row : row + 256]).all() for row in range(0, len(self.samples), 256))
+        if self.steps is None and not all(finite):
+            raise self.damage("it has heights that are not finite")
+
+
+@dataclass(frozen=True, eq=False)
+class HeightField:
+    """A terrain ready for refinement: a raster, a surface through its samples, and that surface's error hierarchy.
+
+    Attributes:
+        error: uint8 [lattice.node_count], codes of the saturated errors of all diamonds (hierarchy.py) in the order of
+            lattice.py, without the detail; curvatures of a bicubic surface follow (bicubic.py).
+        exponents: powers of two that multiply the table of codes for each group of depths (codes.py).
+        ranges: uint16 [lattice.range_count, 2] of diamonds of 4 x 4 cells and more, without the detail: heights from
+            range_base + q * range_step metres; for a bicubic surface those of the raster's cells follow.
+        min_height, max_height: limits of the surface, metres.
+        steepest_x, steepest_y: largest slopes of the surface along each axis, without the detail.
+        source_max: largest distance, metres, by which the rounding of the source has moved the surface.
+    """
+
+    raster: HeightRaster
     error: np.ndarray
     exponents: list[int]
     ranges: np.ndarray
@@ -63,23 +138,21 @@ class HeightField:
     max_height: float
     steepest_x: float
     steepest_y: float
-    key: str
-    steps: codes.Steps | None = None
     source_max: float = 0.0
-    filled: int = 0
-    valid: np.ndarray | None = None
-    layers: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False)
-    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    crs: str = ""
-    provenance: dict = field(default_factory=dict)
-    path: Path | None = None
-    interpolation: str = "bilinear"
-    detail: Ground | None = None
-    expanded: dict[int, np.ndarray] = field(default_factory=dict, repr=False)
-    surfaces: dict[str, "HeightField"] = field(default_factory=dict, repr=False)
-    detailed: dict[Ground, "HeightField"] = field(default_factory=dict, repr=False)
-    prefiltered: list[np.ndarray] = field(default_factory=list, repr=False)
-    found: dict[tuple, object] = field(default_factory=dict, repr=False)
+    surface: SurfaceSpec = SurfaceSpec()
+
+    samples = property(attrgetter("raster.samples"))
+    steps = property(attrgetter("raster.steps"))
+    filled = property(attrgetter("raster.filled"))
+    valid = property(attrgetter("raster.valid"))
+    layers = property(attrgetter("raster.layers"))
+    origin = property(attrgetter("raster.origin"))
+    crs = property(attrgetter("raster.crs"))
+    provenance = property(attrgetter("raster.provenance"))
+    path = property(attrgetter("raster.path"))
+    cache = property(attrgetter("raster.cache"))
+    interpolation = property(attrgetter("surface.interpolation"))
+    detail = property(attrgetter("surface.detail"))
 
     def __repr__(self) -> str:
         lattice, surface = self.lattice, f"{self.interpolation} with detail" if self.detail else self.interpolation
@@ -87,9 +160,14 @@ class HeightField:
         return f"<HeightField: {lattice.width:,} x {lattice.height:,} samples, {heights}, {surface}>"
 
     @property
-    def raster_key(self) -> str:
-        """Return the key of the samples, whatever surface is between them."""
-        return self.key.partition(DETAIL_KEY)[0].removesuffix(BICUBIC_KEY)
+    def lattice(self) -> Lattice:
+        """Return the lattice of the samples."""
+        return self.raster.lattice
+
+    @cached_property
+    def key(self) -> FieldKey:
+        """Return the identity of the field."""
+        return FieldKey(self.raster.digest, self.interpolation, self.detail.key if self.detail else "")
 
     @property
     def finest_edge(self) -> float:
@@ -115,29 +193,11 @@ class HeightField:
 
     def heights(self, *index) -> np.ndarray:
         """Return samples[index], or all of them, in float32 metres."""
-        samples = self.samples[index]
-        return samples if self.steps is None else self.steps.heights(samples)
+        return self.raster.heights(*index)
 
-    def damage(self, what: str) -> TerrainError:
-        """Return the error for arrays that no import has written. what: clause about the fault."""
-        name = f"The store {self.path}" if self.path else "The height field"
-        return TerrainError(f"{name} is damaged ({what})", fix="import it again")
-
-    def check_samples(self) -> None:
-        """Raise TerrainError if a sample is not finite. This reads all samples, so only slower code should call it."""
-        finite = (np.isfinite(self.samples[row : row + 256]).all() for row in range(0, len(self.samples), 256))
-        if self.steps is None and not all(finite):
-            raise self.damage("it has heights that are not finite")
-
-
-def as_heights(field: HeightField, samples: np.ndarray, key: str, lattice: Lattice | None = None) -> HeightField:
-    """Return a field with other samples over a field's raster, without its caches, errors and ranges.
-
-    samples: float32 [lattice.height, lattice.width], row 0 south.
-    """
-    fresh = {"prefiltered": [], "expanded": {}, "surfaces": {}, "detailed": {}, "found": {}, "layers": {}}
-    content = {"samples": samples, "steps": None, "valid": None, "path": None, "detail": None, "key": key}
-    return replace(field, **content, **fresh, lattice=lattice or field.lattice)
+    def with_raster(self, **changes) -> "HeightField":
+        """Return the same surface of a raster with other attributes and an empty cache."""
+        return replace(self, raster=replace(self.raster, **changes))
 
 
 def with_detail(field: HeightField, detail: Ground | None) -> HeightField:
@@ -145,23 +205,19 @@ def with_detail(field: HeightField, detail: Ground | None) -> HeightField:
 
     A detail without amplitude counts as none. The last few results are cached.
     """
-    plain = field.surfaces["plain"] if field.detail else field
+    surfaces = field.cache.surfaces
+    plain = surfaces[SurfaceSpec(field.interpolation)] if field.detail else field
     if detail is None or not detail.amplitude:
         return plain
+    wanted = SurfaceSpec(field.interpolation, detail)
     with caching:
-        surface = plain.detailed.pop(detail, None)
+        surface = surfaces.pop(wanted, None)
         if surface is None:
             more = highest(parts_of(detail, plain.finest_edge, plain.lattice))
-            surface = replace(
-                plain,
-                detail=detail,
-                min_height=plain.min_height - more,
-                max_height=plain.max_height + more,
-                key=plain.key + DETAIL_KEY + detail.key,
-                surfaces={"plain": plain},
-                detailed={},
-            )
-        plain.detailed[detail] = surface
-        while len(plain.detailed) > MAX_DETAILED:
-            del plain.detailed[next(iter(plain.detailed))]
+            low, high = plain.min_height - more, plain.max_height + more
+            surface = replace(plain, surface=wanted, min_height=low, max_height=high)
+            surfaces.setdefault(plain.surface, plain)
+        surfaces[wanted] = surface
+        for spec in [spec for spec in surfaces if spec.detail][:-MAX_DETAILED]:
+            del surfaces[spec]
         return surface

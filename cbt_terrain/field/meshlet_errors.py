@@ -17,7 +17,7 @@ def error_for(field: HeightField, meshlet: int) -> np.ndarray:
     """
     if meshlet == 0:
         return field.error
-    return cached(field.expanded, meshlet, lambda: _load_or_expand(field, meshlet))
+    return cached(field.cache.expanded, (field.interpolation, meshlet), lambda: _load_or_expand(field, meshlet))
 
 
 def _load_or_expand(field: HeightField, meshlet: int) -> np.ndarray:

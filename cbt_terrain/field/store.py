@@ -32,7 +32,7 @@ from ..run import owned_files, partial_files
 from ..run.named_file import cause, open_regular
 from ..run.owned_files import NotOursError, open_folder
 from . import codes
-from .heightfield import HeightField
+from .heightfield import HeightField, HeightRaster
 from .lattice import MAX_MESHLET, Lattice, fit
 from .store_arrays import (
     AGAIN,
@@ -141,28 +141,33 @@ def _open(path: Path, content: dict) -> HeightField:
     owned_files.check_no_link(folder, AGAIN)
     steps = codes.Steps(*content["steps"]) if content["steps"] else None
     kind = np.uint16 if steps else np.float32
-    return HeightField(
-        samples=map_array(folder / "samples.npy", shape, kind),
+    numbers = {name: content[name] for name in _NUMBERS}
+    raster = HeightRaster(
+        map_array(folder / "samples.npy", shape, kind),
+        lattice,
+        content["key"],
         steps=steps,
-        lattice=lattice,
-        error=map_array(folder / "error.npy", (lattice.node_count,), np.uint8),
-        ranges=map_array(folder / "ranges.npy", (lattice.range_count, 2), np.uint16),
+        filled=numbers.pop("filled"),
         valid=map_array(folder / "valid.npy", shape, np.uint8) if content["holes"] else None,
         layers=LayerFiles(folder, content.get("layers", {}), shape),
-        **{name: content[name] for name in _NUMBERS},
-        key=content["key"],
         origin=np.array(content["origin"], np.float64),
         crs=content["crs"],
         provenance=content["provenance"],
         path=path,
     )
+    return HeightField(
+        raster,
+        error=map_array(folder / "error.npy", (lattice.node_count,), np.uint8),
+        ranges=map_array(folder / "ranges.npy", (lattice.range_count, 2), np.uint16),
+        **numbers,
+    )
 
 
 def is_intact(field: HeightField) -> bool:
     """Return whether the files that a field has mapped still have their length."""
-    surfaces = field, *field.surfaces.values()
+    surfaces = field, *field.cache.surfaces.values()
     arrays = [getattr(surface, name) for surface in surfaces for name in ("samples", "error", "ranges", "valid")]
-    arrays += [array for surface in surfaces for array in surface.expanded.values()]
+    arrays += field.cache.expanded.values()
     arrays += getattr(field.layers, "opened", {}).values()
     return not any(array is not None and is_cut_off(array) for array in arrays)
 
@@ -173,7 +178,7 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     Raises TerrainError for the first array with a fault.
     """
     field = open_store(path)
-    field.check_samples()
+    field.raster.check_samples()
     folder, found = data_folder(field), {}
     shapes = {name: getattr(field, name) for name in ("samples", "error", "ranges", "valid")}
     shapes |= {layer_name(name): field.layers[name] for name in field.layers}
@@ -226,7 +231,7 @@ def data_folder(field: HeightField) -> Path | None:
         content = read_json(field.path)
     except TerrainError:
         return None
-    return field.path / content["data"] if content["key"] == field.raster_key else None
+    return field.path / content["data"] if content["key"] == field.raster.digest else None
 
 
 def load_derived(field: HeightField, name: str, shape: tuple, dtype) -> np.ndarray | None:
@@ -309,7 +314,7 @@ class Draft:
             "version": VERSION,
             "data": self.folder.name,
             "digest": digest,
-            "key": field.key,
+            "key": field.raster.digest,
             "holes": field.valid is not None,
             "lattice": {name: getattr(field.lattice, name) for name in LATTICE},
             "steps": field.steps and [field.steps.first, field.steps.scale, field.steps.offset],

@@ -82,7 +82,7 @@ class Fitter:
     ):
         box_of(field, vertical_scale, vertical_offset)  # refuses numbers that cannot be used
         # The kernels of the fit read rows of floats.
-        field = replace(field, samples=field.heights(), steps=None)
+        field = field.with_raster(samples=field.heights(), steps=None)
         self.field, self.threads, self.on_progress = field, threads, on_progress
         self.rounds = 0
         self.placement = (float(vertical_scale), float(vertical_offset))
@@ -98,7 +98,7 @@ class Fitter:
         field, buffers = self.field, Buffers()
         history = FrameHistory()
         error, table = self._codes(error_m)
-        domain = make_domain(replace(field, error=error, expanded={}), 0, *self.placement)
+        domain = make_domain(replace(field, error=error), 0, *self.placement)
         domain.table = shared(table, wp.float32)
         domain.is_raised = 1
         m, criterion, known = self._mesh(error_m), _vertical_criterion(error_m), self._nothing_known()

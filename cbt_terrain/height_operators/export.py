@@ -40,7 +40,7 @@ def export_raster(
             raise TerrainError(f"The store {store} has no layer {name!r}", expected=f"some of {', '.join(known)}")
     files = {name: _file_of(file, name) for name in names or known}
     if HEIGHTS in files:
-        field.check_samples()
+        field.raster.check_samples()
     WRITERS[file.suffix.lower()](field, Path(store), files)
     return list(files.values())
 

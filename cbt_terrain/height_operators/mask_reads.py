@@ -13,7 +13,7 @@ from ..attributes.attribute import AttributeDeclaration, AttributeRequest
 from ..attributes.catalogue import ATTRIBUTES
 from ..attributes.evaluate import on_samples
 from ..attributes.layers import NAMES as BY_PRODUCTS
-from ..field.heightfield import HeightField
+from ..field.heightfield import HeightField, HeightRaster
 from ..field.lattice import fit
 from .tile_cache import content_key
 from .tiles import Level, Window
@@ -49,8 +49,12 @@ def _field(level: Level, heights: np.ndarray, missing: np.ndarray | None) -> Hei
     """Return a level as a height field without errors and ranges, which no attribute reads."""
     none = np.empty(0, np.uint8)
     return HeightField(
-        samples=heights,
-        lattice=fit(level.columns, level.rows, level.step_x, level.step_y),
+        HeightRaster(
+            heights,
+            fit(level.columns, level.rows, level.step_x, level.step_y),
+            content_key(heights, level.step_x, level.step_y, missing),
+            valid=None if missing is None else (~missing).view(np.uint8),
+        ),
         error=none,
         exponents=[],
         ranges=none,
@@ -60,6 +64,4 @@ def _field(level: Level, heights: np.ndarray, missing: np.ndarray | None) -> Hei
         max_height=float(heights.max()),
         steepest_x=0.0,
         steepest_y=0.0,
-        key=content_key(heights, level.step_x, level.step_y, missing),
-        valid=None if missing is None else (~missing).view(np.uint8),
     )

@@ -30,7 +30,7 @@ SECONDS = 10.0  # time limit; a preview leaves out the remaining operators
 # Number of cached states of stacks' first entries, the most recently used ones. A state of 257 x 257 samples takes 1 MB
 # (measured, alpine), one of 513 x 513 samples four times as much.
 MAX_CACHED = 32
-_FOUND = ("land preview",)  # key in HeightField.found
+_FOUND = ("land preview",)  # key in FieldCache.results
 
 
 class _TooSlow(Exception):
@@ -109,8 +109,8 @@ def preview(
         heights, step_x, step_y, source_max=source.source_max, holes=source.valid is not None, threads=threads,
         origin=source.origin, crs=source.crs, provenance=source.provenance,
     )  # fmt: skip
-    result.key = content_key(result.key, stack.key())  # stands for the layers
-    result.layers = _Layers(states[-1].ground.layers, *coarse)
+    digest = content_key(result.raster.digest, stack.key())  # the stack's stands for the layers
+    result = result.with_raster(digest=digest, layers=_Layers(states[-1].ground.layers, *coarse))
     left = stack.active[len(states) - 1 :]
     without = (left[0].name or left[0].declaration.label) if left else ""
     return Preview(result, [state.ms for state in states[1:]], max(level.step_x, level.step_y), without)
@@ -127,7 +127,7 @@ def _apply(
         if time.monotonic() > end:
             raise _TooSlow
 
-    cached_states = source.found.get(_FOUND, {})
+    cached_states = source.cache.results.get(_FOUND, {})
     start = cached_states.get("") or _Applied(_ground(source, level), np.zeros(level.shape, np.float32))
     states = [start]
     for entry in stack.active:
@@ -147,7 +147,7 @@ def _apply(
     used = {state.key: state for state in states}
     others = [key for key in cached_states if key not in used]
     recent = others[max(len(others) + len(used) - MAX_CACHED, 0) :]
-    source.found[_FOUND] = {key: cached_states[key] for key in recent} | used
+    source.cache.results[_FOUND] = {key: cached_states[key] for key in recent} | used
     return states
 
 
@@ -199,7 +199,7 @@ def _source_heights(source: HeightField) -> np.ndarray:
         fraction = (rows - low)[:, None].astype(np.float32)
         return south + fraction * (north - south)
 
-    return cached(source.found, key, interpolate)
+    return cached(source.cache.results, key, interpolate)
 
 
 def _interpolate(samples: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

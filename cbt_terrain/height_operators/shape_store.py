@@ -87,8 +87,13 @@ def run_shape(
         )
         field = _build(heights, shaped, draft, threads, lambda f: on_progress(SHAPING + (1 - SHAPING) * f, BUILDING))
         layers = _write_layers(heights, shaped, draft)
-        field.key = key_with(field.key, layers)
-        field.provenance = heights.provenance | {"shaped": _provenance(source, heights, stack, shaped, everywhere)}
+        field = field.with_raster(
+            digest=key_with(field.raster.digest, layers),
+            filled=heights.filled,
+            origin=heights.origin,
+            crs=heights.crs,
+            provenance=heights.provenance | {"shaped": _provenance(source, heights, stack, shaped, everywhere)},
+        )
         report = _report(field, source, heights, stack, shaped)
         report["seconds"] = round(time.monotonic() - started, 3)
         # A run that finished early does not satisfy the same request later.
@@ -103,14 +108,14 @@ def open_source(source: str | os.PathLike, path: Path, stack: Stack) -> HeightFi
     if os.path.realpath(source) == os.path.realpath(path):
         raise TerrainError(f"The store {path} would be shaped into itself", fix="choose another folder to write")
     check_by_products(stack, heights.layers)
-    heights.check_samples()
+    heights.raster.check_samples()
     return heights
 
 
 def shape_digest(heights: HeightField, stack: Stack, wanted: Wanted | None) -> str:
     """Return a digest of everything that determines the content of the store."""
     tiles = wanted and [None if pairs is None else sorted((t, float(m)) for t, m in pairs.items()) for pairs in wanted]
-    content = METHOD, RECORD, store.VERSION, heights.key, stack.key(), tiles
+    content = METHOD, RECORD, store.VERSION, heights.raster.digest, stack.key(), tiles
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
 
@@ -143,7 +148,7 @@ def _build(
             samples[rows][holes] = np.nan
             missing += int(holes.sum())
     lattice = heights.lattice
-    field = build(
+    return build(
         samples,
         lattice.step_x,
         lattice.step_y,
@@ -155,8 +160,6 @@ def _build(
         threads=threads,
         on_progress=on_progress,
     )
-    field.filled, field.origin, field.crs = heights.filled, heights.origin, heights.crs
-    return field
 
 
 def _write_layers(heights: HeightField, shaped: Shaped, draft: store.Draft) -> dict[str, np.ndarray]:
@@ -176,8 +179,8 @@ def _provenance(
 ) -> dict:
     return {
         "source": str(source),
-        "source_key": heights.key,
-        "land": land_name(heights.key, stack),
+        "source_key": heights.raster.digest,
+        "land": land_name(heights.raster.digest, stack),
         "everywhere": everywhere,
         "stack": stack_content(stack),
         "tiles": shaped.tiles,

@@ -96,13 +96,13 @@ def _build(
         allocate=draft.allocate,
         on_progress=lambda f: on_progress(0.5 + 0.49 * f, "Measuring errors"),
     )
-    if steps is not None:
-        _keep_steps(field, draft, steps)
-    field.origin = np.array([*place.middle, 0.0])
-    field.crs = place.crs
-    field.provenance = {"settings": dataclasses.asdict(settings), "format": raster.format, "stored": raster.stored}
-    field.provenance["settings"]["no_data"] = None if settings.no_data is None else str(settings.no_data)
-    return field, check
+    request = dataclasses.asdict(settings) | {"no_data": None if settings.no_data is None else str(settings.no_data)}
+    return field.with_raster(
+        **({} if steps is None else _as_numbers(field, draft, steps)),
+        origin=np.array([*place.middle, 0.0]),
+        crs=place.crs,
+        provenance={"settings": request, "format": raster.format, "stored": raster.stored},
+    ), check
 
 
 def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = ()) -> str:
@@ -149,7 +149,7 @@ def describe(path: str | os.PathLike) -> dict:
         "origin": content["origin"],
         "largest_error_m": float(field.table[group][errors.max()]),
         "bytes_per_sample": round(num_bytes / field.samples.size, 2),
-        "key": field.key,
+        "key": field.raster.digest,
     }
 
 
@@ -180,15 +180,18 @@ def _scaling(raster: Raster, settings: ImportSettings) -> tuple[float, float]:
     return raster.scale * settings.height_scale, raster.offset * settings.height_scale + settings.height_offset
 
 
-def _keep_steps(field: HeightField, draft: store.Draft, steps: codes.Steps) -> None:
-    """Store the samples as the source's whole numbers, if these give the same heights to the last bit."""
+def _as_numbers(field: HeightField, draft: store.Draft, steps: codes.Steps) -> dict:
+    """Store the samples as the source's whole numbers, if these give the same heights to the last bit.
+
+    Return the attributes of the raster that this changes.
+    """
     numbers = draft.allocate("samples", field.samples.shape, np.dtype(np.uint16))
     if codes.number(field.samples, steps, numbers):
-        field.samples, field.steps = numbers, steps
-        return
+        return {"samples": numbers, "steps": steps}
     del numbers
     draft.remove("samples")
     draft.rename("raster", "samples")
+    return {}
 
 
 def _blocks(raster: Raster) -> Iterator[tuple[float, np.ndarray]]:

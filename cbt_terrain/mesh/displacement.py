@@ -64,7 +64,7 @@ def displace(
         kernel, inputs = detail_kernels.displace_detail, [[*values, detail] for values in inputs]
     launch.slices(kernel, inputs, step="displace", recorded=arrays.launches)
     if not_finite[0]:
-        raise field.damage("it has heights that are not finite or too large for a mesh")
+        raise field.raster.damage("it has heights that are not finite or too large for a mesh")
 
 
 def reuse_points(history: FrameHistory) -> list[int]:

@@ -66,7 +66,7 @@ def weld(field: HeightField, domain: Domain, history: FrameHistory, level_in: Bu
     torn = state[:, weld_state.TORN].any() or entered[0] or left[-1] or (entered[1:] != left[:-1]).any()
     # A single slice has no earlier ones that could have the edges it looks for.
     if torn or (slices == 1 and state[0, weld_state.IMPORTS]):
-        raise TornMesh(*field.damage(NOT_NESTED).args)
+        raise TornMesh(*field.raster.damage(NOT_NESTED).args)
 
 
 def mesh_arrays(buffers: Buffers, prefix: str, triangles: int, edges: int, level_in: Buffers) -> dict[str, wp.array]:
@@ -96,4 +96,4 @@ def _check_sides(field: HeightField, sides: np.ndarray) -> None:
     """
     left, below, right, above = np.moveaxis(sides, 2, 0)
     if (left[:, 1:] != right[:, :-1]).any() or (below[1:] != above[:-1]).any():
-        raise TornMesh(*field.damage(NOT_NESTED).args)
+        raise TornMesh(*field.raster.damage(NOT_NESTED).args)

@@ -91,7 +91,7 @@ def horizon_of(
 def _blocks_of(field: HeightField, domain: Domain, threads: int) -> HorizonBlocks:
     """Return the blocks of a field's surface; they are computed once and cached in the field."""
     key = "blocks", field.interpolation
-    min_height, first, wide = cached(field.found, key, lambda: _find_blocks(domain, threads))
+    min_height, first, wide = cached(field.cache.results, key, lambda: _find_blocks(domain, threads))
     blocks = HorizonBlocks()
     blocks.min_height, blocks.first, blocks.wide = (
         flat(min_height, wp.float32),

@@ -85,7 +85,7 @@ def _limited(field: HeightField, request: RefinementRequest, history: FrameHisto
         slices = _walk(field, request, history, threads, max_leaves, found.splits + roots)
         too_many += slices is None
         if too_many > MAX_SEARCHES:
-            raise field.damage("there are more leaves than its errors allow")
+            raise field.raster.damage("there are more leaves than its errors allow")
     return slices, found.step
 
 

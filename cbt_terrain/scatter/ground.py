@@ -95,7 +95,7 @@ class ScatterGround:
         launch.slices(kernels.place, [[*piece, *inputs] for piece in pieces_of(runs["count"], threads)], step="place")
         positions, density = self.candidates.positions[where], self.candidates.density[where]
         if not np.isfinite(positions).all():
-            raise self.field.damage("it has heights that are not finite or too large for a mesh")
+            raise self.field.raster.damage("it has heights that are not finite or too large for a mesh")
         if self.boundary is not None:
             density *= covered(counter_clockwise(self.boundary), positions[:, :2].astype(np.float64))
         reads = self.scatter.reads()

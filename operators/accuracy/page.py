@@ -134,7 +134,7 @@ def as_json(subjects, machine: dict[str, str]) -> str:
     terrains = [
         {
             "name": s.name,
-            "height_field": s.heights.key,
+            "height_field": str(s.heights.key),
             "seen": s.seen,
             "frames": s.numbers,
             "current": None if s.current is None else label(s.current),

@@ -235,7 +235,7 @@ def describe(update: Update, criterion: Criterion, views: list[View], field, pla
         "views": [_view(view) for view in views],
         "placement": np.eye(4).tolist() if placement is None else placement.tolist(),
         "crs": field.crs,
-        "height_field": field.key,
+        "height_field": str(field.key),
         "interpolation": field.interpolation,
         "detail": asdict(field.detail) if isinstance(field.detail, Detail) else field.detail and field.detail.key,
     }
@@ -341,7 +341,7 @@ def open_empty_file() -> None:
 
 def field_identity(field) -> list:
     """Return the properties of a height field that an export depends on; the key covers heights and spacing."""
-    return [field.key, field.origin.tolist(), field.crs]
+    return [str(field.key), field.origin.tolist(), field.crs]
 
 
 def file_name(obj) -> str:

@@ -45,7 +45,7 @@ def index_of(obj) -> dict | None:
     if not settings.store:
         return None
     index = read_index(map_folder(obj))
-    if index is None or index["height_field"] != open_field(store_of(obj)).raster_key:
+    if index is None or index["height_field"] != open_field(store_of(obj)).raster.digest:
         return None
     return index
 

@@ -17,7 +17,7 @@ from ...cbt_terrain.attributes.layered_detail import displaced
 from ...cbt_terrain.attributes.plan import plan
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.bicubic import interpolated
-from ...cbt_terrain.field.heightfield import HeightField
+from ...cbt_terrain.field.heightfield import FieldKey, HeightField
 from ...cbt_terrain.field.store import changed_ns, is_intact, open_store
 from ...cbt_terrain.height_operators import derived_store
 from ...cbt_terrain.mesh.attributes import Attribute
@@ -54,7 +54,7 @@ class Status:
 
     mode: str = ""
     request: Request | None = None
-    field_key: str = ""
+    field_key: FieldKey | None = None
     changed: bool = False
     leaves: int = 0
     triangles: int = 0
@@ -76,7 +76,7 @@ class Status:
     @property
     def digest(self) -> str:
         """Identify the mesh and its views."""
-        return self.request.digest(self.field_key) if self.request else ""
+        return self.request.digest(self.field_key) if self.request and self.field_key else ""
 
 
 _NOT_OF_UPDATE = ("mode", "request", "field_key", "left", "ms", "effects", "effects_bytes", "error", "failure")

@@ -16,7 +16,7 @@ from ...cbt_terrain.attributes.layered_detail import LayeredDetail
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field.displacement_layers import Ground
-from ...cbt_terrain.field.heightfield import INTERPOLATIONS
+from ...cbt_terrain.field.heightfield import INTERPOLATIONS, FieldKey
 from ...cbt_terrain.height_operators.derived_store import Land
 from ...cbt_terrain.height_operators.requested_tiles import SeenTiles
 from ...cbt_terrain.view.criterion import Criterion, requested_unit
@@ -84,10 +84,10 @@ class Request:
         shown = self.smooth, self.cleanup.key(), self.overlay, self.note, self.effects, self.scatters.key()
         return self.store, self.changed_ns, self.land, self.interpolation, self.ground, *self._shape(), *shown
 
-    def digest(self, field_key: str) -> str:
+    def digest(self, field_key: FieldKey) -> str:
         """Return the hex digest of everything that determines the mesh before clean-up and its errors: the key of the
         height field, the criterion, the views, the placement."""
-        return hashlib.blake2b(repr((field_key, *self._shape())).encode(), digest_size=16).hexdigest()
+        return hashlib.blake2b(repr((str(field_key), *self._shape())).encode(), digest_size=16).hexdigest()
 
     def _shape(self) -> tuple:
         views = tuple(view.key() for view in self.views)

@@ -58,9 +58,9 @@ def whole_stores(folder: Path) -> list[Path]:
         samples[:] = 40 * np.sin(x / 9) * np.cos(y / 7) + 2 * noise
         built = build(samples, 10.0, 10.0, missing=0, allocate=draft.allocate)
         if seed == 2:  # numbers of steps of a centimetre
-            built.steps, heights = Steps(0, 0.01, -300.0), built.samples
-            built.samples = draft.allocate("samples", samples.shape, np.uint16)
-            built.samples[:] = np.rint((heights + 300.0) * 100.0)
+            numbers = draft.allocate("samples", samples.shape, np.uint16)
+            numbers[:] = np.rint((built.samples + 300.0) * 100.0)
+            built = built.with_raster(samples=numbers, steps=Steps(0, 0.01, -300.0))
         else:
             draft.rename("raster", "samples")
         draft.publish(built, "mutants", {})

@@ -2,6 +2,7 @@
 """Horizons from cell to cell in plain Python, and the engine's for the same rays."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import warp as wp
@@ -123,11 +124,10 @@ def directions(count: int, seed: int = 0) -> np.ndarray:
 
 def coded(field: HeightField, scale: float = 0.25) -> tuple[HeightField, HeightField]:
     """Return a field of heights that are multiples of `scale`, as floats and as 16-bit numbers."""
-    from dataclasses import replace
-
     numbers = np.clip(np.rint(field.samples / scale), -32768, 32767)
     steps = Steps(-32768, scale, 0.0)
     stored = (numbers + 32768).astype(np.uint16)
-    floats = replace(field, samples=steps.heights(stored), prefiltered=[], found={}, surfaces={})
-    floats = replace(floats, min_height=float(floats.samples.min()), max_height=float(floats.samples.max()))
-    return floats, replace(floats, samples=stored, steps=steps, prefiltered=[], found={})
+    heights = steps.heights(stored)
+    low, high = float(heights.min()), float(heights.max())
+    floats = replace(field.with_raster(samples=heights), min_height=low, max_height=high)
+    return floats, floats.with_raster(samples=stored, steps=steps)

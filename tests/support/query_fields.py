@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The height fields that queries are tested on: one raster that does not fit its lattice, under every surface."""
 
-from dataclasses import replace
-
 import numpy as np
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -26,7 +24,7 @@ def _surfaces() -> dict[str, HeightField]:
     return {
         "bilinear": ROUGH,
         "bicubic": cubic,
-        "numbers": replace(from_array(steps.heights(numbers), STEP), samples=numbers, steps=steps),
+        "numbers": from_array(steps.heights(numbers), STEP).with_raster(samples=numbers, steps=steps),
         "detail": with_detail(ROUGH, Detail(1.5, 20.0)),
         "masked": with_detail(cubic, masked),
     }

@@ -34,7 +34,8 @@ def state(terrain) -> dict:
     """Return the store and the key of the render's land."""
     session.update_object(terrain, mode="RENDER")
     store = bpy.path.abspath(terrain.adaptive_terrain.store)
-    return {"path": terrain.adaptive_terrain.store, "store": store, "key": session.record_of(terrain).field.raster_key}
+    digest = session.record_of(terrain).field.raster.digest
+    return {"path": terrain.adaptive_terrain.store, "store": store, "key": digest}
 
 
 if step == "old":

@@ -168,8 +168,7 @@ def test_results_stay_until_the_next_call_or_failure(monkeypatch):
 
 def test_another_field_of_the_same_places_takes_over_nothing():
     one, other = from_array(np.zeros((33, 33), np.float32), 10.0), from_array(np.eye(33, dtype=np.float32) * 0, 10.0)
-    other.samples = other.samples + np.arange(33, dtype=np.float32)
-    other.key = "another"
+    other = other.with_raster(samples=other.samples + np.arange(33, dtype=np.float32), digest="another")
     surface = Terrain(one).update(Criterion(error_px=0, error_m=1.0)).surface
     evaluator = Evaluations()
     assert not evaluator.attributes(EVERY, one, surface)["slope"].array.any()

@@ -59,11 +59,11 @@ def test_logarithms_are_interpolated_at_points(shape):
 
 def test_a_result_is_independent_of_caches_of_the_heights():
     field = from_array(hills(65, 65), 10.0, 8.0)
-    field.found["sun"], field.layers["snow"] = "of the heights", field.samples
+    field.cache.results["sun"], field.layers["snow"] = "of the heights", field.samples
     areas = flow.logarithms(field, 1.0, 1)
-    assert areas.found == {} and areas.layers == {}
-    areas.found["sun"] = "of the areas"
-    assert field.found["sun"] == "of the heights"
+    assert areas.cache.results == {} and areas.layers == {}
+    areas.cache.results["sun"] = "of the areas"
+    assert field.cache.results["sun"] == "of the heights"
 
 
 def test_coarser_levels_are_means_of_logarithms():
@@ -189,4 +189,4 @@ def test_memory_has_a_limit(monkeypatch):
     monkeypatch.setattr(whole, "MAX_BYTES", int(2.5 * 64 * 70 * 4 * 4 / 3))
     for field in fields:
         flow.logarithms(field, 1.0, 1)
-    assert len(whole._results) == 2 and list(whole._results)[-1].startswith(fields[-1].key)
+    assert len(whole._results) == 2 and list(whole._results)[-1].startswith(fields[-1].raster.digest)

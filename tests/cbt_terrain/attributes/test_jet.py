@@ -130,8 +130,7 @@ def fields():
     holes[200:300, 300:500] = holes[:3, :] = np.nan
     yield "holes", from_array(holes, 3.0, holes=True), {}
     numbers, steps = (raster(200, 120) * 8 + 4000).astype(np.uint16), Steps(0, 0.125, -500.0)
-    coded = from_array(steps.heights(numbers), 3.0)
-    coded.samples, coded.steps = numbers, steps
+    coded = from_array(steps.heights(numbers), 3.0).with_raster(samples=numbers, steps=steps)
     yield "coded", coded, {"vertical_scale": -3.5, "vertical_offset": 100.0}
     yield "bicubic", interpolated(from_array(raster(130, 97), 3.0), "bicubic"), {"vertical_scale": 0.0}
     high = (raster(97, 97) * 5e27).astype(np.float32)

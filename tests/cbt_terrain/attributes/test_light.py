@@ -2,7 +2,6 @@
 """Sky, occlusion and sun where they are known from geometry, and the same bits however they are made."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -203,7 +202,7 @@ def test_threads_change_no_bit():
     suns = ((1.0, 0.4, 0.5, DISC),)
     found = []
     for threads in (1, 2, 5):
-        fresh = replace(field, found={}, prefiltered=[])
+        fresh = field.with_raster()
         places = every_sample(fresh, threads=threads)
         values = [made("sky", places), made("sky", places, quality=sky.PREVIEW), sky.seen_from(places)]
         found.append([*values, made("sun", places, suns=suns), made("ambient_occlusion", places)])
@@ -230,7 +229,7 @@ def test_an_interrupted_sweep_continues_with_the_same_bits(monkeypatch):
         if len(calls) == 12:
             raise stopping.Stopped
 
-    whole = made("sky", every_sample(replace(field, found={})))
+    whole = made("sky", every_sample(field.with_raster()))
     monkeypatch.setattr(stopping, "check", stop_at_the_sixth)
     with pytest.raises(stopping.Stopped):
         made("sky", every_sample(field))
@@ -258,13 +257,13 @@ def test_the_sky_of_a_large_raster_is_that_of_a_coarser_one(monkeypatch):
     assert sky_layer.is_known(field, 1.0)
     found, truth = made("sky", places), sky.seen_from(places)
     assert np.sqrt(((found - truth) ** 2).mean()) < 0.1
-    coarse = from_array(level_of(field, 1), 2 * field.lattice.step_x)
-    assert np.array_equal(field.found["sky", 1.0]["sky"], sky_layer_of(coarse))
+    coarse = from_array(level_of(field.raster, 1), 2 * field.lattice.step_x)
+    assert np.array_equal(field.cache.results["sky", 1.0]["sky"], sky_layer_of(coarse))
 
 
 def sky_layer_of(field):
     sky_layer.sky_layer(field, 1.0, 1)
-    return field.found["sky", 1.0]["sky"]
+    return field.cache.results["sky", 1.0]["sky"]
 
 
 def test_the_sky_is_stored_and_computed_again_if_damaged(tmp_path):
@@ -326,5 +325,5 @@ def test_the_sky_of_the_last_two_vertical_scales_is_cached():
         places = every_sample(field, scale)
         whole, preview = made("sky", places), made("sky", places, quality=sky.PREVIEW)
     assert [sky_layer.is_known(field, scale) for scale in (1.0, 1.1, 1.2, 1.3)] == [False, False, True, True]
-    assert sum(key[0] in (sky_layer.LAYER, sky_layer.PREVIEW) for key in field.found) == 4
+    assert sum(key[0] in (sky_layer.LAYER, sky_layer.PREVIEW) for key in field.cache.results) == 4
     assert np.array_equal(made("sky", places), whole) and len(preview) == len(whole)

@@ -31,7 +31,7 @@ def halved(heights: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("shape", SHAPES)
 def test_levels_are_means_of_the_level_below(shape):
     field = from_array(raster(*shape[::-1]), 10.0)
-    levels = [level_of(field, level) for level in range(len(shapes(field.lattice)))]
+    levels = [level_of(field.raster, level) for level in range(len(shapes(field.lattice)))]
     assert [level.shape for level in levels] == shapes(field.lattice)
     for below, level in itertools.pairwise(levels):
         np.testing.assert_allclose(level, halved(below.astype(np.float64)), atol=1e-4)
@@ -42,25 +42,24 @@ def test_planes_stay_planes_to_the_last_sample(shape):
     y, x = np.mgrid[: shape[0], : shape[1]]
     field = from_array((700.0 + 3.0 * x - 2.0 * y).astype(np.float32), 10.0)
     for level in range(len(shapes(field.lattice))):
-        found = level_of(field, level)
+        found = level_of(field.raster, level)
         y, x = np.mgrid[: found.shape[0], : found.shape[1]] * 2**level
         assert abs(found - (700.0 + 3.0 * x - 2.0 * y)).max() < 1e-3
 
 
 def test_a_pyramid_is_computed_once_in_a_third_of_the_memory():
     one, two = from_array(raster(300, 200), 10.0), from_array(raster(300, 200), 10.0)
-    ground(one, 1.0, 0.0, 1), ground(two, 1.0, 0.0, 3)
-    [made] = one.prefiltered
-    assert made.tobytes() == two.prefiltered[0].tobytes()
+    ground(one.raster, 1.0, 0.0, 1), ground(two.raster, 1.0, 0.0, 3)
+    [made] = one.cache.pyramid
+    assert made.tobytes() == two.cache.pyramid[0].tobytes()
     assert made.nbytes < 0.36 * one.samples.nbytes
-    ground(interpolated(one, "bicubic"), 2.0, 5.0, 1)
-    assert one.prefiltered[0] is made and interpolated(one, "bicubic").prefiltered[0] is made
+    ground(interpolated(one, "bicubic").raster, 2.0, 5.0, 1)
+    assert one.cache.pyramid[0] is made and interpolated(one, "bicubic").cache.pyramid[0] is made
 
 
 def test_coded_heights_have_the_levels_of_their_floats():
     numbers, steps = (raster(97, 50) * 8 + 4000).astype(np.uint16), Steps(0, 0.125, -500.0)
     floats = from_array(steps.heights(numbers), 10.0)
-    coded = from_array(steps.heights(numbers), 10.0)
-    coded.samples, coded.steps = numbers, steps
+    coded = floats.with_raster(samples=numbers, steps=steps)
     for level in range(len(shapes(floats.lattice))):
-        assert level_of(floats, level).tobytes() == level_of(coded, level).tobytes()
+        assert level_of(floats.raster, level).tobytes() == level_of(coded.raster, level).tobytes()

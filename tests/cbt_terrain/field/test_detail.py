@@ -177,7 +177,7 @@ def test_numbers_of_a_source_give_the_mesh_of_their_heights(interpolation):
     steps = Steps(-300, 0.25, 10.0)
     numbers = np.cumsum(np.random.default_rng(3).integers(-6, 7, (27, 40)), 1).astype(np.uint16) + np.uint16(500)
     floats = from_array(steps.heights(numbers), 2.0, 3.0)
-    coded = replace(floats, samples=numbers, steps=steps, surfaces={}, detailed={})
+    coded = floats.with_raster(samples=numbers, steps=steps)
     one, two = (with_detail(interpolated(field, interpolation), DETAILS["rough"]) for field in (floats, coded))
     view = ground_view(one)
     found = [Terrain(field, 1).update(Criterion(error_px=1.0, max_triangles=6000), [view]) for field in (one, two)]
@@ -190,7 +190,7 @@ def test_ground_may_be_cut_out():
     field = field_of("padded", None)
     valid = np.ones(field.samples.shape, np.uint8)
     valid[8:12, 20:30] = 0
-    holed = with_detail(replace(field, valid=valid, surfaces={}, detailed={}), DETAILS["rough"])
+    holed = with_detail(field.with_raster(valid=valid), DETAILS["rough"])
     view = ground_view(holed)
     found = Terrain(holed, 1).update(Criterion(error_px=1.0, max_triangles=6000), [view])
     check(found, holed, [view])
@@ -247,7 +247,7 @@ def test_no_amplitude_is_no_detail():
     detailed = with_detail(field, DETAILS["soft"])
     assert with_detail(field, Detail(0.1)) is detailed, "the same detail is the same field again"
     assert with_detail(detailed, None) is field
-    assert detailed.raster_key == field.raster_key != detailed.key
+    assert detailed.raster.digest == field.raster.digest and detailed.key != field.key
     assert interpolated(detailed, "bicubic").detail == detailed.detail
     assert interpolated(interpolated(detailed, "bicubic"), "bilinear") is detailed
     assert usual_depth(field) == field.lattice.cell_depth + 8 < usual_depth(detailed) <= depth_limit(detailed)

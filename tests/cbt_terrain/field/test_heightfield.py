@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Height fields from arrays: filling, fitting to a lattice, errors for meshlets."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.detail import Detail
+from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
 from adaptive_terrain.cbt_terrain.field.lattice import fit
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from rasters import hills
@@ -65,6 +70,35 @@ def test_keys_tell_terrains_apart():
     keys = {from_array(heights).key, from_array(other).key, from_array(heights, 2.0).key}
     keys.add(from_array(heights, source_max=0.5).key)
     assert len(keys) == 4 and from_array(heights.copy()).key in keys
+
+
+def test_keys_tell_surfaces_apart_and_write_one_text():
+    field = from_array(hills(33, 33))
+    cubic, detail = interpolated(field, "bicubic"), Detail(0.5, 8.0)
+    fields = field, cubic, with_detail(field, detail), with_detail(cubic, detail), with_detail(field, Detail(0.5, 9.0))
+    digest = field.raster.digest
+    endings = ("", "-bicubic", f"-detail-{detail.key}", f"-bicubic-detail-{detail.key}")
+    assert [str(some.key) for some in fields[:4]] == [digest + ending for ending in endings]
+    assert len({some.key for some in fields}) == 5 and {some.raster for some in fields} == {field.raster}
+    assert field.key is field.key == from_array(hills(33, 33)).key and hash(field.key) == hash(replace(field).key)
+
+
+def test_another_raster_takes_over_no_cached_surface():
+    field = from_array(hills(33, 33))
+    surfaces = interpolated(field, "bicubic"), with_detail(field, Detail(0.5)), error_for(field, 1)
+    other = field.with_raster(samples=field.samples + np.float32(1.0), digest="other")
+    assert not other.cache.surfaces and not other.cache.expanded
+    assert interpolated(other, "bicubic").key != surfaces[0].key and interpolated(field, "bicubic") is surfaces[0]
+    assert np.allclose(interpolated(other, "bicubic").min_height, surfaces[0].min_height + 1.0)
+
+
+def test_the_last_eight_surfaces_with_detail_are_cached():
+    field = from_array(hills(9, 9))
+    details = [Detail(1.0 + k) for k in range(9)]
+    first, *others = [with_detail(field, detail) for detail in details]
+    assert [with_detail(field, detail) for detail in details[1:]] == others
+    assert with_detail(field, details[0]) is not first and with_detail(first, None) is field
+    assert sum(spec.detail is not None for spec in field.cache.surfaces) == 8
 
 
 def test_meshlet_errors_are_made_once_and_are_not_larger():

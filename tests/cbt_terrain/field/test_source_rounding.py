@@ -104,7 +104,7 @@ def test_a_bound_holds_for_the_heights_before_rounding(tmp_path, kind, shape):
 @pytest.mark.parametrize("kind", ["int16 GeoTIFF", "float16 EXR"])
 def test_a_bound_holds_between_samples_and_in_pixels(tmp_path, kind):
     heights, _, field = imported_from(tmp_path, kind, "fits")
-    truth, plane = replace(field, samples=heights, steps=None), scattered(field, 20_000)
+    truth, plane = field.with_raster(samples=heights, steps=None), scattered(field, 20_000)
     view = View.look((-300.0, -200.0, 900.0), (0.0, 0.0, 700.0), resolution=(640, 480))
     update = Terrain(field, 1).update(Criterion(error_px=3.0, error_m=2.0 * field.source_max), [view])
     worst = np.abs(mesh_heights(update.surface, plane) - reference_heights(truth, plane)).max()
@@ -165,7 +165,7 @@ def test_rounded_samples_move_bicubic_surfaces_further():
         heights[origin : origin + 4, origin : origin + 4] = 0.5 * signs
         field = interpolated(from_array(np.zeros((17, 17), np.float32), STEP, source_max=0.5), "bicubic")
         plane = STEP * (np.stack(np.meshgrid(*2 * [np.linspace(origin, origin + 3, 61)]), -1).reshape(-1, 2) - 8)
-        worst = np.abs(reference_heights(replace(field, samples=heights), plane)).max()
+        worst = np.abs(reference_heights(field.with_raster(samples=heights), plane)).max()
         update = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=2.0))
         assert update.bound_m == pytest.approx(LEVERAGE * 0.5) and worst <= update.bound_m
         assert worst == pytest.approx(LEVERAGE * 0.5), "and by no less"
@@ -189,7 +189,9 @@ def test_bounds_limited_by_rounding_hold_in_random_views():
         error_px, morph = float(10 ** rng.uniform(-2, 0)), float(rng.choice([1.0, 1.5]))
         criterion = Criterion(error_px=error_px, meshlet=int(rng.integers(3)), morph=morph)
         update = Terrain(field, 1).update(criterion, [view])
-        assert screen_error(view, replace(field, samples=moved, steps=None), update.surface, plane) <= update.bound_px
+        assert (
+            screen_error(view, field.with_raster(samples=moved, steps=None), update.surface, plane) <= update.bound_px
+        )
         tight += update.limited == "source" and update.terms_px.geometric < 0.2 * update.terms_px.source
     assert tight > 3
 

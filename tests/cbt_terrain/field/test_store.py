@@ -6,6 +6,7 @@ import math
 import os
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -206,7 +207,9 @@ def test_a_version_that_cannot_be_opened_is_not_published(tiny, entry, monkeypat
     if entry == "samples.npy":
         monkeypatch.setattr(store, "all_checksums", lambda array: b"0000" * store_arrays.block_count(array.nbytes))
     else:
-        field = replace(field, **UNFIT[entry])
+        [name] = UNFIT[entry]
+        change = field.with_raster if hasattr(field.raster, name) else partial(replace, field)
+        field = change(**UNFIT[entry])
     with pytest.raises(TerrainError, match=entry):
         draft.publish(field, "", {})
     draft.discard_unless_published()

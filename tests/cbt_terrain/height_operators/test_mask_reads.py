@@ -103,7 +103,7 @@ def test_a_mask_reads_the_scree_of_earlier_entries():
 
 def test_depths_of_the_source_count_with_those_of_the_stack():
     land = from_array(np.zeros((120, 150), np.float32), 10.0)
-    land.layers = {"snow": np.tile(np.linspace(0, 2, 150, dtype=np.float32), (120, 1))}
+    land = land.with_raster(layers={"snow": np.tile(np.linspace(0, 2, 150, dtype=np.float32), (120, 1))})
     hill = Entry("hill", {"radius": 1e6}, mask=HeightMask("", (GroundRule("snow", low=1.0),)))
     added = shape(land, Stack((hill,)), whole_land(land.lattice)).change
     assert (added[:, :74] == 0).all() and (added[:, 76:] > 99.0).all()

@@ -55,7 +55,7 @@ def made(monkeypatch):
 
 def contents(found: previews.Preview) -> list[bytes]:
     field = found.field
-    return [field.key.encode(), field.heights().tobytes(), *(field.layers[n].tobytes() for n in sorted(field.layers))]
+    return [str(field.key).encode(), field.heights().tobytes(), *(field.layers[n].tobytes() for n in sorted(field.layers))]
 
 
 def test_only_changed_entries_and_later_ones_are_applied_again(made):
@@ -90,7 +90,7 @@ def test_a_moving_slider_keeps_the_entries_above_it_cached(made):
     land = from_array(bumpy(90, 70), *STEPS)
     for part in np.linspace(0.0, 1.0, 2 * previews.MAX_CACHED):
         preview(land, Stack((hill(), Entry("level", {"part": float(part)}))))
-    assert made.count("hill") == 1 and len(land.found[("land preview",)]) == previews.MAX_CACHED
+    assert made.count("hill") == 1 and len(land.cache.results[("land preview",)]) == previews.MAX_CACHED
 
 
 def test_holes_stay_holes_and_the_source_is_not_written():

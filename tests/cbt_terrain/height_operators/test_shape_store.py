@@ -57,7 +57,7 @@ def test_a_shaped_store_is_an_ordinary_one(source, tmp_path):
     blocks = verify(tmp_path / "out")
     assert {"layer_worn.npy", "layer_fresh.npy", "layer_mark.npy", "samples.npy", "valid.npy"} <= set(blocks)
     shaped = read_json(tmp_path / "out")["provenance"]["shaped"]
-    assert shaped["source_key"] == before.key and shaped["stack"]["entries"][1]["effect"] == "hill"
+    assert shaped["source_key"] == before.raster.digest and shaped["stack"]["entries"][1]["effect"] == "hill"
     assert describe(tmp_path / "out")["format"] == "shaped"
 
 
@@ -96,7 +96,7 @@ def test_layers_decide_the_key_and_a_shaped_store_can_be_shaped(source, tmp_path
     run_shape(tmp_path / "two", Stack(), tmp_path / "three")
     three = open_store(tmp_path / "three")
     assert (three.samples == two.samples).all() and set(three.layers) == {"fresh", "mark"}
-    assert one.key != two.key and one.raster_key == one.key
+    assert one.key != two.key and str(one.key) == one.raster.digest
 
 
 @pytest.mark.parametrize("damage", ["bytes", "missing", "short", "link", "nan"])
@@ -205,7 +205,7 @@ def test_attributes_read_layers_at_points_and_scales(source, tmp_path, monkeypat
     field = open_store(tmp_path / "out")
     west, south, _, _ = field.lattice.rectangle()
     ramp = np.tile(np.arange(700, dtype=np.float32) * 9.0, (333, 1))
-    field.layers = {"snow": ramp}
+    field = field.with_raster(layers={"snow": ramp})
     rng = np.random.default_rng(2)
     places = rng.uniform((500, 700, 0), (5000, 5000, 0), (100, 3)).astype(np.float32) + np.float32((west, south, 0))
     for surface in (field, with_detail(field, Detail(2.0, 30.0))):
@@ -251,8 +251,7 @@ def test_splat_rules_read_layers(source, tmp_path):
     surface = Terrain(field, 1).update(Criterion(error_px=0, error_m=20.0)).surface
     assert {step.name for step in asked.steps} == {"snow", "splat_1"}
     for depth in (None, np.tile(np.linspace(0, 2, 700, dtype=np.float32), (333, 1))):
-        field.layers = {} if depth is None else {"snow": depth}
-        field.found.clear()
+        field = field.with_raster(layers={} if depth is None else {"snow": depth})
         white = Evaluations().attributes(asked, field, surface)["splat_1"].array[:, 1]
         east = surface.positions[:, 0] > 0.01 * 699 * 9
         west = surface.positions[:, 0] < -0.01 * 699 * 9

@@ -2,7 +2,6 @@
 """Meshes of water: welded, facing up, and ending at the shore."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -124,7 +123,7 @@ def test_no_triangle_touches_a_hole_and_nothing_is_empty():
 @pytest.mark.parametrize("side", [300, 1400])
 def test_a_large_field_is_thinned_from_its_south_western_corner(side):
     heights = cone(side // 4, side)
-    found = water_of(replace(from_array(heights, 3.0, 4.0), layers={"water_depth": sea_depth(heights, 0.0)}))
+    found = water_of(from_array(heights, 3.0, 4.0).with_raster(layers={"water_depth": sea_depth(heights, 0.0)}))
     west = (side - 1) * 1.5
     assert_welded(found)
     assert found.positions[:, 0].min() == -west and west - 3.0 <= found.positions[:, 0].max() <= west
@@ -148,5 +147,5 @@ def test_a_field_without_water_layers_gets_default_water():
 def test_the_water_of_a_field_comes_from_its_layers():
     heights = cone(60, 50)
     depth = np.where(heights < -10.0, np.float32(-10.0) - heights, np.float32(0.0))
-    found = water_of(replace(from_array(heights, STEP_X, STEP_Y), layers={"water_depth": depth}))
+    found = water_of(from_array(heights, STEP_X, STEP_Y).with_raster(layers={"water_depth": depth}))
     assert abs(found.positions[:, 2] + 10.0).max() < 1e-4

@@ -137,7 +137,7 @@ def test_any_number_of_threads_gives_the_same_bytes():
 def test_small_and_narrow_rasters():
     for shape in ((2, 2), (2, 9), (3, 2), (5, 6)):
         field = from_array(np.random.default_rng(1).uniform(0, 3, shape), 1.0)
-        origins, directions = random_rays(replace(field), 60)
+        origins, directions = random_rays(field, 60)
         units = directions / np.linalg.norm(directions, axis=1)[:, None]
         found = pick(field, origins, directions).distance
         truth = np.array([first_contact(field, *ray) for ray in zip(origins, units, strict=True)])
@@ -150,8 +150,8 @@ def test_rays_end_whatever_a_damaged_field_holds():
     noise = replace(ROUGH, ranges=rng.integers(0, 65536, ROUGH.ranges.shape).astype(np.uint16))
     lost = ROUGH.samples.copy()
     lost[::5, ::3], lost[::7, ::4] = np.nan, np.inf
-    cubic = SURFACES["bicubic"]
-    for field in (noise, replace(ROUGH, samples=lost), replace(cubic, samples=lost, error=cubic.error[::-1].copy())):
+    cubic = replace(SURFACES["bicubic"], error=SURFACES["bicubic"].error[::-1].copy())
+    for field in (noise, ROUGH.with_raster(samples=lost), cubic.with_raster(samples=lost)):
         assert len(pick(field, *origins_directions).distance) == 500
 
 

@@ -249,4 +249,4 @@ def test_damaged_heights_are_refused(field):
     samples = field.samples.copy()
     samples[30, 40] = np.inf
     with pytest.raises(TerrainError, match="not finite"):
-        scatter_points(replace(field, samples=samples), SCATTER)
+        scatter_points(field.with_raster(samples=samples), SCATTER)

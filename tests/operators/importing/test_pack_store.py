@@ -58,7 +58,7 @@ def test_shaped_land_is_packed_and_not_made_again(terrain, tmp_path):
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "there" / "valley.blend"))
     opened = bpy.data.objects["Terrain"]
     session.update_object(opened, mode="RENDER")
-    assert session.record_of(opened).field.raster_key == key and derived_store.counts["stores"] == count
+    assert session.record_of(opened).field.raster.digest == key.raster and derived_store.counts["stores"] == count
     assert shaped_land.state_of(opened).shown == "Shaped"
 
 

@@ -259,8 +259,7 @@ def test_land_that_another_blender_is_writing_is_not_cleared(terrain, shaped):
     session.update_object(terrain)
     assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
     assert [entry.name for entry in shaped.iterdir()] == [draft.folder.name]
-    field.provenance = {"shaped": {}}
-    draft.publish(field, "", {})
+    draft.publish(field.with_raster(provenance={"shaped": {}}), "", {})
     assert open_store(shaped).samples.shape == (5, 5)
     assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"} and not shaped.exists()
 

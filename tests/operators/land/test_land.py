@@ -148,7 +148,7 @@ def test_a_render_has_all_of_the_land_and_waits_for_it(terrain):
     session.update_object(terrain, mode="RENDER")
     assert derived_store.counts == {"previews": 1, "stores": 1}
     assert shaped_land.state_of(terrain).shown == "Shaped"
-    assert session.record_of(terrain).field.raster_key == open_store(shaped_land.store_of(terrain)).raster_key
+    assert session.record_of(terrain).field.raster.digest == open_store(shaped_land.store_of(terrain)).raster.digest
 
 
 def other_stores(store: str, *names: str) -> list[str]:
@@ -245,7 +245,7 @@ def test_baked_land_needs_no_stack(terrain):
     assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
     assert not land_folder.shaped_stores(source) and not (beside / "tiles").exists() and Path(source).is_dir()
     session.update_object(terrain)
-    assert session.record_of(terrain).field.raster_key == open_store(baked).raster_key
+    assert session.record_of(terrain).field.raster.digest == open_store(baked).raster.digest
     with pytest.raises(RuntimeError, match="nothing to bake: the stack is empty"):
         bpy.ops.adaptive_terrain.bake_land()
 

@@ -88,4 +88,4 @@ def test_a_view_without_a_reader_of_the_sky_makes_nothing_ahead(lit):
     bpy.context.view_layer.update()
     turns()
     assert not live._unrefined and "sky" not in lit.data.attributes
-    assert session.record_of(lit).field.found == {}
+    assert session.record_of(lit).field.cache.results == {}

@@ -10,6 +10,7 @@ import numpy as np
 from ..kernels.field.domain import Domain
 from ..kernels.refine.pixels import CriterionArrays
 from .errors import TerrainError
+from .field.depths import depth_limit, usual_depth
 from .field.heightfield import HeightField
 from .history.frame_history import FrameHistory
 from .leb.location import locate
@@ -28,10 +29,9 @@ from .refine.contract import (
     factor_of,
     reason_of,
 )
-from .refine.domain import depth_limit, make_domain, pack, usual_depth
 from .refine.horizon import RAMP, horizon_of, place_rings
 from .refine.refinement import MAX_TRIANGLES, refine, replay
-from .refine.request import RefinementRequest
+from .refine.request import RefinementRequest, pack, refinable
 from .refine.saved_leaves import depths_in_squares
 from .refine.terms import MARGIN, Terms, position_rounding, rounding
 from .run import launch
@@ -345,7 +345,7 @@ class Terrain:
         key = (meshlet, depth, vertical_scale, vertical_offset)
         if self._placed is None or self._placed[0] != key:
             rounded = rounding(self.field, depth + 2 * meshlet, vertical_scale, vertical_offset)
-            self._placed = key, make_domain(self.field, meshlet, vertical_scale, vertical_offset, rounded)
+            self._placed = key, refinable(self.field, meshlet, vertical_scale, vertical_offset, rounded)
         return self._placed[1]
 
     def _max_depth(self, criterion: Criterion) -> int:

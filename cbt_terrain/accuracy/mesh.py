@@ -74,7 +74,7 @@ class MeshGround:
         self.field, self.threads = field, threads
         self.scale, self.offset = float(vertical_scale), float(vertical_offset)
         self.key = (field.key, self.scale, self.offset)
-        # The lattice of the finest mesh: as many bits a side as `depth_limit` in refine/domain.py allows.
+        # The lattice of the finest mesh: as many bits a side as `depth_limit` in field/depths.py allows.
         self.bits = PLANE_BITS - (max(lattice.columns, lattice.rows) - 1).bit_length() - lattice.levels
         g = self.packed = kernels.Reference()
         g.bits = self.bits

@@ -12,12 +12,13 @@ import numpy as np
 import warp as wp
 
 from ...kernels.field import detail as kernels
+from ...kernels.field.domain import Domain
 from ..errors import TerrainError
-from ..run.buffers import flat
+from ..run.buffers import flat, shared
 from ..view.linear import add_up
 from .blocks import halvings
 from .detail import Detail
-from .detail_bounds import DetailTerm, masked, tables
+from .detail_bounds import DetailTerm, highest, masked, tables
 from .lattice import Lattice
 from .tiled import Tiled
 
@@ -125,6 +126,16 @@ def max_of_masks(ground: Ground | None) -> np.ndarray:
     """Return `LayerMask.max_cells` of the layers with masks, ordered as in `layer_tables`, uint8 [masks * entries]."""
     max_cells = [layer.mask.max_cells for layer in layers_below(ground) if layer.mask is not None]
     return max_cells[0] if len(max_cells) == 1 else np.concatenate([np.empty(0, np.uint8), *max_cells])
+
+
+def fill_layers(domain: Domain, ground: Ground | None, finest: float, lattice: Lattice, meshlet: int) -> None:
+    """Fill in what bounds need of the layers. `finest`: metres of the shortest edges."""
+    parts, levels = parts_of(ground, finest, lattice), mask_levels(lattice)
+    domain.detailed, domain.max_detail = int(bool(parts)), highest(parts)
+    domain.detail = shared(layer_tables(ground, finest, lattice, meshlet).reshape(-1, 2), wp.vec2f)
+    domain.masked = sum(int(layer.mask is not None) for layer in layers_below(ground))
+    domain.mask_max, domain.mask_top = shared(max_of_masks(ground), wp.uint8), len(levels) - 2
+    domain.mask_first = shared(levels, wp.int64)
 
 
 def packed(ground: Ground | None, finest: float, lattice: Lattice) -> kernels.PackedLayers:

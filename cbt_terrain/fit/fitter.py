@@ -25,15 +25,15 @@ from ...kernels.fitting import mesh as mesh_kernels
 from ...kernels.fitting import moving as kernels
 from ...kernels.refine.pixels import CriterionArrays, LocalView
 from ..field import codes
+from ..field.depths import DEPTH_BELOW_CELLS, usual_depth
 from ..field.heightfield import HeightField
 from ..history.frame_history import FrameHistory
 from ..mesh import borders
 from ..mesh.builder import SurfaceRequest, build_surface
 from ..mesh.surface import Surface
-from ..refine.domain import DEPTH_BELOW_CELLS, make_domain, usual_depth
 from ..refine.refinement import MAX_TRIANGLES, refine
-from ..refine.request import RefinementRequest
-from ..refine.terms import DISPLACEMENT_ERROR, SINGLE_BITS, Terms, left_of, rounding
+from ..refine.request import RefinementRequest, refinable
+from ..refine.terms import DISPLACEMENT_ERROR, SINGLE_BITS, Rounding, Terms, left_of, rounding
 from ..run import launch
 from ..run.buffers import Buffers, shared
 from ..terrain import Update, box_of
@@ -89,7 +89,7 @@ class Fitter:
         self.scale = abs(self.placement[0])
         self.source = field.source_max * self.scale
         self.depth = max(1, usual_depth(field))
-        self.plain = make_domain(field, 0, *self.placement, rounding(field, self.depth, *self.placement))
+        self.plain = refinable(field, 0, *self.placement, rounding(field, self.depth, *self.placement))
 
     def run(self, error_m: float) -> FittedMesh | None:
         """Return the fit for one error, None if it was given up or the raster has holes, whose filling it would fit."""
@@ -98,7 +98,7 @@ class Fitter:
         field, buffers = self.field, Buffers()
         history = FrameHistory()
         error, table = self._codes(error_m)
-        domain = make_domain(replace(field, error=error), 0, *self.placement)
+        domain = refinable(replace(field, error=error), 0, *self.placement, Rounding())
         domain.table = shared(table, wp.float32)
         domain.is_raised = 1
         m, criterion, known = self._mesh(error_m), _vertical_criterion(error_m), self._nothing_known()

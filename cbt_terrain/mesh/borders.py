@@ -11,8 +11,8 @@ import warp as wp
 
 from ...kernels.field.domain import Domain
 from ...kernels.mesh import cut as kernels
+from ..field.domain import NO_BORDER
 from ..field.heightfield import HeightField
-from ..refine.domain import NO_BORDER
 from ..run import launch
 from ..run.buffers import shared
 from ..view.linear import add_up

@@ -1,10 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The arguments of a refinement."""
 
+import math
 from dataclasses import dataclass
 
+import warp as wp
+
 from ...kernels.field.domain import Domain
-from ...kernels.refine.pixels import CriterionArrays
+from ...kernels.refine.pixels import CriterionArrays, LocalView
+from ..field.domain import make_domain
+from ..field.heightfield import HeightField
+from ..view.criterion import Criterion
+from ..view.morph import mean_ramp
+from ..view.spans import Spans
+from .terms import MARGIN, Rounding, weighed_as
+
+# An error is refined until it is this fraction of the rounding of float32 and of the source: more triangles cannot make
+# a bound a fifth smaller.
+ENOUGH = 0.25
 
 
 @dataclass(frozen=True)
@@ -22,3 +35,36 @@ class RefinementRequest:
     max_leaves: int
     is_limited: bool = False
     morph_until: float = 1.0
+
+
+def refinable(
+    field: HeightField, meshlet: int, height_scale: float, height_offset: float, rounding: Rounding
+) -> Domain:
+    """Return the placed field for a refinement. rounding: errors of float32 positions, see `terms.rounding`."""
+    domain = make_domain(field, meshlet, height_scale, height_offset)
+    domain.rounding, domain.lean, domain.max_lean = rounding.height, rounding.lean, rounding.max_lean
+    domain.enough = ENOUGH * (domain.rounding + domain.source)
+    return domain
+
+
+def pack(criterion: Criterion, views: list[LocalView], spans: Spans, source: float) -> CriterionArrays:
+    """Return a criterion in the pixel footprints of the kernels.
+
+    With geomorphing it is finer, so that the mean over the ramp meets the criterion. source: largest error of the
+    source's heights, metres.
+    """
+    arrays, mean = CriterionArrays(), mean_ramp(criterion.morph_until)
+
+    def squared(value: float) -> float:
+        return value / mean * (value / mean) if value > 0 else math.inf
+
+    arrays.view_count = len(views)
+    arrays.measures_edges = int(criterion.measures_edges)
+    arrays.error_px2, arrays.edge_px2 = squared(criterion.error_px), squared(criterion.edge_px * spans.edge)
+    arrays.area_px2 = 2 * squared(math.sqrt(criterion.area_px) * spans.edge)
+    arrays.metres2 = squared(weighed_as(criterion.error_m, source, mean) * mean * (1 - 2 * MARGIN))
+    arrays.diagonal2, arrays.axis2 = spans.lengths
+    arrays.limit = 1.0
+    views = views or [LocalView()]
+    arrays.view, arrays.views = views[0], wp.array(views, dtype=LocalView, device="cpu")
+    return arrays

@@ -4,10 +4,10 @@
 import numpy as np
 
 from ..errors import TerrainError
+from ..field.depths import depth_limit
 from ..field.heightfield import HeightField
 from ..field.lattice import MAX_MESHLET
 from ..tree.saved import MIN_DEPTH, depths_from_bytes
-from .domain import depth_limit
 
 
 def depths_in_squares(tree: bytes, field: HeightField, meshlet: int) -> tuple[int, np.ndarray]:

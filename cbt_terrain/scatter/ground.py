@@ -15,10 +15,10 @@ from ..attributes.attribute import SamplePoints
 from ..attributes.evaluate import values_at
 from ..errors import TerrainError
 from ..field import displacement_layers
+from ..field.domain import make_domain
 from ..field.heightfield import HeightField
 from ..mesh.outline import counter_clockwise, covered
 from ..plain_numbers import vertical
-from ..refine.domain import make_domain
 from ..run import launch
 from ..run.buffers import flat, shared
 from ..terrain import box_of

@@ -8,7 +8,7 @@ from .codes import Samples
 
 @wp.struct
 class Domain:
-    """A placed height field. Arrays share its memory; `cbt_terrain/refine/domain.py` fills the rest."""
+    """A placed height field. Arrays share its memory; `cbt_terrain/field/domain.py` fills in the rest."""
 
     columns: wp.int32
     rows: wp.int32

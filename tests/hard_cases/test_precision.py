@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.refine.domain import depth_limit
+from adaptive_terrain.cbt_terrain.field.depths import depth_limit
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View

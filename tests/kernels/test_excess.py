@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.refine.domain import make_domain
+from adaptive_terrain.cbt_terrain.field.domain import make_domain
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.local_view import localise

@@ -14,10 +14,10 @@ from adaptive_terrain.cbt_terrain.field import detail_bounds as bounds
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.codes import Steps
+from adaptive_terrain.cbt_terrain.field.depths import depth_limit, usual_depth
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
 from adaptive_terrain.cbt_terrain.fit.fit import fit
-from adaptive_terrain.cbt_terrain.refine.domain import depth_limit, usual_depth
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion

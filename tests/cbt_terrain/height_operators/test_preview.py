@@ -55,7 +55,11 @@ def made(monkeypatch):
 
 def contents(found: previews.Preview) -> list[bytes]:
     field = found.field
-    return [str(field.key).encode(), field.heights().tobytes(), *(field.layers[n].tobytes() for n in sorted(field.layers))]
+    return [
+        str(field.key).encode(),
+        field.heights().tobytes(),
+        *(field.layers[n].tobytes() for n in sorted(field.layers)),
+    ]
 
 
 def test_only_changed_entries_and_later_ones_are_applied_again(made):

@@ -13,8 +13,8 @@ from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
 from adaptive_terrain.cbt_terrain.refine import refinement
-from adaptive_terrain.cbt_terrain.refine.domain import pack
 from adaptive_terrain.cbt_terrain.refine.horizon import RAMP, fill, place_rings
+from adaptive_terrain.cbt_terrain.refine.request import pack
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import Buffers
 from adaptive_terrain.cbt_terrain.terrain import Terrain, box_of

@@ -11,6 +11,7 @@ from ..kernels.field.domain import Domain
 from ..kernels.refine.pixels import CriterionArrays
 from .errors import TerrainError
 from .field.depths import depth_limit, usual_depth
+from .field.domain import box_of
 from .field.heightfield import HeightField
 from .history.frame_history import FrameHistory
 from .leb.location import locate
@@ -354,28 +355,6 @@ class Terrain:
         if criterion.max_depth is not None:
             depth = min(depth_limit(self.field), criterion.max_depth)
         return max(1, depth - 2 * criterion.meshlet)
-
-
-def box_of(field: HeightField, vertical_scale: float, vertical_offset: float) -> np.ndarray:
-    """Return float64 [2, 3]: the corners of the terrain's bounding box in its own space, metres.
-
-    Raises TerrainError if a mesh, which has float32 positions, cannot hold it.
-    """
-    _, _, x, y = field.lattice.rectangle()
-    z = sorted(h * vertical_scale + vertical_offset for h in (field.min_height, field.max_height))
-    box = np.array([[-x, -y, z[0]], [x, y, z[1]]])
-    largest = float(np.finfo(np.float32).max)
-    if not max(x, y) < largest:
-        raise TerrainError(
-            f"The terrain is {2 * x:g} x {2 * y:g} m", expected="a size that float32 can hold", fix="import it smaller"
-        )
-    if not np.abs(box).max() < largest:
-        raise TerrainError(
-            f"The vertical scale {vertical_scale} and offset {vertical_offset} give heights that no mesh can hold",
-            expected="less than 3e38 metres",
-            fix="make them smaller",
-        )
-    return box
 
 
 def _max_leaves(criterion: Criterion) -> int:

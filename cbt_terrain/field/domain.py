@@ -1,33 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A placed height field as kernel arguments."""
+"""A placed height field: its kernel arguments and its bounding box."""
 
+import numpy as np
 import warp as wp
 
 from ...kernels.field.domain import Domain
+from ..errors import TerrainError
 from ..run.buffers import shared
 from . import codes
 from .depths import depth_limit
 from .displacement_layers import fill_layers
 from .heightfield import HeightField
-from .lattice import MAX_MESHLET, Lattice
+from .lattice import MAX_MESHLET
 from .meshlet_errors import error_for
 
-# Beyond all coordinates.
+# Beyond all coordinates: the lattice ends with the raster.
 NO_BORDER = 2**31 - 1
 
 
-def raster_border(lattice: Lattice, unit_bits: int) -> tuple[int, int]:
-    """Return the lattice units at which the raster ends in the east and in the north.
-
-    NO_BORDER stands for a side where the lattice ends with the raster.
-    """
-    bits, sides = unit_bits - lattice.levels, zip((lattice.cells_x, lattice.cells_y), lattice.span, strict=True)
-    return tuple(NO_BORDER if cells == span else cells << bits for cells, span in sides)
-
-
 def make_domain(field: HeightField, meshlet: int, height_scale: float, height_offset: float) -> Domain:
-    """Return the placed field for kernels that draw its leaves as 4**meshlet triangles. Memory is shared, nothing is
-    read."""
+    """Return the placed field for leaves of 4**meshlet triangles. Memory is shared, nothing is read."""
     lattice = field.lattice
     domain = Domain()
     domain.columns, domain.rows, domain.levels = lattice.columns, lattice.rows, lattice.levels
@@ -35,7 +27,9 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
     unit = 2.0 ** (lattice.levels - domain.unit_bits)
     domain.unit_x, domain.unit_y = lattice.step_x * unit, lattice.step_y * unit
     domain.west, domain.south, _, _ = lattice.rectangle()
-    domain.east, domain.north = raster_border(lattice, domain.unit_bits)
+    sides = (lattice.cells_x, lattice.span[0]), (lattice.cells_y, lattice.span[1])
+    bits = domain.unit_bits - lattice.levels
+    domain.east, domain.north = (NO_BORDER if cells == span else cells << bits for cells, span in sides)
     domain.height_scale, domain.height_offset = height_scale, height_offset
     domain.range_base, domain.range_step = field.range_base, field.range_step
     domain.error_scale = abs(height_scale)
@@ -56,3 +50,25 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
     domain.ranges = shared(field.ranges.reshape(-1), wp.uint16)
     domain.samples = codes.packed(field.samples, field.steps)
     return domain
+
+
+def box_of(field: HeightField, vertical_scale: float, vertical_offset: float) -> np.ndarray:
+    """Return float64 [2, 3]: the corners of the terrain's bounding box in its own space, metres.
+
+    Raises TerrainError if a mesh, which has float32 positions, cannot hold it.
+    """
+    _, _, x, y = field.lattice.rectangle()
+    z = sorted(h * vertical_scale + vertical_offset for h in (field.min_height, field.max_height))
+    box = np.array([[-x, -y, z[0]], [x, y, z[1]]])
+    largest = float(np.finfo(np.float32).max)
+    if not max(x, y) < largest:
+        raise TerrainError(
+            f"The terrain is {2 * x:g} x {2 * y:g} m", expected="a size that float32 can hold", fix="import it smaller"
+        )
+    if not np.abs(box).max() < largest:
+        raise TerrainError(
+            f"The vertical scale {vertical_scale} and offset {vertical_offset} give heights that no mesh can hold",
+            expected="less than 3e38 metres",
+            fix="make them smaller",
+        )
+    return box

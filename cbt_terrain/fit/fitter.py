@@ -26,6 +26,7 @@ from ...kernels.fitting import moving as kernels
 from ...kernels.refine.pixels import CriterionArrays, LocalView
 from ..field import codes
 from ..field.depths import DEPTH_BELOW_CELLS, usual_depth
+from ..field.domain import box_of
 from ..field.heightfield import HeightField
 from ..history.frame_history import FrameHistory
 from ..mesh import borders
@@ -36,7 +37,7 @@ from ..refine.request import RefinementRequest, refinable
 from ..refine.terms import DISPLACEMENT_ERROR, SINGLE_BITS, Rounding, Terms, left_of, rounding
 from ..run import launch
 from ..run.buffers import Buffers, shared
-from ..terrain import Update, box_of
+from ..terrain import Update
 from ..view.linear import add_up
 from .sweeps import FEW, Sweeps
 

@@ -9,10 +9,10 @@ from ...kernels.query import rays as ray_kernels
 from ...kernels.query import surface as kernels
 from ..field import codes, displacement_layers
 from ..field.detail_bounds import highest
+from ..field.domain import box_of
 from ..field.heightfield import PLANE_BITS, HeightField
 from ..plain_numbers import vertical
 from ..run.buffers import flat, shared
-from ..terrain import box_of
 from ..view.linear import add_up
 
 # Of the longer half side: the rounding error of a float32 position on the border.

@@ -15,13 +15,12 @@ from ..attributes.attribute import SamplePoints
 from ..attributes.evaluate import values_at
 from ..errors import TerrainError
 from ..field import displacement_layers
-from ..field.domain import make_domain
+from ..field.domain import box_of, make_domain
 from ..field.heightfield import HeightField
 from ..mesh.outline import counter_clockwise, covered
 from ..plain_numbers import vertical
 from ..run import launch
 from ..run.buffers import flat, shared
-from ..terrain import box_of
 from ..view.linear import settled
 from .candidates import Candidates
 from .scatter import MAX_TILES, Scatter

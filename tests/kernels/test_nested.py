@@ -13,9 +13,8 @@ import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.field.domain import make_domain
+from adaptive_terrain.cbt_terrain.field.domain import box_of, make_domain
 from adaptive_terrain.cbt_terrain.refine.request import pack
-from adaptive_terrain.cbt_terrain.terrain import box_of
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.local_view import localise
 from adaptive_terrain.cbt_terrain.view.spans import PlanUnits, spans_of

@@ -44,7 +44,7 @@ PARTS = tuple(Errors.__dataclass_fields__)
 class Row:
     """Results of a setting over all frames: the largest errors and bounds, the median of triangles and times.
 
-    `bound`: in the setting's unit. `limited`: as in Update, of any frame. `surface_mb`: the mesh's arrays;
+    `bound`: in the setting's unit. `limited`: those in Update, of any frame. `surface_mb`: the mesh's arrays;
     `buffers_mb`: address space of all arrays of the engine, of which the system commits the pages that are used (None
     for a fit). `terms`: the parts of the largest bound, in the setting's unit. `popping_px`, `shading_change` (255ths):
     None where no frame follows. `ms`: by step, and "total" of the update (of the fit for a fitted row); "effects",
@@ -55,7 +55,7 @@ class Row:
 
     setting: Setting
     bound: float
-    limited: str
+    limited: tuple[str, ...]
     triangles: float
     vertices: float
     surface_mb: float
@@ -89,7 +89,7 @@ class Row:
         figures = {"asked" if k == "error" else k: v for k, v in dataclasses.asdict(self.setting).items()}
         figures |= {"bound": self.bound, "measured": self.error}
         figures |= {f"bound_{part}": getattr(self.terms, part, None) for part in TERMS}
-        figures |= {"limited": self.limited, "triangles": self.triangles, "vertices": self.vertices}
+        figures |= {"limited": ", ".join(self.limited), "triangles": self.triangles, "vertices": self.vertices}
         figures |= {f"ms_{step}": self.ms.get(step) for step in ("total", *STEPS)}
         figures["ms_cpu"] = self.cpu_ms
         figures |= dict(zip(("ms_fastest", "ms_slowest"), self.spread_ms or (None, None), strict=True))
@@ -194,7 +194,7 @@ def curve_rows(rows: Sequence[Row]) -> list[Row]:
     """Return the plain rows of the first row's unit and interpolation, without those that the triangle limit held
     back."""
     alike = [r for r in rows if all(getattr(r.setting, n) == getattr(rows[0].setting, n) for n in ALIKE)]
-    return [r for r in alike if r.setting.plain and r.limited != "max_triangles"]
+    return [r for r in alike if r.setting.plain and r.limited != ("max_triangles",)]
 
 
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
@@ -266,7 +266,7 @@ def _row(
     return Row(
         setting,
         bounds[loosest],
-        ", ".join(sorted({update.limited for update in updates} - {""})),
+        tuple(sorted({update.limited for update in updates} - {""})),
         triangles,
         vertices,
         surface_bytes / 1e6,
@@ -314,7 +314,7 @@ def _fitted_row(heights, setting: Setting, frame: TimedFrame, threads, on_part) 
     return Row(
         setting,
         fitted.bound_m,
-        fitted.limited,
+        tuple({fitted.limited} - {""}),
         fitted.triangles,
         len(surface.positions),
         _bytes(surface) / 1e6,

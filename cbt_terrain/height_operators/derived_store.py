@@ -26,7 +26,7 @@ from ..field.heightfield import HeightField
 from ..run import launch, owned_files
 from ..run.owned_files import NotOursError
 from . import land_folder, requested_tiles
-from .land_folder import OF_VIEWS, is_land_name, is_of_views, read_mask
+from .land_folder import OF_VIEWS, is_land_name, read_mask
 from .preview import Preview, preview
 from .requested_tiles import SeenTiles, Tiles
 from .shape_process import ShapeJob, shape_store
@@ -55,16 +55,18 @@ class Land:
 
     Attributes:
         source: folder of the source's store.
-        folder: folder of the derived store, whether or not it is there.
+        whole: folder of the derived store of all of it, whether or not it is there.
         waits: whether the store is needed, and a preview is not enough.
         stack: the height operators to apply.
+        of_views: whether only the parts in view are fine, which has another store.
         seen: the views that need fine land, None for all of it.
     """
 
     source: str
-    folder: str
+    whole: str
     waits: bool
     stack: Stack = field(compare=False)
+    of_views: bool = False
     seen: SeenTiles | None = field(default=None, compare=False)
 
     @classmethod
@@ -81,13 +83,14 @@ class Land:
         return Path(self.folder).parent / store_folder.TILES
 
     @property
-    def of_views_alone(self) -> "Land":
-        """The same land where only the parts in view are fine, which has another store."""
-        return replace(self, folder=self.folder.removesuffix(OF_VIEWS) + OF_VIEWS)
+    def folder(self) -> str:
+        """Folder of the derived store."""
+        return self.whole + OF_VIEWS if self.of_views else self.whole
 
     @property
-    def of_views(self) -> bool:
-        return is_of_views(self.folder)
+    def of_views_alone(self) -> "Land":
+        """The same land where only the parts in view are fine."""
+        return replace(self, of_views=True)
 
     @property
     def shown(self) -> str:

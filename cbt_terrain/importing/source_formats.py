@@ -4,8 +4,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
+from pkgutil import resolve_name
 
-GDAL = "gdal_source.open_raster"
+GDAL = "gdal_source:open_raster"
 RAW, BAND, CHANNEL = "raw", "band", "channel"
 
 
@@ -15,7 +16,7 @@ class SourceFormat:
 
     Attributes:
         title: name of the format for users.
-        opener: "module.function" of this package, for the import's child process. The function returns the Raster of a
+        opener: "module:function" of this package, for the import's child process. The function returns the Raster of a
             path and ImportSettings.
         driver: GDAL's driver, "" for formats that GDAL does not read. Such a file can say where on Earth it is.
         in_mosaic: whether a VRT may name such files.
@@ -38,13 +39,12 @@ class SourceFormat:
         """Import and return the function that opens a file."""
         if self.library:
             import_module(self.library)
-        module, function = self.opener.split(".")
-        return getattr(import_module(f".{module}", __package__), function)
+        return resolve_name(f"{__package__}.{self.opener}")
 
 
 _TIFF = SourceFormat("GeoTIFF", driver="GTiff", in_mosaic=True)
 _BIL = SourceFormat("BIL", driver="EHdr", has_header=True, is_raw_alone=True)
-_RAW = SourceFormat("RAW", "sources.open_raw", options=(RAW,))
+_RAW = SourceFormat("RAW", "sources:open_raw", options=(RAW,))
 FORMATS = {
     ".tif": _TIFF,
     ".tiff": _TIFF,
@@ -57,8 +57,8 @@ FORMATS = {
     ".bsq": _BIL,
     ".flt": _BIL,
     ".dem": SourceFormat("GTOPO30", driver="EHdr", has_header=True),  # without a header most often a text of the USGS
-    ".exr": SourceFormat("OpenEXR", "exr_source.open_exr", options=(CHANNEL,), library="OpenEXR"),
-    ".npy": SourceFormat("NumPy", "sources.open_npy", options=()),
+    ".exr": SourceFormat("OpenEXR", "exr_source:open_exr", options=(CHANNEL,), library="OpenEXR"),
+    ".npy": SourceFormat("NumPy", "sources:open_npy", options=()),
     ".raw": _RAW,
     ".r16": _RAW,
     ".r32": _RAW,

@@ -163,6 +163,6 @@ SETTINGS = (*CRITERIA, *MODIFIERS, *LIMITS)
 BOUNDS = {
     "bound_px": ("Screen error", "px"),
     "bound_m": ("Vertical error", "m"),
-    "bound_edge_px": ("Longest edge", "px an edge"),
-    "bound_area_px": ("Largest triangle", "px² a triangle"),
+    "bound_edge_px": ("Longest edge", "px"),
+    "bound_area_px": ("Largest triangle", "px²"),
 }

@@ -322,7 +322,7 @@ def overview(rows: list[Row], current: Setting | None) -> Table:
         fronts_text = ", ".join(cost for cost, settings in fronts.items() if row.setting in settings)
         numbers = [bound_text(row.bound, unit), f"{number(row.error)} {unit}", f"{row.error / row.setting.error:.2f}"]
         numbers += [f"{row.triangles:,}", number(row.whole_ms), number(row.surface_mb), number(row.buffers_mb)]
-        lines.append([name, *numbers, limit_text(row.limited), fronts_text])
+        lines.append([name, *numbers, limit_text(*row.limited), fronts_text])
     return Table([*head, "held back by", "Pareto front"], lines)
 
 

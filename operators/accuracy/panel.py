@@ -103,7 +103,7 @@ def _bounds(status) -> list[tuple[str, float, str, object]]:
     for name, (label, unit) in BOUNDS.items():
         if (value := getattr(status, name)) is not None:
             terms = getattr(status, name.replace("bound", "terms"), None)
-            bounds.append((label, value, unit.partition(" ")[0], terms))
+            bounds.append((label, value, unit, terms))
     return bounds
 
 

@@ -62,7 +62,7 @@ def run_submit(arguments) -> None:
     from ..farm.submit import submit
 
     scene, objects = open_scene(arguments.scene)
-    for line in submit(
+    lines, notes = submit(
         scene,
         objects,
         arguments.out,
@@ -72,5 +72,6 @@ def run_submit(arguments) -> None:
         extension=arguments.extension,
         min_memory_gib=arguments.min_memory,
         allow_outside=arguments.allow_outside,
-    ):
+    )
+    for line in [*lines, *(f"note: {note}" for note in notes)]:
         print_line(line)

@@ -314,7 +314,7 @@ def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = Non
     if empty := [t["name"] for t in terrains if not t["triangles"]]:
         parts.append(f"nothing is left of {' and '.join(empty)}")
     if limited := sorted({t["limited"] for t in terrains if t["limited"]}):
-        parts.append(f"held back by {limit_text(', '.join(limited))}")
+        parts.append(f"held back by {limit_text(*limited)}")
     parts.append(f"update {sum(t['ms'].get('total', 0.0) for t in terrains):.0f} ms")
     if elapsed_ms is not None:
         parts.append(f"{elapsed_ms:.0f} ms in all")

@@ -4,13 +4,13 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """A format of exported meshes. A function is named "module.function" of this package, to be imported when it is
+    """A format of exported meshes. A function is named "module:function" of this package, to be imported when it is
     first called.
 
     Attributes:
@@ -22,7 +22,7 @@ class ExportFormat:
         is_whole_scene: whether one file holds all terrains of a frame.
     """
 
-    write: str = "exporting.write_with_blender"
+    write: str = "exporting:write_with_blender"
     export: str = ""
     count: str = ""
     finish: str = ""
@@ -31,19 +31,18 @@ class ExportFormat:
 
     def call(self, name: str, *arguments):
         """Call the function of one attribute."""
-        module, function = getattr(self, name).split(".")
-        return getattr(import_module(f".{module}", __package__), function)(*arguments)
+        return resolve_name(f"{__package__}.{getattr(self, name)}")(*arguments)
 
 
 FORMATS = {
-    "npz": ExportFormat("exporting.write_arrays", needs_blender=False),
+    "npz": ExportFormat("exporting:write_arrays", needs_blender=False),
     "ply": ExportFormat(
-        export="blender_exporters.export_ply", count="read_back.count_in_ply", finish="blender_exporters.face_outwards"
+        export="blender_exporters:export_ply", count="read_back:count_in_ply", finish="blender_exporters:face_outwards"
     ),
-    "obj": ExportFormat(export="blender_exporters.export_obj", count="read_back.count_in_obj"),
-    "glb": ExportFormat(export="blender_exporters.export_glb", count="read_back.count_in_glb"),
-    "stl": ExportFormat(export="blender_exporters.export_stl", count="read_back.count_in_stl"),
-    "blend": ExportFormat("exporting.write_blend", is_whole_scene=True),
+    "obj": ExportFormat(export="blender_exporters:export_obj", count="read_back:count_in_obj"),
+    "glb": ExportFormat(export="blender_exporters:export_glb", count="read_back:count_in_glb"),
+    "stl": ExportFormat(export="blender_exporters:export_stl", count="read_back:count_in_stl"),
+    "blend": ExportFormat("exporting:write_blend", is_whole_scene=True),
 }
 MAX_FRAMES = 1_000_000
 MAX_FRAME = 1_048_574  # what Blender holds

@@ -154,7 +154,7 @@ def _is_figures(terrain) -> bool:
     return (
         isinstance(terrain["name"], str)
         and _is_count(terrain["triangles"])
-        and all(limit in LIMITS for limit in terrain["limited"].split(", ") if limit)
+        and terrain["limited"] in ("", *LIMITS)
         and all(terrain[name] is None or _is_number(terrain[name]) for name in BOUNDS)
         and all(map(_is_number, terrain["ms"].values()))
     )

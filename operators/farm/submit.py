@@ -27,7 +27,6 @@ from .outside_files import check_outside, named_some
 
 FRAMES, INSTALLED = "frames", "installed"
 PACKAGE = Path(__file__).resolve().parents[2]
-NOTE = "note: "  # starts a line about something left to do
 
 
 def submit(
@@ -41,8 +40,10 @@ def submit(
     extension: str | None,
     min_memory_gib: float = 0.0,
     allow_outside: bool = False,
-) -> list[str]:
-    """Write the job of the open, saved file into the folder `out`, and return lines about it for the user.
+) -> tuple[list[str], list[str]]:
+    """Write the job of the open, saved file into the folder `out`.
+
+    Return lines about it for the user, and notes about things left to do.
 
     Args:
         frames: None for the scene's.
@@ -96,7 +97,7 @@ def submit(
     write_bundle(job, out)
     lines = [f"{out} is a job of {len(set(job.frames)):,} frames, {job.chunk} a task"]
     lines.append(f"to run it on this machine: {openjd_command(out)}")
-    return lines + [NOTE + note for note in notes]
+    return lines, notes
 
 
 def _add_terrain(obj, height_maps: list[Path], folders: list[Path], outputs: list[Path]) -> None:

@@ -10,7 +10,7 @@ from ..bridge.scene_paths import absolute_path
 from ..export.formats import parse_frames
 from ..session import session
 from ..terrain.properties import PATH_OPTIONS
-from .submit import INSTALLED, NOTE, submit
+from .submit import INSTALLED, submit
 
 
 class SubmitToFarm(bpy.types.Operator):
@@ -68,7 +68,7 @@ class SubmitToFarm(bpy.types.Operator):
             _check_is_saved()
             if not self.folder.strip():
                 raise TerrainError("The job has no folder", expected="one, such as //farm/")
-            lines = submit(
+            lines, notes = submit(
                 context.scene,
                 session.terrains_of(context.scene),
                 Path(absolute_path(self.folder)),
@@ -81,8 +81,9 @@ class SubmitToFarm(bpy.types.Operator):
         except (TerrainError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        for line in lines:
-            self.report({"WARNING" if line.startswith(NOTE) else "INFO"}, line.removeprefix(NOTE))
+        for kind, texts in (("INFO", lines), ("WARNING", notes)):
+            for text in texts:
+                self.report({kind}, text)
         return {"FINISHED"}
 
     def _frames(self) -> tuple[int, ...] | None:

@@ -28,6 +28,6 @@ def bound_text(bound: float, unit: str, digits: int = 3) -> str:
     return f"{float(shown):.{digits}g} {unit}"
 
 
-def limit_text(limited: str) -> str:
-    """Return the comma-separated limits of `Update.limited` in words."""
-    return " and ".join(LIMITS[name] for name in limited.split(", ") if name)
+def limit_text(*limits: str) -> str:
+    """Return values of `Update.limited` in words."""
+    return " and ".join(LIMITS[name] for name in limits if name)

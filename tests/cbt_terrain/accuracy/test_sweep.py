@@ -197,7 +197,7 @@ def test_a_curve_needs_runs_that_agree():
     assert unsteady_row(agreed) is None and unsteady_row(rows) is None and unsteady_row([]) is None
     torn = [*agreed[:2], dataclasses.replace(rows[2], spread_ms=(1.0, 2.1))]
     assert unsteady_row(torn) is torn[2]
-    limited = dataclasses.replace(torn[2], limited="max_triangles")
+    limited = dataclasses.replace(torn[2], limited=("max_triangles",))
     assert unsteady_row([*agreed[:2], limited]) is None, "it is no part of the curve"
 
 

@@ -20,7 +20,7 @@ def test_options_and_drivers_belong_to_the_right_suffixes():
 @pytest.mark.parametrize("suffix", TABLE)
 def test_every_format_has_a_function_that_opens_it(suffix):
     form = FORMATS[suffix]
-    module, name = form.opener.split(".")
+    module, name = form.opener.split(":")
     assert name.startswith("open_") and (form.library or form.load().__name__ == name)
     assert module in ("gdal_source", "exr_source", "sources")
 

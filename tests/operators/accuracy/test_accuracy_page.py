@@ -166,7 +166,7 @@ def test_a_time_curve_of_runs_that_disagree_is_left_out():
 def test_there_is_no_curve_if_the_limit_stopped_all_rows():
     """A sweep in metres of a rough raster of 4097 x 4097 samples: its measurements are written all the same."""
     rows = [row for row in known_rows() if row.setting.plain]
-    held = [dataclasses.replace(row, limited="max_triangles") for row in rows]
+    held = [dataclasses.replace(row, limited=("max_triangles",)) for row in rows]
     field = from_array(np.zeros((5, 5), np.float32))
     subject = AccuracySubject("rough", field, [TimedFrame()], [], "as a whole", None, rows=[rows[0], *held[1:]])
     assert accuracy_page.curves(subject) == [] and accuracy_page.sentences(subject) == []

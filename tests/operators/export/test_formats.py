@@ -2,8 +2,8 @@
 """The table of exported mesh formats, and formats and frames as text."""
 
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 
 import bpy
 import pytest
@@ -15,8 +15,7 @@ from adaptive_terrain.operators.export.formats import FORMATS, format_of, needs_
 def test_every_function_of_a_format_exists(name):
     form = FORMATS[name]
     for function in filter(None, (form.write, form.export, form.count, form.finish)):
-        module, attribute = function.split(".")
-        assert callable(getattr(import_module(f"{formats.__package__}.{module}"), attribute))
+        assert callable(resolve_name(f"{formats.__package__}.{function}"))
     assert bool(form.export) == bool(form.count) == (name in ("ply", "obj", "glb", "stl"))
 
 

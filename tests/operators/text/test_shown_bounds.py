@@ -38,6 +38,6 @@ def test_no_bound_is_shown_in_words(bound):
 
 
 def test_limits_are_shown_in_words():
-    assert limit_text("max_depth, precision") == "the depth limit and float32 precision"
+    assert limit_text("max_depth", "precision") == "the depth limit and float32 precision"
     assert limit_text("source") == "source rounding"
     assert limit_text("") == "" and limit_text("precision") == LIMITS["precision"]

@@ -50,8 +50,8 @@ def _note_update(depsgraph) -> None:
         kept.note_update(depsgraph)
 
 
-def update_all(scene, depsgraph, mode: str) -> list[str]:
-    """Update the scene's terrains; one that fails keeps its mesh and does not stop the others. Returns why they failed.
+def update_all(scene, depsgraph, mode: str) -> list[TerrainError]:
+    """Update the scene's terrains; one that fails keeps its mesh and does not stop the others. Returns the errors.
 
     A render needs the terrains in its dependency graph: rendered objects and their inputs.
     """
@@ -65,15 +65,15 @@ def update_all(scene, depsgraph, mode: str) -> list[str]:
         try:
             session.update_object(obj, depsgraph, mode)
         except Exception as error:
-            failed.append(session.explain(error))
+            failed.append(session.as_terrain_error(error))
             if not isinstance(error, TerrainError):
                 traceback.print_exc()
     return failed
 
 
 def _update_viewport(scene, depsgraph) -> None:
-    for reason in update_all(scene, depsgraph, VIEWPORT):
-        print_line(f"Adaptive Terrain: {reason}")
+    for error in update_all(scene, depsgraph, VIEWPORT):
+        print_line(f"Adaptive Terrain: {error}")
 
 
 def _mesh_is_needed_now() -> bool:
@@ -111,7 +111,7 @@ def on_frame_change(scene, depsgraph) -> None:
             _update_terrains(scene, depsgraph, failed)
 
 
-def _settle(scene, depsgraph) -> list[str]:
+def _settle(scene, depsgraph) -> list[TerrainError]:
     """Move objects to the ground; return the errors that kept those that a render needs from it."""
     waits = depsgraph.mode == RENDER or pauses.paused_now() or _mesh_is_needed_now()
     try:
@@ -120,14 +120,14 @@ def _settle(scene, depsgraph) -> list[str]:
     except Exception as error:
         if not isinstance(error, TerrainError):
             traceback.print_exc()
-        return [session.explain(error)]
+        return [session.as_terrain_error(error)]
     return []
 
 
-def _update_terrains(scene, depsgraph, failed: list[str]) -> None:
+def _update_terrains(scene, depsgraph, failed: list[TerrainError]) -> None:
     if depsgraph.mode == RENDER:
         if _rendered_frame(scene) == (scene.frame_current, scene.frame_subframe):
-            if failed := list(dict.fromkeys(failed + update_all(scene, depsgraph, RENDER))):
+            if failed := failed + update_all(scene, depsgraph, RENDER):
                 stale_renders.meet(scene, failed)
     elif _mesh_is_needed_now():
         _update_viewport(scene, depsgraph)

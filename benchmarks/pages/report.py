@@ -75,4 +75,4 @@ def write_text(path: Path, text: str) -> None:
 
 
 def _unwritable(path: Path, reason: OSError) -> TerrainError:
-    return TerrainError(f"{path} cannot be written ({reason.strerror}); choose another name.")
+    return TerrainError(f"{path} cannot be written ({reason.strerror})", fix="choose another name")

@@ -157,7 +157,9 @@ def _copy_file(source: str | Path, target: str | Path) -> None:
     try:
         shutil.copy2(source, target)
     except OSError as reason:
-        raise TerrainError(f"{Path(source).name} cannot be copied ({reason.strerror or reason})") from reason
+        raise TerrainError(
+            f"{Path(source).name} cannot be copied", str(reason.strerror or reason), fix="make room or allow access"
+        ) from reason
 
 
 def are_equal(first: Path, second: Path) -> bool:

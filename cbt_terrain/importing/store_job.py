@@ -284,5 +284,6 @@ def serve(work: ChildWork, what: Callable[[dict], str], heard: Callable[[], None
     except MemoryError:
         send_error(TerrainError(f"{what(request)} ran out of memory", fix="cut it into tiles or reduce it"))
     except Exception as error:
-        send_error(TerrainError(f"{what(request)} failed unexpectedly ({type(error).__name__}: {error})"))
+        fault = f"{what(request)} failed unexpectedly ({type(error).__name__}: {error})"
+        send_error(TerrainError(fault, fix="report it with the file"))
         raise

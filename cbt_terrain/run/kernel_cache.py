@@ -65,8 +65,11 @@ def _leave_cache(reason: Exception) -> None:
     try:
         use_temporary_cache(shown(reason))
     except OSError as failed:
-        text = f"{failed.strerror} ({failed.filename})" if failed.filename else failed.strerror
-        raise TerrainError(f"{text[0].upper()}{text[1:]}") from failed
+        raise TerrainError(
+            f"Compiled kernels cannot be kept in the user's cache ({shown(reason)}) or a temporary folder",
+            where=failed.filename or "",
+            fix="set WARP_CACHE_PATH or TMPDIR to a folder that can be written",
+        ) from failed
 
 
 def _error(name: str, reason: Exception) -> TerrainError:

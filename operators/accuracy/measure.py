@@ -127,8 +127,8 @@ def measure_request(field, request: Request, on_progress) -> Result:
     return Result(curve, worst(found), request.digest(field.key), no_curve)
 
 
-def _requests(obj, depsgraph) -> tuple[dict[str, Request], list[str]]:
-    """Return the requests that can be measured, and why the others cannot. Raises TerrainError if none can."""
+def _requests(obj, depsgraph) -> tuple[dict[str, Request], list[TerrainError]]:
+    """Return the requests that can be measured, and errors of the others. Raises TerrainError if none can."""
     requests, problems = {}, []
     for mode in DETAIL:
         try:
@@ -141,9 +141,9 @@ def _requests(obj, depsgraph) -> tuple[dict[str, Request], list[str]]:
             error = {f"error_{unit}": getattr(detail, f"error_{unit}")}
             requests[mode] = replace(request, criterion=replace(request.criterion, **error))
         except TerrainError as error:
-            problems.append(f"{DETAIL[mode].capitalize()}: {error}")
+            problems.append(error.within(f"The {DETAIL[mode]}'s detail cannot be measured"))
     if not requests:
-        raise TerrainError(problems[0])
+        raise problems[0]
     return requests, problems
 
 
@@ -159,7 +159,7 @@ class MeasureAccuracy(MeasuringOperator, bpy.types.Operator):
     def prepare(self, context):
         requests, problems = _requests(context.object, context.evaluated_depsgraph_get())
         for problem in problems:
-            self.report({"WARNING"}, problem)
+            self.report({"WARNING"}, str(problem))
         return lambda job: measure_requests(requests, job.progress)
 
     def finish(self, _context, obj, results: dict[str, Result]) -> None:

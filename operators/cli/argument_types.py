@@ -5,7 +5,7 @@ import argparse
 import math
 from pathlib import Path
 
-from ...cbt_terrain.errors import path_fault, shown
+from ...cbt_terrain.errors import TerrainError, path_fault, shown
 from ...cbt_terrain.view.settings import SETTINGS, CriterionSetting
 
 MAX_INT = 2**31 - 1
@@ -13,12 +13,12 @@ METAVARS = {"px": "PX", "px²": "PX2", "m": "METRES", "°": "DEG"}  # by unit
 
 
 def argument(parse):
-    """Let argparse show the text of a parser's ValueError."""
+    """Let argparse show the text of a parser's ValueError or TerrainError."""
 
     def checked(text: str):
         try:
             return parse(text)
-        except ValueError as error:
+        except (ValueError, TerrainError) as error:
             raise argparse.ArgumentTypeError(str(error)) from None
 
     return checked

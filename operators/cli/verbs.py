@@ -8,7 +8,7 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-from ...cbt_terrain.errors import shown
+from ...cbt_terrain.errors import TerrainError, shown
 from ..text.console import LONGEST_LINE, Progress, duration, print_line
 
 DEFAULT_RESOLUTION = (1920, 1080)
@@ -97,8 +97,8 @@ def run_bake(arguments) -> None:
 
     try:
         form = format_of(arguments.out)
-    except ValueError as error:
-        raise UsageError(f"--out {error}") from None
+    except TerrainError as error:
+        raise UsageError(f"--out: {error}") from None
     check_target(arguments.out)
     remove_abandoned(arguments.out.parent)
     bar = Progress(1.0, "bake", arguments.progress)

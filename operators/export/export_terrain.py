@@ -44,10 +44,7 @@ class ExportTerrain(bpy.types.Operator, ExportHelper):
         from .exporting import check_target, figures, write_piece
         from .frame_sources import scene_piece
 
-        try:
-            format_of(path)
-        except ValueError as error:
-            raise TerrainError(f"The file {error}") from None
+        format_of(path)
         check_target(path)
         remove_abandoned(path.parent)
         piece = scene_piece(context.object, context.evaluated_depsgraph_get(), context.scene.frame_current)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from pkgutil import resolve_name
 
+from ...cbt_terrain.errors import TerrainError
+
 
 @dataclass(frozen=True)
 class ExportFormat:
@@ -49,13 +51,13 @@ MAX_FRAME = 1_048_574  # what Blender holds
 
 
 def parse_frames(text: str) -> tuple[int, ...]:
-    """Parse `7`, `1-24`, `1-24:2` or several of them, such as `1,3,7-20:2`. Raises ValueError.
+    """Parse `7`, `1-24`, `1-24:2` or several of them, such as `1,3,7-20:2`. Raises TerrainError.
 
     Ends are included. A frame comes once, where it is first named, so `1-240:24,1-240` begins with every 24th frame.
     """
     parts = [_frame_range(part.strip()) for part in text.split(",")]
     if sum(map(len, parts)) > MAX_FRAMES:
-        raise ValueError(f"frames {_short(text)} are more than {MAX_FRAMES:,}")
+        raise TerrainError(f"The frames {_short(text)} are too many", expected=f"{MAX_FRAMES:,} at most")
     return tuple(dict.fromkeys(frame for part in parts for frame in part))
 
 
@@ -63,12 +65,16 @@ def _frame_range(part: str) -> range:
     """Parse one part of a list of frames."""
     match = re.fullmatch(r"(-?\d{1,9})(?:-(-?\d{1,9})(?::(\d{1,9}))?)?", part)
     if not match:
-        raise ValueError(f"frames {_short(part)} are not A, A-B or A-B:S")
+        raise TerrainError(f"The frames {_short(part)} cannot be read", expected="A, A-B or A-B:S")
     first, last, step = int(match[1]), int(match[2] or match[1]), int(match[3] or 1)
     if last < first or step < 1:
-        raise ValueError(f"frames {_short(part)} go backwards or stand still")
+        raise TerrainError(
+            f"The frames {_short(part)} go backwards or stand still", expected="A-B:S with A up to B, and S from 1"
+        )
     if max(abs(first), abs(last)) > MAX_FRAME:
-        raise ValueError(f"frames {_short(part)} are not within -{MAX_FRAME:,} and {MAX_FRAME:,}")
+        raise TerrainError(
+            f"The frames {_short(part)} are not within Blender's range", expected=f"-{MAX_FRAME:,} .. {MAX_FRAME:,}"
+        )
     return range(first, last + 1, step)
 
 
@@ -77,19 +83,19 @@ def _short(text: str) -> str:
 
 
 def parse_formats(text: str) -> tuple[str, ...]:
-    """Parse `npz,ply` into a tuple without repetition, in the given order. Raises ValueError."""
+    """Parse `npz,ply` into a tuple without repetition, in the given order. Raises TerrainError."""
     formats = tuple(dict.fromkeys(part.strip().lower() for part in text.split(",")))
     unknown = [part for part in formats if part not in FORMATS]
     if unknown:
-        raise ValueError(f"format {unknown[0]!r} is not one of {', '.join(FORMATS)}")
+        raise TerrainError(f"The format {unknown[0]!r} is unknown", expected=f"one of {', '.join(FORMATS)}")
     return formats
 
 
 def format_of(path: Path) -> ExportFormat:
-    """Return the format that a file's suffix names. Raises ValueError."""
+    """Return the format that a file's suffix names. Raises TerrainError."""
     found = FORMATS.get(path.suffix[1:].lower())
     if found is None:
-        raise ValueError(f"{path.name!r} has no known format; expected one of {', '.join(FORMATS)}")
+        raise TerrainError(f"{path.name!r} has no known format", expected=f"one of {', '.join(FORMATS)}")
     return found
 
 

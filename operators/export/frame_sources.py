@@ -278,7 +278,10 @@ def open_scene(blend: Path) -> tuple:
         with quiet():
             bpy.ops.wm.open_mainfile(filepath=str(real_path(blend)), load_ui=False)
     except RuntimeError as error:
-        raise TerrainError(f"Blender cannot open {blend} ({str(error).strip()})") from None
+        raise TerrainError(
+            f"Blender cannot open {blend} ({str(error).strip()})",
+            expected=f"a file that Blender {bpy.app.version_string} or an older version saved",
+        ) from None
     check_named_files(blend)
     scene = bpy.context.scene
     objects = session.terrains_of(scene)

@@ -68,7 +68,10 @@ def _render(source: SceneFrames, out: Path, frame: int) -> dict:
             try:
                 bpy.ops.render.render(write_still=True)
             except RuntimeError as error:
-                raise TerrainError(f"Blender cannot render frame {frame} ({str(error).strip()})") from None
+                raise TerrainError(
+                    f"Blender cannot render frame {frame} ({str(error).strip()})",
+                    fix="render this frame in Blender, which reports more",
+                ) from None
         stopping.check()
         pictures = sorted(single.iterdir()) if single.is_dir() else []
         if pictures:
@@ -95,7 +98,7 @@ def _check_land(objects: list, frame: int) -> None:
             if not obj.hide_render:
                 land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
         except NotOursError as error:
-            raise error.within(f"Frame {frame} is not rendered, since its mesh would be stale") from None
+            raise stale_renders.stale_frame_error(frame, [error]) from None
         except TerrainError:
             pass  # the render finds it too, if it needs the land
 

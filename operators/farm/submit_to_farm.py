@@ -87,12 +87,7 @@ class SubmitToFarm(bpy.types.Operator):
         return {"FINISHED"}
 
     def _frames(self) -> tuple[int, ...] | None:
-        if not self.frames.strip():
-            return None
-        try:
-            return parse_frames(self.frames)
-        except ValueError as error:
-            raise TerrainError(f"The {error}") from None
+        return parse_frames(self.frames) if self.frames.strip() else None
 
 
 def _check_is_saved() -> None:

@@ -4,38 +4,39 @@
 import numpy as np
 from mathutils import Matrix, Vector
 
+from ...cbt_terrain.errors import TerrainError
 from . import world_ground
+from .vertical_moves import is_linked
 
 
-def drop_points(obj, world: Matrix, ground, offset: float) -> str:
+def drop_points(obj, world: Matrix, ground, offset: float) -> None:
     """Move the control points, with their handles, of the curve object `obj` with the matrix `world`.
 
-    Points without ground stay. Returns "", or the end of a sentence that explains why nothing moves.
+    Points without ground stay. Raises TerrainError if none can be moved.
     """
-    curve = obj.data
-    if curve.library is not None or curve.override_library is not None:
-        return "has a curve that is linked from a library; make it local"
+    curve, name = obj.data, f"The object {obj.name!r}"
+    if is_linked(curve):
+        raise TerrainError(f"{name} has a curve that is linked from a library", fix="make it local")
     if curve.users > 1:
-        return "shares its curve with others; make it a single user"
+        raise TerrainError(f"{name} shares its curve with others", fix="make it a single user")
     if curve.shape_keys is not None:
-        return "has shape keys, which hold the points; remove them"
+        raise TerrainError(f"{name} has shape keys, which hold the points", fix="remove them")
     if curve.dimensions == "2D":
-        return "is a flat curve; set its Shape to 3D"
+        raise TerrainError(f"{name} is a flat curve", fix="set its Shape to 3D")
     points = [point for spline in curve.splines for point in (*spline.bezier_points, *spline.points)]
     if not points:
-        return "has no points"
+        raise TerrainError(f"{name} has a curve without points", fix="add some")
     if world.determinant() == 0.0:
-        return "has a scale of 0; give it another"
+        raise TerrainError(f"{name} has a scale of 0", fix="give it another")
     places = np.array([world @ point.co.to_3d() for point in points])
     heights = world_ground.below(ground, places).heights
     if not np.isfinite(heights).any():
-        return "has no ground above or below its points"
+        raise TerrainError(f"{name} has no ground above or below its points", fix="move it over the terrain")
     up = world.to_3x3().inverted() @ Vector((0.0, 0.0, 1.0))
     for point, place, height in zip(points, places, heights.tolist(), strict=True):
         if np.isfinite(height):
             _shift(point, up * (height + offset - place[2]))
     curve.update_tag()
-    return ""
 
 
 def _shift(point, by: Vector) -> None:

@@ -18,7 +18,6 @@ from .drop_points import drop_points
 from .properties import ON
 
 ORIGIN, BOUNDS = "ORIGIN", "BOUNDS"
-HELD = "does not reach the ground: a constraint holds it"
 
 
 @dataclass(frozen=True)
@@ -67,9 +66,10 @@ class DropToGround(bpy.types.Operator):
             raise TerrainError(f"The offset from the ground is {self.offset}", expected="a number of metres")
         ground = grounds(context, depsgraph)
         for obj in movers(selected(context)):
-            refused = self._refusal(obj)
-            if refused:
-                left[obj] = refused
+            try:
+                self._check(obj)
+            except TerrainError as error:
+                left[obj] = error
                 continue
             if obj.adaptive_terrain_keep.keep:
                 keep_ground.let_go(obj)
@@ -77,63 +77,62 @@ class DropToGround(bpy.types.Operator):
             objects.append(obj)
         depsgraph.update()
         for obj in objects:
-            if refused := self._try_drop(obj, ground, depsgraph, active_terrain(context)):
-                left[obj] = refused
+            try:
+                self._drop(obj, ground, depsgraph, active_terrain(context))
+            except TerrainError as error:
+                left[obj] = error
                 obj.adaptive_terrain_keep.keep = obj in keeping
         depsgraph.update()
         left |= self._held([obj for obj in objects if obj not in left], ground, depsgraph)
         if self.keep or keeping:
             keep_ground.settle_now(context.scene, depsgraph)
-        for obj, reason in left.items():
-            self.report({"WARNING"}, f"{obj.name!r} {reason}.")
+        for error in left.values():
+            self.report({"WARNING"}, str(error))
         done = [obj for obj in objects if obj not in left]
         self.report({"INFO"}, f"On the ground: {len(done)} of {len(done) + len(left)}")
         return {"FINISHED"} if done else {"CANCELLED"}
 
-    def _refusal(self, obj) -> str:
-        """Return why an object must not move, as the end of a sentence that starts with its name, or ""."""
-        if self.keep or obj.type == "CURVE":
-            return keep_ground.refusal(obj, self.align) if self.keep else moves.untouchable(obj)
-        channels = ("location", "rotation") if self.align else ("location",)
-        if moves.is_animated(obj, *channels):
-            return "is animated, and the next frame would bring it back; use Keep Every Frame"
-        return moves.untouchable(obj) or moves.lock(obj, self.align)
+    def _check(self, obj) -> None:
+        """Raise TerrainError for an object that must not move."""
+        if self.keep:
+            keep_ground.check_keepable(obj, self.align)
+            return
+        if obj.type != "CURVE":  # the points of a curve move, not the object
+            channels = ("location", "rotation") if self.align else ("location",)
+            if moves.is_animated(obj, *channels):
+                what = f"The object {obj.name!r} is animated, and the next frame would bring it back"
+                raise TerrainError(what, fix="use Keep Every Frame")
+            moves.check_unlocked(obj, self.align)
+        moves.check_local(obj)
 
-    def _try_drop(self, obj, ground, depsgraph, terrain) -> str:
-        """Drop an object and return "", or why it stays, so that one failure does not stop the others."""
-        try:
-            return self._drop(obj, ground, depsgraph, terrain)
-        except TerrainError as error:
-            return f"stays: {str(error).rstrip('.')}"
-
-    def _drop(self, obj, ground, depsgraph, terrain) -> str:
-        """Move an object or start keeping it; return "", or why it stays. Raises TerrainError for a flat object."""
-        evaluated = obj.evaluated_get(depsgraph)
+    def _drop(self, obj, ground, depsgraph, terrain) -> None:
+        """Move an object or start keeping it. Raises TerrainError if it cannot be moved."""
+        evaluated, name = obj.evaluated_get(depsgraph), f"The object {obj.name!r}"
         if not evaluated.is_evaluated:
-            return "is hidden; show it first"
+            raise TerrainError(f"{name} is hidden", fix="show it first")
         if not np.isfinite(np.array(evaluated.matrix_world)).all():
-            return "has a location, a rotation or a scale that is no number; correct it"
+            raise TerrainError(f"{name} has a location, a rotation or a scale that is no number", fix="correct it")
         if obj.type == "CURVE" and not self.keep:
-            return drop_points(obj, evaluated.matrix_world, ground, self.offset)
+            drop_points(obj, evaluated.matrix_world, ground, self.offset)
+            return
         corners = corners_of(obj, depsgraph) if self.anchor == BOUNDS else None
         pose = rest_pose(evaluated, corners, ground, self.align)
         if pose is None:
-            return "has no ground above or below it"
+            raise TerrainError(f"{name} has no ground above or below it", fix="move it over the terrain")
         if self.keep:
             settings = obj.adaptive_terrain_keep
             settings.terrain, settings.align, settings.how, settings.keep = terrain, self.align, ON, True
             settings.offset = pose.height - pose.ground + self.offset
-            return ""
+            return
         frame = moves.frame_of(evaluated)
         if self.align:
             location, rotation, scale = obj.matrix_basis.decompose()
             obj.matrix_basis = Matrix.LocRotScale(location, moves.channel_turn(frame, pose.turn) @ rotation, scale)
         rise = pose.height + self.offset - evaluated.matrix_world.translation.z
         obj.location = obj.location + moves.channel_rise(frame, rise)
-        return ""
 
     def _held(self, objects, ground, depsgraph) -> dict:
-        """Return the objects that a constraint holds away from their new location, each with HELD."""
+        """Return the objects that a constraint holds away from their new location, each with an error."""
         held = {}
         for obj in objects if not self.keep else ():
             if obj.type != "CURVE" and obj.constraints:
@@ -142,7 +141,8 @@ class DropToGround(bpy.types.Operator):
                 pose = rest_pose(evaluated, corners, ground, False)
                 z = evaluated.matrix_world.translation.z
                 if pose is None or abs(pose.height + self.offset - z) > 1e-3 + moves.rounding(evaluated, z):
-                    held[obj] = HELD
+                    what = f"The object {obj.name!r} does not reach the ground, because a constraint holds it"
+                    held[obj] = TerrainError(what, fix="mute the constraint")
         return held
 
 

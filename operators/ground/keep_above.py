@@ -40,15 +40,20 @@ class KeepAboveGround(bpy.types.Operator):
         if not math.isfinite(self.clearance):
             raise TerrainError(f"The clearance is {self.clearance}", expected="a number of metres")
         objects = movers(_chosen(context))
-        refused = {obj: reason for obj in objects if (reason := keep_ground.refusal(obj))}
+        refused = []
         for obj in objects:
-            if obj not in refused:
-                settings = obj.adaptive_terrain_keep
-                settings.how, settings.clearance, settings.keep = ABOVE, self.clearance, True
-                settings.terrain, settings.align = active_terrain(context), False
-        held = keep_ground.settle_now(context.scene, context.evaluated_depsgraph_get())
-        for text in (*held, *(f"{obj.name!r} {reason}" for obj, reason in refused.items())):
-            self.report({"WARNING"}, f"{text}.")
+            try:
+                keep_ground.check_keepable(obj)
+            except TerrainError as error:
+                refused.append(error)
+                continue
+            settings = obj.adaptive_terrain_keep
+            settings.how, settings.clearance, settings.keep = ABOVE, self.clearance, True
+            settings.terrain, settings.align = active_terrain(context), False
+        for note in keep_ground.settle_now(context.scene, context.evaluated_depsgraph_get()):
+            self.report({"WARNING"}, note)
+        for error in refused:
+            self.report({"WARNING"}, str(error))
         count = len(objects) - len(refused)
         self.report({"INFO"}, f"Kept above ground: {count} of {len(objects)}")
         return {"FINISHED"} if count else {"CANCELLED"}
@@ -85,7 +90,7 @@ def _held(context) -> list:
 
 
 def _can_let_go(obj) -> bool:
-    return obj.adaptive_terrain_keep.keep and not moves.untouchable(obj)
+    return obj.adaptive_terrain_keep.keep and not moves.is_linked(obj)
 
 
 register, unregister = bpy.utils.register_classes_factory((KeepAboveGround, LetGo))

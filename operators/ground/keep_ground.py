@@ -31,22 +31,29 @@ def note_of(obj) -> str:
     return _notes.get(obj.session_uid, "")
 
 
-def refusal(obj, align: bool = False) -> str:
-    """Return why an object cannot be kept, as the end of a sentence that starts with its name, or ""."""
-    if refused := moves.untouchable(obj) or moves.lock(obj, align):
-        return refused
+def _note(obj, error: TerrainError) -> None:
+    _notes[obj.session_uid] = str(error)
+
+
+def check_keepable(obj, align: bool = False) -> None:
+    """Raise TerrainError for an object that cannot be kept on the ground."""
+    moves.check_local(obj)
+    moves.check_unlocked(obj, align)
     if align and obj.rotation_mode == "AXIS_ANGLE":
-        return "turns by axis and angle, which has no delta; choose another rotation mode"
+        raise TerrainError(
+            f"The object {obj.name!r} turns by axis and angle, which has no delta", fix="choose another rotation mode"
+        )
     if not obj.adaptive_terrain_keep.keep and (_has_deltas(obj) or moves.is_animated(obj, "delta_")):
-        return "already has delta transforms, which keeping needs; apply them first"
-    return ""
+        raise TerrainError(
+            f"The object {obj.name!r} already has delta transforms, which keeping needs", fix="apply them first"
+        )
 
 
 def objects_on_ground(scene) -> list:
     """Return the movable kept objects of a scene."""
     if not is_any_on_ground():
         return []
-    return [obj for obj in scene.objects if obj.adaptive_terrain_keep.keep and not moves.untouchable(obj)]
+    return [obj for obj in scene.objects if obj.adaptive_terrain_keep.keep and not moves.is_linked(obj)]
 
 
 def let_go(obj) -> None:
@@ -101,7 +108,7 @@ def _move_all(objects: list, grounds: list, depsgraph, frame_changes: bool) -> N
         held = [obj for obj in off if obj in moved and abs(off[obj][0]) > 0.5 * abs(moved[obj][0]) > 0.0]
         for obj in held:
             _set_free(obj)
-            _notes[obj.session_uid] = f"{obj.name!r} is not moved: a constraint holds it"
+            _note(obj, TerrainError(f"{obj.name!r} is not moved, because a constraint holds it", fix="mute it"))
         now = [obj for obj in off if obj not in held and not followed[obj] & off.keys()]
         for obj in now:
             _apply(obj, depsgraph, *off[obj])
@@ -130,7 +137,8 @@ def _moves_of(objects: list, grounds: list, depsgraph, moved) -> dict:
         chosen = [obj for obj in shown if obj.adaptive_terrain_keep.terrain == only]
         allowed = [item for item in grounds if only is None or item.uid == only.session_uid]
         for obj in () if allowed or only is None else chosen:
-            _notes[obj.session_uid] = f"{obj.name!r} is not moved: its terrain {only.name!r} is not in the scene"
+            what = f"{obj.name!r} is not moved, because its terrain {only.name!r} is not in the scene"
+            _note(obj, TerrainError(what, fix="choose another terrain"))
         places = np.array([_place(shown[obj]) for obj in chosen], np.float64)
         under = world_ground.below(allowed, places)
         turning = [_turns(obj) and obj not in moved for obj in chosen]
@@ -165,7 +173,7 @@ def _apply(obj, depsgraph, rise: float, normal) -> None:
     try:
         frame = moves.frame_of(evaluated)
     except TerrainError as error:
-        _notes[obj.session_uid] = str(error)
+        _note(obj, error)
         return
     if normal is not None:
         turn = moves.channel_turn(frame, moves.turn_to(evaluated, normal))

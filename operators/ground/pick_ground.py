@@ -86,8 +86,8 @@ def _put(obj, point, depsgraph) -> None:
     """Move an object so that its origin is at a point of the world. Raises TerrainError."""
     if obj is None or obj.adaptive_terrain.enabled:
         raise TerrainError("There is no active object to move, or it is a terrain", fix="make another one active")
-    if reason := moves.untouchable(obj) or moves.lock(obj):
-        raise TerrainError(f"The object {obj.name!r} {reason}")
+    moves.check_local(obj)
+    moves.check_unlocked(obj)
     evaluated = obj.evaluated_get(depsgraph)
     by = [goal - now for goal, now in zip(point.tolist(), evaluated.matrix_world.translation, strict=True)]
     obj.location = obj.location + moves.channel_move(moves.frame_of(evaluated), by)

@@ -63,13 +63,20 @@ def is_animated(obj, *channels: str) -> bool:
     return any(path.startswith(channels) for path in animated_paths(obj))
 
 
-def untouchable(obj) -> str:
-    """Return why an object may not be written, as the end of a sentence that starts with its name, or ""."""
-    linked = obj.library is not None or obj.override_library is not None
-    return "is linked from a library; make it local" if linked else ""
+def is_linked(data) -> bool:
+    """Return whether a library holds a data-block, which then may not be written."""
+    return data.library is not None or data.override_library is not None
 
 
-def lock(obj, turns: bool = False) -> str:
-    """Return why locked channels forbid a move, as the end of a sentence that starts with its name, or ""."""
-    locked = any(obj.lock_location) or (turns and any(obj.lock_rotation))
-    return "has locked transforms; unlock them in its Transform panel" if locked else ""
+def check_local(obj) -> None:
+    """Raise TerrainError for an object that may not be written."""
+    if is_linked(obj):
+        raise TerrainError(f"The object {obj.name!r} is linked from a library", fix="make it local")
+
+
+def check_unlocked(obj, turns: bool = False) -> None:
+    """Raise TerrainError for an object whose locked channels forbid a move, or a turn if it `turns`."""
+    if any(obj.lock_location) or (turns and any(obj.lock_rotation)):
+        raise TerrainError(
+            f"The object {obj.name!r} has locked transforms", fix="unlock them in the Transform panel of the sidebar"
+        )

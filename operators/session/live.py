@@ -254,7 +254,7 @@ def _finish(job: LiveUpdate) -> None:
 
 
 def _report(record: session.Record, error: Exception) -> None:
-    if record.status.error != session.explain(error):
+    if record.status.error != str(session.as_terrain_error(error)):
         session.set_error(record, error)
         jobs.redraw_panels()
 

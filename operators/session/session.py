@@ -201,15 +201,18 @@ def _update(obj, record: Record, depsgraph, mode: str, options: dict):
 
 def set_error(record: Record, error: Exception) -> None:
     """Have the panel show an error of the last update."""
-    record.status.error = explain(error)
-    record.status.failure = error if isinstance(error, TerrainError) else None
+    record.status.failure = as_terrain_error(error)
+    record.status.error = str(record.status.failure)
 
 
-def explain(error: Exception) -> str:
-    """Return the panel's text for a failed update."""
+def as_terrain_error(error: Exception) -> TerrainError:
+    """Return the error of a failed update as one for the user."""
     if isinstance(error, TerrainError):
-        return str(error)
-    return f"The update failed unexpectedly ({type(error).__name__}: {error}), and the mesh has not changed."
+        return error
+    return TerrainError(
+        f"The update failed unexpectedly ({type(error).__name__}: {error}), and the mesh has not changed",
+        fix="report it with the traceback of the console",
+    )
 
 
 def solve(record: Record, request: Request):

@@ -22,7 +22,7 @@ EXIT_CODE = 1
 FRAMES_NAMED = 10
 _ending = False
 _raising = False
-_caught: list[str] = []
+_caught: list[TerrainError] = []
 _shown_stale: dict[int, str] = {}  # frame -> why
 
 
@@ -37,19 +37,19 @@ def raising():
     finally:
         _raising = False
     if _caught:
-        raise TerrainError(_caught[0])
+        raise _caught[0]
 
 
-def meet(scene, reasons: list[str]) -> None:
-    """Handle a frame before its render whose terrains cannot be refined for these `reasons`."""
+def meet(scene, errors: list[TerrainError]) -> None:
+    """Handle a frame before its render whose terrains cannot be refined because of `errors`."""
     global _ending
     if _ending:  # each view layer calls this, and a second interruption would kill Blender
         return
-    why = " ".join(reasons)
     if _raising:
         stopping.end_host_work()
-        _caught.append(f"Frame {scene.frame_current} is not rendered, since its mesh would be stale. {why}")
+        _caught.append(stale_frame_error(scene.frame_current, errors))
         return
+    why = " ".join(dict.fromkeys(map(str, errors)))
     if not (bpy.app.background and scene.adaptive_terrain.stop_stale_renders):
         print_line(f"Adaptive Terrain: frame {scene.frame_current} is rendered with a stale mesh. {why}")
         _shown_stale[scene.frame_current] = why
@@ -65,6 +65,14 @@ def meet(scene, reasons: list[str]) -> None:
         signal.raise_signal(signal.SIGINT)
     else:
         leave()
+
+
+def stale_frame_error(frame: int, errors: list[TerrainError]) -> TerrainError:
+    """Return the error of a frame that is not rendered: the last of `errors`, after the sentences of the others."""
+    others = [str(error).removesuffix(".") for error in errors[:-1] if str(error) != str(errors[-1])]
+    return errors[-1].within(
+        ". ".join([f"Frame {frame} is not rendered, since its mesh would be stale", *dict.fromkeys(others)])
+    )
 
 
 def leave() -> None:

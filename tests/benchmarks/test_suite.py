@@ -96,7 +96,7 @@ def test_unwritable_files_are_reported_before_measuring(option, tmp_path, monkey
     (tmp_path / "file").write_text("in the way")
     assert command_line.main(["bench", option, str(tmp_path / "file" / "below")]) == 1
     captured = capsys.readouterr()
-    assert "cannot be written (Not a directory); choose another name." in captured.err and captured.err.count("\n") == 1
+    assert "cannot be written (Not a directory): choose another name." in captured.err and captured.err.count("\n") == 1
     assert captured.out == "" and [path.name for path in tmp_path.iterdir()] == ["file"]
 
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators import handlers, jobs
 from adaptive_terrain.operators.session import live, session, stale_renders
 from adaptive_terrain.operators.ui import status_bar
@@ -158,6 +159,16 @@ def test_one_terrain_that_fails_does_not_stop_the_other(flight, add_terrain):
     flight.frame_set(4)
     assert len(good.data.polygons) > 100
     assert "/nowhere" in session.record_of(broken).status.error
+
+
+def test_a_stale_frame_has_an_error_with_fields():
+    errors = [TerrainError("There is no store", "/a", fix="import it"), TerrainError("It is flat", expected="a scale")]
+    error = stale_renders.stale_frame_error(4, errors[::-1])
+    assert error.what == (
+        "Frame 4 is not rendered, since its mesh would be stale. It is flat; expected a scale. There is no store"
+    )
+    assert (error.where, error.fix) == ("/a", "import it")
+    assert stale_renders.stale_frame_error(4, errors[:1] * 2).what.endswith("be stale. There is no store")
 
 
 def test_stale_frames_are_told_of_in_few_words():

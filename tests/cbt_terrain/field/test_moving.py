@@ -153,7 +153,8 @@ def test_a_full_disk_is_named_and_costs_no_store(old, new, systems, monkeypatch)
     monkeypatch.setattr(moving.shutil, "copy2", copy2)
     moved = move_stores(old, new)
     assert moved.stores == ["sea"]
-    assert moved.failures[0] == f"{old / 'hills'}: samples.npy cannot be copied (No space left on device)."
+    what = f"{old / 'hills'}: samples.npy cannot be copied"
+    assert moved.failures[0] == f"{what} (No space left on device): make room or allow access."
     assert contents(old) | contents(new) == before and not list(new.glob(".partial-*"))
     assert (old / "hills_land").is_dir() and (old / "hills_maps").is_dir(), "they stay beside their store"
 

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.run import kernel_cache
 
 FOLDER = "import adaptive_terrain.kernels, warp; print(warp.config.kernel_cache_dir)"
@@ -132,3 +133,16 @@ def test_no_room_at_all_is_one_clear_error(tmp_path):
     error = run(f"{FULL}\n{LOAD}", tmp_path, WARP_CACHE_PATH=str(tmp_path / "a"), TMPDIR=str(tmp_path))
     assert error.startswith("The kernels of ") and error.endswith("to a folder that can be written.")
     assert [path.name for path in tmp_path.iterdir()] == ["a"] and not list((tmp_path / "a").rglob("*.o"))
+
+
+def test_an_error_of_all_caches_has_fields(monkeypatch):
+    def fail(_why):
+        raise OSError(28, "No space left on device", "/tmp")
+
+    monkeypatch.setattr(kernel_cache, "use_temporary_cache", fail)
+    monkeypatch.setattr(kernel_cache, "has_temporary_cache", lambda: False)
+    monkeypatch.setattr(kernel_cache, "_build_folder", lambda: fail(""))
+    with pytest.raises(TerrainError) as caught:
+        kernel_cache.ensure_writable()
+    assert "No space left on device" in caught.value.what and caught.value.where == "/tmp"
+    assert caught.value.fix.startswith("set WARP_CACHE_PATH or TMPDIR")

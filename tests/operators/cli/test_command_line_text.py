@@ -2,6 +2,7 @@
 """What the command line reads from words, and how it tells how far it is."""
 
 import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.cli.verbs import print_fields
 from adaptive_terrain.operators.export.formats import parse_formats, parse_frames
@@ -30,7 +31,7 @@ def test_a_text_from_outside_cannot_command_the_terminal(capsys):
         (["export", "--store", "x", "--frames", "1", "--format", "npz", "--out", "x"], 2, "needs --path"),
         (["export", "--store", "x", "--scatter", "--frames", "1", "--format", "npz", "--out", "x"], 2, "to --scene"),
         (["export", "--store", "x", "--frames", "5-1", "--format", "npz", "--out", "x"], 2, "go backwards"),
-        (["export", "--store", "x", "--frames", "1", "--format", "doc", "--out", "x"], 2, "'doc' is not one of"),
+        (["export", "--store", "x", "--frames", "1", "--format", "doc", "--out", "x"], 2, "'doc' is unknown; expected"),
         (
             ["export", "--scene", "x", "--path", "y", "--frames", "1", "--format", "npz", "--out", "x"],
             2,
@@ -56,19 +57,22 @@ def test_frames_and_formats():
     assert parse_frames("-5--3") == (-5, -4, -3)
     assert parse_frames("1,3,7-20:2") == (1, 3, 7, 9, 11, 13, 15, 17, 19)
     assert parse_frames("9, 1-9:4,1-3") == (9, 1, 5, 2, 3), "in the order given, each once"
+    with pytest.raises(TerrainError) as caught:
+        parse_frames("4-2")
+    assert caught.value.what == "The frames '4-2' go backwards or stand still" and "A-B:S" in caught.value.expected
     for text, wrong in (
-        ("1,,3", "'' are"),
+        ("1,,3", "'' cannot be read"),
         ("1,4-2", "'4-2' go"),
-        ("1,5;", "'5;' are"),
+        ("1,5;", "'5;' cannot be read"),
         ("2,9999999", "'9999999' are not within"),
     ):
-        with pytest.raises(ValueError, match=f"frames {wrong}"):
+        with pytest.raises(TerrainError, match=f"frames {wrong}"):
             parse_frames(text)
-    with pytest.raises(ValueError, match="more than 1,000,000"):
+    with pytest.raises(TerrainError, match="too many; expected 1,000,000 at most"):
         parse_frames("0-999998,0-5")
     assert parse_formats("ply, npz,ply") == ("ply", "npz")
     for text in ("", "a", "3-1", "1-5:0", "1:2", "1,", "0-99999999"):
-        with pytest.raises(ValueError):
+        with pytest.raises(TerrainError):
             parse_frames(text)
 
 

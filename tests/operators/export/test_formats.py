@@ -7,6 +7,7 @@ from pkgutil import resolve_name
 
 import bpy
 import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.export import blender_exporters, formats
 from adaptive_terrain.operators.export.formats import FORMATS, format_of, needs_blender, parse_formats
 
@@ -23,10 +24,11 @@ def test_formats_are_read_from_text_and_suffixes():
     assert parse_formats("PLY, npz,ply") == ("ply", "npz") and format_of(Path("a.B.GLB")) is FORMATS["glb"]
     assert [needs_blender([name]) for name in FORMATS] == [False, True, True, True, True, True]
     for text, wrong in (("npz,", "''"), ("fbx", "'fbx'")):
-        with pytest.raises(ValueError, match=f"format {wrong} is not one of npz, ply, obj, glb, stl, blend"):
+        with pytest.raises(TerrainError, match=f"format {wrong} is unknown") as caught:
             parse_formats(text)
+        assert caught.value.expected == "one of npz, ply, obj, glb, stl, blend"
     for name in ("a", "a.fbx", "ply"):
-        with pytest.raises(ValueError, match=f"'{name}' has no known format; expected one of npz, ply"):
+        with pytest.raises(TerrainError, match=f"'{name}' has no known format; expected one of npz, ply"):
             format_of(Path(name))
 
 

@@ -46,7 +46,7 @@ class TerrainError(Exception):
 
 
 def to_sentence(error: TerrainError) -> str:
-    """Return "What (where); expected this: do that." """
+    """Return the sentence "What (where); expected this: do that"."""
     place = f" ({error.where})" if error.where else ""
     expected = f"; expected {error.expected}" if error.expected else ""
     fix = f": {error.fix}" if error.fix else ""

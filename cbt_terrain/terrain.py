@@ -75,6 +75,7 @@ class Update:
 
     @property
     def triangles(self) -> int:
+        """Number of triangles of the surface."""
         return len(self.surface.triangles)
 
     def copy(self) -> "Update":
@@ -185,8 +186,10 @@ class Terrain:
         return self._make(key, lambda ms: self._restore(key, tree, meshlet, *heights, ms))
 
     def _make(self, key: tuple, make: Callable[[dict[str, float]], Update]) -> Update:
-        """Return the update that `make` builds, or the last one if its key is the same. `make` gets the dict of step
-        times in ms."""
+        """Return the update that `make` builds, or the last one if its key is the same.
+
+        `make` gets the dict of step times in ms.
+        """
         with self.history.alone():
             if self.history.begin(key):
                 return replace(self._need_result().update, changed=False, ms={})

@@ -85,8 +85,11 @@ def _mesh_is_needed_now() -> bool:
 
 
 def _rendered_frame(scene) -> tuple[int, float] | None:
-    """Frame and subframe that a scene is rendered at. Blender calls `render_pre` for the scene that was asked for; of
-    others that its compositor takes in, theirs is the first that they are set to."""
+    """Frame and subframe that a scene is rendered at.
+
+    Blender calls `render_pre` for the scene that was asked for; of others that its compositor takes in, theirs is the
+    first that they are set to.
+    """
     if not _rendered_frames:
         return None
     now = scene.frame_current, scene.frame_subframe

@@ -32,8 +32,11 @@ Steps = Generator[None, None, object]
 
 @dataclass(frozen=True)
 class JobKind:
-    """A kind of job. `stays`: name of the thing that a cancelled job leaves unchanged. `alone`: only one job of the
-    kind runs at a time, instead of one a terrain."""
+    """A kind of job.
+
+    `stays`: name of the thing that a cancelled job leaves unchanged. `alone`: only one job of the kind runs at a time,
+    instead of one a terrain.
+    """
 
     name: str
     title: str

@@ -105,6 +105,7 @@ class TimedFlight:
         self.update: Update | None = None
 
     def __call__(self) -> dict[str, float]:
+        """Refine the next frame; return the times of its steps in ms. Raises TerrainError if nothing changed."""
         self.frame += 1
         self.update = self.terrain.update(self.criterion, [self.views(self.frame)])
         if not self.update.changed:

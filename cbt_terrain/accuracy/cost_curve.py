@@ -70,8 +70,10 @@ class CostCurve:
         return self._cost(self.triangles, error), self._cost(self.ms, error)
 
     def error_for_ms(self, ms: float) -> float:
-        """Return the finest error whose update takes at most `ms`, rounded up to four digits. It is within a quarter of
-        the finest measured error and 16 times the coarsest."""
+        """Return the finest error whose update takes at most `ms`, rounded up to four digits.
+
+        It is within a quarter of the finest measured error and 16 times the coarsest.
+        """
         if not ms > 0:
             raise TerrainError(f"The budget is {ms} milliseconds", expected="more than 0")
         finest, coarsest = self.error[-1] / FINER, self.error[0] * COARSER
@@ -129,8 +131,10 @@ def _positive(name: str, values: Sequence) -> tuple[float, ...]:
 
 
 def _level(values: Sequence[float]) -> list[float]:
-    """Return the nearest values that never fall: neighbours in the wrong order become their geometric mean (pool
-    adjacent violators; Barlow et al. 1972)."""
+    """Return the nearest values that never fall.
+
+    The geometric mean replaces neighbours in the wrong order (pool adjacent violators; Barlow et al. 1972).
+    """
     blocks: list[list[float]] = []
     for value in values:
         blocks.append([value])

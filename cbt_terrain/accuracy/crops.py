@@ -39,8 +39,9 @@ class Crop:
 
 
 def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base: Criterion | None = None) -> list[Crop]:
-    """Return one crop for each error, through the frame's first view, with the edges of triangles in its lower left
-    half.
+    """Return one crop for each error, through the frame's first view.
+
+    Each has the edges of triangles in its lower left half.
 
     The part is the one in which the first and the last error differ most. There are none of a panorama.
     """
@@ -92,8 +93,10 @@ class _Drawn:
         self.triangles = len(surface.triangles)
 
     def shaded(self, x: int, y: int, width: int, height: int, scale: float, lines: bool) -> np.ndarray:
-        """Return float64 [height, width, 3], linear, row 0 below: pixels of a picture that is `scale` times the
-        frame."""
+        """Return the pixels of a picture that is `scale` times the frame.
+
+        float64 [height, width, 3], linear, row 0 below.
+        """
         places = np.c_[self._pixels * scale - (x, y), self._nearness]
         ends = places[self._corners]
         low, high = ends.min(axis=1), ends.max(axis=1)
@@ -123,8 +126,10 @@ class _Drawn:
 
 
 def _barycentric(ends: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return for points in triangles [n, 3, >= 2] the weights of the corners [n, 3], and pixels to the nearest edge
-    [n]."""
+    """Return weights of the corners and pixels to the nearest edge.
+
+    For points in triangles [n, 3, >= 2]: weights [n, 3], pixels [n].
+    """
     corners, at = ends[..., :2], np.stack([x, y], axis=1)[:, None]
     from_, to = corners[:, (1, 2, 0)], corners[:, (2, 0, 1)]  # the edge across from each corner
     along, out = to - from_, at - from_

@@ -29,9 +29,11 @@ def interpolation(field: HeightField) -> Errors:
 
 
 def _places(first: int, end: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return for each of `first` .. `end` the nearest of `count` samples, and the one as far behind that. Twice the
-    height of the first less that of the other goes on straight beyond the border, and inside is the height of the
-    sample."""
+    """Return for each of `first` .. `end` the nearest of `count` samples, and the one as far behind that.
+
+    Twice the height of the first less that of the other goes on straight beyond the border, and inside is the height of
+    the sample.
+    """
     places = np.arange(first, end)
     inside = np.clip(places, 0, count - 1)
     return inside, 2 * inside - places

@@ -29,8 +29,9 @@ from .screen import Sight
 
 @dataclass(frozen=True)
 class Measurement:
-    """Errors of a mesh. Percentiles and means are by area: of the ground in plan without its holes, on screen of the
-    picture.
+    """Errors of a mesh.
+
+    Percentiles and means are by area: of the ground in plan without its holes, on screen of the picture.
 
     `vertical_m`: |mesh - reference| at every raster sample and at random points between. `vertical_max_m`: the maximum
     over the continuous surface, exact for a bilinear reference. `rounding_m`: largest height by which float32 positions

@@ -32,8 +32,10 @@ def ignore(_fraction: float) -> None:
 
 @dataclass(frozen=True)
 class Errors:
-    """One distribution of errors, none negative: all 0 where `count` is 0. `p95`, `p999`: 95 % and 99.9 % are at
-    most this."""
+    """One distribution of errors, none negative: all 0 where `count` is 0.
+
+    `p95`, `p999`: 95 % and 99.9 % are at most this.
+    """
 
     count: int
     max: float
@@ -132,8 +134,9 @@ class MeasuredMesh:
         launch.slices(kernel, [[*piece, *of, *arrays] for piece in pairwise(self._cuts)], step="measure")
 
     def differences(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return mesh less reference at every sample, float32 [height, width] metres; float64 [T], largest of each
-        triangle.
+        """Return mesh less reference at every sample, and the largest magnitude of each triangle.
+
+        float32 [height, width] metres; float64 [T].
 
         The float32 are rounded toward zero. Raises TerrainError where the mesh does not cover every sample; with holes,
         samples that it does not cover or that are no ground are 0.
@@ -191,8 +194,10 @@ class MeasuredMesh:
         return difference, owner
 
     def normals_at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return float64 [n, 3]: the unit vertex normals interpolated at points as in `differences_at`; and the
-        triangle that covers each, int32 [n]; -1 in a hole."""
+        """Return the unit vertex normals interpolated at points, and the triangle that covers each.
+
+        float64 [n, 3], with points as in `differences_at`; int32 [n], -1 in a hole.
+        """
         _, owner = self.differences_at(points)
         packed, s = self.ground.packed, self._surface
         corners = s.triangles[np.maximum(owner, 0)]

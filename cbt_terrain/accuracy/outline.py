@@ -82,8 +82,9 @@ def silhouette(
 
 
 def _flips(cover: np.ndarray, sight: Sight, margin: int) -> list[np.ndarray]:
-    """Return float64 [n, 2] twice: the first pixels, in pixels from the frame's middle, of pairs of which one is
-    covered.
+    """Return the first pixels of pairs of which one is covered.
+
+    float64 [n, 2] twice, in pixels from the frame's middle.
 
     The first of the two has pairs in one row, the second pairs in one column.
     """

@@ -130,16 +130,20 @@ class Sight:
         return pack_blocks(self.ground)
 
     def points_at(self, places: np.ndarray) -> np.ndarray:
-        """Return the point seen at each point of the frame (float64 [n, 2], pixels from the middle), int64 [n, 2]; -1
-        in the sky."""
+        """Return the point seen at each point of the frame.
+
+        int64 [n, 2], -1 in the sky, for float64 [n, 2], pixels from the middle.
+        """
         x, y = np.zeros(len(places), np.int64), np.zeros(len(places), np.int64)
         inputs = [self.ground.packed, self.blocks, self.eye, shared(places, wp.vec2d)]
         self._launch(screen_kernels.seen_points, len(x), [*inputs, shared(x, wp.int64), shared(y, wp.int64)], cost=50.0)
         return np.stack([x, y], axis=1)
 
     def pixel_points(self, on_progress: Progress = ignore) -> np.ndarray:
-        """Return the point seen in the middle of each pixel, int64 [rows * columns, 2], row 0 below; x is -1 in the
-        sky."""
+        """Return the point seen in the middle of each pixel.
+
+        int64 [rows * columns, 2], row 0 below; x is -1 in the sky.
+        """
         if self._pixels is None:
             points = np.zeros((self.rows * self.columns, 2), np.int64)
             for row, places in pixel_blocks(self.columns, self.rows):
@@ -194,8 +198,10 @@ class Sight:
         return found, errors_of(np.concatenate(unseen))
 
     def point_errors(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """Return pixels between two heights (float64 [n], metres above the reference) of the visible points, float32
-        [n]."""
+        """Return pixels between two heights of the visible points, float32 [n].
+
+        The heights are float64 [n], metres above the reference.
+        """
         return self._apart(self.visible_points(), before, after)
 
     def _apart(self, points: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
@@ -212,8 +218,10 @@ class Sight:
 
 
 def pixel_blocks(columns: int, rows: int):
-    """Yield blocks of at most BLOCK pixels around the frame's middle: first row and float64 [n, 2], the pixels'
-    middles."""
+    """Yield blocks of at most BLOCK pixels: first row and the pixels' middles.
+
+    The middles are float64 [n, 2], from the frame's middle.
+    """
     for row, here in _row_blocks(rows, columns):
         places = np.empty((here, columns, 2))
         places[..., 0] = np.arange(columns) + (0.5 - columns / 2)

@@ -84,8 +84,10 @@ class Row:
         return self.whole_ms if self.cpu_ms is None else self.cpu_ms
 
     def figures(self) -> dict[str, float | int | str | None]:
-        """Return every figure under a name with its unit, the same names for every row; None for figures not
-        measured."""
+        """Return every figure under a name with its unit, the same names for every row.
+
+        Figures that are not measured are None.
+        """
         figures = {"asked" if k == "error" else k: v for k, v in dataclasses.asdict(self.setting).items()}
         figures |= {"bound": self.bound, "measured": self.error}
         figures |= {f"bound_{part}": getattr(self.terms, part, None) for part in TERMS}
@@ -115,8 +117,9 @@ def sweep(
     on_row: Callable[[Row], None] = lambda row: None,
     on_progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[Row]:
-    """Return one row for each setting, measured over all frames; those in metres depend on no view and take the first
-    frame.
+    """Return one row for each setting, measured over all frames.
+
+    Settings in metres depend on no view and take the first frame.
 
     `base`: criterion with the guard band and culling. `write` puts a surface where it is used, a Blender mesh, and
     returns the milliseconds of that step, "ingest". `effects`: plan of the attributes that are made for every mesh.
@@ -159,8 +162,10 @@ def sweep(
 
 
 def curve_of(rows: Sequence[Row]) -> CostCurve:
-    """Return the cost curve through `curve_rows`, in processor time to the finished mesh. Raises TerrainError if these
-    all have one error."""
+    """Return the cost curve through `curve_rows`, in processor time to the finished mesh.
+
+    Raises TerrainError if these all have one error.
+    """
     points = [(row.setting.error, row.triangles, row.cost_ms) for row in curve_rows(rows)]
     return CostCurve.through(rows[0].setting.unit if rows else "px", points)
 
@@ -191,15 +196,19 @@ def _spread_factor(spread_ms: tuple[float, float] | None) -> float:
 
 
 def curve_rows(rows: Sequence[Row]) -> list[Row]:
-    """Return the plain rows of the first row's unit and interpolation, without those that the triangle limit held
-    back."""
+    """Return the plain rows of the first row's unit and interpolation.
+
+    Rows that the triangle limit held back are left out.
+    """
     alike = [r for r in rows if all(getattr(r.setting, n) == getattr(rows[0].setting, n) for n in ALIKE)]
     return [r for r in alike if r.setting.plain and r.limited != ("max_triangles",)]
 
 
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Return the points (error, cost) that no other beats, by rising cost: each is better than all cheaper ones, by
-    DIFFERENT at least, so that rounding and noise make no front."""
+    """Return the points (error, cost) that no other beats, by rising cost.
+
+    Each is better than all cheaper ones by DIFFERENT or more, so that rounding and noise make no front.
+    """
     front, best = [], math.inf
     for i in sorted(range(len(points)), key=lambda i: (points[i][1], points[i][0])):
         if points[i][0] < best * (1 - DIFFERENT):
@@ -293,8 +302,10 @@ def spread_of(times_ms: Sequence[float]) -> tuple[float, float] | None:
 
 
 def _fitted_row(heights, setting: Setting, frame: TimedFrame, threads, on_part) -> Row:
-    """Return the row of a fit. It depends on no view; its time is that of a second run where the first is short enough
-    to be disturbed."""
+    """Return the row of a fit.
+
+    It depends on no view; its time is that of a second run where the first is short enough to be disturbed.
+    """
     scale, offset = frame.vertical_scale, frame.vertical_offset
     for part in range(2):
         fitted = fit(
@@ -326,8 +337,10 @@ def _fitted_row(heights, setting: Setting, frame: TimedFrame, threads, on_part) 
 
 
 def _transitions(terrain: Terrain, criterion: Criterion, before: Surface, frame: TimedFrame, threads, sight) -> list:
-    """Return jumps and changes of shading from the surface `before` to the one of the frame that follows, for each
-    view."""
+    """Return jumps and changes of shading from one frame to the next, for each view.
+
+    `before` is the surface of the first frame.
+    """
     after = terrain.update(criterion, frame.views, *frame.heights).surface
     found = []
     for view in frame.views:

@@ -25,9 +25,12 @@ MAX_TRIANGLES = 1 << 23
 
 @dataclass(frozen=True)
 class Setting:
-    """One thing to measure. `error`: of the criterion, in `unit`, "px" or "m" (of height). `max_depth`, `meshlet`: as
-    in a Criterion. `fitted`: heights of vertices are fitted (metres only). `interpolation`: of the height field.
-    `morph`: in place of the criterion's; None keeps that."""
+    """One thing to measure.
+
+    `error`: of the criterion, in `unit`, "px" or "m" (of height). `max_depth`, `meshlet`: as in a Criterion. `fitted`:
+    heights of vertices are fitted (metres only). `interpolation`: of the height field. `morph`: in place of the
+    criterion's; None keeps that.
+    """
 
     unit: str
     error: float
@@ -54,9 +57,12 @@ class Setting:
 
 
 def settings_for(heights: HeightField, frame: TimedFrame, morph: float = 1.0) -> list[Setting]:
-    """Return the settings of a whole sweep: pixels, depth limits and meshlets if there is a view; metres, plain and
-    fitted; and every other error with the other interpolation. A fit has a bilinear surface without detail under it.
-    Where a frame follows, some errors with the other transitions: `morph` is that of the swept criterion."""
+    """Return the settings of a whole sweep.
+
+    They are pixels, depth limits and meshlets if there is a view; metres, plain and fitted; and every other error with
+    the other interpolation. A fit has a bilinear surface without detail under it. If a frame follows, some errors have
+    the other transitions: `morph` is that of the swept criterion.
+    """
     same = {"interpolation": heights.interpolation}
     other = {"interpolation": next(name for name in INTERPOLATIONS if name != heights.interpolation)}
     settings = []

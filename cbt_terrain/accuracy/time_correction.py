@@ -14,8 +14,10 @@ TOLERANCE = 0.05
 
 @dataclass
 class TimeCorrection:
-    """The factor by which updates take longer than a cost curve predicts. Only the viewport corrects: a render's mesh
-    depends on the curve alone."""
+    """The factor by which updates take longer than a cost curve predicts.
+
+    Only the viewport corrects: a render's mesh depends on the curve alone.
+    """
 
     factor: float = 1.0
     _ratios: deque = field(default_factory=lambda: deque(maxlen=MAX_UPDATES))

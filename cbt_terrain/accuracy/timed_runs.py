@@ -31,8 +31,10 @@ MOVE, NUDGE = 1e-3, 1e-6
 
 @dataclass(frozen=True, eq=False)
 class TimedFrame:
-    """The arguments of one frame, as of `Terrain.update`. `after`: the frame that follows it, to measure popping
-    between the two."""
+    """The arguments of one frame, as of `Terrain.update`.
+
+    `after`: the frame that follows it, to measure popping between the two.
+    """
 
     views: Iterable[View] = ()
     placement: np.ndarray | None = None
@@ -46,6 +48,7 @@ class TimedFrame:
 
     @property
     def heights(self) -> tuple:
+        """Placement, vertical scale and vertical offset: arguments of `Terrain.update` after the views."""
         return self.placement, self.vertical_scale, self.vertical_offset
 
 

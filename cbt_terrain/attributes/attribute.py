@@ -130,8 +130,11 @@ class AttributeDeclaration:
 
 @dataclass(frozen=True)
 class AttributeRequest:
-    """A request for an attribute. `readers`: its readers, in words. `family`: PICTURE or GEOMETRY. `parameters`: pairs
-    that differ from their defaults."""
+    """A request for an attribute.
+
+    `readers`: its readers, in words. `family`: PICTURE or GEOMETRY. `parameters`: pairs that differ from their
+    defaults.
+    """
 
     name: str
     readers: tuple[str, ...]

@@ -28,12 +28,14 @@ class Coding:
 
     @property
     def texel_bytes(self) -> int:
+        """Bytes of a texel in memory."""
         return SHALLOW_BYTES if self.depth == 8 else DEEP_BYTES
 
 
 def coding_of(effect: AttributeDeclaration, form: str = PNG) -> Coding:
-    """Return the coding of an attribute: 8 bits without a unit and for colours, 16 bits for measures, half floats in
-    EXR.
+    """Return the coding of an attribute.
+
+    Attributes without a unit and colours have 8 bits, measures 16 bits, and half floats in EXR.
 
     Attributes without a known span are 32-bit floats in EXR files, whatever the form. Raises TerrainError.
     """

@@ -20,8 +20,11 @@ LARGEST = np.float32(1e9)  # limit of colours, so that sums and products of a fe
 
 @dataclass(frozen=True, eq=False)
 class DecalPicture:
-    """An image, identified by `digest`. `values`: float32 [rows, columns, 4], row 0 at the lower edge, premultiplied by
-    alpha: linear red, green, blue and alpha or, if `tilts`, slopes along columns and rows, 0 and alpha."""
+    """An image, identified by `digest`.
+
+    `values`: float32 [rows, columns, 4], row 0 at the lower edge, premultiplied by alpha: linear red, green, blue and
+    alpha or, if `tilts`, slopes along columns and rows, 0 and alpha.
+    """
 
     values: np.ndarray = field(repr=False)
     tilts: bool
@@ -54,9 +57,11 @@ def picture(pixels: np.ndarray, tilts: bool) -> DecalPicture:
 
 @dataclass(frozen=True)
 class Decal:
-    """A picture on the ground. `corner`: its lower left corner, `along`, `up`: vectors of its lower and left edge, all
-    x
-    and y in metres in the terrain's space. `opacity`: 0 .. 1."""
+    """A picture on the ground.
+
+    `corner`: its lower left corner, `along`, `up`: vectors of its lower and left edge, all x and y in metres in the
+    terrain's space. `opacity`: 0 .. 1.
+    """
 
     name: str
     picture: DecalPicture

@@ -41,8 +41,11 @@ def kernels_of(plan: AttributePlan) -> list[ModuleType]:
 
 @dataclass(frozen=True)
 class Ran:
-    """The cost of one step: milliseconds (an even share of a common call), bytes of its values, and the number of
-    computed elements, 0 if all were reused."""
+    """The cost of one step.
+
+    Milliseconds (an even share of a common call), bytes of its values, and the number of computed elements, 0 if all
+    were reused.
+    """
 
     ms: float
     nbytes: int
@@ -51,8 +54,11 @@ class Ran:
 
 @dataclass(frozen=True)
 class EffectRequest:
-    """A plan and a surface; other arguments as of `Terrain.update`. Without views, attributes in pictures have the
-    raster's scale, and so have those in geometry unless `geometry_metres` sets another."""
+    """A plan and a surface; other arguments as of `Terrain.update`.
+
+    Without views, attributes in pictures have the raster's scale, and so have those in geometry unless
+    `geometry_metres` sets another.
+    """
 
     plan: AttributePlan
     surface: Surface
@@ -72,8 +78,10 @@ class EffectRequest:
 
 @dataclass(frozen=True)
 class Evaluated:
-    """Attributes by name, whose arrays are valid until the next evaluation with the same history; the cost of each
-    step; and the bytes of all values in the history."""
+    """Attributes by name, the cost of each step, and the bytes of all values in the history.
+
+    The arrays are valid until the next evaluation with the same history.
+    """
 
     attributes: dict[str, Attribute]
     ran: dict[str, Ran]
@@ -169,8 +177,9 @@ def on_samples(
     threads: int = 1,
     level: float = 0.0,
 ) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
-    """Yield slices of rows, row 0 south, and the values there by name: float32 [rows, columns] or [rows, columns,
-    width].
+    """Yield slices of rows, row 0 south, and the values there by name.
+
+    float32 [rows, columns] or [rows, columns, width].
 
     level: of the pyramid, 0 is the raster's scale.
     """

@@ -9,9 +9,10 @@ from .evaluate import on_samples
 
 
 def evaluate_on(name: str, heights: np.ndarray, step: float, level: float = 0.0, **parameters) -> np.ndarray:
-    """Return an attribute at every inner sample of a raster, samples `step` metres apart: float32 [rows - 4, columns -
-    4]
-    or [rows - 4, columns - 4, width]."""
+    """Return an attribute at every inner sample of a raster, samples `step` metres apart.
+
+    float32 [rows - 4, columns - 4] or [rows - 4, columns - 4, width].
+    """
     field = from_array(np.asarray(heights, np.float32), step)
     requests = [AttributeRequest(name, (), parameters=tuple(parameters.items()))]
     return np.concatenate([values[name] for _, values in on_samples(field, requests, level=level)])[2:-2, 2:-2]

@@ -20,8 +20,10 @@ END = struct.pack(">I", 0) + b"IEND" + struct.pack(">I", zlib.crc32(b"IEND"))
 
 
 class PngFile:
-    """A file of `side` x `side` texels with channels of `depth` bits, written from the top. `text`: a comment in the
-    file. `pool`: compresses bands while the next ones are computed."""
+    """A file of `side` x `side` texels with channels of `depth` bits, written from the top.
+
+    `text`: a comment in the file. `pool`: compresses bands while the next ones are computed.
+    """
 
     def __init__(self, path: Path, side: int, channels: int, depth: int, text: str, pool: Executor):
         self._pool, self._waiting = pool, []

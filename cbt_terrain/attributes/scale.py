@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scale of attributes: a level of the pyramid for each point, in steps of 1/8, so that most values keep their bits
-under a slow camera."""
+"""The scale of attributes: a level of the pyramid for each point.
+
+Levels have steps of 1/8, so that most values keep their bits under a slow camera.
+"""
 
 import math
 from collections.abc import Sequence

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sky over a raster by sweeps, at every sample or, for a large raster, at the finest level with at most
-MAX_SAMPLES; and at a coarse level as a preview.
+"""The sky over a raster by sweeps.
+
+It is computed at every sample or, for a large raster, at the finest level with at most MAX_SAMPLES; a preview uses a
+coarse level.
 
 It is cached with the field and, when complete, in its store, for the last MAX_SCALES vertical scales. An interrupted
 computation continues from the last complete azimuth.

@@ -63,9 +63,11 @@ class Rule:
 
 @dataclass(frozen=True)
 class Layer:
-    """A layer with its rules. `noise_size`: longest wave of its noise in metres, 0 for no noise. `ragged`: largest
-    shift
-    of the rules' limits by noise, in widths of their edges."""
+    """A layer with its rules.
+
+    `noise_size`: longest wave of its noise in metres, 0 for no noise. `ragged`: largest shift of the rules' limits by
+    noise, in widths of their edges.
+    """
 
     name: str
     rules: tuple[Rule, ...] = ()

@@ -29,8 +29,10 @@ class ValueSource:
 
 
 class EffectValues:
-    """Points of this surface and of the last one, their common points, and the values of attributes there. A frame
-    history owns it."""
+    """Points of this surface and of the last one, their common points, and the values of attributes there.
+
+    A frame history owns it.
+    """
 
     def __init__(self, threads: int):
         self.threads = threads

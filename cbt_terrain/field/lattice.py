@@ -77,6 +77,7 @@ class Lattice:
 
     @property
     def squares(self) -> int:
+        """Number of root squares."""
         return self.columns * self.rows
 
     @property

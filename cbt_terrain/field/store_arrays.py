@@ -39,6 +39,7 @@ def header(shape: tuple[int, ...], dtype) -> bytes:
 
 
 def block_count(nbytes: int) -> int:
+    """Return the number of blocks with a checksum in `nbytes` bytes."""
     return -(-nbytes // BLOCK_BYTES)
 
 

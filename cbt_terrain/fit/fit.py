@@ -120,8 +120,9 @@ def bake(
     threads: int | None = None,
     on_progress: Callable[[float], None] = lambda _fraction: None,
 ) -> Update:
-    """Return the mesh that is nowhere more than `error_m` metres of height from a height field, which `open_store`
-    gives.
+    """Return the mesh that is nowhere more than `error_m` metres of height from a height field.
+
+    `open_store` gives the height field.
 
     `fitted`: vertices leave the surface within that error, so that fewer triangles do (a `Fitted`, without meshlets);
     `on_progress` follows that, 0 .. 1, and may raise, which cancels. With a limit of `max_triangles` the finest error
@@ -147,8 +148,9 @@ def check_interpolation(name: str) -> None:
 def _fit_within(
     fitter: Fitter, error_m: float, relaxed: float, triangle_limit: int, plain_m: float
 ) -> FittedMesh | None:
-    """Return the fit for the smallest step from `error_m` on that has at most `triangle_limit` triangles when cut,
-    found by bisection.
+    """Return the fit for the smallest step from `error_m` on that is within the triangle limit.
+
+    Bisection finds it. It has at most `triangle_limit` triangles when cut.
 
     relaxed, plain_m: by how much interpolation had to coarsen the error for that limit, and the bound that it reached.
     """

@@ -67,6 +67,7 @@ class FittedMesh:
 
     @property
     def triangles(self) -> int:
+        """Number of triangles of the fitted surface."""
         return len(self.surface.triangles)
 
 
@@ -160,9 +161,11 @@ class Fitter:
         return m
 
     def _codes(self, error_m: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the errors for the first mesh as codes that may be raised, and the errors of these codes by group:
-        powers of a root of two around the requested error, rounded to the nearest, since the fit measures its
-        result."""
+        """Return the errors for the first mesh as codes that may be raised, and the errors of these codes by group.
+
+        The errors are powers of a root of two around the requested error, rounded to the nearest, since the fit
+        measures its result.
+        """
         field, base = self.field, raising.MIN_ERROR * error_m / self.scale
         values = np.concatenate([[0.0], base * 2.0 ** (np.arange(255) / raising.PER_OCTAVE)])
         between = np.concatenate([[0.0], values[1:-1] * 2.0 ** (0.5 / raising.PER_OCTAVE)])
@@ -172,8 +175,10 @@ class Fitter:
         return found, np.tile(values.astype(np.float32), len(field.table))
 
     def _nothing_known(self) -> list[wp.array]:
-        """Return empty heights and states of vertices, for every sample and its continuation into the padding. Memory
-        is committed where it is used."""
+        """Return empty heights and states of vertices, for every sample and its continuation into the padding.
+
+        Memory is committed where it is used.
+        """
         across, up = self.field.lattice.span
         vertices = (across + 1) * (up + 1)
         return [shared(np.zeros(vertices, np.float32), wp.float32), shared(np.zeros(vertices, np.uint8), wp.uint8)]
@@ -210,16 +215,21 @@ class Fitter:
         return FittedMesh(surface, bound, parts[0], terms, limited, rounds)
 
     def _rounded(self, far: float) -> float:
-        """Return the metres by which a distance computed in float64 may be off. Where a border is cut afterwards, its
-        new vertices are rounded to float32 besides, on a mesh that is `far` metres off the surface."""
+        """Return the metres by which a distance computed in float64 may be off.
+
+        Where a border is cut afterwards, its new vertices are rounded to float32 besides, on a mesh that is `far`
+        metres off the surface.
+        """
         highest = max(abs(h) for h in (self.field.min_height, self.field.max_height))
         reach = highest * self.scale + abs(self.placement[1])
         cut = 2.0**-SINGLE_BITS * (reach + far) if self.field.lattice.is_padded else 0.0
         return DISPLACEMENT_ERROR * reach + cut
 
     def _shift(self, error_m: float) -> float:
-        """Return the metres of height that rounding plane coordinates to float32 may add, with vertices moved by
-        `error_m`."""
+        """Return the metres of height that rounding plane coordinates to float32 may add.
+
+        Vertices are moved by `error_m`.
+        """
         lattice = self.field.lattice
         # In raster cells that are split only the corners of the cells are moved.
         twist = float(self.field.table[lattice.groups][self.field.error[lattice.cell_base :].max()]) * self.scale
@@ -227,8 +237,10 @@ class Fitter:
         return self._sideways(2.0 * error_m * finer)
 
     def _sideways(self, steeper: float) -> float:
-        """Return the same for facets that are `steeper` metres a cell steeper than the surface. New vertices of a
-        border are between two that are rounded, and are rounded again."""
+        """Return the same for facets that are `steeper` metres a cell steeper than the surface.
+
+        New vertices of a border are between two that are rounded, and are rounded again.
+        """
         lattice, shift = self.field.lattice, 0.0
         times = 2.0 if lattice.is_padded else 1.0
         axes = (
@@ -251,6 +263,7 @@ class Fitter:
         self.on_progress(1.0 - 0.8**self.rounds)
 
     def spread(self, kernel: wp.Kernel, count: int, inputs: list, cost: float = 1.0) -> None:
+        """Launch a kernel over `count` items as a step of the fit."""
         launch.spread(kernel, count, inputs, step=f"fit {kernel.key}", threads=self.threads, cost=cost)
 
 

@@ -108,8 +108,10 @@ class Sweeps:
         launch.slices(kernels.pull, inputs, step="fit pull", recorded=self.recorded)
 
     def refine(self, local: float) -> dict[str, int]:
-        """Split triangles beyond the bound, or pin them to the surface; returns the counts of both and of what
-        remains."""
+        """Split triangles beyond the bound, or pin them to the surface.
+
+        Returns the counts of both and of what remains.
+        """
         self.found_np[1:3] = self.triangles, self.vertices
         inputs = [self.count, self.fitter.depth, wp.float64(local), self.m, self.found]
         launch.once(refine_kernels.refine, inputs, step="fit refine", recorded=self.recorded)

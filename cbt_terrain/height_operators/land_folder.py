@@ -64,8 +64,10 @@ def records(provenance: dict, folder: str, source_key: str) -> bool:
 
 
 def shaped_stores(source: str) -> list[tuple[Path, int]]:
-    """List the shaped stores of a source with their bytes, the one that was not used for longest first. Raises
-    TerrainError where that folder, or one in it, is a link."""
+    """List the shaped stores of a source with their bytes, the one that was not used for longest first.
+
+    Raises TerrainError where that folder, or one in it, is a link.
+    """
     beside = folder_beside(source)
     owned_files.check_folder(beside)
     found = []

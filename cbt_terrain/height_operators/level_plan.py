@@ -19,8 +19,11 @@ MAX_WHOLE, MAX_WHOLE_FOR_TILES = 4097, 2049
 
 
 class LevelPlan:
-    """How entries are applied at each level, and the total cost in nanoseconds on one thread. The finer levels of
-    `doubted` entries, whose tiles differ too much from a level in one piece, are computed in one piece if possible."""
+    """How entries are applied at each level, and the total cost in nanoseconds on one thread.
+
+    The finer levels of `doubted` entries, whose tiles differ too much from a level in one piece, are computed in one
+    piece if possible.
+    """
 
     def __init__(self, levels: Sequence[Level], entries: Sequence[Entry], wanted: Wanted):
         self.levels, self.entries = levels, entries

@@ -32,6 +32,7 @@ class LevelGround:
 
     @classmethod
     def of(cls, field: HeightField, level: Level) -> "LevelGround":
+        """Return the ground of a level of a height field."""
         missing = None if field.valid is None else _samples_of(field.valid, level) == 0
         heights = _samples_of(field.samples, level)
         heights = heights if field.steps is None else field.steps.heights(heights)
@@ -50,8 +51,10 @@ def _samples_of(samples: np.ndarray, level: Level) -> np.ndarray:
 
 @dataclass(eq=False)
 class LandWindow:
-    """The sum of the changes and layers so far in a window of a level, float32 [rows, columns]. Arrays of layers are
-    replaced, never written into."""
+    """The sum of the changes and layers so far in a window of a level, float32 [rows, columns].
+
+    Arrays of layers are replaced, never written into.
+    """
 
     window: Window
     total: np.ndarray

@@ -63,8 +63,10 @@ class GroundRule:
 
 @dataclass(frozen=True)
 class HeightMask:
-    """The product of an image, all rules and a factor from 0 to 1. `image`: file of one channel over the raster's
-    extent, first row in the north, where white means 1; "" for none."""
+    """The product of an image, all rules and a factor from 0 to 1.
+
+    `image`: file of one channel over the raster's extent, first row in the north, where white means 1; "" for none.
+    """
 
     image: str = ""
     rules: tuple[GroundRule, ...] = ()

@@ -39,8 +39,10 @@ class _TooSlow(Exception):
 
 @dataclass
 class _Applied:
-    """The coarsest level after the first entries of a stack, the sum of their changes in metres, the digest of these
-    entries, and the milliseconds of the last one."""
+    """The coarsest level after the first entries of a stack.
+
+    The sum of their changes in metres, the digest of these entries, and the milliseconds of the last one.
+    """
 
     ground: OperatorGround
     change: np.ndarray
@@ -50,8 +52,11 @@ class _Applied:
 
 @dataclass
 class Preview:
-    """Heights in memory, the milliseconds of each applied entry, the metres between samples of the level that they were
-    applied to, and the label of the first entry that the time limit left out, or ""."""
+    """Heights in memory and how they were computed.
+
+    The milliseconds of each applied entry, the metres between samples of the level that they were applied to, and the
+    label of the first entry that the time limit left out, or "".
+    """
 
     field: HeightField
     ms: list[float] = field(default_factory=list)

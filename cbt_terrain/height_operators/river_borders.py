@@ -159,8 +159,10 @@ def _coarse_samples(bed: Bed, ground: OperatorGround, coarser: Change) -> _Coars
 
 
 def _way_back(j: int, i: int, surface: np.ndarray, flow: np.ndarray) -> int:
-    """Return the direction of an outermost sample's receiver: the neighbour that is no higher and has the least larger
-    drainage area; 4 if there is none."""
+    """Return the direction of an outermost sample's receiver, 4 if there is none.
+
+    The receiver is the neighbour that is no higher and has the least larger drainage area.
+    """
     south, west = max(j - 1, 0), max(i - 1, 0)
     near = np.s_[south : j + 2, west : i + 2]
     more = np.where((flow[near] > flow[j, i]) & (surface[near] <= surface[j, i] + LEVEL), flow[near], np.inf)

@@ -38,9 +38,11 @@ class Finished(Exception):
 
 @dataclass(frozen=True)
 class Added:
-    """The difference of one operator at one level to its interpolated coarser level, over the computed tiles: its root
-    mean square and largest absolute value in metres. `made`: number of pieces, of which `computed` were not cached.
-    `doubtful`: computed in tiles although these differ too much from the level in one piece (`whole`)."""
+    """The difference of one operator at one level to its interpolated coarser level, over the computed tiles.
+
+    Its root mean square and largest absolute value are in metres. `made`: number of pieces, of which `computed` were
+    not cached. `doubtful`: computed in tiles although these differ too much from the level in one piece (`whole`).
+    """
 
     level: int
     spacing_m: float
@@ -58,9 +60,11 @@ class Added:
 @dataclass(eq=False)
 class Shaped:
     """The result of a stack: float32 [rows, columns] metres to add to the raster's samples, and layers likewise.
+
     Layers named in `depths` are added to those of the source, others replace them. `level`: finest level that was
     computed anywhere. `tiles`: computed tiles by level, of `tile_counts`. `left_out_m`: root mean square and largest
-    change of the last level where finer ones were left out; the missing detail is of that size."""
+    change of the last level where finer ones were left out; the missing detail is of that size.
+    """
 
     change: np.ndarray
     layers: dict[str, np.ndarray]
@@ -75,9 +79,12 @@ class Shaped:
 
 @dataclass(eq=False)
 class LevelState:
-    """The result of a level, which the next finer one starts from: the arrays of each entry (`num_arrays`) without its
-    mask, total and layers; and sums over entries for each tile, metres and metres squared. A tile is `uncertain` if an
-    operator changed no height though its mask is not 0: finer levels may have shorter waves, or it changes layers."""
+    """The result of a level, which the next finer one starts from.
+
+    The arrays of each entry (`num_arrays`) without its mask, total and layers; and sums over entries for each tile,
+    metres and metres squared. A tile is `uncertain` if an operator changed no height though its mask is not 0: finer
+    levels may have shorter waves, or it changes layers.
+    """
 
     level: Level
     changes: list[Sequence[np.ndarray] | None]
@@ -164,8 +171,11 @@ def run_levels(run: Shaping) -> tuple[LevelState | None, bool]:
 
 @dataclass(eq=False)
 class TileSums:
-    """The changes of an entry in each tile of a level, metres and metres squared, and whether its mask is not 0
-    everywhere there; the number of pieces that were not cached, and the milliseconds spent on them."""
+    """The changes of an entry in each tile of a level, metres and metres squared.
+
+    Also whether its mask is not 0 everywhere there, the number of pieces that were not cached, and the milliseconds
+    spent on them.
+    """
 
     max_change: np.ndarray
     mean_square: np.ndarray
@@ -175,6 +185,7 @@ class TileSums:
 
     @classmethod
     def zeros(cls, level: Level) -> "TileSums":
+        """Return the sums of a level without changes."""
         return cls(*(np.zeros(level.tile_count, kind) for kind in (float, float, bool)))
 
     def add(self, level: Level, tile: int, delta: np.ndarray, mask: np.ndarray | None, window: Window) -> None:
@@ -237,8 +248,10 @@ def _apply_run(
     coarse: list[Sequence[np.ndarray] | None],
     land: LandWindow,
 ) -> tuple[list[Sequence[np.ndarray]], list[TileSums]]:
-    """Apply a run of entries (LevelPlan.runs) to a level, update `land`, and return the arrays and the sums of each.
-    coarse: their changes at the coarser level, or None."""
+    """Apply a run of entries (LevelPlan.runs) to a level, and update `land`.
+
+    Return the arrays and the sums of each. coarse: their changes at the coarser level, or None.
+    """
     entry = run.entries[numbers[0]]
     if run.plan.how(numbers[0], work.level) != WHOLE:
         return _apply_tiles(run, work, numbers, tiles, coarse, land)
@@ -330,8 +343,10 @@ def _compute_tile(
     mask: np.ndarray | None,
     sums: list[TileSums],
 ) -> tuple[list[np.ndarray], LandWindow]:
-    """Apply a run of entries to one tile; return their changes and the land over its window widened by BAND.
-    mask: of the first entry, for the whole level."""
+    """Apply a run of entries to one tile.
+
+    Return their changes and the land over its window widened by BAND. mask: of the first entry, for the whole level.
+    """
     level, changes = work.level, []
     windows = [level.window(tile, *margin) for margin in run.plan.margins(level, numbers)]
     land, mask = land.crop(windows[0]), None if mask is None else mask[windows[0]]

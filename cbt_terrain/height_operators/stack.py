@@ -62,6 +62,7 @@ class Entry:
 
     @property
     def declaration(self) -> HeightOperator:
+        """Declaration of the height operator."""
         return HEIGHT_OPERATORS[self.effect]
 
     @property
@@ -72,8 +73,10 @@ class Entry:
 
 @dataclass(frozen=True)
 class Stack:
-    """Height operators in the order of their application. `heights`: lowest and highest height in metres of the land
-    that the stack was designed for, None for any land."""
+    """Height operators in the order of their application.
+
+    `heights`: lowest and highest height in metres of the land that the stack was designed for, None for any land.
+    """
 
     entries: tuple[Entry, ...] = ()
     heights: tuple[float, float] | None = None

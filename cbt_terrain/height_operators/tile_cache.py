@@ -25,8 +25,11 @@ MAX_BYTES = 4 << 30
 
 
 class TileCache:
-    """Cached arrays of a `folder`, None to cache nothing. `room`: bytes of disk that stay free. `made`, `kept`: numbers
-    of results of each operator that were computed and found."""
+    """Cached arrays of a `folder`, None to cache nothing.
+
+    `room`: bytes of disk that stay free. `made`, `kept`: numbers of results of each operator that were computed and
+    found.
+    """
 
     def __init__(self, folder: Path | None = None, room: int = 0):
         self.folder, self.room = folder, room

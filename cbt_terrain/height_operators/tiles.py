@@ -46,6 +46,7 @@ class Level:
 
     @property
     def shape(self) -> tuple[int, int]:
+        """Number of rows and columns of samples."""
         return self.rows, self.columns
 
     @property
@@ -60,6 +61,7 @@ class Level:
 
     @property
     def is_whole(self) -> bool:
+        """Whether the level is computed in one piece."""
         return max(self.shape) <= WHOLE or min(self.shape) <= STRIP
 
     @property
@@ -69,6 +71,7 @@ class Level:
 
     @property
     def tile_count(self) -> int:
+        """Number of tiles."""
         return self.tiles[0] * self.tiles[1]
 
     def window(self, tile: int, rows: int = 0, columns: int = 0) -> Window:
@@ -182,8 +185,11 @@ def _merged(level: Level, boxes: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class TileNeed:
-    """The allowed error of a tile in `metres`, and the `tiles` of its level that are computed with it: itself and those
-    that its finer tiles start from. These do not depend on the error, so neither does the tile's result."""
+    """The allowed error of a tile in `metres`, and the `tiles` of its level that are computed with it.
+
+    These are the tile itself and those that its finer tiles start from. They do not depend on the error, so neither
+    does the tile's result.
+    """
 
     metres: float
     tiles: frozenset[int]

@@ -116,8 +116,11 @@ def sea_depth(heights: np.ndarray, level: float) -> np.ndarray:
 def _extend_to_shore(
     heights: np.ndarray, depth: np.ndarray, wet: np.ndarray, min_depth: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Extend water to the dry samples next to it. Return its signed depth, negative at these, and the height of its
-    surface, float64 [rows, columns] m, and the wet samples with the shallow borders of lakes, bool."""
+    """Extend water to the dry samples next to it.
+
+    Return its signed depth, negative at these, and the height of its surface, float64 [rows, columns] m, and the wet
+    samples with the shallow borders of lakes, bool.
+    """
     ground = heights.astype(np.float64)
     surface = ground + depth
     is_shore, level, _ = _shore(surface, depth, wet)

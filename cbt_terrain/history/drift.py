@@ -28,8 +28,10 @@ class CachedSubtrees:
         self.limit = self.criterion.limit
 
     def drift(self, domain: Domain, criterion: CriterionArrays, max_depth: int) -> float:
-        """Return the largest fraction by which lengths have changed that pixel footprints are made of and compared
-        with, except those in `Motion`; infinity if more than the camera has changed."""
+        """Return the largest relative change of lengths that pixel footprints consist of or are compared with.
+
+        Lengths in `Motion` do not count. Infinity if more than the camera has changed.
+        """
         of_criterion = "view_count", "measures_edges", "metres2"
         of_view = "kind", "plane_count", "off_screen2", "fade", "fringe"
         same = domain is self.domain and max_depth == self.max_depth and criterion.limit == self.limit

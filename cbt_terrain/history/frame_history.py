@@ -50,8 +50,9 @@ class Hints:
 
 
 class FrameHistory:
-    """The tree, cached subtrees, reusable vertices, geomorph memory, attribute values and scatter candidates of the
-    last frame, with the key of the request that made it.
+    """Results of the last frame that the next frame may reuse, with the key of the request that made them.
+
+    They are the tree, cached subtrees, vertices, geomorph memory, attribute values and scatter candidates.
 
     A terrain has one history and each scatter another one. `values` belong to attributes, `ground` and `points` to a
     scatter. A function that updates `values` or `ground` takes it out and puts it back when it is complete.

@@ -37,6 +37,7 @@ class HeightScale(NamedTuple):
 
     @property
     def is_scaled(self) -> bool:
+        """Whether values have to be scaled or shifted."""
         return (self.scale, self.offset) != (1.0, 0.0)
 
     @property

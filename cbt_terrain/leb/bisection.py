@@ -27,16 +27,21 @@ def grid_of(lattice: Lattice) -> kernels.SquareGrid:
 
 
 def triangles(lattice: Lattice, ids: np.ndarray, unit_bits: int) -> np.ndarray:
-    """Return the corners (left, apex, right) of triangles: int32 [n, 3, 2], in units of which 2**unit_bits are the side
-    of a square. A triangle of d bisections of a square needs unit_bits of d // 2 or more."""
+    """Return the corners (left, apex, right) of triangles: int32 [n, 3, 2].
+
+    2**unit_bits units are the side of a square. A triangle of d bisections of a square needs unit_bits of d // 2 or
+    more.
+    """
     corners = np.empty((len(ids), 3, 2), np.int32)
     _spread(nodes.write_triangles, lattice, ids, [unit_bits, shared(corners.reshape(-1, 2), wp.vec2i)])
     return corners
 
 
 def neighbours(lattice: Lattice, ids: np.ndarray) -> np.ndarray:
-    """Return the triangles of the same depth over the edges apex-right, left-apex and left-right: uint64 [n, 3]; 0
-    beyond the lattice. The last one is the other half of the diamond."""
+    """Return the triangles of the same depth over the edges apex-right, left-apex and left-right.
+
+    uint64 [n, 3]; 0 beyond the lattice. The last one is the other half of the diamond.
+    """
     found = np.empty((len(ids), 3), np.uint64)
     _spread(nodes.write_neighbours, lattice, ids, [flat(found, wp.uint64)])
     return found
@@ -60,8 +65,10 @@ def split_conforming(tree: ConcurrentBinaryTree, lattice: Lattice, ids: np.ndarr
 
 
 def merge_conforming(tree: ConcurrentBinaryTree, lattice: Lattice, ids: np.ndarray) -> np.ndarray:
-    """Merge the halves of nodes and of the other triangles of their diamonds, where all of them are leaves; return
-    which nodes were merged: bool."""
+    """Merge the halves of nodes and of the other triangles of their diamonds, if all of them are leaves.
+
+    Return which nodes were merged: bool.
+    """
     ids = np.ascontiguousarray(ids, np.uint64)
     pairs = np.stack([ids, neighbours(lattice, ids)[:, 2]], axis=1)
     halves = pairs[:, :, None] * np.uint64(2) + np.array([0, 1], np.uint64)

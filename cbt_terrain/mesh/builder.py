@@ -113,8 +113,10 @@ def _expand(
     t: meshlet_kernels.Template,
     threads: int,
 ) -> tuple[wp.array, int, int, int]:
-    """Expand every leaf to the template's triangles; return the points and the numbers of triangles, vertices and
-    edges."""
+    """Expand every leaf to the template's triangles.
+
+    Return the points and the numbers of triangles, vertices and edges.
+    """
     scratch, arrays, n = history.scratch, history.next.arrays, t.segments
     coarse, fine = (scratch.struct(meshlet_kernels.WeldedMesh, slot) for slot in range(2))
     triangles = leaves * t.triangles

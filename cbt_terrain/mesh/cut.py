@@ -229,8 +229,10 @@ class _Work:
         return replace(self.surface, **views, attributes=attributes), moves[kernels.VERTEX]
 
     def _moves(self, kind: int) -> tuple[int, np.ndarray, np.ndarray]:
-        """Return the number of remaining elements, int64 [2, n]: old and new numbers of those that move, and int32: new
-        numbers of all elements behind the end, -1 for removed ones."""
+        """Return the elements that move, and the new numbers of all elements behind the end.
+
+        int64 [2, n]: old and new numbers of those that move; int32: new numbers, -1 for removed elements.
+        """
         total = int(self.counts[kind])
         removed = np.flatnonzero(self.removed[kind, :total])
         end = total - len(removed)

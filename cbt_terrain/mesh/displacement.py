@@ -75,8 +75,10 @@ def reuse_points(history: FrameHistory) -> list[int]:
 
 
 def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> list[int]:
-    """Bind the runs of the `points` inside leaves that both frames have; return the numbers of the list of all other
-    points and of the list of these."""
+    """Bind the runs of the `points` inside leaves that both frames have.
+
+    Return the numbers of the list of all other points and of the list of these.
+    """
     scratch, before = history.scratch, history.last.vertices
     runs, room = scratch.struct(Runs, slot=1), min(before.leaves, now.leaves)
     bind(runs, runs=scratch.get("inner_runs", room, Run), counts=scratch.get("inner_run_counts", 1, wp.int64))
@@ -91,8 +93,10 @@ def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> lis
 
 
 def _copy(history: FrameHistory, runs: Runs, base: np.ndarray, first: np.ndarray) -> None:
-    """Bind runs of points of the last frame. `base`: first entry of each slice's points there; `first`: number of its
-    first vertex."""
+    """Bind runs of points of the last frame.
+
+    `base`: first entry of each slice's points there; `first`: number of its first vertex.
+    """
     arrays, last = history.next.arrays, history.last.arrays
     bind(
         arrays.struct(displace_kernels.DisplacedPoints),

@@ -10,8 +10,9 @@ from .attributes import CORNER, EDGE, FACE, LEVEL, NORMALS, POINT, UV, Attribute
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A welded triangle mesh. The arrays of an update are read-only and stay as they are; those of a `copy` can be
-    written.
+    """A welded triangle mesh.
+
+    The arrays of an update are read-only and stay as they are; those of a `copy` can be written.
 
     `positions` float32 [V, 3], metres in the terrain's own space. `corner_verts`, `corner_edges` int32 [3 T]: edge c
     of a triangle runs from its corner c to the next. `edges` int32 [E, 2]. `attributes`: what else it carries, by name;
@@ -32,14 +33,17 @@ class Surface:
 
     @property
     def normals(self) -> np.ndarray:
+        """Unit normals of the vertices: float32 [n, 3]."""
         return self.attributes[NORMALS].array
 
     @property
     def uv(self) -> np.ndarray:
+        """Texture coordinates of the vertices: float32 [n, 2]."""
         return self.attributes[UV].array
 
     @property
     def level(self) -> np.ndarray:
+        """Levels of the triangles, bisections of a root square: int32 [T]."""
         return self.attributes[LEVEL].array
 
     @property

@@ -21,8 +21,10 @@ FARTHEST = 1e100  # metres; squares of lengths are numbers still
 
 
 class GroundSamples(NamedTuple):
-    """Of n places: `heights` float64 [n] metres, unit `normals` float64 [n, 3], `slopes` float64 [n] radians, `inside`
-    bool [n]. Where there is no ground, in holes and beyond the raster, `inside` is False and the others are NaN.
+    """Heights, normals and slopes of the ground at n points.
+
+    `heights` float64 [n] metres, unit `normals` float64 [n, 3], `slopes` float64 [n] radians, `inside` bool [n]. Where
+    there is no ground, in holes and beyond the raster, `inside` is False and the others are NaN.
 
     Normals and slopes are those of the mesh's vertices there: of a bilinear surface central differences, bilinear in
     between.
@@ -35,8 +37,11 @@ class GroundSamples(NamedTuple):
 
 
 class Profile(NamedTuple):
-    """Places of a line: `along` float64 [n] metres of the plan from its begin, `heights` float64 [n] metres, NaN where
-    there is no ground, `places` float64 [n, 2] metres."""
+    """Points along a line and their heights.
+
+    `along` float64 [n] metres of the plan from its begin, `heights` float64 [n] metres, NaN where there is no ground,
+    `places` float64 [n, 2] metres.
+    """
 
     along: np.ndarray
     heights: np.ndarray

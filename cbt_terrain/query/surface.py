@@ -24,8 +24,10 @@ SPARE = 1e-3
 
 
 def packed(field: HeightField, vertical_scale: float, vertical_offset: float) -> kernels.QueriedSurface:
-    """Return the surface for kernels. Memory is shared, nothing is read. Raises TerrainError for a scale that a mesh
-    cannot have."""
+    """Return the surface for kernels.
+
+    Memory is shared, nothing is read. Raises TerrainError for a scale that a mesh cannot have.
+    """
     vertical_scale, vertical_offset = vertical(vertical_scale, vertical_offset)
     box_of(field, vertical_scale, vertical_offset)
     lattice, s = field.lattice, kernels.QueriedSurface()

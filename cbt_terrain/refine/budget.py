@@ -54,8 +54,9 @@ def search(
 def ramp_start(
     lattice: Lattice, request: RefinementRequest, history: FrameHistory, threads: int, step: int, leaves: int
 ) -> float:
-    """Return the factor on the criterion from which vertices morph on the mesh of `step`, the finest that keeps to a
-    budget.
+    """Return the factor on the criterion from which vertices morph on the mesh of `step`.
+
+    `step` is the finest that keeps to a budget.
 
     It lies between the factors of the step and of the next coarser one, as the budget lies between the leaves of the
     step before and of this one. So it is continuous where the step changes: there is no jump.
@@ -82,8 +83,10 @@ def count_splits(
     max_splits: int,
     finer_by: int = 0,
 ) -> tuple[int, np.ndarray]:
-    """Count split triangles. Returns the first step from `finest` to `coarsest` with at most `max_splits`, and the
-    counts from it on; `coarsest` + 1 and no counts if there is no such step.
+    """Count split triangles.
+
+    Returns the first step from `finest` to `coarsest` with at most `max_splits`, and the counts from it on; `coarsest`
+    + 1 and no counts if there is no such step.
 
     finer_by: number of steps by which the limits are finer.
     """

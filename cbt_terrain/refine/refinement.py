@@ -64,8 +64,10 @@ def refine(
 
 
 def _limited(field: HeightField, request: RefinementRequest, history: FrameHistory, threads: int, relaxed: float):
-    """Return the finest walk that keeps to the limit, and its step; no walk if that relaxes the criterion by more than
-    `relaxed`."""
+    """Return the finest walk that keeps to the limit, and its step.
+
+    No walk if that relaxes the criterion by more than `relaxed`.
+    """
     criterion, roots, hints = request.criterion, 2 * field.lattice.squares, history.hints
     max_leaves = max(request.max_leaves, roots)
     criterion.limit, slices = 1.0, None

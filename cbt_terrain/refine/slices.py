@@ -24,8 +24,11 @@ SLACK = 0.05
 
 @dataclass
 class Slices:
-    """The structs of all slices. `capacity`: leaves for which each has room. `counts` int64 [slices, 4]: leaves,
-    vertices, edges, and 1 if a leaf is too coarse at the deepest level. `reused` int64 [slices]: leaves."""
+    """The structs of all slices.
+
+    `capacity`: leaves for which each has room. `counts` int64 [slices, 4]: leaves, vertices, edges, and 1 if a leaf is
+    too coarse at the deepest level. `reused` int64 [slices]: leaves.
+    """
 
     history: FrameHistory
     walks: list[Walk]

@@ -102,6 +102,7 @@ def private_folder(parent: Path) -> Iterator[Path]:
 
 
 def is_partial_name(name: str) -> bool:
+    """Return whether a name is that of an incomplete file or folder."""
     return _NAME.fullmatch(name) is not None
 
 

@@ -11,8 +11,10 @@ SPARE = 2.0  # capacity over the number of candidates
 
 
 class Candidates:
-    """Runs of candidates in a few long arrays, found by int64 keys. `positions`, `normals`: float32 [capacity, 3];
-    `density`: float32 [capacity]."""
+    """Runs of candidates in a few long arrays, found by int64 keys.
+
+    `positions`, `normals`: float32 [capacity, 3]; `density`: float32 [capacity].
+    """
 
     def __init__(self):
         self._used = 0
@@ -23,6 +25,7 @@ class Candidates:
 
     @property
     def nbytes(self) -> int:
+        """Bytes of all arrays."""
         return self.positions.nbytes + self.normals.nbytes + self.density.nbytes
 
     def packed(self) -> kernels.CandidateArrays:

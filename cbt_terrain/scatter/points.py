@@ -42,10 +42,13 @@ ARRAYS = {
 
 @dataclass(frozen=True)
 class ScatterPoints:
-    """Points of a frame. `positions`: float32 [n, 3], metres in the terrain's space. `normals`: float32 [n, 3], of the
-    ground. `size`: float32 [n], from 0 on. `id`: int64 [n], the same for a point in every frame. `variant`: int32 [n],
-    a random number from 0 to 2^31 - 1. `rotation`: float32 [n, 4], quaternions w, x, y, z. `tested`: number of tested
-    candidates. The arrays are read-only."""
+    """Points of a frame.
+
+    `positions`: float32 [n, 3], metres in the terrain's space. `normals`: float32 [n, 3], of the ground. `size`:
+    float32 [n], from 0 on. `id`: int64 [n], the same for a point in every frame. `variant`: int32 [n], a random number
+    from 0 to 2^31 - 1. `rotation`: float32 [n, 4], quaternions w, x, y, z. `tested`: number of tested candidates. The
+    arrays are read-only.
+    """
 
     positions: np.ndarray
     normals: np.ndarray
@@ -93,8 +96,9 @@ def scatter_points(
 def place_points(
     field: HeightField, request: ScatterRequest, history: FrameHistory, threads: int | None = None
 ) -> ScatterPoints:
-    """Return the points of a request. The history caches candidates, which depend on no view, so that the points do not
-    depend on it.
+    """Return the points of a request.
+
+    The history caches candidates, which depend on no view, so that the points do not depend on it.
 
     Raises TerrainError for an invalid view, the horizon of other views, too many candidates for the memory, more points
     than `max_points`, and heights that are not finite.

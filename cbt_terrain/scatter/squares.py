@@ -31,9 +31,12 @@ NOTHING = np.empty(0, np.int32), np.empty((0, 2), np.int32), np.empty(0, np.int6
 
 @dataclass(frozen=True)
 class Squares:
-    """Squares of the plan. `halvings`: int32 [n], of the tile's side. `number`: int32 [n, 2], column and row among the
-    squares of that size, from tile (0, 0) on. `count`: int64 [n], number of points, of the lowest ranks, that views may
-    show. `clear`: bool [n], whether it is completely inside a frame."""
+    """Squares of the plan.
+
+    `halvings`: int32 [n], of the tile's side. `number`: int32 [n, 2], column and row among the squares of that size,
+    from tile (0, 0) on. `count`: int64 [n], number of points, of the lowest ranks, that views may show. `clear`: bool
+    [n], whether it is completely inside a frame.
+    """
 
     halvings: np.ndarray
     number: np.ndarray

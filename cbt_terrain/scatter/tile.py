@@ -27,10 +27,12 @@ STARTS = np.array([1, *(max(SHIFTS, 1 << halvings) for halvings in range(1, FINE
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """`place`: int32 [POINTS, 2], the point of each rank in units. For each halving (0 .. FINEST) and its windows, row
-    by row from the south-west: `order`, int32, ascending ranks of each window; `first`, int64 [windows + 1], index of
-    each
-    window's first rank; `keys`, int64, ascending: window and rank in one number."""
+    """`place`: int32 [POINTS, 2], the point of each rank in units.
+
+    For each halving (0 .. FINEST) and its windows, row by row from the south-west: `order`, int32, ascending ranks of
+    each window; `first`, int64 [windows + 1], index of each window's first rank; `keys`, int64, ascending: window and
+    rank in one number.
+    """
 
     place: np.ndarray
     order: list[np.ndarray]

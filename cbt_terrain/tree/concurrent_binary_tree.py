@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The concurrent binary tree (Dupuy 2020): a bitfield with a bit for the first cell of each leaf, and a sum reduction
-above it. kernels/tree/bitfield.py says how the bits are stored.
+"""The concurrent binary tree (Dupuy 2020).
+
+It is a bitfield with a bit for the first cell of each leaf, and a sum reduction above it. kernels/tree/bitfield.py
+describes how the bits are stored.
 
 The tree knows nothing of triangles and cameras.
 """

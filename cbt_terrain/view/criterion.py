@@ -79,10 +79,12 @@ class Criterion:
 
     @property
     def measures_edges(self) -> bool:
+        """Whether lengths of edges or areas of triangles on screen are limited."""
         return bool(self.edge_px or self.area_px)
 
     @property
     def needs_view(self) -> bool:
+        """Whether a limit on screen is requested."""
         return bool(self.error_px or self.edge_px or self.area_px)
 
 

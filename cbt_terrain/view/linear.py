@@ -44,7 +44,7 @@ def determinant(m: np.ndarray) -> float:
 
 
 def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """x of matrix [n, n] times x = right [n, m], by elimination with row pivots.
+    """Return x of matrix [n, n] times x = right [n, m], by elimination with row pivots.
 
     Raises numpy's LinAlgError where there is none.
     """

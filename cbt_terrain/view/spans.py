@@ -95,8 +95,10 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
 
 
 def slants_of(view: View, placement: np.ndarray, criterion: Criterion) -> tuple[float, float]:
-    """Return the largest and the smallest slant that counts in the frame: metres that a metre of height moves a point
-    across the view of a perspective, at a depth of 1 m; of a panorama across the ray, at a distance of 1 m.
+    """Return the largest and the smallest slant that counts in the frame.
+
+    A slant is how many metres a metre of height moves a point across the view of a perspective, at a depth of 1 m; of a
+    panorama across the ray, at a distance of 1 m.
 
     The shading floor is the smallest, since shading and shadows show an error too. Edges have no slant: where they are
     measured, all spans are those of the largest.
@@ -117,9 +119,10 @@ def slants_of(view: View, placement: np.ndarray, criterion: Criterion) -> tuple[
 
 
 def slant_rows(view: View, placement: np.ndarray) -> np.ndarray:
-    """Return rows, float64 [2, 2], whose products with (x, y) metres of the terrain's space from the eye of a
-    perspective say how far a metre of height moves a point across and along the view, times the squared depth. The
-    height of the point changes nothing: it stays on its vertical.
+    """Return rows that give how far a metre of height moves a point of a perspective across and along the view.
+
+    The products of these rows, float64 [2, 2], with (x, y) metres of the terrain's space from the eye are these
+    distances times the squared depth. The height of the point changes nothing: it stays on its vertical.
 
     That is f (u_z c - u c_z) for a point c and the unit vector u of height in camera space, f being the pixels of
     either axis over those of the larger. In a panorama it is the distance of c from the eye's vertical, in two
@@ -145,8 +148,11 @@ def _aspect(view: View) -> tuple[float, float]:
 
 
 def whole_of(view: View, placement: np.ndarray, slant: float) -> float:
-    """Return pixels of an error that reaches the eye: of a perspective as long as the depth, measured along the view,
-    and seen at the smallest slant; of a panorama as long as the distance, at that slant."""
+    """Return pixels of an error that reaches the eye.
+
+    In a perspective it is as long as the depth, measured along the view, and seen at the smallest slant; in a panorama
+    it is as long as the distance, and seen at that slant.
+    """
     if view.kind == PANORAMIC:
         return view.pixels_per_unit * slant
     return view.pixels_per_unit * slant / max(abs(float(_up(view, placement)[2])), NO_SLANT)

@@ -12,8 +12,10 @@ from ..field.codes import Samples, sample_at
 
 @wp.func
 def hermite(p0: wp.float64, p1: wp.float64, p2: wp.float64, p3: wp.float64, s: wp.float64) -> wp.float64:
-    """Return the Hermite cubic between p1 (s = 0) and p2 (s = 1), whose slopes are those of the chords p0 p2 and p1
-    p3."""
+    """Return the Hermite cubic between p1 (s = 0) and p2 (s = 1).
+
+    Its slopes are those of the chords p0 p2 and p1 p3.
+    """
     rise = p2 - p1
     start = wp.float64(0.5) * (p2 - p0)
     end = wp.float64(0.5) * (p3 - p1)

@@ -39,8 +39,10 @@ def noise_at(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
 
 @wp.func
 def octaves_height(d: PackedDetail, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Return the height in metres of all octaves at (x, y) metres. Each turns and halves the domain of the one
-    before."""
+    """Return the height in metres of all octaves at (x, y) metres.
+
+    Each turns and halves the domain of the one before.
+    """
     found = wp.float64(0.0)
     u = x * d.frequency
     v = y * d.frequency
@@ -76,8 +78,10 @@ def de_boor(p: wp.vec4d, t: wp.float64) -> wp.float64:
 
 @wp.func
 def image_height(c: PackedLayers, d: PackedDetail, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Return the height in metres of an image at (x, y) metres: interpolate each row along x, then the results along
-    y."""
+    """Return the height in metres of an image at (x, y) metres.
+
+    Interpolate each row along x, then the results along y.
+    """
     u = x * d.frequency
     v = y * d.frequency
     rows = wp.vec4d()
@@ -96,8 +100,10 @@ def image_height(c: PackedLayers, d: PackedDetail, x: wp.float64, y: wp.float64)
 
 @wp.func
 def mask_height(c: PackedLayers, first: wp.int64, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Return the weight of a displacement layer at (x, y) metres, 0 .. 1, interpolated between four samples of its
-    mask."""
+    """Return the weight of a displacement layer at (x, y) metres, 0 .. 1.
+
+    It is interpolated between four samples of the layer's mask.
+    """
     s = wp.clamp((x - c.west) * c.per_x, wp.float64(0.0), wp.float64(c.columns - 1))
     t = wp.clamp((y - c.south) * c.per_y, wp.float64(0.0), wp.float64(c.rows - 1))
     found = wp.float64(0.0)

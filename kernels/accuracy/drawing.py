@@ -16,8 +16,9 @@ def draw_triangles(
     nearness: wp.array(dtype=wp.float64),
     shown: wp.array(dtype=wp.int32),
 ):
-    """Write to `shown` the triangle at the middle of each pixel in BAND rows. Pixels without a triangle stay as they
-    are.
+    """Write to `shown` the triangle at the middle of each pixel in BAND rows.
+
+    Pixels without a triangle stay as they are.
 
     `corners`: three entries of `places` for each triangle. `places`: pixels from the left and from below, and a
     nearness that is linear over the picture and larger for nearer points. `nearness` [height * width] begins with -inf.

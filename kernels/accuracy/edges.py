@@ -147,8 +147,10 @@ def edge_extremes(
     worst: wp.array(dtype=wp.float64),
     rounding: wp.array(dtype=wp.float64),
 ):
-    """Raise `worst` to the largest difference along the edges of some triangles; write to `rounding` by how much
-    float32 moved them, both in metres."""
+    """Raise `worst` to the largest difference along the edges of some triangles, in metres.
+
+    Write to `rounding` by how many metres float32 moved them.
+    """
     for t in range(first, end):
         f = facet_of(ground, mesh, t)
         largest = worst[t]

@@ -184,8 +184,10 @@ def left_of(side: wp.int64, dx: wp.int64, dy: wp.int64, shift_x: wp.int64, shift
 
 @wp.func
 def shift_of(at: wp.int64, end: wp.int64) -> wp.int64:
-    """Return the direction in which a point is moved off an edge: east or north, inward at the far border of the
-    domain."""
+    """Return the direction in which a point is moved off an edge.
+
+    It is east or north, inward at the far border of the domain.
+    """
     return wp.where(at >= end, wp.int64(-1), wp.int64(1))
 
 
@@ -236,8 +238,10 @@ def differences(
     difference: wp.array(dtype=wp.float32),
     worst: wp.array(dtype=wp.float64),
 ):
-    """Write mesh less reference at every sample of some triangles, metres, and the largest magnitude of each
-    triangle."""
+    """Write mesh less reference at every sample of some triangles, in metres.
+
+    Write the largest magnitude of each triangle, too.
+    """
     for t in range(first, end):
         f = facet_of(ground, mesh, t)
         box = sample_box(ground, f)

@@ -39,8 +39,10 @@ def angles(
     facet_deg: wp.array(dtype=wp.float32),
     shading_deg: wp.array(dtype=wp.float32),
 ):
-    """Write the degrees between the reference's normal and the facet's and the interpolated normal of some triangles,
-    at every sample."""
+    """Write the degrees between the reference's normal and two normals of some triangles, at every sample.
+
+    These are the facet's normal and the interpolated one.
+    """
     per_x = ground.scale / ground.step_x
     per_y = ground.scale / ground.step_y
     up = wp.float64(1.0)

@@ -77,8 +77,9 @@ def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
 def in_one_cell(
     ground: Reference, ray: SightRay, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64, side: wp.float64
 ):
-    """Return t between first and last where the ray comes to be beyond the surface, infinite if nowhere; and its side
-    at the end.
+    """Return where the ray crosses the surface between t = first and last, and its side at the end.
+
+    t is infinite if it crosses nowhere.
 
     `side`: the side that the ray comes from, 0 if it has been on the surface so far.
     """

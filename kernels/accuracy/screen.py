@@ -97,8 +97,10 @@ def move_ahead(eye: Eye, truth: wp.vec3d, point: wp.vec3d) -> wp.vec3d:
 
 @wp.func
 def apart_px(eye: Eye, truth: wp.vec3d, a: wp.vec3d, b: wp.vec3d) -> wp.float64:
-    """Return the pixels between the projections of two points of camera space; `truth`: the reference point in the
-    frame."""
+    """Return the pixels between the projections of two points of camera space.
+
+    `truth`: the reference point in the frame.
+    """
     pixels = wp.float64(0.0)
     if eye.kind == PANORAMIC:
         pixels = wp.atan2(wp.length(wp.cross(a, b)), wp.dot(a, b)) * eye.pixels_per_radian
@@ -171,8 +173,9 @@ def point_errors(
     after: wp.array(dtype=wp.float64),
     pixels: wp.array(dtype=wp.float32),
 ):
-    """Write the pixels between the points `before` and `after` (metres above the reference) of reference points in the
-    frame.
+    """Write the pixels between the points `before` and `after` of reference points in the frame.
+
+    Both are metres above the reference.
 
     Points are in units of 2^-(bits + 7) cells.
     """

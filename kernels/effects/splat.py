@@ -32,8 +32,11 @@ MIN_SUM = wp.constant(wp.float32(1e-12))
 
 @wp.struct
 class SplatRule:
-    """A rule. `at`: row of `values`, index of the layer, or first pixel of the image [rows, columns]. `sine`, `cosine`:
-    of the direction."""
+    """A rule.
+
+    `at`: row of `values`, index of the layer, or first pixel of the image [rows, columns]. `sine`, `cosine`: of the
+    direction.
+    """
 
     kind: wp.int32
     at: wp.int32

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Horizons of every sample of a raster along one azimuth, and the visible sky (Timonen and Westerholm 2010, "Scalable
-height field self-shadowing").
+"""Horizons of every sample of a raster along one azimuth, and the visible sky.
+
+After Timonen and Westerholm 2010, "Scalable height field self-shadowing".
 
 Parallel lines run along the azimuth, one sample apart. A line's profile has one point at each sample of the direction
 that it is nearer to, between two samples of the other. From the far end to the near one, each point's horizon is the

@@ -58,8 +58,10 @@ def above(d: Domain, s: Facet, x: wp.int32, y: wp.int32) -> wp.float64:
 
 @wp.func
 def rows_of(s: Facet, bits: wp.int32):
-    """Return the first row of samples in the facet, counted from its apex, and the number of rows; none inside a
-    cell."""
+    """Return the first row of samples in the facet, counted from its apex, and the number of rows.
+
+    There are none inside a cell.
+    """
     low = wp.min(wp.min(s.left_y, s.right_y), 0) >> bits
     high = wp.max(wp.max(s.left_y, s.right_y), 0) >> bits
     count = high - low + 1
@@ -88,8 +90,10 @@ def row_of(s: Facet, bits: wp.int32, j: wp.int32):
 
 @wp.func
 def twist_over(d: Domain, x: wp.int32, y: wp.int32, dx: wp.int32, dy: wp.int32) -> wp.float64:
-    """Return the twist of the surface over a step (dx, dy), both of one length, along a diagonal of a cell from (x,
-    y)."""
+    """Return the twist of the surface over a step (dx, dy) along a diagonal of a cell from (x, y).
+
+    dx and dy have one length.
+    """
     bits = d.unit_bits - d.levels
     i = wp.min(x, x + dx) >> bits
     j = wp.min(y, y + dy) >> bits
@@ -139,8 +143,10 @@ def farthest_on_diagonal(
 
 @wp.func
 def farthest(d: Domain, s: Facet) -> wp.float64:
-    """Return the largest distance between the facet and the surface over it, metres before scaling; 0 beyond the
-    border."""
+    """Return the largest distance between the facet and the surface over it, metres before scaling.
+
+    It is 0 beyond the border.
+    """
     if is_beyond_border(d, s):
         return wp.float64(0.0)
     bits = d.unit_bits - d.levels

@@ -25,8 +25,10 @@ NO_WEIGHT = wp.constant(wp.float32(1e-4))
 
 @wp.kernel
 def measure(offset: int, m: FitMesh):
-    """Measure the distance of each triangle from the surface in double precision. It pushes nothing until a corner
-    moves."""
+    """Measure the distance of each triangle from the surface in double precision.
+
+    It pushes nothing until a corner moves.
+    """
     t = offset + wp.tid()
     m.worst[t] = farthest(m.domain, facet_of(m, t)) * m.domain.error_scale
     m.seen[t] = corners_of(m, t)

@@ -144,8 +144,10 @@ def pushes_of(
 
 @wp.func
 def pushed_at(q: Pushes, r: wp.float64, u: wp.float64, v: wp.float64, aim: wp.float64) -> Pushes:
-    """Return q with a point added where the surface is `r` above the triangle: `u` of the left corner, `v` of the
-    right."""
+    """Return q with a point added where the surface is `r` above the triangle.
+
+    `u` is the weight of the left corner, `v` of the right one.
+    """
     far = wp.abs(r)
     q[0] = wp.max(q[0], wp.float32(far))
     if far > aim:

@@ -11,8 +11,9 @@ from .raising import raise_cells
 
 @wp.kernel
 def refine(count: int, max_depth: int, local: wp.float64, m: FitMesh, found: wp.array(dtype=wp.int32)):
-    """Split triangles beyond the bound that interpolation would split too; return the vertices of others to the
-    surface.
+    """Split triangles beyond the bound that interpolation would split too.
+
+    Return the vertices of others to the surface.
 
     `local`: only those whose excess is at least this part of the largest among the triangles that they touch, since one
     split may help them all. `m.active` becomes the list for the next sweep. Triangles above the raster's cells are
@@ -106,8 +107,10 @@ def _middle(m: FitMesh, t: int):
 
 @wp.func
 def _grid_error(m: FitMesh, t: int, finer: int, cell: wp.vec2i):
-    """Return the stored error of a triangle with its vertices on the surface; `finer`: levels below the raster's cells,
-    or negative."""
+    """Return the stored error of a triangle with its vertices on the surface.
+
+    `finer`: levels below the raster's cells, or negative.
+    """
     if finer < 0:
         middle = _middle(m, t)
         return error_at(m.domain, middle[0], middle[1], m.level[t])
@@ -116,8 +119,10 @@ def _grid_error(m: FitMesh, t: int, finer: int, cell: wp.vec2i):
 
 @wp.func
 def _is_held(m: FitMesh, t: int, error: wp.float32):
-    """Return whether its vertices are on the surface already, so that only a split reduces the error of float32
-    positions."""
+    """Return whether its vertices are on the surface already.
+
+    Only a split then reduces the error of float32 positions.
+    """
     pinned = PINNED
     fresh = wp.float64(0.0)
     for c in range(3):

@@ -53,6 +53,7 @@ class DropletRain:
 
 @wp.func
 def height_at(rain: DropletRain, i: wp.int32) -> wp.float64:
+    """Return the height of sample i with its change, metres."""
     return wp.float64(rain.ground[i]) + rain.change[i]
 
 

@@ -17,9 +17,12 @@ CLINGS, LESS_CLINGS, NONE_CLINGS = (wp.constant(wp.float64(v)) for v in (0.35, 0
 
 @wp.struct
 class Weather:
-    """The weather over a raster. `line`: height in metres where rain turns to snow. `fall`: metres of snow on open,
-    level ground far above it. `aspect`: kelvin between sun and shade. `sun`: sine and cosine of the noon sun's height,
-    the cosine positive for a sun in the south. `per_x`, `per_y`: 1 / spacing in 1/m."""
+    """The weather over a raster.
+
+    `line`: height in metres where rain turns to snow. `fall`: metres of snow on open, level ground far above it.
+    `aspect`: kelvin between sun and shade. `sun`: sine and cosine of the noon sun's height, the cosine positive for a
+    sun in the south. `per_x`, `per_y`: 1 / spacing in 1/m.
+    """
 
     width: wp.int32
     height: wp.int32

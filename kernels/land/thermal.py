@@ -78,8 +78,11 @@ def face_row(s0: Slope, y: int): ...
 
 @wp.kernel
 def face_rows(offset: int, slope: Slope):
-    """Set `facing` of row `offset + tid`: the cosine of the angle between downhill and the nearest of eight directions,
-    1 next to walls and on level ground."""
+    """Set `facing` of row `offset + tid`.
+
+    It is the cosine of the angle between downhill and the nearest of eight directions, 1 next to walls and on level
+    ground.
+    """
     face_row(slope, offset + wp.tid())
 
 

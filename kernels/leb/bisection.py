@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Longest-edge bisection of a grid of root squares: functions from heap ids to triangles and neighbours, and conforming
-edits of the tree (Dupuy 2020, section 4).
+"""Longest-edge bisection of a grid of root squares.
+
+Functions from heap ids to triangles and neighbours, and conforming edits of the tree (Dupuy 2020, section 4).
 
 A triangle is (left, apex, right); its longest edge runs from left to right, and bisection puts a vertex in its middle:
 child 0 is (left, middle, apex), child 1 is (apex, middle, right). In a square the roots are ids 2 and 3, depth 1, on
@@ -114,8 +115,10 @@ def half(node: LebNode, bit: wp.uint64) -> LebNode:
 
 @wp.func
 def neighbours_of(grid: SquareGrid, node: LebNode):
-    """Return the triangles of the same depth over the edges apex-right ("left"), left-apex ("right") and left-right
-    ("edge"), as libleb names them."""
+    """Return the triangles of the same depth over the edges apex-right, left-apex and left-right.
+
+    libleb names these "left", "right" and "edge".
+    """
     depth = highest_bit(node.heap_id)
     start = wp.min(depth, 2)
     heap_id = wp.int32(node.heap_id >> wp.uint64(depth - start))

@@ -54,8 +54,10 @@ def on_sample(samples: Samples, i: wp.int32, j: wp.int32):
 
 @wp.func
 def in_cell(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64):
-    """Return height and gradient (metres a cell) inside cell (i, j), bilinear between those of its four samples. Each
-    of the twelve samples that they need is read once."""
+    """Return height and gradient (metres a cell) inside cell (i, j), bilinear between those of its four samples.
+
+    Each of the twelve samples that they need is read once.
+    """
     west = wp.min(i, 1)  # cells to the west, at most 1
     east = wp.min(samples.columns - 2 - i, 1)
     south = wp.min(j, 1)
@@ -133,8 +135,10 @@ def runs_of(points: DisplacedPoints, slot: wp.int32):
 def find_run(
     points: DisplacedPoints, run: wp.int64, run_end: wp.int64, v: wp.int32, end: wp.int32, point_base: wp.int64
 ):
-    """Return begin and end of the run's points from point v on (both `end` if it has none), and the vertex of the last
-    frame that the first of them was."""
+    """Return begin and end of the run's points from point v on, and the first one's vertex of the last frame.
+
+    Begin and end are both `end` if the run has none.
+    """
     begin = end
     stop = end
     at = wp.int64(0)

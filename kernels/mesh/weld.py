@@ -64,8 +64,10 @@ def by_shape(value) -> int:
 
 
 def first_corner(passage: int, odd: int) -> int:
-    """Return the corner (0 .. 2) that stores the front's left vertex: left, apex, right if the depth is odd, else
-    mirrored."""
+    """Return the corner (0 .. 2) that stores the front's left vertex.
+
+    The order is left, apex, right if the depth is odd, else mirrored.
+    """
     return 2 if passage == HYP_LEG else 1 - odd
 
 
@@ -87,8 +89,10 @@ def side_of(code: wp.int32) -> wp.int32:
 
 @wp.func
 def level_of(code: wp.int32, legs: wp.int32) -> wp.int32:
-    """Return the level of a leaf's edge: the depth of triangles that have it as longest edge. `legs`: a bit for each
-    passage, 1 if the edge is a leg."""
+    """Return the level of a leaf's edge: the depth of triangles that have it as longest edge.
+
+    `legs`: a bit for each passage, 1 if the edge is a leg.
+    """
     return ((code >> DEPTH_SHIFT) & 63) + ((legs >> (code & PASSAGE)) & 1)
 
 
@@ -239,8 +243,11 @@ def end(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32, s: Strip):
 
 @wp.kernel
 def weld(slot: wp.int32, w: Weld):
-    """Weld a slice. The inner loop writes a leaf and finds the next leaf's third edge without a branch, which could not
-    be predicted. It stops before a rare leaf: the first or last of a square, on a shared side, or with an import."""
+    """Weld a slice.
+
+    The inner loop writes a leaf and finds the next leaf's third edge without a branch, which could not be predicted. It
+    stops before a rare leaf: the first or last of a square, on a shared side, or with an import.
+    """
     b = base_of(w.counts, slot)
     leaves = wp.int32(w.counts[3 * slot])
     first = w.leaf_base[slot]

@@ -57,8 +57,10 @@ def displace_morphing(
     morphing: Morphing,
     memory: Memory,
 ):
-    """Displace points as `displace` in kernels/mesh/displace.py does. Give points of the last frame new heights and
-    normals unless they were settled and still are."""
+    """Displace points as `displace` in kernels/mesh/displace.py does.
+
+    Give points of the last frame new heights and normals unless they were settled and still are.
+    """
     forget_all(memory)
     run, run_end = runs_of(points, slot)
     v = first

@@ -114,8 +114,10 @@ def evaluate_point(
     last: wp.int64,
     clear_below: wp.int32,
 ):
-    """Return a point's W, its record, the surface there (not of a vertex of the last frame), and the squared metres of
-    the finest pixel on its diamond. Write the record and the relief of the vertex itself."""
+    """Return a point's W, its record, the surface there, and the squared metres of the finest pixel on its diamond.
+
+    The surface is not that of a vertex of the last frame. Write the record and the relief of the vertex itself.
+    """
     weight = wp.float64(1.0)
     pixel2 = wp.float64(0.0)
     surface = wp.vec3d()
@@ -181,8 +183,10 @@ def morph_between(target: MorphedPoint, weight: wp.float64, ends: Ends) -> Morph
 
 @wp.func
 def settled_from(morphing: Morphing, pixel2: wp.float64) -> wp.float64:
-    """Return the `metres2` above which points are settled if no pixel on their diamonds spans more than `pixel2`,
-    squared metres."""
+    """Return the `metres2` above which points are settled.
+
+    No pixel on their diamonds then spans more than `pixel2`, squared metres.
+    """
     return pixel2 * morphing.ramp.end2 * morphing.ramp.limit * morphing.criterion.error_px2 * ABOVE
 
 

@@ -22,8 +22,10 @@ def row_ranges(
     north: wp.float64,
     found: wp.array(dtype=wp.vec2d),
 ):
-    """Write the lowest and highest metres in row `first_row + offset + tid` of cells between two columns and rows (in
-    cells)."""
+    """Write the lowest and highest metres in row `first_row + offset + tid` of cells.
+
+    The row lies between two columns and rows, in cells.
+    """
     n = offset + wp.tid()
     j = first_row + n
     zero = wp.float64(0.0)

@@ -104,8 +104,10 @@ def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
 
 @wp.func
 def in_bilinear(surface: QueriedSurface, ray: Ray, part: RaySegment):
-    """Return t where the ray comes to be `slack` beyond the surface in a segment, infinite if nowhere; and its side at
-    the end."""
+    """Return t where the ray is `slack` beyond the surface in a segment, and its side at the end.
+
+    t is infinite if that is nowhere.
+    """
     zero = wp.float64(0.0)
     first = part.first
     p = corners_of(surface.samples, part.i, part.j)
@@ -156,8 +158,10 @@ def cell_range(surface: QueriedSurface, blocks: HeightRanges, i: wp.int32, j: wp
 def half_curvature_along(
     surface: QueriedSurface, blocks: HeightRanges, ray: Ray, i: wp.int32, j: wp.int32
 ) -> wp.float64:
-    """Return half of the largest second derivative of the surface along the ray in cell (i, j), metres a square
-    metre."""
+    """Return half of the largest second derivative of the surface along the ray in cell (i, j).
+
+    Its unit is metres per square metre.
+    """
     across = ray.du * ray.du + ray.dv * ray.dv
     curvature = wp.float64(0.0)
     if surface.bicubic == 1:
@@ -223,8 +227,10 @@ def clear_of(low: wp.float64, high: wp.float64, ray: Ray, part: RaySegment) -> w
 
 @wp.func
 def passed(part: RaySegment, on_side: wp.float64):
-    """Return t where a segment that is clear on one side has met the surface, and its side. It has met the surface at
-    its first point if the ray came from the other side; else t is infinite."""
+    """Return t where a segment that is clear on one side has met the surface, and its side.
+
+    It has met the surface at its first point if the ray came from the other side; else t is infinite.
+    """
     hit = NOWHERE
     if part.side * on_side < wp.float64(0.0):
         hit = part.first

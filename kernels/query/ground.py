@@ -48,8 +48,10 @@ def ground_at(
     slopes: wp.array(dtype=wp.float64),
     inside: wp.array(dtype=wp.bool),
 ):
-    """Write height, unit normal and slope (radians) at the points of block `offset + tid`; NaN where there is no
-    ground."""
+    """Write height, unit normal and slope (radians) at the points of block `offset + tid`.
+
+    They are NaN where there is no ground.
+    """
     begin = (offset + wp.tid()) * BLOCK
     cells_x = surface.samples.columns - 1
     cells_y = surface.samples.rows - 1

@@ -43,8 +43,10 @@ def within(first: wp.float64, last: wp.float64, at: wp.float64, step: wp.float64
 
 @wp.func
 def enter(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, end: wp.float64, known: wp.float64):
-    """Return the part of 0 .. end in which the ray may meet the surface, empty where first > last, and its side
-    there."""
+    """Return the part of 0 .. end in which the ray may meet the surface, and its side there.
+
+    The part is empty if first > last.
+    """
     zero = wp.float64(0.0)
     first, last = within(zero, end, ray.u, ray.du, zero, wp.float64(surface.samples.columns - 1))
     first, last = within(first, last, ray.v, ray.dv, zero, wp.float64(surface.samples.rows - 1))
@@ -93,8 +95,10 @@ def way_out(
 def hit_in_block(
     surface: QueriedSurface, blocks: HeightRanges, ray: Ray, bits: wp.int32, part: RaySegment, known: wp.float64
 ):
-    """Return t where the ray meets the surface in a segment of it in a block, infinite if nowhere; its side at the end;
-    and whether that is final. Otherwise the caller descends into the block."""
+    """Return where the ray meets the surface in a segment in a block, its side at the end, and whether that is final.
+
+    t is infinite if they meet nowhere. If the result is not final, the caller descends into the block.
+    """
     zero = wp.float64(0.0)
     hit = NOWHERE
     side = part.side

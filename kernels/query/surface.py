@@ -88,8 +88,10 @@ def metric(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: 
 
 @wp.func
 def jet_in(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
-    """Return height and gradient before scaling (metres, metres a metre), s and t cells from the corner of cell (i,
-    j)."""
+    """Return height and gradient before scaling (metres, metres a metre).
+
+    s and t are cells from the corner of cell (i, j).
+    """
     g = wp.vec3d()
     if surface.bicubic == 1:
         g = in_patch(surface.samples, i, j, s, t)

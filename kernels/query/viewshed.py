@@ -20,8 +20,10 @@ def in_sight(
     slack: wp.float64,
     seen: wp.array(dtype=wp.bool),
 ):
-    """Write for sample `first + offset + tid` whether nothing rises above the line from `target` metres over it to the
-    eye."""
+    """Write for sample `first + offset + tid` whether the eye sees a point `target` metres above it.
+
+    Nothing rises above the line between them then.
+    """
     n = first + offset + wp.tid()
     row = n / surface.samples.columns
     column = n - row * surface.samples.columns

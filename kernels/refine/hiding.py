@@ -58,6 +58,7 @@ def ring_of(distance: wp.float64) -> wp.int32:
 
 @wp.func
 def radius_of(ring: wp.int32) -> wp.float64:
+    """Return the inner distance max(|x|, |y|) of a horizon ring from the eye."""
     return wp.cast(wp.int64(ring) << wp.int64(RING_BITS), wp.float64)
 
 
@@ -70,6 +71,7 @@ def nearest_of(low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 @wp.func
 def farthest_of(low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+    """Return the largest distance max(|x|, |y|) of a box from the eye at 0."""
     return wp.max(wp.max(high[0], -low[0]), wp.max(high[1], -low[1]))
 
 

@@ -134,8 +134,10 @@ def count_reused(r: Reuse, slot: wp.int32, n: Written, verdict: wp.int32) -> Wri
 
 @wp.func
 def may_begin_subtree(w: Walk, r: Reuse, q: Square, c: Cursor) -> wp.bool:
-    """Return whether a subtree may begin at this triangle, so that its diamond must be measured. None begins above a
-    subtree that the last frame has cached."""
+    """Return whether a subtree may begin at this triangle, so that its diamond must be measured.
+
+    None begins above a subtree that the last frame has cached.
+    """
     k = w.slot
     found = r.cursor[k].end == NOWHERE and r.cursor[k].count < r.room and c.depth < w.max_depth
     if found:

@@ -25,9 +25,11 @@ TURNS = wp.constant(1024)  # number of rotations about the upright axis
 
 @wp.struct
 class CandidateRun:
-    """The candidates of a square of tile (`tile_x`, `tile_y`). `first`: index of its window's first rank in `order`.
-    `at`: first candidate in the arrays. `out`: first index for the chosen ones. `clear`: 1 if the whole square is in
-    the frame of the only view."""
+    """The candidates of a square of tile (`tile_x`, `tile_y`).
+
+    `first`: index of its window's first rank in `order`. `at`: first candidate in the arrays. `out`: first index for
+    the chosen ones. `clear`: 1 if the whole square is in the frame of the only view.
+    """
 
     tile_x: wp.int32
     tile_y: wp.int32

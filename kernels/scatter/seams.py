@@ -19,8 +19,11 @@ APART = wp.constant(wp.float64(0.6))
 
 @wp.struct
 class Pattern:
-    """The tile and its position. `place`: position of each rank in units. `order`: ascending ranks of each window (see
-    Tile). `first`: indices there of the smallest squares."""
+    """The tile and its position.
+
+    `place`: position of each rank in units. `order`: ascending ranks of each window (see Tile). `first`: indices there
+    of the smallest squares.
+    """
 
     place: wp.array(dtype=wp.vec2i)
     order: wp.array(dtype=wp.int32)

@@ -14,9 +14,11 @@ from ..refine.pixels import CLEAR, ORTHOGRAPHIC, OUTSIDE, LocalView, max_inside,
 
 @wp.struct
 class Views:
-    """Views; without any the density is 1 everywhere. `full2`: squared distance up to which it is full. `slopes`: map
-    of
-    hidden ground, see kernels/refine/hiding.py. `reach`: size of scattered objects in metres of the terrain's space."""
+    """Views; without any the density is 1 everywhere.
+
+    `full2`: squared distance up to which it is full. `slopes`: map of hidden ground, see kernels/refine/hiding.py.
+    `reach`: size of scattered objects in metres of the terrain's space.
+    """
 
     count: wp.int32
     full2: wp.float64

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Edits of single nodes: a node is split by setting the bit of its second child's first cell, and merged by clearing
-it (Dupuy 2020, section 3.3)."""
+"""Edits of single nodes.
+
+Setting the bit of the first cell of its second child splits a node, and clearing it merges the node (Dupuy 2020,
+section 3.3).
+"""
 
 import warp as wp
 
@@ -17,8 +20,10 @@ def second_half(t: Bitfield, heap_id: wp.uint64) -> wp.uint64:
 
 @wp.func
 def split(t: Bitfield, heap_id: wp.uint64) -> wp.bool:
-    """Split a node; return whether another thread or an earlier kernel has. Threads may split one node at once, and
-    nodes below it."""
+    """Split a node; return whether another thread or an earlier kernel has.
+
+    Threads may split one node at once, and nodes below it.
+    """
     cell = second_half(t, heap_id)
     slot = wp.int32(ROOT)
     level = t.top

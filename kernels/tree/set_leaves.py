@@ -117,8 +117,10 @@ def fill_words(
     pages: wp.array(dtype=wp.int32),
     state: wp.array(dtype=wp.int32),
 ) -> wp.int64:
-    """Store the whole words of one level below the bits of a word from `bit` on, as long as no leaf is of another
-    level and nothing is below them; return the number of leaves << 8 | the number of words."""
+    """Store the whole words of one level below the bits of a word from `bit` on.
+
+    It ends at a leaf of another level or at the last one. Return the number of leaves << 8 | the number of words.
+    """
     ...
 
 

@@ -164,7 +164,7 @@ def page(subjects, machine: dict[str, str], prefix: str = "") -> list:
 
 
 def front(subject, prefix: str) -> list:
-    """Five figures, what errors look like, what they cost."""
+    """Return five figures, what errors look like and what they cost."""
     rows = subject.rows
     current = next((row for row in rows if row.setting == subject.current), None)
     shown = current or next((row for row in rows if row.setting.plain), rows[0])

@@ -71,8 +71,10 @@ def beside(scene, view_layer):
 
 
 def readers_of(scene) -> list[str]:
-    """Return the names of data that reads the scene itself, as some drivers do: in a copy they see the original's
-    frame."""
+    """Return the names of data that reads the scene itself, as some drivers do.
+
+    In a copy they see the original's frame.
+    """
     users = bpy.data.user_map(subset=[scene])[scene]
     return sorted(user.name for user in users if user.id_type not in ("WINDOWMANAGER", "SCREEN", "WORKSPACE"))
 

@@ -26,8 +26,11 @@ PIN = Reader("a pin", PICTURE)
 
 @dataclass(frozen=True)
 class Effects:
-    """`requests`: effects to compute. `off`: those that are switched off, by name, with who would read them.
-    `geometry_metres`: the scale of what geometry is made from; 0 is the raster's own."""
+    """`requests`: effects to compute.
+
+    `off`: those that are switched off, by name, with who would read them. `geometry_metres`: the scale of what geometry
+    is made from; 0 is the raster's own.
+    """
 
     requests: tuple[AttributeRequest, ...] = ()
     off: tuple[tuple[str, tuple[str, ...]], ...] = ()
@@ -36,8 +39,11 @@ class Effects:
 
 @dataclass(frozen=True)
 class EffectStatus:
-    """State of an effect after the last update. `readers`: in words. `skipped`: why it was not computed, or "". `ms`,
-    `nbytes` and `computed`: as of Ran in attributes/evaluate.py. `note`: what else there is to know."""
+    """State of an effect after the last update.
+
+    `readers`: in words. `skipped`: why it was not computed, or "". `ms`, `nbytes` and `computed`: as of Ran in
+    attributes/evaluate.py. `note`: what else there is to know.
+    """
 
     readers: tuple[str, ...] = ()
     family: str = ""
@@ -61,8 +67,10 @@ GIVEN["color"] = lambda terrain, placement, depsgraph: (
 
 
 def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, names: Iterable[str] | None) -> Effects:
-    """Return the effects of the terrain `obj`. `names`: effects of an export, in place of those that the scene
-    reads."""
+    """Return the effects of the terrain `obj`.
+
+    `names`: effects of an export, in place of those that the scene reads.
+    """
     settings = evaluated.adaptive_terrain
     found = _read(obj, depsgraph, mode) if names is None else {n: [Reader("the export", GEOMETRY)] for n in names}
     requests, off = [], []

@@ -11,8 +11,10 @@ from ...cbt_terrain.view.linear import inverse
 
 
 class Sun(NamedTuple):
-    """`direction`: float64 [3], unit length, of the world, towards the sun. `angle`: of its disc, radians. `strength`:
-    W/m^2."""
+    """`direction`: float64 [3], unit length, of the world, towards the sun.
+
+    `angle`: of its disc, radians. `strength`: W/m^2.
+    """
 
     direction: np.ndarray
     angle: float
@@ -46,8 +48,10 @@ def suns_over(placement: np.ndarray, depsgraph) -> tuple[tuple[float, ...], ...]
 
 
 def _lamps(depsgraph) -> Iterator:
-    """Evaluated, each until the next one: Blender keeps one object for all instances. A render's graph lists all
-    visible objects and instances; in a viewport those may be many."""
+    """Evaluated, each until the next one: Blender keeps one object for all instances.
+
+    A render's graph lists all visible objects and instances; in a viewport those may be many.
+    """
     if depsgraph.mode == "RENDER":
         yield from filter(_is_sun, (instance.object for instance in depsgraph.object_instances))
     else:

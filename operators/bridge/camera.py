@@ -14,8 +14,10 @@ KINDS = {"PERSP": PERSPECTIVE, "ORTHO": ORTHOGRAPHIC, "PANO": PANORAMIC, "CUSTOM
 
 
 def render_resolution(scene) -> tuple[int, int]:
-    """Return pixels across and up of the whole frame. A render border changes the drawn region, not the size of a
-    pixel."""
+    """Return pixels across and up of the whole frame.
+
+    A render border changes the drawn region, not the size of a pixel.
+    """
     render = scene.render
     percent = render.resolution_percentage
     return max(1, render.resolution_x * percent // 100), max(1, render.resolution_y * percent // 100)
@@ -59,8 +61,10 @@ def views_from_scene(scene, camera, depsgraph, resolution: tuple[int, int] | Non
 
 
 def view_from_camera(scene, camera, matrix, resolution: tuple[int, int]) -> View:
-    """Return the view of the evaluated camera object `camera`, at `resolution` pixels across and up; `matrix`: to the
-    world."""
+    """Return the view of an evaluated camera object, at `resolution` pixels across and up.
+
+    `matrix`: to the world.
+    """
     data = camera.data
     kind = KINDS.get(data.type, PANORAMIC)
     to_camera = _world_to_camera(camera.name, matrix)
@@ -115,8 +119,10 @@ def view_from_region(space, region, region_3d) -> View:
 
 
 def viewports(window_manager) -> list[tuple]:
-    """Window, area, region and the region's own view (RegionView3D) of every 3D viewport that is shown; viewports too
-    small to show anything are left out."""
+    """Return window, area, region and the region's own view (RegionView3D) of every 3D viewport that is shown.
+
+    Viewports too small to show anything are left out.
+    """
     found = []
     for window in window_manager.windows:
         for area in window.screen.areas:
@@ -165,8 +171,9 @@ def _fit(data, width: float, height: float) -> tuple[float, float]:
 
 
 def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, float]) -> float:
-    """Return the smallest angle that a pixel of a panorama spans, as Cycles projects; for an unknown lens, half of a
-    full sphere's.
+    """Return the smallest angle that a pixel of a panorama spans, as Cycles projects.
+
+    For an unknown lens it is half of a full sphere's.
 
     Along meridians: near the poles of a panorama, and near the border of a fisheye, a pixel's other side spans less.
     """
@@ -203,8 +210,10 @@ def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, f
 
 
 def _multiview_cameras(scene, camera) -> list:
-    """Return the cameras of a render with one camera a view: those named as the active one but for the view's
-    suffix."""
+    """Return the cameras of a render with one camera a view.
+
+    They have the name of the active one but for the view's suffix.
+    """
     suffixes = [view.camera_suffix for view in scene.render.views if view.use]
     base = next((camera.name[: -len(s)] for s in suffixes if s and camera.name.endswith(s)), camera.name)
     found = [scene.objects.get(base + suffix) for suffix in suffixes]

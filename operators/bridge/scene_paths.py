@@ -8,9 +8,9 @@ _DRIVE = re.compile(r"^[A-Za-z]:[\\/]")
 
 
 def absolute_path(text: str, library=None) -> str:
-    """Return the absolute form of a path property, whatever system it was saved on.
+    r"""Return the absolute form of a path property, whatever system it was saved on.
 
-    Blender on Windows saves `//terrain\\store`, and `bpy.path.abspath` elsewhere takes that for one name. A backslash
+    Blender on Windows saves `//terrain\store`, and `bpy.path.abspath` elsewhere takes that for one name. A backslash
     counts as a separator unless a file of exactly that name exists. A path with a drive letter names a place on another
     machine, and is returned as it is.
     """

@@ -115,7 +115,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _with_frames_joined(argv: list[str]) -> list[str]:
-    """argparse takes frames that begin below 0, such as -5--1, for an option, unless they are joined to their name."""
+    """Join frames that begin below 0, such as -5--1, to their option, because argparse takes them for an option."""
     joined = []
     for word in argv:
         if joined and joined[-1] == "--frames" and re.match(r"-\d", word):

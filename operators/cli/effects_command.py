@@ -35,8 +35,10 @@ def of_store(store: Path) -> list[str]:
 
 
 def _alone(name: str, field, surface):
-    """Return the cost of an effect with its inputs, once kernels are compiled and the caches of the field are
-    filled."""
+    """Return the cost of an effect with its inputs.
+
+    Kernels are compiled and the caches of the field are filled.
+    """
     planned = plan([AttributeRequest(name, ("this command",), GEOMETRY)])
     for _ in range(2):
         ran = evaluate(field, EffectRequest(planned, surface), FrameHistory(), launch.default_threads()).ran
@@ -44,8 +46,10 @@ def _alone(name: str, field, surface):
 
 
 def of_scene(blend: Path, camera: str | None = None) -> list[str]:
-    """Return lines for each terrain of a .blend file, at its frame and the render's detail: effects that are read, and
-    others."""
+    """Return lines for each terrain of a .blend file, at its frame and the render's detail.
+
+    They list the effects that are read, and others.
+    """
     from ..export.frame_sources import SceneFrames
     from ..session import session
 

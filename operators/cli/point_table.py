@@ -92,8 +92,10 @@ def _decoded(content: bytes) -> str:
 
 
 def _lines(text: str, name: str) -> tuple[list[tuple[int, list[str]]], str]:
-    """Return numbers and cells of the lines that are not empty, and the delimiter: the one that finds most names of
-    coordinates in the first line. Raises TerrainError."""
+    """Return numbers and cells of the lines that are not empty, and the delimiter.
+
+    It is the delimiter that finds most names of coordinates in the first line. Raises TerrainError.
+    """
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     known = {column for pair in (ANY, LENGTHS, DEGREES) for axis in pair for column in axis}
     header = next((line for line in text.split("\n") if line.strip()), "")

@@ -306,8 +306,10 @@ def run_bench(arguments) -> None:
 
 
 def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = None) -> str:
-    """Return `frame 12: 184,302 triangles, bound 0.98 px, update 31 ms`; of several terrains the sum and the largest
-    bound."""
+    """Return `frame 12: 184,302 triangles, bound 0.98 px, update 31 ms`.
+
+    For several terrains it has the sum and the largest bound.
+    """
     from ..text.shown_bounds import limit_text
 
     parts = [f"{sum(t['triangles'] for t in terrains):,} triangles", f"bound {largest_bound(terrains)}"]
@@ -334,8 +336,10 @@ def largest_bound(terrains: list[dict]) -> str:
 
 
 def print_fields(fields: dict, indent: str = "") -> None:
-    """Print one line for each field, and a dict below its name. Empty fields are omitted. The texts may come from
-    outside."""
+    """Print one line for each field, and a dict below its name.
+
+    Empty fields are omitted. The texts may come from outside.
+    """
     for name, value in fields.items():
         if isinstance(value, dict):
             print_line(f"{indent}{name}:")

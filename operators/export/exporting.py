@@ -78,8 +78,9 @@ def write_frames(
     resume: bool,
     on_frame: Callable[[int, dict, bool], None],
 ) -> None:
-    """Have `write` write each frame's files into `out`, and close the frame with the dict that it returns: "files"
-    (sizes in bytes by name), "terrains" (their figures) and "elapsed_ms".
+    """Have `write` write each frame's files into `out`, and close the frame with its result.
+
+    The result is a dict: "files" (sizes in bytes by name), "terrains" (their figures) and "elapsed_ms".
 
     `settings`: what all frames have in common, as JSON. `inputs`: the files that a frame is made of. They are read
     once, before the first frame that needs them: Blender keeps them, too, and a later change is none of these frames'.
@@ -264,8 +265,10 @@ def _written_by_blender(path: Path, written=written_beside):
 
 
 def _need_all_written(path: Path) -> None:
-    """Raise OSError where a file cannot grow, RuntimeError where there is none: Blender's PLY, OBJ and STL writers do
-    not say that a full disk, a quota or a limit has cut theirs short."""
+    """Raise OSError if a file cannot grow, RuntimeError if there is none.
+
+    Blender's PLY, OBJ and STL writers do not report that a full disk, a quota or a limit has cut their files short.
+    """
     if not path.exists():
         raise RuntimeError("Blender wrote nothing")
     with path.open("r+b") as file:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of the compositor's File Output nodes: written into a private folder while a frame is rendered, and moved to
-their places when it is complete."""
+"""Pictures of the compositor's File Output nodes.
+
+They are written into a private folder while a frame is rendered, and moved to their places when it is complete.
+"""
 
 import itertools
 import os

@@ -12,8 +12,9 @@ from ...cbt_terrain.errors import TerrainError
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """A format of exported meshes. A function is named "module:function" of this package, to be imported when it is
-    first called.
+    """A format of exported meshes.
+
+    A function is named "module:function" of this package, to be imported when it is first called.
 
     Attributes:
         write: write(pieces, path) writes one Piece, or all Pieces of a frame if `is_whole_scene`.

@@ -51,8 +51,11 @@ def import_store(obj, _frames: Sequence[int], say: Say, to: To) -> None:
 
 
 def shape_land(obj, frames: Sequence[int], say: Say, to: To) -> None:
-    """Shape a terrain's land, and bake the maps that its materials show: for the whole terrain, or for the ground that
-    the camera sees in `frames`, as its settings choose. Existing land and maps are kept."""
+    """Shape a terrain's land, and bake the maps that its materials show.
+
+    This is done for the whole terrain, or for the ground that the camera sees in `frames`, as its settings choose.
+    Existing land and maps are kept.
+    """
     scene, depsgraph = bpy.context.scene, bpy.context.evaluated_depsgraph_get()
     if obj.hide_render:
         return
@@ -73,8 +76,10 @@ PARTS = {"stores": import_store, "land": shape_land}
 
 
 def prepare(objects: Sequence, frames: Sequence[int], parts: Sequence[str], say: Say, to: To) -> None:
-    """Make the `parts` of the terrains `objects` of the open file, for `frames`; `to` is called with the number of
-    terrains that are finished. Raises TerrainError."""
+    """Make the `parts` of the terrains `objects` of the open file, for `frames`.
+
+    `to` is called with the number of terrains that are finished. Raises TerrainError.
+    """
     work = [(PARTS[part], obj) for part in parts for obj in objects]
     for done, (make, obj) in enumerate(work):
         to(done)

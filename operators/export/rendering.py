@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Frames to pictures, as `blender -f` renders them: each is whole under its final name or not there, and is closed by a
-summary as the frame of an export is."""
+"""Frames to pictures, as `blender -f` renders them.
+
+Each is whole under its final name or missing, and a summary closes it as it closes the frame of an export.
+"""
 
 import os
 import time
@@ -90,8 +92,7 @@ def _render(source: SceneFrames, out: Path, frame: int) -> dict:
 
 
 def _check_land(objects: list, frame: int) -> None:
-    """Raise TerrainError if a link replaces a terrain's land: before a picture is begun, which may take
-    long."""
+    """Raise TerrainError if a link replaces a terrain's land: before a picture is begun, which may take long."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     for obj in objects:
         try:

@@ -16,8 +16,9 @@ SAME = 1e-5  # float32 matrices are no better
 
 
 def write_points_csv(path, points: ScatterPoints, placement: np.ndarray) -> None:
-    """Write points placed by `placement` (float64 [4, 4], their space to the world), atomically: metres, z up,
-    quaternions and the scale of each instance.
+    """Write points placed by `placement` (float64 [4, 4], their space to the world), atomically.
+
+    A row has metres, z up, a quaternion and the scale of an instance.
 
     Raises TerrainError where the placement does not scale all axes alike: no rotation and scale say that.
     """

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files that the frames of a scene are made of: a job brings them to a worker, and a change of one makes a finished
-frame stale. Only the .blend file decides their order, so that two machines list them alike."""
+"""Files that the frames of a scene are made of.
+
+A job brings them to a worker, and a change of one makes a finished frame stale. Only the .blend file decides their
+order, so that two machines list them alike.
+"""
 
 import glob
 import os

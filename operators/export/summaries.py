@@ -96,8 +96,11 @@ def read_summary(out: Path, frame: int) -> dict:
 def complete_summary(
     out: Path, frame: int, settings: str, inputs: dict[str, str | None], formats: Sequence[str]
 ) -> dict | None:
-    """Return the summary of a frame that need not be made again: made with these settings, of inputs with these
-    digests, in these formats at least, and all of its files have their contents. None for any other frame."""
+    """Return the summary of a frame that need not be made again, None for any other frame.
+
+    It was made with these settings, of inputs with these digests, in all of these formats, and its files have their
+    contents.
+    """
     try:
         summary = read_summary(out, frame)
     except (FileNotFoundError, ValueError):

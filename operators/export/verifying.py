@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The check that a farm makes at the end: all frames are there and whole, made with one set of settings, of the files
-that lie there now."""
+"""The check that a farm makes at the end.
+
+All frames are there and whole, made with one set of settings, of the files that are there now.
+"""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -43,8 +45,10 @@ def verify_frames(out: Path, frames: Sequence[int]) -> tuple[list[dict], int]:
 
 
 def _stale_frames(summaries: list[dict], out: Path) -> list[str]:
-    """Describe the inputs that have changed since a frame was made of them. A missing file is compared with nothing: a
-    folder of frames may be checked without their scene."""
+    """Describe the inputs that have changed since a frame was made of them.
+
+    A missing file is compared with nothing: a folder of frames may be checked without their scene.
+    """
     contents, faults = cache(content_digest), []
     for summary in summaries:
         for name, digest in summary["inputs"].items():

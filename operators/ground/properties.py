@@ -10,8 +10,10 @@ _looked: tuple[int, bool] | None = None  # number of objects at the last look, a
 
 
 def is_any_on_ground() -> bool:
-    """Tell whether any object of the file is kept on the ground. Objects are looked at only after a change: a frame of
-    10,000 objects would take a third longer."""
+    """Tell whether any object of the file is kept on the ground.
+
+    Objects are looked at only after a change: a frame of 10,000 objects would take a third longer.
+    """
     global _looked
     count = len(bpy.data.objects)  # others may be appended without a handler's call
     if _looked is None or _looked[0] != count:

@@ -22,9 +22,11 @@ MAX_WARNINGS, LONGEST_WARNING = 8, 500
 
 @dataclass(frozen=True)
 class Imported:
-    """Of a store: `settings` it was imported with ({}: unknown), `crs` ("": none), `origin` in the CRS's unit, samples
-    of the raster, metres of the extent and between samples, the lowest and the highest height, and the import's
-    warnings."""
+    """What a store records about its import.
+
+    `settings` ({}: unknown), `crs` ("": none), `origin` in the CRS's unit, samples of the raster, metres of the extent
+    and between samples, the lowest and the highest height, and the import's warnings.
+    """
 
     settings: dict
     crs: str
@@ -132,8 +134,10 @@ def changed_settings(settings: ImportSettings, imported: Imported | None) -> lis
 
 
 def _same_file(path: str, before: object) -> bool:
-    """Tell whether two paths name one file. A file that is missing at its old place may have moved with its .blend
-    file."""
+    """Tell whether two paths name one file.
+
+    A file that is missing at its old place may have moved with its .blend file.
+    """
     if path == before or not isinstance(before, str):
         return path == before
     return not {path, before} & set(LANDS) and Path(path).name == Path(before).name and not Path(before).exists()

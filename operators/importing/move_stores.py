@@ -11,8 +11,10 @@ DELETES = "which Blender deletes with the extension"
 
 
 def move_old_stores() -> None:
-    """Move the stores of earlier versions into the data folder. What cannot be moved stays, and is tried again at the
-    next start."""
+    """Move the stores of earlier versions into the data folder.
+
+    What cannot be moved stays, and is tried again at the next start.
+    """
     for old in old_folders():
         try:
             moved = move_stores(old, data_folder())

@@ -30,8 +30,11 @@ OnProgress = Callable[[float], None]
 
 @dataclass
 class PackPlan:
-    """Copies that packing makes. `stores`: the folder of each store, its new path, which may be
-    relative, and the terrains (session_uid) that use it. `lands`, `maps`: folders and their new folders."""
+    """Copies that packing makes.
+
+    `stores`: the folder of each store, its new path, which may be relative, and the terrains (session_uid) that use it.
+    `lands`, `maps`: folders and their new folders.
+    """
 
     stores: dict[str, tuple[str, list[int]]] = field(default_factory=dict)
     lands: dict[str, str] = field(default_factory=dict)

@@ -70,8 +70,11 @@ def folder_beside(obj, source: str) -> str:
 
 
 def store_folder(obj, settings: ImportSettings) -> str:
-    """Return where an import is written: beside a saved file, one folder a terrain; else in the data folder, one folder
-    for each source and settings, because files share it. Raises TerrainError for a missing source."""
+    """Return the folder that an import writes: beside a saved file, one folder a terrain.
+
+    Before a file is saved it is in the data folder, one folder for each source and settings, because files share it.
+    Raises TerrainError for a missing source.
+    """
     source = Path(settings.source).stem
     if can_write_beside():
         return folder_beside(obj, source)

@@ -26,8 +26,9 @@ def of_image(image, folder: Path) -> str:
 
 
 def of_shadow(obj, terrain, extent_m: tuple[float, float], depsgraph, folder: Path) -> str:
-    """Write a file that is 1 below and above the mesh `obj` on the plan of the evaluated `terrain`, 0 elsewhere; return
-    its path.
+    """Write a file that is 1 below and above the mesh `obj` on the plan of a terrain, 0 elsewhere.
+
+    `terrain` is evaluated. Return the file's path.
 
     extent_m: metres from west to east and from south to north.
     """

@@ -42,8 +42,10 @@ STILL = {"update": changed, "options": set()}
 
 
 def number_of(parameter: Parameter, group) -> float:
-    """Return a parameter's number in a property group, in the declaration's unit and within its range. Blender stores
-    24 bits: a number that agrees with the default to 24 bits is the default."""
+    """Return a parameter's number in a property group, in the declaration's unit and within its range.
+
+    Blender stores 24 bits: a number that agrees with the default to 24 bits is the default.
+    """
     value = getattr(group, parameter.name)
     if isinstance(parameter.default, int):
         return min(max(value, int(parameter.min)), int(parameter.max))

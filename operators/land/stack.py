@@ -28,8 +28,9 @@ def unknown(effect: str) -> TerrainError:
 
 
 def stack_of(terrain, depsgraph, masks: Path) -> Stack:
-    """Return the stack of the evaluated `terrain`: the entries that are on. Raises TerrainError for one that is not
-    valid.
+    """Return the stack of the evaluated `terrain`: the entries that are on.
+
+    Raises TerrainError for one that is not valid.
 
     masks: the folder that images and shadows of objects are written to.
     """
@@ -106,8 +107,10 @@ def _slope_degrees(radians: float) -> float:
 
 
 def preset_of(land) -> Stack:
-    """Return the whole stack of a terrain's settings for a file: with entries that are off, without masks by
-    objects."""
+    """Return the whole stack of a terrain's settings for a file.
+
+    It has entries that are off, and no masks by objects.
+    """
     found = []
     for entry in land.entries:
         if entry.effect not in GROUPS:

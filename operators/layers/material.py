@@ -37,10 +37,13 @@ BROAD, FINE, SEEN = 3.0, 0.12, 500.0
 
 @dataclass(frozen=True)
 class LayerSources:
-    """Inputs of the group. `layers`: name and colour (linear RGB) of each, none where there is a map of COLORS.
-    `light`: which of SKY and SUN darken the colours. `maps`: baked images by effect; effects without one are
-    attributes. `place`: adds nodes to a tree that give the place in them; returns their output. `tile`: metres of the
-    world across an image of several that make a map."""
+    """Inputs of the group.
+
+    `layers`: name and colour (linear RGB) of each, none where there is a map of COLORS. `light`: which of SKY and SUN
+    darken the colours. `maps`: baked images by effect; effects without one are attributes. `place`: adds nodes to a
+    tree that give the place in them; returns their output. `tile`: metres of the world across an image of several that
+    make a map.
+    """
 
     layers: Sequence[tuple[str, tuple[float, float, float]]]
     light: Sequence[str] = ()

@@ -162,8 +162,10 @@ for _kind, _group in BANDS.items():
 
 
 def layers_of(settings) -> tuple[rules.Layer, ...]:
-    """Return the layers of a terrain's settings for the effects, empty for none. Raises TerrainError for one that is
-    not valid."""
+    """Return the layers of a terrain's settings for the effects, empty for none.
+
+    Raises TerrainError for one that is not valid.
+    """
     found = tuple(_layer(settings.layers, number) for number in range(len(settings.layers)))
     if found:
         rules.check(found)

@@ -20,9 +20,12 @@ from ...cbt_terrain.view.view import View
 
 @dataclass(frozen=True, eq=False)
 class MapRequest:
-    """One bake. `views`: the views that determine the resolution, none for that of the height map; `placement`
-    float64 [4, 4]. `only_seen`: tiles outside all frames get the coarsest images. `store`, `land`: of the
-    heights, as in a scene's Request. Others as in `attributes.bake.bake`."""
+    """One bake.
+
+    `views`: the views that determine the resolution, none for that of the height map; `placement` float64 [4, 4].
+    `only_seen`: tiles outside all frames get the coarsest images. `store`, `land`: of the heights, as in a scene's
+    Request. Others as in `attributes.bake.bake`.
+    """
 
     requests: tuple[AttributeRequest, ...]
     folder: Path

@@ -37,8 +37,10 @@ class ScatterItem:
 
 @dataclass(frozen=True, eq=False)
 class Scatters:
-    """Visible scatters of a terrain, and the views that they are for; without a view, everywhere. `max_points`:
-    of each scatter, and what limits it."""
+    """Visible scatters of a terrain, and the views that they are for; without a view, everywhere.
+
+    `max_points`: of each scatter, and what limits it.
+    """
 
     items: tuple[ScatterItem, ...] = ()
     views: tuple[View, ...] = ()
@@ -50,8 +52,11 @@ class Scatters:
 
 @dataclass
 class ScatterRecord:
-    """The last points of a scatter. `key`: what they depend on. `shown`: which points its mesh has. `ms`: of the last
-    points; `runs`: how often points were made. `history`: holds candidates on the ground for later frames."""
+    """The last points of a scatter.
+
+    `key`: what they depend on. `shown`: which points its mesh has. `ms`: of the last points; `runs`: how often points
+    were made. `history`: holds candidates on the ground for later frames.
+    """
 
     history: FrameHistory = field(default_factory=FrameHistory)
     key: tuple = ()
@@ -70,8 +75,10 @@ def scatters_of(terrain) -> list:
 
 
 def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[View]]) -> Scatters:
-    """Return the requests of a terrain's scatters that are visible in a render or in the viewport. `views` is called
-    only if there is one."""
+    """Return the requests of a terrain's scatters that are visible in a render or in the viewport.
+
+    `views` is called only if there is one.
+    """
     settings, items = terrain.evaluated_get(depsgraph).adaptive_terrain, []
     for obj in scatters_of(terrain):
         evaluated = obj.evaluated_get(depsgraph)

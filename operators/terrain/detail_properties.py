@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Settings of the level of detail: `object.adaptive_terrain.viewport` and `.render`.
 
-Those of a criterion are made from the table in cbt_terrain/view/settings.py."""
+Those of a criterion are made from the table in cbt_terrain/view/settings.py.
+"""
 
 import bpy
 from bpy.props import BoolProperty, FloatProperty, IntProperty, StringProperty
@@ -62,8 +63,10 @@ def _criterion_switch(setting: CriterionSetting):
 
 
 def _properties(mode: str) -> dict:
-    """Return the properties of every setting of a criterion by their identifiers, with the defaults of VIEWPORT or
-    RENDER."""
+    """Return the properties of every setting of a criterion by their identifiers.
+
+    They have the defaults of VIEWPORT or RENDER.
+    """
     found = {f"ask_{setting.name}": _criterion_switch(setting) for setting in CRITERIA}
     for setting in SETTINGS:
         if setting.switch:

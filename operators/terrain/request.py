@@ -85,8 +85,10 @@ class Request:
         return self.store, self.changed_ns, self.land, self.interpolation, self.ground, *self._shape(), *shown
 
     def digest(self, field_key: FieldKey) -> str:
-        """Return the hex digest of everything that determines the mesh before clean-up and its errors: the key of the
-        height field, the criterion, the views, the placement."""
+        """Return the hex digest of everything that determines the mesh before clean-up and its errors.
+
+        That is the key of the height field, the criterion, the views and the placement.
+        """
         return hashlib.blake2b(repr((str(field_key), *self._shape())).encode(), digest_size=16).hexdigest()
 
     def _shape(self) -> tuple:
@@ -203,8 +205,9 @@ def criterion_from(detail, overrides: Overrides = NO_OVERRIDES) -> Criterion:
 
 
 def within_time(criterion: Criterion, detail) -> tuple[Criterion, str]:
-    """Return the criterion with the finest error that fits the time budget of a DetailSettings, and ""; or `criterion`
-    as it is, and why.
+    """Return the criterion with the finest error that fits the time budget of a DetailSettings, and "".
+
+    If none fits, return `criterion` as it is, and why.
 
     The error depends on the measured curve and the budget alone.
     """
@@ -259,8 +262,11 @@ def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
 
 
 def follows_viewport(settings, scene) -> bool:
-    """Tell whether viewports refine for their own views: if the settings say so, and in a window whose scene has no
-    camera. Without a window a missing camera is an error."""
+    """Return whether viewports refine for their own views.
+
+    They do if the settings choose it, and in a window whose scene has no camera. Without a window a missing camera is
+    an error.
+    """
     if settings.camera_source == SCENE_CAMERA and not bpy.app.background:
         return cameras.active_camera(scene) is None
     return settings.camera_source == VIEWPORT_VIEW

@@ -53,6 +53,8 @@ EMPHASIS = re.compile(r"\*(\w[\w ]*)\*")
 
 @dataclass(frozen=True)
 class Heading:
+    """A heading of a page."""
+
     text: str
 
 
@@ -119,6 +121,8 @@ class Table:
 
 @dataclass(frozen=True)
 class Plot:
+    """A picture of a page."""
+
     name: str
     caption: str
     svg: str = field(repr=False)

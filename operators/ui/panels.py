@@ -51,8 +51,10 @@ class TerrainPanel(bpy.types.Panel):
 
 
 def _waiting_row(layout):
-    """Return a row for operators that need the kernels. It is greyed out while they are prepared, because they would
-    block the window."""
+    """Return a row for operators that need the kernels.
+
+    It is greyed out while they are prepared, because they would block the window.
+    """
     row = layout.row()
     row.enabled = not warmup.preparing()
     return row

@@ -86,8 +86,10 @@ def sight_notice(context, obj) -> tuple[str, str, str]:
 
 
 def _viewport_cuts(context, box: np.ndarray) -> bool:
-    """Tell whether the viewport beside the panel clips the terrain. False in camera view, where the camera's own clip
-    range has another notice."""
+    """Tell whether the viewport beside the panel clips the terrain.
+
+    False in camera view, where the camera's own clip range has another notice.
+    """
     space = context.space_data
     if space is None or space.type != "VIEW_3D" or space.region_3d.view_perspective == "CAMERA":
         return False

@@ -21,15 +21,7 @@ from .mesh.pieces import Pieces, middles
 from .mesh.surface import Surface
 from .mesh.welding import TornMesh
 from .plain_numbers import plain_number, rows, vertical
-from .refine.contract import (
-    Outcome,
-    bound_area_px,
-    bound_edge_px,
-    bound_m,
-    bound_px,
-    factor_of,
-    reason_of,
-)
+from .refine.contract import Outcome, ReportedBounds, bounds_of
 from .refine.horizon import RAMP, horizon_of, place_rings
 from .refine.refinement import MAX_TRIANGLES, refine, replay
 from .refine.request import RefinementRequest, pack, refinable
@@ -40,23 +32,17 @@ from .tree.concurrent_binary_tree import ConcurrentBinaryTree
 from .view.criterion import Criterion
 from .view.linear import add_up, determinant
 from .view.local_view import localise
-from .view.spans import PlanUnits, Spans, spans_of
+from .view.spans import PlanUnits, spans_of
 from .view.view import View, listed_views
 
 
-@dataclass(frozen=True)
-class Update:
-    """Result of one update. A bound is None if the criterion does not limit it.
+@dataclass(frozen=True, kw_only=True)
+class Update(ReportedBounds):
+    """Result of one update, with the bounds of its mesh.
 
     The arrays of `surface` are read-only, and later updates do not change them: memory is reused once they are no
     longer in use. `copy()` has arrays that can be written.
 
-    `bound_px`: no visible point of the reference surface is further than this from the mesh's point below it, in pixels
-    (0: nothing is in view; 1e30: the mesh may reach the eye). `bound_m`: the same in metres of height, everywhere.
-    Both include the rounding of float32 positions and of the source, so they also hold for the heights before that
-    rounding. `terms_px` and `terms_m` divide them. `bound_edge_px`, `bound_area_px`: longest edge, largest triangle,
-    also of float32 corners. `relaxed`: the factor by which a triangle limit coarsened the criterion. `limited`: cause
-    of a bound above the criterion: "", "max_triangles", "max_depth", "precision" (float32) or "source" (its rounding).
     `changed`: False if the mesh is the one of the last update.
     """
 
@@ -64,14 +50,6 @@ class Update:
     leaves: int
     changed: bool
     ms: dict[str, float] = field(compare=False)
-    bound_px: float | None = None
-    bound_m: float | None = None
-    bound_edge_px: float | None = None
-    bound_area_px: float | None = None
-    relaxed: float = 1.0
-    limited: str = ""
-    terms_px: Terms | None = None
-    terms_m: Terms | None = None
 
     @property
     def triangles(self) -> int:
@@ -340,8 +318,8 @@ class Terrain:
                 buffers=self.history.scratch,
                 in_frame=lambda: pack(criterion, views_within((0.0, 0.0)), spans, domain.source),
             )
-            fields = {"surface": surface, "leaves": leaves.total, "changed": changed, "ms": ms}
-            update = _bounded(criterion, spans, outcome, **fields)
+            bounds = vars(bounds_of(criterion, spans, outcome))
+            update = Update(surface=surface, leaves=leaves.total, changed=changed, ms=ms, **bounds)
             self.history.commit(key, _Result(update, shape, hides), keeps_vertices=not changed)
         return update
 
@@ -381,21 +359,3 @@ def _check(criterion: Criterion, views: Sequence[View], placement: np.ndarray) -
             "The criterion is measured in pixels and there is no camera",
             fix="add a camera, or use a criterion in metres",
         )
-
-
-def _bounded(criterion: Criterion, spans: Spans, outcome: Outcome, **fields: Any) -> Update:
-    """Return the update with the bounds of its mesh. `fields`: its other fields."""
-    px, metres = bound_px(criterion, spans, outcome), bound_m(criterion, outcome)
-    edge, area = bound_edge_px(criterion, spans, outcome), bound_area_px(criterion, spans, outcome)
-    relaxed = factor_of(criterion, outcome, [px, metres, edge, area])
-    return Update(
-        bound_px=px.value if px else None,
-        bound_m=metres.value if metres else None,
-        bound_edge_px=edge.value if edge else None,
-        bound_area_px=area.value if area else None,
-        terms_px=px.terms if px else None,
-        terms_m=metres.terms if metres else None,
-        relaxed=relaxed,
-        limited=reason_of([px, metres, edge, area], relaxed),
-        **fields,
-    )

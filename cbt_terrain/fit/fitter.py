@@ -23,7 +23,7 @@ import warp as wp
 from ...kernels.fitting import binding, raising
 from ...kernels.fitting import mesh as mesh_kernels
 from ...kernels.fitting import moving as kernels
-from ...kernels.refine.pixels import CriterionArrays, LocalView
+from ...kernels.refine.pixels import CriterionArrays, LocalView, unlimited
 from ..field import codes
 from ..field.depths import DEPTH_BELOW_CELLS, usual_depth
 from ..field.domain import box_of
@@ -269,8 +269,7 @@ class Fitter:
 
 def _vertical_criterion(error_m: float) -> CriterionArrays:
     """Return a criterion with a vertical error alone."""
-    criterion = CriterionArrays()
-    criterion.error_px2 = criterion.edge_px2 = criterion.area_px2 = math.inf
-    criterion.metres2, criterion.limit = error_m * error_m, 1.0
+    criterion = unlimited()
+    criterion.metres2 = error_m * error_m
     criterion.view, criterion.views = LocalView(), wp.array([LocalView()], dtype=LocalView, device="cpu")
     return criterion

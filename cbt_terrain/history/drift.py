@@ -12,6 +12,9 @@ from ..view.linear import add_up
 # Largest fraction by which lengths, all but pixel footprints, may change from frame to frame: 4 times this comes off
 # the slack.
 MAX_DRIFT = 2e-3
+# Fields of a criterion that may drift: squared lengths and pixels. The others must be equal, except those of views.
+SQUARES = "error_px2", "edge_px2", "area_px2", "diagonal2", "axis2"
+VIEWS = "limit", "view", "views", "slopes"
 
 
 @dataclass
@@ -32,7 +35,7 @@ class CachedSubtrees:
 
         Lengths in `Motion` do not count. Infinity if more than the camera has changed.
         """
-        of_criterion = "view_count", "measures_edges", "metres2"
+        of_criterion = [name for name in CriterionArrays.vars if name not in SQUARES + VIEWS]
         of_view = "kind", "plane_count", "off_screen2", "fade", "fringe"
         same = domain is self.domain and max_depth == self.max_depth and criterion.limit == self.limit
         same = same and all(getattr(criterion, name) == getattr(self.criterion, name) for name in of_criterion)
@@ -45,7 +48,7 @@ class CachedSubtrees:
 
 def _squares(criterion: CriterionArrays) -> list[float]:
     """Return squared lengths and pixels that may differ a little between frames: Blender's matrices are float32."""
-    of_criterion = criterion.error_px2, criterion.edge_px2, criterion.area_px2, criterion.diagonal2, criterion.axis2
+    of_criterion = [getattr(criterion, name) for name in SQUARES]
     return [
         float(square)
         for square in (*criterion.view.weight, criterion.view.cosine2, criterion.view.near2, *of_criterion)

@@ -11,7 +11,7 @@ m from `mean_ramp`.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import warp as wp
 
@@ -39,6 +39,37 @@ class Bound:
     value: float
     reason: str = ""
     terms: Terms | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportedBounds:
+    """The bounds of a mesh. A bound is None if the criterion does not limit it.
+
+    Attributes:
+        bound_px: no visible point of the reference surface is further than this from the mesh's point below it, in
+            pixels (0: nothing is in view; 1e30: the mesh may reach the eye). It includes the rounding of float32
+            positions and of the source, so it also holds for the heights before that rounding.
+        bound_m: the same in metres of height, everywhere.
+        bound_edge_px, bound_area_px: longest edge, largest triangle, also of float32 corners.
+        terms_px, terms_m: terms of `bound_px` and `bound_m`.
+        relaxed: factor by which a triangle limit coarsened the criterion.
+        limited: cause of a bound above the criterion, one of REASONS, or "". "precision" is the rounding of float32,
+            "source" that of the source.
+    """
+
+    bound_px: float | None = None
+    bound_m: float | None = None
+    bound_edge_px: float | None = None
+    bound_area_px: float | None = None
+    terms_px: Terms | None = None
+    terms_m: Terms | None = None
+    relaxed: float = 1.0
+    limited: str = ""
+
+    @property
+    def bounds(self) -> "ReportedBounds":
+        """The bounds alone, without what else an update has."""
+        return ReportedBounds(**{item.name: getattr(self, item.name) for item in fields(ReportedBounds)})
 
 
 @dataclass(frozen=True)
@@ -119,6 +150,23 @@ class Outcome:
             return guaranteed, None
         worst = replace(self, max_depth=ANY).search(what, finest)
         return min(guaranteed, worst.value if worst else finest), worst
+
+
+def bounds_of(criterion: Criterion, spans: Spans, o: Outcome) -> ReportedBounds:
+    """Return the bounds of a refined mesh."""
+    px, metres = bound_px(criterion, spans, o), bound_m(criterion, o)
+    edge, area = bound_edge_px(criterion, spans, o), bound_area_px(criterion, spans, o)
+    relaxed = factor_of(criterion, o, [px, metres, edge, area])
+    return ReportedBounds(
+        bound_px=px.value if px else None,
+        bound_m=metres.value if metres else None,
+        bound_edge_px=edge.value if edge else None,
+        bound_area_px=area.value if area else None,
+        terms_px=px.terms if px else None,
+        terms_m=metres.terms if metres else None,
+        relaxed=relaxed,
+        limited=reason_of([px, metres, edge, area], relaxed),
+    )
 
 
 def reason_of(bounds: list[Bound | None], relaxed: float) -> str:

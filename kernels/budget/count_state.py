@@ -4,7 +4,7 @@
 import warp as wp
 
 from ..refine.diamond import larger, smaller
-from ..refine.interval import Limits, LodInterval, MeasuredDiamond, too_coarse
+from ..refine.interval import Limits, LodInterval, MeasuredDiamond, excess2, too_coarse
 from ..refine.pixels import CriterionArrays
 
 CELLS = wp.constant(128)  # entries of a slice's stack: three for every second level are enough
@@ -77,11 +77,7 @@ def last_split(criterion: CriterionArrays, limits: Limits, w: Count, first: wp.i
 
     limits: those of `first`. A logarithm estimates the step; the walk's test `too_coarse` then decides exactly.
     """
-    long2 = m.long2 + m.climb2
-    legs2 = m.legs2 + m.climb2
-    over = larger(m.metres2 * limits.per_error2, larger(long2 * limits.per_edge2, legs2 * limits.per_area2)) / m.pixel2
-    over = larger(over, m.metres2 / (limits.metres_above * limits.metres_above))
-    beyond = wp.float64(wp.log2(wp.float32(over))) * STEPS_PER_SQUARE
+    beyond = wp.float64(wp.log2(wp.float32(excess2(limits, m)))) * STEPS_PER_SQUARE
     step = first + wp.int32(larger(smaller(beyond, wp.float64(w.coarsest - first)), wp.float64(0.0)))
     while step < w.coarsest and too_coarse(criterion, w.limits[step + 1], m):
         step += 1

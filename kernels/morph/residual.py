@@ -24,7 +24,7 @@ from ..field.domain import Domain
 from ..mesh.displace import normal_of, surface_at
 from ..refine.diamond import Diamond, diamond_at, larger, metres2_of, rest_of, smaller
 from ..refine.interval import ABOVE
-from ..refine.pixels import CriterionArrays, finest, sizes
+from ..refine.pixels import CriterionArrays, finest, ratio2_at
 from ..refine.stored_errors import error_at, reach_of
 from .lattice import SplitVertex, depth_of, diamond_above, half_edge, split_vertex
 from .state import NOWHERE, PENDING, REMEMBERED, Ends, Known, Memory, MorphedPoint, Morphing, Pending, Ramp, Relief
@@ -69,13 +69,7 @@ def ratio2_of(
     )
     d.border = wp.where(r.low == wp.float64(wp.inf), 2, 0)
     pixel2 = finest(criterion, d, in_frame)
-    found = larger(metres2 / criterion.metres2, metres2 / (pixel2 * criterion.error_px2))
-    if criterion.measures_edges == 1:
-        long2, legs2 = sizes(criterion, domain.unit_bits, a.depth)
-        climb2 = r.rise * r.rise
-        found = larger((long2 + climb2) / (pixel2 * criterion.edge_px2), found)
-        found = larger((legs2 + climb2) / (pixel2 * criterion.area_px2), found)
-    return found, pixel2
+    return ratio2_at(criterion, domain.unit_bits, a.depth, pixel2, metres2, r.rise * r.rise), pixel2
 
 
 @wp.func

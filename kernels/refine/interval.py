@@ -120,6 +120,15 @@ def turning_span(limits: Limits, m: MeasuredDiamond) -> wp.float64:
 
 
 @wp.func
+def excess2(limits: Limits, m: MeasuredDiamond) -> wp.float64:
+    """Estimate the largest squared ratio of a diamond to the criteria."""
+    long2 = m.long2 + m.climb2
+    legs2 = m.legs2 + m.climb2
+    over = larger(m.metres2 * limits.per_error2, larger(long2 * limits.per_edge2, legs2 * limits.per_area2)) / m.pixel2
+    return larger(over, m.metres2 / (limits.metres_above * limits.metres_above))
+
+
+@wp.func
 def unknown_interval() -> LodInterval:
     """Return the interval that leaves every diamond in doubt."""
     interval = LodInterval()

@@ -65,6 +65,14 @@ class CriterionArrays:
     slopes: wp.array(dtype=wp.float32)  # their horizons, see hiding.py
 
 
+def unlimited() -> CriterionArrays:
+    """Return a criterion that nothing exceeds, without views."""
+    criterion = CriterionArrays()
+    criterion.error_px2 = criterion.metres2 = criterion.edge_px2 = criterion.area_px2 = wp.inf
+    criterion.limit = 1.0
+    return criterion
+
+
 @wp.func
 def max_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
     """Return the largest plane . (x, y, z, 1) in a box."""
@@ -360,6 +368,27 @@ def coarsest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
     if d.border > 0:
         pixel2 = wp.float64(wp.inf)
     return pixel2, inside
+
+
+@wp.func
+def ratio2_at(
+    criterion: CriterionArrays,
+    unit_bits: wp.int32,
+    depth: wp.int32,
+    pixel2: wp.float64,
+    metres2: wp.float64,
+    climb2: wp.float64,
+) -> wp.float64:
+    """Return the largest squared ratio of a diamond at `depth` to the criteria.
+
+    pixel2, metres2: see `too_coarse_at`. climb2: how far its edges climb, squared metres.
+    """
+    found = larger(metres2 / criterion.metres2, metres2 / (pixel2 * criterion.error_px2))
+    if criterion.measures_edges == 1:
+        long2, legs2 = sizes(criterion, unit_bits, depth)
+        found = larger((long2 + climb2) / (pixel2 * criterion.edge_px2), found)
+        found = larger((legs2 + climb2) / (pixel2 * criterion.area_px2), found)
+    return found
 
 
 @wp.func

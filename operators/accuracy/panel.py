@@ -101,8 +101,8 @@ def _bounds(status) -> list[tuple[str, float, str, object]]:
     """Return label, value, unit and terms of every bound of the last update, the most important first."""
     bounds = []
     for name, (label, unit) in BOUNDS.items():
-        if (value := getattr(status, name)) is not None:
-            terms = getattr(status, name.replace("bound", "terms"), None)
+        if (value := getattr(status.bounds, name)) is not None:
+            terms = getattr(status.bounds, name.replace("bound", "terms"), None)
             bounds.append((label, value, unit, terms))
     return bounds
 
@@ -133,10 +133,10 @@ def statistics_lines(status) -> list[tuple[str, str]]:
         lines.append((name, _bound(value, unit, 4)))
         parts = {label: getattr(terms, term) for term, label in TERMS.items()} if terms and value < LARGEST else {}
         lines += [(f"    {label}", f"{plain(part)} {unit}") for label, part in parts.items() if part]
-    if status.limited:
-        lines.append(("Held back by", limit_text(status.limited)))
-    if status.relaxed != 1.0:
-        lines.append(("Coarser than asked", f"{plain(status.relaxed)} times"))
+    if status.bounds.limited:
+        lines.append(("Held back by", limit_text(status.bounds.limited)))
+    if status.bounds.relaxed != 1.0:
+        lines.append(("Coarser than asked", f"{plain(status.bounds.relaxed)} times"))
     lines += [("Leaves", f"{status.leaves:,}"), ("Triangles", f"{status.triangles:,}")]
     if status.left != status.triangles:
         lines.append(("Left by clean-up", f"{status.left:,}"))
@@ -167,7 +167,7 @@ def prediction_lines(status, curve: CostCurve, exact: bool) -> list[str]:
 
     exact: the update is the measured one. Any other scales the curve to go through its own point.
     """
-    error = getattr(status.request.criterion, f"error_{curve.unit}") * status.relaxed
+    error = getattr(status.request.criterion, f"error_{curve.unit}") * status.bounds.relaxed
     if not error:
         return []
     triangles, ms = curve.at(error)

@@ -17,6 +17,7 @@ from ...cbt_terrain.field.detail import Detail
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS, with_detail
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.mesh.surface import Surface
+from ...cbt_terrain.refine.contract import ReportedBounds
 from ...cbt_terrain.run.named_file import blocks_reader
 from ...cbt_terrain.run.owned_files import real_path
 from ...cbt_terrain.scatter.points import ScatterPoints
@@ -246,14 +247,14 @@ def counts(surface: Surface) -> dict:
     return {"vertices": len(surface.positions), "edges": len(surface.edges), "triangles": len(surface.triangles)}
 
 
-def bounds_of(update: Update) -> dict:
+def bounds_of(bounds: ReportedBounds) -> dict:
     """Return the bounds of an update and their terms for JSON; None for a bound that was not requested."""
     return {
-        **{name: getattr(update, name) for name in BOUNDS},
-        "terms_px": update.terms_px and asdict(update.terms_px),
-        "terms_m": update.terms_m and asdict(update.terms_m),
-        "relaxed": update.relaxed,
-        "limited": update.limited,
+        **{name: getattr(bounds, name) for name in BOUNDS},
+        "terms_px": bounds.terms_px and asdict(bounds.terms_px),
+        "terms_m": bounds.terms_m and asdict(bounds.terms_m),
+        "relaxed": bounds.relaxed,
+        "limited": bounds.limited,
     }
 
 

@@ -122,4 +122,4 @@ def _noted(terrains: list[dict], objects: list):
 def _figures(name: str, status: session.Status) -> dict:
     """Return the same figures as `exporting.figures`, of the mesh that was rendered."""
     ms = {step: round(ms, 3) for step, ms in status.ms.items()}
-    return {"name": name, "triangles": status.left, **bounds_of(status), "ms": ms}
+    return {"name": name, "triangles": status.left, **bounds_of(status.bounds), "ms": ms}

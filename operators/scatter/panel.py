@@ -86,7 +86,8 @@ def scatter_lines(settings, scatter: ScatterRecord | None, status) -> list[tuple
     tested, off = "-", "-"
     if points != "-":
         tested = f"{scatter.points.tested:,}"
-        bound = (status.bound_px, "px") if status.bound_px is not None else (status.bound_m or 0.0, "m")
+        px, metres = status.bounds.bound_px, status.bounds.bound_m
+        bound = (px, "px") if px is not None else (metres or 0.0, "m")
         off = "0 (on the mesh)" if settings.roots == MESH else f"≤ {bound_text(*bound)}"
         if settings.id_data.matrix_local != STANDING:
             off = "moved: clear its transforms"

@@ -22,7 +22,7 @@ from ...cbt_terrain.field.store import changed_ns, is_intact, open_store
 from ...cbt_terrain.height_operators import derived_store
 from ...cbt_terrain.mesh.attributes import Attribute
 from ...cbt_terrain.mesh.surface import Surface
-from ...cbt_terrain.refine.terms import Terms
+from ...cbt_terrain.refine.contract import ReportedBounds
 from ...cbt_terrain.run import launch, warmup
 from ...cbt_terrain.run.owned_files import real_path
 from ...cbt_terrain.terrain import Terrain
@@ -45,7 +45,7 @@ class Status:
     Attributes:
         request: the request, None before the first update.
         field_key: key of the height field.
-        bound_px, bound_m, bound_edge_px, bound_area_px: None without that criterion.
+        bounds: bounds of the mesh.
         left: triangles after the clean-up.
         ms: milliseconds by step.
         effects: status by name.
@@ -58,14 +58,7 @@ class Status:
     changed: bool = False
     leaves: int = 0
     triangles: int = 0
-    bound_px: float | None = None
-    bound_m: float | None = None
-    bound_edge_px: float | None = None
-    bound_area_px: float | None = None
-    terms_px: Terms | None = None
-    terms_m: Terms | None = None
-    limited: str = ""
-    relaxed: float = 1.0
+    bounds: ReportedBounds = ReportedBounds()
     left: int = 0
     ms: dict[str, float] = dataclasses.field(default_factory=dict)
     effects: dict[str, EffectStatus] = dataclasses.field(default_factory=dict)
@@ -77,10 +70,6 @@ class Status:
     def digest(self) -> str:
         """Identify the mesh and its views."""
         return self.request.digest(self.field_key) if self.request and self.field_key else ""
-
-
-_NOT_OF_UPDATE = ("mode", "request", "field_key", "left", "ms", "effects", "effects_bytes", "error", "failure")
-FIGURES = [item.name for item in dataclasses.fields(Status) if item.name not in _NOT_OF_UPDATE]  # copied from an Update
 
 
 @dataclasses.dataclass
@@ -334,7 +323,10 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
         ms=ms,
         effects=record.effects_status,
         effects_bytes=record.effects_bytes,
-        **{name: getattr(update, name) for name in FIGURES},
+        changed=update.changed,
+        leaves=update.leaves,
+        triangles=update.triangles,
+        bounds=update.bounds,
     )
     return written
 

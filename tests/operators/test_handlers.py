@@ -36,7 +36,7 @@ def test_a_frame_change_follows_the_camera(flight, add_terrain):
     assert len(terrain.data.polygons) > 100 and positions(terrain) != first
     flight.frame_set(2)
     assert positions(terrain) == first
-    assert session.record_of(terrain).status.bound_px <= 1.0
+    assert session.record_of(terrain).status.bounds.bound_px <= 1.0
 
 
 def test_a_terrain_that_is_not_live_waits(flight, add_terrain):

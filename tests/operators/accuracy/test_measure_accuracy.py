@@ -4,6 +4,7 @@
 import json
 import math
 import threading
+from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -350,7 +351,7 @@ def test_the_curve_is_scaled_to_go_through_any_other_update(terrain):
     assert lines == ["0.5 px: ~640,000 triangles, ~48 ms", "2 px: ~40,000 triangles, ~12 ms"]
     status = status_of(terrain, triangles=160_000, changed=False, ms={"total": 0.5})
     assert prediction_lines(status, curve, exact=False)[1] == "2 px: ~40,000 triangles, ~4 ms"
-    status.relaxed = 2.0  # a triangle limit: the mesh has the error of 2 px
+    status.bounds = replace(status.bounds, relaxed=2.0)  # a triangle limit: the mesh has the error of 2 px
     assert [line.split(":")[0] for line in prediction_lines(status, curve, exact=False)] == ["1 px", "4 px"]
 
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the panel says, and the one-click island."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -44,21 +45,22 @@ def test_lengths_on_screen_are_shown_in_pixels(scene, add_terrain):
 
 
 def test_the_bound_has_its_parts(scene, add_terrain):
+    from adaptive_terrain.cbt_terrain.refine.contract import ReportedBounds
     from adaptive_terrain.cbt_terrain.refine.terms import Terms
 
     terrain = add_terrain()
     update = session.update_object(terrain)
     status = session.record_of(terrain).status
-    assert (status.terms_px, status.terms_m) == (update.terms_px, update.terms_m)
-    status.bound_px, status.terms_px, status.terms_m = 2.0, Terms(1.5, 0.25, 0.25), None
+    assert status.bounds == update.bounds and status.bounds.terms_px == update.terms_px
+    status.bounds = ReportedBounds(bound_px=2.0, terms_px=Terms(1.5, 0.25, 0.25))
     lines = statistics_lines(status)
     at = lines.index(("Screen error", "≤ 2 px"))
     parts = [("by triangles", "1.5 px"), ("by precision", "0.25 px"), ("by the source", "0.25 px")]
     assert lines[at + 1 : at + 4] == [(f"    {name}", part) for name, part in parts]
-    status.bound_px, status.terms_px = 0.0, Terms(0.0, 0.0, 0.0)
+    status.bounds = ReportedBounds(bound_px=0.0, terms_px=Terms(0.0, 0.0, 0.0))
     assert statistics_lines(status)[at : at + 2] == [("Screen error", "≤ 0 px"), lines[at + 4]], "nothing is in view"
     assert lines[at + 4][0] == "Leaves", "what is 0 is left out"
-    status.bound_px, status.limited = LARGEST, "precision"
+    status.bounds = replace(status.bounds, bound_px=LARGEST, limited="precision")
     lines = statistics_lines(status)
     at = lines.index(("Screen error", NO_BOUND))
     assert lines[at + 1][0] == "Held back by", "what says nothing has no parts"

@@ -22,7 +22,7 @@ help:
 	@echo "make test-all   every test on Python 3.11 and 3.13 and in the real Blender program (Debian, root)"
 	@echo "make kernels    compile all kernels now, so that nothing waits for them later"
 	@echo "make fuzz       10,000 random views, thousands of damaged files and stores, 300 interrupts, more of the random tests"
-	@echo "make hard-cases run the hard cases and write docs/hard_cases.md"
+	@echo "make hard-cases every hard case by its number"
 	@echo "make bench      what everything costs on this machine (BENCH=--quick, or other options)"
 	@echo "make accuracy   docs/accuracy.md: what accuracy costs on the island and on a real elevation model"
 	@echo "make effects    docs/effects.md: what there is to read of a terrain, its pictures and costs"
@@ -69,7 +69,7 @@ fuzz: $(READY)
 	ADAPTIVE_TERRAIN_FUZZ=10000 $(PY) -m pytest tests/blender/test_long_runs.py -s
 
 hard-cases: $(READY)
-	$(PY) tools/hard_cases_page.py
+	$(PY) -m pytest --verbose tests/hard_cases
 
 bench: $(READY)
 	$(PY) -m adaptive_terrain.operators.cli.command_line bench $(BENCH)

@@ -42,7 +42,7 @@ def pages_of(*folders: str) -> list[Path]:
 def test_the_site_lists_every_page_once():
     listed = NAV.findall((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
     pages = [page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")]
-    assert sorted(listed) == sorted(pages)
+    assert sorted(listed) == sorted([*pages, "hard_cases.md"])  # the last one is written by tools/hard_cases_page.py
 
 
 FOR_USERS = pages_of("start", "howto", "understand", "reference/panel")

@@ -53,6 +53,11 @@ def test_a_browser_finds_all_of_a_page(address, name, tmp_path):
 
 
 @needs_mkdocs
+def test_the_site_has_the_hard_cases(site):
+    assert "test_case_03_" in (site / "hard_cases.html").read_text(encoding="utf-8")
+
+
+@needs_mkdocs
 def test_the_api_page_has_signatures(site):
     text = (site / "reference" / "python-api.html").read_text(encoding="utf-8")
     assert "vertical_offset" in text and "max_triangles" in text

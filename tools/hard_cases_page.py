@@ -1,29 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Run the hard cases and write docs/hard_cases.md: each case, what its tests assert, and the result of that run.
-
-    python tools/hard_cases_page.py            run and write
-    python tools/hard_cases_page.py --check    only say whether the page lists the tests that there are
+"""Hook of mkdocs that adds the page of the hard cases to the site: each case, its tests, and what they assert.
 
 A test belongs to a case by its name, `test_case_NN_...`; the first line of its docstring states the assertion.
 """
 
 import ast
-import datetime
-import importlib.metadata
-import platform
 import re
-import subprocess
-import sys
-import tempfile
-from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 
-ROOT = Path(__file__).resolve().parents[1]
-TESTS = ROOT / "tests" / "hard_cases"
-PAGE = ROOT / "docs" / "hard_cases.md"
+TESTS = Path(__file__).resolve().parents[1] / "tests" / "hard_cases"
 TEST_NAME = re.compile(r"test_case_(\d\d)_\w+")
-NO_RESULT = "not run"
+PAGE = "hard_cases.md"
 
 CASES = {
     1: "Depth 48 in float32",
@@ -102,8 +89,8 @@ CASES = {
 HEAD = """\
 # Hard cases
 
-Written by `make hard-cases` from the tests in `tests/hard_cases` and a run of them; a test in the suite compares the
-rows with the tests. A test that makes a mesh also asserts, by one function (`tests/invariants.py`):
+Written from the tests in `tests/hard_cases`; `make hard-cases` runs them. A test that makes a mesh also asserts, by one
+function (`tests/support/invariants.py`):
 
 * **I1** coordinates, normals and texture coordinates are finite, normals have length 1 within 1e-6
 * **I2** every interior edge belongs to exactly two triangles, every border edge to one, on the terrain's border
@@ -112,27 +99,19 @@ rows with the tests. A test that makes a mesh also asserts, by one function (`te
 * **I5** no two vertices are at one place
 * **I6** every triangle has a positive area in the plane, and the areas add up
 
+| # | Case | What is asserted | Test |
+| --: | --- | --- | --- |
 """
 
 
-@dataclass(frozen=True)
-class Test:
-    """A test of a case: its `file` and `function`, and the statement that it `asserts`."""
-
-    case: int
-    file: str
-    function: str
-    asserts: str
-
-
-def find_tests() -> list[Test]:
-    """Return the tests of tests/hard_cases by case.
+def find_tests(folder: Path = TESTS) -> list[tuple[int, str, str, str]]:
+    """Return the tests of a folder by case: number, file, function, and the statement that it asserts.
 
     Raises:
         ValueError: A test has no number or no docstring.
     """
     found = []
-    for path in sorted(TESTS.glob("test_*.py")):
+    for path in sorted(folder.glob("test_*.py")):
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if not isinstance(node, ast.FunctionDef) or not node.name.startswith("test"):
                 continue
@@ -141,103 +120,23 @@ def find_tests() -> list[Test]:
                 raise ValueError(f"{path.name}: {node.name} has no case number; call it test_case_NN_...")
             if not asserts:
                 raise ValueError(f"{path.name}: {node.name} does not say what it asserts; give it a docstring")
-            found.append(Test(int(number[1]), path.name, node.name, asserts.splitlines()[0]))
-    return sorted(found, key=lambda test: test.case)
+            found.append((int(number[1]), path.name, node.name, asserts.splitlines()[0]))
+    return sorted(found, key=lambda test: test[0])
 
 
-def run(tests: list[Test]) -> tuple[dict[Test, str], int]:
-    """Result of each test in one run of pytest, and pytest's exit status."""
-    with tempfile.TemporaryDirectory() as folder:
-        report = Path(folder) / "report.xml"
-        command = [sys.executable, "-m", "pytest", "-q", str(TESTS), f"--junitxml={report}", "-p", "no:cacheprovider"]
-        status = subprocess.run(command, cwd=ROOT).returncode
-        outcomes: dict[tuple[str, str], list[str]] = {}
-        for case in ElementTree.parse(report).iter("testcase"):
-            # of a module that is skipped as a whole, its name stands where that of a test would
-            file = (case.get("classname") or case.get("name")).rpartition(".")[2] + ".py"
-            function = case.get("name").partition("[")[0] if case.get("classname") else ""
-            outcomes.setdefault((file, function), []).append(_outcome(case))
-    reasons = {test: outcomes.get((test.file, test.function)) or outcomes.get((test.file, "")) for test in tests}
-    return {test: _summary(words or [NO_RESULT]) for test, words in reasons.items()}, status
+def page(tests: list[tuple[int, str, str, str]]) -> str:
+    """Return the page, with a row for each test; only the first row of a case names it."""
+    rows, last = [], None
+    for case, file, function, asserts in tests:
+        name = CASES[case] if case != last else ""
+        rows.append(f"| {case} | {name} | {asserts.replace('|', '&#124;')} | `{file}::{function}` |\n")
+        last = case
+    return HEAD + "".join(rows)
 
 
-def _outcome(case: ElementTree.Element) -> str:
-    for kind in ("failure", "error"):
-        if case.find(kind) is not None:
-            return "failed"
-    skip = case.find("skipped")
-    if skip is None:
-        return "passed"
-    message = skip.get("message", "")
-    if message == "collection skipped":  # a whole module: the reason follows the file in the text
-        message = (skip.text or "").rpartition("Skipped: ")[2].removesuffix(")")[:-1]
-    return f"skipped: {message}"
+def on_files(files, config):
+    """Add the page to the files of the site."""
+    from mkdocs.structure.files import File
 
-
-def _summary(outcomes: list[str]) -> str:
-    """`passed`, `passed (30)`, or what happened to how many, failures first."""
-    counts = {outcome: outcomes.count(outcome) for outcome in sorted(set(outcomes))}
-    if len(outcomes) == 1:
-        return outcomes[0]
-    return ", ".join(f"{outcome} ({count})" for outcome, count in counts.items())
-
-
-def rows(tests: list[Test]) -> list[tuple[str, str, str, str]]:
-    """Number, name, assertion and test: the first four columns of the page."""
-    result, last = [], None
-    for test in tests:
-        first = test.case != last
-        last = test.case
-        name = CASES[test.case] if first else ""
-        result.append((str(test.case), name, _cell(test.asserts), f"`{test.file}::{test.function}`"))
-    return result
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", r"\|")
-
-
-def page(tests: list[Test], results: dict[Test, str]) -> str:
-    """Return the page."""
-    lines = ["| # | Case | What is asserted | Test | Result |", "| --: | --- | --- | --- | --- |"]
-    for test, row in zip(tests, rows(tests), strict=True):
-        lines.append("| " + " | ".join([*row, _cell(results[test])]) + " |")
-    return HEAD + _about(results) + "\n" + "\n".join(lines) + "\n"
-
-
-def _about(results: dict[Test, str]) -> str:
-    passed = sum(result.startswith("passed") for result in results.values())
-    packages = []
-    for name in ("numpy", "warp-lang", "bpy"):
-        try:
-            packages.append(f"{name} {importlib.metadata.version(name)}")
-        except importlib.metadata.PackageNotFoundError:
-            packages.append(f"no {name}")
-    where = f"{platform.system()}, Python {platform.python_version()}, {', '.join(packages)}"
-    return f"Run of {datetime.date.today()} ({where}): {passed} of {len(results)} tests passed.\n"
-
-
-def listed(text: str) -> list[tuple[str, str, str, str]]:
-    """Return the first four columns of each row of a page."""
-    cells = [line.strip("| ").split(" | ") for line in text.splitlines() if re.match(r"\| \d", line)]
-    return [tuple(cell.strip() for cell in row[:4]) for row in cells]
-
-
-def results_of(text: str) -> list[str]:
-    """Return the last column of each row of a page."""
-    return [line.strip("| ").split(" | ")[-1] for line in text.splitlines() if re.match(r"\| \d", line)]
-
-
-def main() -> int:
-    """Run the command line."""
-    tests = find_tests()
-    if "--check" in sys.argv[1:]:
-        return int(listed(PAGE.read_text(encoding="utf-8")) != rows(tests))
-    results, status = run(tests)
-    PAGE.write_text(page(tests, results), encoding="utf-8")
-    print(f"{PAGE.relative_to(ROOT)}: {len(tests)} tests of {len({test.case for test in tests})} cases")
-    return status
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    files.append(File.generated(config, PAGE, content=page(find_tests())))
+    return files

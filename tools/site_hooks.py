@@ -19,7 +19,7 @@ def number_repeated(name: str, used: set[str], *_counters) -> str:
     return anchor
 
 
-def on_config(config):
+def on_startup(**_arguments):
     """Link the package's files into a folder of its name, in which mkdocstrings looks for it."""
     toc.unique = number_repeated
     PACKAGE.mkdir(parents=True, exist_ok=True)
@@ -27,4 +27,3 @@ def on_config(config):
         link = PACKAGE / name
         if not link.is_symlink():
             link.symlink_to(ROOT / name)
-    return config

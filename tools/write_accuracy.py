@@ -20,12 +20,13 @@ from adaptive_terrain.cbt_terrain.view.camera_path import read_camera_path
 from adaptive_terrain.operators.accuracy import page as accuracy_page
 from adaptive_terrain.operators.accuracy import report as accuracy_report
 from adaptive_terrain.operators.accuracy.subject import AccuracySubject, store_subject
+from adaptive_terrain.operators.accuracy.transitions_section import transitions_section
 from adaptive_terrain.operators.cli import accuracy_command
 from adaptive_terrain.operators.demo.demo import FLIGHT
 from adaptive_terrain.operators.export.exporting import write_files, write_text
 from adaptive_terrain.operators.text.console import Progress
 from adaptive_terrain.operators.text.machine import machine
-from adaptive_terrain.operators.text.page_blocks import Text, as_markdown
+from adaptive_terrain.operators.text.page_blocks import Heading, Text, as_markdown
 from matplotlib.cbook import get_sample_data
 
 ISLAND_SIZE = 2049
@@ -42,7 +43,7 @@ PLOTS = "images/accuracy_"
 METRES_PER_DEGREE = 111_320.0
 INTRODUCTION = (
     "Written by `make accuracy`; do not edit it by hand. `adaptive-terrain accuracy --store DIR --out DIR` writes such "
-    "a page of any terrain, as HTML too, with all figures as CSV and JSON ([its "
+    "a page of any terrain, with tables of every setting, as HTML, CSV and JSON too ([its "
     "options](reference/commands/accuracy.md)). Absolute times are of one machine on one day."
 )
 
@@ -95,8 +96,12 @@ def subject_of(name: str, settings: ImportSettings, folder: Path) -> AccuracySub
 
 
 def write(subjects: list[AccuracySubject]) -> None:
-    """Write the page, its plots and its pictures."""
-    blocks = [Text(INTRODUCTION), *accuracy_page.page(subjects, machine(), PLOTS)]
+    """Write the page without its tables, its plots and its pictures."""
+    blocks: list = [Text(INTRODUCTION)]
+    for subject in subjects:
+        blocks += [Heading(subject.title), *accuracy_page.front(subject, PLOTS)]
+        blocks += transitions_section(subject.rows, f" of {subject.title}", f"{PLOTS}{subject.name}_popping.svg")
+    blocks.append(accuracy_page.measured_on(machine()))
     write_files(DOCS, accuracy_page.pictures(blocks))
     write_text(DOCS / "accuracy.md", as_markdown(accuracy_page.TITLE, blocks))
     accuracy_report.check_bounds(subjects)

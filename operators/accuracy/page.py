@@ -148,23 +148,24 @@ def as_json(subjects, machine: dict[str, str]) -> str:
     return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
-def page(subjects, machine: dict[str, str], prefix: str = "") -> list:
-    """Return the page as blocks: first the figures for artists, then tables, definitions last.
-
-    `prefix` begins the names of its plots and pictures.
-    """
+def page(subjects, machine: dict[str, str]) -> list:
+    """Return the page as blocks: first the figures for artists, then tables, definitions last."""
     several, blocks = len(subjects) > 1, []
     for subject in subjects:
         blocks += [Heading(subject.title)] if several else []
-        blocks += front(subject, prefix)
+        blocks += front(subject, "")
     for subject in subjects:
-        blocks += tables(subject, f" of {subject.title}" if several else "", prefix)
-    measured_on = "Measured on: " + ", ".join(f"{name} {value}" for name, value in machine.items()) + "."
-    return [*blocks, Heading("What the words mean"), Words(WORDS), Text(measured_on)]
+        blocks += tables(subject, f" of {subject.title}" if several else "")
+    return [*blocks, Heading("What the words mean"), Words(WORDS), measured_on(machine)]
+
+
+def measured_on(machine: dict[str, str]) -> Text:
+    """Return the machine and the versions of programs in one sentence."""
+    return Text("Measured on: " + ", ".join(f"{name} {value}" for name, value in machine.items()) + ".")
 
 
 def front(subject, prefix: str) -> list:
-    """Return five figures, what errors look like and what they cost."""
+    """Return five figures, plots and pictures of errors and costs, whose files begin with `prefix`."""
     rows = subject.rows
     current = next((row for row in rows if row.setting == subject.current), None)
     shown = current or next((row for row in rows if row.setting.plain), rows[0])
@@ -224,8 +225,8 @@ def strip_rows(subject) -> list[Row]:
     return [plain[setting] for setting in settings if setting in plain]
 
 
-def tables(subject, of: str, prefix: str) -> list:
-    """Return every figure of one terrain. `of`: its name in headings if there are others. `prefix`: see `page`."""
+def tables(subject, of: str) -> list:
+    """Return every figure of one terrain. `of`: its name in headings if there are others."""
     heights, rows = subject.heights, subject.rows
     relief = heights.max_height - heights.min_height
     origin = heights.provenance
@@ -247,7 +248,7 @@ def tables(subject, of: str, prefix: str) -> list:
         *error_tables(rows),
         Heading(f"Where the time{of} goes"),
         steps_table(rows),
-        *transitions_section(rows, of, f"{prefix}{subject.name}_popping.svg"),
+        *transitions_section(rows, of, f"{subject.name}_popping.svg"),
         *land_section(heights, of),
     ]
 

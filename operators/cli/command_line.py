@@ -338,9 +338,7 @@ def _add_bench(subparsers) -> None:
     verb.add_argument("--with-cycles", action="store_true", help="also whole renders in Cycles (minutes more)")
     verb.add_argument("--blender", nargs="+", metavar="COMMAND", help="also frames inside the program that this starts")
     verb.add_argument("--json", type=path, metavar="FILE", help="write the rows as JSON")
-    verb.add_argument(
-        "--docs", type=path, metavar="DIR", help="write performance.md, its table, data and charts into this folder"
-    )
+    verb.add_argument("--docs", type=path, metavar="DIR", help="write performance.md and its chart into this folder")
 
 
 def _verb(subparsers, name: str, summary: str, run) -> argparse.ArgumentParser:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hard cases of the tree and the bisection, by their numbers in docs/hard_cases.md."""
+"""Hard cases of the tree and the bisection, by their numbers in tools/hard_cases_page.py."""
 
 import random
 import tracemalloc

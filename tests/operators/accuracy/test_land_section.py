@@ -30,6 +30,6 @@ def test_every_level_of_every_operator_has_its_line(tmp_path):
 
 def test_land_that_nothing_has_shaped_has_no_such_part():
     field = from_array(np.zeros((5, 5), np.float32))
-    blocks = tables(AccuracySubject("x", field, [], [], "", None, rows=known_rows()), "", "")
+    blocks = tables(AccuracySubject("x", field, [], [], "", None, rows=known_rows()), "")
     assert not any(isinstance(block, Heading) and "land" in block.text for block in blocks)
     assert not any(isinstance(block, Table) and block.head == HEAD for block in blocks)

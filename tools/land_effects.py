@@ -6,17 +6,14 @@ write_effects.py asks for it. Every figure is measured on the built-in island, i
 
 import io
 import math
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.lands import LANDS, BuiltInTerrain
 from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
-from adaptive_terrain.cbt_terrain.height_operators.height_operator import HeightOperator
 from adaptive_terrain.cbt_terrain.height_operators.shape import shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack, read_stack
 from adaptive_terrain.cbt_terrain.height_operators.tiles import whole_land
@@ -102,7 +99,7 @@ class Shown:
 
 def land_section() -> tuple[list[str], dict[str, bytes]]:
     """Return the lines of the page and its pictures by file name."""
-    pictures, rows, sections = {}, [], []
+    pictures, costs = {}, {}
     for effect in HEIGHT_OPERATORS.values():
         parameters, part, layer = SHOWN.get(effect.name, ({}, WHOLE, ""))
         stack = Stack((Entry(effect.name, parameters),))
@@ -110,54 +107,56 @@ def land_section() -> tuple[list[str], dict[str, bytes]]:
         change = shown.after - shown.before
         finer = rms(change[::2, ::2] - (coarse.after - coarse.before))
         moved = f"{plain(rms(change))} m | {plain(finer)} m" if change.any() else "not: its layers say it | -"
-        cost = f"{plain(shown.seconds)} | {plain(shown.seconds * 1e6 / change.size)}"
-        # Of two headings of one name the second has a number.
-        anchor = f"{effect.name}-1" if effect.name in ATTRIBUTES else effect.name
-        rows.append(f"| [{effect.name}](#{anchor}) | {moved} | {cost} |")
+        costs[effect.name] = f"{moved} | {plain(shown.seconds)} | {plain(shown.seconds * 1e6 / change.size)}"
         pictures[f"land_{effect.name}.jpg"] = beside(shown, part, layer, LAND_RAMP, True)
-        sections.append(effect_section(effect, parameters))
-    lines = [
-        HEAD.format(size=SIZE, step=LANDS["island"].side / (SIZE - 1)) + "\n".join(rows) + "\n",
-        *sections,
-        LANDS_HEAD,
-    ]
     for land in LANDS.values():
         entries = read_stack(PRESETS / f"{land.preset}.json") if land.preset else Stack()
         shown = shaped(land, SIZE, entries)
         layer = next((name for name in ("snow", "water_depth") if name in shown.layers), "")
         ramp = RAMPS.get(land.name, LAND_RAMP)
         pictures[f"land_of_{land.name}.jpg"] = beside(shown, WHOLE, layer, ramp, land.name in SEAS)
+    return [*operator_lines(costs), *land_lines()], pictures
+
+
+def operator_lines(costs: dict[str, str]) -> list[str]:
+    """Return the text on all height operators. `costs`: the last four cells of each operator's row."""
+    operators = HEIGHT_OPERATORS.values()
+    lines = [HEAD.format(size=SIZE, step=LANDS["island"].side / (SIZE - 1)).rstrip()]
+    lines += [f"| `{effect.name}` | {costs[effect.name]} |" for effect in operators]
+    lines.append("")
+    for effect in operators:
+        drawn = ", ".join(f"{name} {plain(value)}" for name, value in SHOWN.get(effect.name, ({},))[0].items())
+        halo = effect.halo(effect.defaults(), 1.0)
+        facts = {
+            "Shown with": drawn,
+            "Limit:": effect.limit,
+            "Conserves:": effect.conserves,
+            "Converges:": effect.converges,
+            "Looks": "at the whole raster" if math.isinf(halo) else f"{plain(halo)} m around a tile of 1 m",
+            "Source:": effect.source,
+        }
+        text = "; ".join(f"*{name}* {fact}" for name, fact in facts.items() if fact)
+        lines.append(f"![{effect.about}](images/land_{effect.name}.jpg)\n")
+        lines.append(f"**{effect.label}** (`{effect.name}`). {effect.about}. {text}.\n")
+    lines.append("| operator | parameter | default | range | meaning |\n| --- | --- | ---: | --- | --- |")
+    lines += [
+        f"| `{effect.name}` | `{p.name}` | {p.default:g} {p.unit} | {p.min:g} to {p.max:g} | {p.about} |"
+        for effect in operators
+        for p in effect.parameters
+    ]
+    return [*lines, ""]
+
+
+def land_lines() -> list[str]:
+    """Return the text on the built-in lands."""
+    lines = [LANDS_HEAD]
+    for land in LANDS.values():
         suits = f"; preset *{land.preset.replace('_', ' ')}*" if land.preset else ""
         lines.append(f"![{land.about}](images/land_of_{land.name}.jpg)\n")
         lines.append(
             f"**{land.name}**: {land.about[0].lower()}{land.about[1:]}. {land.side / 1e3:g} km a side{suits}.\n"
         )
-    return lines, pictures
-
-
-def effect_section(effect: HeightOperator, parameters: dict) -> str:
-    """Return an effect's declaration as text below its picture."""
-    drawn = ", ".join(f"{name} {plain(value)}" for name, value in parameters.items())
-    lines = [f"### {effect.name}\n", f"![{effect.about}](images/land_{effect.name}.jpg)\n"]
-    lines.append(
-        f"**{effect.label}**. {effect.about}. {f'Shown with {drawn}.' if drawn else ''}\n".replace(" \n", "\n")
-    )
-    halo = effect.halo(effect.defaults(), 1.0)
-    facts = [f"**Limit** {effect.limit}"] if effect.limit else []
-    facts += [f"**Conserves** {effect.conserves}"] if effect.conserves else []
-    facts += [f"**Converges** {effect.converges}"] if effect.converges else []
-    facts.append(f"**Looks** {'at the whole raster' if math.isinf(halo) else f'{plain(halo)} m around a tile of 1 m'}")
-    facts += [f"**Reads** {', '.join(effect.reads)}"] if effect.reads else []
-    facts.append(f"**Source** {effect.source}")
-    lines.append(" · ".join(facts) + "\n")
-    lines.append("| parameter | | | |\n| --- | ---: | --- | --- |")
-    lines += [
-        f"| `{p.name}` | {p.default:g} {p.unit} | {p.min:g} to {p.max:g} | {p.about} |" for p in effect.parameters
-    ]
-    if effect.layers:
-        lines.append("\n| layer | | |\n| --- | --- | --- |")
-        lines += [f"| `{layer.name}` | {layer.unit} | {layer.about} |" for layer in effect.layers]
-    return "\n".join([*lines, ""])
+    return lines
 
 
 def shaped(land: BuiltInTerrain, size: int, stack: Stack) -> Shown:
@@ -218,11 +217,3 @@ def shaded(heights: np.ndarray, step: float, ramp: tuple, limits: tuple[float, f
     deep = np.clip(-h / 120.0, 0, 1)[:, :, None]
     water = np.array([0.26, 0.52, 0.58]) * (1 - deep) + np.array([0.08, 0.2, 0.34]) * deep
     return np.where(h[:, :, None] <= 0.0, water, lit)
-
-
-if __name__ == "__main__":  # to look at the pictures alone
-    folder = Path(sys.argv[1])
-    text, files = land_section()
-    (folder / "land.md").write_text("\n".join(text), encoding="utf-8")
-    for name, content in files.items():
-        (folder / name).write_bytes(content)

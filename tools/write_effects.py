@@ -17,7 +17,6 @@ import matplotlib
 import numpy as np
 from adaptive_terrain.cbt_terrain.attributes.attribute import (
     LINEAR_RGB,
-    AttributeDeclaration,
     AttributeRequest,
     SamplePoints,
 )
@@ -43,8 +42,7 @@ from adaptive_terrain.operators.text.numbers import plain
 from land_effects import land_section
 from PIL import Image, ImageDraw, ImageFont
 
-ROOT = Path(__file__).resolve().parents[1]
-DOCS = ROOT / "docs"
+DOCS = Path(__file__).resolve().parents[1] / "docs"
 SIZE = 2049
 EVERY = 8  # samples a picture's pixel
 RUNS = 3
@@ -72,22 +70,17 @@ SCALES = """## Two scales
 * **For geometry** (modifiers, geometry nodes, exports) there is one scale in metres, the raster's own at first.
   So nothing moves with the camera. What both read has that scale.
 """
-ADD = """## An effect of your own
+CUSTOM_EFFECT = """## An effect of your own
 
-One file: a function over arrays, a declaration, and an example that proves it. The example below is a whole
-program, `examples/06_an_effect.py`, and is run as a test. It registers the effect with `register_attribute`. To add an
-effect to the extension, put the function and the declaration into a file of `cbt_terrain/attributes/` and its name into
-the list of `catalogue.py`; the panel, the command line and this page then have it, and its example is a test. If the
-function launches kernels, list their modules as `kernels` in the declaration.
+[Architecture](architecture.md#add-an-attribute) lists the steps; `examples/06_an_effect.py` is a whole program, and a
+test runs it.
 
 * The values depend on the position, the scale, the parameters and the effects read, and on nothing else. They are the
   same whether some positions are evaluated or all: only new vertices are.
 * Same bytes on any machine: no BLAS, no random numbers, no clock.
 * Raise `version` whenever its values change.
-
-```python
-{code}```
 """
+ALONE = ("color", "height", "sky", "splat_1")  # attributes whose pictures other pages show
 
 
 def main() -> int:
@@ -100,13 +93,13 @@ def main() -> int:
             demo = of_demo(Path(folder))
             drawn = {name: picture(name, field, demo.given) for name in ATTRIBUTES}
             pictures = {f"effect_{name}.jpg": jpg(pixels) for name, pixels in drawn.items() if pixels.any()}
-            sections = [section(effect, f"effect_{effect.name}.jpg" in pictures) for effect in ATTRIBUTES.values()]
             land, land_pictures = land_section()
-            page = [HEAD, *saving(demo, field), SCALES, "## All effects\n", *sections, *land, example_section()]
+            page = [HEAD, *saving(demo), *attribute_table(costs(field)), SCALES, *land, CUSTOM_EFFECT]
     except TerrainError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    write_files(DOCS / "images", pictures | land_pictures | {"effects.jpg": at_a_glance(pictures, demo.worn)})
+    shown = {f"effect_{name}.jpg": pictures[f"effect_{name}.jpg"] for name in ALONE}
+    write_files(DOCS / "images", shown | land_pictures | {"effects.jpg": at_a_glance(pictures, demo.worn)})
     write_files(DOCS, {"effects.md": "\n".join(page)})
     return 0
 
@@ -143,30 +136,6 @@ def at_a_glance(pictures: dict[str, bytes], worn: set[str]) -> bytes:
     return jpg(np.asarray(sheet))
 
 
-def example_section() -> str:
-    """Return the section with the example of an effect."""
-    code = (ROOT / "examples" / "06_an_effect.py").read_text(encoding="utf-8")
-    return ADD.format(code=code.split("\n", 1)[1])  # without the licence's line
-
-
-def section(effect: AttributeDeclaration, drawn: bool) -> str:
-    """Return an effect's declaration as text below its picture; effects that the demo lacks have no picture."""
-    facts = [f"**Unit** {effect.unit or 'none'}"]
-    if reads := effect.reads_with(()):
-        facts.append(f"**Reads** {', '.join(f'[{name}](#{name})' for name in reads)}")
-    facts += [f"**Looks** {effect.halo}"] if effect.halo else []
-    facts += [f"**Adds to the bound** {effect.bound or 'nothing'}", f"**Source** {effect.source}"]
-    shown = [f"![{effect.about}](images/effect_{effect.name}.jpg)\n"] if drawn else []
-    lines = [f"### {effect.name}\n", *shown, f"{effect.about}.\n"]
-    lines.append(" · ".join(facts) + "\n")
-    numbers = [p for p in effect.parameters if isinstance(p.default, int | float)]
-    if numbers:
-        lines.append("| parameter | | | |\n| --- | ---: | --- | --- |")
-        lines += [f"| `{p.name}` | {p.default:g} {p.unit} | {p.min:g} to {p.max:g} | {p.about} |" for p in numbers]
-        lines.append("")
-    return "\n".join(lines)
-
-
 @dataclass(frozen=True)
 class Demo:
     """A frame of the demo.
@@ -183,30 +152,43 @@ class Demo:
     given: dict
 
 
-def saving(demo: Demo, field) -> list[str]:
-    """Return the time of the demo's frame for its material and for all effects, and the time of each effect alone."""
+def saving(demo: Demo) -> list[str]:
+    """Return the time of the demo's frame for its material and for all effects."""
     rows = [("nothing reads any", 0, 0.0, 0), ("**the material**", *demo.read)]
     rows.append(("everything", *demo.everything))
-    text = (
-        "## What it saves\n\n"
+    return [
+        "## What it saves\n",
         f"Frame {FRAME} of the demo: the island, {SIZE:,} x {SIZE:,} samples, at 1 pixel of {RESOLUTION[0]} x "
         f"{RESOLUTION[1]}; {demo.vertices:,} vertices, none of them known from the frame before. Where the next frame "
-        "of a flight keeps a vertex, it keeps its values.\n\n"
-        "| | effects | ms | MB |\n| --- | ---: | ---: | ---: |\n"
-        + "\n".join(f"| {what} | {count} | {plain(ms)} | {plain(size / 1e6)} |" for what, count, ms, size in rows)
-        + "\n\nEach alone, with the effects that it reads, on one thread; *declared* is the cost in its "
-        "declaration:\n\n"
-        "| effect | ns a vertex | declared | bytes a vertex |\n| --- | ---: | ---: | ---: |"
-    )
+        "of a flight keeps a vertex, it keeps its values.\n",
+        "| | effects | ms | MB |\n| --- | ---: | ---: | ---: |",
+        *(f"| {what} | {count} | {plain(ms)} | {plain(size / 1e6)} |" for what, count, ms, size in rows),
+        f"\nMeasured on {machine()['Processor']}, {machine()['System']}, {machine()['Threads']} threads.\n",
+    ]
+
+
+def costs(field) -> dict[str, float]:
+    """Return the nanoseconds a vertex of each effect and its inputs, on one thread."""
     view = View.look(EYE, TARGET, fov_deg=50, resolution=RESOLUTION, clip=(1, 100_000))
     surface = Terrain(field).update(Criterion(error_px=1.0), [view]).surface
+    return {name: 1e6 * alone(name, field, surface, view) / len(surface.positions) for name in ATTRIBUTES}
+
+
+def attribute_table(ns: dict[str, float]) -> list[str]:
+    """Return the table of all effects with their costs, below their pictures."""
     lines = [
-        f"| [{name}](#{name}) | {plain(1e6 * alone(name, field, surface, view) / len(surface.positions))} | "
-        f"{plain(effect.cost_ns)} | {4 * effect.width} |"
-        for name, effect in ATTRIBUTES.items()
+        "## All effects\n",
+        "![The island and its attributes; the coloured ones are read by the demo's material](images/effects.jpg)\n",
+        "The time is of each alone, with the effects that it reads, on one thread; *declared* is the cost in its "
+        "declaration. No effect adds to the bound.\n",
+        "| effect | meaning | unit | reads | ns a vertex | declared | source |",
+        "| --- | --- | --- | --- | ---: | ---: | --- |",
     ]
-    where = ", ".join(machine()[key] for key in ("Processor", "System"))
-    return [text, *lines, f"\nMeasured on {where}, {machine()['Threads']} threads.\n"]
+    for name, effect in ATTRIBUTES.items():
+        cells = [f"`{name}`", effect.about, effect.unit, ", ".join(effect.reads_with(()))]
+        cells += [plain(ns[name]), plain(effect.cost_ns), effect.source]
+        lines.append(f"| {' | '.join(cells)} |")
+    return [*lines, ""]
 
 
 def of_demo(folder: Path) -> Demo:

@@ -10,7 +10,6 @@ from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.spans import as_seen, slants_of, whole_of
 from adaptive_terrain.cbt_terrain.view.view import View
-from edited_tree import EditedTree
 from fields import least_triangles, random_view, rough, scattered, screen_error
 from invariants import arrays, assert_invariants
 
@@ -123,7 +122,7 @@ def test_case_42_a_trembling_camera_changes_no_leaf(field):
 
 
 def leaf_set(terrain):
-    return set(EditedTree.of(terrain.tree).leaves().tolist())
+    return set(terrain.tree.leaves().tolist())
 
 
 def test_case_42_at_the_threshold_one_diamond_flips(field):

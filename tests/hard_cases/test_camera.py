@@ -11,7 +11,6 @@ from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
-from edited_tree import EditedTree
 from fields import (
     random_view,
     reference_heights,
@@ -171,7 +170,7 @@ def refined(field, views):
     terrain = Terrain(field, 1)
     terrain.update(Criterion(error_px=1.0), views)
     split = set()
-    for leaf in EditedTree.of(terrain.tree).leaves().tolist():
+    for leaf in terrain.tree.leaves().tolist():
         while (leaf := leaf >> 1) and leaf not in split:
             split.add(leaf)
     return split

@@ -4,13 +4,15 @@
 import random
 import tracemalloc
 
-import bisection
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice
+from adaptive_terrain.cbt_terrain.leb import bisection
+from adaptive_terrain.cbt_terrain.tree.concurrent_binary_tree import ConcurrentBinaryTree
 from edited_tree import EditedTree
-from reference_bisection import assert_conforming
+from reference_bisection import ReferenceMesh, assert_conforming, corners_of, leaves_of, split_nodes, to_tree_id
+
+SQUARE = Lattice(1, 1, 0)
 
 
 def random_ids(depth, count, seed):
@@ -18,36 +20,38 @@ def random_ids(depth, count, seed):
     return [(1 << depth), (2 << depth) - 1] + [rng.randrange(1 << depth, 2 << depth) for _ in range(count)]
 
 
-def leaves_of(tree, lattice):
-    nodes = [bisection.from_tree_id(lattice, int(n)) for n in tree.leaves()]
-    return {node for node in nodes if node[0] < lattice.squares}
+def planted(lattice, max_depth):
+    tree = ConcurrentBinaryTree(max_depth)
+    bisection.plant(tree, lattice)
+    return tree
+
+
+def ids_of(lattice, *nodes):
+    return np.array([to_tree_id(lattice, node) for node in nodes], np.uint64)
 
 
 def test_case_01_depth_48_is_exact_in_float32():
-    """Vertices at depth 48 are exact in float32; deeper ones are refused in float32 and exact in float64."""
-    ids = random_ids(48, 2000, seed=1)
-    exact = np.array([bisection.triangle(n, 24) for n in ids])
-    plane = bisection.plane_coordinates(np.array(ids, np.uint64))
-    assert plane.dtype == np.float32
-    assert np.array_equal(plane.astype(np.float64) * 2.0**24, exact)
-    for depth in (50, 55, 62):
-        deep = random_ids(depth, 2000, seed=depth)
-        with pytest.raises(TerrainError, match="ask for float64"):
-            bisection.plane_coordinates(np.array(deep, np.uint64))
-        plane = bisection.plane_coordinates(np.array(deep, np.uint64), np.float64)
-        exact = [bisection.triangle(n, 31) for n in deep]
-        assert [[[int(c * 2**31) for c in corner] for corner in t] for t in plane.tolist()] == np.array(exact).tolist()
+    """Vertices at depth 48 are those of their bisections and exact in float32; at depths 50 to 58, in float64."""
+    for depth, dtype in ((48, np.float32), (50, np.float64), (55, np.float64), (58, np.float64)):
+        exponent, ids = depth // 2, random_ids(depth, 500, seed=depth)
+        whole = bisection.triangles(SQUARE, np.array(ids, np.uint64), exponent)
+        assert np.array_equal(whole, [corners_of(0, heap_id, 1, exponent) for heap_id in ids])
+        in_square = (whole / 2.0**exponent).astype(dtype)
+        assert np.array_equal(in_square.astype(np.float64) * 2.0**exponent, whole)
 
 
-@pytest.mark.parametrize("depth", [30, 31, 32, 52, 53, 54, 61, 62])
-def test_case_02_ids_round_trip_through_triangles(depth):
-    """Ids at depths 30 to 62 round-trip through their triangles and tree ids."""
+@pytest.mark.parametrize("depth", [30, 31, 32, 52, 53, 54, 57, 58])
+def test_case_02_deep_ids_lead_to_their_neighbours_and_back(depth):
+    """Ids at depths 30 to 58 have distinct triangles, and their neighbours over each edge lead back to them."""
+    ids = np.unique(np.array(random_ids(depth, 200, seed=depth), np.uint64))
+    triangles = bisection.triangles(SQUARE, ids, 29)
+    assert len(np.unique(triangles.reshape(len(ids), -1), axis=0)) == len(ids)
     lattice = Lattice(3, 2, 0)
-    for heap_id in random_ids(depth, 200, seed=depth):
-        assert bisection.heap_id_of(bisection.triangle(heap_id, 31), 31) == heap_id
-        assert bisection.heap_id_of(tuple(map(tuple, bisection.triangles([heap_id], 31)[0].tolist())), 31) == heap_id
-        tree_id = bisection.to_tree_id(lattice, (5, heap_id))
-        assert bisection.from_tree_id(lattice, tree_id) == (5, heap_id)
+    ids = ids_of(lattice, *((5, int(heap_id)) for heap_id in ids))
+    for edge, back in ((0, 1), (1, 0), (2, 2)):
+        found = bisection.neighbours(lattice, ids)[:, edge]
+        assert (found > 0).sum() > 0.9 * len(ids)
+        assert np.array_equal(bisection.neighbours(lattice, found[found > 0])[:, back], ids[found > 0])
 
 
 @pytest.mark.parametrize("max_depth", [31, 32, 33, 40])
@@ -112,49 +116,38 @@ def test_case_03_one_deep_branch_costs_kilobytes():
 @pytest.mark.parametrize("grid", [(1, 1), (3, 2)])
 def test_case_44_split_then_merge_gives_the_bits_back(grid):
     """30 random conforming splits, merged in reverse, restore the tree's bytes."""
-    lattice = Lattice(*grid, 0)
-    tree = EditedTree(30)
-    bisection.plant(tree, lattice)
-    rng = random.Random(44)
-    for _ in range(30):
-        bisection.split_conforming(tree, lattice, rng.choice(sorted(leaves_of(tree, lattice))))
-    before = tree.to_bytes()
-    done = []
-    for _ in range(30):
-        done += bisection.split_conforming(tree, lattice, rng.choice(sorted(leaves_of(tree, lattice))))
+    lattice, rng = Lattice(*grid, 0), random.Random(44)
+    tree = planted(lattice, 30)
+
+    def split_30():
+        for _ in range(30):
+            bisection.split_conforming(tree, lattice, ids_of(lattice, rng.choice(sorted(leaves_of(tree, lattice)))))
+
+    split_30()
+    before, leaves = tree.to_bytes(), leaves_of(tree, lattice)
+    split_30()
     assert tree.to_bytes() != before
-    for node in reversed(done):
-        bisection.merge_conforming(tree, lattice, node)
+    for node in sorted(split_nodes(leaves_of(tree, lattice)) - split_nodes(leaves), key=lambda n: -n[1].bit_length()):
+        bisection.merge_conforming(tree, lattice, ids_of(lattice, node))
     assert tree.to_bytes() == before
 
 
 @pytest.mark.parametrize("grid", [(1, 1), (3, 2)])
 def test_case_45_a_diamond_merges_whole_or_not_at_all(grid):
     """A random merge takes all halves of a diamond or none, and every state is conforming."""
-    lattice = Lattice(*grid, 0)
-    tree = EditedTree(12)
-    bisection.plant(tree, lattice)
-    rng = random.Random(45)
-    whole = refused = 0
+    lattice, rng = Lattice(*grid, 0), random.Random(45)
+    tree, mesh = planted(lattice, 12), ReferenceMesh(*grid, 5)
     for _ in range(60):
-        bisection.split_conforming(
-            tree, lattice, rng.choice(sorted(n for n in leaves_of(tree, lattice) if n[1].bit_length() < 9))
-        )
-    leaves = leaves_of(tree, lattice)
-    while halved := sorted(n for n in leaves if n[1] > 3):
+        picked = rng.choice(sorted(leaf for leaf in mesh.leaves if leaf[1].bit_length() < 9))
+        bisection.split_conforming(tree, lattice, ids_of(lattice, picked))
+        mesh.split(picked)
+    outcomes = []
+    while halved := sorted(leaf for leaf in mesh.leaves if leaf[1] > 3):
         square, heap_id = rng.choice(halved)
-        node = square, heap_id // 2
-        halves = [h for h in bisection.diamond(lattice, node) if h is not None]
-        quarters = {(s, child) for s, n in halves for child in bisection.children(n)}
-        merged = bisection.merge_conforming(tree, lattice, node)
-        if merged:
-            assert set(merged) == set(halves)
-            assert leaves_of(tree, lattice) == leaves - quarters | set(halves)
-            whole += 1
-        else:
-            assert not quarters <= leaves
-            assert leaves_of(tree, lattice) == leaves
-            refused += 1
-        leaves = leaves_of(tree, lattice)
-        assert_conforming(leaves, *grid, 5)
-    assert whole > 10 and refused > 10
+        before = mesh.leaves
+        outcomes.append(mesh.merge(square, heap_id // 2))
+        assert bisection.merge_conforming(tree, lattice, ids_of(lattice, (square, heap_id // 2))) == outcomes[-1:]
+        assert leaves_of(tree, lattice) == mesh.leaves
+        assert len(before) - len(mesh.leaves) in ((1, 2) if outcomes[-1] else (0,))
+        assert_conforming(mesh.leaves, *grid, 5)
+    assert outcomes.count(True) > 10 and outcomes.count(False) > 10

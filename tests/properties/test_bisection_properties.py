@@ -1,93 +1,86 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Heap ids, vertices, neighbours and diamonds of longest-edge bisection, at any depth and on any grid."""
+"""Vertices, neighbours and diamonds of longest-edge bisection, at any depth and on any grid."""
 
-import bisection
+import numpy as np
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice
-from edited_tree import EditedTree
+from adaptive_terrain.cbt_terrain.leb import bisection
+from adaptive_terrain.cbt_terrain.tree.concurrent_binary_tree import ConcurrentBinaryTree
 from hypothesis import given
 from hypothesis import strategies as st
+from reference_bisection import leaves_of, split_nodes, to_tree_id
 
 GRIDS = st.sampled_from([(1, 1), (2, 1), (1, 3), (3, 2), (5, 3), (16, 1)])
-EXPONENT = bisection.MAX_DEPTH // 2
+EXPONENT = 24
+DEEPEST = 2 * EXPONENT
 
 
 @st.composite
-def nodes(draw, deepest=bisection.MAX_DEPTH):
-    """Draw a lattice and one of its nodes."""
+def nodes(draw, deepest=DEEPEST):
+    """Draw a lattice and the tree id of one of its nodes."""
     lattice = Lattice(*draw(GRIDS), 0)
     depth = draw(st.integers(1, deepest))
-    return lattice, (draw(st.integers(0, lattice.squares - 1)), draw(st.integers(1 << depth, (2 << depth) - 1)))
+    node = draw(st.integers(0, lattice.squares - 1)), draw(st.integers(1 << depth, (2 << depth) - 1))
+    return lattice, to_tree_id(lattice, node)
 
 
-def corners(lattice, node):
+def corners(lattice, tree_id):
     """Return the vertices of a node in units of the whole grid."""
-    row, column = divmod(node[0], lattice.columns)
-    return [(x + (column << EXPONENT), y + (row << EXPONENT)) for x, y in bisection.triangle(node[1], EXPONENT)]
+    return list(map(tuple, bisection.triangles(lattice, np.array([tree_id], np.uint64), EXPONENT)[0].tolist()))
 
 
-@given(nodes())
-def test_id_vertices_id(case):
-    lattice, (square, heap_id) = case
-    vertices = bisection.triangle(heap_id, EXPONENT)
-    assert bisection.heap_id_of(vertices, EXPONENT) == heap_id
-    assert bisection.from_tree_id(lattice, bisection.to_tree_id(lattice, (square, heap_id))) == (square, heap_id)
+def neighbours(lattice, tree_id):
+    """Return the nodes over the edges apex-right, left-apex and left-right; 0 beyond the grid."""
+    return bisection.neighbours(lattice, np.array([tree_id], np.uint64))[0].tolist()
 
 
-@given(nodes(bisection.MAX_DEPTH - 1))
+@given(nodes(DEEPEST - 1))
 def test_children_halve_their_parent(case):
-    _, (_, heap_id) = case
-    (left, apex, right), halves = bisection.triangle(heap_id, EXPONENT), bisection.children(heap_id)
-    if bisection.depth_of(heap_id) % 2 == 0 and bisection.depth_of(heap_id) // 2 == EXPONENT:
-        return  # the middle of its edge is between whole units
+    lattice, tree_id = case
+    left, apex, right = corners(lattice, tree_id)
     middle = ((left[0] + right[0]) // 2, (left[1] + right[1]) // 2)
-    assert [bisection.triangle(half, EXPONENT) for half in halves] == [(left, middle, apex), (apex, middle, right)]
-    assert [bisection.parent(half) for half in halves] == [heap_id] * 2
+    assert corners(lattice, 2 * tree_id) == [left, middle, apex]
+    assert corners(lattice, 2 * tree_id + 1) == [apex, middle, right]
 
 
 @given(nodes())
 def test_neighbours_share_their_edge_and_are_mutual(case):
     lattice, node = case
     left, apex, right = corners(lattice, node)
-    over = dict(zip(((apex, right), (left, apex), (left, right)), bisection.neighbours(lattice, node), strict=True))
+    over = dict(zip(((apex, right), (left, apex), (left, right)), neighbours(lattice, node), strict=True))
     wide, high = lattice.columns << EXPONENT, lattice.rows << EXPONENT
     for edge, other in over.items():
-        if other is None:  # then the edge runs along the grid's border
+        if other == 0:  # then the edge runs along the grid's border
             xs, ys = {x for x, _ in edge}, {y for _, y in edge}
             assert xs in ({0}, {wide}) or ys in ({0}, {high})
             continue
         assert set(edge) < set(corners(lattice, other)) and other != node
-        assert bisection.depth_of(other[1]) == bisection.depth_of(node[1])
-        assert node in bisection.neighbours(lattice, other)
+        assert other.bit_length() == node.bit_length()
+        assert node in neighbours(lattice, other)
 
 
 @given(nodes())
 def test_a_diamond_is_one_for_both_of_its_triangles(case):
     lattice, node = case
-    here, other = bisection.diamond(lattice, node)
-    assert here == node
-    if other is not None:
-        assert set(bisection.diamond(lattice, other)) == {node, other}
-        ends = corners(lattice, node)[0], corners(lattice, node)[2]
-        assert {corners(lattice, other)[0], corners(lattice, other)[2]} == set(ends)
+    other = neighbours(lattice, node)[2]
+    if other:
+        assert neighbours(lattice, other)[2] == node
+        assert {corners(lattice, other)[k] for k in (0, 2)} == {corners(lattice, node)[k] for k in (0, 2)}
 
 
-@given(GRIDS, st.lists(st.integers(0, 10**6), min_size=1, max_size=25), st.integers(0, 10**6))
-def test_split_then_merge_in_reverse_gives_the_tree_back(grid, picks, pick):
+@given(GRIDS, st.lists(st.integers(0, 10**6), min_size=1, max_size=25))
+def test_split_then_merge_in_reverse_gives_the_tree_back(grid, picks):
     lattice = Lattice(*grid, 0)
-    tree = EditedTree(26)
+    tree = ConcurrentBinaryTree(26)
     bisection.plant(tree, lattice)
-
-    def splittable():
-        found = [bisection.from_tree_id(lattice, leaf) for leaf in tree.leaves().tolist()]
-        return [node for node in found if node[0] < lattice.squares and bisection.depth_of(node[1]) < 18]
-
-    states, done = [tree.to_bytes()], []
+    states = []
     for pick in picks:
-        choice = splittable()
-        done.append(bisection.split_conforming(tree, lattice, choice[pick % len(choice)]))
-        states.append(tree.to_bytes())
-    for split in reversed(done):
-        assert tree.to_bytes() == states.pop()
-        for node in reversed(split):
-            bisection.merge_conforming(tree, lattice, node)
-    assert tree.to_bytes() == states.pop()
+        choice = sorted(node for node in leaves_of(tree, lattice) if node[1].bit_length() <= 18)
+        states.append((tree.to_bytes(), leaves_of(tree, lattice)))
+        picked = to_tree_id(lattice, choice[pick % len(choice)])
+        bisection.split_conforming(tree, lattice, np.array([picked], np.uint64))
+        assert picked not in tree.leaves()
+    for before, leaves in reversed(states):
+        split = split_nodes(leaves_of(tree, lattice)) - split_nodes(leaves)
+        for node in sorted(split, key=lambda node: -node[1].bit_length()):
+            bisection.merge_conforming(tree, lattice, np.array([to_tree_id(lattice, node)], np.uint64))
+        assert tree.to_bytes() == before

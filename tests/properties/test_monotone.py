@@ -2,28 +2,23 @@
 """Criteria are nested: a finer request splits everything that a coarser one splits, with all ancestors."""
 
 import numpy as np
+from adaptive_terrain.cbt_terrain.leb.bisection import neighbours
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
-from bisection import diamond, from_tree_id, parent, to_tree_id
 from diamond_entries import error_index
-from edited_tree import EditedTree
 from fields import errors_of, least_triangles
 from hypothesis import given
 from hypothesis import strategies as st
+from reference_bisection import from_tree_id, leaves_of, split_nodes, to_tree_id
 from scenarios import make, make_field, to_remember
 from strategies import criteria, fields, magnitudes, scenarios
 
 MESHLETS = st.sampled_from([0, 1, 2, 3])
 
 
-def split_nodes(terrain) -> set[tuple[int, int]]:
+def split_in(terrain) -> set[tuple[int, int]]:
     """Return (square, id) of every split triangle."""
-    lattice, split = terrain.field.lattice, set()
-    for tree_id in EditedTree.of(terrain.tree).leaves().tolist():
-        square, heap_id = from_tree_id(lattice, tree_id)
-        while square < lattice.squares and (heap_id := heap_id >> 1) > 1 and (square, heap_id) not in split:
-            split.add((square, heap_id))
-    return split
+    return split_nodes(leaves_of(terrain.tree, terrain.field.lattice))
 
 
 def without_budget(scenario, **changes):
@@ -42,7 +37,7 @@ def test_a_finer_error_splits_all_that_a_coarser_one_does(scenario, errors):
             # a depth limit, the same for each error, keeps the examples short
             limit = min(criterion.max_depth or 99, field.lattice.cell_depth + 1)
             update = terrain.update(Criterion(**{**vars(criterion), "max_depth": limit}), views, **placed)
-            now = split_nodes(terrain)
+            now = split_in(terrain)
             assert last <= now and update.leaves == len(now) + 2 * field.lattice.squares
             last = now
 
@@ -54,11 +49,11 @@ def test_split_triangles_have_split_diamonds_and_parents(scenario):
         field, views, criterion, placed = make(scenario)
         terrain = Terrain(field, 1)
         terrain.update(criterion, views, **placed)
-        split = split_nodes(terrain)
-        for node in split:
-            for half in diamond(field.lattice, node):
-                assert half is None or half in split
-                assert half is None or half[1] <= 3 or (half[0], parent(half[1])) in split
+        split = np.array([to_tree_id(field.lattice, node) for node in split_in(terrain)], np.uint64)
+        halves = np.setdiff1d(neighbours(field.lattice, split)[:, 2], [0])
+        assert np.isin(halves, split).all()
+        above = halves[halves >= np.uint64(4 << field.lattice.square_bits)] >> np.uint64(1)
+        assert np.isin(above, split).all()
 
 
 @given(scenarios(criterion=criteria(meshlets=(0, 1))), st.lists(st.integers(0, 6000), min_size=4, max_size=4))
@@ -98,9 +93,9 @@ def test_the_union_of_views_splits_what_each_splits(scenario):
         alone = []
         for view in views:
             terrain.update(limited, [view], **placed)
-            alone.append(split_nodes(terrain))
+            alone.append(split_in(terrain))
         terrain.update(limited, views, **placed)
-        together = split_nodes(terrain)
+        together = split_in(terrain)
         # edges are measured with the longest unit of any view, so the union may be finer than both
         assert set().union(*alone) <= together
         if not (criterion.edge_px or criterion.area_px):
@@ -141,10 +136,10 @@ def test_tree_ids_of_the_refinement_are_its_leaves(scenario, pick):
         terrain = Terrain(field, 1)
         update = terrain.update(criterion, views, **placed)
         k = pick % update.leaves
-        tree_id = EditedTree.of(terrain.tree).decode(k)
-        assert EditedTree.of(terrain.tree).encode(tree_id) == k
-        node = from_tree_id(field.lattice, tree_id)
-        assert to_tree_id(field.lattice, node) == tree_id
+        tree_id = terrain.tree.decode([k])
+        assert terrain.tree.find(terrain.tree.cells_of(tree_id))[0].tolist() == [k]
+        node = from_tree_id(field.lattice, tree_id[0])
+        assert to_tree_id(field.lattice, node) == tree_id[0]
         depth = node[1].bit_length() - 1
         # an expanded leaf's triangles carry the depth of its meshlet's own bisections
         assert depth + 2 * criterion.meshlet == update.surface.level[k << 2 * criterion.meshlet]

@@ -132,6 +132,35 @@ def depth_of(leaf: tuple[int, int]) -> int:
     return leaf[1].bit_length() - 1
 
 
+def to_tree_id(lattice, node: tuple[int, int]) -> int:
+    """Return a node's id in the tree of the whole grid, whose nodes at depth `lattice.square_bits` are the squares."""
+    square, heap_id = node
+    first = 1 << heap_id.bit_length() - 1
+    return ((1 << lattice.square_bits) + square) * first + heap_id - first
+
+
+def from_tree_id(lattice, tree_id: int) -> tuple[int, int]:
+    """Return the square and the id in it of a node of the grid's tree."""
+    first = 1 << int(tree_id).bit_length() - 1 - lattice.square_bits
+    square, rest = divmod(int(tree_id), first)
+    return square - (1 << lattice.square_bits), rest + first
+
+
+def leaves_of(tree, lattice) -> set[tuple[int, int]]:
+    """Return the grid's leaves in a tree, without the unused numbers after the last square."""
+    nodes = (from_tree_id(lattice, leaf) for leaf in tree.leaves())
+    return {node for node in nodes if node[0] < lattice.squares}
+
+
+def split_nodes(leaves: set[tuple[int, int]]) -> set[tuple[int, int]]:
+    """Return the triangles above some leaves."""
+    split = set()
+    for square, heap_id in leaves:
+        while (heap_id := heap_id >> 1) > 1 and (square, heap_id) not in split:
+            split.add((square, heap_id))
+    return split
+
+
 def assert_conforming(leaves: set[tuple[int, int]], columns: int, rows: int, exponent: int) -> None:
     """Check that each edge belongs to two leaves, or to one at the border, and that the areas add up."""
     side = 1 << exponent

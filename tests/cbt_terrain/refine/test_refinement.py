@@ -10,10 +10,8 @@ from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, View
-from bisection import from_tree_id
-from edited_tree import EditedTree
 from fields import extent, random_view, rough
-from reference_bisection import forced_split_leaves
+from reference_bisection import forced_split_leaves, from_tree_id
 from reference_criterion import correction, reference_pixels
 
 SHAPES = [(9, 9), (17, 9), (9, 25), (6, 10), (3, 2)]
@@ -21,9 +19,9 @@ SHAPES = [(9, 9), (17, 9), (9, 25), (6, 10), (3, 2)]
 
 def tree_leaves(terrain: Terrain) -> list[tuple[int, int]]:
     """(square, heap id) of the leaves of the tree, in curve order, without those that only fill it."""
-    lattice, tree = terrain.field.lattice, EditedTree.of(terrain.tree)
-    spare = (1 << lattice.square_bits) - lattice.squares
-    return [tuple(from_tree_id(lattice, tree.decode(k))) for k in range(tree.leaf_count - spare)]
+    lattice = terrain.field.lattice
+    nodes = (from_tree_id(lattice, leaf) for leaf in terrain.tree.leaves())
+    return [node for node in nodes if node[0] < lattice.squares]
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far points of the ground jump from one frame to the next, with geomorph and without."""
+"""How far points of the ground jump from one frame to the next, with geomorph and without.
+
+Their shading and other errors: docs/accuracy.md.
+"""
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.accuracy.measure import look, popping, shading_change
+from adaptive_terrain.cbt_terrain.accuracy.measure import popping
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
@@ -18,23 +21,13 @@ from adaptive_terrain.cbt_terrain.view.view import View
 from adaptive_terrain.operators.text.log_plot import Curve, draw
 from adaptive_terrain.operators.text.page_blocks import Heading, Plot, Table, Text
 from adaptive_terrain.operators.text.svg import BLUE, GREEN, RED
-from matplotlib.cbook import get_sample_data
+from write_accuracy import jacksboro
 
 RESOLUTION = (960, 540)
 ERROR_PX = 1.0
 FRAMES = 6  # of a flight at each speed
 STEPS = (16.0, 8.0, 4.0, 2.0, 1.0)  # metres of the camera between frames
 LONG, LONG_STEP = 30, 2.0  # frames of the long flight, and its metres a frame
-METRES_PER_DEGREE = 111_320.0
-SHADING_HEAD = [
-    "",
-    "largest change, without",
-    "smooth",
-    "p99.9, without",
-    "smooth",
-    "slope, without",
-    "smooth",
-]
 
 
 @dataclass(frozen=True)
@@ -58,29 +51,21 @@ class FlownGround:
 class Flight:
     """Measurements of a flight.
 
-    Per pair of frames: the largest jump and its 99.9th percentile in pixels, and the largest change of a pixel's
-    shading and its 99.9th percentile in 255ths. Also the triangles of its frames.
+    Per pair of frames: the largest jump and its 99.9th percentile in pixels. Also the triangles of its frames.
     """
 
     largest_px: list[float]
     p999: list[float]
-    shading: list[float]
-    shading_p999: list[float]
     triangles: float
 
 
 def grounds(folder: Path) -> list[FlownGround]:
-    """Return the island and the real elevation model."""
-    model = get_sample_data("jacksboro_fault_dem.npz")
-    np.save(folder / "jacksboro.npy", model["elevation"])
-    rows, columns = model["elevation"].shape
-    east = METRES_PER_DEGREE * math.cos(math.radians((model["ymin"] + model["ymax"]) / 2))
-    extent = float((columns - 1) * model["dx"] * east), float((rows - 1) * model["dy"] * METRES_PER_DEGREE)
+    """Return the island, dunes and the real elevation model."""
     built = []
     for name, colour, settings, over in (
         ("the island", RED, ImportSettings(source="island", size=2049), 320.0),
         ("dunes", GREEN, ImportSettings(source="dunes", size=2049), 60.0),
-        ("the Jacksboro fault", BLUE, ImportSettings(source=str(folder / "jacksboro.npy"), extent=extent), 500.0),
+        ("the Jacksboro fault", BLUE, jacksboro(folder), 500.0),
     ):
         store = folder / f"{len(built)}.store"
         import_source(settings, store)
@@ -93,37 +78,33 @@ def grounds(folder: Path) -> list[FlownGround]:
 
 
 def fly(ground: FlownGround, step: float, frames: int, morph: float) -> Flight:
-    """Fly over a ground and measure how far points and shading jump between frames."""
+    """Fly over a ground and measure how far points jump between frames."""
     terrain, before = Terrain(ground.field), None
-    largest_px, p999, shading, shading_p999, triangles = [], [], [], [], []
+    largest_px, p999, triangles = [], [], []
     for number in range(frames):
         view = ground.view(number * step)
         update = terrain.update(Criterion(error_px=ERROR_PX, morph=morph), [view])
         after = update.surface.copy()
         if before is not None:
-            sight = look(ground.field, view)
-            jumps = popping(ground.field, before, after, view, sight=sight)
-            change = shading_change(ground.field, before, after, view, sight=sight)
+            jumps = popping(ground.field, before, after, view)
             largest_px.append(jumps.max)
             p999.append(jumps.p999)
-            shading.append(change.max)
-            shading_p999.append(change.p999)
         before = after
         triangles.append(update.triangles)
-    return Flight(largest_px, p999, shading, shading_p999, sum(triangles) / len(triangles))
+    return Flight(largest_px, p999, sum(triangles) / len(triangles))
 
 
-def slope(flights: dict[float, Flight], name: str = "largest_px") -> float:
-    """Return the slope of log jump (or another figure) against log camera step, by least squares."""
-    x = np.log([step for step in flights])
-    y = np.log([max(getattr(flight, name)) for flight in flights.values()])
+def slope(flights: dict[float, Flight]) -> float:
+    """Return the slope of log jump against log camera step, by least squares."""
+    x = np.log(list(flights))
+    y = np.log([max(flight.largest_px) for flight in flights.values()])
     x -= x.mean()
     return float((x * (y - y.mean())).sum() / (x * x).sum())
 
 
 def popping_section(folder: Path) -> list:
     """Return the section about points that pop."""
-    rows, shades, curves = [], [], []
+    rows, curves = [], []
     for ground in grounds(folder):
         rough, smooth = ({step: fly(ground, step, FRAMES, morph) for step in STEPS} for morph in (1.0, SMOOTH))
         for flights, how, dash in ((rough, "without", "7 4"), (smooth, "smooth", "")):
@@ -140,25 +121,9 @@ def popping_section(folder: Path) -> list:
                 f"{long[1].triangles / long[0].triangles:.2f}",
             ]
         )
-        shades.append(
-            [
-                ground.name,
-                *(f"{max(flight.shading):.3g}" for flight in long),
-                *(f"{max(flight.shading_p999):.3g}" for flight in long),
-                *(f"{slope(flights, 'shading'):.2f}" for flights in (rough, smooth)),
-            ]
-        )
-        print(rows[-1], shades[-1], flush=True)
-    head = [
-        "",
-        "largest jump, without",
-        "smooth",
-        "p99.9, without",
-        "smooth",
-        "slope, without",
-        "smooth",
-        "triangles ×",
-    ]
+        print(rows[-1], flush=True)
+    head = ["", *(word for kind in ("largest jump", "p99.9", "slope") for word in (f"{kind}, without", "smooth"))]
+    drawn = draw(curves, "the camera's step, metres a frame", "largest jump, px")
     return [
         Heading("No pop"),
         Text(
@@ -174,18 +139,6 @@ def popping_section(folder: Path) -> list:
             "place of the last one's, in pixels. The slope says how the largest jump follows the camera's step: 1 is "
             "half the jump for half the step, 0 is a jump however slow the camera."
         ),
-        Table(head, rows),
-        Text(
-            "Normals turn with the heights, so that shading does not pop either. In the same flights: the largest "
-            "change of a pixel's shading from frame to frame, in 255ths of white ground under the light that shows it "
-            "most, what 99.9 % of the pixels stay within, and how the largest follows the camera's step. Where two "
-            "neighbouring normals are 45 degrees apart or more, on cliffs, a new vertex between them still "
-            "changes the shading beside it at once, since Blender interpolates unit vectors."
-        ),
-        Table(SHADING_HEAD, shades),
-        Plot("images/animation_steps.svg", "The largest jump against the camera's step.", _steps(curves)),
+        Table([*head, "triangles ×"], rows),
+        Plot("images/animation_steps.svg", "The largest jump against the camera's step.", drawn),
     ]
-
-
-def _steps(curves: list[Curve]) -> str:
-    return draw(curves, "the camera's step, metres a frame", "largest jump, px")

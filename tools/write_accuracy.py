@@ -64,15 +64,17 @@ def main() -> int:
 
 def sources(folder: Path) -> dict[str, ImportSettings]:
     """Return the rasters to measure by the name of their section."""
+    return {ISLAND: ImportSettings(source=ISLAND, size=ISLAND_SIZE), MODEL: jacksboro(folder)}
+
+
+def jacksboro(folder: Path) -> ImportSettings:
+    """Write the real elevation model into a folder."""
     model = get_sample_data("jacksboro_fault_dem.npz")
     np.save(folder / "jacksboro.npy", model["elevation"])
     rows, columns = model["elevation"].shape
     north, east = METRES_PER_DEGREE, METRES_PER_DEGREE * math.cos(math.radians((model["ymin"] + model["ymax"]) / 2))
     extent = float((columns - 1) * model["dx"] * east), float((rows - 1) * model["dy"] * north)
-    return {
-        ISLAND: ImportSettings(source=ISLAND, size=ISLAND_SIZE),
-        MODEL: ImportSettings(source=str(folder / "jacksboro.npy"), extent=extent),
-    }
+    return ImportSettings(source=str(folder / "jacksboro.npy"), extent=extent)
 
 
 def subject_of(name: str, settings: ImportSettings, folder: Path) -> AccuracySubject:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scree: the bits of plain numpy, conservation, angles, artefacts, tiles and threads."""
+"""Scree: the bits of plain numpy, conservation, angles, artefacts and threads."""
 
 import math
 
@@ -147,24 +147,6 @@ def test_threads_do_not_change_a_byte(monkeypatch):
     assert len({change.heights.tobytes() + change.layers["scree"].tobytes() for change in made}) == 1
 
 
-@pytest.mark.parametrize("corner", [(197, 231), (60, 301)])
-def test_a_tile_with_its_halo_has_the_bytes_of_the_whole(corner):
-    heights, step, wide = mountain(513), 16.0, 75
-    halo = math.ceil(thermal.THERMAL.halo(values(), step) / step)
-    nothing = np.zeros_like(heights)
-    before = Change(nothing, {"scree": nothing, "wear": nothing})
-    whole = thermal.apply(OperatorGround(heights, step, step, whole=heights.shape, threads=2), values(), before)
-    window = tuple(slice(at - halo, at + wide + halo) for at in corner)
-    first = tuple(part.start for part in window)
-    before = Change(nothing[window], {"scree": nothing[window], "wear": nothing[window]})
-    ground = OperatorGround(np.ascontiguousarray(heights[window]), step, step, first, heights.shape)
-    tile = thermal.apply(ground, values(), before)
-    inner = (slice(halo, halo + wide),) * 2
-    there = tuple(slice(at, at + wide) for at in corner)
-    assert whole.heights[there].any()
-    assert np.array_equal(tile.heights[inner], whole.heights[there])
-
-
 def test_at_the_limit_nothing_grows(monkeypatch):
     """A pair that gave all of its excess would oscillate; at 0.99 of that heights stay in their range."""
     monkeypatch.setattr(thermal, "SHARE", 0.99)
@@ -174,9 +156,3 @@ def test_at_the_limit_nothing_grows(monkeypatch):
     after = heights + change.heights
     assert after.min() >= 0.0 and after.max() <= 500.0
     assert max(np.abs(np.diff(after, axis=axis)).max() for axis in (0, 1)) < 30.0
-
-
-def test_beds_and_scree_depend_on_the_seed():
-    heights = cone(97, 8.0, 2.5)
-    one, again, other = (applied(heights, 8.0, seed=seed).heights for seed in (1, 1, 2))
-    assert one.tobytes() == again.tobytes() and np.abs(one - other).max() > 1.0

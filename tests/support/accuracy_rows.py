@@ -27,7 +27,7 @@ def known_rows() -> list[Row]:
             Row(
                 setting,
                 bound,
-                "",
+                (),
                 triangles,
                 triangles,
                 1.0,

@@ -8,7 +8,10 @@ from .codes import Samples
 
 @wp.struct
 class Domain:
-    """A placed height field. Arrays share its memory; `cbt_terrain/field/domain.py` fills in the rest."""
+    """A placed height field, whose arrays share its memory; filled in by `cbt_terrain/field/domain.py`.
+
+    `cbt_terrain/refine/request.py` adds the rounding of positions.
+    """
 
     columns: wp.int32
     rows: wp.int32

@@ -24,7 +24,7 @@ class TerrainError(Exception):
 
     FIELDS = ("what", "where", "expected", "fix", "code")
 
-    def __init__(self, what: str, where: object = "", expected: str = "", fix: str = "", code: str = ""):
+    def __init__(self, what: str, where: object = "", expected: str = "", fix: str = "", code: str = "") -> None:
         super().__init__(what, str(where), expected, fix, code)
         self.what, self.where, self.expected, self.fix, self.code = self.args
 

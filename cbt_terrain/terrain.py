@@ -87,7 +87,7 @@ class Terrain:
     that survives an update, which only saves time.
     """
 
-    def __init__(self, field: HeightField, threads: int | None = None, whole: bool = False):
+    def __init__(self, field: HeightField, threads: int | None = None, whole: bool = False) -> None:
         self.field = field
         self.threads = launch.checked_threads(threads)
         self.history = FrameHistory()

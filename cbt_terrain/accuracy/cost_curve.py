@@ -33,7 +33,7 @@ class CostCurve:
     triangles: tuple[float, ...]
     ms: tuple[float, ...]
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.unit not in UNITS:
             raise TerrainError(f"The cost curve's unit is {self.unit!r}", expected="px or m")
         for name in ("error", "triangles", "ms"):

@@ -78,7 +78,7 @@ def _max_square(values: np.ndarray, side: int) -> tuple[int, int]:
 class _Drawn:
     """A surface as a view sees it. A triangle that reaches behind the eye is left out."""
 
-    def __init__(self, surface: Surface, view: View, placement: np.ndarray | None):
+    def __init__(self, surface: Surface, view: View, placement: np.ndarray | None) -> None:
         camera = view.world_to_camera if placement is None else product(view.world_to_camera, placement)
         points = product(np.c_[surface.positions, np.ones(len(surface.positions))], camera.T)
         clip = product(points, view.projection.T)

@@ -71,7 +71,7 @@ def _blocks(values: np.ndarray):
 class MeshGround:
     """The reference surface of a height field as the kernels of the measurement read it; memory is shared."""
 
-    def __init__(self, field: HeightField, vertical_scale: float, vertical_offset: float, threads: int):
+    def __init__(self, field: HeightField, vertical_scale: float, vertical_offset: float, threads: int) -> None:
         lattice = field.lattice
         self.field, self.threads = field, threads
         self.scale, self.offset = float(vertical_scale), float(vertical_offset)
@@ -103,7 +103,7 @@ class MeshGround:
 class MeasuredMesh:
     """A surface as delivered, ready to be walked over a ground."""
 
-    def __init__(self, ground: MeshGround, surface: Surface):
+    def __init__(self, ground: MeshGround, surface: Surface) -> None:
         self.ground, self.triangles = ground, len(surface.corner_verts) // 3
         if not len(surface.positions) or not np.isfinite(surface.positions).all():
             raise TerrainError("The mesh has no vertices or positions that are not finite", expected="a finite mesh")

@@ -40,7 +40,7 @@ class Setting:
     interpolation: str = INTERPOLATIONS[0]
     morph: float | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         keep_plain_numbers(self, "The setting's")
 
     @property

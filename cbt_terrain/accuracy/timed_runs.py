@@ -42,7 +42,7 @@ class TimedFrame:
     vertical_offset: float = 0.0
     after: "TimedFrame | None" = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "views", listed_views(self.views))
         keep_plain_numbers(self, "The frame's")
 

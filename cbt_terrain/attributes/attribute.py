@@ -141,7 +141,7 @@ class AttributeRequest:
     family: str = PICTURE
     parameters: tuple[tuple[str, object], ...] = field(default=())
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         numbers = tuple((name, _plain(value)) for name, value in self.parameters)
         object.__setattr__(self, "parameters", numbers)
 

@@ -70,7 +70,7 @@ class Decal:
     up: tuple[float, float]
     opacity: float = 1.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         keep_plain_numbers(self, "The decal's")
         if not (math.isfinite(self._area) and self._area != 0.0):
             raise TerrainError(f"The decal {self.name!r} stands upright or has no size", fix="rotate or scale it")

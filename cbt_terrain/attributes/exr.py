@@ -27,7 +27,9 @@ class ExrFile:
     `depth`: 16 for half floats, 32 for floats. `text`, `pool`: see PngFile.
     """
 
-    def __init__(self, path: Path, side: int, channels: int, depth: int, text: str, pool: Executor, lines: int = 0):
+    def __init__(
+        self, path: Path, side: int, channels: int, depth: int, text: str, pool: Executor, lines: int = 0
+    ) -> None:
         names = sorted(NAMES[channels])
         self._order = [NAMES[channels].index(name) for name in names]  # channels are in alphabetical order
         self._dtype, self._pool, self._waiting = np.dtype(f"<f{depth // 8}"), pool, []

@@ -25,7 +25,7 @@ class PngFile:
     `text`: a comment in the file. `pool`: compresses bands while the next ones are computed.
     """
 
-    def __init__(self, path: Path, side: int, channels: int, depth: int, text: str, pool: Executor):
+    def __init__(self, path: Path, side: int, channels: int, depth: int, text: str, pool: Executor) -> None:
         self._pool, self._waiting = pool, []
         self._adler, self._length = 1, side * (1 + side * channels * depth // 8)
         self._file = open(path, "wb")

@@ -57,7 +57,7 @@ class Rule:
     other: int = -1
     image: Painted | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         keep_plain_numbers(self, "A splat rule's")
 
 
@@ -77,7 +77,7 @@ class Layer:
     ragged: float = 0.0
     seed: int = 0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         keep_plain_numbers(self, "A splat layer's")
 
 

@@ -34,7 +34,7 @@ class EffectValues:
     A frame history owns it.
     """
 
-    def __init__(self, threads: int):
+    def __init__(self, threads: int) -> None:
         self.threads = threads
         self.source = ValueSource()
         self._arrays: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}  # of this surface, of the last one

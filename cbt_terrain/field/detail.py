@@ -45,7 +45,7 @@ class Detail:
     roughness: float = 0.5
     seed: int = 0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         keep_plain_numbers(self, "The detail's")
         check_number("The detail's amplitude", self.amplitude, 0.0, LARGEST, "metres")
         check_number("The detail's wavelength", self.wavelength, 1e-3, LARGEST, "metres")

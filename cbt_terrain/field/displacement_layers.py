@@ -33,7 +33,7 @@ class LayerMask:
     values: np.ndarray = field(compare=False, repr=False)
     digest: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         values = np.ascontiguousarray(self.values, np.uint8)
         object.__setattr__(self, "values", values)
         content = repr(values.shape).encode() + values.data

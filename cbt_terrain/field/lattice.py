@@ -46,7 +46,7 @@ class Lattice:
     cells_x: int = 0
     cells_y: int = 0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "cells_x", self.cells_x or self.columns << self.levels)
         object.__setattr__(self, "cells_y", self.cells_y or self.rows << self.levels)
 

@@ -16,7 +16,7 @@ class Painted:
     values: np.ndarray = field(compare=False, repr=False)
     digest: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         values = np.ascontiguousarray(self.values, np.float32)
         if values.ndim != 2 or values.size == 0 or not np.isfinite(values).all():
             raise TerrainError(

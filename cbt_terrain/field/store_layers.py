@@ -16,7 +16,7 @@ class LayerFiles(Mapping):
     `units`: their units. `opened`: the mapped ones.
     """
 
-    def __init__(self, folder: Path, units: Mapping[str, str], shape: tuple[int, int]):
+    def __init__(self, folder: Path, units: Mapping[str, str], shape: tuple[int, int]) -> None:
         self.units, self._folder, self._shape, self.opened = dict(units), folder, shape, {}
 
     def __getitem__(self, name: str) -> np.ndarray:

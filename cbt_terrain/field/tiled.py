@@ -44,7 +44,7 @@ class Tiled:
     size: float
     image: Painted
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         keep_plain_numbers(self, "The detail's")
         check_number("The detail's amplitude", self.amplitude, 0.0, LARGEST, "metres")
         check_number("The detail's tile", self.size, 1e-3, LARGEST, "metres")

@@ -24,7 +24,7 @@ MAX_ROUNDS = 64
 class Sweeps:
     """A mesh that is being fitted: its triangles, and the list of those that the next sweep reads."""
 
-    def __init__(self, fitter: Any, m: mesh_kernels.FitMesh, buffers: Buffers):
+    def __init__(self, fitter: Any, m: mesh_kernels.FitMesh, buffers: Buffers) -> None:
         self.fitter, self.m, self.buffers = fitter, m, buffers
         self.triangles = self.vertices = self.count = 0
         self.recorded: dict = {}

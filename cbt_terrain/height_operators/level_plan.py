@@ -25,7 +25,7 @@ class LevelPlan:
     piece if possible.
     """
 
-    def __init__(self, levels: Sequence[Level], entries: Sequence[Entry], wanted: Wanted):
+    def __init__(self, levels: Sequence[Level], entries: Sequence[Entry], wanted: Wanted) -> None:
         self.levels, self.entries = levels, entries
         self.wants_whole = [tiles is None for tiles in wanted]
         every = zip(levels, wanted, strict=True)

@@ -39,7 +39,7 @@ class GroundRule:
     edge: float = 0.0
     direction: float = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         keep_plain_numbers(self, "A mask rule's")
 
     def check(self, where: str) -> None:
@@ -72,7 +72,7 @@ class HeightMask:
     rules: tuple[GroundRule, ...] = ()
     factor: float = 1.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         keep_plain_numbers(self, "A mask's")
 
     @property

@@ -110,7 +110,7 @@ class Shaping:
     added: list[Added] = field(default_factory=list)
     done: float = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self.plan = LevelPlan(levels_of(self.heights.lattice), self.entries, self.wanted)
         self.tiles: list[list[int]] = [[] for _ in self.plan.levels]
 

@@ -54,7 +54,7 @@ class Entry:
     mask: HeightMask | None = None
     name: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         keep_plain_numbers(self, "A stack entry's")
         if isinstance(self.parameters, Mapping):
             parameters = {n: plain_number(v, float, f"The parameter {n}") for n, v in self.parameters.items()}
@@ -81,7 +81,7 @@ class Stack:
     entries: tuple[Entry, ...] = ()
     heights: tuple[float, float] | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         keep_plain_numbers(self, "A stack's")
 
     @property

@@ -31,7 +31,7 @@ class TileCache:
     found.
     """
 
-    def __init__(self, folder: Path | None = None, room: int = 0):
+    def __init__(self, folder: Path | None = None, room: int = 0) -> None:
         self.folder, self.room = folder, room
         self.made, self.kept = Counter(), Counter()
         self._used: set[str] = set()

@@ -27,7 +27,7 @@ class CachedSubtrees:
     slots: int
     room: int  # of subtrees, and of runs of points, in a slot
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self.limit = self.criterion.limit
 
     def drift(self, domain: Domain, criterion: CriterionArrays, max_depth: int) -> float:

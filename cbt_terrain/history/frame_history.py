@@ -7,10 +7,10 @@ history they make the same bytes: the past only saves time. So an update that fa
 `scratch`, `points` and `hints` carry no meaning: whatever is in them, results are the same.
 """
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +40,7 @@ class Hints:
     """
 
     capacity: int = 4096
-    step: object = None
+    step: Any = None
     marks: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def make_room(self, leaves: int) -> None:
@@ -58,7 +58,7 @@ class FrameHistory:
     scatter. A function that updates `values` or `ground` takes it out and puts it back when it is complete.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._lock, self._is_busy = SharedLock(), False
         self.discard()
 
@@ -67,7 +67,8 @@ class FrameHistory:
         self.last, self.next = Frame(), Frame()
         self.tree: ConcurrentBinaryTree | None = None
         self._tree_leaves: Leaves | None = None  # the leaves that the tree holds
-        self.values = self.ground = None
+        self.values: Any = None
+        self.ground: Any = None
         self.scratch, self.points, self.hints, self._loans = Buffers(), Buffers(), Hints(), Loans()
 
     @contextmanager
@@ -114,8 +115,7 @@ class FrameHistory:
     def reuse_subtrees(self, domain: Domain, criterion: CriterionArrays, max_depth: int) -> "Motion | None":
         """Return how the view has moved since the last frame's subtrees were cached; None if none may be reused."""
         cached = self.last.subtrees
-        drift = cached.drift(domain, criterion, max_depth) if cached else math.inf
-        if drift > MAX_DRIFT:
+        if cached is None or (drift := cached.drift(domain, criterion, max_depth)) > MAX_DRIFT:
             return None
         motion = self.scratch.struct(Motion)
         move(motion, cached.criterion.view, criterion.view, drift)
@@ -133,6 +133,7 @@ class FrameHistory:
         """
         if self._tree_leaves is not self.last.leaves:
             parts = [part._replace(num_same=0) for part in parts]
+        assert self.tree is not None, "need_tree has not been called"
         changed = self.tree.set_leaves(parts, curve.DEPTH_SHIFT, cell_bits)
         self._tree_leaves = leaves
         return changed
@@ -154,7 +155,7 @@ class FrameHistory:
         if not reuses:
             self._replace_vertices()
         written, last = [self.scratch, self.next.arrays], [self.last.arrays]
-        if not (reuses and vertices.swapped):
+        if not reuses or vertices is None or not vertices.swapped:
             self._loans.reclaim(written, copied=[], read=last)
         else:
             self._loans.reclaim(written, copied=last)

@@ -22,7 +22,7 @@ __all__ = ["ImportJob", "child_main", "import_source"]
 class ImportJob(StoreJob):
     """An import that runs in a child process. Raises TerrainError at once for settings that cannot be used."""
 
-    def __init__(self, settings: ImportSettings, store: str | os.PathLike):
+    def __init__(self, settings: ImportSettings, store: str | os.PathLike) -> None:
         store_folder.check_target(store)
         store_folder.remove_abandoned(Path(store))
         super().__init__(

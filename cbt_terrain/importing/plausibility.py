@@ -18,7 +18,7 @@ MAX_MARKS, MAX_WARNINGS = 8, 3
 class ValueCheck:
     """Search of a raster's values, block by block, for marks of missing samples at both ends of their range."""
 
-    def __init__(self, stored: np.dtype):
+    def __init__(self, stored: np.dtype) -> None:
         limits = np.iinfo(stored) if stored.kind in "iu" and stored.itemsize > 1 else None
         self._ends = {float(limits.max), float(limits.min or limits.max)} if limits else set()
         self.marks: dict[float, int] = {}  # number of samples by mark

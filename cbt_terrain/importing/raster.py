@@ -60,7 +60,7 @@ class ImportSettings:
     first_row_south: bool = False
     project: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         keep_plain_numbers(self, "The import's")
 
     def check(self) -> None:
@@ -131,7 +131,7 @@ class Raster:
     sources: tuple[Path, ...] = ()
     close: Callable[[], None] = lambda: None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self.roundings = self.roundings or (SourceRounding(self.stored),)
 
 

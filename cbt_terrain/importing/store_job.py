@@ -178,7 +178,7 @@ class StoreJob(ChildJob):
 
     _consequence = ", and the store is as it was before"
 
-    def __init__(self, module: str, store: str | os.PathLike, request: dict, **options):
+    def __init__(self, module: str, store: str | os.PathLike, request: dict, **options) -> None:
         self._store, self._folder = Path(store), store_folder.new_data_name()
         self._new_folders = store_folder.missing_folders(self._store)
         folders = list(map(str, self._new_folders))

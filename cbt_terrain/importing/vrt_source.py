@@ -178,7 +178,7 @@ def _parse(path: Path) -> ElementTree.Element:
 class _Reader:
     """Handlers for expat that build a tree of allowed elements, skip ignored ones and raise TerrainError at others."""
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path) -> None:
         self.path, self.builder = path, ElementTree.TreeBuilder()
         self.open, self.pieces = [], []  # names of the open elements, and texts of the innermost
         self.count = self.ignored = self.length = 0

@@ -8,6 +8,7 @@ import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -63,12 +64,12 @@ def write_npz(
                 expected="finite numbers",
                 fix="import the terrain again, or remove the attribute",
             )
-    with written_beside(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
+    with written_beside(Path(path)) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
         for name, array in entries.items():
             archive.writestr(zipfile.ZipInfo(f"{name}.npy", FIXED_DATE), _npy(array))
 
 
-def finite_json(content: Mapping, where: str, **options) -> str:
+def finite_json(content: Mapping, where: str, **options: Any) -> str:
     """Return JSON text. Raises TerrainError for a number that is not finite, which JSON cannot hold."""
     try:
         return json.dumps(content, allow_nan=False, **options)

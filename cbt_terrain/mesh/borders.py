@@ -17,9 +17,12 @@ from ..run import launch
 from ..run.buffers import shared
 from ..view.linear import add_up
 from .cut import Room, Side, border_side, copied, cut, drop
+from .surface import Surface
 
 
-def end(surface, field: HeightField, domain: Domain, *, room: Room = copied, threads: int = 1):
+def end(
+    surface: Surface, field: HeightField, domain: Domain, *, room: Room = copied, threads: int = 1
+) -> tuple[Surface, list[np.ndarray]]:
     """Cut the whole surface of the leaves at the raster's border and at its holes. Arguments are those of `cut`.
 
     Return a Surface, and the pairs of swapped vertices of each cut, in order.
@@ -44,7 +47,7 @@ def border_sides(domain: Domain) -> list[Side]:
     ]
 
 
-def in_holes(surface, field: HeightField, domain: Domain, threads: int = 1) -> np.ndarray:
+def in_holes(surface: Surface, field: HeightField, domain: Domain, threads: int = 1) -> np.ndarray:
     """Return bool [T]: whether the centroid of each triangle is in a hole."""
     triangles = len(surface.level)
     flags = np.zeros(triangles, bool)

@@ -10,7 +10,7 @@ from ...kernels.field.domain import Domain
 from ...kernels.mesh import meshlet as meshlet_kernels
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
-from ..history.frame import Vertices
+from ..history.frame import Leaves, Vertices
 from ..history.frame_history import DISPLACED, FrameHistory
 from ..run import launch
 from ..run.buffers import Buffers, bind
@@ -52,6 +52,7 @@ def build_surface(field: HeightField, request: SurfaceRequest, history: FrameHis
     """
     domain, meshlet, geomorph = request.domain, request.meshlet, request.geomorph
     leaves, arrays, scratch = history.next.leaves, history.next.arrays, history.scratch
+    assert leaves is not None, "refine has not been called"
     triangles, vertices, edges = leaves.counts.sum(axis=0).tolist()
     t = template(meshlet) if meshlet else None
     has_runs = t.inner_points > 0 if t else history.next.reused_points is not None
@@ -99,7 +100,7 @@ def build_surface(field: HeightField, request: SurfaceRequest, history: FrameHis
     return surface.with_arrays({n: history.lend(*memory_of(n), len(a)) for n, a in surface.arrays().items()})
 
 
-def _parts(leaves) -> list[tuple[int, int]]:
+def _parts(leaves: Leaves) -> list[tuple[int, int]]:
     """Return the first entry and the number of each slice's points."""
     return [(int(base), n) for base, n in zip(leaves.base, leaves.counts[:, 1].tolist(), strict=True)]
 

@@ -16,6 +16,7 @@ from ..run import launch
 from ..run.buffers import shared
 from ..view.linear import lengths
 from .attributes import CORNER, EDGE, FACE, NORMALS, POINT, UV
+from .surface import Surface
 
 # Fraction of a vertex' largest coordinate in plan, 8 to 16 steps of float32. A vertex that is nearer to the cut of one
 # of its edges is moved onto the line: rounding could turn the triangle between them over. New vertices that are nearer
@@ -79,7 +80,9 @@ def copied(_name: str, array: np.ndarray, count: int) -> np.ndarray:
     return larger
 
 
-def cut(surface, sides: Sequence[Side], *, room: Room = copied, threads: int = 1):
+def cut(
+    surface: Surface, sides: Sequence[Side], *, room: Room = copied, threads: int = 1
+) -> tuple[Surface, np.ndarray]:
     """Return the part of a surface on the inner side of all `sides`, and int64 [2, n]: pairs of swapped vertices.
 
     Each edge that changes sign gets one new vertex, so the mesh stays welded; its attributes are interpolated between
@@ -103,7 +106,9 @@ def cut(surface, sides: Sequence[Side], *, room: Room = copied, threads: int = 1
     return work.close()
 
 
-def drop(surface, triangles: np.ndarray, *, room: Room = copied, threads: int = 1):
+def drop(
+    surface: Surface, triangles: np.ndarray, *, room: Room = copied, threads: int = 1
+) -> tuple[Surface, np.ndarray]:
     """Remove `triangles`, bool [T], from a surface. Arguments and results are those of `cut`."""
     if not triangles.any():
         return surface, NONE_SWAPPED
@@ -117,7 +122,7 @@ def drop(surface, triangles: np.ndarray, *, room: Room = copied, threads: int = 
 class _Work:
     """A surface that is being cut, in arrays with room for new elements."""
 
-    def __init__(self, surface, near: np.ndarray, sides: int, room: Room, threads: int):
+    def __init__(self, surface: Surface, near: np.ndarray, sides: int, room: Room, threads: int) -> None:
         self.surface = surface
         self.before = len(surface.positions), len(surface.edges), len(surface.triangles)
         # At most this number of vertices is removed, with the edges between them: as many of the last fill the gaps.
@@ -204,14 +209,14 @@ class _Work:
         flat = listed[(corners[listed] == np.roll(corners[listed], 1, axis=1)).any(axis=1)]
         # Of a flat triangle's edges one is a point; the others are one edge.
         points = edges[sides[flat], 0] == edges[sides[flat], 1]
-        pairs = [e[~p] for e, p in zip(sides[flat], points, strict=True) if p.sum() == 1]
-        pairs = np.array(pairs, np.int64).reshape(-1, 2)
+        equal = [e[~p] for e, p in zip(sides[flat], points, strict=True) if p.sum() == 1]
+        pairs = np.array(equal, np.int64).reshape(-1, 2)
         sides[listed] = _merged(pairs, self.counts[kernels.EDGE])[sides[listed]]
         self.removed[kernels.TRIANGLE, flat] = True
         self.removed[kernels.VERTEX, np.union1d(removed, corners[flat])] = True
         self.removed[kernels.EDGE, np.union1d(sides[flat], np.union1d(pairs, short))] = True
 
-    def close(self):
+    def close(self) -> tuple[Surface, np.ndarray]:
         """Fill the gaps with the last remaining elements; return the surface and the pairs of swapped vertices."""
         launch.once(kernels.close, [self.m], step="cut")
         ends, moves, moved = zip(*(self._moves(kind) for kind in range(3)), strict=True)

@@ -70,6 +70,7 @@ def displace(
 def reuse_points(history: FrameHistory) -> list[int]:
     """Bind the runs of points that the walk copied from the last frame; return the number of each slice's list."""
     leaves, before = history.next.leaves, history.last.leaves
+    assert leaves is not None and before is not None, "points are reused from a frame to the next"
     _copy(history, history.next.reused_points, before.base, np.cumsum([0, *before.counts[:-1, 1]]))
     return leaves.slots.tolist()
 
@@ -80,6 +81,7 @@ def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> lis
     Return the numbers of the list of all other points and of the list of these.
     """
     scratch, before = history.scratch, history.last.vertices
+    assert before is not None, "points are reused from the last frame"
     runs, room = scratch.struct(Runs, slot=1), min(before.leaves, now.leaves)
     bind(runs, runs=scratch.get("inner_runs", room, Run), counts=scratch.get("inner_run_counts", 1, wp.int64))
     bind(runs, room=room, lists=1)

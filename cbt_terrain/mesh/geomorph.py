@@ -3,6 +3,7 @@
 
 from dataclasses import dataclass
 
+from ...kernels.field.detail import PackedLayers
 from ...kernels.morph import state as kernels
 from ...kernels.morph.state import PENDING, REMEMBERED, Ends, Known, Memory, MorphedPoint, Pending, Relief
 from ...kernels.refine.pixels import CriterionArrays
@@ -24,7 +25,9 @@ class Geomorph:
     end: float
     relaxed: float
 
-    def pack(self, layers, meshlet: int, vertices: int, history: FrameHistory) -> kernels.Morphing:
+    def pack(
+        self, layers: "PackedLayers | None", meshlet: int, vertices: int, history: FrameHistory
+    ) -> kernels.Morphing:
         """Pack the kernel's arguments. `layers`: displacement layers, or None."""
         packed = kernels.Morphing()
         packed.criterion, ramp = self.criterion, packed.ramp

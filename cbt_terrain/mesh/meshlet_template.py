@@ -14,6 +14,10 @@ _MIRRORED_CORNERS, _MIRRORED_SIDES = [2, 1, 0], [1, 0, 2]
 Place = tuple[int, int, int]  # barycentric, in n-ths: left, apex, right
 
 
+def _middle(p: Place, q: Place) -> Place:
+    return (p[0] + q[0]) // 2, (p[1] + q[1]) // 2, (p[2] + q[2]) // 2
+
+
 @cache
 def template(meshlet: int) -> Template:
     """Return the tables for 4**meshlet triangles a leaf; kernels/mesh/meshlet.py has the order of points and lines."""
@@ -23,7 +27,7 @@ def template(meshlet: int) -> Template:
         triangles = [
             child
             for left, apex, right in triangles
-            for middle in [tuple((x + y) // 2 for x, y in zip(left, right, strict=True))]
+            for middle in [_middle(left, right)]
             for child in ((left, middle, apex), (apex, middle, right))
         ]
     inner_points: dict[Place, int] = {}
@@ -46,7 +50,7 @@ def template(meshlet: int) -> Template:
     corners = np.array([[point(b) for b in triangle] for triangle in triangles], np.int32)
     sides = np.array([[line(a, b), line(b, c), line(c, a)] for a, b, c in triangles], np.int32)
 
-    def table(rows, dtype, shape) -> wp.array:
+    def table(rows: list, dtype: type, shape: int | tuple[int, int]) -> wp.array:
         return wp.array(np.array(rows, np.int32).reshape(shape), dtype=dtype, device="cpu")
 
     t = Template()

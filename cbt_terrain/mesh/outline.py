@@ -5,10 +5,13 @@ A convex outline of few lines is cut line by line, exactly. Of any other the val
 follows the outline where it is straight across a triangle, and rounds its corners off by less than a triangle.
 """
 
+from functools import partial
+
 import numpy as np
 
 from ..view.linear import lengths
 from .cut import Side
+from .surface import Surface
 
 # A convex outline with at most this number of lines is cut line by line.
 MAX_LINES = 32
@@ -17,7 +20,7 @@ SAME = 1e-9
 BLOCK = 1 << 20  # distances at a time
 
 
-def inside(triangles: np.ndarray, surface) -> list[Side]:
+def inside(triangles: np.ndarray, surface: Surface) -> list[Side]:
     """Return sides that keep the part of `surface` inside `triangles` in plan, float64 [n, 3, 2] metres."""
     triangles = counter_clockwise(triangles)
     border = outline(triangles) if len(triangles) else triangles
@@ -25,7 +28,7 @@ def inside(triangles: np.ndarray, surface) -> list[Side]:
         return [Side(lambda positions: np.full(len(positions), -1.0))]
     lines = _lines(border)
     if len(lines) <= MAX_LINES and _holds_all(lines, border.reshape(-1, 2)):
-        return [Side(lambda positions, line=line: _from_line(line, positions)) for line in lines]
+        return [Side(partial(_from_line, line)) for line in lines]
     values = _distances(triangles, border, surface)
     return [Side(lambda _positions: values)]
 
@@ -70,7 +73,7 @@ def _holds_all(lines: np.ndarray, points: np.ndarray) -> bool:
     return all((_from_line(line, points) >= min_distance).all() for line in lines)
 
 
-def _distances(triangles: np.ndarray, border: np.ndarray, surface) -> np.ndarray:
+def _distances(triangles: np.ndarray, border: np.ndarray, surface: Surface) -> np.ndarray:
     """Return float64 [V]: distance of each vertex to the border in metres, positive inside.
 
     The magnitude is exact only for vertices of triangles that cross the border; others have the right sign.

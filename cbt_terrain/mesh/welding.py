@@ -29,6 +29,7 @@ def weld(field: HeightField, domain: Domain, history: FrameHistory, level_in: Bu
     a damaged field or tree gives leaves that do not fit together.
     """
     leaves, scratch, arrays = history.next.leaves, history.scratch, history.next.arrays
+    assert leaves is not None, "refine has not been called"
     triangles, _, edges = leaves.counts.sum(axis=0).tolist()
     slices, squares = len(leaves.counts), domain.columns * domain.rows
     _check_sides(field, leaves.sides.reshape(domain.rows, domain.columns, 4))

@@ -17,15 +17,17 @@ def bisected(state: int, bisections: int) -> tuple[list[int], list[tuple[int, in
 
     A vertex is (a, b): from the apex a and b times 2^-ceil(bisections / 2) of the legs towards left and right.
     """
-    leaves, legs, unit = [], [], 1 << (bisections + 1) // 2
+    leaves: list[int] = []
+    legs: list[tuple[int, int]] = []
+    unit = 1 << (bisections + 1) // 2
 
-    def walk(left, apex, right, state: int, more: int) -> None:
+    def walk(left: tuple[int, int], apex: tuple[int, int], right: tuple[int, int], state: int, more: int) -> None:
         if not more:
             leaves.append(state)
             if state % 2 == 0:  # its third edge is new, and so is the end of it
                 legs.append(apex if state == curve.HYP_LEG else right)
             return
-        middle = tuple((a + b) // 2 for a, b in zip(left, right, strict=True))
+        middle = (left[0] + right[0]) // 2, (left[1] + right[1]) // 2
         walk(left, middle, apex, curve.LEFT_STATES >> 4 * state & 7, more - 1)
         walk(apex, middle, right, curve.RIGHT_STATES >> 4 * state & 7, more - 1)
 
@@ -33,14 +35,16 @@ def bisected(state: int, bisections: int) -> tuple[list[int], list[tuple[int, in
     return leaves, legs
 
 
-def _array(values, dtype) -> wp.array:
+def _array(values: list, dtype: type) -> wp.array:
     return wp.array(np.array(values, np.uint16 if dtype == wp.uint16 else np.int32), dtype=dtype, device="cpu")
 
 
 @cache
 def blocks() -> BlockTable:
     """Return the table of all blocks of up to MAX_BISECTIONS: see kernels/refine/block.py."""
-    codes, legs, first_leaf, first_vertex, vertices = [], [], [], [], []
+    codes: list[int] = []
+    legs: list[tuple[int, int]] = []
+    first_leaf, first_vertex, vertices = [], [], []
     for n in range(MAX_BISECTIONS + 1):
         for state in range(STATES):
             leaves, new = bisected(state, n)

@@ -210,6 +210,7 @@ def _bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound:
     if found.value <= criterion.error_px:
         return found
     seen = min(spans.pixels(found.value), LARGEST)
+    assert found.terms is not None, "_bound gives terms"
     terms = Terms.shares(seen, found.terms.geometric, found.terms.precision, found.terms.source)
     return Bound(seen, found.reason, terms)
 

@@ -2,6 +2,7 @@
 """The polar horizon maps of all views; kernels/refine/hiding.py describes and proves the method."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import warp as wp
@@ -128,7 +129,7 @@ def _rings_of(domain: Domain, view: LocalView) -> tuple[int, int]:
     return first, ring_of(far) + 1 - first
 
 
-def _start(domain: Domain, near2: float, cosine2: float, weight) -> float:
+def _start(domain: Domain, near2: float, cosine2: float, weight: Sequence[float]) -> float:
     """Return the distance max(|x|, |y|) from the eye, metres in terrain space, that the clip start cannot exceed.
 
     near2 holds the square of half the clip start, which is measured along the view; dividing by the cosine gives the

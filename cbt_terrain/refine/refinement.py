@@ -57,13 +57,16 @@ def refine(
         slices, step = _limited(field, request, history, threads, relaxed)
         if slices is not None:
             break
+    assert slices is not None, "no limit applies to the last attempt"
     leaves, factor = _end(history, slices, field.lattice), math.sqrt(criterion.limit)
     if morphs and request.is_limited:
         factor = ramp_start(field.lattice, request, history, threads, step, leaves.total)
     return leaves, factor
 
 
-def _limited(field: HeightField, request: RefinementRequest, history: FrameHistory, threads: int, relaxed: float):
+def _limited(
+    field: HeightField, request: RefinementRequest, history: FrameHistory, threads: int, relaxed: float
+) -> tuple[Slices | None, int]:
     """Return the finest walk that keeps to the limit, and its step.
 
     No walk if that relaxes the criterion by more than `relaxed`.
@@ -126,7 +129,9 @@ def _walk(
     # For edges alone, intervals decide so fast that caching costs as much as it saves; each map of horizons hides other
     # ground.
     caches = criterion.view_count == 1 and criterion.error_px2 < math.inf and not criterion.view.rings.count
-    motion = history.reuse_subtrees(domain, criterion, depth) if caches else history.replace_leaves()
+    motion = history.reuse_subtrees(domain, criterion, depth) if caches else None
+    if not caches:
+        history.replace_leaves()
     while True:
         slices = Slices.of(history, lattice, cuts, depth, max_leaves)
         slices.bind_reuse(caches, motion)
@@ -147,6 +152,7 @@ def _walk(
 def _cuts(history: FrameHistory, lattice: Lattice, threads: int) -> list[int]:
     """Return where the curve is cut for the threads: evenly by the cost of the last frame. Results are the same."""
     tree, last = history.tree, history.last.leaves
+    assert tree is not None, "refine and replay have a tree"
     end = lattice.squares << tree.max_depth - lattice.square_bits
     leaves = tree.leaf_count - (1 << lattice.square_bits) + lattice.squares
     if threads < 2 or leaves < launch.SLICE_ITEMS:
@@ -187,7 +193,7 @@ def _end(history: FrameHistory, slices: Slices, lattice: Lattice) -> Leaves:
 def _parts(history: FrameHistory, slices: Slices, lattice: Lattice) -> list[LeafPart]:
     """Return the parts of the tree that the slices have written."""
     parts, unused = slices.leaf_parts(), (1 << lattice.square_bits) - lattice.squares
-    if unused:  # numbers after the last square, up to a power of two, are a leaf each
+    if unused and history.tree:  # numbers after the last square, up to a power of two, are a leaf each
         codes = shared(np.zeros(unused, np.uint16), wp.uint16)
         parts.append(LeafPart(codes, 0, unused, history.tree.cell_count))
     return parts

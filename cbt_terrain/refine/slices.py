@@ -41,6 +41,7 @@ class Slices:
     @classmethod
     def of(cls, history: FrameHistory, lattice: Lattice, cuts: list[int], max_depth: int, max_leaves: int) -> "Slices":
         """Bind the walks between `cuts` to the next frame; beyond the capacity each only counts its leaves."""
+        assert history.tree is not None, "refine and replay have a tree"
         count, squares, capacity = len(cuts) - 1, lattice.squares, history.hints.capacity
         stride, cell_bits = capacity + 2 * squares + 8, history.tree.max_depth - lattice.square_bits
         written, scratch = history.next.arrays, history.scratch
@@ -93,7 +94,7 @@ class Slices:
             "last_code": read.get("code", 1, wp.uint16),
             "last_point": read.get("point", 1, wp.vec2i),
         }
-        slots, last_room = (last.subtrees.slots, last.subtrees.room) if motion else (0, 1)
+        slots, last_room = (last.subtrees.slots, last.subtrees.room) if motion and last.subtrees else (0, 1)
         self.reuses = [written.struct(Reuse, slot) for slot in range(count)]
         for reuse in self.reuses:
             bind(reuse, slack=SLACK if caches else 0.0, room=room, last_slots=slots, last_room=last_room, **arrays)

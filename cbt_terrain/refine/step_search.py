@@ -61,7 +61,7 @@ def lowest(splits: Splits, max_splits: int, start: Found | None, low: int) -> Fo
 class _Search:
     """State of a search: no step finer than `low` fits, `high` fits, and `known` holds the splits of counted steps."""
 
-    def __init__(self, splits: Splits, max_splits: int, low: int):
+    def __init__(self, splits: Splits, max_splits: int, low: int) -> None:
         self._splits, self._max_splits, self.low, self.high = splits, max_splits, low, MAX_STEP + 1
         self.known = np.zeros(MAX_STEP + 2, np.int64)
         self._reached = 0  # splits at `high`, or a number that the next finer step exceeds

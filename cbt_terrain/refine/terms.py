@@ -114,7 +114,7 @@ def position_rounding(
     highest = max(abs(h * vertical_scale + vertical_offset) for h in (field.min_height, field.max_height))
     # A bicubic height is a sum of sixteen, which rounds about twice as much.
     part = DISPLACEMENT_ERROR * (2 if field.interpolation == "bicubic" else 1)
-    return *plane, _half_step(highest) + part * (heights + abs(vertical_offset))
+    return plane[0], plane[1], _half_step(highest) + part * (heights + abs(vertical_offset))
 
 
 def _half_step(largest: float) -> float:

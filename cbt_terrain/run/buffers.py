@@ -6,6 +6,7 @@ Results are lent (`Loans`): their arrays are read-only, and their memory is not 
 
 import weakref
 from collections.abc import Container, Iterable
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -21,17 +22,17 @@ _NUMPY = {
 }
 
 
-def shared(array: np.ndarray, dtype) -> wp.array:
+def shared(array: np.ndarray, dtype: Any) -> wp.array:
     """Return a Warp array over the memory of a numpy array of the same layout."""
     return wp.array(array, dtype=dtype, device="cpu", copy=False)
 
 
-def flat(array: np.ndarray, dtype) -> wp.array:
+def flat(array: np.ndarray, dtype: Any) -> wp.array:
     """Return a one-dimensional Warp array over the memory of a numpy array, in C order."""
     return shared(array.reshape(-1), dtype)
 
 
-def bind(struct, **values) -> None:
+def bind(struct: Any, **values: Any) -> None:
     """Set the fields of a Warp struct that differ from `values`, because setting an array costs as much as a launch."""
     for name, value in values.items():
         held = getattr(struct, name)
@@ -39,7 +40,7 @@ def bind(struct, **values) -> None:
             setattr(struct, name, value)
 
 
-def _scalar(dtype):
+def _scalar(dtype: Any) -> np.dtype:
     """Return the numpy dtype of a Warp scalar or struct."""
     return dtype.numpy_dtype() if hasattr(dtype, "numpy_dtype") else wp.dtype_to_numpy(dtype)
 
@@ -47,13 +48,13 @@ def _scalar(dtype):
 class Loans:
     """Memory that callers may still read: their arrays are read-only, and it is not written while one is in use."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._lent: list[tuple[np.ndarray, weakref.ref[np.ndarray]]] = []  # memory, and an array over it
 
     def lend(self, memory: np.ndarray, count: int) -> np.ndarray:
         """Return the first `count` items of some memory, read-only."""
         # A memoryview keeps numpy from making it writable, and its views refer to it rather than to the memory.
-        lent = np.asarray(memoryview(memory[:count]).toreadonly())
+        lent = np.asarray(memory[:count].data.toreadonly())
         self._lent.append((memory, weakref.ref(lent)))
         return lent
 
@@ -85,12 +86,12 @@ class Buffers:
     `launches` are recorded with structs that are bound to these arrays: see `launch.slices`.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._arrays: dict[str, tuple[np.ndarray, wp.array]] = {}
         self._structs: dict = {}
         self.launches: dict = {}
 
-    def get(self, name: str, count: int, dtype) -> wp.array:
+    def get(self, name: str, count: int, dtype: Any) -> wp.array:
         """Return at least `count` items of a Warp dtype; the contents are kept only if the array need not grow."""
         held = self._arrays.get(name)
         if held is None or len(held[0]) < count:
@@ -100,13 +101,13 @@ class Buffers:
             self._arrays[name] = held = (array, shared(array, dtype))
         return held[1]
 
-    def struct(self, kind, slot: int = 0):
+    def struct(self, kind: Any, slot: int = 0) -> Any:
         """Return a Warp struct of one kind for a slot, always the same one: see `bind`."""
         if (kind, slot) not in self._structs:
             self._structs[kind, slot] = kind()
         return self._structs[kind, slot]
 
-    def table(self, name: str, values: np.ndarray, dtype) -> wp.array:
+    def table(self, name: str, values: np.ndarray, dtype: Any) -> wp.array:
         """Return a buffer that begins with `values`."""
         table = self.get(name, values.size, dtype)
         self.numpy(name)[: values.size] = values.reshape(-1)

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from . import stopping
 
@@ -35,7 +36,7 @@ PACKAGE = __package__.rsplit(".", 2)[0]
 FOREIGN_VARIABLES = ("GDAL_DATA", "GDAL_DRIVER_PATH", "PROJ_LIB", "PROJ_DATA", "PYTHONHOME", "PYTHONSTARTUP")
 
 
-def start(module: str, *arguments: str, variables: dict[str, str] | None = None, **streams) -> subprocess.Popen:
+def start(module: str, *arguments: str, variables: dict[str, str] | None = None, **streams: Any) -> subprocess.Popen:
     """Start a process that runs `child_main(*arguments)` of a module of this package ("cbt_terrain.run.warmup").
 
     Its standard input is a pipe that lives as long as its parent. Only the parent receives Ctrl-C. Raises OSError if no

@@ -9,10 +9,11 @@ its slice. Work can be stopped between two launches.
 import os
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -43,10 +44,11 @@ def checked_threads(threads: int | None) -> int:
 
 
 @contextmanager
-def stopwatch():
+def stopwatch() -> Iterator[dict[str, float]]:
     """Yield a dict that collects the milliseconds of every step that this thread launches inside the block."""
     outer = getattr(_times, "steps", None)
-    _times.steps = steps = {}
+    steps: dict[str, float] = {}
+    _times.steps = steps
     try:
         yield steps
     finally:
@@ -54,7 +56,7 @@ def stopwatch():
 
 
 @contextmanager
-def timed(step: str):
+def timed(step: str) -> Iterator[None]:
     """Add the elapsed time of the block to `step` of the current stopwatch, if there is one."""
     start = time.perf_counter()
     try:
@@ -112,12 +114,12 @@ def _wait_for(futures: Sequence[Future]) -> None:
         raise
 
 
-def once(kernel, inputs: list, *, step: str, recorded: dict | None = None) -> None:
+def once(kernel: wp.Kernel, inputs: list, *, step: str, recorded: dict | None = None) -> None:
     """Launch a serial kernel on one thread."""
     slices(kernel, [inputs], step=step, recorded=recorded)
 
 
-def slices(kernel, inputs: Sequence[list], *, step: str, recorded: dict | None = None) -> None:
+def slices(kernel: wp.Kernel, inputs: Sequence[list], *, step: str, recorded: dict | None = None) -> None:
     """Launch one thread for each list of inputs, all in parallel.
 
     `recorded` caches launches for a caller that launches again and again: replaying one takes 2 us instead of 15. A
@@ -130,7 +132,7 @@ def slices(kernel, inputs: Sequence[list], *, step: str, recorded: dict | None =
         together([_command(held, kernel, (slot, 1), values).launch for slot, values in enumerate(inputs)])
 
 
-def _command(recorded: dict, kernel, place: tuple[int, int], values: list):
+def _command(recorded: dict, kernel: wp.Kernel, place: tuple[int, int], values: list) -> Any:
     """Return the recorded launch of `kernel` for a slot and a count of items, with these values."""
     key = kernel, *place
     if key not in recorded:
@@ -145,7 +147,7 @@ def _command(recorded: dict, kernel, place: tuple[int, int], values: list):
 
 
 def spread(
-    kernel,
+    kernel: wp.Kernel,
     count: int,
     inputs: list,
     *,
@@ -191,7 +193,7 @@ if hasattr(os, "register_at_fork"):  # a fork waits for a module that is being l
     os.register_at_fork(before=_loading.acquire, after_in_parent=_loading.release, after_in_child=_loading.release)
 
 
-def _load(kernel) -> None:
+def _load(kernel: wp.Kernel) -> None:
     """Load the kernel's module, compiled if necessary, on one thread, because Warp's loader is not reentrant."""
     if kernel not in _loaded:
         with _loading:

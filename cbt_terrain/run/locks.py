@@ -8,7 +8,7 @@ and the state that it protected may be inconsistent.
 import os
 import threading
 from collections.abc import Callable, Hashable, MutableMapping
-from typing import TypeVar
+from typing import Any, TypeVar
 from weakref import WeakSet
 
 Value = TypeVar("Value")
@@ -20,7 +20,7 @@ class SharedLock:
     `broken`: another thread held it at the fork, so its owner must rebuild its state, and then set this to False.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.broken = False
         self._lock = threading.RLock()
         _locks.add(self)
@@ -29,7 +29,7 @@ class SharedLock:
         self._lock.acquire()
         return self
 
-    def __exit__(self, *_error) -> None:
+    def __exit__(self, *_error: object) -> None:
         self._lock.release()
 
     def free(self) -> None:
@@ -45,7 +45,7 @@ _locks: WeakSet[SharedLock] = WeakSet()
 caching = SharedLock()
 
 
-def cached(cache: MutableMapping[Hashable, Value], key: Hashable, make: Callable[[], Value]) -> Value:
+def cached(cache: MutableMapping[Any, Any], key: Hashable, make: Callable[[], Value]) -> Value:
     """Return `cache[key]`. If it is missing, `make` it on this thread, while other threads wait that need any value."""
     try:
         return cache[key]

@@ -271,8 +271,9 @@ def remove_tree(
         with open_folder(path.absolute().parent, may_be_link=may_be_link) as above:
             with above.open_inner(path.name) as folder:
                 names = folder.entries()
-                for name in names if may_remove else ():
-                    _check_removable(folder, name, may_remove)
+                if may_remove:
+                    for name in names:
+                        _check_removable(folder, name, may_remove)
                 for name in names:
                     _remove_entry(folder, name)
             with suppress(FileNotFoundError):

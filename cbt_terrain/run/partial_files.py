@@ -19,16 +19,16 @@ import platform
 import re
 import secrets
 import stat
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None
+if sys.platform == "win32":
     import msvcrt
+else:
+    import fcntl
 
 from . import owned_files
 from .owned_files import NotOursError, open_folder
@@ -199,7 +199,7 @@ def remove_if_abandoned(
             if is_needed():
                 owned_files.remove_file(folder / LOCK)  # its process was killed before this
             elif (free and token.startswith(_machine())) or _age(folder) > STALE_SECONDS:
-                if fcntl is None and lock is not None:  # Windows removes no open file
+                if sys.platform == "win32" and lock is not None:  # Windows removes no open file
                     os.close(lock)
                     lock = None
                 for file in folder.parent.glob(f"{folder.name}-*"):
@@ -215,7 +215,7 @@ def remove_if_abandoned(
 def _take(lock: int) -> bool | None:
     """Return whether a lock could be acquired; None if the file system has no locks."""
     try:
-        if fcntl is None:
+        if sys.platform == "win32":
             msvcrt.locking(lock, msvcrt.LK_NBLCK, 1)
         else:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

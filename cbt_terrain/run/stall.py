@@ -11,7 +11,7 @@ STALL_SECONDS = 180.0
 class Stall:
     """Time for which a polled process has sent no message."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._num_messages, self._silent_s, self._polled = -1, 0.0, time.monotonic()
 
     def is_over(self, num_messages: int) -> bool:

@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -61,7 +62,7 @@ def end_host_work() -> None:
 
 
 @contextmanager
-def held():
+def held() -> Iterator[None]:
     """Delay a stop until the end of the block: Blender prints exceptions of handlers, and continues."""
     global _held
     _held += 1
@@ -72,7 +73,7 @@ def held():
 
 
 @contextmanager
-def listening():
+def listening() -> Iterator[None]:
     """Turn SIGINT and SIGTERM into requests to stop until the block ends. Then send an unanswered signal again.
 
     A second signal, or a step that takes longer than GRACE_SECONDS, ends the process at once with the code 128 + the
@@ -109,7 +110,7 @@ def listening():
             signal.raise_signal(number)
 
 
-def _replace(number: int):
+def _replace(number: int) -> Callable[[], object]:
     """Let Python note a signal and do nothing. Return a function that restores the previous handler."""
     getsig, setsig = ctypes.pythonapi.PyOS_getsig, ctypes.pythonapi.PyOS_setsig
     getsig.argtypes, getsig.restype = (ctypes.c_int,), ctypes.c_void_p

@@ -57,7 +57,7 @@ class _Preparation:
     `fraction`: 0 .. 1 while modules are compiled. `ready`: one event for each group.
     """
 
-    def __init__(self, *groups: list[ModuleType]):
+    def __init__(self, *groups: list[ModuleType]) -> None:
         self.fraction: float | None = None
         self._groups, self.ready = groups, [threading.Event() for _ in groups]
         self.stopping = threading.Event()

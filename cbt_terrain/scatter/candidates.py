@@ -16,7 +16,7 @@ class Candidates:
     `positions`, `normals`: float32 [capacity, 3]; `density`: float32 [capacity].
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._used = 0
         self._keys = np.empty(0, np.int64)  # ascending
         self._at = np.empty(0, np.int64)  # first candidate of each run

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The ground of a scatter: its pattern over a placed field, and the candidates on it."""
 
+import dataclasses
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -27,6 +29,9 @@ from .scatter import MAX_TILES, Scatter
 from .squares import Squares
 from .tile import FINEST, POINTS, tile
 
+if TYPE_CHECKING:
+    from .points import ScatterRequest
+
 SPARE = 1.25  # candidates placed over those needed, since a slow camera needs a few more in the next frame
 
 
@@ -45,10 +50,10 @@ class ScatterGround:
     pattern: Pattern
     tiles: int
     style: kernels.ScatterStyle
-    candidates: Candidates = field(default_factory=Candidates)
+    candidates: Candidates = dataclasses.field(default_factory=Candidates)
 
     @classmethod
-    def of(cls, field: HeightField, request) -> "ScatterGround":
+    def of(cls, field: HeightField, request: "ScatterRequest") -> "ScatterGround":
         """Return the ground of a ScatterRequest without candidates."""
         scale = vertical(request.vertical_scale, request.vertical_offset)
         valid = np.empty(0, np.uint8) if field.valid is None else field.valid
@@ -58,7 +63,7 @@ class ScatterGround:
         flags, style = flat(np.ascontiguousarray(valid), wp.uint8), _style(request.scatter, tiles)
         return cls(field, request.scatter, scale, request.boundary, box, domain, detail, flags, pattern, tiles, style)
 
-    def is_of(self, field: HeightField, request) -> bool:
+    def is_of(self, field: HeightField, request: "ScatterRequest") -> bool:
         """Return whether this is the ground of a ScatterRequest."""
         scale, one, other = (request.vertical_scale, request.vertical_offset), self.boundary, request.boundary
         same = field is self.field and request.scatter == self.scatter and scale == self.scale

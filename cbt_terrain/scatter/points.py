@@ -8,6 +8,7 @@ down to 0, where the density is a little less. Points therefore appear and vanis
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -63,7 +64,7 @@ class ScatterPoints:
 
     def only(self, which: np.ndarray) -> "ScatterPoints":
         """Return the points with the indices, or the mask, `which`."""
-        return ScatterPoints(*(getattr(self, name)[which] for name in ARRAYS), self.tested)
+        return ScatterPoints(**{name: getattr(self, name)[which] for name in ARRAYS}, tested=self.tested)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,7 @@ class ScatterRequest:
 
 
 def scatter_points(
-    field: HeightField, scatter: Scatter, views: Iterable[View] = (), threads: int | None = None, **placed
+    field: HeightField, scatter: Scatter, views: Iterable[View] = (), threads: int | None = None, **placed: Any
 ) -> ScatterPoints:
     """Return the points that views see, or without views all points at full density. placed: see ScatterRequest."""
     return place_points(field, ScatterRequest(scatter, views, **placed), FrameHistory(), threads)
@@ -136,7 +137,7 @@ def _points(
     first = flat((np.cumsum(counts) - counts).astype(np.int32), wp.int32)
     inputs = [listed, first, candidates, chosen, ground.style, _room(history, total)]
     launch.slices(kernels.fill_points, [[*piece, *inputs] for piece in pieces_of(counts, threads)], step="tell")
-    return ScatterPoints(*(history.lend(history.points, name, total) for name in ARRAYS), tested)
+    return ScatterPoints(**{name: history.lend(history.points, name, total) for name in ARRAYS}, tested=tested)
 
 
 def _seen(request: ScatterRequest, views: list[View], ground: ScatterGround) -> Views:

@@ -47,7 +47,7 @@ class Scatter:
     margin_m: float = 0.0
     seed: int = 0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         keep_plain_numbers(self, "The scatter's")
         for name, low, high, unit in (
             ("spacing", 1e-4, LARGEST, "metres"),

@@ -90,5 +90,5 @@ def shifts(tiles: np.ndarray, seed: int) -> np.ndarray:
     return found
 
 
-def _key(window: np.ndarray, rank: np.ndarray) -> np.ndarray:
+def _key(window: np.ndarray, rank: np.ndarray | int) -> np.ndarray:
     return window * (POINTS + 1) + rank

@@ -56,7 +56,7 @@ class ConcurrentBinaryTree:
     Memory grows by doubling: 28 bytes for each word that a page has room for.
     """
 
-    def __init__(self, max_depth: int, threads: int | None = 1):
+    def __init__(self, max_depth: int, threads: int | None = 1) -> None:
         if not (isinstance(max_depth, int) and MIN_DEPTH <= max_depth <= MAX_DEPTH):
             raise TerrainError(
                 f"The tree's depth is {max_depth!r}", expected=f"a whole number, {MIN_DEPTH} .. {MAX_DEPTH}"

@@ -19,6 +19,7 @@ import sys
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -110,7 +111,7 @@ def _fault(path: Path, what: str, expected: str) -> TerrainError:
     return TerrainError(f"In the camera path {path}, {what}", expected=expected)
 
 
-def _clip(path, data: dict) -> tuple[float, float]:
+def _clip(path: Path, data: dict) -> tuple[float, float]:
     """Return the clip range, metres; a start beyond the end is allowed and clips nothing."""
     start, end = _numbers(path, "the file", {"clip": [0.1, 1e6]} | data, "clip", 2)
     if start == end or not math.isfinite(2 * start * end / (start - end)):
@@ -118,7 +119,7 @@ def _clip(path, data: dict) -> tuple[float, float]:
     return start, end
 
 
-def _fov(path, where: str, data: dict, sensor: float) -> float:
+def _fov(path: Path, where: str, data: dict, sensor: float) -> float:
     """Return the field of view in degrees: `fov`, else computed from `lens`, else 50."""
     if "lens" in data and "fov" not in data:
         lens = _number(path, where, data, "lens")
@@ -131,17 +132,17 @@ def _fov(path, where: str, data: dict, sensor: float) -> float:
     return fov
 
 
-def _only(path, where: str, data: dict, known: set[str]) -> None:
+def _only(path: Path, where: str, data: dict, known: set[str]) -> None:
     if unknown := sorted(set(data) - known):
         raise _fault(path, f"{where} has {unknown[0]!r}", ", ".join(sorted(known)))
 
 
-def _number(path, where: str, data: dict, name: str, default: float | None = None) -> float:
+def _number(path: Path, where: str, data: dict, name: str, default: float | None = None) -> float:
     return _numbers(path, where, {name: [data.get(name, default)]}, name, 1)[0]
 
 
-def _numbers(path, where: str, data: dict, name: str, count: int) -> list[float]:
-    value = data.get(name)
+def _numbers(path: Path, where: str, data: dict, name: str, count: int) -> list[float]:
+    value: Any = data.get(name)
     good = isinstance(value, list) and len(value) == count
     if not good or not all(type(v) in (int, float) and abs(v) <= sys.float_info.max for v in value):
         shown = value[0] if isinstance(value, list) and count == 1 else value

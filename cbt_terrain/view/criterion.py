@@ -56,7 +56,7 @@ class Criterion:
     meshlet: int = 0
     morph: float = 1.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         keep_plain_numbers(self, "The criterion's")
         for setting in SETTINGS:
             setting.check(getattr(self, setting.name))

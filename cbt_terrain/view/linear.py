@@ -7,13 +7,15 @@ Python's `sum` compensates rounding from 3.12 on. `math.hypot` and `**` are the 
 
 import math
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 SWEEPS = 60  # of Jacobi rotations; three columns are at right angles after six or so
 
 
-def add_up(terms: Iterable):
+def add_up(terms: Iterable) -> Any:
     """Return the sum of floats or arrays, added from left to right."""
     total = 0.0
     for term in terms:
@@ -27,7 +29,7 @@ def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return add_up(np.multiply.outer(a[:, k], b[k]) for k in range(a.shape[1]))
 
 
-def length(vector: np.ndarray) -> float:
+def length(vector: ArrayLike) -> float:
     """Euclidean length of numbers, of any shape."""
     return math.sqrt(add_up(x * x for x in np.asarray(vector, np.float64).reshape(-1).tolist()))
 

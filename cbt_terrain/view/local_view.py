@@ -113,7 +113,8 @@ def guard_margins(view: View, guard_deg: float) -> tuple[float, float]:
     if view.kind != PERSPECTIVE:
         return guard_deg, guard_deg
     fields = [settled(math.degrees(math.atan(high) - math.atan(low))) for low, high in view.bounds()]
-    return tuple(guard_deg * min(1.0, field / NORMAL_FOV) for field in fields)
+    across, along = (guard_deg * min(1.0, field / NORMAL_FOV) for field in fields)
+    return across, along
 
 
 def _narrowness(view: View) -> float:

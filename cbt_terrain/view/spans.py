@@ -144,7 +144,10 @@ def _up(view: View, placement: np.ndarray) -> np.ndarray:
 
 def _aspect(view: View) -> tuple[float, float]:
     """Return pixels across and along the view, in parts of `pixels_per_unit`."""
-    return tuple(abs(float(view.projection[k, k])) * view.resolution[k] / 2 / view.pixels_per_unit for k in (0, 1))
+    assert view.projection is not None, "a panorama has no frame"
+    scales, unit = view.projection, view.pixels_per_unit
+    across, along = (abs(float(scales[k, k])) * view.resolution[k] / 2 / unit for k in (0, 1))
+    return across, along
 
 
 def whole_of(view: View, placement: np.ndarray, slant: float) -> float:

@@ -34,7 +34,7 @@ class View:
     clip: tuple[float, float] = (0.1, 1e30)
     radians_per_pixel: float = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         matrix = np.array(self.world_to_camera, np.float64)
         object.__setattr__(self, "world_to_camera", matrix)
         if self.projection is not None:
@@ -68,20 +68,20 @@ class View:
     @property
     def pixels_per_unit(self) -> float:
         """Pixels per unit of tangent (perspective), per metre (orthographic) or per radian (panoramic): the larger."""
-        if self.kind == PANORAMIC:
+        if self.projection is None:  # a panorama
             return 1.0 / self.radians_per_pixel
-        return (
-            float(max(abs(self.projection[0, 0]) * self.resolution[0], abs(self.projection[1, 1]) * self.resolution[1]))
-            / 2
-        )
+        across, along = (abs(self.projection[axis, axis]) * self.resolution[axis] for axis in (0, 1))
+        return float(max(across, along)) / 2
 
     def bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return the frame's left and right, bottom and top: tangents from the view axis (perspective) or metres."""
         at = 2 if self.kind == PERSPECTIVE else 3
         sign = 1.0 if self.kind == PERSPECTIVE else -1.0
+        projection = self.projection
+        assert projection is not None, "a panorama has no frame"
 
         def axis(i: int) -> tuple[float, float]:
-            scale, shift = float(self.projection[i, i]), sign * float(self.projection[i, at])
+            scale, shift = float(projection[i, i]), sign * float(projection[i, at])
             ends = sorted(((-1 + shift) / scale, (1 + shift) / scale))
             return ends[0], ends[1]
 
@@ -152,12 +152,12 @@ class View:
         return cls(matrix, projection, resolution, kind, clip)
 
 
-def listed_views(views: Iterable[View]) -> list[View]:
+def listed_views(views: "Iterable[View] | View") -> list[View]:
     """Return views as a list: those of a list, of a generator, or a single one. Raises TerrainError for others."""
-    found = [views] if isinstance(views, View) else list(views) if isinstance(views, Iterable) else None
-    wrong = [views] if found is None else [view for view in found if not isinstance(view, View)]
-    if wrong:
-        raise TerrainError(f"The views have {shown(repr(wrong[0]))} among them", expected="View objects, one a camera")
+    found: list = list(views) if isinstance(views, Iterable) else [views]
+    for view in found:
+        if not isinstance(view, View):
+            raise TerrainError(f"The views have {shown(repr(view))} among them", expected="View objects, one a camera")
     return found
 
 
@@ -174,4 +174,5 @@ def _checked_resolution(resolution: object) -> tuple[float, float]:
     pixels = plain_number(resolution, tuple[float, float], "The resolution")
     if not all(0 < n <= MAX_PIXELS for n in pixels):
         raise TerrainError(f"The resolution is {resolution}", expected=f"1 to {MAX_PIXELS:,} pixels each way")
-    return tuple(int(n) if n.is_integer() else n for n in pixels)
+    across, along = (int(n) if n.is_integer() else n for n in pixels)
+    return across, along

@@ -46,7 +46,7 @@ ROOMS = {
     ],
     "cbt_terrain": [
         *("errors", "plain_numbers", "run", "view", "field", "tree", "leb", "history", "refine", "mesh", "terrain"),
-        *("query", "attributes", "scatter", "importing", "height_operators", "fit", "accuracy"),
+        *("query", "attributes", "scatter", "importing", "height_operators", "fit", "exporting", "accuracy"),
     ],
     "operators": [
         *("text", "bridge", FEATURES, "handlers", "registration"),

@@ -20,17 +20,19 @@ END = struct.pack(">I", 0) + b"IEND" + struct.pack(">I", zlib.crc32(b"IEND"))
 
 
 class PngFile:
-    """A file of `side` x `side` texels with channels of `depth` bits, written from the top.
+    """A file of `side` x `side` texels, or `side` x `lines`, with channels of `depth` bits, written from the top.
 
     `text`: a comment in the file. `pool`: compresses bands while the next ones are computed.
     """
 
-    def __init__(self, path: Path, side: int, channels: int, depth: int, text: str, pool: Executor) -> None:
-        self._pool, self._waiting = pool, []
-        self._adler, self._length = 1, side * (1 + side * channels * depth // 8)
+    def __init__(
+        self, path: Path, side: int, channels: int, depth: int, text: str, pool: Executor, lines: int = 0
+    ) -> None:
+        self._pool, self._waiting, lines = pool, [], lines or side
+        self._adler, self._length = 1, lines * (1 + side * channels * depth // 8)
         self._file = open(path, "wb")
         self._file.write(SIGNATURE)
-        self._chunk(b"IHDR", struct.pack(">IIBBBBB", side, side, depth, COLOUR[channels], 0, 0, 0))
+        self._chunk(b"IHDR", struct.pack(">IIBBBBB", side, lines, depth, COLOUR[channels], 0, 0, 0))
         self._chunk(b"tEXt", KEYWORD + b"\0" + text.encode("latin-1"))
         self._chunk(b"IDAT", b"\x78\x01")  # the head of a zlib stream
 

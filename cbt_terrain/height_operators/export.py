@@ -6,12 +6,15 @@ a sample, holes are NaN. GDAL writes in a child process, since it clashes with B
 """
 
 import os
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ..attributes.exr import ExrFile
+from ..attributes.png import PngFile
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
 from ..field.store import open_store
@@ -102,8 +105,105 @@ def _write_tiffs(_field: HeightField, store: Path, files: dict[str, Path]) -> No
     ask(MODULE, request, f"the store {store}")
 
 
+@dataclass(frozen=True)
+class RasterShape:
+    """Size and position of one raster file.
+
+    Attributes:
+        width, height: samples of a row and of a column.
+        transform: six numbers from pixels to coordinates, in rasterio's order.
+        crs: name of the coordinate system, "" if it has none.
+        has_missing: whether NaN marks missing samples.
+        name: of the band.
+    """
+
+    width: int
+    height: int
+    transform: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
+    crs: str = ""
+    has_missing: bool = False
+    name: str = HEIGHTS
+
+
+class RowFile:
+    """A raster that is written in bands of rows from the top. `file`: a PngFile, an ExrFile, or a binary file."""
+
+    def __init__(self, file, dtype: np.dtype):
+        self._file, self._dtype = file, dtype
+
+    def add(self, rows: np.ndarray) -> None:
+        """Write the next rows [lines, columns]."""
+        rows = np.ascontiguousarray(rows, self._dtype)
+        if isinstance(self._file, PngFile):
+            self._file.add(rows.view(np.uint8))
+        elif isinstance(self._file, ExrFile):
+            self._file.add(rows[..., None])
+        else:
+            self._file.write(rows.tobytes())
+
+    def close(self) -> None:
+        """Complete the file."""
+        self._file.close()
+
+    def leave(self) -> None:
+        """Close the file without completing it."""
+        getattr(self._file, "leave", self._file.close)()
+
+
+def _open_png(path: Path, shape: RasterShape, dtype: np.dtype, pool: Executor) -> RowFile:
+    return RowFile(PngFile(path, shape.width, 1, 8 * dtype.itemsize, "", pool, shape.height), dtype)
+
+
+def _open_exr(path: Path, shape: RasterShape, dtype: np.dtype, pool: Executor) -> RowFile:
+    return RowFile(ExrFile(path, shape.width, 1, 32, "", pool, shape.height), dtype)
+
+
+def _open_raw(path: Path, _shape: RasterShape, dtype: np.dtype, _pool: Executor) -> RowFile:
+    return RowFile(open(path, "wb"), dtype)
+
+
+def _convert_to_tiffs(paths: Iterable[Path], shapes: Iterable[RasterShape]) -> None:
+    """Turn RAW files of float32 into GeoTIFF files in one child process."""
+    raws = [{"path": str(path.absolute()), "shape": asdict(shape)} for path, shape in zip(paths, shapes, strict=True)]
+    ask(MODULE, {"store": raws[0]["path"], "raws": raws}, "the rows of GeoTIFF files")
+
+
+@dataclass(frozen=True)
+class RasterFormat:
+    """A format of exported rasters.
+
+    Attributes:
+        dtype: of the file's numbers; integers need a scale and an offset.
+        open: open(path, shape, dtype, pool) returns a RowFile.
+        finish: finish(paths, shapes) completes files that `open` has written, None if nothing is left to do.
+        keeps_missing: whether NaN marks missing samples; they are filled in other formats.
+        export: export(field, store, files) writes rasters of a whole store, None if `export_raster` does not offer it.
+    """
+
+    dtype: np.dtype
+    open: Callable[[Path, RasterShape, np.dtype, Executor], RowFile]
+    finish: Callable[[Iterable[Path], Iterable[RasterShape]], None] | None = None
+    keeps_missing: bool = False
+    export: Callable[[HeightField, Path, dict[str, Path]], None] | None = None
+
+    @property
+    def is_integer(self) -> bool:
+        """Return whether values are whole numbers from 0."""
+        return self.dtype.kind == "u"
+
+
+_TIFF = RasterFormat(np.dtype("<f4"), _open_raw, _convert_to_tiffs, True, _write_tiffs)
+FORMATS = {
+    ".tif": _TIFF,
+    ".tiff": _TIFF,
+    ".exr": RasterFormat(np.dtype("<f4"), _open_exr, keeps_missing=True, export=_write_exrs),
+    ".png": RasterFormat(np.dtype(">u2"), _open_png),
+    ".r16": RasterFormat(np.dtype("<u2"), _open_raw),
+    ".r32": RasterFormat(np.dtype("<f4"), _open_raw),
+}
+MASK_FORMAT = RasterFormat(np.dtype("u1"), _open_png)
 # By suffix: a function that writes the rasters of a store into files, by the names of layers.
-WRITERS = {".tif": _write_tiffs, ".tiff": _write_tiffs, ".exr": _write_exrs}
+WRITERS = {suffix: form.export for suffix, form in FORMATS.items() if form.export is not None}
 
 
 def child_main() -> None:
@@ -113,50 +213,58 @@ def child_main() -> None:
 
 def _answer(request: dict, *_) -> list[str]:
     child.end_with_parent()
+    if "raws" in request:
+        for raw in request["raws"]:
+            shape = RasterShape(**raw["shape"])
+            samples = np.fromfile(raw["path"], "<f4").reshape(shape.height, shape.width)
+            bands = (samples[first : first + LINES] for first in range(0, shape.height, LINES))
+            _write_tiff(Path(raw["path"]), bands, shape)
+        return []
     field = open_store(request["store"])
-    georeference = _georeference(field, request["store"])
+    transform, crs = _georeference(field, request["store"])
     for name, path in request["files"].items():
-        try:
-            _write_tiff(field, name, Path(path), georeference)
-        except OSError as reason:
-            raise _not_written(Path(path), reason) from reason
+        lattice, missing = field.lattice, field.valid is not None
+        shape = RasterShape(lattice.width, lattice.height, transform[:6], crs, missing, name)
+        bands = (_rows(field, name, first) for first in range(0, lattice.height, LINES))
+        _write_tiff(Path(path), bands, shape)
     return list(request["files"].values())
 
 
-def _write_tiff(field: HeightField, name: str, path: Path, georeference: tuple) -> None:
+def _write_tiff(path: Path, bands: Iterable[np.ndarray], shape: RasterShape) -> None:
+    """Write bands of LINES rows to a GeoTIFF. Raises TerrainError."""
     import rasterio
+    from rasterio.transform import Affine
     from rasterio.windows import Window
 
-    lattice, (transform, crs) = field.lattice, georeference
-    options = {"driver": "GTiff", "width": lattice.width, "height": lattice.height, "count": 1, "dtype": "float32"}
-    options |= {"transform": transform, "crs": crs, "nodata": float("nan") if field.valid is not None else None}
+    options = {"driver": "GTiff", "width": shape.width, "height": shape.height, "count": 1, "dtype": "float32"}
+    options |= {"transform": Affine(*shape.transform), "crs": shape.crs or None}
+    options |= {"nodata": float("nan") if shape.has_missing else None}
     options |= {"compress": "deflate", "predictor": 3, "tiled": True, "BIGTIFF": "IF_SAFER"}
-    with written_beside(path) as partial:
-        try:
-            with rasterio.open(partial, "w", **options) as file:
-                file.set_band_description(1, name)
-                for first in range(0, lattice.height, LINES):
-                    rows = _rows(field, name, first)
-                    file.write(rows, 1, window=Window(0, first, lattice.width, len(rows)))
-        except rasterio.errors.RasterioError as reason:
-            raise OSError(f"GDAL: {reason}") from reason
+    try:
+        with written_beside(path) as partial, rasterio.open(partial, "w", **options) as file:
+            file.set_band_description(1, shape.name)
+            for k, rows in enumerate(bands):
+                file.write(rows, 1, window=Window(0, k * LINES, shape.width, len(rows)))
+    except rasterio.errors.RasterioError as reason:
+        raise _not_written(path, OSError(f"GDAL: {reason}")) from reason
+    except OSError as reason:
+        raise _not_written(path, reason) from reason
 
 
 def _georeference(field: HeightField, store: str) -> tuple:
-    """Return the transform from pixels to coordinates and the coordinate system, None if it has no name.
+    """Return the transform from pixels to coordinates and the coordinate system, "" if it has no name.
 
     For a terrain without a system, rotated against it, or with an extent set by the user, coordinates are metres from
     the centre.
     """
-    from rasterio.crs import CRS
     from rasterio.transform import Affine
 
     lattice, step_x, step_y = field.lattice, field.lattice.step_x, field.lattice.step_y
-    x, y, crs = 0.0, 0.0, None
+    x, y, crs = 0.0, 0.0, ""
     if is_placed(field, store):
         x, y = (float(c) for c in field.origin[:2])
         if field.crs:
-            crs = CRS.from_string(field.crs)
+            crs = field.crs
             metres_x, metres_y = unit_lengths(field)
             step_x, step_y = step_x / metres_x, step_y / metres_y
     west, north = x - lattice.width / 2 * step_x, y + lattice.height / 2 * step_y

@@ -1,0 +1,332 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Height rasters and masks in tiles for game engines, and one JSON file with their scale and position.
+
+Samples are points of the terrain's surface without displacement. Integer formats share one scale and one offset:
+height = offset + scale * number. The largest difference to the surface is counted while the tiles are written.
+"""
+
+import json
+import math
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..attributes.attribute import AttributeRequest, SamplePoints
+from ..attributes.catalogue import ATTRIBUTES
+from ..attributes.evaluate import values_at
+from ..attributes.splat import NAMES as SPLATS
+from ..errors import TerrainError
+from ..field.heightfield import HeightField, with_detail
+from ..height_operators.export import FORMATS, LINES, MASK_FORMAT, RasterFormat, RasterShape
+from ..importing.placing import Placing, is_placed, placing_of
+from ..query.ground import ground_at
+from ..run import launch, stopping
+from ..run.partial_files import written_beside
+from .tile_grid import TileAxis, axes_of
+
+VERSION = 1
+PATTERN = "{name}_x{x}_y{y}"
+HOLES = "holes"
+# Unreal: height in cm = (number - 32768) / 128 * scale Z.
+UNREAL_MIDDLE, UNREAL_STEP = 32_768, 12_800.0
+
+
+@dataclass(frozen=True)
+class HeightTiles:
+    """Settings of tiles. `size`, `tiles`, `overlap`: see `axes_of`.
+
+    Attributes:
+        form: a suffix of FORMATS without its dot.
+        is_flipped: whether the first row of a tile, and the first row of tiles, are the southern ones.
+        pattern: name of a tile without suffix, with {name}, {x} and {y}; `name` is the first of these.
+    """
+
+    form: str = "png"
+    size: int = 0
+    tiles: tuple[int, int] | None = None
+    overlap: int = 1
+    is_flipped: bool = False
+    name: str = "terrain"
+    pattern: str = PATTERN
+
+
+@dataclass
+class _Layer:
+    """One raster in tiles: its numbers in the file are (value - offset) / scale, and `max_error` is counted."""
+
+    name: str
+    form: RasterFormat
+    suffix: str
+    source: AttributeRequest | None = None
+    channel: int = 0
+    low: float = math.inf
+    high: float = -math.inf
+    max_error: float = 0.0
+
+    @property
+    def has_range(self) -> bool:
+        return self.low <= self.high
+
+    @property
+    def offset(self) -> float:
+        return self.low if self.form.is_integer else 0.0
+
+    @property
+    def scale(self) -> float:
+        """Return the value of one step of the file's numbers."""
+        if not self.form.is_integer:
+            return 1.0
+        return ((self.high - self.low) or 1.0) / np.iinfo(self.form.dtype).max
+
+    def widen(self, values: np.ndarray) -> None:
+        self.low, self.high = min(self.low, float(values.min())), max(self.high, float(values.max()))
+
+    def coded(self, values: np.ndarray) -> np.ndarray:
+        """Return the numbers of float64 values in the file, and count their largest error."""
+        if self.form.is_integer:
+            steps = np.clip(np.rint((values - self.offset) / self.scale), 0, np.iinfo(self.form.dtype).max)
+            numbers = steps.astype(self.form.dtype)
+        else:
+            numbers = values.astype(self.form.dtype)
+        self.max_error = max(self.max_error, float(abs(self.offset + self.scale * numbers - values).max()))
+        return numbers
+
+    def to_json(self) -> dict:
+        numbers = {"low": self.low, "high": self.high, "scale": self.scale, "offset": self.offset}
+        return numbers | {"type": self.form.dtype.name, "max_error": self.max_error}
+
+
+class _Samples:
+    """Bands of a grid: heights, attributes and holes at its samples."""
+
+    def __init__(self, field: HeightField, axes: tuple[TileAxis, TileAxis], layers: list[_Layer], flipped: bool):
+        self.field, self.layers = with_detail(field, None), layers
+        self.filled = self.field.with_raster(valid=None)
+        self.axes, self.threads = axes, launch.default_threads()
+        west, south, _, north = field.lattice.rectangle()
+        self.x = west + axes[0].places
+        self.y = south + axes[1].places if flipped else north - axes[1].places
+        steps = axes[0].spacing / field.lattice.step_x, axes[1].spacing / field.lattice.step_y
+        self.level = max(0.0, math.log2(max(steps)))
+
+    def band(self, rows: slice) -> tuple[np.ndarray, np.ndarray | None, list[np.ndarray]]:
+        """Return heights, where ground is (None: everywhere), and values of all layers after the first, of rows."""
+        x, y = np.meshgrid(self.x, self.y[rows])
+        places, shape = np.stack([x.ravel(), y.ravel()], -1), x.shape
+        heights = ground_at(self.filled, places, threads=self.threads).heights
+        inside = None
+        if self.field.valid is not None:
+            inside = ground_at(self.field, places, threads=self.threads).inside.reshape(shape)
+        requests = list({layer.source.name: layer.source for layer in self.layers if layer.source}.values())
+        positions = np.column_stack([places, heights]).astype(np.float32)
+        level = np.full(len(places), self.level, np.float32)
+        found = values_at(SamplePoints(self.field, positions, level, threads=self.threads), requests)
+        values = []
+        for layer in self.layers[1:]:
+            if layer.source is None:
+                assert inside is not None  # the layer of holes
+                values.append(1.0 - inside)
+            else:
+                some = found[layer.source.name].reshape(*shape, -1)[..., layer.channel]
+                values.append(some.astype(np.float64))
+        return heights.reshape(shape), inside, values
+
+    def bands(self, first: int, end: int) -> Iterator[slice]:
+        """Yield the rows first .. end in bands of LINES."""
+        for row in range(first, end, LINES):
+            stopping.check()
+            yield slice(row, min(row + LINES, end))
+
+
+def export_height_tiles(
+    field: HeightField,
+    out: Path,
+    settings: HeightTiles,
+    masks: Sequence[AttributeRequest] = (),
+    on_progress: Callable[[float], None] = lambda _fraction: None,
+) -> dict:
+    """Write the tiles of a store's field and NAME.json into the folder `out`; return the content of that file.
+
+    masks: attributes that become 8-bit PNG files with the same tiles. Raises TerrainError.
+    """
+    suffix = f".{settings.form.lower()}"
+    if suffix not in FORMATS:
+        raise TerrainError(f"{settings.form!r} is no format of height tiles", expected=", ".join(n[1:] for n in FORMATS))
+    if not out.is_dir():
+        raise TerrainError(f"There is no folder {out} to write into", fix="create it or choose another")
+    axes = axes_of(field.lattice, settings.size, settings.tiles, settings.overlap)
+    layers = [_Layer("", FORMATS[suffix], suffix), *_mask_layers(masks)]
+    if field.valid is not None:
+        layers.append(_Layer(HOLES, MASK_FORMAT, ".png", low=0.0, high=1.0))
+    names = _names(settings, axes, layers)
+    field.raster.check_samples()
+    samples = _Samples(field, axes, layers, settings.is_flipped)
+    place = _placing(field)
+    tile_rows = range(axes[1].tiles)
+    if any(layer.form.is_integer and not layer.has_range for layer in layers):
+        _measure(samples, layers, lambda done: on_progress(0.4 * done))
+    try:
+        for row in tile_rows:
+            _write_row(samples, out, names, row, place, settings)
+            on_progress(0.4 + 0.6 * (row + 1) / len(tile_rows))
+        index = _index(samples, names, place, settings)
+        with written_beside(out / f"{settings.name}.json") as partial:
+            partial.write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
+    except OSError as reason:
+        fix = "make room or choose another folder"
+        raise TerrainError(f"The tiles in {out} cannot be written ({reason.strerror or reason})", fix=fix) from reason
+    return index
+
+
+def _mask_layers(masks: Sequence[AttributeRequest]) -> list[_Layer]:
+    """Return a layer for each number of each attribute; of splat layers, only those that exist, with their names."""
+    layers = []
+    for request in masks:
+        attribute = ATTRIBUTES[request.name]
+        names = [request.name if attribute.width == 1 else f"{request.name}_{k + 1}" for k in range(attribute.width)]
+        if request.name in SPLATS:
+            first = attribute.width * SPLATS.index(request.name)
+            splats = (attribute.defaults() | dict(request.parameters))["layers"]
+            names = [layer.name for layer in splats[first : first + attribute.width]]
+        low, high = attribute.span or (math.inf, -math.inf)
+        for channel, name in enumerate(names):
+            layers.append(_Layer(name, MASK_FORMAT, ".png", request, channel, low, high))
+    return layers
+
+
+def _names(settings: HeightTiles, axes: tuple[TileAxis, TileAxis], layers: list[_Layer]) -> dict[tuple, str]:
+    """Return the names of all files by layer, x and y. Raises TerrainError for a pattern that does not give them."""
+    names = {}
+    for k, layer in enumerate(layers):
+        name = f"{settings.name}_{layer.name}" if layer.name else settings.name
+        for y in range(axes[1].tiles):
+            for x in range(axes[0].tiles):
+                try:
+                    names[k, x, y] = settings.pattern.format(name=name, x=x, y=y) + layer.suffix
+                except (LookupError, ValueError, AttributeError):
+                    names[k, x, y] = ""
+    used = [*names.values(), f"{settings.name}.json"]
+    bad = [name for name in used if not name or set(name) & set('/\\:*?"<>|\0')]
+    if bad or len({name.casefold() for name in used}) < len(used):
+        what = f"{bad[0]!r} is no file name" if any(bad) else "gives one name to several files, or none"
+        raise TerrainError(
+            f"The pattern {settings.pattern!r} of tiles: {what}", expected=f"{{name}}, {{x}} and {{y}}, as {PATTERN}"
+        )
+    return names
+
+
+def _placing(field: HeightField) -> Placing:
+    """Return the position of a field's middle; metres from the middle if it has none."""
+    if field.path is None or not is_placed(field, field.path):
+        return Placing()
+    return placing_of(field.path) if field.crs else Placing(*(float(c) for c in field.origin[:2]))
+
+
+def _measure(samples: _Samples, layers: list[_Layer], on_progress: Callable[[float], None]) -> None:
+    """Find the ranges of integer layers without a range in a pass over all samples."""
+    total, wanted = samples.axes[1].inside, [not layer.has_range for layer in layers]
+    for rows in samples.bands(0, total):
+        heights, _, values = samples.band(rows)
+        for layer, some, is_wanted in zip(layers, [heights, *values], wanted, strict=True):
+            if is_wanted:
+                layer.widen(some)
+        on_progress(rows.stop / total)
+
+
+def _write_row(
+    samples: _Samples, out: Path, names: dict[tuple, str], y: int, place: Placing, settings: HeightTiles
+) -> None:
+    """Write one row of tiles of all layers."""
+    across, down = samples.axes
+    with ExitStack() as stack:
+        pool = stack.enter_context(ThreadPoolExecutor(2, "adaptive_terrain_export"))
+        tiles: list[tuple] = []
+        for k, layer in enumerate(samples.layers):
+            for x in range(across.tiles):
+                partial = stack.enter_context(written_beside(out / names[k, x, y]))
+                transform, crs = _transform(samples, place, across.first(x), down.first(y))
+                missing = samples.field.valid is not None and layer.form.keeps_missing
+                shape = RasterShape(across.size, down.size, transform, crs, missing)
+                file = layer.form.open(partial, shape, layer.form.dtype, pool)
+                stack.callback(file.leave)
+                tiles.append((k, slice(across.first(x), across.first(x) + across.size), file, partial, shape))
+        for rows in samples.bands(down.first(y), down.first(y) + down.size):
+            heights, inside, values = samples.band(rows)
+            if not samples.layers[0].form.is_integer:
+                samples.layers[0].widen(heights)
+            coded = [layer.coded(some) for layer, some in zip(samples.layers, [heights, *values], strict=True)]
+            if inside is not None and samples.layers[0].form.keeps_missing:
+                coded[0][~inside] = np.nan
+            for k, columns, file, _, _ in tiles:
+                file.add(coded[k][:, columns])
+        for _, _, file, _, _ in tiles:
+            file.close()
+        finish = samples.layers[0].form.finish
+        if finish is not None:
+            own = [(partial, shape) for k, _, _, partial, shape in tiles if k == 0]
+            finish(*zip(*own, strict=True))
+
+
+def _transform(samples: _Samples, place: Placing, column: int, row: int) -> tuple[tuple[float, ...], str]:
+    """Return the transform from pixels, whose centres are samples, to coordinates, and the coordinate system."""
+    step_x, step_y = _steps(samples, place)
+    x, y = _origin(samples, place)
+    return (step_x, 0.0, x + (column - 0.5) * step_x, 0.0, step_y, y + (row - 0.5) * step_y), place.crs
+
+
+def _steps(samples: _Samples, place: Placing) -> tuple[float, float]:
+    """Return the step of a column and of a row in coordinates."""
+    sign = 1.0 if samples.y[-1] > samples.y[0] else -1.0
+    return samples.axes[0].spacing / place.metres_x, sign * samples.axes[1].spacing / place.metres_y
+
+
+def _origin(samples: _Samples, place: Placing) -> list[float]:
+    """Return the coordinates of the first sample."""
+    return [float(c) for c in place.from_terrain(np.array([samples.x[0], samples.y[0]]))]
+
+
+def _index(samples: _Samples, names: dict[tuple, str], place: Placing, settings: HeightTiles) -> dict:
+    """Return the content of the JSON file."""
+    axes, heights = samples.axes, samples.layers[0]
+    index = {
+        "version": VERSION,
+        "generator": "Adaptive Terrain",
+        "tile_size": [axis.size for axis in axes],
+        "overlap": settings.overlap,
+        "num_tiles": [axis.tiles for axis in axes],
+        "num_samples": [axis.total for axis in axes],
+        "num_samples_on_terrain": [axis.inside for axis in axes],
+        "first_row": "south" if settings.is_flipped else "north",
+        "spacing_m": [axis.spacing for axis in axes],
+        "origin": _origin(samples, place),
+        "step": list(_steps(samples, place)),
+        "crs": place.crs,
+        "holes": "none" if samples.field.valid is None else "NaN" if heights.form.keeps_missing else "filled",
+        "heights": heights.to_json() | {"unit": "m"},
+        "masks": [
+            layer.to_json()
+            | {"name": layer.name, "attribute": layer.source.name if layer.source else HOLES}
+            | {"unit": ATTRIBUTES[layer.source.name].unit if layer.source else "1"}
+            for layer in samples.layers[1:]
+        ],
+    }
+    if heights.form.is_integer and not settings.is_flipped:
+        index["unreal"] = {
+            "scale_x": 100.0 * axes[0].spacing,
+            "scale_y": 100.0 * axes[1].spacing,
+            "scale_z": UNREAL_STEP * heights.scale,
+            "location_x": 100.0 * float(samples.x[0]),
+            "location_y": -100.0 * float(samples.y[0]),
+            "location_z": 100.0 * (heights.offset + UNREAL_MIDDLE * heights.scale),
+        }
+    index["tiles"] = [
+        {"x": x, "y": y, "column": axes[0].first(x), "row": axes[1].first(y), "file": names[0, x, y]}
+        | {"masks": {layer.name: names[k, x, y] for k, layer in enumerate(samples.layers) if k}}
+        for y in range(axes[1].tiles)
+        for x in range(axes[0].tiles)
+    ]
+    return index

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A grid of samples over a terrain, divided into tiles of one size."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..errors import TerrainError
+from ..field.lattice import Lattice
+
+MAX_TILE, MAX_TILES = 32_768, 10_000
+# Samples a side that fill Unreal's landscape components completely (Landscape Technical Guide).
+UNREAL_SIZES = (505, 1009, 2017, 4033, 8129)
+
+
+@dataclass(frozen=True)
+class TileAxis:
+    """The samples of a grid along one axis.
+
+    Attributes:
+        size: samples of a tile.
+        tiles: number of tiles.
+        overlap: samples that neighbouring tiles share.
+        spacing: metres between samples.
+        length: metres of the terrain. Samples beyond repeat the border.
+    """
+
+    size: int
+    tiles: int
+    overlap: int
+    spacing: float
+    length: float
+
+    @property
+    def total(self) -> int:
+        """Return the number of samples."""
+        return self.tiles * (self.size - self.overlap) + self.overlap
+
+    @property
+    def inside(self) -> int:
+        """Return the number of samples on the terrain."""
+        return min(self.total, round(self.length / self.spacing) + 1)
+
+    def first(self, tile: int) -> int:
+        """Return the first sample of a tile."""
+        return tile * (self.size - self.overlap)
+
+    @cached_property
+    def places(self) -> np.ndarray:
+        """Return the positions of the samples, float64 metres from the first."""
+        return np.minimum(np.arange(self.total) * self.spacing, self.length)
+
+
+def axes_of(lattice: Lattice, size: int, tiles: tuple[int, int] | None, overlap: int) -> tuple[TileAxis, TileAxis]:
+    """Return the axes from west to east and between north and south. Raises TerrainError.
+
+    Args:
+        lattice: of the terrain.
+        size: samples of a tile's side; 0 for one tile with the samples of the raster.
+        tiles: number of tiles along x and y that cover the terrain exactly, with another spacing of the samples; None
+            keeps the raster's spacing, and the last tiles reach beyond its border.
+        overlap: samples that neighbouring tiles share, 0 or 1.
+    """
+    if overlap not in (0, 1):
+        raise TerrainError(f"Tiles overlap by {overlap} samples", expected="0 or 1")
+    if size and not 2 <= size <= MAX_TILE:
+        raise TerrainError(f"A tile has {size} samples a side", expected=f"2 to {MAX_TILE:,}")
+    if tiles and not size:
+        raise TerrainError("The number of tiles has no size of a tile", expected="samples a side, as 1009")
+    counts = tiles or (0, 0)
+    lines = (lattice.width, lattice.step_x), (lattice.height, lattice.step_y)
+    axes = tuple(_axis(*line, size, count, overlap) for line, count in zip(lines, counts, strict=True))
+    if axes[0].tiles * axes[1].tiles > MAX_TILES:
+        raise TerrainError(
+            f"These are {axes[0].tiles:,} x {axes[1].tiles:,} tiles", expected=f"at most {MAX_TILES:,}", fix="enlarge them"
+        )
+    return axes[0], axes[1]
+
+
+def _axis(samples: int, step: float, size: int, count: int, overlap: int) -> TileAxis:
+    length = (samples - 1) * step
+    if not size:
+        return TileAxis(samples, 1, overlap, step, length)
+    stride = size - overlap
+    if not count:
+        return TileAxis(size, max(1, math.ceil((samples - overlap) / stride)), overlap, step, length)
+    return TileAxis(size, count, overlap, length / (count * stride + overlap - 1), length)

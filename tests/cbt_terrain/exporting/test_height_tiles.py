@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tiles of heights and masks, read back by other libraries and by numpy."""
+
+import json
+
+import numpy as np
+import OpenEXR
+import pytest
+import rasterio
+from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.exporting.height_tiles import HeightTiles, export_height_tiles
+from adaptive_terrain.cbt_terrain.exporting.tile_grid import UNREAL_SIZES, axes_of
+from adaptive_terrain.cbt_terrain.field.lattice import fit
+from rasterio.transform import Affine
+from rasters import hills, imported, write_raster
+
+UTM = {"crs": "EPSG:32632", "transform": Affine(30.0, 0, 500_000.0, 0, -20.0, 5_200_000.0)}
+
+
+@pytest.fixture
+def make(tmp_path):
+    """Import 100 x 75 pixels, write tiles of them, and return the heights and the JSON file."""
+
+    def make(settings, masks=(), holes=False, heights=None, **place):
+        heights = hills(100, 75) if heights is None else heights
+        if holes:
+            heights[10:20, 30:50] = np.nan
+        field, _ = imported(tmp_path, write_raster(tmp_path / "in.tif", heights, **(place or UTM)), holes=holes)
+        (tmp_path / "tiles").mkdir()
+        export_height_tiles(field, tmp_path / "tiles", settings, [AttributeRequest(m, ("test",)) for m in masks])
+        return heights, json.loads((tmp_path / "tiles" / f"{settings.name}.json").read_text())
+
+    return make
+
+
+def read(path, index):
+    """Return the numbers of a tile [rows, columns], without this package."""
+    width, height = index["tile_size"]
+    if path.suffix in (".r16", ".r32"):
+        return np.fromfile(path, "<u2" if path.suffix == ".r16" else "<f4").reshape(height, width)
+    if path.suffix == ".exr":
+        return OpenEXR.File(str(path), separate_channels=True).parts[0].channels["Y"].pixels
+    with rasterio.open(path) as file:
+        assert file.count == 1
+        return file.read(1)
+
+
+def joined(folder, index, mask=None):
+    """Return the whole grid of numbers; assert that shared samples are equal."""
+    width, height = index["num_samples"]
+    whole = np.full((height, width), np.inf)
+    for tile in index["tiles"]:
+        numbers = read(folder / (tile["masks"][mask] if mask else tile["file"]), index)
+        assert numbers.shape == tuple(index["tile_size"][::-1])
+        rows = slice(tile["row"], tile["row"] + len(numbers))
+        part = whole[rows, tile["column"] : tile["column"] + numbers.shape[1]]
+        known = part != np.inf
+        assert (part[known] == numbers[known]).all()
+        part[...] = numbers
+    assert (whole != np.inf).all()
+    return whole
+
+
+def padded(heights, index):
+    width, height = index["num_samples"]
+    return np.pad(heights, ((0, height - heights.shape[0]), (0, width - heights.shape[1])), "edge")
+
+
+@pytest.mark.parametrize("form", ["r32", "exr", "tif"])
+@pytest.mark.parametrize("overlap", [0, 1])
+def test_float_tiles_hold_the_heights_of_the_source(make, tmp_path, form, overlap):
+    heights, index = make(HeightTiles(form, size=40, overlap=overlap))
+    assert index["num_tiles"] == [3, 2] and index["num_samples_on_terrain"] == [100, 75]
+    assert index["num_samples"] == [3 * (40 - overlap) + overlap, 2 * (40 - overlap) + overlap]
+    assert (joined(tmp_path / "tiles", index) == padded(heights, index)).all()
+    assert index["heights"]["max_error"] == 0.0 and (index["heights"]["scale"], index["heights"]["offset"]) == (1, 0)
+    assert sorted(p.name for p in (tmp_path / "tiles").iterdir()) == sorted(
+        ["terrain.json"] + [f"terrain_x{x}_y{y}.{form}" for x in range(3) for y in range(2)]
+    )
+
+
+@pytest.mark.parametrize("form", ["png", "r16"])
+def test_integer_tiles_are_off_by_the_counted_error(make, tmp_path, form):
+    heights, index = make(HeightTiles(form, size=51))
+    numbers = joined(tmp_path / "tiles", index)
+    coding = index["heights"]
+    assert numbers.min() == 0 and numbers.max() == 65535
+    off = abs(coding["offset"] + coding["scale"] * numbers - padded(heights, index)).max()
+    assert coding["max_error"] == pytest.approx(off, rel=1e-9) and 0.4 < off / coding["scale"] <= 0.5 + 1e-9
+    assert coding["low"] == heights.min() and coding["high"] == heights.max()
+
+
+def test_unreal_numbers_give_the_heights_in_centimetres(make, tmp_path):
+    """Unreal: z = location + (number - 32768) / 128 * scale, y points south."""
+    heights, index = make(HeightTiles("r16"))
+    unreal, numbers = index["unreal"], joined(tmp_path / "tiles", index)
+    z = unreal["location_z"] + (numbers - 32768) / 128 * unreal["scale_z"]
+    assert abs(z / 100 - heights).max() < 0.51 * index["heights"]["scale"]
+    assert (unreal["scale_x"], unreal["scale_y"]) == (3000, 2000)
+    assert (unreal["location_x"], unreal["location_y"]) == (-99 * 30 * 100 / 2, -74 * 20 * 100 / 2)
+
+
+def test_geotiff_tiles_lie_where_their_samples_are(make, tmp_path):
+    heights, index = make(HeightTiles("tif", size=40))
+    assert index["crs"] == "EPSG:32632" and index["origin"] == [500_015.0, 5_199_990.0] and index["step"] == [30, -20]
+    for tile in index["tiles"]:
+        with rasterio.open(tmp_path / "tiles" / tile["file"]) as file:
+            assert file.crs.to_epsg() == 32632
+            rows, columns = np.nonzero(np.ones(file.shape, bool))
+            x, y = file.xy(rows, columns)
+            column = np.rint((np.array(x) - 500_015) / 30).astype(int)
+            row = np.rint((5_199_990 - np.array(y)) / 20).astype(int)
+            on = (column < 100) & (row < 75)
+            assert (file.read(1).ravel()[on] == heights[row[on], column[on]]).all() and on.any()
+
+
+def test_flipped_tiles_begin_in_the_south(make, tmp_path):
+    heights, index = make(HeightTiles("r32", size=75, is_flipped=True))
+    assert (joined(tmp_path / "tiles", index) == padded(heights[::-1], index)).all()
+    assert index["first_row"] == "south" and "unreal" not in index
+    assert index["origin"] == [500_015.0, 5_200_000.0 - 74.5 * 20] and index["step"] == [30, 20]
+
+
+def test_a_number_of_tiles_covers_the_terrain_exactly(make, tmp_path):
+    """The samples are those of the bilinear surface at the new spacing."""
+    heights, index = make(HeightTiles("r32", size=64, tiles=(2, 3), overlap=1))
+    assert index["num_samples"] == index["num_samples_on_terrain"] == [127, 190]
+    assert index["spacing_m"] == pytest.approx([99 * 30 / 126, 74 * 20 / 189])
+    x, y = np.meshgrid(np.linspace(0, 99, 127), np.linspace(0, 74, 190))
+    i, j = np.minimum(x.astype(int), 98), np.minimum(y.astype(int), 73)
+    s, t, h = x - i, y - j, heights.astype(float)
+    top, bottom = h[j, i] * (1 - s) + h[j, i + 1] * s, h[j + 1, i] * (1 - s) + h[j + 1, i + 1] * s
+    found = joined(tmp_path / "tiles", index)
+    assert abs(found - (top * (1 - t) + bottom * t)).max() < 1e-3
+    assert 0 < index["heights"]["max_error"] < 4e-5
+
+
+@pytest.mark.parametrize("form", ["png", "tif"])
+def test_holes_become_a_mask(make, tmp_path, form):
+    heights, index = make(HeightTiles(form, size=60), holes=True)
+    holes = joined(tmp_path / "tiles", index, "holes")
+    wanted = np.isnan(padded(heights, index))
+    assert (holes == 255 * wanted).all() and wanted.sum() == 200
+    found = joined(tmp_path / "tiles", index)
+    assert index["holes"] == {"png": "filled", "tif": "NaN"}[form]
+    assert np.isnan(found).sum() == (200 if form == "tif" else 0)
+    good = index["heights"]["offset"] + index["heights"]["scale"] * found
+    assert abs(good - padded(heights, index))[~wanted].max() <= index["heights"]["max_error"] + 1e-9
+
+
+def test_masks_hold_attributes_and_layers_by_name(make, tmp_path):
+    """The slope of a parabola is known."""
+    x = np.arange(100) * 20.0
+    parabola = np.repeat(x[None] ** 2 / 4000, 75, 0).astype(np.float32)
+    square = {"crs": "EPSG:32632", "transform": Affine(20.0, 0, 5e5, 0, -20.0, 5e6)}
+    _, index = make(HeightTiles("png", size=51), ("slope", "splat_1"), heights=parabola, **square)
+    masks = {mask["name"]: mask for mask in index["masks"]}
+    assert list(masks) == ["slope", "Grass", "Scree", "Rock", "Snow"]
+    weights = [joined(tmp_path / "tiles", index, name) for name in list(masks)[1:]]
+    assert abs(sum(weights) - 255).max() <= 2 and all(weight.max() > 200 for weight in weights)
+    slope = joined(tmp_path / "tiles", index, "slope") * masks["slope"]["scale"] + masks["slope"]["offset"]
+    off = abs(slope[:75, :100] - np.arctan(x / 2000))[5:-5, 5:-5].max()
+    assert 0 < off < masks["slope"]["max_error"] + 1e-3 and masks["slope"]["max_error"] <= 0.51 * masks["slope"]["scale"]
+
+
+def test_a_flat_terrain_has_numbers(tmp_path):
+    field, _ = imported(tmp_path, write_raster(tmp_path / "in.tif", np.full((9, 9), 7, np.float32)))
+    index = export_height_tiles(field, tmp_path, HeightTiles("r16"))
+    assert (np.fromfile(tmp_path / "terrain_x0_y0.r16", "<u2") == 0).all()
+    assert index["heights"]["offset"] == 7 and index["heights"]["scale"] > 0 and index["crs"] == ""
+
+
+def test_unreal_sizes_and_counts():
+    for size in UNREAL_SIZES:
+        for overlap in (0, 1):
+            for axis in axes_of(fit(20_001, 8_129), size, None, overlap):
+                samples = round(axis.length) + 1
+                assert axis.total >= samples > axis.total - (size - overlap) and axis.spacing == 1
+                assert axis.inside == samples and axis.places[-1] == axis.length
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        HeightTiles("jpg"),
+        HeightTiles(size=1),
+        HeightTiles(size=40, overlap=2),
+        HeightTiles(tiles=(2, 2)),
+        HeightTiles(size=40, pattern="{name}_x{x}"),
+        HeightTiles(size=40, pattern="{name}_{z}"),
+        HeightTiles(size=40, pattern="{x}{y}{0}"),
+        HeightTiles(size=40, pattern="../{name}_x{x}_y{y}"),
+    ],
+)
+def test_settings_that_cannot_work_are_refused(make, tmp_path, settings):
+    with pytest.raises(TerrainError):
+        make(settings)
+    assert list((tmp_path / "tiles").iterdir()) == []

@@ -11,7 +11,7 @@ from .accuracy import measure as measure_accuracy
 from .accuracy import sweep as sweep_accuracy
 from .attributes import panel as effects_panel
 from .bridge import freed_memory
-from .export import bake_terrain, export_terrain
+from .export import bake_terrain, export_terrain, export_tiles
 from .farm import submit_to_farm
 from .ground import add_collider, drop_to_ground, keep_above, keep_ground, pick_ground, profile_curve, viewshed
 from .ground import properties as keep_properties
@@ -56,6 +56,7 @@ MODULES = (
     shape_land,
     water_surface,
     export_terrain,
+    export_tiles,
     submit_to_farm,
     drop_to_ground,
     keep_above,

@@ -155,7 +155,9 @@ def export_height_tiles(
     """
     suffix = f".{settings.form.lower()}"
     if suffix not in FORMATS:
-        raise TerrainError(f"{settings.form!r} is no format of height tiles", expected=", ".join(n[1:] for n in FORMATS))
+        raise TerrainError(
+            f"{settings.form!r} is no format of height tiles", expected=", ".join(n[1:] for n in FORMATS)
+        )
     if not out.is_dir():
         raise TerrainError(f"There is no folder {out} to write into", fix="create it or choose another")
     axes = axes_of(field.lattice, settings.size, settings.tiles, settings.overlap)
@@ -267,8 +269,8 @@ def _write_row(
             file.close()
         finish = samples.layers[0].form.finish
         if finish is not None:
-            own = [(partial, shape) for k, _, _, partial, shape in tiles if k == 0]
-            finish(*zip(*own, strict=True))
+            written = [(partial, shape) for k, _, _, partial, shape in tiles if k == 0]
+            finish(*zip(*written, strict=True))
 
 
 def _transform(samples: _Samples, place: Placing, column: int, row: int) -> tuple[tuple[float, ...], str]:

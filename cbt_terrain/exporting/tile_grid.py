@@ -74,7 +74,9 @@ def axes_of(lattice: Lattice, size: int, tiles: tuple[int, int] | None, overlap:
     axes = tuple(_axis(*line, size, count, overlap) for line, count in zip(lines, counts, strict=True))
     if axes[0].tiles * axes[1].tiles > MAX_TILES:
         raise TerrainError(
-            f"These are {axes[0].tiles:,} x {axes[1].tiles:,} tiles", expected=f"at most {MAX_TILES:,}", fix="enlarge them"
+            f"These are {axes[0].tiles:,} x {axes[1].tiles:,} tiles",
+            expected=f"at most {MAX_TILES:,}",
+            fix="enlarge them",
         )
     return axes[0], axes[1]
 

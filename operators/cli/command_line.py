@@ -19,7 +19,7 @@ from typing import NoReturn
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.run import stopping
 from ..text.console import BAR, LONGEST_LINE, OPENJD, open_streams, print_line, unwritten
-from . import farm_verbs, verbs
+from . import farm_verbs, tile_verbs, verbs
 from .argument_types import (
     MAX_INT,
     add_settings,
@@ -135,6 +135,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_info(subparsers)
     _add_bake(subparsers)
     _add_export(subparsers)
+    tile_verbs.add_tiles(_verb, subparsers)
     _add_maps(subparsers)
     _add_accuracy(subparsers)
     _add_effects(subparsers)

@@ -21,7 +21,9 @@ from .request import land_of
 GLOB = ";".join(f"*{suffix}" for suffix in WRITERS)
 
 
-class _LandOperator:
+class LandOperator:
+    """Base of operators that need land that is shaped at all levels; a subclass has `_carry_out`."""
+
     @classmethod
     def poll(cls, context):
         return on_terrain_object(cls, context)
@@ -44,7 +46,19 @@ class _LandOperator:
         return {"CANCELLED"}
 
 
-class BakeLand(_LandOperator, bpy.types.Operator):
+def check_has_store(obj) -> None:
+    """Raise TerrainError for a terrain without a height field."""
+    if not obj.adaptive_terrain.store:
+        raise TerrainError(f"The terrain {obj.name!r} has no height field", fix="import one from its panel")
+
+
+def shaped_field(obj, depsgraph):
+    """Return the height field of a terrain's land, which is shaped first if it is needed. Raises TerrainError."""
+    land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
+    return derived_store.raster_of(absolute_path(obj.adaptive_terrain.store), land, session.open_field, verified=True)
+
+
+class BakeLand(LandOperator, bpy.types.Operator):
     """Make the shaped land the terrain's own height field, and empty its stack; the store it was made from stays"""
 
     bl_idname = "adaptive_terrain.bake_land"
@@ -82,7 +96,7 @@ def free_folder(wanted: str) -> str:
     return folder
 
 
-class ExportHeights(_LandOperator, bpy.types.Operator, ExportHelper):
+class ExportHeights(LandOperator, bpy.types.Operator, ExportHelper):
     """Write the heights of the land as a float32 raster with its place on Earth, GeoTIFF or EXR, and each by-product of
     its stack in another file"""
 
@@ -94,13 +108,9 @@ class ExportHeights(_LandOperator, bpy.types.Operator, ExportHelper):
     filter_glob: bpy.props.StringProperty(default=GLOB, options={"HIDDEN"})
 
     def _carry_out(self, obj, depsgraph):
-        store = absolute_path(obj.adaptive_terrain.store)
-        if not store:
-            raise TerrainError(f"The terrain {obj.name!r} has no height field", fix="import one from its panel")
+        check_has_store(obj)
         check_export(self.filepath)
-        land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
-        derived_store.raster_of(store, land, session.open_field, verified=True)
-        files = export_raster(store if land is None else land.folder, self.filepath)
+        files = export_raster(shaped_field(obj, depsgraph).path, self.filepath)
         self.report({"INFO"}, f"Written: {', '.join(file.name for file in files)}")
         return {"FINISHED"}
 

@@ -101,6 +101,7 @@ class OutputPanel(TerrainSubpanel, bpy.types.Panel):
         _waiting_row(column).operator("adaptive_terrain.bake", icon="MESH_GRID")
         column.separator()
         _waiting_row(column).operator("adaptive_terrain.export", icon="EXPORT")
+        column.operator("adaptive_terrain.export_tiles", icon="TEXTURE")
         column.operator("adaptive_terrain.submit", icon="NETWORK_DRIVE")
 
 

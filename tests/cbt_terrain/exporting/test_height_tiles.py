@@ -161,7 +161,9 @@ def test_masks_hold_attributes_and_layers_by_name(make, tmp_path):
     assert abs(sum(weights) - 255).max() <= 2 and all(weight.max() > 200 for weight in weights)
     slope = joined(tmp_path / "tiles", index, "slope") * masks["slope"]["scale"] + masks["slope"]["offset"]
     off = abs(slope[:75, :100] - np.arctan(x / 2000))[5:-5, 5:-5].max()
-    assert 0 < off < masks["slope"]["max_error"] + 1e-3 and masks["slope"]["max_error"] <= 0.51 * masks["slope"]["scale"]
+    assert (
+        0 < off < masks["slope"]["max_error"] + 1e-3 and masks["slope"]["max_error"] <= 0.51 * masks["slope"]["scale"]
+    )
 
 
 def test_a_flat_terrain_has_numbers(tmp_path):

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The verbs that write a store in tiles for other programs."""
+
+from pathlib import Path
+
+from ..text.console import Progress, print_line
+from .argument_types import MAX_INT, argument, count, pair, parse_effects, path
+
+
+def add_tiles(make_verb, subparsers) -> None:
+    """Add the verb `tiles`. `make_verb`: makes a verb's parser."""
+    from ...cbt_terrain.exporting.height_tiles import PATTERN
+    from ...cbt_terrain.exporting.tile_grid import UNREAL_SIZES
+    from ...cbt_terrain.height_operators.export import FORMATS
+
+    forms = [suffix[1:] for suffix in FORMATS]
+    verb = make_verb(subparsers, "tiles", "write height tiles and masks for game engines", run_tiles)
+    verb.add_argument("--store", type=path, required=True, metavar="DIR")
+    verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder for the tiles and NAME.json")
+    verb.add_argument("--format", choices=forms, default="png", help="png and r16: 16 bits; others: float32 (png)")
+    sizes = f"samples of a tile's side; Unreal: {', '.join(map(str, UNREAL_SIZES))} (one tile, as the raster)"
+    verb.add_argument("--size", type=count, default=0, metavar="N", help=sizes)
+    fitted = "tiles east and south that cover the terrain exactly; without it the raster's spacing is kept"
+    verb.add_argument("--tiles", type=pair("x", int, MAX_INT), metavar="NxM", help=fitted)
+    verb.add_argument("--overlap", type=int, choices=(0, 1), default=1, help="samples that neighbours share (1)")
+    verb.add_argument("--flip", action="store_true", help="the first row of samples and tiles is the southern one")
+    verb.add_argument("--name", default="terrain", help="of the tiles and the JSON file (terrain)")
+    verb.add_argument("--pattern", default=PATTERN, help=f"name of a tile ({PATTERN})")
+    masks = "attributes to write as 8-bit PNG: those that the store has as layers (auto), none, or these"
+    verb.add_argument("--masks", type=argument(parse_effects), metavar="auto|none|F,F", help=masks)
+
+
+def run_tiles(arguments) -> None:
+    """Write the tiles and print a line about them."""
+    from ...cbt_terrain.attributes.attribute import AttributeRequest
+    from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
+    from ...cbt_terrain.exporting.height_tiles import HeightTiles, export_height_tiles
+    from ...cbt_terrain.field.store import open_store
+    from ..export.exporting import make_folder
+    from ..text.tile_lines import height_tiles_line
+
+    field = open_store(arguments.store)
+    make_folder(arguments.out)
+    names = arguments.masks
+    if names is None:
+        names = tuple(name for name in ATTRIBUTES if name in field.layers)
+    settings = HeightTiles(
+        form=arguments.format,
+        size=arguments.size,
+        tiles=arguments.tiles,
+        overlap=arguments.overlap,
+        is_flipped=arguments.flip,
+        name=arguments.name,
+        pattern=arguments.pattern,
+    )
+    masks = [AttributeRequest(name, ("this command",)) for name in names]
+    index = _with_progress(
+        arguments, "tiles", lambda bar: export_height_tiles(field, arguments.out, settings, masks, bar)
+    )
+    print_line(height_tiles_line(str(Path(arguments.out) / settings.name), index))
+
+
+def _with_progress(arguments, label: str, work):
+    """Return the result of work(function for progress)."""
+    bar = Progress(1.0, label, arguments.progress)
+    try:
+        return work(bar.to)
+    finally:
+        bar.close()

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The operators and commands that write tiles for other programs."""
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.operators.cli import command_line
+from land_scenes import add
+
+
+def test_height_tiles_hold_shaped_land_and_its_masks(terrain, tmp_path):
+    """Two tiles a side of 33 samples, with by-products and splat layers."""
+    add("thermal", depth=80.0)
+    for name in ("Meadow", "Cliff"):
+        terrain.adaptive_terrain.layers.add().name = name
+    options = {"size": "FREE", "free_size": 33, "fit": True, "tiles": (2, 2), "flip": True}
+    assert bpy.ops.adaptive_terrain.export_tiles(filepath=str(tmp_path / "land.r32"), **options) == {"FINISHED"}
+    index = json.loads((tmp_path / "land.json").read_text())
+    assert {mask["name"] for mask in index["masks"]} >= {"scree", "Meadow", "Cliff"}
+    found = np.fromfile(tmp_path / "land_x0_y0.r32", "<f4").reshape(33, 33)
+    shared = np.fromfile(tmp_path / "land_x1_y0.r32", "<f4").reshape(33, 33)
+    assert (found[:, -1] == shared[:, 0]).all() and len(list(tmp_path.glob("land_Meadow_x*_y*.png"))) == 4
+    unshaped = open_store(terrain.adaptive_terrain.store).heights()
+    assert found[0, 0] == pytest.approx(unshaped[0, 0], abs=81) and np.ptp(found) > 10
+
+
+def test_an_unknown_suffix_is_refused(terrain, tmp_path):
+    with pytest.raises(RuntimeError, match="no format of height tiles; expected tif"):
+        bpy.ops.adaptive_terrain.export_tiles(filepath=str(tmp_path / "land.jpg"))
+
+
+def test_the_command_writes_height_tiles(terrain, tmp_path, capsys):
+    argv = ["tiles", "--store", terrain.adaptive_terrain.store, "--out", str(tmp_path / "new"), "--size", "17"]
+    assert command_line.main([*argv, "--tiles", "3x1", "--overlap", "0", "--masks", "slope"]) == 0
+    assert "3 tiles (3 x 1), 1 masks, heights at most" in capsys.readouterr().out
+    assert len(list((tmp_path / "new").glob("terrain*_x?_y0.png"))) == 6
+    assert command_line.main([*argv, "--pattern", "same"]) == 1
+    assert "expected {name}, {x} and {y}" in capsys.readouterr().err

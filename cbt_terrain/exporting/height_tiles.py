@@ -167,7 +167,7 @@ def export_height_tiles(
     names = _names(settings, axes, layers)
     field.raster.check_samples()
     samples = _Samples(field, axes, layers, settings.is_flipped)
-    place = _placing(field)
+    place = placing_or_middle(field)
     tile_rows = range(axes[1].tiles)
     if any(layer.form.is_integer and not layer.has_range for layer in layers):
         _measure(samples, layers, lambda done: on_progress(0.4 * done))
@@ -221,7 +221,7 @@ def _names(settings: HeightTiles, axes: tuple[TileAxis, TileAxis], layers: list[
     return names
 
 
-def _placing(field: HeightField) -> Placing:
+def placing_or_middle(field: HeightField) -> Placing:
     """Return the position of a field's middle; metres from the middle if it has none."""
     if field.path is None or not is_placed(field, field.path):
         return Placing()

@@ -15,11 +15,15 @@ from time_limit import time_limit
 
 ROOT = Path(__file__).resolve().parents[3]
 READS = {"read_text", "read_bytes", "np.load", "np.loadtxt", "np.genfromtxt", "np.fromfile"}
-# Reads of files that no user names: of the system, of the package, or written just before.
+# Reads of files that no user names: of the system, of the package, or written just before; and a writer.
 OWN = {
     ("cbt_terrain/field/store.py", "np.load(file, mmap_mode='r+')"),
     ("cbt_terrain/run/partial_files.py", "_BOOT.read_text()"),
     ("cbt_terrain/run/named_file.py", "Path(file).open('rb')"),
+    ("cbt_terrain/exporting/globe.py", "np.load(path)"),
+    ("cbt_terrain/exporting/globe.py", "np.load(request['path'])"),
+    ("cbt_terrain/exporting/height_tiles.py", "layer.form.open(partial, shape, layer.form.dtype, pool)"),
+    ("cbt_terrain/height_operators/export.py", "np.fromfile(raw['path'], '<f4')"),
     ("operators/farm/bundle.py", "(HERE / name).read_text(encoding='utf-8')"),
     ("operators/export/blender_exporters.py", "np.fromfile(file, face, faces)"),
     ("operators/text/machine.py", "open('/proc/cpuinfo', encoding='utf-8')"),

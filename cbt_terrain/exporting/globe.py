@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Points of a terrain on the globe: Earth-centred coordinates (ECEF, WGS 84) and a frame at the terrain's middle.
+
+A child process asks PROJ for longitude and latitude, since GDAL clashes with Blender. Heights count from the ellipsoid.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..field.georeference import WGS84
+from ..importing.placing import Placing
+from ..importing.store_job import ask, serve
+from ..run import child
+from ..run.partial_files import private_folder
+
+MODULE = "cbt_terrain.exporting.globe"
+# Metres from the middle to the point that gives the direction of the frame's x axis.
+ARM = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class GlobeFrame:
+    """The frame at a terrain's middle: x as the terrain's x, z up.
+
+    Attributes:
+        origin: float64 [3], ECEF coordinates of the middle at height 0.
+        axes: float64 [3, 3], a row for each axis in ECEF.
+    """
+
+    origin: np.ndarray
+    axes: np.ndarray
+
+    def transform(self) -> list[float]:
+        """Return the 4 x 4 matrix from the frame to ECEF, by columns."""
+        columns = [[*axis.tolist(), 0.0] for axis in self.axes]
+        return [number for column in columns for number in column] + [*self.origin.tolist(), 1.0]
+
+    def turned(self, vectors: np.ndarray) -> np.ndarray:
+        """Return vectors [n, 3] of ECEF in the frame, without BLAS, whose last bits differ by processor."""
+        return (vectors[:, None] * self.axes).sum(2)
+
+
+def place_on_globe(placing: Placing, positions: np.ndarray, folder: Path) -> tuple[GlobeFrame, np.ndarray, np.ndarray]:
+    """Return the frame of a terrain, and positions and unit vectors upwards in it, float64 [n, 3]. Raises TerrainError.
+
+    Args:
+        placing: of the terrain, in a named coordinate system.
+        positions: float64 [n, 3], points of the terrain's space.
+        folder: for a file that the child process reads.
+    """
+    about_middle = np.array([[0.0, 0.0, 0.0], [-ARM, 0.0, 0.0], [ARM, 0.0, 0.0]])
+    points, up = _on_globe(placing, np.concatenate([about_middle, positions]), folder)
+    along = points[2] - points[1]
+    along = along - up[0] * (along * up[0]).sum()
+    x = along / np.sqrt((along**2).sum())
+    frame = GlobeFrame(points[0], np.stack([x, np.cross(up[0], x), up[0]]))
+    return frame, frame.turned(points[3:] - frame.origin), frame.turned(up[3:])
+
+
+def _on_globe(placing: Placing, positions: np.ndarray, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return ECEF coordinates and the ellipsoid's normals of points of the terrain's space."""
+    with private_folder(folder) as private:
+        path = private / "coordinates.npy"
+        np.save(path, placing.from_terrain(positions[:, :2]))
+        ask(MODULE, {"crs": placing.crs, "path": str(path.absolute())}, f"the coordinate system {placing.crs}")
+        longitude, latitude = np.radians(np.load(path)).T
+    semi_major, inverse_flattening = WGS84
+    flattening = 1.0 / inverse_flattening
+    squared = flattening * (2.0 - flattening)
+    across = np.cos(latitude)
+    up = np.stack([across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)], axis=-1)
+    radius, height = semi_major / np.sqrt(1.0 - squared * up[:, 2] ** 2), positions[:, 2]
+    points = (radius + height)[:, None] * up
+    points[:, 2] = (radius * (1.0 - squared) + height) * up[:, 2]
+    return points, up
+
+
+def child_main() -> None:
+    """Answer the request on stdin."""
+    serve(_answer, lambda request: f"Reading the coordinate system {request['crs']}")
+
+
+def _answer(request: dict, *_) -> list:
+    from rasterio.crs import CRS
+    from rasterio.warp import transform
+
+    child.end_with_parent()
+    x, y = np.load(request["path"]).T
+    degrees = transform(CRS.from_string(request["crs"]), CRS.from_epsg(4326), x.tolist(), y.tolist())
+    np.save(request["path"], np.stack(degrees, -1))
+    return []

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A mesh divided at straight lines, so that neighbouring parts share the vertices on them, and skirts below parts."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class TileMesh:
+    """A triangle mesh. `positions`, `normals`: float32 [n, 3]. `uv`: float32 [n, 2]. `triangles`: int64 [t, 3]."""
+
+    positions: np.ndarray
+    normals: np.ndarray
+    uv: np.ndarray
+    triangles: np.ndarray
+
+    def with_vertices(self, other: "TileMesh", triangles: np.ndarray) -> "TileMesh":
+        """Return this mesh with the vertices of another one appended, and with these triangles."""
+        names = "positions", "normals", "uv"
+        return TileMesh(*(np.concatenate([getattr(self, n), getattr(other, n)]) for n in names), triangles)
+
+    def at(self, vertices: np.ndarray) -> "TileMesh":
+        """Return the vertices with these numbers, without triangles."""
+        return TileMesh(self.positions[vertices], self.normals[vertices], self.uv[vertices], self.triangles[:0])
+
+
+def split(mesh: TileMesh, axis: int, at: float) -> TileMesh:
+    """Divide the triangles that cross the line where coordinate `axis` is `at`, a float32 number.
+
+    Each crossing edge gets one vertex, so the mesh stays welded.
+    """
+    side = np.sign(mesh.positions[:, axis].astype(np.float64) - at).astype(np.int8)
+    signs = side[mesh.triangles]
+    crosses = (signs.min(1) < 0) & (signs.max(1) > 0)
+    if not crosses.any():
+        return mesh
+    crossing, signs = mesh.triangles[crosses], signs[crosses]
+    # Roll the corner that is alone on its side, or on the line, to the front.
+    alone = np.where((signs == 0).any(1), (signs == 0).argmax(1), (signs == -np.sign(signs.sum(1))[:, None]).argmax(1))
+    order = (alone[:, None] + np.arange(3)) % 3
+    a, b, c = np.take_along_axis(crossing, order, 1).T
+    on_line = np.take_along_axis(signs, order, 1)[:, 0] == 0
+    pairs = np.concatenate([np.stack([b, c], 1)[on_line], np.stack([a, b], 1)[~on_line], np.stack([a, c], 1)[~on_line]])
+    pairs, numbers = np.unique(np.sort(pairs, 1), axis=0, return_inverse=True)
+    p, q, r = np.split(len(mesh.positions) + numbers.reshape(-1), np.cumsum([on_line.sum(), (~on_line).sum()]))
+    halves = [(a[on_line], b[on_line], p), (a[on_line], p, c[on_line])]
+    a, b, c = a[~on_line], b[~on_line], c[~on_line]
+    thirds = [(a, q, r), (q, b, c), (q, c, r)]
+    parts = [np.stack(corners, 1) for corners in (*halves, *thirds)]
+    triangles = np.concatenate([mesh.triangles[~crosses], *parts])
+    return mesh.with_vertices(_between(mesh, pairs, axis, at), triangles)
+
+
+def _between(mesh: TileMesh, pairs: np.ndarray, axis: int, at: float) -> TileMesh:
+    """Return the vertices where the edges `pairs` [n, 2] meet the line."""
+    ends = mesh.positions[pairs].astype(np.float64)
+    part = ((at - ends[:, 0, axis]) / (ends[:, 1, axis] - ends[:, 0, axis]))[:, None]
+
+    def mix(values: np.ndarray) -> np.ndarray:
+        first, last = values[pairs[:, 0]].astype(np.float64), values[pairs[:, 1]].astype(np.float64)
+        return (first + part * (last - first)).astype(np.float32)
+
+    positions = mix(mesh.positions)
+    positions[:, axis] = at
+    return TileMesh(positions, mix(mesh.normals), mix(mesh.uv), mesh.triangles[:0])
+
+
+def part_of(mesh: TileMesh, which: np.ndarray) -> tuple[TileMesh, np.ndarray]:
+    """Return the part with the triangles `which`, and the numbers of its vertices in `mesh`."""
+    used, triangles = np.unique(mesh.triangles[which], return_inverse=True)
+    return replace(mesh.at(used), triangles=triangles.reshape(-1, 3)), used
+
+
+def border_edges(mesh: TileMesh) -> np.ndarray:
+    """Return the edges with one triangle, int64 [n, 2], in the direction of that triangle."""
+    edges = np.concatenate([mesh.triangles[:, [0, 1]], mesh.triangles[:, [1, 2]], mesh.triangles[:, [2, 0]]])
+    _, first, counts = np.unique(edge_keys(edges), return_index=True, return_counts=True)
+    return edges[first[counts == 1]]
+
+
+def edge_keys(edges: np.ndarray) -> np.ndarray:
+    """Return a number for each edge, int64 [n], whatever its direction."""
+    return (edges.min(1) << 32) | edges.max(1)
+
+
+def with_skirt(mesh: TileMesh, edges: np.ndarray, down: np.ndarray) -> TileMesh:
+    """Return the mesh with a wall below the border `edges`, two triangles each.
+
+    down: float64 [n, 3], from each vertex to the one below it.
+    """
+    if not len(edges):
+        return mesh
+    used, ends = np.unique(edges, return_inverse=True)
+    below = mesh.at(used)
+    below = replace(below, positions=(below.positions.astype(np.float64) + down[used]).astype(np.float32))
+    lower = len(mesh.positions) + ends.reshape(-1, 2)
+    (a, b), (c, d) = edges.T, lower.T
+    wall = np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)])
+    return mesh.with_vertices(below, np.concatenate([mesh.triangles, wall]))

@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""3D Tiles 1.1: a quadtree of glb files, whose geometric errors are the bounds of their meshes.
+
+Level 0 is one tile. Each further level halves the requested error and the sides of the tiles. A level is one mesh of
+the whole terrain, divided at the borders of its tiles: neighbours of a level share the vertices on their border.
+Between levels the heights on a border differ by at most the sum of both bounds. A skirt that is as deep as the sum with
+the root's bound hangs from each border inside the terrain.
+"""
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import TerrainError
+from ..field.heightfield import HeightField
+from ..importing.placing import Placing
+from ..run import stopping
+from ..run.partial_files import written_beside
+from ..terrain import Terrain
+from ..view.criterion import Criterion
+from ..view.linear import length
+from .glb import glb_of
+from .globe import GlobeFrame, place_on_globe
+from .height_tiles import placing_or_middle
+from .mesh_tiles import TileMesh, border_edges, edge_keys, part_of, split, with_skirt
+
+MAX_LEVELS = 9
+TRIANGLES = 20_000  # of a tile, on average
+# A quadratic map of a triangle is at most this many times further from the chord plane than at an edge's middle.
+MIDDLES = 4.0 / 3.0
+MIN_HALF = 1e-3  # metres; a flat tile has a box, too
+
+
+@dataclass(eq=False)
+class _Level:
+    """The mesh of one level: its bound in metres, divided into `side` x `side` tiles at `lines`."""
+
+    mesh: TileMesh
+    bound: float
+    side: int
+    lines: tuple[np.ndarray, np.ndarray]
+    places: np.ndarray = field(default_factory=lambda: np.empty(0))  # float32 positions in the frame of the tileset
+    up: np.ndarray = field(default_factory=lambda: np.empty(0))
+
+
+@dataclass(frozen=True)
+class TilesetReport:
+    """Content of a written tileset. `bounds`: metres, of each level from the root."""
+
+    num_tiles: int
+    num_triangles: int
+    bounds: tuple[float, ...]
+    is_on_globe: bool
+
+
+def export_tileset(
+    field: HeightField,
+    path: Path,
+    error_m: float,
+    triangles: int = TRIANGLES,
+    on_progress: Callable[[float], None] = lambda _fraction: None,
+) -> TilesetReport:
+    """Write a tileset and its tiles, NAME_LEVEL_X_Y.glb, beside it. Raises TerrainError.
+
+    Args:
+        field: a store's height field.
+        path: NAME.json; its folder exists.
+        error_m: requested error of the finest level, metres of height.
+        triangles: mean number in a tile of the finest level.
+        on_progress: called with the fraction done; may raise, which cancels.
+    """
+    if path.suffix.lower() != ".json" or not path.parent.is_dir():
+        raise TerrainError(f"{path} is no tileset", expected="a .json file in an existing folder")
+    if not (math.isfinite(error_m) and error_m > 0.0) or triangles < 1:
+        raise TerrainError(f"The error is {error_m} m with {triangles} triangles", expected="numbers above 0")
+    levels = _levels(field, error_m, triangles, lambda done: on_progress(0.5 * done))
+    placing = placing_or_middle(field)
+    frame = _place(levels, placing, path.parent)
+    for finer, level in zip(levels[:0:-1], levels[-2::-1], strict=True):
+        level.bound = max(level.bound, finer.bound)
+    try:
+        tiles = {}
+        for number, level in enumerate(levels):
+            _write_level(path, number, level, levels[0].bound, tiles)
+            on_progress(0.5 + 0.5 * (number + 1) / len(levels))
+        root = _tile(path.stem, levels, tiles, 0, 0, 0)
+        if root is None:
+            raise TerrainError("Nothing is left of the terrain", fix="check its holes")
+        with written_beside(path) as partial:
+            partial.write_text(json.dumps(_tileset(root, levels[0], frame), indent=1) + "\n", encoding="utf-8")
+    except OSError as reason:
+        fix = "make room or choose another folder"
+        raise TerrainError(f"The tileset {path} cannot be written ({reason.strerror or reason})", fix=fix) from reason
+    triangles = sum(int(count) for _, count in tiles.values())
+    return TilesetReport(len(tiles), triangles, tuple(level.bound for level in levels), frame is not None)
+
+
+def _levels(field: HeightField, error_m: float, triangles: int, on_progress: Callable[[float], None]) -> list[_Level]:
+    """Return the levels from the root to the finest."""
+    terrain, finest = Terrain(field), []
+    cells = min(field.lattice.cells_x, field.lattice.cells_y)
+    depth = number = 0
+    while number <= depth:
+        stopping.check()
+        update = terrain.update(Criterion(error_px=0.0, error_m=error_m * 2.0**number))
+        if number == 0:
+            wanted = math.ceil(math.log(max(update.triangles / triangles, 1.0), 4))
+            depth = min(wanted, MAX_LEVELS, cells.bit_length() - 1)
+        s = update.surface
+        assert update.bound_m is not None  # the criterion has an error in metres
+        mesh = TileMesh(s.positions, s.normals, s.uv, s.triangles.astype(np.int64))
+        finest.append(_divided(field, mesh, update.bound_m, 1 << (depth - number)))
+        number += 1
+        on_progress(number / (depth + 1))
+    return finest[::-1]
+
+
+def _divided(field: HeightField, mesh: TileMesh, bound: float, side: int) -> _Level:
+    """Divide the mesh of a level at the borders of its tiles, which are lines of samples."""
+    lattice = field.lattice
+    west, south, _, _ = lattice.rectangle()
+    lines = []
+    for axis, (first, cells, step) in enumerate(
+        [(west, lattice.cells_x, lattice.step_x), (south, lattice.cells_y, lattice.step_y)]
+    ):
+        at = [np.float32(first + round(cells * k / side) * step) for k in range(1, side)]
+        for line in at:
+            mesh = split(mesh, axis, float(line))
+        lines.append(np.array(at, np.float64))
+    if side > 1:  # new vertices are rounded to float32
+        slope = length((field.steepest_x, field.steepest_y))
+        top = np.abs(mesh.positions).max(0)
+        bound += float(np.spacing(top[2])) + slope * float(np.spacing(top[:2].max()))
+    return _Level(mesh, bound, side, (lines[0], lines[1]))
+
+
+def _place(levels: list[_Level], placing: Placing, folder: Path) -> GlobeFrame | None:
+    """Set positions in the frame of the tileset, and add to bounds by how much the globe bends the triangles.
+
+    Return the frame, None for a terrain without a named coordinate system.
+    """
+    if not placing.crs:
+        for level in levels:
+            level.places, level.up = level.mesh.positions, np.broadcast_to([0.0, 0.0, 1.0], level.mesh.positions.shape)
+        return None
+    points, ends = [], []
+    for level in levels:
+        triangles, positions = level.mesh.triangles, level.mesh.positions.astype(np.float64)
+        edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+        ends.append(np.unique(np.sort(edges, 1), axis=0).T)
+        points += [positions, 0.5 * (positions[ends[-1][0]] + positions[ends[-1][1]])]
+    frame, places, up = place_on_globe(placing, np.concatenate(points), folder)
+    cuts = np.cumsum([len(some) for some in points])[:-1]
+    parts, ups = np.split(places, cuts), np.split(up, cuts)
+    for level, (a, b), exact, middles, upwards in zip(levels, ends, parts[::2], parts[1::2], ups[::2], strict=True):
+        level.places, level.up = exact.astype(np.float32), upwards
+        bent = middles - 0.5 * (exact[a] + exact[b])
+        rounding = np.abs(level.places - exact).max()
+        level.bound += MIDDLES * math.sqrt((bent**2).sum(1).max()) + math.sqrt(3.0) * float(rounding)
+    return frame
+
+
+def _write_level(path: Path, number: int, level: _Level, root_bound: float, tiles: dict) -> None:
+    """Write the tiles of a level; add their boxes and numbers of triangles to `tiles` by level, x and y."""
+    centroids = level.mesh.positions[level.mesh.triangles].astype(np.float64).mean(1)
+    x, y = (np.searchsorted(level.lines[axis], centroids[:, axis]) for axis in (0, 1))
+    owner = y * level.side + x
+    order = np.argsort(owner, kind="stable")
+    starts = np.searchsorted(owner[order], np.arange(level.side**2 + 1))
+    outer = edge_keys(border_edges(level.mesh))
+    for tile in np.flatnonzero(np.diff(starts)):
+        stopping.check()
+        ty, tx = divmod(int(tile), level.side)
+        part, used = part_of(level.mesh, order[starts[tile] : starts[tile + 1]])
+        count = len(part.triangles)
+        placed = TileMesh(level.places[used], part.normals, part.uv, part.triangles)
+        edges = border_edges(part)
+        edges = edges[~np.isin(edge_keys(used[edges]), outer)]
+        placed = with_skirt(placed, edges, -(level.bound + root_bound) * level.up[used])
+        extras = {"max_error_m": level.bound, "level": number, "x": tx, "y": ty, "num_surface_triangles": count}
+        content = glb_of(placed.positions, placed.normals, placed.uv, placed.triangles, extras)
+        with written_beside(path.with_name(_glb_name(path.stem, number, tx, ty))) as partial:
+            partial.write_bytes(content)
+        box = placed.positions.min(0).astype(np.float64), placed.positions.max(0).astype(np.float64)
+        tiles[number, tx, ty] = box, count
+
+
+def _glb_name(stem: str, level: int, x: int, y: int) -> str:
+    return f"{stem}_{level}_{x}_{y}.glb"
+
+
+def _tile(stem: str, levels: list[_Level], tiles: dict, number: int, x: int, y: int) -> dict | None:
+    """Return a tile and those below it as JSON, with its box under "box"; None if there are none."""
+    children = []
+    if number + 1 < len(levels):
+        places = [(2 * x + dx, 2 * y + dy) for dy in (0, 1) for dx in (0, 1)]
+        children = [child for at in places if (child := _tile(stem, levels, tiles, number + 1, *at)) is not None]
+    box = tiles.get((number, x, y), (None, 0))[0]
+    boxes = [child.pop("box") for child in children] + ([box] if box is not None else [])
+    if not boxes:
+        return None
+    low, high = np.min([b[0] for b in boxes], 0), np.max([b[1] for b in boxes], 0)
+    found = {"boundingVolume": {"box": _box(low, high)}, "geometricError": levels[number].bound, "box": (low, high)}
+    if box is not None:
+        found["content"] = {"uri": _glb_name(stem, number, x, y), "boundingVolume": {"box": _box(*box)}}
+    return found | ({"children": children} if children else {})
+
+
+def _box(low: np.ndarray, high: np.ndarray) -> list[float]:
+    """Return a box of 3D Tiles: the middle, and half of each side."""
+    middle = 0.5 * (low + high)
+    half = np.maximum(np.maximum(high - middle, middle - low), MIN_HALF)
+    return [*middle.tolist(), float(half[0]), 0.0, 0.0, 0.0, float(half[1]), 0.0, 0.0, 0.0, float(half[2])]
+
+
+def _tileset(root: dict, level: _Level, frame: GlobeFrame | None) -> dict:
+    """Return the content of the JSON file."""
+    low, high = root.pop("box")
+    placed = {} if frame is None else {"transform": frame.transform()}
+    return {
+        "asset": {"version": "1.1", "generator": "Adaptive Terrain"},
+        # Without the tileset there is no terrain: the error is its size.
+        "geometricError": max(float((high - low).max()), level.bound),
+        "root": root | placed | {"refine": "REPLACE"},
+    }

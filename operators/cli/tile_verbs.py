@@ -4,7 +4,9 @@
 from pathlib import Path
 
 from ..text.console import Progress, print_line
-from .argument_types import MAX_INT, argument, count, pair, parse_effects, path
+from .argument_types import MAX_INT, argument, count, pair, parse_effects, path, positive, some
+
+MAX_ERROR_M = 1e9
 
 
 def add_tiles(make_verb, subparsers) -> None:
@@ -58,6 +60,32 @@ def run_tiles(arguments) -> None:
         arguments, "tiles", lambda bar: export_height_tiles(field, arguments.out, settings, masks, bar)
     )
     print_line(height_tiles_line(str(Path(arguments.out) / settings.name), index))
+
+
+def add_tileset(make_verb, subparsers) -> None:
+    """Add the verb `tileset`. `make_verb`: makes a verb's parser."""
+    from ...cbt_terrain.exporting.tileset import TRIANGLES
+
+    verb = make_verb(subparsers, "tileset", "write 3D Tiles with levels of detail and stated errors", run_tileset)
+    verb.add_argument("--store", type=path, required=True, metavar="DIR")
+    error = "largest vertical error of the finest level"
+    verb.add_argument("--max-error", type=positive(MAX_ERROR_M), required=True, metavar="METRES", help=error)
+    verb.add_argument("--out", type=path, required=True, metavar="FILE.json", help="tiles are written beside it")
+    triangles = f"mean number in a tile of the finest level ({TRIANGLES:,})"
+    verb.add_argument("--triangles", type=some, default=TRIANGLES, metavar="N", help=triangles)
+
+
+def run_tileset(arguments) -> None:
+    """Write the tileset and print a line about it."""
+    from ...cbt_terrain.exporting.tileset import export_tileset
+    from ...cbt_terrain.field.store import open_store
+    from ..export.exporting import check_target
+    from ..text.tile_lines import tileset_line
+
+    check_target(arguments.out)
+    field, settings = open_store(arguments.store), (arguments.max_error, arguments.triangles)
+    report = _with_progress(arguments, "tileset", lambda bar: export_tileset(field, arguments.out, *settings, bar))
+    print_line(tileset_line(str(arguments.out), report))
 
 
 def _with_progress(arguments, label: str, work):

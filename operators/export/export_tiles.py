@@ -10,11 +10,14 @@ from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
 from ...cbt_terrain.attributes.splat import NAMES as SPLATS
 from ...cbt_terrain.exporting.height_tiles import PATTERN, HeightTiles, export_height_tiles
 from ...cbt_terrain.exporting.tile_grid import MAX_TILE, UNREAL_SIZES
+from ...cbt_terrain.exporting.tileset import TRIANGLES, export_tileset
 from ...cbt_terrain.height_operators.export import FORMATS
 from ..attributes.request import gather_effects
 from ..land.bake_land import LandOperator, check_has_store, shaped_field
+from ..session import session
 from ..terrain.request import RENDER
-from ..text.tile_lines import height_tiles_line
+from ..text.tile_lines import height_tiles_line, tileset_line
+from .exporting import check_target
 
 GLOB = ";".join(f"*{suffix}" for suffix in FORMATS)
 FREE, WHOLE = "FREE", "WHOLE"
@@ -92,9 +95,40 @@ class ExportHeightTiles(LandOperator, bpy.types.Operator, ExportHelper):
         )
         field = shaped_field(obj, depsgraph)
         masks = mask_requests(obj, depsgraph, field) if self.masks else ()
-        index = export_height_tiles(field, path.parent, settings, masks)
+        with session.engine_lock:
+            index = export_height_tiles(field, path.parent, settings, masks)
         self.report({"INFO"}, height_tiles_line(settings.name, index))
         return {"FINISHED"}
 
 
-register, unregister = bpy.utils.register_classes_factory((ExportHeightTiles,))
+class ExportTileset(LandOperator, bpy.types.Operator, ExportHelper):
+    """Write the land as 3D Tiles: glb files with levels of detail, whose geometric error is a bound that holds"""
+
+    bl_idname = "adaptive_terrain.export_tileset"
+    bl_label = "Export 3D Tiles"
+
+    filename_ext = ".json"
+    filter_glob: bpy.props.StringProperty(default="*.json", options={"HIDDEN"})
+    error_m: bpy.props.FloatProperty(
+        name="Finest Error",
+        description="Largest vertical error of the finest level",
+        default=1.0,
+        min=1e-4,
+        unit="LENGTH",
+    )
+    triangles: bpy.props.IntProperty(
+        name="Triangles", description="Mean number in a tile of the finest level", default=TRIANGLES, min=1
+    )
+
+    def _carry_out(self, obj, depsgraph):
+        check_has_store(obj)
+        path = Path(self.filepath)
+        check_target(path)
+        field = shaped_field(obj, depsgraph)
+        with session.engine_lock:
+            report = export_tileset(field, path, self.error_m, self.triangles)
+        self.report({"INFO"}, tileset_line(path.name, report))
+        return {"FINISHED"}
+
+
+register, unregister = bpy.utils.register_classes_factory((ExportHeightTiles, ExportTileset))

@@ -10,3 +10,12 @@ def height_tiles_line(name: str, index: dict) -> str:
     masks = f", {len(index['masks'])} masks" if index["masks"] else ""
     error = bound_text(index["heights"]["max_error"], "m")
     return f"{name}.json: {across * down:,} tiles ({across} x {down}){masks}, heights at most {error} off"
+
+
+def tileset_line(name: str, report) -> str:
+    """Describe a tileset by its TilesetReport."""
+    bounds = " to ".join(bound_text(bound, "m") for bound in dict.fromkeys((report.bounds[-1], report.bounds[0])))
+    place = "on the globe" if report.is_on_globe else "in metres from the terrain's middle"
+    levels = f"{len(report.bounds)} level{'s' if len(report.bounds) > 1 else ''}"
+    counts = f"{report.num_tiles:,} tiles in {levels}, {report.num_triangles:,} triangles"
+    return f"{name}: {counts}, {place}, bounds {bounds}"

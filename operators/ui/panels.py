@@ -101,7 +101,8 @@ class OutputPanel(TerrainSubpanel, bpy.types.Panel):
         _waiting_row(column).operator("adaptive_terrain.bake", icon="MESH_GRID")
         column.separator()
         _waiting_row(column).operator("adaptive_terrain.export", icon="EXPORT")
-        column.operator("adaptive_terrain.export_tiles", icon="TEXTURE")
+        _waiting_row(column).operator("adaptive_terrain.export_tiles", icon="TEXTURE")
+        _waiting_row(column).operator("adaptive_terrain.export_tileset", icon="WORLD")
         column.operator("adaptive_terrain.submit", icon="NETWORK_DRIVE")
 
 

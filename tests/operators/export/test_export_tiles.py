@@ -9,6 +9,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.operators.cli import command_line
 from land_scenes import add
+from tilesets import read_tileset
 
 
 def test_height_tiles_hold_shaped_land_and_its_masks(terrain, tmp_path):
@@ -39,3 +40,18 @@ def test_the_command_writes_height_tiles(terrain, tmp_path, capsys):
     assert len(list((tmp_path / "new").glob("terrain*_x?_y0.png"))) == 6
     assert command_line.main([*argv, "--pattern", "same"]) == 1
     assert "expected {name}, {x} and {y}" in capsys.readouterr().err
+
+
+def test_the_operator_and_the_command_write_the_same_tileset(terrain, tmp_path, capsys):
+    path = tmp_path / "a.json"
+    options = {"error_m": 2.0, "triangles": 300}
+    assert bpy.ops.adaptive_terrain.export_tileset(filepath=str(path), **options) == {"FINISHED"}
+    _, tiles = read_tileset(path)
+    assert tiles[-1][0] >= 1 and all(mesh is not None for _, _, mesh in tiles)
+    (tmp_path / "new").mkdir()
+    argv = ["tileset", "--store", terrain.adaptive_terrain.store, "--max-error", "2", "--triangles", "300", "--out"]
+    assert command_line.main([*argv, str(tmp_path / "new" / "a.json")]) == 0
+    assert f"{len(tiles)} tiles in " in capsys.readouterr().out
+    for file in tmp_path.glob("a*"):
+        assert (tmp_path / "new" / file.name).read_bytes() == file.read_bytes()
+    assert command_line.main([*argv, str(tmp_path / "none" / "a.json")]) == 1

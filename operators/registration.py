@@ -11,7 +11,7 @@ from .accuracy import measure as measure_accuracy
 from .accuracy import sweep as sweep_accuracy
 from .attributes import panel as effects_panel
 from .bridge import freed_memory
-from .export import bake_terrain, export_terrain, export_tiles
+from .export import bake_terrain, export_terrain, export_tiles, map_camera
 from .farm import submit_to_farm
 from .ground import add_collider, drop_to_ground, keep_above, keep_ground, pick_ground, profile_curve, viewshed
 from .ground import properties as keep_properties
@@ -57,6 +57,7 @@ MODULES = (
     water_surface,
     export_terrain,
     export_tiles,
+    map_camera,
     submit_to_farm,
     drop_to_ground,
     keep_above,

@@ -137,6 +137,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_export(subparsers)
     tile_verbs.add_tiles(_verb, subparsers)
     tile_verbs.add_tileset(_verb, subparsers)
+    tile_verbs.add_map(_verb, subparsers)
     _add_maps(subparsers)
     _add_accuracy(subparsers)
     _add_effects(subparsers)

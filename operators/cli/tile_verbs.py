@@ -88,6 +88,40 @@ def run_tileset(arguments) -> None:
     print_line(tileset_line(str(arguments.out), report))
 
 
+def add_map(make_verb, subparsers) -> None:
+    """Add the verb `map`. `make_verb`: makes a verb's parser."""
+    verb = make_verb(subparsers, "map", "render a terrain from straight above, with its position on Earth", run_map)
+    verb.add_argument("--scene", type=path, required=True, metavar="X.blend")
+    verb.add_argument("--out", type=path, required=True, metavar="FILE", help=".png, .jpg or .tif")
+    verb.add_argument("--terrain", metavar="NAME", help="the object (the first terrain of the scene)")
+    size = verb.add_mutually_exclusive_group()
+    size.add_argument("--pixels", type=some, default=1, metavar="N", help="along each side of a cell (1)")
+    size.add_argument("--metres", type=positive(MAX_ERROR_M), metavar="M", help="side of a pixel")
+    verb.add_argument("--tiles", type=pair("x", int, MAX_INT), default=(1, 1), metavar="NxM", help="across and down")
+    verb.add_argument("--no-geotiff", dest="geotiff", action="store_false", help="write world files alone")
+
+
+def run_map(arguments) -> None:
+    """Render the map and print its files."""
+    from ...cbt_terrain.errors import TerrainError
+    from ..blender import need_bpy
+
+    bpy = need_bpy("A .blend file")
+    from ..export.frame_sources import open_scene
+    from ..export.map_camera import add_map_camera, render_map
+
+    scene, objects = open_scene(arguments.scene)
+    wanted = [obj for obj in objects if arguments.terrain in (None, obj.name)]
+    if not wanted:
+        names = ", ".join(obj.name for obj in objects)
+        raise TerrainError(f"The scene has no terrain {arguments.terrain!r}", expected=f"one of {names}")
+    wanted[0].adaptive_terrain.camera_source = "SCENE"
+    add_map_camera(wanted[0], bpy.context.evaluated_depsgraph_get(), arguments.pixels, arguments.metres)
+    out = Path(arguments.out).absolute()
+    for file in render_map(scene, out, arguments.tiles, arguments.geotiff):
+        print_line(f"{file} is written")
+
+
 def _with_progress(arguments, label: str, work):
     """Return the result of work(function for progress)."""
     bar = Progress(1.0, label, arguments.progress)

@@ -103,6 +103,9 @@ class OutputPanel(TerrainSubpanel, bpy.types.Panel):
         _waiting_row(column).operator("adaptive_terrain.export", icon="EXPORT")
         _waiting_row(column).operator("adaptive_terrain.export_tiles", icon="TEXTURE")
         _waiting_row(column).operator("adaptive_terrain.export_tileset", icon="WORLD")
+        row = column.row(align=True)
+        row.operator("adaptive_terrain.map_camera", icon="CAMERA_DATA")
+        row.operator("adaptive_terrain.render_map", icon="RENDER_STILL")
         column.operator("adaptive_terrain.submit", icon="NETWORK_DRIVE")
 
 

@@ -6,7 +6,9 @@ import subprocess
 
 import numpy as np
 import pytest
+import rasterio
 from mesh_files import read_mesh
+from tilesets import read_tileset
 
 FORMATS = ("glb", "npz", "stl", "obj", "ply", "blend")
 # The terrain is rotated and stretched, and the render is much finer than the viewport.
@@ -72,6 +74,37 @@ for form in ("glb", "npz"):
         info = json.loads(str(data["info"]))
     wanted = in_world(tmp_path / "shot.npz", info)
     assert np.allclose(in_world(tmp_path / "shot.glb", info), wanted, atol=1e-5 * np.ptp(wanted))
+
+
+def test_tiles_and_maps_are_written_and_read_back(program, prepared, tmp_path):
+    """Child processes of the program write GeoTIFF files, which clash with Blender's own libraries."""
+    script = f"""
+import bpy
+bpy.context.view_layer.objects.active = bpy.data.objects["Terrain"]
+bpy.data.objects["Terrain"].rotation_euler = (0.0, 0.0, 0.4)
+out = {str(tmp_path)!r}
+ops = bpy.ops.adaptive_terrain
+for form in ("png", "tif"):
+    path = out + "/h_" + form + "." + form
+    assert ops.export_tiles(filepath=path, size="FREE", free_size=65, fit=True, tiles=(2, 2)) == {{"FINISHED"}}
+assert ops.export_tileset(filepath=out + "/land.json", error_m=5.0, triangles=2000) == {{"FINISHED"}}
+assert ops.map_camera(use_metres=True, metres=200.0) == {{"FINISHED"}}
+assert ops.render_map(filepath=out + "/map.png", tiles=(2, 1)) == {{"FINISHED"}}
+"""
+    program.run("-b", prepared, "--python-exit-code", "1", "--python-expr", script)
+    coding = json.loads((tmp_path / "h_png.json").read_text())["heights"]
+    for tile in ("x0_y0", "x1_y1"):
+        with (
+            rasterio.open(tmp_path / f"h_png_{tile}.png") as png,
+            rasterio.open(tmp_path / f"h_tif_{tile}.tif") as tif,
+        ):
+            decoded = coding["offset"] + coding["scale"] * png.read(1)
+            assert abs(decoded - tif.read(1)).max() <= coding["max_error"] + 1e-4 and np.ptp(decoded) > 10
+    _, tiles = read_tileset(tmp_path / "land.json")
+    assert max(level for level, _, _ in tiles) >= 1
+    with rasterio.open(tmp_path / "map_x1_y0.tif") as file:
+        lines = [float(line) for line in (tmp_path / "map_x1_y0.pgw").read_text().split()]
+        assert file.xy(0, 0) == pytest.approx(lines[4:], rel=1e-12) and file.read(1).max() > 0
 
 
 def test_an_export_of_a_store_leaves_the_extension_whole(program, scene, tmp_path):

@@ -95,6 +95,31 @@ def export_stl(_obj, name: str) -> None:
     bpy.ops.wm.stl_export(filepath=name, **ONLY)
 
 
+def export_usda(obj, name: str) -> None:
+    """Write the selected object to a .usda, without its modifiers. Raises TerrainError where Blender has no USD."""
+    import bpy
+
+    if not bpy.app.build_options.usd:
+        raise TerrainError(
+            "This Blender was built without USD", fix="choose another format, or Blender from blender.org"
+        )
+    shown = [modifier for modifier in obj.modifiers if modifier.show_viewport]
+    try:
+        for modifier in shown:
+            modifier.show_viewport = False
+        bpy.ops.wm.usd_export(
+            filepath=name,
+            selected_objects_only=True,
+            export_animation=False,
+            export_materials=False,
+            xform_op_mode="MAT",  # others lose shear
+            evaluation_mode="VIEWPORT",  # the render has modifiers of its own
+        )
+    finally:
+        for modifier in shown:
+            modifier.show_viewport = True
+
+
 def export_glb(obj, name: str) -> None:
     """Write the selected object to a .glb. Raises TerrainError for a sheared object."""
     import bpy

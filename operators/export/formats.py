@@ -45,6 +45,7 @@ FORMATS = {
     "obj": ExportFormat(export="blender_exporters:export_obj", count="read_back:count_in_obj"),
     "glb": ExportFormat(export="blender_exporters:export_glb", count="read_back:count_in_glb"),
     "stl": ExportFormat(export="blender_exporters:export_stl", count="read_back:count_in_stl"),
+    "usda": ExportFormat(export="blender_exporters:export_usda", count="read_back:count_in_usda"),
     "blend": ExportFormat("exporting:write_blend", is_whole_scene=True),
 }
 MAX_FRAMES = 1_000_000

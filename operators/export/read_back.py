@@ -13,6 +13,7 @@ PLY_BYTES = {"char": 1, "uchar": 1, "short": 2, "ushort": 2, "int": 4, "uint": 4
 GLB_HEAD = 20  # magic, version, length of the file; length and kind of the first chunk
 STL_HEAD, STL_TRIANGLE = 84, 50
 BLOCK = 1 << 22
+USDA_END = b"}\n\n"
 
 
 def count_triangles(path: Path) -> int:
@@ -70,3 +71,18 @@ def count_in_glb(file, size: int) -> int:
     meshes = [scene["meshes"][node["mesh"]] for node in scene.get("nodes", []) if "mesh" in node]
     accessors = [scene["accessors"][part["indices"]] for mesh in meshes for part in mesh["primitives"]]
     return sum(accessor["count"] for accessor in accessors) // 3
+
+
+def count_in_usda(file, size: int) -> int:
+    """Count the numbers in the lists of face sizes; all are 3. The file ends with its outermost block."""
+    count = 0
+    for line in file:
+        name, _, value = line.partition(b"=")
+        if name.strip() == b"int[] faceVertexCounts":
+            count += value.count(b"3")
+            if set(value) - set(b"[3, ]\n"):
+                raise ValueError("it has faces that are no triangles")
+    file.seek(max(size - len(USDA_END), 0))
+    if file.read() != USDA_END:
+        raise ValueError("its last block has no end")
+    return count

@@ -4,7 +4,9 @@
 Each returns the vertices as float64 [V, 3] with z up, in the space of the file, and the triangles as int64 [T, 3].
 """
 
+import ast
 import json
+import re
 import struct
 
 import numpy as np
@@ -14,7 +16,20 @@ GLTF_TYPES = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32
 
 
 def read_mesh(path) -> tuple[np.ndarray, np.ndarray]:
-    return {".ply": read_ply, ".obj": read_obj, ".stl": read_stl, ".glb": read_glb, ".npz": read_npz}[path.suffix](path)
+    readers = {".ply": read_ply, ".obj": read_obj, ".stl": read_stl, ".glb": read_glb, ".npz": read_npz}
+    return (readers | {".usda": read_usda})[path.suffix](path)
+
+
+def read_usda(path):
+    """Read the one mesh of a USD text file, in the world."""
+    text = path.read_text()
+    [points] = re.findall(r"point3f\[\] points = (\[.*\])", text)
+    [corners] = re.findall(r"int\[\] faceVertexIndices = (\[.*\])", text)
+    points = np.array(ast.literal_eval(points), np.float64).reshape(-1, 3)
+    for place in reversed(re.findall(r"matrix4d xformOp:transform = (\(.*\))", text)):  # parents come first
+        matrix = np.array(ast.literal_eval(place), np.float64)
+        points = points @ matrix[:3, :3] + matrix[3, :3]
+    return points, np.array(ast.literal_eval(corners), np.int64).reshape(-1, 3)
 
 
 def read_ply(path):

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What is exported is the piece's own, undisturbed, and counted again before the file gets its name."""
 
+import sys
 from functools import partial
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators import handlers
 from adaptive_terrain.operators.export import blender_exporters
 from adaptive_terrain.operators.export.frame_sources import scene_piece
@@ -15,7 +18,7 @@ from blender_meshes import digest_alone
 from mathutils import Vector
 from mesh_files import read_mesh, read_ply_fields
 
-FORMATS = ("ply", "obj", "stl", "glb")
+FORMATS = ("ply", "obj", "stl", "glb", "usda")
 
 
 @pytest.fixture
@@ -72,6 +75,31 @@ def test_a_sheared_terrain_is_in_its_place_or_not_written(terrain, tmp_path):
     parent.scale, terrain.scale = (2.0, 2.0, 2.0), (-1.0, 3.0, 0.01)  # neither is shear
     bpy.context.view_layer.update()
     assert export(tmp_path / "hills.glb") == {"FINISHED"}
+
+
+def test_usd_files_have_the_place_and_the_attributes(terrain, tmp_path):
+    """Turned below a parent of uneven scale, as ply; a file with a quadrangle or without an end is refused."""
+    parent = bpy.data.objects.new("Parent", None)
+    bpy.context.scene.collection.objects.link(parent)
+    parent.scale, terrain.rotation_euler, terrain.parent = (3.0, 0.5, 1.0), (0.0, 0.0, 0.7), parent
+    bpy.context.view_layer.update()
+    for form in ("ply", "usda"):
+        assert export(tmp_path / f"hills.{form}") == {"FINISHED"}
+    found = [read_mesh(tmp_path / f"hills.{form}") for form in ("ply", "usda")]
+    a, b = (points[triangles] for points, triangles in found)
+    assert np.allclose(a, b, atol=1e-5 * np.ptp(a))
+    text = (tmp_path / "hills.usda").read_text()
+    assert 'upAxis = "Z"' in text and "metersPerUnit = 1" in text and "primvars:terrain_level" in text
+    (tmp_path / "bad.usda").write_text(text.replace("Counts = [3", "Counts = [4", 1))
+    with pytest.raises(ValueError, match="no triangles"):
+        count_triangles(tmp_path / "bad.usda")
+
+
+def test_a_blender_without_usd_says_so(terrain, tmp_path, monkeypatch):
+    without = SimpleNamespace(app=SimpleNamespace(build_options=SimpleNamespace(usd=False)))
+    monkeypatch.setitem(sys.modules, "bpy", without)
+    with pytest.raises(TerrainError, match="built without USD"):
+        blender_exporters.export_usda(terrain, str(tmp_path / "hills.usda"))
 
 
 def test_faces_at_the_ends_of_blocks_are_counted_once(tmp_path):

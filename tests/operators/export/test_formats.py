@@ -17,16 +17,16 @@ def test_every_function_of_a_format_exists(name):
     form = FORMATS[name]
     for function in filter(None, (form.write, form.export, form.count, form.finish)):
         assert callable(resolve_name(f"{formats.__package__}.{function}"))
-    assert bool(form.export) == bool(form.count) == (name in ("ply", "obj", "glb", "stl"))
+    assert bool(form.export) == bool(form.count) == (name in ("ply", "obj", "glb", "stl", "usda"))
 
 
 def test_formats_are_read_from_text_and_suffixes():
     assert parse_formats("PLY, npz,ply") == ("ply", "npz") and format_of(Path("a.B.GLB")) is FORMATS["glb"]
-    assert [needs_blender([name]) for name in FORMATS] == [False, True, True, True, True, True]
+    assert [needs_blender([name]) for name in FORMATS] == [False, *[True] * 6]
     for text, wrong in (("npz,", "''"), ("fbx", "'fbx'")):
         with pytest.raises(TerrainError, match=f"format {wrong} is unknown") as caught:
             parse_formats(text)
-        assert caught.value.expected == "one of npz, ply, obj, glb, stl, blend"
+        assert caught.value.expected == "one of npz, ply, obj, glb, stl, usda, blend"
     for name in ("a", "a.fbx", "ply"):
         with pytest.raises(TerrainError, match=f"'{name}' has no known format; expected one of npz, ply"):
             format_of(Path(name))

@@ -32,7 +32,9 @@ def glb_of(positions: np.ndarray, normals: np.ndarray, uv: np.ndarray, triangles
     turned /= np.maximum(np.sqrt((turned.astype(np.float64) ** 2).sum(1, keepdims=True)), 1e-30)
     texture = np.column_stack([uv[:, 0], 1.0 - uv[:, 1]]).astype(np.float32)
     arrays = [places, turned.astype(np.float32), texture, triangles.reshape(-1).astype(np.uint32)]
-    views, accessors, binary = [], [], b""
+    views: list[dict] = []
+    accessors: list[dict] = []
+    binary = b""
     for array in arrays:
         is_index = array.dtype == np.uint32
         target = ELEMENT_ARRAY_BUFFER if is_index else ARRAY_BUFFER

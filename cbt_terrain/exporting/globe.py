@@ -82,7 +82,7 @@ def child_main() -> None:
     serve(_answer, lambda request: f"Reading the coordinate system {request['crs']}")
 
 
-def _answer(request: dict, *_) -> list:
+def _answer(request: dict, *_: object) -> dict:
     from rasterio.crs import CRS
     from rasterio.warp import transform
 
@@ -90,4 +90,4 @@ def _answer(request: dict, *_) -> list:
     x, y = np.load(request["path"]).T
     degrees = transform(CRS.from_string(request["crs"]), CRS.from_epsg(4326), x.tolist(), y.tolist())
     np.save(request["path"], np.stack(degrees, -1))
-    return []
+    return {}

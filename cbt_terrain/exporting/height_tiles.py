@@ -192,7 +192,8 @@ def _mask_layers(masks: Sequence[AttributeRequest]) -> list[_Layer]:
         names = [request.name if attribute.width == 1 else f"{request.name}_{k + 1}" for k in range(attribute.width)]
         if request.name in SPLATS:
             first = attribute.width * SPLATS.index(request.name)
-            splats = (attribute.defaults() | dict(request.parameters))["layers"]
+            splats = {**attribute.defaults(), **dict(request.parameters)}["layers"]
+            assert isinstance(splats, tuple)
             names = [layer.name for layer in splats[first : first + attribute.width]]
         low, high = attribute.span or (math.inf, -math.inf)
         for channel, name in enumerate(names):
@@ -225,7 +226,7 @@ def placing_or_middle(field: HeightField) -> Placing:
     """Return the position of a field's middle; metres from the middle if it has none."""
     if field.path is None or not is_placed(field, field.path):
         return Placing()
-    return placing_of(field.path) if field.crs else Placing(*(float(c) for c in field.origin[:2]))
+    return placing_of(field.path) if field.crs else Placing(float(field.origin[0]), float(field.origin[1]))
 
 
 def _measure(samples: _Samples, layers: list[_Layer], on_progress: Callable[[float], None]) -> None:

@@ -17,8 +17,9 @@ class TileMesh:
 
     def with_vertices(self, other: "TileMesh", triangles: np.ndarray) -> "TileMesh":
         """Return this mesh with the vertices of another one appended, and with these triangles."""
-        names = "positions", "normals", "uv"
-        return TileMesh(*(np.concatenate([getattr(self, n), getattr(other, n)]) for n in names), triangles)
+        positions = np.concatenate([self.positions, other.positions])
+        normals, uv = np.concatenate([self.normals, other.normals]), np.concatenate([self.uv, other.uv])
+        return TileMesh(positions, normals, uv, triangles)
 
     def at(self, vertices: np.ndarray) -> "TileMesh":
         """Return the vertices with these numbers, without triangles."""

@@ -43,7 +43,7 @@ def child_main() -> None:
     serve(_answer, lambda request: f"Reading the picture {request['pictures'][0][0]}")
 
 
-def _answer(request: dict, *_) -> list:
+def _answer(request: dict, *_: object) -> dict:
     from rasterio.errors import RasterioError
 
     child.end_with_parent()
@@ -53,7 +53,7 @@ def _answer(request: dict, *_) -> list:
         except (OSError, RasterioError) as reason:
             fix = "make room or choose another folder"
             raise TerrainError(f"The map {file} cannot be written ({reason})", fix=fix) from reason
-    return []
+    return {}
 
 
 def _write_geotiff(source: str, path: Path, transform: Sequence[float], crs: str) -> None:

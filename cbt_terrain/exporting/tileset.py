@@ -83,7 +83,7 @@ def export_tileset(
     for finer, level in zip(levels[:0:-1], levels[-2::-1], strict=True):
         level.bound = max(level.bound, finer.bound)
     try:
-        tiles = {}
+        tiles: dict[tuple[int, int, int], tuple] = {}
         for number, level in enumerate(levels):
             _write_level(path, number, level, levels[0].bound, tiles)
             on_progress(0.5 + 0.5 * (number + 1) / len(levels))

@@ -64,7 +64,7 @@ def export_tileset(
     triangles: int = TRIANGLES,
     on_progress: Callable[[float], None] = lambda _fraction: None,
 ) -> TilesetReport:
-    """Write a tileset and its tiles, NAME_LEVEL_X_Y.glb, beside it. Raises TerrainError.
+    """Write a tileset and its tiles, NAME_LEVEL_X_Y.glb, into one folder. Raises TerrainError.
 
     Args:
         field: a store's height field.

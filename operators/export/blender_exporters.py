@@ -113,7 +113,7 @@ def export_usda(obj, name: str) -> None:
             export_animation=False,
             export_materials=False,
             xform_op_mode="MAT",  # others lose shear
-            evaluation_mode="VIEWPORT",  # the render has modifiers of its own
+            evaluation_mode="VIEWPORT",  # only the viewport's modifiers are off
         )
     finally:
         for modifier in shown:

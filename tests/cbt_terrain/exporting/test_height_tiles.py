@@ -67,8 +67,7 @@ def padded(heights, index):
     return np.pad(heights, ((0, height - heights.shape[0]), (0, width - heights.shape[1])), "edge")
 
 
-@pytest.mark.parametrize("form", ["r32", "exr", "tif"])
-@pytest.mark.parametrize("overlap", [0, 1])
+@pytest.mark.parametrize(("form", "overlap"), [("r32", 0), ("r32", 1), ("exr", 0), ("tif", 1)])
 def test_float_tiles_hold_the_heights_of_the_source(make, tmp_path, form, overlap):
     heights, index = make(HeightTiles(form, size=40, overlap=overlap))
     assert index["num_tiles"] == [3, 2] and index["num_samples_on_terrain"] == [100, 75]

@@ -44,7 +44,7 @@ def plan_areas(mesh):
 
 @pytest.fixture(scope="module")
 def local(tmp_path_factory):
-    """161 x 97 pixels without a coordinate system."""
+    """Export 161 x 97 pixels without a coordinate system."""
     tmp_path = tmp_path_factory.mktemp("local")
     heights = smooth(161, 97)
     _, report = export(tmp_path, heights, transform=UTM["transform"])
@@ -120,7 +120,7 @@ def test_skirts_are_deeper_than_the_gap_between_any_levels(local):
 
 
 def test_a_tileset_on_the_globe_is_where_its_raster_is(tmp_path):
-    """Vertices are converted back to UTM with Karney's series: they lie on the raster's surface within the bound."""
+    """Vertices are converted back to UTM with Karney's series and compared with the raster."""
     heights = smooth(161, 97)
     field, report = export(tmp_path, heights, error=2.0, **UTM)
     tileset, tiles = read_tileset(tmp_path / "land.json")

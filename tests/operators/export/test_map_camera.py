@@ -18,7 +18,7 @@ CELLS = 40, 30
 
 @pytest.fixture
 def mapped(scene, add_terrain, tmp_path):
-    """A turned, stretched terrain whose colour is its position: red from west to east, green from south to north."""
+    """Add a turned, stretched terrain whose colour is its position: red to the east, green to the north."""
     transform = Affine(30.0, 0, 500_000.0, 0, -20.0, 5_200_000.0)
     write_raster(tmp_path / "in.tif", hills(CELLS[0] + 1, CELLS[1] + 1) / 50, crs="EPSG:32632", transform=transform)
     run_import(ImportSettings(str(tmp_path / "in.tif")), tmp_path / "store")

@@ -172,6 +172,13 @@ def on_depsgraph_update(scene, depsgraph) -> None:
 
 
 @_unless_paused
+def on_save_pre(_path, _unused=None) -> None:
+    """Complete the meshes that the file keeps: a program without the extension renders them."""
+    for obj in session.all_terrains():
+        session.show_normals(obj)
+
+
+@_unless_paused
 def on_load_pre(_path, _unused=None) -> None:
     resting_land.stop()
     session.clear()
@@ -199,6 +206,7 @@ HANDLERS = {
     "render_complete": on_render_end,
     "render_cancel": on_render_end,
     "depsgraph_update_post": on_depsgraph_update,
+    "save_pre": on_save_pre,
     "load_pre": on_load_pre,
     "load_post": on_load_post,
     "undo_post": on_undo,

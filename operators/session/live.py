@@ -27,6 +27,7 @@ from ..terrain.request_kernels import kernels_for
 from . import previews, session
 
 IDLE_S, BUSY_S, RENDERING_S = 0.05, 0.005, 0.25
+NORMALS_S = 1.0  # without an update before a live mesh gets its exact normals
 
 
 @dataclass
@@ -47,6 +48,7 @@ _draw_handle = None
 _follows_viewport = False
 _screens: tuple = ()  # key of the attributes that open windows read
 _started = 0.0  # start of the running job
+_shown_at = 0.0  # end of the last update
 _stage = ""  # current work of the worker, for the status bar
 
 
@@ -82,6 +84,8 @@ def _turn() -> float:
         _job = _refinement()
     _dirty |= _rest(idle and _job is None)
     if idle:
+        if _job is None and time.monotonic() - _shown_at >= NORMALS_S:
+            _show_normals()
         return IDLE_S if _job is None else BUSY_S
     _dirty = False  # before reading the properties, so that no later change is missed
     _job = _next_job()
@@ -100,6 +104,14 @@ def _rest(idle: bool) -> bool:
     if jobs.progress_shown() != before:
         jobs.redraw_panels()
     return has_changed
+
+
+def _show_normals() -> None:
+    """Write the normals that live updates have postponed, before Blender 4.5."""
+    if any(record.postponed is not None for _, record in session.records()):
+        for obj in session.all_terrains():
+            if obj.mode == "OBJECT":
+                session.show_normals(obj)
 
 
 def _windows_changed() -> bool:
@@ -224,6 +236,8 @@ def _carry_out(record: session.Record, request: Request):
 
 
 def _finish(job: LiveUpdate) -> None:
+    global _shown_at
+    _shown_at = time.monotonic()
     obj = next((item for item in session.all_terrains() if item.session_uid == job.uid), None)
     if obj is None or obj.mode != "OBJECT":
         return
@@ -236,7 +250,7 @@ def _finish(job: LiveUpdate) -> None:
         with session.engine_lock:
             # Another update may have been shown since then.
             if record.generation == job.generation and record.serial == serial:
-                session.show(obj, record, job.request, update, VIEWPORT)
+                session.show(obj, record, job.request, update, VIEWPORT, exact=False)
                 if update.changed:
                     record_time(job.request, update.ms["total"], record.time_correction)
         _unrefined.pop(job.uid, None)

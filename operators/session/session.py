@@ -10,6 +10,7 @@ import time
 from collections import Counter
 
 import bpy
+import numpy as np
 
 from ...cbt_terrain.accuracy.time_correction import TimeCorrection
 from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
@@ -30,7 +31,7 @@ from ..attributes.request import EffectStatus, statuses
 from ..bridge import freed_memory
 from ..bridge.cleanup import clean_up
 from ..bridge.demand import kept
-from ..bridge.writer import write_mesh
+from ..bridge.writer import write_mesh, write_normals
 from ..overlay.colors import Overlay, make_overlay
 from ..scatter.request import ScatterRecord, make_points, show_points
 from ..terrain import frozen
@@ -79,6 +80,7 @@ class Record:
     Attributes:
         serial: number of the current surface.
         shown: key of the surface in the mesh and of how it was written.
+        postponed: float32 [V, 3], normals that the mesh lacks because it is live; None if it has them.
         overlay: None while it is off; `overlay_key` identifies its inputs, `overlay_ms` its time.
         effects: attributes in arrays of the terrain's history, which holds `effects_bytes`.
         effects_serial: number of the current values.
@@ -94,6 +96,7 @@ class Record:
     field: object = None
     serial: int = 0
     shown: tuple | None = None
+    postponed: np.ndarray | None = None
     overlay: Overlay | None = None
     overlay_key: tuple | None = None
     overlay_ms: float = 0.0
@@ -297,8 +300,11 @@ def open_field(store: str):
     return _fields[key]
 
 
-def show(obj, record: Record, request: Request, update, mode: str) -> bool:
-    """Write the mesh unless it already shows this surface; return whether it was written."""
+def show(obj, record: Record, request: Request, update, mode: str, *, exact: bool = True) -> bool:
+    """Write the mesh unless it already shows this surface; return whether it was written.
+
+    exact: write exact normals at once, though they are slow before Blender 4.5; otherwise `show_normals` may have to.
+    """
     _make_mesh_single_user(obj)
     written = record.shown != _what_is_shown(obj.data, record, request)
     ms = dict(update.ms)
@@ -306,12 +312,16 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
         start = time.perf_counter()
         if mode == VIEWPORT and update.triangles >= freed_memory.LARGE:
             freed_memory.hold()
-        record.shown = None
-        write_mesh(obj.data, clean_up(shown_surface(record, update), request.cleanup), smooth=request.smooth)
+        record.shown = record.postponed = None
+        surface = clean_up(shown_surface(record, update), request.cleanup)
+        if write_mesh(obj.data, surface, smooth=request.smooth, exact=exact):
+            record.postponed = surface.normals.copy()
         record.shown = _what_is_shown(obj.data, record, request)
         ms["mesh"] = (time.perf_counter() - start) * 1e3
         if record.overlay is not None:
             ms["overlay"] = record.overlay_ms
+    elif exact:
+        show_normals(obj)
     show_points(obj, record.scatters, request)
     if record.effects:
         ms["effects"] = sum(status.ms for status in record.effects_status.values())
@@ -329,6 +339,16 @@ def show(obj, record: Record, request: Request, update, mode: str) -> bool:
         bounds=update.bounds,
     )
     return written
+
+
+def show_normals(obj) -> bool:
+    """Write the exact normals that a live update has postponed; return whether there were any."""
+    record, mesh = record_of(obj), obj.data
+    normals, record.postponed = record.postponed, None
+    if normals is None or record.shown is None or len(normals) != len(mesh.vertices) or mesh.is_editmode:
+        return False
+    write_normals(mesh, normals)
+    return True
 
 
 def shown_surface(record: Record, update) -> Surface:
@@ -353,7 +373,7 @@ def forget_shown() -> None:
     """After undo, write each mesh again at its next update, and drop running updates."""
     kept.forget()
     for record in _records.values():
-        record.shown = record.live_key = None
+        record.shown = record.postponed = record.live_key = None
         for scatter in record.scatters.values():
             scatter.shown = ()
         record.generation += 1

@@ -25,7 +25,7 @@ from ..field import store_folder
 from ..field.heightfield import HeightField
 from ..run import launch, owned_files
 from ..run.owned_files import NotOursError
-from . import land_folder, requested_tiles
+from . import land_folder, requested_tiles, shaping_cost
 from .land_folder import OF_VIEWS, is_land_name, read_mask
 from .preview import Preview, preview
 from .requested_tiles import SeenTiles, Tiles
@@ -46,6 +46,7 @@ _shaping = threading.Lock()
 _in_use: dict[int, str] = {}  # folder of the land that each user wants
 _previews: dict[str, Preview] = {}  # by `Land.folder`, the last one used last
 _rebuilds: Counter[str] = Counter()  # by folder
+_costs_less_whole: dict[str, bool] = {}  # by the folder of land
 _verified: set[tuple[str, int]] = set()  # stores, with their time of change, whose files were all checked
 
 
@@ -91,6 +92,14 @@ class Land:
     def of_views_alone(self) -> "Land":
         """The same land where only the parts in view are fine."""
         return replace(self, of_views=True)
+
+    @property
+    def in_shots(self) -> "Land":
+        """The land that shots need: with only the parts in view fine, or whole if that costs less."""
+        if self.folder not in _costs_less_whole:
+            lattice = shaping_cost.lattice_of(self.source)
+            _costs_less_whole[self.folder] = shaping_cost.costs_less_whole(lattice, self.stack)
+        return self if _costs_less_whole[self.folder] else self.of_views_alone
 
     @property
     def shown(self) -> str:

@@ -19,7 +19,7 @@ MAX_WHOLE, MAX_WHOLE_FOR_TILES = 4097, 2049
 
 
 class LevelPlan:
-    """How entries are applied at each level, and the total cost in nanoseconds on one thread.
+    """How entries are applied at each level, the cost of each entry, and the total in nanoseconds on one thread.
 
     The finer levels of `doubted` entries, whose tiles differ too much from a level in one piece, are computed in one
     piece if possible.
@@ -35,7 +35,10 @@ class LevelPlan:
 
     def _count(self) -> None:
         self.needed = add_coarser(self.levels, self.wanted, [self._max_halo(level) for level in self.levels])
-        self.total = add_up(self._cost(level) for level in self.levels)
+        self.costs = [0.0] * len(self.entries)
+        for level in self.levels:
+            self._add_costs(level)
+        self.total = add_up(self.costs)
 
     def doubt(self, number: int) -> None:
         """Mark an entry as doubted from the next finer level on."""
@@ -101,16 +104,15 @@ class LevelPlan:
         rows, columns = (axis.stop - axis.start for axis in window)
         return rows * columns * max(entry.declaration.cost_ns, 1.0)
 
-    def _cost(self, level: Level) -> float:
-        tiles, total = self.with_neighbours(level, self.needed[level.number]), 0.0
+    def _add_costs(self, level: Level) -> None:
+        tiles = self.with_neighbours(level, self.needed[level.number])
         for numbers in self.runs(level) if level.is_whole or tiles else ():
             for number, margin in zip(numbers, self.margins(level, numbers), strict=False):
                 entry, how = self.entries[number], self.how(number, level)
                 if how == WHOLE:
-                    total += self.cost(entry, level.whole)
+                    self.costs[number] += self.cost(entry, level.whole)
                 elif how == TILES:
-                    total += len(tiles) * self.cost(entry, level.window(min(tiles), *margin))
-        return total
+                    self.costs[number] += len(tiles) * self.cost(entry, level.window(min(tiles), *margin))
 
     def choose_tiles(self, level: Level, max_change: np.ndarray | None, uncertain: np.ndarray | None) -> list[int]:
         """Return the needed tiles of a level where its change may exceed the allowed error.

@@ -42,6 +42,7 @@ class Added:
 
     Its root mean square and largest absolute value are in metres. `made`: number of pieces, of which `computed` were
     not cached. `doubtful`: computed in tiles although these differ too much from the level in one piece (`whole`).
+    `planned_ms`: milliseconds that the plan expected on one thread.
     """
 
     level: int
@@ -55,6 +56,7 @@ class Added:
     computed: int
     ms: float
     doubtful: bool = False
+    planned_ms: float = 0.0
 
 
 @dataclass(eq=False)
@@ -174,7 +176,7 @@ class TileSums:
     """The changes of an entry in each tile of a level, metres and metres squared.
 
     Also whether its mask is not 0 everywhere there, the number of pieces that were not cached, and the milliseconds
-    spent on them.
+    spent on and planned for them.
     """
 
     max_change: np.ndarray
@@ -182,6 +184,7 @@ class TileSums:
     unmasked: np.ndarray
     computed: int = 0
     ms: float = 0.0
+    planned_ms: float = 0.0
 
     @classmethod
     def zeros(cls, level: Level) -> "TileSums":
@@ -237,7 +240,7 @@ def _added(run: Shaping, level: Level, number: int, whole: bool, tiles: list[int
     spacing, effect = max(level.step_x, level.step_y), run.entries[number].effect
     figures = rms, float(sums.max_change.max()), whole, 1 if whole else len(tiles), sums.computed, sums.ms
     doubtful = not whole and bool(tiles) and number in run.plan.doubted
-    return Added(level.number, spacing, number, effect, *figures, doubtful)
+    return Added(level.number, spacing, number, effect, *figures, doubtful, sums.planned_ms)
 
 
 def _apply_run(
@@ -260,7 +263,7 @@ def _apply_run(
     report = run.progress(cost, level, entry)
     report(0.0)
     start = None if coarser is None else _upsample(coarser, level.shape)
-    with _counted(run, entry, sums):
+    with _counted(run, entry, sums, cost):
         change = apply_whole(work, entry, land, mask, start, report)
     run.done += cost
     if start is not None and level.number and numbers[0] not in run.plan.doubted:
@@ -283,11 +286,12 @@ def _upsample(arrays: Sequence[np.ndarray], shape: tuple[int, int]) -> np.ndarra
 
 
 @contextmanager
-def _counted(run: Shaping, entry: Entry, sums: TileSums) -> Iterator[None]:
+def _counted(run: Shaping, entry: Entry, sums: TileSums, cost: float) -> Iterator[None]:
     before, start = run.cache.made[entry.effect], time.perf_counter()
     yield
     sums.computed += run.cache.made[entry.effect] - before
     sums.ms += (time.perf_counter() - start) * 1e3
+    sums.planned_ms += cost / 1e6
 
 
 def _apply_tiles(
@@ -362,7 +366,7 @@ def _compute_tile(
             report(0.0)
             # A mask of 0 everywhere spares the work.
             if mask is None or entry.declaration.masks or mask[here].any():
-                with _counted(run, entry, entry_sums):
+                with _counted(run, entry, entry_sums, cost):
                     change = apply_tile(work, entry, land, mask, coarser, target, report)
             run.done += cost
         land, mask = land.crop(target), None if mask is None else mask[here]

@@ -14,7 +14,6 @@ from ...cbt_terrain.importing.import_process import import_source
 from ..bridge.scene_paths import absolute_path
 from ..importing.import_terrain import settings_of
 from ..importing.import_terrain import summary as import_summary
-from ..land.properties import SEEN
 from ..land.request import land_of
 from ..land.shape_land import wanted_land
 from ..maps.baking import carry_out
@@ -59,9 +58,10 @@ def shape_land(obj, frames: Sequence[int], say: Say, to: To) -> None:
     scene, depsgraph = bpy.context.scene, bpy.context.evaluated_depsgraph_get()
     if obj.hide_render:
         return
-    if land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True) is not None:
+    land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
+    if land is not None:
         views = []
-        if obj.adaptive_terrain.land.where == SEEN:
+        if land.of_views:
             *_, views = look_through(obj, scene, frames, np.array(obj.matrix_world, np.float64))
         raster_of("", wanted_land(obj, bpy.context.evaluated_depsgraph_get(), views), session.open_field, verified=True)
         say(f"{obj.name}: its land is shaped")

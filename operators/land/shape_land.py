@@ -15,7 +15,6 @@ from .. import jobs
 from ..job_operator import JobOperator
 from ..session import live, session
 from ..session.shot import frames_of, look_through
-from .properties import SEEN
 from .request import land_of
 
 
@@ -23,7 +22,7 @@ def wanted_land(obj, depsgraph, views: list[View] = ()) -> Land:
     """Return the land to shape: everywhere, or where these views look. Raises TerrainError if there is none."""
     evaluated = obj.evaluated_get(depsgraph)
     land = land_of(obj, evaluated, depsgraph, waits=True)
-    if land is not None and views:
+    if land is not None and land.of_views and views:
         settings, placement = evaluated.adaptive_terrain, np.array(evaluated.matrix_world, np.float64)
         scale = settings.vertical_scale, settings.vertical_offset
         land = replace(land, seen=SeenTiles(tuple(views), placement, settings.render.error_px, *scale))
@@ -51,9 +50,9 @@ def _check_is_seen(obj, depsgraph) -> None:
         )
 
 
-def _views(obj, scene):
+def _views(obj, scene, land: Land):
     """Visit the frames of the shot if only visible land is to be fine; yield the views of the shot at last."""
-    if obj.adaptive_terrain.land.where != SEEN:
+    if not land.of_views:
         yield []
         return
     placement = np.array(obj.matrix_world, np.float64)
@@ -75,8 +74,7 @@ class ShapeLand(JobOperator, bpy.types.Operator):
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         obj, depsgraph = context.object, context.evaluated_depsgraph_get()
         _check_is_seen(obj, depsgraph)
-        wanted_land(obj, depsgraph)  # for its errors
-        views = yield from jobs.visit_frames(job, _views(obj, context.scene))
+        views = yield from jobs.visit_frames(job, _views(obj, context.scene, wanted_land(obj, depsgraph)))
         land = wanted_land(job.terrain(), bpy.context.evaluated_depsgraph_get(), views)
         derived_store.is_whole(land, session.open_field)  # removes damaged land
         child, wanted = derived_store.begin_shaping(land, session.open_field)
@@ -90,7 +88,7 @@ class ShapeLand(JobOperator, bpy.types.Operator):
         obj = context.object
         try:
             _check_is_seen(obj, context.evaluated_depsgraph_get())
-            *_, views = _views(obj, context.scene)
+            *_, views = _views(obj, context.scene, wanted_land(obj, context.evaluated_depsgraph_get()))
             derived_store.raster_of("", wanted_land(obj, context.evaluated_depsgraph_get(), views), session.open_field)
         except TerrainError as error:
             return self.fail(obj, str(error))

@@ -28,7 +28,6 @@ from ..bridge import camera as cameras
 from ..bridge.cleanup import Cleanup, plan_triangles
 from ..bridge.evaluated import found_in
 from ..bridge.scene_paths import absolute_path
-from ..land.properties import SEEN
 from ..land.request import land_of
 from ..scatter.request import Scatters, gather_scatters
 from .detail_properties import value_of
@@ -137,7 +136,7 @@ def gather(
             views = _views(settings, depsgraph, mode, camera, resolution)
     store, land = absolute_path(settings.store), land_of(obj, evaluated, depsgraph, mode == RENDER)
     if land is not None:
-        if views and mode == RENDER and settings.land.where == SEEN:
+        if views and mode == RENDER and land.of_views:
             scale = settings.vertical_scale, settings.vertical_offset
             land = replace(land, seen=SeenTiles(tuple(views), placement, criterion.error_px, *scale))
         elif mode != RENDER:

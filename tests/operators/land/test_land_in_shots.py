@@ -70,3 +70,20 @@ def test_a_frozen_terrain_takes_the_shaped_heights(terrain, wide_store):
     assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
     assert shaped_land.state_of(terrain).shown == "Shaped" and len(terrain.data.polygons) == before
     shutil.rmtree(land_folder.folder_beside(str(wide_store)))
+
+
+def test_a_shot_gets_the_whole_land_where_that_costs_less(scene, terrain, wide_store, tmp_path):
+    """Tiles with margins would cost several times as much; Everywhere finds the same store."""
+    shutil.copytree(wide_store, tmp_path / "wide")
+    settings = terrain.adaptive_terrain
+    settings.store, settings.land.where = str(tmp_path / "wide"), "SEEN"
+    add("rivers")
+    scene.frame_start, scene.frame_end = 1, 3
+    frame = scene.frame_current
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    state = shaped_land.state_of(terrain)
+    assert state.tiles[0] == state.tiles[1] and not state.wanted and scene.frame_current == frame
+    session.update_object(terrain, mode="RENDER")
+    settings.land.where = "WHOLE"
+    session.update_object(terrain, mode="RENDER")
+    assert derived_store.counts["stores"] == 1

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Estimates of the cost of shaping land: in one piece or in tiles, and in seconds on this machine."""
+
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+from ..errors import TerrainError
+from ..field import store as stores
+from ..field.lattice import Lattice, fit
+from ..view.linear import add_up
+from .land_folder import folder_beside, is_land_name
+from .level_plan import MAX_WHOLE, LevelPlan
+from .preview import Preview
+from .stack import Stack
+from .tiles import Wanted, all_tiles, levels_of, whole_land
+
+# Part of all tiles that a shot is assumed to see. The frames of a shot are not known where land is chosen, and all of
+# them need the same land on every machine, because tiles of some operators differ from land in one piece.
+SHOT = 0.5
+MAX_ESTIMATED = 8193  # samples a side; the plan of more tiles takes too long for a panel
+NUM_EARLIER = 3  # newest shaped stores that are read for measured times
+# Nanoseconds on one thread: of measuring a sample's errors, and of a planned nanosecond of operators (measured: 1.0 to
+# 2.1, least for land in one piece).
+BUILD_NS, PLANNED_NS = 240.0, 1.3
+
+
+def costs_less_whole(lattice: Lattice, stack: Stack) -> bool:
+    """Return whether the whole land in one piece costs less than the tiles of a shot with their margins."""
+    if max(lattice.width, lattice.height) > MAX_WHOLE:
+        return False
+    whole, tiles = (_plan(lattice, stack, wanted).total for wanted in (whole_land(lattice), all_tiles(lattice)))
+    return whole < SHOT * tiles
+
+
+def lattice_of(source: str) -> Lattice:
+    """Return the lattice of a store without opening its arrays. Raises TerrainError."""
+    return fit(**stores.read_json(Path(source))["lattice"])
+
+
+def estimate_seconds(source: str, stack: Stack, preview: Preview | None, in_tiles: bool) -> float | None:
+    """Return the seconds that shaping a store will take; None without anything measured.
+
+    Times of earlier land of this store count, or else those of the preview of the stack. in_tiles: all tiles, which is
+    the limit for a shot.
+    """
+    lattice = lattice_of(source)
+    if max(lattice.width, lattice.height) > MAX_ESTIMATED:
+        return None
+    plan = _plan(lattice, stack, all_tiles(lattice) if in_tiles else whole_land(lattice))
+    rates, rest_s = _measured(_earlier(source))
+    if rates:
+        mean = add_up(rates.values()) / len(rates)
+        pairs = zip(stack.active, plan.costs, strict=True)
+        return rest_s + add_up(cost * rates.get(entry.effect, mean) for entry, cost in pairs) / 1e9
+    if preview is None or preview.build_ms <= 0.0:
+        return None
+    # The preview is the coarsest level, where operators take many more steps than at finer ones.
+    speed = preview.build_ms * 1e6 / (preview.field.samples.size * BUILD_NS)  # 1 on one thread of the reference machine
+    building = lattice.width * lattice.height * BUILD_NS
+    return add_up(preview.ms) / 1e3 + speed * (PLANNED_NS * plan.total + building) / 1e9
+
+
+def _plan(lattice: Lattice, stack: Stack, wanted: Wanted) -> LevelPlan:
+    return LevelPlan(levels_of(lattice), stack.active, wanted)
+
+
+def _earlier(source: str) -> list[dict]:
+    """Return the JSON of the newest shaped stores of a source, the newest last."""
+    found = []
+    with suppress(OSError):
+        files = [folder / stores.JSON_NAME for folder in folder_beside(source).iterdir() if is_land_name(folder.name)]
+        found = sorted((file.stat().st_mtime, file) for file in files if file.is_file())[-NUM_EARLIER:]
+    read = []
+    for _, file in found:
+        with suppress(TerrainError):
+            read.append(stores.read_json(file.parent))
+    return read
+
+
+def _measured(earlier: Iterable[dict]) -> tuple[dict[str, float], float]:
+    """Return measured over planned time of each effect, and the seconds that the last land took besides its effects.
+
+    Only pieces that were not cached count.
+    """
+    rates, rest_s = {}, 0.0
+    for content in earlier:
+        with suppress(KeyError, TypeError, AttributeError, ZeroDivisionError):  # a provenance may hold anything
+            added = content["provenance"]["shaped"]["added"]
+            new = [one for one in added if one["computed"] == one["made"] > 0 and one["planned_ms"] > 0.0]
+            for effect in {one["effect"] for one in new}:
+                ms, planned = (add_up(o[name] for o in new if o["effect"] == effect) for name in ("ms", "planned_ms"))
+                rates[effect] = ms / planned
+            rest_s = max(content["report"]["seconds"] - add_up(one["ms"] for one in added) / 1e3, 0.0)
+    return rates, rest_s

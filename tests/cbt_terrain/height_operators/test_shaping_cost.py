@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The choice between land in one piece and in tiles, and the estimate of seconds."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.field.build import build
+from adaptive_terrain.cbt_terrain.field.lattice import fit
+from adaptive_terrain.cbt_terrain.field.store import Draft, open_store, read_json
+from adaptive_terrain.cbt_terrain.height_operators import shaping_cost
+from adaptive_terrain.cbt_terrain.height_operators.derived_store import Land
+from adaptive_terrain.cbt_terrain.height_operators.preview import preview
+from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
+from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
+from land_effects import bumpy
+
+FACTOR = 4.0  # between estimate and measurement, while other tests share the cores
+RIVERS, RELIEF = Stack((Entry("rivers"), Entry("thermal"))), Stack((Entry("relief"),))
+
+
+@pytest.mark.parametrize(
+    "side, stack, whole",
+    [
+        (1800, RIVERS, True),
+        (1800, RELIEF, False),  # its tiles have no margins
+        (4097, RIVERS, True),
+        (4098, RIVERS, False),  # it is made of tiles in any case
+        (500, RIVERS, False),  # there are no tiles
+    ],
+)
+def test_land_in_one_piece_is_chosen_where_it_costs_less(side, stack, whole):
+    assert shaping_cost.costs_less_whole(fit(side, side, 10.0, 10.0), stack) == whole
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    """Build a store of 700 x 700 samples, 16 m apart; return its folder."""
+    path = tmp_path_factory.mktemp("stores") / "bumpy"
+    draft = Draft(path)
+    samples = draft.allocate("samples", (700, 700), np.float32)
+    samples[:] = 20.0 * bumpy(700, 700)
+    draft.publish(build(samples, 16.0, 16.0, missing=0, allocate=draft.allocate), "bumpy", {})
+    return str(path)
+
+
+def shape(source: str, stack: Stack) -> tuple[str, float]:
+    """Shape land as Blender does; return its folder and the seconds."""
+    land = Land.of(source, stack, True)
+    start = time.monotonic()
+    run_shape(source, stack, land.folder, tiles=land.tiles)
+    return land.folder, time.monotonic() - start
+
+
+def test_the_preview_is_the_first_calibration(source):
+    stack = Stack((Entry("thermal"), Entry("relief")))
+    shown = preview(open_store(source), stack)
+    estimate = shaping_cost.estimate_seconds(source, stack, shown, in_tiles=False)
+    _, seconds = shape(source, stack)
+    print(f"estimated {estimate:.1f} s, took {seconds:.1f} s")
+    assert seconds / FACTOR < estimate < seconds * FACTOR
+
+
+def test_earlier_land_is_the_better_calibration(source):
+    """It needs no preview, and effects count by their own times."""
+    folder, seconds = shape(source, Stack((Entry("thermal"), Entry("relief"))))
+    twice = Stack((Entry("thermal"), Entry("thermal", seed=1), Entry("relief")))
+    estimate = shaping_cost.estimate_seconds(source, twice, None, in_tiles=False)
+    content = read_json(Path(folder))
+    spent = {name: 0.0 for name in ("thermal", "relief")}
+    for one in content["provenance"]["shaped"]["added"]:
+        spent[one["effect"]] += one["ms"] / 1e3
+    expected = content["report"]["seconds"] + spent["thermal"]
+    assert estimate == pytest.approx(expected, rel=1e-6)
+    _, seconds = shape(source, twice)
+    print(f"estimated {estimate:.1f} s, took {seconds:.1f} s")
+    assert seconds / FACTOR < estimate < seconds * FACTOR
+
+
+def test_nothing_is_estimated_without_measurement(source, tmp_path):
+    lonely = tmp_path / "lonely"
+    lonely.mkdir()
+    (lonely / "store.json").write_bytes((Path(source) / "store.json").read_bytes())
+    assert shaping_cost.estimate_seconds(str(lonely), RELIEF, None, in_tiles=False) is None

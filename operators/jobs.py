@@ -180,13 +180,13 @@ def draw_progress(layout, job: BackgroundJob, text: str = ""):
 
 
 def redraw_panels() -> None:
-    """Redraw the sidebar of every 3D viewport."""
+    """Redraw the sidebar of every 3D viewport, and image editors, which show what a render waits for."""
+    shown = {"VIEW_3D": "UI", "IMAGE_EDITOR": "WINDOW"}
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                for region in area.regions:
-                    if region.type == "UI":
-                        region.tag_redraw()
+            for region in area.regions:
+                if region.type == shown.get(area.type):
+                    region.tag_redraw()
 
 
 def run_on_thread(job: BackgroundJob, work: Callable[[], object]) -> Steps:

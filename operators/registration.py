@@ -16,7 +16,7 @@ from .farm import submit_to_farm
 from .ground import add_collider, drop_to_ground, keep_above, keep_ground, pick_ground, profile_curve, viewshed
 from .ground import properties as keep_properties
 from .importing import add_terrain, import_terrain, move_stores, pack_store, store_paths
-from .land import bake_land, shape_land, water_surface
+from .land import bake_land, render_wait, shape_land, water_surface
 from .land import cache as land_cache
 from .land import presets as land_presets
 from .land import stack_list as land_list
@@ -54,6 +54,7 @@ MODULES = (
     land_presets,
     land_cache,
     shape_land,
+    render_wait,
     water_surface,
     export_terrain,
     export_tiles,

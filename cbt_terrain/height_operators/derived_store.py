@@ -50,6 +50,13 @@ _costs_less_whole: dict[str, bool] = {}  # by the folder of land
 _verified: set[tuple[str, int]] = set()  # stores, with their time of change, whose files were all checked
 
 
+def on_shaping(_land: "Land", _fraction: float, _message: str) -> None:
+    """Tell of land that the caller waits for: the finished fraction, at last 1, and the present step.
+
+    Blender's part replaces this function, which does nothing.
+    """
+
+
 @dataclass(frozen=True)
 class Land:
     """A stack on a source.
@@ -179,7 +186,11 @@ def _shape(land: Land, open_field: OpenField) -> None:
     wanted = wanted_tiles(land, open_field)
     if not is_whole(land, open_field) or not requested_tiles.has(land.folder, wanted):
         wanted = requested_tiles.with_known(land.folder, wanted)
-        shape_store(land.source, land.stack, land.folder, wanted, tiles=land.tiles)
+        tell = functools.partial(on_shaping, land)
+        try:
+            shape_store(land.source, land.stack, land.folder, wanted, tell, tiles=land.tiles)
+        finally:
+            tell(1.0, "")
         finish(land, wanted)
         counts["stores"] += 1
 

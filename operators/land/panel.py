@@ -95,14 +95,26 @@ class LandPanel(TerrainSubpanel, bpy.types.Panel):
 
 def _draw_shaping(row, obj, state) -> None:
     """Draw one row: the button, or the progress of shaping with the buttons that end it."""
-    job = jobs.find(jobs.SHAPE, obj)
+    job, wait = jobs.find(jobs.SHAPE, obj), shaped_land.render_wait_of(obj)
+    if wait is not None:
+        row.progress(factor=wait.fraction, text=wait.text)
+        return
     if job is None:
         row.enabled = wanted = state.wanted or state.active and bool(session.record_of(obj).status.error)
-        text = "Shape Now" if wanted else "Shaped" if state.active else "Nothing to Shape"
+        text = _shape_now(obj) if wanted else "Shaped" if state.active else "Nothing to Shape"
         row.operator("adaptive_terrain.shape", text=text, icon="RNDCURVE" if wanted else "CHECKMARK")
         return
     row = jobs.draw_progress(row, job)
     row.operator("adaptive_terrain.shape_finish", text="", icon="CHECKMARK")
+
+
+def _shape_now(obj) -> str:
+    """Return the text of the button, with the estimated seconds if they are known."""
+    seconds = shaped_land.seconds_to_shape(obj)
+    if seconds is None:
+        return "Shape Now"
+    rounded = f"{seconds:.1g}" if seconds < 10.0 else f"{5 * round(seconds / 5)}"
+    return f"Shape Now (about {rounded} s)"
 
 
 def status_lines(state) -> list[tuple[str, str]]:

@@ -8,21 +8,23 @@ from pathlib import Path
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
-from ...cbt_terrain.height_operators.derived_store import preview_of
+from ...cbt_terrain.height_operators.derived_store import Land, preview_of
 from ...cbt_terrain.height_operators.height_operator import LandLayer
 from ...cbt_terrain.height_operators.land_folder import folder_beside, is_of_views
 from ...cbt_terrain.height_operators.level_plan import MAX_WHOLE
+from ...cbt_terrain.height_operators.shaping_cost import estimate_seconds
 from ..bridge.scene_paths import absolute_path
 from ..importing.imported import imported_of
 from ..session import session
 from ..text.numbers import length_text, plain
+from . import render_wait
 from .properties import EVERYWHERE
 
 SOURCE, PREVIEW, SHAPED = "Source", "Preview", "Shaped"
 FAILED = "Failed"
 SMALL_M = 500.0
 NOTES = {
-    SOURCE: "Not shown: hidden, frozen, or without Live Update",
+    SOURCE: "Not shown yet: press Update or Shape Now",
     FAILED: "Not shown: see the error above",
     PREVIEW: "Refined in view while nothing changes; a render has all of it",
 }
@@ -63,6 +65,44 @@ class LandState:
     def wanted(self) -> bool:
         """Return whether Shape Now would do anything."""
         return self.active and (self.shown != SHAPED or self.finished_early or self.seen)
+
+
+def render_wait_of(obj) -> render_wait.LandWait | None:
+    """Return the shaping of this terrain's land that a render waits for, None if there is none."""
+    wait = render_wait.waiting
+    source = absolute_path(obj.adaptive_terrain.store)
+    return wait if wait is not None and Path(wait.folder).parent == folder_beside(source) else None
+
+
+def seconds_to_shape(obj) -> float | None:
+    """Return the estimated seconds of Shape Now for a terrain that shows a preview, None without an estimate."""
+    request = session.record_of(obj).status.request
+    if request is None or request.land is None or request.land.waits:
+        return None
+    beside = folder_beside(request.land.source)
+    try:
+        return _estimate(request.land, beside.stat().st_mtime_ns if beside.exists() else 0)
+    except (TerrainError, OSError):
+        return None
+
+
+@functools.lru_cache(maxsize=64)
+def _estimate(land: Land, _changed_ns: int) -> float | None:
+    return estimate_seconds(land.source, land.stack, preview_of(land), land.of_views)
+
+
+def _why_source(obj) -> str:
+    """Return why the mesh does not show the stack."""
+    if session.record_of(obj).status.error:
+        return NOTES[FAILED]
+    if render_wait_of(obj) is not None:
+        return "A render shapes it now"
+    settings = obj.adaptive_terrain
+    if settings.frozen:
+        return "Not shown: frozen"
+    if obj.hide_viewport or not obj.visible_get():
+        return "Not shown: hidden"
+    return NOTES[SOURCE] if settings.live else "Not shown: Live Update is off"
 
 
 def store_of(obj) -> str:
@@ -108,7 +148,7 @@ def _as_updated(obj, numbers: list[int]) -> LandState:
             return LandState(True, PREVIEW, found.step_m, None, _by_number(numbers, found.ms), note)
     info = _shaping_info(_shown(request)) if request is not None and _shown(request) else None
     if info is None:
-        return LandState(True, note=NOTES[FAILED if session.record_of(obj).status.error else SOURCE])
+        return LandState(True, note=_why_source(obj))
     tiles, note = (sum(map(len, info.tiles)), sum(info.tile_counts)), ""
     if info.doubtful:
         note = DOUBTFUL.format(info.doubtful)

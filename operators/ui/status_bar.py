@@ -7,6 +7,7 @@ import bpy
 
 from ...cbt_terrain.run import warmup
 from .. import jobs
+from ..land import render_wait
 from ..session import live
 
 TURN_S = 0.1
@@ -19,6 +20,9 @@ def work() -> tuple[float | None, str] | None:
     fraction = warmup.progress()
     if fraction is not None:
         return fraction, "Preparing kernels (first use)"
+    wait = render_wait.waiting
+    if wait is not None:
+        return wait.fraction, wait.text
     for job in jobs.running:
         return job.fraction, job.text
     seconds = live.seconds_under_way()

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A render that waits for land shows what it waits for."""
+
+import bpy
+import pytest
+from adaptive_terrain.cbt_terrain.height_operators import derived_store
+from adaptive_terrain.operators.land import panel, render_wait, shaped_land
+from adaptive_terrain.operators.session import session
+from adaptive_terrain.operators.ui import status_bar
+from land_scenes import add
+
+
+def test_a_render_shows_the_land_that_it_waits_for(terrain, monkeypatch, capsys):
+    add("rivers")
+    session.update_object(terrain)
+    seen, noted = [], render_wait.print_line
+
+    def look(line):
+        noted(line)
+        wait = shaped_land.render_wait_of(terrain)
+        seen.append((wait.fraction, status_bar.work(), shaped_land.state_of(terrain).shown))
+
+    monkeypatch.setattr(render_wait, "print_line", look)
+    monkeypatch.setattr(render_wait, "PRINTED_S", 0.0)
+    session.update_object(terrain, mode="RENDER")
+    assert seen and all(work[0] == fraction for fraction, work, _ in seen)
+    assert "Shaping land, " in capsys.readouterr().out
+    assert render_wait.waiting is None and shaped_land.state_of(terrain).shown == "Shaped"
+
+
+def test_the_text_has_the_time_that_is_left(monkeypatch):
+    wait = render_wait.LandWait("folder", 100.0, 0.25, "Rivers, 2,049 x 2,049")
+    monkeypatch.setattr(render_wait.time, "monotonic", lambda: 110.0)
+    assert wait.text == "Shaping land, 25%, about 30 s left (Rivers, 2,049 x 2,049)"
+    wait.fraction = 0.0
+    assert wait.text == "Shaping land, 0% (Rivers, 2,049 x 2,049)"
+
+
+def test_a_failed_wait_is_forgotten(terrain, monkeypatch):
+    add("rivers")
+
+    def fail(*arguments, **_options):
+        arguments[4](0.5, "Rivers")
+        assert render_wait.waiting.fraction == 0.5
+        raise ValueError("disk")
+
+    monkeypatch.setattr(derived_store, "shape_store", fail)
+    with pytest.raises(ValueError, match="disk"):
+        session.update_object(terrain, mode="RENDER")
+    assert render_wait.waiting is None
+
+
+def test_the_button_tells_the_seconds(terrain):
+    add("thermal")
+    session.update_object(terrain)
+    seconds = shaped_land.seconds_to_shape(terrain)
+    assert 0.0 < seconds < 100.0 and panel._shape_now(terrain).startswith("Shape Now (about ")
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    assert shaped_land.seconds_to_shape(terrain) is None
+
+
+def test_the_reason_for_the_source_is_true(terrain):
+    add("thermal")
+    assert shaped_land.state_of(terrain).note == "Not shown yet: press Update or Shape Now"
+    terrain.adaptive_terrain.live = False
+    assert shaped_land.state_of(terrain).note == "Not shown: Live Update is off"
+    terrain.hide_viewport = True
+    bpy.context.view_layer.update()
+    assert shaped_land.state_of(terrain).note == "Not shown: hidden"

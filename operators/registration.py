@@ -27,6 +27,7 @@ from .maps import operators as bake_maps
 from .overlay import panel as overlay_panel
 from .scatter import operators as add_scatter
 from .scatter import panel as scatter_panel
+from .scene import set_up
 from .session import live, session
 from .terrain import frame_terrain, freeze_detail, properties, update_terrain
 from .ui import panels, status_bar, status_row
@@ -47,6 +48,7 @@ MODULES = (
     bake_land,
     bake_maps,
     terrain_material,
+    set_up,
     add_scatter,
     splat_layers,
     layer_images,

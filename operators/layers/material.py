@@ -84,6 +84,16 @@ def dress(obj, sources: LayerSources) -> bpy.types.Material:
     return material
 
 
+def has_group(obj) -> bool:
+    """Return whether a material of the object has the node group."""
+    return any(_group_node(slot.material) is not None for slot in obj.material_slots)
+
+
+def is_bare(obj) -> bool:
+    """Return whether the object has no material."""
+    return all(slot.material is None for slot in obj.material_slots)
+
+
 def _find(obj) -> tuple[bpy.types.Material, bpy.types.Node] | None:
     """Return the object's first material that has the group, and the group's node."""
     for slot in obj.material_slots:

@@ -15,7 +15,7 @@ from ..text.numbers import length_text
 from . import sight
 
 MARGIN = 1.08
-HALF_SENSOR_MM = 36.0  # of a viewport, which is twice as wide as a camera with the same lens
+VIEWPORT_SENSOR_MM = 72.0  # twice that of a camera: with the same lens a viewport sees twice as much
 NEAREST_CAMERA_START = 1.0  # metres: the largest clip start, so that near objects stay visible
 
 
@@ -32,7 +32,7 @@ def frame(obj, depsgraph, viewports: list[tuple], always: bool) -> list[str]:
         TerrainError: the terrain has no store or no finite box.
     """
     box = sight.box_of(obj, depsgraph)
-    done = _widen_camera(obj, depsgraph, box)
+    done = widen_camera(obj, depsgraph, box)
     for _window, area, region, region_3d in viewports:
         space = area.spaces.active
         if space.local_view is not None and not obj.local_view_get(space):
@@ -57,7 +57,8 @@ def shown_viewports(window_manager, scene) -> list[tuple]:
     return [viewport for viewport in cameras.viewports(window_manager) if viewport[0].scene == scene]
 
 
-def _widen_camera(obj, depsgraph, box: np.ndarray) -> list[str]:
+def widen_camera(obj, depsgraph, box: np.ndarray) -> list[str]:
+    """Extend the clip range of a terrain's camera to a box; return the changes in words."""
     camera = sight.camera_of(obj, depsgraph.scene)
     if camera is None:
         return []
@@ -108,7 +109,7 @@ def _move_view(space, region, region_3d, box: np.ndarray, visible: tuple[float, 
     middle = (box.min(axis=0) + box.max(axis=0)) / 2
     across, up, towards = ((box - middle) @ axes).T
     larger = max(region.width, region.height)
-    tangents = np.array([region.width, region.height]) / larger * HALF_SENSOR_MM / space.lens
+    tangents = np.array([region.width, region.height]) / larger * VIEWPORT_SENSOR_MM / 2 / space.lens
     left, right, bottom, top = visible
     wide, high = tangents * ((right - left) / 2, (top - bottom) / 2)
     towards = towards if region_3d.is_perspective else 0.0

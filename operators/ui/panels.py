@@ -43,6 +43,7 @@ class TerrainPanel(bpy.types.Panel):
             box = layout.box().column(align=True)
             figures(box, statistics_panel.summary_lines(session.record_of(obj).status))
             draw_status(box, context, obj)
+            layout.operator("adaptive_terrain.set_up_scene", icon="LIGHT_SUN")
             return
         if obj is not None and obj.type == "MESH" and obj.adaptive_terrain.enabled:
             message(layout, LEFT_ALONE, "LINKED")

@@ -17,7 +17,7 @@ from adaptive_terrain.operators.layers.properties import BANDS, colors_of, layer
 from adaptive_terrain.operators.session import session
 from demand_trees import colour, new_material, shows
 
-PRESETS = ("alpine", "desert", "island", "moon")
+PRESETS = ("alpine", "desert", "dunes", "hills", "island", "moon")
 
 
 @pytest.fixture

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The button *Set Up Scene*."""
+
+import math
+
+import bpy
+from mathutils import Vector
+
+from ..importing.imported import imported_of
+from ..layers.material import dress, has_group, is_bare
+from ..layers.operators import PRESET_PANEL, PRESETS
+from ..layers.terrain_material import sources_of
+from ..session.polls import cancelled_by_errors, on_terrain_object
+from ..terrain import frame_terrain, sight
+from . import daylight, defaults, viewpoint
+from .daylight import MARK
+
+CURRENT, ACROSS = "CURRENT", "ACROSS"
+CAMERA = "Terrain Camera"
+LOOK = "AgX - Medium High Contrast"
+# Layer presets that suit the built-in lands, and files whose highest ground is too low for snow.
+LAYERS = {"mountains": "alpine", "dunes": "dunes", "canyon": "desert", "island": "island", "archipelago": "island"}
+SNOWLESS, SNOWLESS_M = "hills", 1500.0
+
+
+class SetUpScene(bpy.types.Operator):
+    """Add a sun, a physical sky, a camera at the current view and the terrain's material, and remove Blender's default
+    cube and lamp. Press it again to replace what it has made; nothing else changes"""
+
+    bl_idname = "adaptive_terrain.set_up_scene"
+    bl_label = "Set Up Scene"
+    bl_options = {"REGISTER", "UNDO"}
+
+    view: bpy.props.EnumProperty(
+        name="Camera",
+        items=[(CURRENT, "Current View", "The camera stands where the viewport looks from"),
+               (ACROSS, "Across the Terrain", "The camera stands at the low side and looks towards the high one")],
+    )  # fmt: skip
+    elevation: bpy.props.FloatProperty(
+        name="Sun Elevation",
+        description="Angle of the sun above the horizon",
+        default=math.radians(24.0), min=math.radians(1.0), max=math.radians(90.0), subtype="ANGLE",
+    )  # fmt: skip
+    turn: bpy.props.FloatProperty(
+        name="Sun From",
+        description="Direction of the sun, clockwise from the direction in which the camera looks: 90° is from the "
+        "right, 180° from behind",
+        default=math.radians(-78.0), soft_min=-math.pi, soft_max=math.pi, subtype="ANGLE",
+    )  # fmt: skip
+
+    @classmethod
+    def poll(cls, context):
+        if not on_terrain_object(cls, context):
+            return False
+        cls.poll_message_set("Import a height map first")
+        return bool(context.object.adaptive_terrain.store)
+
+    @cancelled_by_errors
+    def execute(self, context):
+        scene, obj = context.scene, context.object
+        sight.box_of(obj)  # raises an error before anything changes
+        for default in defaults.untouched(scene):
+            _remove(default)
+        for made in [item for item in scene.objects if MARK in item and item.type == "LIGHT"]:
+            _remove(made)
+        camera = self._place_camera(context, obj)
+        ahead = camera.matrix_world.to_3x3() @ Vector((0.0, 0.0, -1.0))
+        _light(scene, self.elevation, math.atan2(ahead.x, ahead.y) + self.turn)
+        if is_bare(obj):
+            _choose_layers(obj)
+            dress(obj, sources_of(obj, ()))
+        elif has_group(obj):
+            dress(obj, sources_of(obj, ()))
+        if MARK not in scene:
+            scene[MARK] = True
+            _choose_look(scene)
+        scene.render.use_lock_interface = True  # a viewport that draws while a render rewrites the mesh would crash
+        self.report({"INFO"}, f"Sun, sky and {camera.name} are set up: press F12 to render")
+        return {"FINISHED"}
+
+    def _place_camera(self, context, obj):
+        """Return the scene's camera at the chosen view, with a clip range for the terrain.
+
+        It is the camera of an earlier click, the unchanged one of the start-up file, or a new one. A camera of the user
+        through which the viewport looks stays as it is, except for a clip range that ends too early.
+        """
+        scene, viewport = context.scene, viewpoint.viewport_of(context)
+        through_camera = viewport is not None and viewport[1].view_perspective == "CAMERA"
+        mine = next((item for item in scene.objects if MARK in item and item.type == "CAMERA"), None)
+        current = scene.camera
+        if self.view == CURRENT and through_camera and current is not None and not defaults.is_default_camera(current):
+            frame_terrain.widen_camera(obj, context.evaluated_depsgraph_get(), sight.box_of(obj))
+            return current
+        if mine is None:
+            mine = current if defaults.is_default_camera(current) else _add_camera(scene)
+            mine[MARK] = True
+        mine.data.lens = viewpoint.LENS_MM
+        if self.view == CURRENT and viewport is not None and not through_camera:
+            space, region_3d = viewport
+            place, mine.data.lens = region_3d.view_matrix.inverted(), viewpoint.lens_of(space)
+        else:
+            place = viewpoint.across(obj)
+            if viewport is not None:
+                viewpoint.look_from(viewport[1], place, 0.5 * sight.diagonal(sight.box_of(obj)))
+        mine.matrix_world = place
+        mine.data.clip_start, mine.data.clip_end = viewpoint.clip_range(obj, place.translation)
+        scene.camera = mine
+        return mine
+
+
+def _add_camera(scene):
+    camera = bpy.data.objects.new(CAMERA, bpy.data.cameras.new(CAMERA))
+    scene.collection.objects.link(camera)
+    return camera
+
+
+def _light(scene, elevation: float, azimuth: float) -> None:
+    """Light a scene by a sun and the sky around it. A sun lamp of the user stays and the sky follows it."""
+    suns = [item for item in scene.objects if item.type == "LIGHT" and item.data.type == "SUN"]
+    sun = suns[0] if suns else daylight.add_sun(scene, elevation, azimuth)
+    before, scene.world = scene.world, None
+    if before is not None and MARK in before:
+        if before.users == 0:
+            bpy.data.worlds.remove(before)
+    elif not defaults.is_default_world(before):
+        before.use_fake_user = True  # else the file would lose it
+    daylight.add_sky(scene, sun.matrix_world.col[2].xyz.normalized())
+
+
+def _choose_layers(obj) -> None:
+    """Give a terrain without layers those that suit it; others keep theirs, and high ground the default ones."""
+    settings, imported = obj.adaptive_terrain, imported_of(obj.adaptive_terrain)
+    if settings.layers or imported is None:
+        return
+    is_low = imported.heights_m[1] < SNOWLESS_M
+    if preset := LAYERS.get(imported.settings.get("source", ""), SNOWLESS if is_low else ""):
+        bpy.ops.script.execute_preset(filepath=bpy.utils.preset_find(preset, PRESETS), menu_idname=PRESET_PANEL)
+
+
+def _choose_look(scene) -> None:
+    """Give AgX more contrast, unless a look is chosen."""
+    view = scene.view_settings
+    if view.view_transform == "AgX" and view.look == "None":
+        view.look = LOOK
+
+
+def _remove(obj) -> None:
+    """Remove an object and its data."""
+    bpy.data.batch_remove([obj, obj.data])
+
+
+register, unregister = bpy.utils.register_classes_factory((SetUpScene,))

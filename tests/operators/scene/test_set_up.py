@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Set Up Scene: its parts, a second click, and everything of the user's that stays."""
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.operators.bridge.camera import view_from_camera
+from adaptive_terrain.operators.scene.daylight import MARK, SKY_TYPES
+from adaptive_terrain.operators.terrain import sight
+
+SET_UP = bpy.ops.adaptive_terrain
+
+
+@pytest.fixture
+def factory(empty):
+    """Open the start-up file with its cube, lamp and camera."""
+    bpy.ops.wm.read_homefile(use_factory_startup=True)
+    return bpy.context.scene
+
+
+def made(scene):
+    return sorted(f"{item.type} {item.name}" for item in scene.objects if MARK in item)
+
+
+def sky_of(scene):
+    return next(node for node in scene.world.node_tree.nodes if node.type == "TEX_SKY")
+
+
+def test_a_click_replaces_the_default_cube_and_lamp(factory, add_terrain):
+    terrain = add_terrain()
+    assert SET_UP.set_up_scene() == {"FINISHED"}
+    assert sorted(factory.objects.keys()) == ["Camera", "Terrain", "Terrain Sun"]
+    assert made(factory) == ["CAMERA Camera", "LIGHT Terrain Sun"], "the start-up file's camera is used"
+    assert "Cube" not in bpy.data.meshes and "Light" not in bpy.data.lights
+    assert factory.camera.name == "Camera" and factory.render.use_lock_interface
+    assert sky_of(factory).sky_type in SKY_TYPES and not sky_of(factory).sun_disc
+    assert terrain.active_material.node_tree.nodes
+    view = view_from_camera(factory, factory.camera, factory.camera.matrix_world, (160, 90))
+    box = sight.box_of(terrain)
+    assert sight.is_in_sight(box, view) and not sight.is_cut_off(box, view)
+    assert not sight.is_below_ground(terrain, np.array(factory.camera.location))
+    assert factory.camera.data.clip_start <= 1.0 and factory.camera.data.clip_end < 10 * sight.diagonal(box)
+
+
+def test_the_sky_has_its_sun_where_the_lamp_is(factory, add_terrain):
+    add_terrain()
+    SET_UP.set_up_scene(elevation=math.radians(40.0), turn=math.radians(90.0))
+    towards = bpy.data.objects["Terrain Sun"].matrix_world.col[2].xyz
+    ahead = -factory.camera.matrix_world.col[2].xyz
+    assert math.degrees(math.asin(towards.z)) == pytest.approx(40.0, abs=1e-3)
+    assert ahead.x * towards.y - ahead.y * towards.x < -0.7, "it stands to the right of the view"
+    sky = sky_of(factory)
+    level = math.cos(sky.sun_elevation)
+    seen = math.sin(sky.sun_rotation) * level, math.cos(sky.sun_rotation) * level, math.sin(sky.sun_elevation)
+    np.testing.assert_allclose(seen, towards, atol=1e-5)
+
+
+def test_a_second_click_replaces_what_the_first_has_made(factory, add_terrain):
+    terrain = add_terrain()
+    SET_UP.set_up_scene()
+    kinds = "objects", "lights", "cameras", "worlds", "materials", "node_groups", "meshes"
+    before = {kind: sorted(getattr(bpy.data, kind).keys()) for kind in kinds}
+    terrain.active_material.node_tree.nodes["Group"].inputs["Variation"].default_value = 0.9
+    factory.view_settings.look, factory.view_settings.exposure = "None", 0.5
+    bpy.data.objects["Terrain Sun"].rotation_euler.x = 0.0
+    SET_UP.set_up_scene()
+    assert {kind: sorted(getattr(bpy.data, kind).keys()) for kind in kinds} == before
+    assert bpy.data.objects["Terrain Sun"].rotation_euler.x != 0.0
+    assert terrain.active_material.node_tree.nodes["Group"].inputs["Variation"].default_value == pytest.approx(0.9)
+    assert (factory.view_settings.look, factory.view_settings.exposure) == ("None", 0.5)
+
+
+def test_changed_defaults_are_kept(factory, add_terrain):
+    add_terrain()
+    factory.objects["Cube"].data.vertices[0].co.x = -1.5
+    factory.objects["Light"].data.energy = 900.0
+    factory.camera.location.x += 1.0
+    SET_UP.set_up_scene()
+    assert {"Cube", "Light", "Camera", "Terrain Camera"} <= set(factory.objects.keys())
+    assert factory.camera.name == "Terrain Camera"
+
+
+@pytest.mark.parametrize("attached", ["parent", "modifier", "animation", "name"])
+def test_a_cube_in_use_is_kept(factory, add_terrain, attached):
+    add_terrain()
+    cube = factory.objects["Cube"]
+    if attached == "parent":
+        factory.objects["Light"].parent = cube
+    elif attached == "modifier":
+        cube.modifiers.new("Bevel", "BEVEL")
+    elif attached == "animation":
+        cube.keyframe_insert("location")
+    else:
+        cube.name = "House"
+    SET_UP.set_up_scene()
+    assert cube.name in factory.objects
+
+
+def test_what_the_user_has_made_stays(scene, add_terrain):
+    terrain, world = add_terrain(), bpy.data.worlds.new("Mine")
+    scene.world = world
+    lamp = bpy.data.objects.new("Evening", bpy.data.lights.new("Evening", "SUN"))
+    lamp.rotation_euler, lamp.data.energy = (1.2, 0.0, 0.7), 2.0
+    scene.collection.objects.link(lamp)
+    material = bpy.data.materials.new("Painted")
+    terrain.data.materials.append(material)
+    bpy.context.view_layer.update()
+    place = [list(row) for row in scene.objects["Camera"].matrix_world]
+    SET_UP.set_up_scene()
+    assert terrain.active_material == material
+    assert "Terrain Sun" not in scene.objects and lamp.data.energy == 2.0
+    assert sky_of(scene).sun_elevation == pytest.approx(math.pi / 2 - 1.2, abs=1e-5), "the sky follows the user's sun"
+    assert [list(row) for row in scene.objects["Camera"].matrix_world] == place
+    assert scene.world != world and world.use_fake_user
+
+
+def test_without_a_store_nothing_changes(scene, add_terrain):
+    terrain = add_terrain()
+    terrain.adaptive_terrain.store = ""
+    with pytest.raises(RuntimeError, match="Import a height map first"):
+        SET_UP.set_up_scene()
+    terrain.adaptive_terrain.store = "/nowhere"
+    names = set(bpy.data.objects.keys())
+    with pytest.raises(RuntimeError, match="nowhere"):
+        SET_UP.set_up_scene()
+    assert set(bpy.data.objects.keys()) == names
+
+
+@pytest.mark.parametrize(("transform", "elevation"), [("AgX", 8.0), ("AgX", 24.0), ("Standard", 60.0)])
+def test_pictures_are_neither_black_nor_burnt(factory, add_terrain, tmp_path, transform, elevation):
+    """Cycles renders it; the sky keeps its colour, and the ground has light and shade."""
+    terrain = add_terrain()
+    factory.view_settings.view_transform = transform
+    SET_UP.set_up_scene(elevation=math.radians(elevation))
+    terrain.adaptive_terrain.render.error_px = 4.0
+    render = factory.render
+    render.engine, factory.cycles.samples, factory.cycles.device = "CYCLES", 4, "CPU"
+    factory.cycles.use_denoising = False
+    render.resolution_x, render.resolution_y, render.resolution_percentage = 96, 54, 100
+    render.filepath, render.image_settings.file_format = str(tmp_path / "a.png"), "PNG"
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(str(tmp_path / "a.png"))
+    pixels = np.array(image.pixels).reshape(54, 96, 4)[..., :3]
+    assert 0.2 < pixels.mean() < 0.75
+    assert (pixels.min(axis=2) > 0.97).mean() < 0.05 and (pixels.max(axis=2) < 0.03).mean() < 0.15
+    assert pixels[:18].std() > 0.03, "the ground is not flat"

@@ -18,6 +18,7 @@ from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.heightfield import HeightField
 from ..field.lands import LANDS
 from .drafts import drafted, figures
+from .height_range import fit_heights
 from .plausibility import ValueCheck, relief_warning
 from .raster import ImportSettings, Raster
 from .rounding import half_step, rounding_warnings
@@ -57,9 +58,13 @@ def run_import(
             return report
         place = _place(settings, raster)
         width, height = (max(count, 2) for count in _size(raster, place))
+        given = settings
+        settings, notes = fit_heights(settings, raster, place.step_x * (width - 1), _blocks)
+        raster.warnings += notes
         lattice = lattice_for(width, height, place.step_x, place.step_y, settings.source)
         with drafted(path, folder, lattice, doubt=DOUBT) as draft:
             field, check = _build(settings, raster, place, draft, (height, width), on_progress)
+            field = field.with_raster(provenance=_provenance(given, raster))
             report = _report(field, raster, place)
             if settings.source not in LANDS:
                 report["warnings"] += _implausible(raster, settings, place, report, check)
@@ -96,13 +101,18 @@ def _build(
         allocate=draft.allocate,
         on_progress=lambda f: on_progress(0.5 + 0.49 * f, "Measuring errors"),
     )
-    request = dataclasses.asdict(settings) | {"no_data": None if settings.no_data is None else str(settings.no_data)}
     return field.with_raster(
         **({} if steps is None else _as_numbers(field, draft, steps)),
         origin=np.array([*place.middle, 0.0]),
         crs=place.crs,
-        provenance={"settings": request, "format": raster.format, "stored": raster.stored},
     ), check
+
+
+def _provenance(settings: ImportSettings, raster: Raster) -> dict:
+    """Return the origin of a store's heights as JSON."""
+    values = dataclasses.asdict(settings)
+    values["no_data"] = None if settings.no_data is None else str(settings.no_data)
+    return {"settings": values, "format": raster.format, "stored": raster.stored}
 
 
 def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = ()) -> str:
@@ -177,7 +187,8 @@ def _size(raster: Raster, georeference: Georeference) -> tuple[int, int]:
 
 def _scaling(raster: Raster, settings: ImportSettings) -> tuple[float, float]:
     """Return the scale and the offset, metres, from a source's values to heights."""
-    return raster.scale * settings.height_scale, raster.offset * settings.height_scale + settings.height_offset
+    scale = 1.0 if settings.height_scale is None else settings.height_scale
+    return raster.scale * scale, raster.offset * scale + settings.height_offset
 
 
 def _as_numbers(field: HeightField, draft: store.Draft, steps: codes.Steps) -> dict:

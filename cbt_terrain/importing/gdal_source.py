@@ -151,6 +151,7 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
         placed,
         georeference=georeference,
         is_sized=is_sized,
+        has_unit=bool(dataset.units[band - 1]),
         projected_from=projected_from,
         scale=dataset.scales[band - 1] * in_metres,
         offset=dataset.offsets[band - 1] * in_metres,

@@ -32,8 +32,11 @@ class ImportSettings:
         raw_dtype: type of its samples, one of RAW_TYPES.
         raw_little_endian: order of their bytes.
         extent: metres from the first to the last sample in x and y, instead of the file's.
-        height_scale: a height is value * height_scale + height_offset, metres.
+        height_scale: a height is value * height_scale + height_offset, metres. None: 1, except for an image without a
+            unit, which has heights from 0 to a quarter of its width (height_range.py).
         height_offset: see height_scale.
+        lowest: height of the lowest sample in metres, instead of a scale; None: 0 if `highest` is given.
+        highest: height of the highest sample; None: a quarter of the width above `lowest` if that is given.
         no_data: value of missing samples, instead of the file's; NaN for none.
         holes: whether missing samples are cut out instead of filled.
         size: samples a side of a built-in terrain.
@@ -49,8 +52,10 @@ class ImportSettings:
     raw_dtype: str = "uint16"
     raw_little_endian: bool = True
     extent: tuple[float, float] | None = None
-    height_scale: float = 1.0
+    height_scale: float | None = None
     height_offset: float = 0.0
+    lowest: float | None = None
+    highest: float | None = None
     no_data: float | None = None
     holes: bool = False
     size: int = island.DEFAULT_SIZE
@@ -70,10 +75,22 @@ class ImportSettings:
                 f"The extent {tuple(self.extent)} m cannot be used",
                 expected=f"lengths between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} m",
             )
-        if not (math.isfinite(self.height_scale) and math.isfinite(self.height_offset)) or self.height_scale == 0.0:
+        scale = 1.0 if self.height_scale is None else self.height_scale
+        if not (math.isfinite(scale) and math.isfinite(self.height_offset)) or scale == 0.0:
             raise TerrainError(
-                f"Height scale {self.height_scale} and offset {self.height_offset} m cannot be used",
+                f"Height scale {scale} and offset {self.height_offset} m cannot be used",
                 expected="finite numbers and a scale other than 0",
+            )
+        ends = [end for end in (self.lowest, self.highest) if end is not None]
+        if not all(map(math.isfinite, ends)) or len(ends) == 2 and ends[0] >= ends[1]:
+            raise TerrainError(
+                f"The heights {' to '.join(f'{end:g}' for end in ends)} m cannot be used",
+                expected="finite numbers, the lowest below the highest",
+            )
+        if ends and (self.height_scale is not None or self.height_offset != 0.0 or self.source in LANDS):
+            raise TerrainError(
+                "The lowest and highest height replace a scale and an offset, of files only",
+                fix="give either the heights or the scale",
             )
         if self.raw_dtype not in RAW_TYPES:
             raise TerrainError(f"RAW type {self.raw_dtype!r} is not known", fix=f"choose one of {', '.join(RAW_TYPES)}")
@@ -103,6 +120,7 @@ class Raster:
         format: name of the file's format.
         georeference: size, position and orientation; None if the file does not define them.
         is_sized: whether the file defines its size.
+        has_unit: whether the file defines the unit of its values.
         block_rows: number of rows that are best read together.
         scale: a height is value * scale + offset metres, before the scale and offset of the settings.
         offset: see scale.
@@ -121,6 +139,7 @@ class Raster:
     format: str
     georeference: Georeference | None = None
     is_sized: bool = False
+    has_unit: bool = False
     block_rows: int = 1
     scale: float = 1.0
     offset: float = 0.0

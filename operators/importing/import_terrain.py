@@ -32,11 +32,15 @@ def settings_of(obj) -> ImportSettings:
     """Return the import settings of a terrain's properties. Raises TerrainError."""
     settings = obj.adaptive_terrain
     extent = tuple(settings.extent) if settings.use_extent else None
-    heights = {"height_scale": settings.height_scale, "height_offset": settings.height_offset}
+    heights = {"height_offset": settings.height_offset}
+    if settings.is_property_set("height_scale"):
+        heights["height_scale"] = settings.height_scale
     if (land := land_of(settings)) is not None:
         return ImportSettings(source=land.name, size=settings.island_size, seed=settings.seed, extent=extent, **heights)
     if not settings.source_path:
         raise TerrainError("No file is chosen to import", fix="choose a height map on the terrain's panel")
+    if settings.use_heights:
+        heights = {"lowest": settings.lowest, "highest": settings.highest}
     raw = {}
     if is_raw(settings.source_path):
         raw = {

@@ -12,7 +12,7 @@ from ...cbt_terrain.field.georeference import LARGEST_EXTENT
 from ...cbt_terrain.field.lands import LANDS
 from ...cbt_terrain.importing.raster import ImportSettings
 from ..bridge.scene_paths import absolute_path
-from ..text.numbers import length_text
+from ..text.numbers import length_text, plain
 
 # Custom properties as BlenderGIS has them on its scenes: the coordinate system, and where in it the local origin lies.
 SRID, CRS_X, CRS_Y = "SRID", "crs x", "crs y"
@@ -81,7 +81,7 @@ def _pair(report: dict, name: str) -> tuple | None:
 
 def lines_of(imported: Imported | None) -> list[tuple[str, str]]:
     """Return names and figures, always the same number: nothing below them moves when a store is written."""
-    names = ("From", "CRS", "Origin", "Raster", "Extent", "Spacing")
+    names = ("From", "CRS", "Origin", "Raster", "Extent", "Spacing", "Heights")
     if imported is None:
         return [(name, "-") for name in names]
     source = imported.settings.get("source", "")
@@ -92,6 +92,7 @@ def lines_of(imported: Imported | None) -> list[tuple[str, str]]:
         f"{imported.raster[0]:,} x {imported.raster[1]:,}",
         _both([length_text(length) for length in imported.extent_m]),
         _both([length_text(length) for length in imported.step_m]),
+        " to ".join(plain(height, 4) for height in imported.heights_m) + " m",
     )
     return list(zip(names, figures, strict=True))
 
@@ -124,6 +125,8 @@ def changed_settings(settings: ImportSettings, imported: Imported | None) -> lis
         before = imported.settings.get(name, defaults[name])
         if name == "source":
             same = _same_file(value, before)
+        elif name == "height_scale":  # None and 1 give the same heights but for an image, which older stores took as 1
+            same = (1.0 if value is None else value) == (1.0 if before is None else before)
         elif name == "no_data":  # kept as a text, which NaN is too
             same = str(value) == str(before)
         else:

@@ -29,8 +29,7 @@ class SourcePanel(TerrainSubpanel, bpy.types.Panel):
             column.prop(settings, "island_size")
             column.prop(settings, "seed")
         switched(column, settings, "use_extent", "extent")
-        column.prop(settings, "height_scale")
-        column.prop(settings, "height_offset")
+        _draw_heights(column, settings)
         job = jobs.find(jobs.IMPORT, obj)
         if job is not None:
             jobs.draw_progress(column, job)
@@ -38,6 +37,14 @@ class SourcePanel(TerrainSubpanel, bpy.types.Panel):
         again = is_stale(obj)
         text = "Import Again: settings changed" if again else "Import"
         column.operator("adaptive_terrain.import_source", text=text, icon="FILE_REFRESH" if again else "IMPORT")
+
+
+def _draw_heights(column, settings) -> None:
+    if settings.source == FILE:
+        column.prop(settings, "use_heights")
+    is_range = settings.source == FILE and settings.use_heights
+    for name in ("lowest", "highest") if is_range else ("height_scale", "height_offset"):
+        column.prop(settings, name)
 
 
 def is_stale(obj) -> bool:

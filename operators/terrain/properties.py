@@ -53,7 +53,8 @@ def _source_chosen(self, _context) -> None:
     if (land := land_of(self)) is not None:
         self.height_scale = self.extent[0] / land.side
     else:
-        self.use_extent, self.height_scale = False, 1.0
+        self.use_extent = False
+        self.property_unset("height_scale")
 
 
 def _overlay_chosen(self, context) -> None:
@@ -135,6 +136,13 @@ class TerrainSettings(bpy.types.PropertyGroup):
         description="Height of the file's value 0, applied by Import; what acts at once is Vertical Offset",
         unit="LENGTH", default=0.0,
     )  # fmt: skip
+    use_heights: BoolProperty(
+        name="Set Heights",
+        description="Give the heights of the lowest and the highest sample. Without them an 8 or 16-bit image that "
+        "names no size gets a relief of a quarter of its width",
+    )
+    lowest: FloatProperty(name="Lowest", description="Height of the lowest sample", unit="LENGTH")
+    highest: FloatProperty(name="Highest", description="Height of the highest sample", default=1000.0, unit="LENGTH")
     use_no_data: BoolProperty(
         name="Set No-Data", description="Give the value that means no data instead of taking it from the file"
     )

@@ -154,7 +154,7 @@ def test_the_file_vanishes_while_it_is_imported(tmp_path, contents, name, how):
     run_import(ImportSettings(source="island", size=65), store)
     before = contents(store)
     SOURCES[name](source)
-    job = ImportJob(ImportSettings(source=str(source)), store)
+    job = ImportJob(ImportSettings(source=str(source), height_scale=1.0), store)
     while job.poll().fraction == 0.0 and not job.poll().done:
         time.sleep(0.001)
     if how == "deleted":

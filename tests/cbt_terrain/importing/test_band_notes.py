@@ -46,7 +46,7 @@ def test_alpha_bands_mask_samples(tmp_path, kind, most):
     source = write_bands(tmp_path / "a.tif", hills().astype(kind), alpha, ALPHA="YES")
     with rasterio.open(source) as file:
         assert file.colorinterp[1] == ColorInterp.alpha
-    field, report = imported(tmp_path, source, **SIZE)
+    field, report = imported(tmp_path, source, height_scale=1.0, **SIZE)
     assert report["filled"] == 12 and report["warnings"] == []
     seen = np.ones((30, 40), bool)
     seen[4:7, 8:12] = False

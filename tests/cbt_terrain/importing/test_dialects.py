@@ -101,7 +101,7 @@ def write_png(path, samples, color_type, extra=b""):
 @pytest.mark.parametrize("extra", [[], [(b"gAMA", struct.pack(">I", 45455)), (b"sRGB", b"\0")], [(b"sBIT", b"\x0c")]])
 def test_colour_chunks_of_a_png_change_no_height(tmp_path, extra):
     samples = np.round(hills() * 60).astype(np.uint16)
-    field, _ = imported(tmp_path, write_png(tmp_path / "a.png", samples, 0, extra), **SIZE)
+    field, _ = imported(tmp_path, write_png(tmp_path / "a.png", samples, 0, extra), height_scale=1.0, **SIZE)
     assert np.array_equal(field.heights()[::-1], samples.astype(np.float32))
 
 
@@ -110,7 +110,7 @@ def test_the_alpha_of_a_gray_png_masks_samples(tmp_path):
     alpha = np.full_like(samples, 65535)
     alpha[:, :13] = 0
     source = write_png(tmp_path / "a.png", np.stack([samples, alpha], -1), 4)
-    field, report = imported(tmp_path, source, **SIZE)
+    field, report = imported(tmp_path, source, height_scale=1.0, **SIZE)
     assert report["filled"] == 30 * 13
     assert np.array_equal(field.heights()[::-1, 13:], samples[:, 13:].astype(np.float32))
 
@@ -133,7 +133,7 @@ def test_windows_and_layouts_of_an_exr(tmp_path, kind):
 @pytest.mark.parametrize("kind", ["int8", "uint8", "uint32", "int32", "int64", "uint64", "float64"])
 def test_types_of_samples(tmp_path, kind):
     heights = (hills() / 10.0).astype(kind)
-    field, _ = imported(tmp_path, write_raster(tmp_path / "a.tif", heights), **SIZE)
+    field, _ = imported(tmp_path, write_raster(tmp_path / "a.tif", heights), height_scale=1.0, **SIZE)
     assert np.array_equal(field.heights()[::-1], heights.astype(np.float32))
 
 

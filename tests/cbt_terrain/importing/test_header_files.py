@@ -109,7 +109,7 @@ def test_mosaics_name_none_of_them(tmp_path):
 
 def test_bytes_in_the_other_order_warn(tmp_path):
     hills(33, 33).astype(">u2").tofile(tmp_path / "a.r16")
-    size = {"extent": (32_000.0, 32_000.0)}
+    size = {"extent": (32_000.0, 32_000.0), "height_scale": 1.0}
     report = imported(tmp_path, tmp_path / "a.r16", **size)[1]
     assert "if the file is big-endian" in report["warnings"][0]
     assert imported(tmp_path, tmp_path / "a.r16", raw_little_endian=False, **size)[1]["warnings"] == []

@@ -91,11 +91,11 @@ def test_marks_are_sought_in_the_files_own_unit(tmp_path):
 def test_a_relief_beyond_the_extent_warns(tmp_path):
     heights = np.round(hills() * 80.0).astype(np.uint16)
     source = write_raster(tmp_path / "a.png", heights)
-    (warning,) = imported(tmp_path, source)[1]["warnings"]
+    (warning,) = imported(tmp_path, source, height_scale=1.0)[1]["warnings"]
     assert "times the longer side, 39 m. The file names no size" in warning and "--extent" in warning
-    (warning,) = imported(tmp_path, source, extent=(390.0, 290.0))[1]["warnings"]
+    (warning,) = imported(tmp_path, source, extent=(390.0, 290.0), height_scale=1.0)[1]["warnings"]
     assert "If heights are not in metres" in warning and "--height-scale" in warning
-    assert imported(tmp_path, source, extent=(39_000.0, 29_000.0))[1]["warnings"] == []
+    assert imported(tmp_path, source, extent=(39_000.0, 29_000.0), height_scale=1.0)[1]["warnings"] == []
     assert imported(tmp_path, source, height_scale=0.001)[1]["warnings"] == []
 
 

@@ -96,7 +96,7 @@ def test_a_harmful_aux_file_is_not_read_but_warned_about(tmp_path, name):
     content, problem = HARMFUL[name]
     source = bare(tmp_path, "a.tif")
     (tmp_path / "a.tif.aux.xml").write_text(content)
-    warnings = imported(tmp_path, source)[1]["warnings"]
+    warnings = imported(tmp_path, source, height_scale=1.0)[1]["warnings"]
     [warning] = [warning for warning in warnings if not warning.startswith("The relief, ")]
     assert problem in warning and "a.tif.aux.xml is not read" in warning and warning.endswith("are not used.")
 

@@ -158,7 +158,7 @@ def test_exr_channels_are_found_or_named(tmp_path):
 def test_raw(tmp_path, kind):
     heights = heights_16_bit()
     heights.astype(kind).tofile(tmp_path / "a.raw")
-    settings = {"raw_dtype": np.dtype(kind).name, "raw_little_endian": kind[0] == "<"}
+    settings = {"raw_dtype": np.dtype(kind).name, "raw_little_endian": kind[0] == "<", "height_scale": 1.0}
     field, _ = imported(tmp_path, tmp_path / "a.raw", raw_size=(65, 33), **settings)
     assert np.array_equal(field.heights(), heights[::-1])
     south = imported(tmp_path, tmp_path / "a.raw", raw_size=(65, 33), first_row_south=True, **settings)[0]
@@ -225,7 +225,7 @@ def test_colour_and_8_bit_pictures_are_warned_about(tmp_path):
     picture = np.arange(64, dtype=np.uint8).reshape(1, 8, 8)
     with rasterio.open(tmp_path / "a.png", "w", driver="PNG", width=8, height=8, count=3, dtype="uint8") as file:
         file.write(np.repeat(picture, 3, axis=0))
-    warnings = imported(tmp_path, tmp_path / "a.png", extent=(700.0, 700.0))[1]["warnings"]
+    warnings = imported(tmp_path, tmp_path / "a.png", extent=(700.0, 700.0), height_scale=1.0)[1]["warnings"]
     assert len(warnings) == 2 and "3 channels" in warnings[0] and "256 steps" in warnings[1]
 
 
@@ -312,7 +312,8 @@ def test_every_file_format_gives_the_same_terrain(tmp_path):
         tmp_path / "a.r16",
         tmp_path / "a.npy",
     ]
-    fields = [imported(tmp_path, source, extent=(30000.0, 31000.0), raw_size=(columns, rows))[0] for source in sources]
+    settings = {"extent": (30000.0, 31000.0), "raw_size": (columns, rows), "height_scale": 1.0}
+    fields = [imported(tmp_path, source, **settings)[0] for source in sources]
     assert len({field.heights().tobytes() for field in fields}) == 1
     whole, exr = fields[:1] + fields[2:], fields[1]
     assert len({field.key for field in whole}) == 1 and {field.source_max for field in whole} == {0.5}

@@ -56,8 +56,9 @@ def test_the_panel_shows_what_was_imported(terrain):
         ("Raster", "40 x 30"),
         ("Extent", "975 x 725 m"),
         ("Spacing", "25 x 25 m"),
+        ("Heights", "0.002057 to 0.999 m"),
     ]
-    assert len(lines_of(None)) == 6, "as many lines before an import"
+    assert len(lines_of(None)) == 7, "as many lines before an import"
 
 
 def test_the_panel_shows_the_warnings_of_an_import(terrain):
@@ -147,5 +148,5 @@ def test_impossible_figures_of_a_store_are_no_error(terrain, pair):
     content["sum"] = stores._sum_of(content)
     file.write_text(json.dumps(content))
     lines = lines_of(imported_of(terrain.adaptive_terrain))
-    assert len(lines) == 6 and all(figure.isprintable() and len(figure) < 40 for _, figure in lines)
+    assert len(lines) == 7 and all(figure.isprintable() and len(figure) < 40 for _, figure in lines)
     tag_object(terrain)

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Heights of images whose values have no unit: the lowest and the highest value become two heights in metres."""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import TerrainError
+from ..field.lands import LANDS
+from .raster import ImportSettings, Raster
+from .source_formats import FORMATS
+
+IMAGES, IMAGE_TYPES = ("PNG", "GeoTIFF", "RAW"), ("uint8", "uint16")
+RELIEF = 0.25  # of the width: the range of an image's heights by default
+
+
+def is_image(source: str, raster: Raster) -> bool:
+    """Return whether values are grey levels: an 8 or 16-bit image that names no place, no scale and no unit."""
+    form = FORMATS.get(Path(source).suffix.lower())
+    if source in LANDS or form is None or form.title not in IMAGES or raster.stored not in IMAGE_TYPES:
+        return False
+    return not (raster.is_sized or raster.has_unit or raster.original is not None) and raster.scale == 1.0
+
+
+def fit_heights(
+    settings: ImportSettings, raster: Raster, width_m: float, blocks: Callable[[Raster], Iterator]
+) -> tuple[ImportSettings, list[str]]:
+    """Return settings with the scale and offset that give a raster its lowest and highest height, and warnings.
+
+    Args:
+        width_m: metres from west to east.
+        blocks: blocks(raster) yields the share that was read, and rows of values.
+
+    Raises TerrainError.
+    """
+    low, high = settings.lowest, settings.highest
+    is_chosen = low is not None or high is not None
+    is_scaled = settings.height_scale is not None or settings.height_offset != 0.0
+    if not is_chosen and (is_scaled or not is_image(settings.source, raster)):
+        return settings, []
+    low = low if low is not None else 0.0
+    high = high if high is not None else low + RELIEF * width_m
+    ends = [(np.nanmin(rows), np.nanmax(rows)) for _, rows in blocks(raster) if np.isfinite(rows).any()]
+    if not ends:
+        return settings, []  # the import reports that there is no height
+    first, last = float(min(end[0] for end in ends)), float(max(end[1] for end in ends))
+    if not np.isfinite([first, last]).all():
+        raise TerrainError(
+            f"{settings.source} holds infinite values, so it has no lowest and highest",
+            fix="give the metres in a unit of its values instead",
+        )
+    bottom, top = (first, last) if raster.scale > 0.0 else (last, first)
+    scale = (high - low) / (top - bottom) if top != bottom else raster.scale
+    # The import applies the file's own scale and offset to the values first.
+    offset = low - scale * (bottom + raster.offset / raster.scale)
+    fitted = dataclasses.replace(
+        settings, height_scale=scale / raster.scale, height_offset=offset, lowest=None, highest=None
+    )
+    if is_chosen:
+        return fitted, []
+    return fitted, [
+        f"The values of {Path(settings.source).name}, {first:g} to {last:g}, have no unit: they became {low:.6g} to "
+        f"{high:.6g} m, a quarter of the width. Give the lowest and the highest height in metres (--lowest, --highest), "
+        "or the metres in one of its values as the height scale (--height-scale)."
+    ]

@@ -62,6 +62,6 @@ def fit_heights(
         return fitted, []
     return fitted, [
         f"The values of {Path(settings.source).name}, {first:g} to {last:g}, have no unit: they became {low:.6g} to "
-        f"{high:.6g} m, a quarter of the width. Give the lowest and the highest height in metres (--lowest, --highest), "
-        "or the metres in one of its values as the height scale (--height-scale)."
+        f"{high:.6g} m, a quarter of the width. Give the lowest and the highest height in metres (--lowest, "
+        "--highest), or the metres in one of its values as the height scale (--height-scale)."
     ]

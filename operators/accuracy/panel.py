@@ -36,7 +36,7 @@ class StatisticsPanel(TerrainSubpanel, bpy.types.Panel):
 
     def draw(self, context):
         column = self._columns()
-        obj = context.object
+        obj = session.shown_terrain(context)
         status = session.record_of(obj).status
         for text, icon in error_lines(status):
             message(column, text, icon)
@@ -76,7 +76,7 @@ class AccuracyReportPanel(TerrainSubpanel, bpy.types.Panel):
 
     def draw(self, context):
         column = self._columns()
-        obj = context.object
+        obj = session.shown_terrain(context)
         column.prop(obj.adaptive_terrain, "reports")
         _draw_measuring(column, "adaptive_terrain.sweep_accuracy", "GRAPH")
         try:
@@ -113,12 +113,17 @@ def _bound(value: float, unit: str, digits: int) -> str:
     return f"≤ {bound_text(shown, unit, digits)}" if value < LARGEST else NO_BOUND
 
 
-def summary_lines(status) -> list[tuple[str, str]]:
-    """Return the three lines at the panel's top, also before the first update."""
+def summary_lines(status, sees_nothing: bool = False) -> list[tuple[str, str]]:
+    """Return the three lines at the panel's top, also before the first update.
+
+    sees_nothing: whether the camera has no view of the terrain, so that its bound in pixels means nothing.
+    """
     if not status.mode:
         return [("Triangles", "-"), ("Error bound", "-"), ("Update", "-")]
     name, value, unit, _ = (_bounds(status) or [("Error bound", None, "", None)])[0]
     bound = "-" if value is None else _bound(value, unit, 3)
+    if sees_nothing and unit.startswith("px") and value == 0.0:
+        bound = "no view"
     ms = sum(status.ms.get(step, 0.0) for step in ("total", "overlay", "mesh"))
     return [("Triangles", f"{status.left:,}"), (name, bound), ("Update", f"{plain(ms)} ms")]
 

@@ -14,7 +14,7 @@ from ..maps.properties import label
 from ..session import session
 from ..text.effect_lines import cost_text, readers_text
 from ..text.numbers import plain, time_text, unit_text
-from ..ui.panel_parts import TerrainSubpanel, figures, fixed_lines
+from ..ui.panel_parts import TerrainSubpanel, figures, fixed_lines, show_terrain
 from .properties import is_number
 
 NAME_WIDTH, COST_WIDTH = 0.58, 0.65  # fractions of a row, and of its rest
@@ -29,7 +29,7 @@ class EffectsPanel(TerrainSubpanel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        obj = context.object
+        obj = show_terrain(self.layout, context)
         status, settings = session.record_of(obj).status, obj.adaptive_terrain.effects
         statuses = status.effects
         self.layout.operator("adaptive_terrain.terrain_material", icon="MATERIAL")

@@ -166,17 +166,11 @@ def _add_import(subparsers) -> None:
         metavar="XxY",
         help="metres east and north, instead of the file's",
     )
-    verb.add_argument(
-        "--height-scale",
-        type=float,
-        metavar="F",
-        help="metres per unit of the file (1; 8 and 16-bit images without a unit: such that their relief is a quarter of "
-        "their width)",
-    )
-    verb.add_argument("--lowest", type=float, metavar="METRES", help="height of the lowest sample, instead of a scale")
-    verb.add_argument(
-        "--highest", type=float, metavar="METRES", help="height of the highest sample, instead of a scale"
-    )
+    image = "images without a unit: a relief of a quarter of the width"
+    verb.add_argument("--height-scale", type=float, metavar="F", help=f"metres per unit of the file (1; {image})")
+    for end in ("lowest", "highest"):
+        about = f"height of the {end} sample, instead of a scale"
+        verb.add_argument(f"--{end}", type=float, metavar="METRES", help=about)
     verb.add_argument("--height-offset", type=float, metavar="METRES", help="added to every height (0)")
     verb.add_argument("--no-data", type=float, metavar="VALUE", help="value that means no data, instead of the file's")
     verb.add_argument("--holes", action="store_true", help="cut out samples without data instead of filling them")

@@ -6,6 +6,7 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.importing.source_formats import CHANNEL, suffixes_with
 from .. import jobs
+from ..session import session
 from ..terrain.properties import FILE
 from ..ui.panel_parts import TerrainSubpanel, draw_ground, figures, message, switched
 from . import import_terrain, store_paths
@@ -20,7 +21,7 @@ class SourcePanel(TerrainSubpanel, bpy.types.Panel):
 
     def draw(self, context):
         column = self._columns()
-        obj = context.object
+        obj = session.shown_terrain(context)
         settings = obj.adaptive_terrain
         column.prop(settings, "source")
         if settings.source == FILE:
@@ -80,7 +81,7 @@ class ImportedPanel(TerrainSubpanel, bpy.types.Panel):
 
     def draw(self, context):
         column = self._columns()
-        settings = context.object.adaptive_terrain
+        settings = session.shown_terrain(context).adaptive_terrain
         imported = imported_of(settings)
         figures(column, lines_of(imported), factor=0.28)
         column.separator()
@@ -102,7 +103,7 @@ class SurfacePanel(TerrainSubpanel, bpy.types.Panel):
 
     def draw(self, context):
         column = self._columns()
-        settings = context.object.adaptive_terrain
+        settings = session.shown_terrain(context).adaptive_terrain
         column.prop(settings, "vertical_scale")
         column.prop(settings, "vertical_offset")
         column.prop(settings, "interpolation")
@@ -117,7 +118,7 @@ class DisplacementPanel(TerrainSubpanel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        draw_ground(self._columns(), context.object.adaptive_terrain.ground)
+        draw_ground(self._columns(), session.shown_terrain(context).adaptive_terrain.ground)
 
 
 CLASSES = (SourcePanel, ImportedPanel, SurfacePanel, DisplacementPanel)

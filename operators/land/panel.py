@@ -11,7 +11,7 @@ from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
 from .. import jobs
 from ..session import session
 from ..text.numbers import length_text, time_text, unit_text
-from ..ui.panel_parts import LIMITS, TerrainSubpanel, draw_band, figures, fixed_lines
+from ..ui.panel_parts import LIMITS, TerrainSubpanel, draw_band, figures, fixed_lines, show_terrain
 from . import shaped_land
 from . import stack as land_stack
 from .presets import PRESET_PANEL, PRESETS
@@ -39,7 +39,7 @@ class LandList(bpy.types.UIList):
             left.label(icon="MOD_MASK")
         took = row.row()
         took.alignment = "RIGHT"
-        took.label(text=time_text(shaped_land.state_of(context.object).ms.get(index)))
+        took.label(text=time_text(shaped_land.state_of(session.shown_terrain(context)).ms.get(index)))
 
 
 class LandPresets(PresetPanel, bpy.types.Panel):
@@ -74,7 +74,7 @@ class LandPanel(TerrainSubpanel, bpy.types.Panel):
         LandPresets.draw_panel_header(self.layout)
 
     def draw(self, context):
-        obj = context.object
+        obj = show_terrain(self.layout, context)
         land, state = obj.adaptive_terrain.land, shaped_land.state_of(obj)
         row = self.layout.row()
         row.template_list(LandList.bl_idname, "", land, "entries", land, "active", rows=6)
@@ -133,10 +133,11 @@ class LandEffectPanel(TerrainSubpanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context):
-        return super().poll(context) and 0 <= (land := context.object.adaptive_terrain.land).active < len(land.entries)
+        terrain = session.shown_terrain(context)
+        return terrain is not None and 0 <= (land := terrain.adaptive_terrain.land).active < len(land.entries)
 
     def draw(self, context):
-        land = context.object.adaptive_terrain.land
+        land = show_terrain(self.layout, context).adaptive_terrain.land
         entry = land.entries[land.active]
         effect = HEIGHT_OPERATORS.get(entry.effect)
         if effect is None:
@@ -178,9 +179,9 @@ class LandLayersPanel(TerrainSubpanel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        statuses = session.record_of(context.object).status.effects
+        statuses = session.record_of(session.shown_terrain(context)).status.effects
         column = self.layout.column(align=True)
-        layers = shaped_land.layers_of(context.object.adaptive_terrain.land)
+        layers = shaped_land.layers_of(session.shown_terrain(context).adaptive_terrain.land)
         for layer in layers:
             row = column.split(factor=0.55)
             row.label(text=f"{layer.name} ({unit_text(layer.unit)})" if layer.unit else layer.name)

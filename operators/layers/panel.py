@@ -5,7 +5,7 @@ import bpy
 from bl_ui.utils import PresetPanel
 
 from ...cbt_terrain.attributes.splat_rules import covers_nothing
-from ..ui.panel_parts import LIMITS, TerrainSubpanel, draw_band, draw_ground
+from ..ui.panel_parts import LIMITS, TerrainSubpanel, draw_band, draw_ground, show_terrain
 from .operators import PRESET_PANEL, PRESETS
 from .properties import BANDS, rule_of
 
@@ -49,7 +49,7 @@ class LayersPanel(TerrainSubpanel, bpy.types.Panel):
         LayerPresets.draw_panel_header(self.layout)
 
     def draw(self, context):
-        settings = context.object.adaptive_terrain
+        settings = show_terrain(self.layout, context).adaptive_terrain
         row = self.layout.row()
         row.template_list(LayerList.bl_idname, "", settings, "layers", settings, "active_layer", rows=4)
         buttons = row.column(align=True)

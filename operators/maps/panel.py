@@ -4,6 +4,7 @@
 import bpy
 
 from .. import jobs
+from ..session import session
 from ..ui.panel_parts import TerrainSubpanel, switched
 from .properties import CHOSEN
 
@@ -16,7 +17,7 @@ class MapsPanel(TerrainSubpanel, bpy.types.Panel):
 
     def draw(self, context):
         column = self._columns()
-        settings = context.object.adaptive_terrain.maps
+        settings = session.shown_terrain(context).adaptive_terrain.maps
         column.row().prop(settings, "frames", expand=True)
         column.row().prop(settings, "which", expand=True)
         if settings.which == CHOSEN:

@@ -21,7 +21,7 @@ class OverlayPanel(TerrainSubpanel, bpy.types.Panel):
 
     def draw(self, context):
         column = self._columns()
-        obj = context.object
+        obj = session.shown_terrain(context)
         column.prop(obj.adaptive_terrain, "overlay")
         if obj.adaptive_terrain.overlay == NO_OVERLAY:
             return

@@ -8,7 +8,7 @@ from ..layers.panel import draw_rules
 from ..session import session
 from ..text.numbers import time_text
 from ..text.shown_bounds import bound_text
-from ..ui.panel_parts import TerrainSubpanel, figures, message
+from ..ui.panel_parts import TerrainSubpanel, figures, message, show_terrain
 from ..ui.status_row import draw_failure
 from .properties import MESH
 from .request import ScatterRecord, is_scatter, scatters_of
@@ -25,7 +25,7 @@ class ScattersPanel(TerrainSubpanel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        terrain = context.object
+        terrain = show_terrain(self.layout, context)
         column = self.layout.column(align=True)
         for obj in scatters_of(terrain):
             points, took = summary(session.record_of(terrain).scatters.get(obj.session_uid))

@@ -117,6 +117,7 @@ class Record:
 engine_lock = threading.RLock()
 _records: dict[int, Record] = {}
 _fields: dict[tuple[str, int], object] = {}
+_last_shown = ""  # name of the terrain that was active last
 
 
 def is_terrain(obj) -> bool:
@@ -136,6 +137,24 @@ def all_terrains() -> list:
         del _records[uid]
         derived_store.release(uid)
     return found
+
+
+def shown_terrain(context):
+    """Return the terrain that panels show: the active one, else the scene's last active or only one; None without."""
+    global _last_shown
+    obj, scene = context.object, getattr(context, "scene", None)
+    if obj is not None and obj.type == "MESH" and obj.adaptive_terrain.enabled:
+        if not is_terrain(obj):
+            return None
+        _last_shown = obj.name
+        return obj
+    if scene is None:
+        return None
+    last = scene.objects.get(_last_shown)
+    if last is not None and is_terrain(last):
+        return last
+    found = terrains_of(scene)
+    return found[0] if len(found) == 1 else None
 
 
 def terrains_of(scene) -> list:

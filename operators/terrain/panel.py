@@ -7,6 +7,7 @@ from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.view.criterion import requested_unit
 from ...cbt_terrain.view.settings import CRITERIA, LIMITS, MODIFIERS, CriterionSetting
+from ..session import session
 from ..text.numbers import plain
 from ..ui.panel_parts import TerrainSubpanel, fixed_lines, switched
 from .request import criterion_from, within_time
@@ -60,7 +61,7 @@ class ViewportPanel(TerrainSubpanel, bpy.types.Panel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
 
     def draw(self, context):
-        _draw_detail(self._columns(), context.object.adaptive_terrain.viewport)
+        _draw_detail(self._columns(), session.shown_terrain(context).adaptive_terrain.viewport)
 
 
 class RenderPanel(TerrainSubpanel, bpy.types.Panel):
@@ -71,7 +72,7 @@ class RenderPanel(TerrainSubpanel, bpy.types.Panel):
 
     def draw(self, context):
         column = self._columns()
-        _draw_detail(column, context.object.adaptive_terrain.render)
+        _draw_detail(column, session.shown_terrain(context).adaptive_terrain.render)
         column.separator()
         column.prop(context.scene.adaptive_terrain, "stop_stale_renders", text="Stop Stale Renders")
         if not context.scene.render.use_lock_interface:

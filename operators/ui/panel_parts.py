@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Parts that the panels of the tab "Terrain" share."""
 
+import bpy
+
 from ..session import session
 
 LINE_LENGTH = 36
@@ -16,12 +18,21 @@ class TerrainSubpanel:
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and session.is_terrain(context.object)
+        return session.shown_terrain(context) is not None
 
     def _columns(self):
+        show_terrain(self.layout, bpy.context)
         self.layout.use_property_split = True
         self.layout.use_property_decorate = False
         return self.layout.column()
+
+
+def show_terrain(layout, context):
+    """Let buttons of a layout act on the terrain that panels show, whatever object is active; return it."""
+    terrain = session.shown_terrain(context)
+    if terrain is not None and terrain != context.object:
+        layout.context_pointer_set("object", terrain)
+    return terrain
 
 
 def switched(column, settings, switch: str, name: str) -> None:

@@ -17,8 +17,8 @@ from ..session import session
 from ..session.polls import LEFT_ALONE
 from ..terrain import panel as detail_panel
 from ..terrain.properties import CHOSEN_CAMERA
-from .panel_parts import TerrainSubpanel, figures, message, switched
-from .status_row import draw_preparation, draw_status
+from .panel_parts import TerrainSubpanel, figures, message, show_terrain, switched
+from .status_row import NO_VIEW, draw_preparation, draw_status, sight_notice
 
 
 class TerrainPanel(bpy.types.Panel):
@@ -32,8 +32,8 @@ class TerrainPanel(bpy.types.Panel):
 
     def draw(self, context):
         layout = self.layout
-        obj = context.object
-        if obj is not None and session.is_terrain(obj):
+        obj = show_terrain(layout, context)
+        if obj is not None:
             row = layout.row(align=True)
             row.operator("adaptive_terrain.update", icon="FILE_REFRESH")
             row.operator("adaptive_terrain.frame", text="Frame", icon="ZOOM_SELECTED")
@@ -41,10 +41,12 @@ class TerrainPanel(bpy.types.Panel):
             row.prop(obj.adaptive_terrain, "live")
             row.operator("adaptive_terrain.freeze", icon="FREEZE", depress=bool(obj.adaptive_terrain.frozen))
             box = layout.box().column(align=True)
-            figures(box, statistics_panel.summary_lines(session.record_of(obj).status))
+            sees_nothing = sight_notice(context, obj)[0] in NO_VIEW
+            figures(box, statistics_panel.summary_lines(session.record_of(obj).status, sees_nothing))
             draw_status(box, context, obj)
             layout.operator("adaptive_terrain.set_up_scene", icon="LIGHT_SUN")
             return
+        obj = context.object
         if obj is not None and obj.type == "MESH" and obj.adaptive_terrain.enabled:
             message(layout, LEFT_ALONE, "LINKED")
         layout.operator("mesh.adaptive_terrain_add", text="Add Adaptive Terrain", icon="ADD")
@@ -68,7 +70,7 @@ class CameraPanel(TerrainSubpanel, bpy.types.Panel):
 
     def draw(self, context):
         column = self._columns()
-        settings = context.object.adaptive_terrain
+        settings = session.shown_terrain(context).adaptive_terrain
         column.prop(settings, "camera_source")
         if settings.camera_source == CHOSEN_CAMERA:
             column.prop(settings, "camera")
@@ -82,7 +84,7 @@ class MeshPanel(TerrainSubpanel, bpy.types.Panel):
 
     def draw(self, context):
         column = self._columns()
-        settings = context.object.adaptive_terrain
+        settings = session.shown_terrain(context).adaptive_terrain
         column.prop(settings, "smooth")
         cleanup = settings.cleanup
         switched(column, cleanup, "use_below", "below")
@@ -97,8 +99,8 @@ class OutputPanel(TerrainSubpanel, bpy.types.Panel):
 
     def draw(self, context):
         column = self._columns()
-        column.prop(context.object.adaptive_terrain, "bake_error_m")
-        column.prop(context.object.adaptive_terrain, "bake_fit")
+        column.prop(session.shown_terrain(context).adaptive_terrain, "bake_error_m")
+        column.prop(session.shown_terrain(context).adaptive_terrain, "bake_fit")
         _waiting_row(column).operator("adaptive_terrain.bake", icon="MESH_GRID")
         column.separator()
         _waiting_row(column).operator("adaptive_terrain.export", icon="EXPORT")

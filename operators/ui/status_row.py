@@ -18,6 +18,8 @@ from .panel_parts import error_lines, wrapped
 
 POPUP_LINE = 80
 NOTICE_WIDTH = 0.7  # of the row; the button that mends it has the rest
+UNDERGROUND, SEES_NOTHING = "Camera underground", "Camera sees nothing"
+NO_VIEW = UNDERGROUND, SEES_NOTHING  # a bound of 0 px is then no sign of accuracy
 FRAME, CAMERA_TO_VIEW = "adaptive_terrain.frame", "view3d.camera_to_view"
 
 
@@ -75,9 +77,9 @@ def sight_notice(context, obj) -> tuple[str, str, str]:
             return "", "", ""
         view = sight.view_of_camera(context.scene, camera)
         if sight.is_below_ground(obj, np.array(camera.matrix_world.translation)):
-            return "Camera underground", CAMERA_TO_VIEW, "To View"
+            return UNDERGROUND, CAMERA_TO_VIEW, "To View"
         if not sight.is_in_sight(box, view):
-            return "Camera sees nothing", CAMERA_TO_VIEW, "To View"
+            return SEES_NOTHING, CAMERA_TO_VIEW, "To View"
         if sight.is_cut_off(box, view):
             return "Camera cuts it off", FRAME, "Frame"
     except TerrainError:

@@ -15,7 +15,7 @@ from .export import bake_terrain, export_terrain, export_tiles, map_camera
 from .farm import submit_to_farm
 from .ground import add_collider, drop_to_ground, keep_above, keep_ground, pick_ground, profile_curve, viewshed
 from .ground import properties as keep_properties
-from .importing import add_terrain, import_terrain, move_stores, pack_store, store_paths
+from .importing import add_terrain, import_terrain, menus, move_stores, pack_store, store_paths
 from .land import bake_land, render_wait, shape_land, water_surface
 from .land import cache as land_cache
 from .land import presets as land_presets
@@ -30,7 +30,7 @@ from .scatter import panel as scatter_panel
 from .scene import set_up
 from .session import live, session
 from .terrain import frame_terrain, freeze_detail, properties, update_terrain
-from .ui import panels, status_bar, status_row
+from .ui import object_menu, panels, status_bar, status_row
 
 MODULES = (
     properties,
@@ -40,6 +40,7 @@ MODULES = (
     move_stores,
     import_terrain,
     add_terrain,
+    menus,
     frame_terrain,
     pack_store,
     update_terrain,
@@ -74,6 +75,7 @@ MODULES = (
     overlay_panel,
     status_row,
     panels,
+    object_menu,
     scatter_panel,
     handlers,
     live,

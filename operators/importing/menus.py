@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Terrain from File: in File > Import, Add > Mesh, and by a file dropped into a viewport."""
+
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.importing.source_formats import FORMATS
+
+SUFFIXES = ";".join(FORMATS)
+LABEL = "Terrain from File"
+
+
+class AddTerrainFromFile(bpy.types.Operator):
+    """Add a terrain, and import a height map into it"""
+
+    bl_idname = "mesh.adaptive_terrain_from_file"
+    bl_label = LABEL
+    bl_options = {"REGISTER", "UNDO"}
+
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: bpy.props.StringProperty(default=";".join(f"*{suffix}" for suffix in FORMATS), options={"HIDDEN"})
+    use_heights: bpy.props.BoolProperty(
+        name="Set Heights",
+        description="Give the heights of the lowest and the highest sample. Without them an 8 or 16-bit image that "
+        "names no size gets a relief of a quarter of its width",
+    )
+    lowest: bpy.props.FloatProperty(name="Lowest", description="Height of the lowest sample", unit="LENGTH")
+    highest: bpy.props.FloatProperty(
+        name="Highest", description="Height of the highest sample", default=1000.0, unit="LENGTH"
+    )
+
+    @classmethod
+    def poll(cls, context):
+        cls.poll_message_set("Switch to Object Mode")
+        return context.mode == "OBJECT"
+
+    def invoke(self, context, _event):
+        if self.filepath:  # dropped
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def draw(self, _context):
+        self.layout.use_property_split = True
+        self.layout.prop(self, "use_heights")
+        column = self.layout.column()
+        column.active = self.use_heights
+        column.prop(self, "lowest")
+        column.prop(self, "highest")
+
+    def execute(self, context):
+        if not self.filepath:
+            self.report({"ERROR"}, "No file is chosen: choose a height map")
+            return {"CANCELLED"}
+        name = Path(self.filepath).stem
+        obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+        context.collection.objects.link(obj)
+        for other in context.selected_objects:
+            other.select_set(False)
+        context.view_layer.objects.active = obj
+        obj.select_set(True)
+        settings = obj.adaptive_terrain
+        settings.enabled, settings.source, settings.source_path = True, "FILE", self.filepath
+        if self.use_heights:
+            settings.use_heights, settings.lowest, settings.highest = True, self.lowest, self.highest
+        context.scene.render.use_lock_interface = True  # a viewport that draws while a render rewrites it would crash
+        try:  # beside the window if there is one
+            bpy.ops.adaptive_terrain.import_added("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT")
+        except RuntimeError as error:  # reported by the nested operator
+            bpy.data.batch_remove([obj, obj.data])
+            self.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+def _import_entry(self, _context):
+    self.layout.operator(AddTerrainFromFile.bl_idname, text="Terrain (.tif, .hgt, .asc, .png, .exr, .r16)")
+
+
+def _add_entry(self, _context):
+    self.layout.operator(AddTerrainFromFile.bl_idname, icon="FILE_IMAGE")
+
+
+CLASSES = [AddTerrainFromFile]
+MENUS = {"TOPBAR_MT_file_import": _import_entry, "VIEW3D_MT_mesh_add": _add_entry}
+if hasattr(bpy.types, "FileHandler"):  # Blender 4.1
+
+    class HeightMapDropped(bpy.types.FileHandler):
+        """Height maps that are dragged into a 3D viewport"""
+
+        bl_idname = "ADAPTIVE_TERRAIN_FH_height_map"
+        bl_label = LABEL
+        bl_import_operator = AddTerrainFromFile.bl_idname
+        bl_file_extensions = SUFFIXES
+
+        @classmethod
+        def poll_drop(cls, context):
+            return context.area is not None and context.area.type == "VIEW_3D" and context.mode == "OBJECT"
+
+    CLASSES.append(HeightMapDropped)
+
+
+def register() -> None:
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    for name, entry in MENUS.items():
+        getattr(bpy.types, name).append(entry)
+
+
+def unregister() -> None:
+    for name, entry in MENUS.items():
+        getattr(bpy.types, name).remove(entry)
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Object > Adaptive Terrain: every operator that acts on a terrain, where the search (F3) finds it."""
+
+import bpy
+
+# Internal operators need a row of a panel, and have no place in a menu.
+OPERATORS = (
+    ("import_source", "update", "frame", "freeze", "set_up_scene", "terrain_material", "pack_store"),
+    ("shape", "water_surface", "bake_land", "export_heights", "land_clear"),
+    ("bake", "export", "export_tiles", "export_tileset", "submit", "bake_maps", "map_camera", "render_map"),
+    ("scatter_add", "drop_to_ground", "keep_above_ground", "let_go", "profile", "viewshed", "add_collider"),
+    ("show_overlay", "measure_accuracy", "sweep_accuracy", "lock_interface"),
+)
+
+
+class ObjectMenu(bpy.types.Menu):
+    """Operators that act on a terrain."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_MT_object"
+    bl_label = "Adaptive Terrain"
+
+    def draw(self, _context):
+        self.layout.operator_context = "INVOKE_DEFAULT"
+        for names in OPERATORS:
+            for name in names:
+                self.layout.operator(f"adaptive_terrain.{name}")
+            self.layout.separator()
+
+
+def _entry(self, _context):
+    self.layout.menu(ObjectMenu.bl_idname)
+
+
+def register() -> None:
+    bpy.utils.register_class(ObjectMenu)
+    bpy.types.VIEW3D_MT_object.append(_entry)
+
+
+def unregister() -> None:
+    bpy.types.VIEW3D_MT_object.remove(_entry)
+    bpy.utils.unregister_class(ObjectMenu)

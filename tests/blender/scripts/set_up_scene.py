@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Drop a file into the viewport of a factory scene, set up the scene, select the camera: FOLDER, with dem.png."""
+
+import sys
+from pathlib import Path
+
+import bpy
+
+sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
+from window_steps import folder, parts, picture, run, take_steps, terrain, until  # noqa: E402
+
+result = {}
+
+
+def names():
+    return sorted(bpy.context.scene.objects.keys())
+
+
+def steps():
+    yield 2.0
+    parts()[1].spaces.active.show_region_ui = True
+    run(bpy.ops.mesh.adaptive_terrain_from_file, "INVOKE_DEFAULT", filepath=str(folder / "dem.png"))
+    yield from until(lambda: terrain() is not None and len(terrain().data.polygons) > 0)
+    parts()[2].active_panel_category = "Terrain"
+    yield 2.0
+    result["before"] = names()
+    view = parts()[1].spaces.active.region_3d.view_matrix.inverted()
+    run(bpy.ops.adaptive_terrain.set_up_scene, "INVOKE_DEFAULT")
+    run(bpy.ops.ed.undo_push, message="Set Up Scene")
+    result["after"] = names()
+    camera = bpy.context.scene.camera
+    apart = [
+        a - b for row, other in zip(camera.matrix_world, view, strict=True) for a, b in zip(row, other, strict=True)
+    ]
+    result["camera_off"] = max(map(abs, apart)) / terrain().dimensions.x
+    parts()[1].spaces.active.shading.type = "RENDERED"
+    parts()[1].spaces.active.region_3d.view_perspective = "CAMERA"
+    bpy.context.view_layer.objects.active = camera
+    yield 8.0
+    yield from picture("set_up")
+    parts()[1].spaces.active.shading.type = "SOLID"
+    run(bpy.ops.ed.undo)
+    yield 1.0
+    run(bpy.ops.ed.undo)
+    yield 1.0
+    result["undone"] = names()
+
+
+take_steps(steps(), result)

@@ -82,8 +82,8 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
     seen = tuple(views), tuple(wholes), tuple(wide)
     if not views or not criterion.measures_edges:
         return Spans(*seen, tuple(scales))
-    # Spans measure heights, but edges may be across the view. All views share one scale for edges, which must not
-    # depend on the widening of errors in each view.
+    # Spans are at the largest slant, but edges may be across the view. All views share one scale for edges, which must
+    # not depend on the widening of errors in each view.
     secants = [secant_of(v) for v in views]
     edge = max(scale / secant for scale, secant in zip(scales, secants, strict=True))
     scales = [edge * secant for secant in secants]
@@ -100,8 +100,7 @@ def slants_of(view: View, placement: np.ndarray, criterion: Criterion) -> tuple[
     A slant is how many metres a metre of height moves a point across the view of a perspective, at a depth of 1 m; of a
     panorama across the ray, at a distance of 1 m.
 
-    The shading floor is the smallest, since shading and shadows show an error too. Edges have no slant: where they are
-    measured, all spans are those of the largest.
+    The shading floor is the smallest, since shading and shadows show an error too.
     """
     if view.kind == PANORAMIC:
         largest, smallest = 1.0, 0.0
@@ -112,7 +111,7 @@ def slants_of(view: View, placement: np.ndarray, criterion: Criterion) -> tuple[
         ends = [sorted(f * (end * z + u) for end in at) for f, at, u in zip(_aspect(view), frame, (x, y), strict=True)]
         largest = max(criterion.shading_floor, NO_SLANT, length([max(-low, high) for low, high in ends]))
         smallest = length([max(low, -high, 0.0) for low, high in ends])
-    if view.kind == ORTHOGRAPHIC or criterion.measures_edges:
+    if view.kind == ORTHOGRAPHIC or not criterion.error_px:
         return largest, largest
     smallest = max(criterion.shading_floor, MIN_SLANT * largest, smallest)
     return largest, largest if largest < EVEN_SLANTS * smallest else smallest

@@ -68,8 +68,9 @@ def ratio2_of(
         r.high,
     )
     d.border = wp.where(r.low == wp.float64(wp.inf), 2, 0)
-    pixel2 = finest(criterion, d, in_frame)
-    return ratio2_at(criterion, domain.unit_bits, a.depth, pixel2, metres2, r.rise * r.rise), pixel2
+    pixel2, edge2 = finest(criterion, d, in_frame)
+    climb2 = r.rise * r.rise
+    return ratio2_at(criterion, domain.unit_bits, a.depth, pixel2, edge2, metres2, climb2), pixel2
 
 
 @wp.func

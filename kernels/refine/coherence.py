@@ -150,12 +150,21 @@ def slant_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d
 
 
 @wp.func
-def span_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d, fall: wp.float64, rise: wp.float64):
+def span_factors(
+    view: LocalView,
+    motion: Motion,
+    measures_edges: wp.int32,
+    low: wp.vec3d,
+    high: wp.vec3d,
+    fall: wp.float64,
+    rise: wp.float64,
+):
     """Bound the factor on the pixel footprint in any box inside this one: lower, upper, squared gain, and 1 if valid.
 
-    fall, rise: the bounds of `change_of`. A footprint is the median of three values: depth, depth^2 / (slant * depth),
-    and depth times the largest gain. If it is the first or the last in all boxes, before and now, its squared gain is
-    returned and the factors exclude the change of depth; otherwise the returned gain is 0.
+    fall, rise: the bounds of `change_of`. measures_edges: 1 if the bounds must hold for footprints of edges, too. A
+    footprint is the median of three values: depth, depth^2 / (slant * depth), and depth times the largest gain. If it
+    is the first or the last in all boxes, before and now, its squared gain is returned and the factors exclude the
+    change of depth; otherwise the returned gain is 0.
     """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -174,6 +183,8 @@ def span_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d,
     is2 = slants2_of(view.slant_x, view.slant_y, view.eye, low, high)
     min_gain2 = smaller(nearest2 / was2[1], nearest_far2(view, low, high, min_of(view.depth, low, high)) / is2[1])
     max_gain2 = larger(farthest2 / was2[0], farthest_far2(view, low, high) / is2[0])
+    if measures_edges == 1:
+        min_gain2 = zero  # footprints of edges have no gain
     known = wp.int32(1)
     gain2 = zero
     lowest = lower * lower / wp.sqrt(slants2[1])
@@ -243,7 +254,7 @@ def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
 
 
 @wp.func
-def span_change(view: LocalView, motion: Motion, subtree: Subtree):
+def span_change(view: LocalView, motion: Motion, measures_edges: wp.int32, subtree: Subtree):
     """Bound the growth of pixel footprints, metres, in any box of a subtree: lower, upper, and 1 if they are valid."""
     one = wp.float64(1.0)
     min_growth = wp.float64(0.0)
@@ -256,7 +267,7 @@ def span_change(view: LocalView, motion: Motion, subtree: Subtree):
         min_growth, max_growth, known = change_of(view, motion, subtree.low, subtree.high)
     if view.max_gain2 > one or motion.max_gain2 > one:
         lowest, highest, gain2, min_error = span_factors(
-            view, motion, subtree.low, subtree.high, min_growth, max_growth
+            view, motion, measures_edges, subtree.low, subtree.high, min_growth, max_growth
         )
         known = wp.min(known, min_error)
     faded = wp.vec4d(one, one, one, one)
@@ -293,7 +304,7 @@ def carried(criterion: CriterionArrays, motion: Motion, subtree: Subtree, in_fra
 
     in_frame: 1 if the frustum is known to contain it.
     """
-    min_growth, max_growth, holds = span_change(criterion.view, motion, subtree)
+    min_growth, max_growth, holds = span_change(criterion.view, motion, criterion.measures_edges, subtree)
     subtree.fall = subtree.fall + min_growth
     subtree.rise = subtree.rise - max_growth
     rounded = ROUNDED * subtree.coarse

@@ -158,10 +158,11 @@ def min_depth_in(view: LocalView, d: Diamond) -> wp.float64:
 
 
 @wp.func
-def finest_seen_in(view: LocalView, d: Diamond):
+def finest_seen_in(view: LocalView, d: Diamond, of_edges: wp.bool):
     """Return the squared finest and coarsest pixel footprint, metres, on the part of the box in view.
 
-    The finest is infinite if the box is out of view. The coarsest is scaled for the comparison with ONE_SPAN.
+    of_edges: whether footprints of edges are measured, or those of heights. The finest is infinite if the box is out of
+    view. The coarsest is scaled for the comparison with ONE_SPAN.
     """
     pixel2 = wp.float64(wp.inf)
     coarse2 = wp.float64(0.0)
@@ -170,15 +171,18 @@ def finest_seen_in(view: LocalView, d: Diamond):
         deep = min_of(view.depth, d.low, d.high)
         if view.kind == PERSPECTIVE:
             deep = larger(min_depth_in(view, d), deep)
-        pixel2 = nearest_pixel2(view, d.low, d.high, deep)
-        coarse2 = farthest_pixel2(view, d)
+        pixel2, edge2 = nearest_pixel2(view, d.low, d.high, deep)
+        coarse2, coarse_edge2 = farthest_pixel2(view, d)
+        if of_edges:
+            pixel2 = edge2
+            coarse2 = coarse_edge2
         if stand == CROSSED:
             coarse2 = coarse2 * ONE_SPAN / ONE_SPAN_CROSSED
     return pixel2, coarse2
 
 
 @wp.func
-def finest_seen(domain: Domain, criterion: CriterionArrays, d: Diamond, t: Triangle):
+def finest_seen(domain: Domain, criterion: CriterionArrays, of_edges: wp.bool, d: Diamond, t: Triangle):
     """Return a triangle's squared finest footprint in all views, metres, and whether footprints hardly differ in it."""
     x0 = wp.min(t.apex[0], wp.min(t.left[0], t.right[0]))
     y0 = wp.min(t.apex[1], wp.min(t.left[1], t.right[1]))
@@ -189,7 +193,7 @@ def finest_seen(domain: Domain, criterion: CriterionArrays, d: Diamond, t: Trian
     if x0 < x1 and y0 < y1:
         box = box_between(domain, d, x0, y0, x1, y1, t.depth)
         for v in range(criterion.view_count):
-            fine2, far2 = finest_seen_in(criterion.views[v], box)
+            fine2, far2 = finest_seen_in(criterion.views[v], box, of_edges)
             if fine2 < pixel2:
                 pixel2 = fine2
                 coarse2 = far2
@@ -304,7 +308,7 @@ def measured(
     t.is_small = what != FIXED and what != ERROR
     pixel2 = wp.float64(1.0)
     if what != METRES:
-        pixel2, is_small = finest_seen(domain, criterion, d, t)
+        pixel2, is_small = finest_seen(domain, criterion, what == EDGE or what == AREA, d, t)
         t.is_small = t.is_small or is_small
     if t.leaf_depth == ANY:
         # No leaf below has a larger error than the criterion allows. As a part of a footprint that is most where the

@@ -42,7 +42,8 @@ class MeasuredDiamond:
     """A diamond as the views see it."""
 
     diamond: Diamond
-    pixel2: wp.float64  # squared metres that a pixel spans at least
+    pixel2: wp.float64  # squared metres of height that a pixel spans at least
+    edge2: wp.float64  # ... of an edge, which has no slant
     error_m: wp.float64  # stored error, metres
     rest: wp.float64  # metres that rounding to float32 adds
     metres2: wp.float64  # see `metres2_of`
@@ -95,7 +96,9 @@ def measure_diamond(
     """Measure the diamond split at (x, y) in all views. in_frame: 1 if the frustums are known to contain its box."""
     m = MeasuredDiamond()
     m.diamond = diamond_at(domain, x, y, depth)
-    m.pixel2 = finest(criterion, m.diamond, in_frame)
+    pixel2, edge2 = finest(criterion, m.diamond, in_frame)
+    m.pixel2 = pixel2
+    m.edge2 = edge2
     m.error_m = wp.float64(error) * domain.error_scale
     m.rest = rest_of(domain, m.diamond)
     m.metres2 = metres2_of(domain, error, m.rest)
@@ -109,14 +112,18 @@ def measure_diamond(
 @wp.func
 def too_coarse(criterion: CriterionArrays, limit: wp.float64, m: MeasuredDiamond) -> wp.bool:
     """Return whether a diamond exceeds any criterion, each relaxed by the squared factor `limit`."""
-    return too_coarse_at(criterion, limit, m.pixel2, m.metres2, m.long2 + m.climb2, m.legs2 + m.climb2)
+    return too_coarse_at(criterion, limit, m.pixel2, m.edge2, m.metres2, m.long2 + m.climb2, m.legs2 + m.climb2)
 
 
 @wp.func
-def turning_span(limits: Limits, m: MeasuredDiamond) -> wp.float64:
-    """Return the pixel footprint, metres, at which the verdict on the diamond changes; limits in metres are ignored."""
+def rise_to_turn(limits: Limits, m: MeasuredDiamond) -> wp.float64:
+    """Return by how many metres pixel footprints must grow until the verdict on the diamond changes.
+
+    The result is less than 0 if they must shrink. Limits in metres are ignored.
+    """
     edges2 = larger((m.long2 + m.climb2) * limits.per_edge2, (m.legs2 + m.climb2) * limits.per_area2)
-    return wp.sqrt(larger(m.metres2 * limits.per_error2, edges2))
+    of_error = wp.sqrt(m.metres2 * limits.per_error2) - wp.sqrt(m.pixel2)
+    return larger(of_error, wp.sqrt(edges2) - wp.sqrt(m.edge2))
 
 
 @wp.func
@@ -124,7 +131,8 @@ def excess2(limits: Limits, m: MeasuredDiamond) -> wp.float64:
     """Estimate the largest squared ratio of a diamond to the criteria."""
     long2 = m.long2 + m.climb2
     legs2 = m.legs2 + m.climb2
-    over = larger(m.metres2 * limits.per_error2, larger(long2 * limits.per_edge2, legs2 * limits.per_area2)) / m.pixel2
+    over = larger(long2 * limits.per_edge2, legs2 * limits.per_area2) / m.edge2
+    over = larger(m.metres2 * limits.per_error2 / m.pixel2, over)
     return larger(over, m.metres2 / (limits.metres_above * limits.metres_above))
 
 
@@ -194,21 +202,23 @@ def interval_below(
             domain, smaller(limits.error_px * wp.sqrt(fine2), limits.metres_below), m.rest
         )
     if criterion.measures_edges == 1:
-        interval.leaf_depth = first_within(limits, depth, max_depth + 1, m, m.climb2, fine2)
+        interval.leaf_depth = first_within(limits, depth, max_depth + 1, m, m.climb2, m.edge2 * limits.finer)
         interval.calm = wp.int32(m.error_m <= interval.leaf_up_to)
     if interval.calm == 1 and interval.leaf_depth == depth + 1:  # whatever the coarsest pixel is
         interval.split_above = wp.float64(wp.inf)
         interval.split_depth = depth + 1
         interval.in_frame = in_frame
     else:
-        coarse2, inside = coarsest(criterion, m.diamond, in_frame)
+        coarse2, edge2, inside = coarsest(criterion, m.diamond, in_frame)
         coarse2 = coarse2 * limits.coarser
         interval.split_above = wp.float64(wp.inf)
         if m.error_m > wp.float64(0.0):
             above = smaller(coarse.error_px * wp.sqrt(coarse2), coarse.metres_above)
             interval.split_above = max_error_for(domain, above, domain.rounding)
         if criterion.measures_edges == 1:
-            interval.split_depth = first_within(coarse, depth, max_depth + 1, m, wp.float64(0.0), coarse2)
+            interval.split_depth = first_within(
+                coarse, depth, max_depth + 1, m, wp.float64(0.0), edge2 * limits.coarser
+            )
         interval.in_frame = inside
     if interval.calm == 1 and interval.split_depth == interval.leaf_depth:
         interval.even_depth = wp.min(interval.leaf_depth, max_depth)

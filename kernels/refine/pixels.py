@@ -202,14 +202,13 @@ def slants2_of(slant_x: wp.vec2d, slant_y: wp.vec2d, eye: wp.vec3d, low: wp.vec3
 
 
 @wp.func
-def pixel2_at(view: LocalView, far2: wp.float64, slants2: wp.float64) -> wp.float64:
-    """Return the squared pixel footprint, metres of height, at a depth or distance and at a slant times that depth.
+def gain2_at(view: LocalView, far2: wp.float64, slants2: wp.float64) -> wp.float64:
+    """Return the squared factor by which footprints of heights are coarser than those of edges.
 
-    A height e at depth z and slant s moves a point by f e s / z pixels. s is clamped to the shading floor and to the
-    largest slant in the frame.
+    far2: squared depth or distance. slants2: squared product of slant and depth. A height e at depth z and slant s
+    moves a point by f e s / z pixels. s is clamped to the shading floor and to the largest slant in the frame.
     """
-    gain2 = larger(smaller(far2 / slants2, view.max_gain2), wp.float64(1.0))
-    return view.pixel2 * far2 * gain2
+    return larger(smaller(far2 / slants2, view.max_gain2), wp.float64(1.0))
 
 
 @wp.func
@@ -235,29 +234,34 @@ def farthest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 
 @wp.func
-def nearest_pixel2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.float64) -> wp.float64:
-    """Return the squared finest footprint, metres, anywhere in a box whose least depth is `deep`."""
-    pixel2 = view.pixel2
+def nearest_pixel2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.float64):
+    """Return the squared finest footprints of heights and of edges, metres, anywhere in a box.
+
+    deep: its smallest depth.
+    """
+    edge2 = view.pixel2
+    gain2 = wp.float64(1.0)
     if view.kind != ORTHOGRAPHIC:
         far2 = nearest_far2(view, low, high, deep)
-        pixel2 = view.pixel2 * far2
+        edge2 = view.pixel2 * far2
         if view.max_gain2 > wp.float64(1.0):
             slants2 = slants2_of(view.slant_x, view.slant_y, view.eye, low, high)
-            pixel2 = pixel2_at(view, far2, slants2[1])
-    return pixel2
+            gain2 = gain2_at(view, far2, slants2[1])
+    return edge2 * gain2, edge2
 
 
 @wp.func
-def farthest_pixel2(view: LocalView, d: Diamond) -> wp.float64:
-    """Return the squared coarsest footprint, metres, in any box inside this one."""
-    pixel2 = view.pixel2
+def farthest_pixel2(view: LocalView, d: Diamond):
+    """Return the squared coarsest footprints of heights and of edges, metres, in any box inside this one."""
+    edge2 = view.pixel2
+    gain2 = wp.float64(1.0)
     if view.kind != ORTHOGRAPHIC:
         far2 = farthest_far2(view, d.low, d.high)
-        pixel2 = view.pixel2 * far2
+        edge2 = view.pixel2 * far2
         if view.max_gain2 > wp.float64(1.0):
             slants2 = slants2_of(view.slant_x, view.slant_y, view.eye, d.low, d.high)
-            pixel2 = pixel2_at(view, far2, slants2[0])
-    return pixel2
+            gain2 = gain2_at(view, far2, slants2[0])
+    return edge2 * gain2, edge2
 
 
 @wp.func
@@ -303,10 +307,10 @@ def faded2(view: LocalView, inner: wp.float64, deep: wp.float64) -> wp.float64:
 
 
 @wp.func
-def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, in_frame: wp.int32) -> wp.float64:
-    """Compute the squared finest footprint, metres, of a view on a box, coarser off screen and on hidden ground.
+def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, in_frame: wp.int32):
+    """Compute the squared finest footprints of heights and of edges, metres, of a view on a box.
 
-    in_frame: 1 if the frustum is known to contain the box.
+    They are coarser off screen and on hidden ground. in_frame: 1 if the frustum is known to contain the box.
     """
     zero = wp.float64(0.0)
     coarser2 = wp.float64(1.0)
@@ -318,12 +322,16 @@ def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, i
         part = cover_of(view.rings, view.ramp, slopes, d.low - view.eye, d.high - view.eye)
         if part > zero:
             coarser2 = larger(hidden_factor2(view.hidden2, view.occlusion_fade, part), coarser2)
-    return nearest_pixel2(view, d.low, d.high, min_of(view.depth, d.low, d.high)) * coarser2
+    pixel2, edge2 = nearest_pixel2(view, d.low, d.high, min_of(view.depth, d.low, d.high))
+    return pixel2 * coarser2, edge2 * coarser2
 
 
 @wp.func
 def coarsest_in(view: LocalView, d: Diamond, in_frame: wp.int32):
-    """Compute the squared coarsest footprint, metres, in any box inside this one; and 1 if the frustum contains it."""
+    """Compute the squared coarsest footprints of heights and of edges, metres, in any box inside this one.
+
+    The third result is 1 if the frustum contains the box.
+    """
     coarser2 = wp.float64(1.0)
     inside = wp.int32(1)
     if in_frame == 0:
@@ -333,41 +341,49 @@ def coarsest_in(view: LocalView, d: Diamond, in_frame: wp.int32):
             coarser2 = faded2(view, outer, min_of(view.depth, d.low, d.high))
     if view.rings.count > 0:
         coarser2 = larger(coarser2, view.hidden2)
-    return farthest_pixel2(view, d) * coarser2, inside
+    pixel2, edge2 = farthest_pixel2(view, d)
+    return pixel2 * coarser2, edge2 * coarser2, inside
 
 
 @wp.func
-def finest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32) -> wp.float64:
-    """Compute the squared finest footprint, metres, of all views on a diamond; infinite beyond the raster's border.
+def finest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
+    """Compute the squared finest footprints of heights and of edges, metres, of all views on a diamond.
 
-    The first view is read from the struct, not from the array: most terrains have only one.
+    They are infinite beyond the raster's border. The first view is read from the struct, not from the array: most
+    terrains have only one.
     """
     pixel2 = wp.float64(wp.inf)
+    edge2 = wp.float64(wp.inf)
     if criterion.view_count > 0 and d.border < 2:
-        pixel2 = finest_in(criterion.view, criterion.slopes, d, in_frame)
+        pixel2, edge2 = finest_in(criterion.view, criterion.slopes, d, in_frame)
         for v in range(1, criterion.view_count):
-            pixel2 = smaller(pixel2, finest_in(criterion.views[v], criterion.slopes, d, in_frame))
-    return pixel2
+            p2, e2 = finest_in(criterion.views[v], criterion.slopes, d, in_frame)
+            pixel2 = smaller(pixel2, p2)
+            edge2 = smaller(edge2, e2)
+    return pixel2, edge2
 
 
 @wp.func
 def coarsest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
-    """Compute the least `coarsest_in` of all views; and 1 if the frustums of all views contain the diamond.
+    """Compute the minima of `coarsest_in` over all views; and 1 if the frustums of all views contain the diamond.
 
-    It is infinite for a diamond that extends beyond the raster's border: some of its descendants are wholly outside,
+    They are infinite for a diamond that extends beyond the raster's border: some of its descendants are wholly outside,
     so none is certain to be split.
     """
     pixel2 = wp.float64(wp.inf)
+    edge2 = wp.float64(wp.inf)
     inside = wp.int32(1)
     if criterion.view_count > 0:
-        pixel2, inside = coarsest_in(criterion.view, d, in_frame)
+        pixel2, edge2, inside = coarsest_in(criterion.view, d, in_frame)
         for v in range(1, criterion.view_count):
-            p2, also = coarsest_in(criterion.views[v], d, in_frame)
+            p2, e2, also = coarsest_in(criterion.views[v], d, in_frame)
             pixel2 = smaller(pixel2, p2)
+            edge2 = smaller(edge2, e2)
             inside = wp.min(inside, also)
     if d.border > 0:
         pixel2 = wp.float64(wp.inf)
-    return pixel2, inside
+        edge2 = wp.float64(wp.inf)
+    return pixel2, edge2, inside
 
 
 @wp.func
@@ -376,18 +392,19 @@ def ratio2_at(
     unit_bits: wp.int32,
     depth: wp.int32,
     pixel2: wp.float64,
+    edge2: wp.float64,
     metres2: wp.float64,
     climb2: wp.float64,
 ) -> wp.float64:
     """Return the largest squared ratio of a diamond at `depth` to the criteria.
 
-    pixel2, metres2: see `too_coarse_at`. climb2: how far its edges climb, squared metres.
+    pixel2, edge2, metres2: see `too_coarse_at`. climb2: how far its edges climb, squared metres.
     """
     found = larger(metres2 / criterion.metres2, metres2 / (pixel2 * criterion.error_px2))
     if criterion.measures_edges == 1:
         long2, legs2 = sizes(criterion, unit_bits, depth)
-        found = larger((long2 + climb2) / (pixel2 * criterion.edge_px2), found)
-        found = larger((legs2 + climb2) / (pixel2 * criterion.area_px2), found)
+        found = larger((long2 + climb2) / (edge2 * criterion.edge_px2), found)
+        found = larger((legs2 + climb2) / (edge2 * criterion.area_px2), found)
     return found
 
 
@@ -396,14 +413,16 @@ def too_coarse_at(
     criterion: CriterionArrays,
     limit: wp.float64,
     pixel2: wp.float64,
+    edge2: wp.float64,
     metres2: wp.float64,
     long2: wp.float64,
     legs2: wp.float64,
 ):
     """Return whether a diamond exceeds the criterion times `limit`. All arguments are squared.
 
-    pixel2: footprint, metres. metres2: weighed error. long2, legs2: longest edge and twice the area.
+    pixel2, edge2: footprints of heights and of edges, metres. metres2: weighed error. long2, legs2: longest edge and
+    twice the area.
     """
-    px2 = limit * pixel2
-    coarse = metres2 > px2 * criterion.error_px2 or metres2 > limit * criterion.metres2
+    coarse = metres2 > limit * pixel2 * criterion.error_px2 or metres2 > limit * criterion.metres2
+    px2 = limit * edge2
     return coarse or long2 > px2 * criterion.edge_px2 or legs2 > px2 * criterion.area_px2

@@ -8,7 +8,7 @@ from .block import MAX_BISECTIONS
 from .coherence import Subtree, carried, stands_of
 from .diamond import smaller
 from .emit import stands_alone
-from .interval import DOUBT, REUSED, Limits, LodInterval, MeasuredDiamond, too_coarse, turning_span
+from .interval import DOUBT, REUSED, Limits, LodInterval, MeasuredDiamond, rise_to_turn, too_coarse
 from .pixels import CLEAR, CROSSED, CriterionArrays, coarsest
 from .reuse_state import Reuse, ReuseCursor
 from .runs import NOT_CLEAR
@@ -171,8 +171,8 @@ def open_subtree(
             r.cursor[k].stopped_before = w.counts[4 * k + STOPPED]
             w.counts[4 * k + STOPPED] = wp.int64(0)
             entry = wp.int64(k) * r.room + r.cursor[k].count
-            coarse2, _inside = coarsest(criterion, m.diamond, 0)
-            span = wp.sqrt(m.pixel2)
+            coarse2, _edge2, _inside = coarsest(criterion, m.diamond, 0)
+            span = wp.sqrt(wp.where(criterion.measures_edges == 1, m.edge2, m.pixel2))  # footprints of edges are finer
             r.cached[entry].cell = q.base + c.cell
             r.cached[entry].depth = c.depth
             r.cached[entry].stands = stands
@@ -189,7 +189,7 @@ def note_turning(criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse, 
     """Limit the open subtree to footprints at which the diamond that was measured is decided as now."""
     if r.cursor[w.slot].end != NOWHERE:
         inf = wp.float64(wp.inf)
-        away = turning_span(limits, m) - wp.sqrt(m.pixel2)
+        away = rise_to_turn(limits, m)
         if not too_coarse(criterion, criterion.limit, m):
             narrow(r, w.slot, -away, inf)
         elif not m.metres2 > criterion.limit * criterion.metres2:

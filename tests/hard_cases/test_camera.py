@@ -99,7 +99,7 @@ def test_case_25_panorama_bounds_the_angle(field):
 
 
 def test_case_25_panorama_from_above_takes_fewer_triangles(field):
-    """High above the ground errors of height look small: a panorama takes 30 % of the triangles less."""
+    """High above the ground errors of height look small: a panorama takes 30 % fewer triangles."""
     view = View.look((20, -30, 600), (1, 0, 600), kind=PANORAMIC, fov_deg=360, resolution=(2000, 1000))
     upright, steep = (update_and_check(field, [view], Criterion(error_px=0.5, shading_floor=k)) for k in (1.0, 0.5))
     assert steep.triangles < 0.7 * upright.triangles and 0 < steep.bound_px <= 0.5

@@ -20,7 +20,8 @@ def spans_of_boxes(
 ):
     """Write footprints on boxes and the bounds of their change.
 
-    boxes: lowest and highest corner in turns. spans [n, 2]: metres before and now. change: lower, upper, valid.
+    boxes: lowest and highest corner in turns. spans [n, 4]: metres of heights before and now, of edges before and now.
+    change: lower, upper, valid; of heights, and of edges too if the criterion measures them.
     """
     subtree.fine = wp.float64(wp.inf)
     subtree.coarse = wp.float64(0.0)
@@ -29,11 +30,15 @@ def spans_of_boxes(
         d.low = boxes[2 * k]
         d.high = boxes[2 * k + 1]
         in_frame = wp.where(subtree.stands == FADED, 0, 1)
-        spans[k, 0] = wp.sqrt(finest_in(before, asked.slopes, d, in_frame))
-        spans[k, 1] = wp.sqrt(finest_in(asked.view, asked.slopes, d, in_frame))
-        subtree.fine = wp.min(subtree.fine, spans[k, 0])
+        heights2, edges2 = finest_in(before, asked.slopes, d, in_frame)
+        heights_now2, edges_now2 = finest_in(asked.view, asked.slopes, d, in_frame)
+        spans[k, 0] = wp.sqrt(heights2)
+        spans[k, 1] = wp.sqrt(heights_now2)
+        spans[k, 2] = wp.sqrt(edges2)
+        spans[k, 3] = wp.sqrt(edges_now2)
+        subtree.fine = wp.min(subtree.fine, spans[k, wp.where(asked.measures_edges == 1, 2, 0)])
         subtree.coarse = wp.max(subtree.coarse, spans[k, 0])
-    least, most, valid = span_change(asked.view, motion, subtree)
+    least, most, valid = span_change(asked.view, motion, asked.measures_edges, subtree)
     change[0] = least
     change[1] = most
     change[2] = wp.float64(valid)

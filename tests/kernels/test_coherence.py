@@ -173,7 +173,8 @@ def spans_kernel():
 
 @pytest.mark.parametrize("stands", [CLEAR, FADED])
 @pytest.mark.parametrize("kind", [PERSPECTIVE, PANORAMIC, ORTHOGRAPHIC])
-def test_footprints_in_a_box_change_within_the_bound(kind, stands, spans_kernel):
+@pytest.mark.parametrize("measures_edges", [0, 1])
+def test_footprints_in_a_box_change_within_the_bound(kind, stands, measures_edges, spans_kernel):
     """Check the finest footprint on 2,000 boxes inside each of 300 after the camera has moved, turned and zoomed, in
     the frame and across its fringe."""
     criterion = Criterion(morph=SMOOTH)
@@ -197,17 +198,21 @@ def test_footprints_in_a_box_change_within_the_bound(kind, stands, spans_kernel)
             local.append(localise(view, placement, box, criterion, 1.0 + 0.01 * frame))
         asked, motion, subtree = CriterionArrays(), Motion(), Subtree()
         asked.view, asked.view_count, asked.views = local[1], 1, wp.array(local[1:], dtype=LocalView, device="cpu")
+        asked.measures_edges = measures_edges
         move(motion, *local, drift=0.0)
         subtree.low, subtree.high, subtree.stands = low, high, stands
         inner = np.sort(rng.uniform(low, high, (2_000, 2, 3)), axis=1)
         inner[0] = low, high
         boxes = wp.array(inner.reshape(-1, 3), dtype=wp.vec3d, device="cpu")
-        spans = wp.zeros((2_000, 2), dtype=wp.float64, device="cpu")
+        spans = wp.zeros((2_000, 4), dtype=wp.float64, device="cpu")
         change = wp.zeros(3, dtype=wp.float64, device="cpu")
         inputs = [asked, local[0], motion, subtree, boxes, spans, change]
         wp.launch(spans_kernel.spans_of_boxes, 1, inputs=inputs, device="cpu")
         least, most, valid = change.numpy()
-        before, now = spans.numpy().T
+        heights_before, heights_now, edges_before, edges_now = spans.numpy().T
+        before, now = heights_before, heights_now
+        if measures_edges:
+            before, now = np.append(before, edges_before), np.append(now, edges_now)
         if valid and before.max() < np.inf:
             rounded = 1e-8 * before.max()
             assert (now - before).min() >= least - rounded and (now - before).max() <= most + rounded

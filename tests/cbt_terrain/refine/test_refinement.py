@@ -66,6 +66,20 @@ def test_vertical_error_needs_no_view_and_meets_the_request():
         assert update.bound_m <= asked and update.bound_px is None and update.limited == ""
 
 
+@pytest.mark.parametrize(("kind", "edge_px"), [("PERSPECTIVE", 160.0), ("PANORAMIC", 80.0)])
+def test_errors_and_edges_refine_what_each_of_them_refines(kind, edge_px):
+    """Errors have slants and edges have none, so from above the mesh of both is the union of two meshes."""
+    view = View.look((30.0, -40.0, 300.0), (31.0, -40.0, 0.0), kind=kind, fov_deg=140.0)
+    cells = []
+    for asked in ({"error_px": 2.0}, {"error_px": 0.0, "edge_px": edge_px}, {"error_px": 2.0, "edge_px": edge_px}):
+        terrain = Terrain(rough(65, 65), 1)
+        update = terrain.update(Criterion(**asked), [view])
+        assert (update.bound_px or 0) <= 2.0 and (update.bound_edge_px or 0) <= edge_px
+        cells.append(set(terrain.tree.cells().tolist()))
+    of_errors, of_edges, both = cells
+    assert both == of_errors | of_edges and len(both) > 1.1 * max(len(of_errors), len(of_edges))
+
+
 @pytest.mark.parametrize("heights", [(1000.0,), (1000.0, 610.0), (333.0,)])
 def test_an_error_just_above_a_code_takes_no_extra_level(heights):
     """On a cliff errors are h / 4^k. The request is 0.1 % above one of them, or 4 % above, beyond the rounding."""

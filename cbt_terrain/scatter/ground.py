@@ -3,14 +3,15 @@
 
 import dataclasses
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
 from ...kernels.field.detail import PackedLayers
 from ...kernels.field.domain import Domain
+from ...kernels.refine.pixels import CriterionArrays
 from ...kernels.scatter import points as kernels
 from ...kernels.scatter.seams import Pattern
 from ..attributes.attribute import SamplePoints
@@ -24,15 +25,33 @@ from ..plain_numbers import vertical
 from ..run import launch
 from ..run.buffers import flat, shared
 from ..view.linear import settled
+from ..view.view import View
 from .candidates import Candidates
 from .scatter import MAX_TILES, Scatter
 from .squares import Squares
 from .tile import FINEST, POINTS, tile
 
-if TYPE_CHECKING:
-    from .points import ScatterRequest
-
 SPARE = 1.25  # candidates placed over those needed, since a slow camera needs a few more in the next frame
+
+
+@dataclass(frozen=True, eq=False)
+class ScatterRequest:
+    """A request for the points that views see, or without views for all points at full density.
+
+    `placement`: 4 x 4 matrix to the world. `boundary`: triangles that points are above or below, float64 [n, 3, 2], x
+    and y in the terrain's space. `horizon`: Terrain.horizon for the same views; squares of the plan that are hidden
+    from all of them, including everything within `margin_m`, have no points then. The other points do not change.
+    `max_points`: the maximum number of points and the name of the limit for the message.
+    """
+
+    scatter: Scatter
+    views: Iterable[View] = ()
+    placement: np.ndarray | None = None
+    vertical_scale: float = 1.0
+    vertical_offset: float = 0.0
+    boundary: np.ndarray | None = None
+    horizon: "CriterionArrays | None" = None
+    max_points: tuple[int, str] | None = None
 
 
 @dataclass(eq=False)
@@ -53,7 +72,7 @@ class ScatterGround:
     candidates: Candidates = dataclasses.field(default_factory=Candidates)
 
     @classmethod
-    def of(cls, field: HeightField, request: "ScatterRequest") -> "ScatterGround":
+    def of(cls, field: HeightField, request: ScatterRequest) -> "ScatterGround":
         """Return the ground of a ScatterRequest without candidates."""
         scale = vertical(request.vertical_scale, request.vertical_offset)
         valid = np.empty(0, np.uint8) if field.valid is None else field.valid
@@ -63,7 +82,7 @@ class ScatterGround:
         flags, style = flat(np.ascontiguousarray(valid), wp.uint8), _style(request.scatter, tiles)
         return cls(field, request.scatter, scale, request.boundary, box, domain, detail, flags, pattern, tiles, style)
 
-    def is_of(self, field: HeightField, request: "ScatterRequest") -> bool:
+    def is_of(self, field: HeightField, request: ScatterRequest) -> bool:
         """Return whether this is the ground of a ScatterRequest."""
         scale, one, other = (request.vertical_scale, request.vertical_offset), self.boundary, request.boundary
         same = field is self.field and request.scatter == self.scatter and scale == self.scale

@@ -27,7 +27,7 @@ from ..view.criterion import Criterion
 from ..view.linear import lengths, solve
 from ..view.local_view import localise
 from ..view.view import View, listed_views
-from .ground import ScatterGround, listed_runs, pieces_of
+from .ground import ScatterGround, ScatterRequest, listed_runs, pieces_of
 from .scatter import Scatter
 from .squares import squares_in_view, too_many
 
@@ -65,26 +65,6 @@ class ScatterPoints:
     def only(self, which: np.ndarray) -> "ScatterPoints":
         """Return the points with the indices, or the mask, `which`."""
         return ScatterPoints(**{name: getattr(self, name)[which] for name in ARRAYS}, tested=self.tested)
-
-
-@dataclass(frozen=True, eq=False)
-class ScatterRequest:
-    """A request for the points that views see, or without views for all points at full density.
-
-    `placement`: 4 x 4 matrix to the world. `boundary`: triangles that points are above or below, float64 [n, 3, 2], x
-    and y in the terrain's space. `horizon`: Terrain.horizon for the same views; squares of the plan that are hidden
-    from all of them, including everything within `margin_m`, have no points then. The other points do not change.
-    `max_points`: the maximum number of points and the name of the limit for the message.
-    """
-
-    scatter: Scatter
-    views: Iterable[View] = ()
-    placement: np.ndarray | None = None
-    vertical_scale: float = 1.0
-    vertical_offset: float = 0.0
-    boundary: np.ndarray | None = None
-    horizon: "CriterionArrays | None" = None
-    max_points: tuple[int, str] | None = None
 
 
 def scatter_points(

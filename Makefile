@@ -44,10 +44,11 @@ smoke: $(READY)
 	$(PY) -m pytest $(SMOKE)
 
 # The engine without the rooms that measure accuracy and shape land, in two processes. A new room is in the second.
-CORE_FIRST := tests/kernels $(addprefix tests/cbt_terrain/,field attributes)
-CORE_LEFT_OUT := $(addprefix --ignore=tests/cbt_terrain/,field attributes accuracy height_operators)
+# Each process takes half of the processor time.
+CORE_FIRST := $(addprefix tests/cbt_terrain/,field attributes fit view)
+CORE_LEFT_OUT := $(addprefix --ignore=,$(CORE_FIRST)) $(addprefix --ignore=tests/cbt_terrain/,accuracy height_operators)
 test-core: $(READY)
-	$(PY) -m pytest -q -p no:cacheprovider $(CORE_FIRST) & first=$$!; \
+	$(PY) -m pytest -q -p no:cacheprovider tests/kernels $(CORE_FIRST) & first=$$!; \
 	$(PY) -m pytest -q -p no:cacheprovider tests/cbt_terrain $(CORE_LEFT_OUT); second=$$?; wait $$first && exit $$second
 
 test-all: $(READY)

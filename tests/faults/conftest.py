@@ -7,8 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from adaptive_terrain.operators.cli import command_line
-from flights import hills_flight
+from flights import arguments, undisturbed  # noqa: F401
 
 # Only so that a hang ends.
 GUARD_S = 300
@@ -39,8 +38,8 @@ def small_disk(tmp_path):
 def run_command():
     """Return a function that runs a verb of the command line in a child process, as subprocess.run."""
 
-    def run(*arguments, **options):
-        command = [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line", *map(str, arguments)]
+    def run(*words, **options):
+        command = [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line", *map(str, words)]
         return subprocess.run(command, capture_output=True, text=True, timeout=GUARD_S, **options)
 
     return run
@@ -55,17 +54,3 @@ def contents():
         return {str(f.relative_to(folder)): hashlib.blake2b(f.read_bytes()).hexdigest() for f in files}
 
     return read
-
-
-@pytest.fixture(scope="session")
-def flight(tmp_path_factory):
-    """Return a small store, a flight over it, and the arguments of its export without --out."""
-    return hills_flight(tmp_path_factory.mktemp("flight"))
-
-
-@pytest.fixture(scope="session")
-def undisturbed(flight, tmp_path_factory):
-    """Return the bytes of every mesh of an undisturbed export, by name."""
-    out = tmp_path_factory.mktemp("undisturbed")
-    assert command_line.main([*flight, "--out", str(out)]) == 0
-    return {path.name: path.read_bytes() for path in out.glob("*.npz")}

@@ -14,6 +14,7 @@ from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob, imp
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.operators.cli import command_line
 from invariants import assert_invariants
 from rasters import hills, write_exr, write_raster
 
@@ -100,14 +101,15 @@ def test_the_disk_fills_up_while_the_import_runs(small_disk, contents, when):
     assert_works(store)
 
 
-def test_the_disk_is_full_before_the_import_begins(small_disk, run_command, contents):
+def test_the_disk_is_full_before_the_import_begins(small_disk, capfd, contents):
     disk = small_disk(2 << 20)
     store = disk / "store"
     run_import(ImportSettings(source="island", size=65), store)
     before = contents(store)
     fill(disk)
-    done = run_command("import", "island", "--size", "257", "--store", store)
-    assert done.returncode == 1 and "make room" in done.stderr and "Traceback" not in done.stderr
+    assert command_line.main(["import", "island", "--size", "257", "--store", str(store)]) == 1
+    said = capfd.readouterr().err
+    assert "make room" in said and "Traceback" not in said
     assert contents(store) == before
 
 

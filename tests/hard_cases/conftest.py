@@ -3,6 +3,7 @@
 
 import pytest
 from blender_scenes import add_terrain, empty, grid_surface, scene, store  # noqa: F401
+from flights import arguments, undisturbed  # noqa: F401
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from adaptive_terrain.cbt_terrain.mesh.attributes import Attribute
 from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 from adaptive_terrain.cbt_terrain.run.partial_files import new_token, written_beside
 from adaptive_terrain.operators.cli import command_line
-from flights import FRAMES, hills_flight
+from flights import FRAMES, assert_complete, final_meshes
 from invariants import assert_invariants
 
 # The child kills itself after it wrote the third entry of the third frame's archive.
@@ -36,25 +36,6 @@ sys.exit(main(sys.argv[1:]))
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
 
 
-@pytest.fixture(scope="module")
-def arguments(tmp_path_factory):
-    """Return the arguments, without --out, of an export of a flight over a small store."""
-    return hills_flight(tmp_path_factory.mktemp("interrupted"))
-
-
-@pytest.fixture(scope="module")
-def undisturbed(arguments, tmp_path_factory):
-    """Return the bytes of every mesh of an uninterrupted export."""
-    out = tmp_path_factory.mktemp("undisturbed")
-    assert command_line.main([*arguments, "--out", str(out)]) == 0
-    meshes = {path.name: path.read_bytes() for path in out.glob("*.npz")}
-    assert len(meshes) == FRAMES
-    lattice = open_store(arguments[arguments.index("--store") + 1]).lattice
-    for path in out.glob("*.npz"):
-        assert_invariants(surface_of(path), lattice)
-    return meshes
-
-
 def surface_of(path):
     """Read the surface in an exported file."""
     entries = read_npz(path)
@@ -68,12 +49,12 @@ def surface_of(path):
     return Surface(entries["positions"], corners.ravel(), edge_of_corner, entries["edges"], attributes)
 
 
-def final_meshes(out):
-    """Return the bytes of every mesh with a final name, and assert that each can be read completely."""
-    paths = [path for path in out.glob("*.npz") if not path.name.startswith(".")]
-    for path in paths:
-        assert read_npz(path)["info"]["frame"] == int(path.stem[-4:])
-    return {path.name: path.read_bytes() for path in paths}
+def test_case_49_an_undisturbed_export_is_whole(arguments, undisturbed, tmp_path):
+    """The meshes of an undisturbed export keep the invariants."""
+    lattice = open_store(arguments[arguments.index("--store") + 1]).lattice
+    for name, content in undisturbed.items():
+        (tmp_path / name).write_bytes(content)
+        assert_invariants(surface_of(tmp_path / name), lattice)
 
 
 def test_case_49_kill_while_a_file_is_written(arguments, undisturbed, tmp_path, capsys):
@@ -86,8 +67,7 @@ def test_case_49_kill_while_a_file_is_written(arguments, undisturbed, tmp_path, 
     assert command_line.main([*arguments, "--out", str(out), "--resume"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.endswith("complete before") for line in lines] == [True] * 2 + [False] * (FRAMES - 2)
-    assert final_meshes(out) == undisturbed
-    assert not list(out.glob(".partial-*"))
+    assert_complete(out, undisturbed)
 
 
 def test_case_49_kill_at_any_moment(arguments, undisturbed, tmp_path):
@@ -106,12 +86,11 @@ def test_case_49_kill_at_any_moment(arguments, undisturbed, tmp_path):
         meshes = final_meshes(out)
         assert meshes == {name: undisturbed[name] for name in meshes}
     assert command_line.main([*arguments, "--out", str(out), "--resume"]) == 0
-    assert final_meshes(out) == undisturbed
-    assert not list(out.glob(".partial-*"))
+    assert_complete(out, undisturbed)
 
 
-def test_case_49_two_exports_at_once_leave_each_other_alone(arguments, undisturbed, tmp_path):
-    """Two simultaneous exports into one folder with the leftovers of a dead one give whole frames and nothing else."""
+def test_case_49_exports_at_once_leave_each_other_alone(arguments, undisturbed, tmp_path):
+    """Three simultaneous exports into one folder with the leftovers of a dead one give whole frames only."""
     out = tmp_path / "out"
     out.mkdir()
     dead = out / f".partial-{new_token()}"
@@ -124,7 +103,8 @@ def test_case_49_two_exports_at_once_leave_each_other_alone(arguments, undisturb
         assert command_line.main([*arguments, "--out", str(out), "--resume"]) == 0
         assert alive.exists()
     command = [sys.executable, "-m", "adaptive_terrain.operators.cli.command_line", *arguments, "--out", str(out)]
-    both = [subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) for _ in range(2)]
-    assert [(child.communicate()[1], child.returncode) for child in both] == [(b"", 0)] * 2
-    assert final_meshes(out) == undisturbed
-    assert len(list(out.glob("frame_*.json"))) == FRAMES and not list(out.glob(".partial-*"))
+    options = [["--resume"], [], ["--resume"]]
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    children = [subprocess.Popen([*command, *more], **pipes) for more in options]
+    assert [(child.communicate()[1], child.returncode) for child in children] == [(b"", 0)] * 3
+    assert_complete(out, undisturbed)

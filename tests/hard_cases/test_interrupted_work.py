@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from adaptive_terrain.operators.cli import command_line
 from flights import hills_flight
 from real_program import processes
 
@@ -42,6 +43,7 @@ os.write(2, b"begun\\n")
 program()
 """
 TOKEN = "ADAPTIVE_TERRAIN_TEST_TOKEN"
+WITHOUT_BPY = "import", "bake", "bake bicubic", "export"  # commands that run as they are
 # The relative frequency of each command. Commands that import bpy or measure take longer.
 WEIGHTS = {"import": 4, "bake": 3, "export": 4}
 if CASES > 12:
@@ -54,7 +56,7 @@ class Work:
     """A command that works in a separate folder with a copy of the store."""
 
     def __init__(self, kind: str, template: Path, folder: Path):
-        self.folder, self.token = folder, f"{folder}"
+        self.kind, self.folder, self.token = kind, folder, f"{folder}"
         shutil.copytree(template, folder)
         store, out = folder / "hills.store", folder / "out"
         whole = ["--store", store, "--max-error", "0.5"]
@@ -86,6 +88,13 @@ class Work:
         stderr = process.communicate(timeout=GUARD_S)[1]
         assert process.returncode == 0, stderr
         return time.monotonic() - begun
+
+    def again(self, *more: str) -> None:
+        """Run to the end once more, in this process where the command needs no changes."""
+        if self.kind in WITHOUT_BPY:
+            assert command_line.main([*map(str, self.arguments), *more]) == 0
+        else:
+            self.complete(*more)
 
     def processes(self) -> list[int]:
         """Return the ids of living processes that this work started."""
@@ -205,5 +214,5 @@ def test_case_65_interrupted_at_a_random_time(case, template, undisturbed, tmp_p
         assert name in expected or (not stopped_cleanly and ("/.partial-" in f"/{name}" or "/lock" in name)), name
         if path.suffix in (".npz", ".ply", ".obj", ".csv") and name in expected:
             assert content(path) == expected[name], f"{name} is half-written"
-    work.complete(*(["--resume"] if kind.startswith("export") and draw.random() < 0.5 else []))
+    work.again(*(["--resume"] if kind.startswith("export") and draw.random() < 0.5 else []))
     assert work.result() == expected

@@ -25,23 +25,23 @@ def steps():
     yield 2.0
     result["before"] = names()
     view = parts()[1].spaces.active.region_3d.view_matrix.inverted()
+    # Operators that a script runs leave no step for Undo.
+    run(bpy.ops.ed.undo_push, message="Terrain from File")
     run(bpy.ops.adaptive_terrain.set_up_scene, "INVOKE_DEFAULT")
     run(bpy.ops.ed.undo_push, message="Set Up Scene")
     result["after"] = names()
     camera = bpy.context.scene.camera
-    apart = [
-        a - b for row, other in zip(camera.matrix_world, view, strict=True) for a, b in zip(row, other, strict=True)
-    ]
-    result["camera_off"] = max(map(abs, apart)) / terrain().dimensions.x
+    apart = (camera.matrix_world - view).transposed()
+    result["camera_off"] = max(column.length for column in apart) / terrain().dimensions.x
     parts()[1].spaces.active.shading.type = "RENDERED"
     parts()[1].spaces.active.region_3d.view_perspective = "CAMERA"
     bpy.context.view_layer.objects.active = camera
     yield 8.0
     yield from picture("set_up")
     parts()[1].spaces.active.shading.type = "SOLID"
-    run(bpy.ops.ed.undo)
-    yield 1.0
-    run(bpy.ops.ed.undo)
+    # As a user: Ctrl Z of the camera's step, and of the scene's.
+    with bpy.context.temp_override(window=parts()[0]):
+        bpy.ops.ed.undo()
     yield 1.0
     result["undone"] = names()
 

@@ -2,7 +2,7 @@
 """Where exported frames come from: a store seen along a camera path, or the terrains of a .blend file."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -171,7 +171,9 @@ class SceneFrames:
 
 def scene_piece(obj, depsgraph, frame: int, **options) -> Piece:
     """Write the mesh of the terrain `obj` at the render's detail. `options`: arguments of `request.gather`."""
+    from ...cbt_terrain.view.linear import determinant
     from ..bridge.cleanup import clean_up
+    from ..scatter.instancing import follows_scale
     from ..scatter.request import scatters_of
     from ..session import session
     from ..terrain.request import RENDER, gather
@@ -186,7 +188,10 @@ def scene_piece(obj, depsgraph, frame: int, **options) -> Piece:
         for item in request.scatters.items:
             child = children[item.uid]
             stands = np.array(child.evaluated_get(depsgraph).matrix_world, np.float64)
-            scatters[file_name(child)] = record.scatters[item.uid].points, stands
+            points = record.scatters[item.uid].points
+            if follows_scale(child):
+                points = replace(points, size=points.size * np.float32(np.cbrt(abs(determinant(stands[:3, :3])))))
+            scatters[file_name(child)] = points, stands
     info = describe(update, request.criterion, request.views, heights, request.placement)
     info |= {"frame": frame, **counts(surface), "tree": how, "frozen": bool(request.frozen)}
     return Piece(file_name(obj), surface, heights.origin, update, info, obj, tree, scatters)

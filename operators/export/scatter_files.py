@@ -18,7 +18,7 @@ SAME = 1e-5  # float32 matrices are no better
 def write_points_csv(path, points: ScatterPoints, placement: np.ndarray) -> None:
     """Write points placed by `placement` (float64 [4, 4], their space to the world), atomically.
 
-    A row has metres, z up, a quaternion and the scale of an instance.
+    A row has metres, z up, a quaternion and the scale of an instance, which is its point's size.
 
     Raises TerrainError where the placement does not scale all axes alike: no rotation and scale say that.
     """
@@ -37,7 +37,7 @@ def write_points_csv(path, points: ScatterPoints, placement: np.ndarray) -> None
         file.write(COLUMNS)
         for first in range(0, len(points), ROWS):
             part = slice(first, first + ROWS)
-            floats = np.column_stack([array[part] for array in (positions, scale * points.size, rotation, normals)])
+            floats = np.column_stack([array[part] for array in (positions, points.size, rotation, normals)])
             rows = zip(points.id[part].tolist(), floats.tolist(), points.variant[part].tolist(), strict=True)
             file.writelines(ROW % (number, *values, variant) for number, values, variant in rows)
 

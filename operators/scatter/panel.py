@@ -6,10 +6,11 @@ from mathutils import Matrix
 
 from ..layers.panel import draw_rules
 from ..session import session
-from ..text.numbers import time_text
+from ..text.numbers import length_text, time_text
 from ..text.shown_bounds import bound_text
 from ..ui.panel_parts import TerrainSubpanel, figures, message, show_terrain
 from ..ui.status_row import draw_failure
+from .fitting import count_on_land, size_of
 from .properties import MESH
 from .request import ScatterRecord, is_scatter, scatters_of
 
@@ -62,6 +63,9 @@ class ScatterPanel(bpy.types.Panel):
         if not draw_failure(box, terrain):
             box.label(text=f"On {terrain.name}", icon="CHECKMARK")
         column = self.layout.column()
+        column.prop(settings, "collection")
+        for line in size_lines(settings, terrain):
+            column.label(text=line, icon="BLANK1")
         for name in ("spacing", "full_until", "size", "variation", "align", "roots", "margin_deg", "margin_m"):
             column.prop(settings, name, **LABELS.get(name, {}))
         row = column.row()
@@ -78,6 +82,14 @@ def summary(scatter: ScatterRecord | None) -> tuple[str, str]:
     if scatter is None or scatter.points is None:
         return "-", "-"
     return f"{len(scatter.points):,}", time_text(sum(scatter.ms.values()))
+
+
+def size_lines(settings, terrain) -> list[str]:
+    """Return the sizes of the collection's objects, and the number of instances that the spacing stands for."""
+    width, height = (0.0, 0.0) if settings.collection is None else size_of(settings.collection)
+    objects = f"Up to {length_text(width)} wide, {length_text(height)} high" if width else "No objects: cones"
+    count = count_on_land(terrain, settings.spacing)
+    return [objects, "-" if count is None else f"{count:,} on all the land"]
 
 
 def scatter_lines(settings, scatter: ScatterRecord | None, status) -> list[tuple[str, str]]:

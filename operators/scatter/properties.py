@@ -2,20 +2,46 @@
 """Settings of a scatter (`object.adaptive_scatter`), and the one place that reads them."""
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import (
+    BoolProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.scatter.scatter import Scatter
 from ..layers.properties import LayerSettings, layer_alone, layers_of
 from ..terrain.detail_properties import changed
+from .fitting import fit
+from .instancing import set_collection
 
 SURFACE, MESH = "SURFACE", "MESH"
+
+
+def _collection_chosen(self, _context) -> None:
+    """Show the collection's objects on the points, as far apart as they are wide."""
+    set_collection(self.id_data, self.collection)
+    fit(self.id_data)
 
 
 class ScatterSettings(bpy.types.PropertyGroup):
     """Points on the terrain that is the object's parent."""
 
     enabled: BoolProperty(name="Adaptive Scatter", description="This object's points are written by Adaptive Terrain")
+    collection: PointerProperty(
+        name="Collection",
+        description="Each point shows one of its objects. Spacing, Full Until, Size and Reach follow from their sizes "
+        "until you change them",
+        type=bpy.types.Collection, update=_collection_chosen,
+    )  # fmt: skip
+    fitted: FloatVectorProperty(
+        name="Fitted", description="Spacing, Full Until, Size and Reach as they were last fitted", size=4,
+        options={"HIDDEN"},
+    )  # fmt: skip
     spacing: FloatProperty(
         name="Spacing",
         description="At full density there is one point on a square of this side, in the terrain's own space",
@@ -33,7 +59,7 @@ class ScatterSettings(bpy.types.PropertyGroup):
     where: PointerProperty(type=LayerSettings)
     size: FloatProperty(
         name="Size",
-        description="How many times as large as itself an object stands there, when it is full-grown",
+        description="Scale of a full-grown object; 1 keeps its size in the world, whatever the terrain's scale",
         default=1.0, min=0.0, soft_max=100.0, update=changed,
     )  # fmt: skip
     variation: FloatProperty(

@@ -90,6 +90,18 @@ def test_points_stand_where_blender_shows_them(export, monkeypatch):
         assert np.abs(np.column_stack([found[f"normal_{axis}"] for axis in "xyz"]) - up).max() < 1e-5
 
 
+def test_scales_of_older_files_follow_the_terrain(terrain, export, tmp_path):
+    """Their node group stretches instances, so the table does too; the other scatter keeps its sizes."""
+    old = terrain.children[0].modifiers[0]
+    old.node_group = old.node_group.copy()
+    old.node_group.name = "Adaptive Scatter"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    code, said, out = export("--frames", "1", "--format", "npz", "--scatter")
+    assert code == 0, said.err
+    largest = [read(path)["scale"].max() for path in sorted(out.glob("*.csv"))]
+    assert 1.1 * 1.3 < max(largest) <= 1.2 * 1.3 + 1e-5 and 1.1 < min(largest) <= 1.2 + 1e-5
+
+
 def test_points_are_part_of_what_resume_asks_for(export):
     """A frame without them is made again, one with them is left; without the option none are written."""
     _, _, out = export("--frames", "1", "--format", "npz")

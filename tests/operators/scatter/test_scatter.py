@@ -10,13 +10,12 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.scatter.points import scatter_points
 from adaptive_terrain.operators.scatter import request as scatters
-from adaptive_terrain.operators.scatter.operators import GROUP, new_scatter
+from adaptive_terrain.operators.scatter.operators import new_scatter
 from adaptive_terrain.operators.scatter.panel import ORPHAN, ScatterPanel, scatter_lines, summary
 from adaptive_terrain.operators.scatter.properties import scatter_of
 from adaptive_terrain.operators.session import live, session
 from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH
 from adaptive_terrain.operators.ui.status_row import ShowMessage, draw_failure
-from demand_trees import put
 
 
 def attribute(obj, name, width, dtype=np.float32, member="value"):
@@ -92,13 +91,13 @@ def test_the_operator_adds_points_with_attributes_and_cones(scene, terrain):
     bpy.context.view_layer.objects.active = terrain
     assert bpy.ops.adaptive_terrain.scatter_add() == {"FINISHED"}
     (obj,) = terrain.children
-    settings = obj.adaptive_scatter
+    settings, in_world = obj.adaptive_scatter, 6.0 * (1.2 * 0.9) ** 0.5
     assert settings.enabled and settings.spacing == pytest.approx(6.0)
-    assert settings.full_until == pytest.approx(200 * 6 * 1.2) and settings.margin_m == pytest.approx(2 * 6 * 1.2)
+    assert settings.full_until == pytest.approx(200 * in_world) and settings.margin_m == pytest.approx(2 * in_world)
     assert len(obj.data.vertices) > 500
     assert np.abs(np.linalg.norm(attribute(obj, "rotation", 4), axis=1) - 1).max() < 1e-6
     sizes, ids = attribute(obj, "size", 1), attribute(obj, "id", 1, np.int32)
-    assert 0 <= sizes.min() and sizes.max() <= 1.2 * 6.0 and len(np.unique(ids)) == len(ids)
+    assert 0 <= sizes.min() and sizes.max() <= 1.2 and len(np.unique(ids)) == len(ids)
     assert attribute(obj, "normal", 3, member="vector")[:, 2].min() > 0
     found = instances(obj)
     assert len(found) == len(obj.data.vertices)
@@ -111,9 +110,7 @@ def test_instances_are_picked_by_variant(terrain, scatter):
     collection = bpy.data.collections.new("Trees")
     for name in ("Fir", "Oak", "Pine"):
         collection.objects.link(bpy.data.objects.new(name, bpy.data.meshes.new(name)))
-    modifier = scatter.modifiers[GROUP]
-    socket = next(item for item in modifier.node_group.interface.items_tree if item.name == "Collection")
-    put(modifier, socket.identifier, collection)
+    scatter.adaptive_scatter.collection = collection
     session.update_object(terrain)
     names = [name for name, _ in instances(scatter)]
     expected = np.array(["Fir", "Oak", "Pine"])[attribute(scatter, "variant", 1, np.int32) % 3]

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Numbers of a scatter that follow from the size of its land and of the objects in its collection."""
+
+import math
+
+import numpy as np
+from mathutils import Matrix
+
+from ..importing.imported import imported_of
+
+# Spacings in a terrain's longer side before a collection is chosen: 40,000 points on a square one, twice as many at
+# most, as spacings have one digit.
+PER_SIDE = 200
+# Points on a whole land at full density, at most: 1.5 GB of instances where no camera limits them.
+MAX_ON_LAND = 1_000_000
+# In spacings: distance up to which density is full, for cones and for a collection. 100 is about 30,000 points in view.
+FULL_OF_CONES, FULL_OF_OBJECTS = 200, 100
+REACH_HEIGHTS = 2  # what stands there, and its shadow
+WITHOUT_EXTENT = ("EMPTY", "LIGHT", "CAMERA", "SPEAKER", "LIGHT_PROBE")
+NAMES = ("spacing", "full_until", "size", "margin_m")  # in the order of `fitted`
+
+
+def size_of(collection) -> tuple[float, float]:
+    """Return the largest plan diameter and the largest height of a collection's instances, in metres of the world.
+
+    An object is an instance, and so is a child collection with all that is in it. (0, 0) if nothing has an extent.
+    """
+    boxes = [_corners([obj]) for obj in collection.objects]
+    boxes += [_corners(child.all_objects) for child in collection.children]
+    extents = [np.ptp(corners, axis=0) for corners in boxes if len(corners)]
+    if not extents:
+        return 0.0, 0.0
+    x, y, z = np.max(extents, axis=0).tolist()
+    return max(x, y), z
+
+
+def _corners(objects) -> np.ndarray:
+    """Return the corners of the bounding boxes of objects that have one, float64 [n, 3], in the world."""
+    found = [np.empty((0, 3))]
+    for obj in objects:
+        if obj.type not in WITHOUT_EXTENT:
+            matrix = np.array(_to_world(obj), np.float64)
+            found.append(np.array(obj.bound_box, np.float64) @ matrix[:3, :3].T + matrix[:3, 3])
+    return np.concatenate(found)
+
+
+def _to_world(obj) -> Matrix:
+    """Return the matrix of an object to the world, without constraints.
+
+    `matrix_world` is not up to date in a collection that is excluded from the view layer.
+    """
+    if obj.parent is None:
+        return obj.matrix_basis
+    return _to_world(obj.parent) @ obj.matrix_parent_inverse @ obj.matrix_basis
+
+
+def scale_of(terrain) -> float:
+    """Return metres of the world in a horizontal metre of a terrain's own space."""
+    x, y, _ = terrain.matrix_world.to_scale()
+    return math.sqrt(abs(x * y)) or 1.0
+
+
+def count_on_land(terrain, spacing: float) -> int | None:
+    """Return the number of points at full density on all the land of a terrain; None without a height field."""
+    found = imported_of(terrain.adaptive_terrain)
+    return None if found is None else round(math.prod(found.extent_m) / spacing**2)
+
+
+def fit(obj) -> None:
+    """Set the numbers of a scatter to its collection's size, each unless it was changed since it was last fitted."""
+    settings, terrain = obj.adaptive_scatter, obj.parent
+    width, height = (0.0, 0.0) if settings.collection is None else size_of(settings.collection)
+    if width <= 0.0 or terrain is None:
+        return
+    scale, found = scale_of(terrain), imported_of(terrain.adaptive_terrain)
+    smallest = 0.0 if found is None else scale * math.sqrt(math.prod(found.extent_m) / MAX_ON_LAND)
+    spacing = rounded(max(width, smallest), 2, math.ceil)
+    put_numbers(settings, spacing / scale, FULL_OF_OBJECTS * spacing, REACH_HEIGHTS * max(width, height))
+
+
+def put_numbers(settings, spacing: float, full_until: float, reach: float, first: bool = False) -> None:
+    """Set fitted numbers; `first`: all, otherwise those without changes."""
+    for number, (name, value) in enumerate(zip(NAMES, (spacing, full_until, 1.0, reach), strict=True)):
+        if first or getattr(settings, name) == settings.fitted[number]:
+            setattr(settings, name, value)
+            settings.fitted[number] = getattr(settings, name)
+
+
+def rounded(value: float, digits: int = 1, toward=round) -> float:
+    """Round to a number of digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
+    return toward(value / unit) * unit

@@ -8,6 +8,7 @@ from ...cbt_terrain.errors import TerrainError
 from ..bridge.scene_paths import absolute_path
 from ..session import session
 from ..session.polls import on_terrain_object
+from .dry_ground import keep_dry
 from .fitting import FULL_OF_CONES, PER_SIDE, REACH_HEIGHTS, put_numbers, rounded, scale_of
 from .instancing import add_modifier, collection_of
 from .request import is_scatter, scatters_of
@@ -27,12 +28,13 @@ class AddScatter(bpy.types.Operator):
 
     def invoke(self, context, _event):
         """Add the scatter without waiting for kernels; the live update makes the points."""
-        return self._add(context.object, waits=not context.object.adaptive_terrain.live)
+        return self._add(context, waits=not context.object.adaptive_terrain.live)
 
     def execute(self, context):
-        return self._add(context.object, waits=True)
+        return self._add(context, waits=True)
 
-    def _add(self, terrain, waits: bool):
+    def _add(self, context, waits: bool):
+        terrain = context.object
         settings = terrain.adaptive_terrain
         try:
             if not settings.store:
@@ -43,12 +45,15 @@ class AddScatter(bpy.types.Operator):
             return {"CANCELLED"}
         spacing = rounded(max(east - west, north - south) / PER_SIDE)
         obj = new_scatter(terrain, spacing)
+        note = keep_dry(obj.adaptive_scatter, settings)
+        _select_alone(context, obj)
         if waits:
             try:
                 session.update_object(terrain)
             except TerrainError as error:
                 self.report({"WARNING"}, str(error))
-            self.report({"INFO"}, f"{len(obj.data.vertices):,} points")
+            note = f"{len(obj.data.vertices):,} points; {note}"
+        self.report({"INFO"}, note[:1].upper() + note[1:])
         return {"FINISHED"}
 
 
@@ -63,6 +68,15 @@ def new_scatter(terrain, spacing: float):
         collection.objects.link(obj)
     add_modifier(obj, in_world)
     return obj
+
+
+def _select_alone(context, obj) -> None:
+    """Make an object the active one and the only one that is selected, if the view layer shows it."""
+    if obj.visible_get(view_layer=context.view_layer):
+        for other in context.selected_objects:
+            other.select_set(False)
+        obj.select_set(True)
+        context.view_layer.objects.active = obj
 
 
 @persistent

@@ -8,7 +8,7 @@ from ..layers.panel import draw_rules
 from ..session import session
 from ..text.numbers import length_text, time_text
 from ..text.shown_bounds import bound_text
-from ..ui.panel_parts import TerrainSubpanel, figures, message, show_terrain
+from ..ui.panel_parts import TerrainSubpanel, figures, message, show_terrain, switched
 from ..ui.status_row import draw_failure
 from .fitting import count_on_land, size_of
 from .properties import MESH
@@ -73,6 +73,7 @@ class ScatterPanel(bpy.types.Panel):
         row.prop(settings, "cull_hidden")
         column.prop(settings, "seed")
         column.separator()
+        switched(column, settings, "use_sea", "sea_level")
         column.prop_search(settings, "layer", terrain.adaptive_terrain, "layers")
         draw_rules(column, settings.where)
 

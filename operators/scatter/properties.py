@@ -53,6 +53,13 @@ class ScatterSettings(bpy.types.PropertyGroup):
         "0: all points everywhere",
         default=500.0, min=0.0, soft_max=10_000.0, precision=1, unit="LENGTH", update=changed,
     )  # fmt: skip
+    use_sea: BoolProperty(
+        name="Above the Sea", description="No points on ground up to the level of the sea", default=False,
+        update=changed,
+    )  # fmt: skip
+    sea_level: FloatProperty(
+        name="Sea Level", description="Height of the sea in the terrain's own space", unit="LENGTH", update=changed
+    )
     layer: StringProperty(
         name="On Layer", description="A layer of the terrain: as dense as it covers the ground", update=changed
     )

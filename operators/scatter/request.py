@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Scatters of a terrain: objects parented to it whose points follow its updates. Hidden ones are left alone."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -26,13 +27,17 @@ MAX_IN_VIEWPORT = 4_000_000
 
 @dataclass(frozen=True)
 class ScatterItem:
-    """A visible scatter. `uid`, `name`: session_uid and name of its object. `culls`: without hidden points."""
+    """A visible scatter.
+
+    `uid`, `name`: session_uid and name of its object. `culls`: without hidden points. `sea_level`: points are above it.
+    """
 
     uid: int
     name: str
     scatter: Scatter
     on_mesh: bool
     culls: bool
+    sea_level: float = -math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,9 +93,11 @@ def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[V
         on_mesh = properties.roots == MESH
         culls = properties.cull_hidden and not on_mesh  # hidden triangles may be coarse, and carry points up into sight
         try:
-            items.append(ScatterItem(obj.session_uid, obj.name, scatter_of(properties, settings), on_mesh, culls))
+            scatter = scatter_of(properties, settings)
         except TerrainError as error:
             raise error.within(f"The scatter {obj.name!r} cannot be made") from None
+        sea_level = properties.sea_level if properties.use_sea else -math.inf
+        items.append(ScatterItem(obj.session_uid, obj.name, scatter, on_mesh, culls, sea_level))
     return Scatters(tuple(items), tuple(views()), max_points(render)) if items else Scatters()
 
 
@@ -125,6 +132,7 @@ def make_points(
             request.placement.tobytes(),
             below,
             item.on_mesh and serial,
+            item.sea_level,
         )
         culls = item.culls and whole
         key += (culls and (request.criterion, request.frozen),)
@@ -141,6 +149,8 @@ def make_points(
             points = on_mesh(points, terrain, surface)
         if below is not None:  # the ground there is cut away
             points = points.only(np.flatnonzero(points.positions[:, 2] >= below))
+        if item.sea_level > -math.inf:
+            points = points.only(np.flatnonzero(points.positions[:, 2] > item.sea_level))
         record.points, record.key, record.runs = points, key, record.runs + 1
         record.ms = {"points": (time.perf_counter() - start) * 1e3}
 

@@ -7,6 +7,7 @@ from bpy_extras.object_utils import AddObjectHelper, object_data_add
 from ...cbt_terrain.field.island import DEFAULT_SEED
 from ...cbt_terrain.field.lands import LANDS
 from ..land.entries import PRESETS
+from ..layers.properties import add_default_layers
 from ..session import session
 from ..terrain.properties import ISLAND, land_items, land_of
 
@@ -60,6 +61,7 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
         obj = object_data_add(context, bpy.data.meshes.new("Terrain"), operator=self)
         settings = obj.adaptive_terrain
         settings.enabled = True
+        add_default_layers(settings)
         settings.source, settings.seed = self.land, self.seed
         land = land_of(settings)
         size = land.side if self.natural_size or self._is_shaped(land) else self.size

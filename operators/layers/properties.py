@@ -161,6 +161,20 @@ for _kind, _group in BANDS.items():
     LayerSettings.__annotations__[_kind] = PointerProperty(type=_group)
 
 
+def add_default_layers(settings) -> None:
+    """Add the default layers to a terrain, for the user to change: grass, scree, rock and snow."""
+    for declared, color in zip(rules.DEFAULT, DEFAULT_COLORS, strict=True):
+        layer = settings.layers.add()
+        for name in ("name", "strength", "on_top", "noise_size", "ragged", "seed"):
+            setattr(layer, name, getattr(declared, name))
+        layer.color = color
+        for rule in declared.rules:
+            band = getattr(layer, rule.of)
+            limits = band.bl_rna.properties["low"]
+            band.use, band.edge = True, rule.edge
+            band.low, band.high = max(rule.low, limits.hard_min), min(rule.high, limits.hard_max)
+
+
 def layers_of(settings) -> tuple[rules.Layer, ...]:
     """Return the layers of a terrain's settings for the effects, empty for none.
 

@@ -13,7 +13,7 @@ from adaptive_terrain.cbt_terrain.attributes import splat_rules as rules
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.layers import operators as splat_layers
 from adaptive_terrain.operators.layers.panel import LayerPresets, LayersPanel
-from adaptive_terrain.operators.layers.properties import BANDS, colors_of, layers_of
+from adaptive_terrain.operators.layers.properties import BANDS, add_default_layers, colors_of, layers_of
 from adaptive_terrain.operators.session import session
 from demand_trees import colour, new_material, shows
 
@@ -249,3 +249,28 @@ def test_no_layers_are_the_usual_ones(terrain):
     assert layers_of(terrain.adaptive_terrain) == ()
     assert [name for name, _ in colors_of(terrain.adaptive_terrain)] == [layer.name for layer in rules.DEFAULT]
     assert "splat_1" in terrain.data.attributes
+
+
+def test_an_added_terrain_has_the_four_default_layers(scene):
+    assert bpy.ops.mesh.adaptive_terrain_add(size=30.0) == {"FINISHED"}
+    settings = bpy.context.object.adaptive_terrain
+    assert [layer.name for layer in settings.layers] == ["Grass", "Scree", "Rock", "Snow"]
+    assert settings.layers["Snow"].relief.low == pytest.approx(0.66) and settings.layers["Rock"].color[0] < 0.2
+    assert [layer.on_top for layer in settings.layers] == [False, True, True, True]
+    assert execute(shipped("moon")) == {"FINISHED"} and "Snow" not in settings.layers
+
+
+def test_default_layers_cover_what_no_layers_cover(layers, terrain):
+    """Weights and colours of each vertex agree to 1e-5 with those of a terrain without layers."""
+    terrain.data.materials.append(shows(new_material("Ground"), lambda tree: colour(tree, "splat_1")))
+    found = []
+    for _ in range(2):
+        session.update_object(terrain)
+        weights = np.empty((len(terrain.data.vertices), 4), np.float32)
+        terrain.data.attributes["splat_1"].data.foreach_get("color", weights.ravel())
+        found.append((weights, np.array([color for _, color in colors_of(terrain.adaptive_terrain)])))
+        add_default_layers(terrain.adaptive_terrain)
+    assert len(layers) == 8
+    (before, usual), (after, colors) = found
+    assert np.abs(before - after).max() < 1e-5 and np.abs(usual - colors).max() < 1e-6
+    assert (before.max(axis=0) > 0.1).sum() >= 3

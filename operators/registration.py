@@ -27,6 +27,7 @@ from .maps import operators as bake_maps
 from .overlay import panel as overlay_panel
 from .scatter import operators as add_scatter
 from .scatter import panel as scatter_panel
+from .scatter import starter as starter_collection
 from .scene import set_up
 from .session import live, session
 from .terrain import frame_terrain, freeze_detail, properties, update_terrain
@@ -51,6 +52,7 @@ MODULES = (
     terrain_material,
     set_up,
     add_scatter,
+    starter_collection,
     splat_layers,
     layer_images,
     land_list,

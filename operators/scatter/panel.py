@@ -64,6 +64,8 @@ class ScatterPanel(bpy.types.Panel):
             box.label(text=f"On {terrain.name}", icon="CHECKMARK")
         column = self.layout.column()
         column.prop(settings, "collection")
+        if settings.collection is None:
+            column.operator_menu_enum("adaptive_terrain.starter_add", "kind", icon="ADD")
         for line in size_lines(settings, terrain):
             column.label(text=line, icon="BLANK1")
         for name in ("spacing", "full_until", "size", "variation", "align", "roots", "margin_deg", "margin_m"):

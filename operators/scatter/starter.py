@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Add Starter Collection: plants and rocks to scatter, built by geometry nodes, in collections of the file."""
+
+import bpy
+
+from ..bridge.demand.trees import tree_of_new
+from ..bridge.nodes import Nodes
+from . import starter_forms
+from .request import is_scatter
+
+ROOT = "Starter Collection"
+MARK = "adaptive_terrain_starter"  # a property of collections and materials, by which they are found under any name
+# Kind: name of its collection, name and form of its objects, and the size of each.
+KINDS = {
+    "CONIFERS": ("Conifers", "Conifer", starter_forms.conifer, (1.0, 0.85, 0.66)),
+    "BROADLEAVES": ("Broadleaves", "Broadleaf", starter_forms.broadleaf, (1.0, 0.88, 0.72)),
+    "BUSHES": ("Bushes", "Bush", starter_forms.bush, (1.0, 0.8, 0.6)),
+    "GRASS": ("Grass", "Grass", starter_forms.grass, (1.0, 0.85, 0.7)),
+    "ROCKS": ("Rocks", "Rock", starter_forms.rock, (2.0, 1.2, 0.7, 0.3)),
+}
+# Linear RGB inside and at the tips, and roughness.
+MATERIALS = {
+    "Bark": ((0.03, 0.022, 0.016), (0.075, 0.055, 0.04), 0.9),
+    "Needles": ((0.01, 0.022, 0.009), (0.085, 0.13, 0.042), 0.75),
+    "Leaves": ((0.012, 0.026, 0.006), (0.115, 0.17, 0.035), 0.7),
+    "Grass": ((0.05, 0.075, 0.016), (0.26, 0.28, 0.09), 0.7),
+    "Stone": ((0.05, 0.05, 0.048), (0.17, 0.172, 0.168), 0.9),
+}
+DIFFERENCE = 0.3  # between instances, as part of a colour
+
+
+class AddStarterCollection(bpy.types.Operator):
+    """Add conifers, broadleaves, bushes, grass and rocks to the file, in a collection that the view layer excludes, and
+    put one kind on the scatter"""
+
+    bl_idname = "adaptive_terrain.starter_add"
+    bl_label = "Add Starter Collection"
+    bl_options = {"REGISTER", "UNDO"}
+
+    kind: bpy.props.EnumProperty(name="Kind", items=[(kind, KINDS[kind][0], "") for kind in KINDS])
+
+    @classmethod
+    def poll(cls, context):
+        cls.poll_message_set("Switch to Object Mode")
+        return context.mode == "OBJECT"
+
+    def execute(self, context):
+        found = add_starter(context)[self.kind]
+        obj = context.object
+        if obj is not None and is_scatter(obj):
+            obj.adaptive_scatter.collection = found
+        self.report({"INFO"}, f"{found.name} has {len(found.objects)} objects")
+        return {"FINISHED"}
+
+
+def add_starter(context) -> dict[str, bpy.types.Collection]:
+    """Add the kinds that the file lacks; return the collection of each kind."""
+    found = {collection[MARK]: collection for collection in bpy.data.collections if MARK in collection}
+    missing = [kind for kind in KINDS if kind not in found]
+    if missing:
+        root = found.get(ROOT) or _new_collection(ROOT, ROOT)
+        if root.name not in context.scene.collection.children:
+            context.scene.collection.children.link(root)
+        materials = {name: _material(name) for name in MATERIALS}
+        for kind in missing:
+            found[kind] = _new_collection(KINDS[kind][0], kind)
+            root.children.link(found[kind])
+            for obj in _build(context, kind, materials):
+                found[kind].objects.link(obj)
+        for view_layer in context.scene.view_layers:
+            view_layer.layer_collection.children[root.name].exclude = True
+    return found
+
+
+def _new_collection(name: str, mark: str) -> bpy.types.Collection:
+    collection = bpy.data.collections.new(name)
+    collection[MARK] = mark
+    return collection
+
+
+def _build(context, kind: str, materials: dict) -> list[bpy.types.Object]:
+    """Build the objects of a kind: evaluate their node trees, and keep the meshes alone."""
+    _, name, form, sizes = KINDS[kind]
+    objects = []
+    for number, size in enumerate(sizes):
+        tree = bpy.data.node_groups.new(name, "GeometryNodeTree")
+        tree.is_modifier = True
+        tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+        form(starter_forms.FormNodes(tree, number + 1), materials, size)
+        obj = bpy.data.objects.new(f"{name} {number + 1}", bpy.data.meshes.new(name))
+        obj.modifiers.new(name, "NODES").node_group = tree
+        context.scene.collection.objects.link(obj)
+        objects.append(obj)
+    depsgraph = context.evaluated_depsgraph_get()
+    for obj in objects:
+        evaluated, empty, tree = obj.evaluated_get(depsgraph), obj.data, obj.modifiers[0].node_group
+        mesh = bpy.data.meshes.new_from_object(evaluated)
+        if mesh.materials[0] is None:  # a slot that primitives bring and no face uses
+            mesh.materials.pop(index=0)
+        mesh.name = obj.name
+        obj.data = mesh
+        obj.modifiers.clear()
+        context.scene.collection.objects.unlink(obj)
+        bpy.data.meshes.remove(empty)
+        bpy.data.node_groups.remove(tree)
+    return objects
+
+
+def _material(name: str) -> bpy.types.Material:
+    """Return the material that mixes two colours by `shade`, a little different for each instance."""
+    for material in bpy.data.materials:
+        if material.get(MARK) == name:
+            return material
+    material = bpy.data.materials.new(name)
+    material[MARK] = name
+    inside, tips, roughness = MATERIALS[name]
+    tree = tree_of_new(material)
+    nodes, shader = Nodes(tree), tree.nodes["Principled BSDF"]
+    shade = nodes.add("ShaderNodeAttribute", attribute_name=starter_forms.SHADE).outputs["Fac"]
+    color = nodes.mix(shade, (*inside, 1.0), (*tips, 1.0))
+    random = nodes.add("ShaderNodeObjectInfo").outputs["Random"]
+    warm = nodes.math("MULTIPLY_ADD", random, DIFFERENCE, 1.0 - DIFFERENCE / 2)
+    even = nodes.math("MULTIPLY_ADD", random, DIFFERENCE / 2, 1.0 - DIFFERENCE / 4)
+    tint = nodes.add("ShaderNodeCombineXYZ", {0: warm, 1: even, 2: even}).outputs[0]
+    tree.links.new(nodes.vector("MULTIPLY", color, tint), shader.inputs["Base Color"])
+    shader.inputs["Roughness"].default_value = roughness
+    shader.inputs["Specular IOR Level"].default_value = 0.2
+    nodes.arrange()
+    return material
+
+
+register, unregister = bpy.utils.register_classes_factory((AddStarterCollection,))

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The starter collection: sizes, triangles and materials of its objects, and its place in the file."""
+
+from types import SimpleNamespace
+from unittest.mock import MagicMock
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.operators.scatter.operators import new_scatter
+from adaptive_terrain.operators.scatter.panel import ScatterPanel
+from adaptive_terrain.operators.scatter.starter import KINDS, ROOT
+from adaptive_terrain.operators.session import session
+
+# Height in metres of the first object of a kind, or, of rocks, their largest and smallest extent; and its materials.
+HEIGHTS = {"Conifers": 18.0, "Broadleaves": 12.0, "Bushes": 1.5, "Grass": 0.4}
+MATERIALS = {
+    "Conifers": {"Bark", "Needles"},
+    "Broadleaves": {"Bark", "Leaves"},
+    "Bushes": {"Leaves"},
+    "Grass": {"Grass"},
+    "Rocks": {"Stone"},
+}
+
+
+def add(kind="CONIFERS"):
+    assert bpy.ops.adaptive_terrain.starter_add(kind=kind) == {"FINISHED"}
+
+
+def corners(obj):
+    found = np.empty(3 * len(obj.data.vertices), np.float32)
+    obj.data.vertices.foreach_get("co", found)
+    return found.reshape(-1, 3)
+
+
+def test_starter_objects_have_real_sizes(empty):
+    add()
+    for name, height in HEIGHTS.items():
+        tallest = max(corners(obj)[:, 2].max() for obj in bpy.data.collections[name].objects)
+        assert tallest == pytest.approx(height, rel=0.1), name
+    extents = [np.ptp(corners(obj), axis=0).max() for obj in bpy.data.collections["Rocks"].objects]
+    assert max(extents) == pytest.approx(2.0, rel=0.2) and min(extents) == pytest.approx(0.3, rel=0.2)
+    assert {collection.name for collection in bpy.data.collections[ROOT].children} == {*HEIGHTS, "Rocks"}
+
+
+def test_starter_objects_are_light_and_stand_in_the_ground(empty):
+    add()
+    for name, expected in MATERIALS.items():
+        objects = bpy.data.collections[name].objects
+        assert len({tuple(corners(obj)[-1]) for obj in objects}) == len(objects) >= 3, "all differ"
+        for obj in objects:
+            mesh = obj.data
+            mesh.calc_loop_triangles()
+            assert 200 < len(mesh.loop_triangles) < 2000 and not obj.modifiers
+            assert -0.35 * np.ptp(corners(obj)[:, 2]) < corners(obj)[:, 2].min() < 0.0
+            assert {material.name for material in mesh.materials} == expected
+            used = np.empty(len(mesh.polygons), np.int32)
+            mesh.polygons.foreach_get("material_index", used)
+            assert set(used.tolist()) == set(range(len(expected)))
+            shade = np.empty(len(mesh.vertices), np.float32)
+            mesh.attributes["shade"].data.foreach_get("value", shade)
+            assert np.isfinite(shade).all() and np.ptp(shade) > 0.2
+
+
+def test_starter_collections_are_added_once_and_excluded(empty):
+    add()
+    before = len(bpy.data.objects), len(bpy.data.materials), len(bpy.data.meshes), len(bpy.data.node_groups)
+    bpy.data.collections["Rocks"].name = "Boulders"
+    add("ROCKS")
+    after = len(bpy.data.objects), len(bpy.data.materials), len(bpy.data.meshes), len(bpy.data.node_groups)
+    assert after == before == (16, 5, 16, 0)
+    assert bpy.context.view_layer.layer_collection.children[ROOT].exclude
+    assert not bpy.context.scene.collection.objects[:]
+    bpy.data.collections.remove(bpy.data.collections["Bushes"])
+    add("BUSHES")
+    assert len(bpy.data.collections["Bushes"].objects) == 3 and "Conifers.001" not in bpy.data.collections
+
+
+def test_a_kind_is_put_on_the_active_scatter(scene, add_terrain):
+    """Its instances are shown, although the view layer excludes their collection, and have the objects' height."""
+    terrain = add_terrain()
+    scatter = new_scatter(terrain, 12.0)
+    bpy.context.view_layer.objects.active = scatter
+    add("CONIFERS")
+    settings = scatter.adaptive_scatter
+    assert settings.collection == bpy.data.collections["Conifers"] and 4.0 < settings.spacing < 8.0
+    session.update_object(terrain)
+    names, sizes = set(), []
+    for item in bpy.context.evaluated_depsgraph_get().object_instances:
+        if item.is_instance and item.parent.original == scatter:
+            names.add(item.object.name)
+            sizes.append(np.linalg.norm(np.array(item.matrix_world)[:3, 2]))
+    assert names == {"Conifer 1", "Conifer 2", "Conifer 3"} and len(sizes) == len(scatter.data.vertices) > 1000
+    assert 1.1 < max(sizes) <= 1.2 + 1e-5
+
+
+@pytest.mark.parametrize("kind", ["GRASS", "ROCKS"])
+def test_the_panel_offers_the_starter_until_one_is_chosen(scene, add_terrain, kind):
+    scatter = new_scatter(add_terrain(), 12.0)
+
+    def offered():
+        shown = MagicMock()
+        ScatterPanel.draw(SimpleNamespace(layout=shown), SimpleNamespace(object=scatter))
+        return [call.args for call in shown.column().operator_menu_enum.call_args_list]
+
+    assert offered() == [("adaptive_terrain.starter_add", "kind")]
+    bpy.context.view_layer.objects.active = scatter
+    add(kind)
+    assert offered() == [] and scatter.adaptive_scatter.collection.name == KINDS[kind][0]

@@ -180,8 +180,8 @@ def draw_progress(layout, job: BackgroundJob, text: str = ""):
 
 
 def redraw_panels() -> None:
-    """Redraw the sidebar of every 3D viewport, and image editors, which show what a render waits for."""
-    shown = {"VIEW_3D": "UI", "IMAGE_EDITOR": "WINDOW"}
+    """Redraw the editors that show panels, and image editors, which show a render that waits."""
+    shown = {"VIEW_3D": "UI", "PROPERTIES": "WINDOW", "IMAGE_EDITOR": "WINDOW"}
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             for region in area.regions:

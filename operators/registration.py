@@ -9,7 +9,6 @@ import bpy
 from . import handlers, jobs
 from .accuracy import measure as measure_accuracy
 from .accuracy import sweep as sweep_accuracy
-from .attributes import panel as effects_panel
 from .bridge import freed_memory
 from .export import bake_terrain, export_terrain, export_tiles, map_camera
 from .farm import submit_to_farm
@@ -26,7 +25,6 @@ from .layers import terrain_material
 from .maps import operators as bake_maps
 from .overlay import panel as overlay_panel
 from .scatter import operators as add_scatter
-from .scatter import panel as scatter_panel
 from .scatter import starter as starter_collection
 from .scene import set_up
 from .session import live, session
@@ -73,12 +71,10 @@ MODULES = (
     add_collider,
     measure_accuracy,
     sweep_accuracy,
-    effects_panel,
     overlay_panel,
     status_row,
     panels,
     object_menu,
-    scatter_panel,
     handlers,
     live,
     status_bar,

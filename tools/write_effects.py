@@ -60,7 +60,7 @@ An effect is something that a material, a modifier or a map may read of a terrai
 much sky it sees. **Only effects that something reads are computed.** The extension looks which attributes your
 node trees read, adds the inputs of those, and computes each once. `adaptive-terrain effects --scene shot.blend`
 lists the readers of each effect and why the others are skipped; so does the panel
-[Effects](reference/panel/effects.md).
+[Attributes](reference/panel/attributes.md).
 """
 SCALES = """## Two scales
 

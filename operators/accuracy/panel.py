@@ -3,8 +3,6 @@
 
 import os
 
-import bpy
-
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.view.criterion import LARGEST, requested_unit
@@ -26,12 +24,12 @@ TERMS = {
 STEPS = {"total": "Engine in all", "mesh": "Into Blender"}
 
 
-class StatisticsPanel(TerrainSubpanel, bpy.types.Panel):
+class StatisticsPanel(TerrainSubpanel):
     """Grows and shrinks with what there is to tell, so it is the last panel, and closed until someone asks."""
 
     bl_idname = "ADAPTIVE_TERRAIN_PT_statistics"
     bl_label = "Accuracy of Last Update"
-    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
@@ -68,7 +66,7 @@ class StatisticsPanel(TerrainSubpanel, bpy.types.Panel):
             column.label(text=line)
 
 
-class AccuracyReportPanel(TerrainSubpanel, bpy.types.Panel):
+class AccuracyReportPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_accuracy_report"
     bl_label = "Accuracy Report"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_statistics"

@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panel *Effects*: which effects are computed, their readers and costs, and why others are not.
+"""The panel *Attributes*: which attributes are computed, their readers and costs, and why others are not.
 
-Every effect has one row, computed or not, and one of them has its details in as many lines whatever they say: nothing
-moves while someone aims at it.
+The list has one row for each, computed or not, and the details of the chosen one have a fixed number of lines, so that
+nothing moves.
 """
 
 import bpy
 
 from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
 from ...cbt_terrain.attributes.evaluate import MAX_BYTES
-from .. import jobs
 from ..maps.properties import label
 from ..session import session
 from ..text.effect_lines import cost_text, readers_text
@@ -17,45 +16,64 @@ from ..text.numbers import plain, time_text, unit_text
 from ..ui.panel_parts import TerrainSubpanel, figures, fixed_lines, show_terrain
 from .properties import is_number
 
-NAME_WIDTH, COST_WIDTH = 0.58, 0.65  # fractions of a row, and of its rest
+NAME_WIDTH, COST_WIDTH = 0.62, 0.68  # fractions of a row, and of its rest
 ABOUT_LINES, READER_LINES = 5, 4
-_shown = next(iter(ATTRIBUTES))
+LIST_ROWS = 6
 
 
-class EffectsPanel(TerrainSubpanel, bpy.types.Panel):
+class AttributeList(bpy.types.UIList):
+    """A row for each attribute: whether it is computed, its name, its time, and when it is computed."""
+
+    bl_idname = "ADAPTIVE_TERRAIN_UL_attributes"
+
+    def draw_item(self, context, layout, settings, item, _icon, _active_data, _active_name):
+        name = item.identifier
+        status = session.record_of(session.shown_terrain(context)).status.effects.get(name)
+        computed = status is not None and not status.skipped
+        row = layout.split(factor=NAME_WIDTH, align=True)
+        row.label(text=label(name), icon="RADIOBUT_ON" if computed else "RADIOBUT_OFF")
+        right = row.split(factor=COST_WIDTH, align=True)
+        cost = right.row()
+        cost.active = computed
+        cost.label(text=time_text(status.ms if computed else None))
+        terrain = session.shown_terrain(context)
+        right.prop(getattr(terrain.adaptive_terrain.effects, name), "when", text="", icon_only=True, emboss=False)
+
+    def filter_items(self, _context, struct, _name):
+        """Show the members that are attributes, and of those the ones whose name contains the text of the filter."""
+        sought = self.filter_name.lower()
+        names = [item.identifier for item in struct.properties]
+        shown = [name in ATTRIBUTES and sought in label(name).lower() for name in names]
+        return [self.bitflag_filter_item if is_shown else 0 for is_shown in shown], []
+
+
+class EffectsPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_effects"
-    bl_label = "Effects"
-    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_label = "Attributes"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         obj = show_terrain(self.layout, context)
         status, settings = session.record_of(obj).status, obj.adaptive_terrain.effects
-        statuses = status.effects
-        self.layout.operator("adaptive_terrain.terrain_material", icon="MATERIAL")
-        figures(self.layout.column(align=True), summary_lines(statuses, status.effects_bytes))
-        rows = self.layout.column(align=True)
-        for name in ATTRIBUTES:
-            _draw_row(rows, settings, name, statuses.get(name))
-        _draw_details(self.layout.box(), _shown, statuses.get(_shown))
+        figures(self.layout.column(align=True), summary_lines(status.effects, status.effects_bytes))
+        members = settings.bl_rna
+        self.layout.template_list(
+            AttributeList.bl_idname, "", members, "properties", settings, "active", rows=LIST_ROWS, maxrows=LIST_ROWS
+        )
+        name = chosen_of(settings)
+        _draw_details(self.layout.box(), name, status.effects.get(name))
         column = self._columns()
         column.prop(settings, "geometry_metres")
-        for parameter in filter(is_number, ATTRIBUTES[_shown].parameters):
-            column.prop(getattr(settings, _shown), parameter.name)
+        for parameter in filter(is_number, ATTRIBUTES[name].parameters):
+            column.prop(getattr(settings, name), parameter.name)
 
 
-def _draw_row(rows, settings, name: str, status) -> None:
-    computed = status is not None and not status.skipped
-    row = rows.split(factor=NAME_WIDTH, align=True)
-    left = row.row(align=True)
-    left.alignment = "LEFT"
-    icon = "RADIOBUT_ON" if computed else "RADIOBUT_OFF"
-    left.operator("adaptive_terrain.show_effect", text=label(name), icon=icon, emboss=name == _shown).name = name
-    right = row.split(factor=COST_WIDTH, align=True)
-    cost = right.row()
-    cost.active = computed
-    cost.label(text=time_text(status.ms if computed else None))
-    right.prop(getattr(settings, name), "when", text="", icon_only=True)
+def chosen_of(settings) -> str:
+    """Return the name of the attribute that is chosen in the list, which has a row for each member of the settings."""
+    names = settings.bl_rna.properties.keys()
+    chosen = names[settings.active] if settings.active < len(names) else ""
+    return chosen if chosen in ATTRIBUTES else next(iter(ATTRIBUTES))
 
 
 def _draw_details(box, name: str, status) -> None:
@@ -80,25 +98,3 @@ def summary_lines(statuses, nbytes: int) -> list[tuple[str, str]]:
         ("Cost", f"{plain(ms)} ms, {plain(megabytes)} MB"),
         ("Held", f"{plain(nbytes / 1e6)} of {plain(MAX_BYTES / 1e6)} MB"),
     ]
-
-
-class ShowEffect(bpy.types.Operator):
-    """Show the readers of this effect, its cost and its settings"""
-
-    bl_idname = "adaptive_terrain.show_effect"
-    bl_label = "Show Effect"
-    bl_options = {"INTERNAL"}
-
-    name: bpy.props.StringProperty(name="Effect")
-
-    def execute(self, context):
-        global _shown
-        if self.name not in ATTRIBUTES:
-            self.report({"ERROR"}, f"There is no effect {self.name!r}; expected one of {', '.join(ATTRIBUTES)}.")
-            return {"CANCELLED"}
-        _shown = self.name
-        jobs.redraw_panels()
-        return {"FINISHED"}
-
-
-register, unregister = bpy.utils.register_classes_factory((ShowEffect,))

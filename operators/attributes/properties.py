@@ -56,12 +56,17 @@ _scale = FloatProperty(
     "is the height map's group spacing",
     default=0.0, min=0.0, soft_max=1000.0, precision=2, unit="LENGTH", update=changed,
 )  # fmt: skip
+_active = IntProperty(
+    name="Chosen Attribute",
+    description="Number of the attribute whose details are shown, among the members",
+    default=2, options=set(),
+)  # fmt: skip
 EffectsSettings = type(
     "AdaptiveTerrainEffects",
     (bpy.types.PropertyGroup,),
     {
-        "__annotations__": {"geometry_metres": _scale}
-        | {name: PointerProperty(type=group) for name, group in GROUPS.items()},
+        "__annotations__": {name: PointerProperty(type=group) for name, group in GROUPS.items()}
+        | {"geometry_metres": _scale, "active": _active},
         "__doc__": "When effects are computed, and with which numbers; a member for each, of the effect's name.",
     },
 )

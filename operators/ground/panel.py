@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The panel *Ground*: objects on the terrain, and measurements. It is shown for any object."""
 
-import bpy
-
 from ..session import session
 from ..text.numbers import length_text
 from ..ui.panel_parts import message
@@ -10,13 +8,10 @@ from . import add_collider, keep_ground
 from .properties import ON
 
 
-class GroundPanel(bpy.types.Panel):
+class GroundPanel:
     bl_idname = "ADAPTIVE_TERRAIN_PT_on_ground"
     bl_label = "Ground"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "Terrain"
     bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod

@@ -6,6 +6,7 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.importing.source_formats import FORMATS
+from ..layers.properties import add_default_layers
 
 SUFFIXES = ";".join(FORMATS)
 LABEL = "Terrain from File"
@@ -62,6 +63,7 @@ class AddTerrainFromFile(bpy.types.Operator):
         obj.select_set(True)
         settings = obj.adaptive_terrain
         settings.enabled, settings.source, settings.source_path = True, "FILE", self.filepath
+        add_default_layers(settings)
         if self.use_heights:
             settings.use_heights, settings.lowest, settings.highest = True, self.lowest, self.highest
         context.scene.render.use_lock_interface = True  # a viewport that draws while a render rewrites it would crash

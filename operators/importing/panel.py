@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panels of the height map: the import and its settings, the imported store, and its surface in the scene."""
-
-import bpy
+"""The panels of the height map: the import's options, the imported store, and its surface in the scene."""
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.importing.source_formats import CHANNEL, suffixes_with
-from .. import jobs
 from ..session import session
 from ..terrain.properties import FILE
 from ..ui.panel_parts import TerrainSubpanel, draw_ground, figures, message, switched
@@ -14,30 +11,31 @@ from .imported import changed_settings, imported_of, lines_of
 from .placement_notes import picture_note
 
 
-class SourcePanel(TerrainSubpanel, bpy.types.Panel):
+def draw_source(column, obj) -> None:
+    """Draw three rows: the source, its file or its seed, and the button that imports it."""
+    settings = obj.adaptive_terrain
+    column.prop(settings, "source")
+    column.prop(settings, "source_path" if settings.source == FILE else "seed")
+    again = is_stale(obj)
+    text = "Import Again: settings changed" if again else "Import"
+    column.operator("adaptive_terrain.import_source", text=text, icon="FILE_REFRESH" if again else "IMPORT")
+
+
+class SourcePanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_source"
-    bl_label = "Height Map"
+    bl_label = "Import Options"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = self._columns()
-        obj = session.shown_terrain(context)
-        settings = obj.adaptive_terrain
-        column.prop(settings, "source")
+        settings = session.shown_terrain(context).adaptive_terrain
         if settings.source == FILE:
             _draw_file(column, settings)
         else:
             column.prop(settings, "island_size")
-            column.prop(settings, "seed")
         switched(column, settings, "use_extent", "extent")
         _draw_heights(column, settings)
-        job = jobs.find(jobs.IMPORT, obj)
-        if job is not None:
-            jobs.draw_progress(column, job)
-            return
-        again = is_stale(obj)
-        text = "Import Again: settings changed" if again else "Import"
-        column.operator("adaptive_terrain.import_source", text=text, icon="FILE_REFRESH" if again else "IMPORT")
 
 
 def _draw_heights(column, settings) -> None:
@@ -58,7 +56,6 @@ def is_stale(obj) -> bool:
 
 
 def _draw_file(column, settings) -> None:
-    column.prop(settings, "source_path")
     if import_terrain.is_raw(settings.source_path):
         column.prop(settings, "raw_size")
         column.prop(settings, "raw_dtype")
@@ -74,10 +71,11 @@ def _draw_file(column, settings) -> None:
     column.prop(settings, "holes")
 
 
-class ImportedPanel(TerrainSubpanel, bpy.types.Panel):
+class ImportedPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_imported"
     bl_label = "Imported"
-    bl_parent_id = "ADAPTIVE_TERRAIN_PT_source"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = self._columns()
@@ -94,12 +92,13 @@ class ImportedPanel(TerrainSubpanel, bpy.types.Panel):
             message(column, text, "INFO")
 
 
-class SurfacePanel(TerrainSubpanel, bpy.types.Panel):
+class SurfacePanel(TerrainSubpanel):
     """What acts at once, without another import."""
 
     bl_idname = "ADAPTIVE_TERRAIN_PT_surface"
     bl_label = "Surface"
-    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_look"
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = self._columns()
@@ -109,7 +108,7 @@ class SurfacePanel(TerrainSubpanel, bpy.types.Panel):
         column.prop(settings, "interpolation")
 
 
-class DisplacementPanel(TerrainSubpanel, bpy.types.Panel):
+class DisplacementPanel(TerrainSubpanel):
     """Relief finer than the height map."""
 
     bl_idname = "ADAPTIVE_TERRAIN_PT_ground"
@@ -121,4 +120,5 @@ class DisplacementPanel(TerrainSubpanel, bpy.types.Panel):
         draw_ground(self._columns(), session.shown_terrain(context).adaptive_terrain.ground)
 
 
-CLASSES = (SourcePanel, ImportedPanel, SurfacePanel, DisplacementPanel)
+SOURCE_PANELS = (SourcePanel, ImportedPanel)
+SURFACE_PANELS = (SurfacePanel, DisplacementPanel)

@@ -64,7 +64,7 @@ class AddLandMenu(bpy.types.Menu):
         self.layout.operator_enum("adaptive_terrain.land_add", "effect")
 
 
-class LandPanel(TerrainSubpanel, bpy.types.Panel):
+class LandPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_land"
     bl_label = "Land"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
@@ -124,7 +124,7 @@ def status_lines(state) -> list[tuple[str, str]]:
     return [("Shown", f"{state.shown}{spacing}"), ("Tiles", tiles), ("Time", time_text(state.total_ms))]
 
 
-class LandEffectPanel(TerrainSubpanel, bpy.types.Panel):
+class LandEffectPanel(TerrainSubpanel):
     """The chosen effect: its numbers, where it acts."""
 
     bl_idname = "ADAPTIVE_TERRAIN_PT_land_effect"
@@ -170,7 +170,7 @@ def _draw_mask(column, mask) -> None:
         column.prop(mask, "factor")
 
 
-class LandLayersPanel(TerrainSubpanel, bpy.types.Panel):
+class LandLayersPanel(TerrainSubpanel):
     """Layers that the stack leaves, and their readers."""
 
     bl_idname = "ADAPTIVE_TERRAIN_PT_land_layers"
@@ -191,7 +191,7 @@ class LandLayersPanel(TerrainSubpanel, bpy.types.Panel):
 
 
 def _reading(status) -> str:
-    """Return how many readers a layer has; the panel *Effects* names them."""
+    """Return how many readers a layer has; the panel *Attributes* names them."""
     if status is None:
         return "No update yet"
     count = len(status.readers)
@@ -200,20 +200,20 @@ def _reading(status) -> str:
     return f"{count} reader{'s' if count > 1 else ''}"
 
 
-class LandOutputPanel(TerrainSubpanel, bpy.types.Panel):
+class LandOutputPanel(TerrainSubpanel):
     """The shaped land for other programs, or as a store that needs no stack."""
 
     bl_idname = "ADAPTIVE_TERRAIN_PT_land_output"
-    bl_label = "Water, Export, Cache"
+    bl_label = "Export and Cache"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_land"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, _context):
         column = self._columns()
-        column.operator("adaptive_terrain.water_surface", icon="MOD_OCEAN")
         column.operator("adaptive_terrain.bake_land", icon="FILE_TICK")
         column.operator("adaptive_terrain.export_heights", icon="EXPORT")
         column.operator("adaptive_terrain.land_clear", icon="TRASH")
 
 
-CLASSES = (*(LandList, LandPresets, AddLandMenu, LandPanel, LandEffectPanel, LandLayersPanel, LandOutputPanel),)
+LISTS = (LandList, LandPresets, AddLandMenu)
+PANELS = (LandPanel, LandEffectPanel, LandLayersPanel, LandOutputPanel)

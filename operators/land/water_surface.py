@@ -32,7 +32,7 @@ class AddWaterSurface(bpy.types.Operator):
     rain a year"""
 
     bl_idname = "adaptive_terrain.water_surface"
-    bl_label = "Add Water Surface"
+    bl_label = "Add Water"
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
@@ -80,6 +80,11 @@ def _placed(surface: Surface, settings) -> Surface:
     positions = surface.positions * np.float32([1.0, 1.0, settings.vertical_scale])
     positions[:, 2] += np.float32(settings.vertical_offset)
     return replace(surface, positions=positions)
+
+
+def button_text(terrain) -> str:
+    """Return the text of the button."""
+    return "Add Water" if _existing_water(terrain) is None else "Update Water"
 
 
 def _existing_water(terrain):

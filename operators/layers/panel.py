@@ -39,11 +39,10 @@ class LayerPresets(PresetPanel, bpy.types.Panel):
 LayerPresets.__name__ = LayerPresets.bl_idname = PRESET_PANEL
 
 
-class LayersPanel(TerrainSubpanel, bpy.types.Panel):
+class LayersPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_layers"
     bl_label = "Layers"
-    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
-    bl_options = {"DEFAULT_CLOSED"}
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_look"
 
     def draw_header_preset(self, _context):
         LayerPresets.draw_panel_header(self.layout)
@@ -88,4 +87,4 @@ def draw_rules(column, layer) -> None:
     column.prop(layer, "seed")
 
 
-CLASSES = (LayerList, LayerPresets, LayersPanel)
+LISTS = (LayerList, LayerPresets)

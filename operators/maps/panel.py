@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The panel *Maps*: effects baked into images."""
 
-import bpy
-
 from .. import jobs
 from ..session import session
 from ..ui.panel_parts import TerrainSubpanel, switched
 from .properties import CHOSEN
 
 
-class MapsPanel(TerrainSubpanel, bpy.types.Panel):
+class MapsPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_maps"
     bl_label = "Maps"
-    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_look"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):

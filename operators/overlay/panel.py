@@ -13,10 +13,10 @@ SWATCH_SIZE = 8
 _swatches = None  # a preview collection: an icon for each colour, by its name
 
 
-class OverlayPanel(TerrainSubpanel, bpy.types.Panel):
+class OverlayPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_overlay"
     bl_label = "Overlay"
-    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):

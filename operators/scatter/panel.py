@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Scatters: those of a terrain with what they take, and the settings of the one that is selected."""
 
-import bpy
 from mathutils import Matrix
 
 from ..layers.panel import draw_rules
@@ -19,7 +18,7 @@ LABELS = {"margin_deg": {"text": "Margin (°)"}}  # of what Blender knows no uni
 STANDING = Matrix()  # the place of a scatter in its terrain's space, in which its points are written
 
 
-class ScattersPanel(TerrainSubpanel, bpy.types.Panel):
+class ScattersPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_scatters"
     bl_label = "Scatter"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
@@ -37,14 +36,11 @@ class ScattersPanel(TerrainSubpanel, bpy.types.Panel):
         self.layout.operator("adaptive_terrain.scatter_add", icon="ADD")
 
 
-class ScatterPanel(bpy.types.Panel):
+class ScatterPanel:
     """Of a scatter that is selected."""
 
     bl_idname = "ADAPTIVE_TERRAIN_PT_scatter"
     bl_label = "Adaptive Scatter"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "Terrain"
 
     @classmethod
     def poll(cls, context):
@@ -109,5 +105,4 @@ def scatter_lines(settings, scatter: ScatterRecord | None, status) -> list[tuple
     return [("Points", points), ("Looked at", tested), ("Update", took), ("Off the mesh", off)]
 
 
-CLASSES = (ScattersPanel,)
-register, unregister = bpy.utils.register_classes_factory((ScatterPanel,))
+CLASSES = (ScattersPanel, ScatterPanel)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The panels of the level of detail, in the viewport and in a render."""
 
-import bpy
-
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.view.criterion import requested_unit
@@ -14,6 +12,12 @@ from .request import criterion_from, within_time
 
 ROUNDED = 1e-3  # part by which an error, rounded up to four digits, may cost less than its budget
 BUDGET_LINES = 2
+
+
+def draw_errors(column, settings) -> None:
+    """Draw the error on screen of the viewport and of a render: two rows."""
+    column.prop(settings.viewport, "error_px", text="Viewport Error")
+    column.prop(settings.render, "error_px", text="Render Error")
 
 
 def _draw_detail(column, detail) -> None:
@@ -55,19 +59,20 @@ def _budget(detail) -> str:
     return text if curve.error[-1] <= error <= curve.error[0] else f"{text}. Beyond what was measured"
 
 
-class ViewportPanel(TerrainSubpanel, bpy.types.Panel):
+class ViewportPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_viewport"
     bl_label = "Detail in Viewport"
-    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         _draw_detail(self._columns(), session.shown_terrain(context).adaptive_terrain.viewport)
 
 
-class RenderPanel(TerrainSubpanel, bpy.types.Panel):
+class RenderPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_render"
     bl_label = "Detail in Render"
-    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):

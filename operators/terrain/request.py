@@ -36,6 +36,7 @@ from .overrides import NO_OVERRIDES, Overrides
 from .properties import CHOSEN_CAMERA, SCENE_CAMERA, VIEWPORT_VIEW
 
 VIEWPORT, RENDER = "VIEWPORT", "RENDER"
+NO_HEIGHTS = "terrain.no_heights"  # code of the error of a terrain without a store
 ERRORS = "error_px", "error_m"  # varied by a time budget
 
 
@@ -115,7 +116,9 @@ def gather(
     evaluated = obj.evaluated_get(depsgraph)
     settings = evaluated.adaptive_terrain  # the evaluated copy has the values that animation and drivers set
     if not settings.store:
-        raise TerrainError(f"The terrain {obj.name!r} has no height field", fix="import one from its panel")
+        raise TerrainError(
+            f"The terrain {obj.name!r} has no height field", fix="import one from its panel", code=NO_HEIGHTS
+        )
     interpolation = overrides.interpolation or settings.interpolation
     if interpolation not in INTERPOLATIONS:  # a driver or a script may set any number
         raise TerrainError(f"The terrain {obj.name!r} has an unknown interpolation", fix="choose one on its panel")

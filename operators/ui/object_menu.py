@@ -7,7 +7,7 @@ import bpy
 OPERATORS = (
     ("import_source", "update", "frame", "freeze", "set_up_scene", "terrain_material", "pack_store"),
     ("shape", "water_surface", "bake_land", "export_heights", "land_clear"),
-    ("bake", "export", "export_tiles", "export_tileset", "submit", "bake_maps", "map_camera", "render_map"),
+    ("bake", "export", "export_tiles", "export_tileset", "map_camera", "render_map", "submit", "bake_maps"),
     ("scatter_add", "drop_to_ground", "keep_above_ground", "let_go", "profile", "viewshed", "add_collider"),
     ("show_overlay", "measure_accuracy", "sweep_accuracy", "lock_interface"),
 )

@@ -9,12 +9,26 @@ LINE_LENGTH = 36
 LIMITS = ("low", "high", "edge")  # the numbers of a band, for draw_band
 
 
+SIDEBAR = {"bl_space_type": "VIEW_3D", "bl_region_type": "UI", "bl_category": "Terrain"}
+PROPERTIES = {"bl_space_type": "PROPERTIES", "bl_region_type": "WINDOW", "bl_context": "object"}
+SUFFIX = "_properties"  # of the names of the panels in the Properties editor
+
+
+def panels_of(classes) -> list[type]:
+    """Return Blender's panels for plain classes: those of the sidebar, then the same ones of the Properties editor.
+
+    A class is a panel or a sub-panel without `bpy.types.Panel`, because Blender cannot register one for two editors.
+    """
+    found = []
+    for place, suffix in ((SIDEBAR, ""), (PROPERTIES, SUFFIX)):
+        for cls in classes:
+            names = {key: getattr(cls, key) + suffix for key in ("bl_idname", "bl_parent_id") if hasattr(cls, key)}
+            found.append(type(f"{cls.__name__}{suffix}", (cls, bpy.types.Panel), names | place))
+    return found
+
+
 class TerrainSubpanel:
     """Base of the panels below the first: shown for a terrain only."""
-
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "Terrain"
 
     @classmethod
     def poll(cls, context):
@@ -22,9 +36,14 @@ class TerrainSubpanel:
 
     def _columns(self):
         show_terrain(self.layout, bpy.context)
-        self.layout.use_property_split = True
-        self.layout.use_property_decorate = False
-        return self.layout.column()
+        return split_column(self.layout)
+
+
+def split_column(layout):
+    """Return a column whose properties have their names on the left."""
+    column = layout.column()
+    column.use_property_split, column.use_property_decorate = True, False
+    return column
 
 
 def show_terrain(layout, context):

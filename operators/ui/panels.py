@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tab "Terrain" in the sidebar of the 3D viewport."""
+"""The tab "Terrain" in the sidebar of the 3D viewport, and the same panels in the Properties editor."""
 
 import bpy
 
@@ -9,6 +9,7 @@ from ..attributes import panel as effects_panel
 from ..ground import panel as ground_panel
 from ..importing import panel as height_map_panel
 from ..land import panel as land_panel
+from ..land import water_surface
 from ..layers import panel as layers_panel
 from ..maps import panel as maps_panel
 from ..overlay import panel as overlay_panel
@@ -17,40 +18,89 @@ from ..session import session
 from ..session.polls import LEFT_ALONE
 from ..terrain import panel as detail_panel
 from ..terrain.properties import CHOSEN_CAMERA
-from .panel_parts import TerrainSubpanel, figures, message, show_terrain, switched
+from .panel_parts import TerrainSubpanel, figures, message, panels_of, show_terrain, split_column, switched
 from .status_row import NO_VIEW, draw_preparation, draw_status, sight_notice
 
 
-class TerrainPanel(bpy.types.Panel):
-    """State of a terrain. The number of rows is fixed, so that the settings below never move."""
+class TerrainPanel:
+    """The rows that every scene needs. Their number is fixed, so that nothing moves; the rest is in sub-panels."""
 
     bl_idname = "ADAPTIVE_TERRAIN_PT_main"
     bl_label = "Adaptive Terrain"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "Terrain"
+
+    @classmethod
+    def poll(cls, context):
+        obj = context.object
+        in_properties = getattr(cls, "bl_space_type", "") == "PROPERTIES"
+        return not in_properties or obj is not None and obj.adaptive_terrain.enabled
 
     def draw(self, context):
         layout = self.layout
         obj = show_terrain(layout, context)
-        if obj is not None:
-            row = layout.row(align=True)
-            row.operator("adaptive_terrain.update", icon="FILE_REFRESH")
-            row.operator("adaptive_terrain.frame", text="Frame", icon="ZOOM_SELECTED")
-            row = layout.row()
-            row.prop(obj.adaptive_terrain, "live")
-            row.operator("adaptive_terrain.freeze", icon="FREEZE", depress=bool(obj.adaptive_terrain.frozen))
-            box = layout.box().column(align=True)
-            sees_nothing = sight_notice(context, obj)[0] in NO_VIEW
-            figures(box, statistics_panel.summary_lines(session.record_of(obj).status, sees_nothing))
-            draw_status(box, context, obj)
-            layout.operator("adaptive_terrain.set_up_scene", icon="LIGHT_SUN")
+        if obj is None:
+            _draw_without_terrain(layout, context.object)
             return
-        obj = context.object
-        if obj is not None and obj.type == "MESH" and obj.adaptive_terrain.enabled:
-            message(layout, LEFT_ALONE, "LINKED")
-        layout.operator("mesh.adaptive_terrain_add", text="Add Adaptive Terrain", icon="ADD")
-        draw_preparation(layout)
+        settings = obj.adaptive_terrain
+        row = layout.row(align=True)
+        row.enabled = bool(settings.store)
+        row.operator("adaptive_terrain.update", icon="FILE_REFRESH")
+        row.operator("adaptive_terrain.frame", text="Frame", icon="ZOOM_SELECTED")
+        row.prop(settings, "live", text="Live", toggle=True)
+        _draw_state(layout.box().column(align=True), context, obj)
+        height_map_panel.draw_source(split_column(layout), obj)
+        detail_panel.draw_errors(split_column(layout), settings)
+        buttons = layout.column()
+        buttons.enabled = bool(settings.store)
+        buttons.operator("adaptive_terrain.set_up_scene", icon="LIGHT_SUN")
+        buttons.operator("adaptive_terrain.terrain_material", icon="MATERIAL")
+        buttons.operator("adaptive_terrain.water_surface", text=water_surface.button_text(obj), icon="MOD_OCEAN")
+        buttons.operator("adaptive_terrain.scatter_add", icon="OUTLINER_OB_POINTCLOUD")
+
+
+def _draw_without_terrain(layout, obj) -> None:
+    if obj is not None and obj.type == "MESH" and obj.adaptive_terrain.enabled:
+        message(layout, LEFT_ALONE, "LINKED")
+    layout.operator("mesh.adaptive_terrain_add", text="Add Adaptive Terrain", icon="ADD")
+    layout.operator("mesh.adaptive_terrain_from_file", icon="FILE_IMAGE")
+    draw_preparation(layout)
+
+
+def _figures_of(context, obj) -> list[tuple[str, str]]:
+    """Return names and figures of the last update: triangles, the error's bound, the time."""
+    sees_nothing = sight_notice(context, obj)[0] in NO_VIEW
+    return statistics_panel.summary_lines(session.record_of(obj).status, sees_nothing)
+
+
+def _draw_state(box, context, obj) -> None:
+    """Draw two rows: the state, and the triangles and the error of the last update."""
+    draw_status(box, context, obj)
+    (_, triangles), (_, bound), _ = _figures_of(context, obj)
+    bound = f"error {bound}" if bound.startswith("≤") else bound
+    shown = session.record_of(obj).status.mode
+    box.label(text=f"{triangles} triangles, {bound}" if shown else "", icon="BLANK1")
+
+
+class LookPanel(TerrainSubpanel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_look"
+    bl_label = "Look"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, _context):
+        """Draw nothing: the sub-panels have the rows."""
+
+
+class AdvancedPanel(TerrainSubpanel):
+    bl_idname = "ADAPTIVE_TERRAIN_PT_advanced"
+    bl_label = "Advanced"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        obj = session.shown_terrain(context)
+        column = self._columns()
+        figures(column.box().column(align=True), _figures_of(context, obj))
+        column.operator("adaptive_terrain.freeze", icon="FREEZE", depress=bool(obj.adaptive_terrain.frozen))
 
 
 def _waiting_row(layout):
@@ -63,10 +113,11 @@ def _waiting_row(layout):
     return row
 
 
-class CameraPanel(TerrainSubpanel, bpy.types.Panel):
+class CameraPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_camera"
     bl_label = "Camera"
-    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = self._columns()
@@ -76,10 +127,10 @@ class CameraPanel(TerrainSubpanel, bpy.types.Panel):
             column.prop(settings, "camera")
 
 
-class MeshPanel(TerrainSubpanel, bpy.types.Panel):
+class MeshPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_mesh"
     bl_label = "Mesh"
-    bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
+    bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
@@ -91,7 +142,7 @@ class MeshPanel(TerrainSubpanel, bpy.types.Panel):
         column.prop(cleanup, "boundary")
 
 
-class OutputPanel(TerrainSubpanel, bpy.types.Panel):
+class OutputPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_output"
     bl_label = "Bake and Export"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
@@ -112,20 +163,24 @@ class OutputPanel(TerrainSubpanel, bpy.types.Panel):
         column.operator("adaptive_terrain.submit", icon="NETWORK_DRIVE")
 
 
-CLASSES = (
+PANELS = (
     TerrainPanel,
-    *height_map_panel.CLASSES,
-    *land_panel.CLASSES,
-    CameraPanel,
-    *detail_panel.CLASSES,
-    overlay_panel.OverlayPanel,
-    MeshPanel,
-    effects_panel.EffectsPanel,
-    *layers_panel.CLASSES,
-    *scatter_panel.CLASSES,
+    *height_map_panel.SOURCE_PANELS,
+    LookPanel,
+    layers_panel.LayersPanel,
+    *height_map_panel.SURFACE_PANELS,
     maps_panel.MapsPanel,
+    *land_panel.PANELS,
+    *scatter_panel.CLASSES,
     ground_panel.GroundPanel,
     OutputPanel,
+    AdvancedPanel,
+    CameraPanel,
+    *detail_panel.CLASSES,
+    MeshPanel,
+    overlay_panel.OverlayPanel,
+    effects_panel.EffectsPanel,
     *statistics_panel.CLASSES,
 )
+CLASSES = (effects_panel.AttributeList, *land_panel.LISTS, *layers_panel.LISTS, *panels_of(PANELS))
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

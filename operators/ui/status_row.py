@@ -14,6 +14,7 @@ from ..bridge import camera as cameras
 from ..scatter.request import is_scatter
 from ..session import session
 from ..terrain import sight
+from ..terrain.request import NO_HEIGHTS
 from .panel_parts import error_lines, wrapped
 
 POPUP_LINE = 80
@@ -29,16 +30,18 @@ def draw_status(layout, context, obj) -> None:
     status = session.record_of(obj).status
     if _draw_progress(row, obj):
         return
-    if draw_failure(row, obj):
+    if not _waits_for_import(obj, status) and draw_failure(row, obj):
         return
     if obj.mode != "OBJECT":
         row.label(text="Stands still in Edit Mode", icon="PAUSE")
     elif not obj.adaptive_terrain.store:
-        row.label(text="No height map yet: import one", icon="INFO")
+        row.label(text="No height map yet: press Import", icon="INFO")
     elif status.mode and not status.left:
         row.label(text="Nothing is left: all is cut away", icon="ERROR")
     elif obj.adaptive_terrain.frozen:
+        row = row.split(factor=NOTICE_WIDTH)
         row.label(text="Frozen: keeps its triangles", icon="FREEZE")
+        row.operator("adaptive_terrain.freeze", text="Release")
     else:
         text, operator, button = sight_notice(context, obj)
         row = row.split(factor=NOTICE_WIDTH) if text else row
@@ -47,18 +50,23 @@ def draw_status(layout, context, obj) -> None:
             row.operator(operator, text=button)
 
 
-def draw_preparation(layout) -> None:
-    """Draw the progress of preparing the kernels; an empty row if they are ready."""
+def _waits_for_import(obj, status) -> bool:
+    """Tell whether all that is wrong with a terrain is that nothing was imported yet."""
+    failure = status.failure
+    return not obj.adaptive_terrain.store and failure is not None and failure.code == NO_HEIGHTS
+
+
+def draw_preparation(layout) -> bool:
+    """Draw the progress of preparing the kernels; return whether they are prepared now."""
     fraction = warmup.progress()
-    if fraction is not None and warmup.preparing():
-        layout.progress(factor=fraction, text="Preparing kernels (first use)")
-    else:
-        layout.label(text="")
+    if fraction is None or not warmup.preparing():
+        return False
+    layout.progress(factor=fraction, text="Preparing kernels (first use)")
+    return True
 
 
 def _draw_progress(row, obj) -> bool:
-    if warmup.preparing() and warmup.progress() is not None:
-        draw_preparation(row)
+    if draw_preparation(row):
         return True
     job = jobs.find(jobs.IMPORT, obj) or jobs.find(jobs.PACK)
     if job is not None:

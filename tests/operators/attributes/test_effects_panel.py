@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panel Effects, the button Terrain Material and `effects --scene` list the attributes that are read, by reader."""
+"""The panel Attributes, Terrain Material and `effects --scene` list the attributes that are read, by reader."""
+
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -12,28 +14,7 @@ from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.layers import material, terrain_material
 from adaptive_terrain.operators.session import session
 from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH, wrapped
-
-
-class Layout:
-    """What a panel draws, as texts; every part of it is the same list."""
-
-    def __init__(self, drawn=None):
-        self.drawn = [] if drawn is None else drawn
-
-    def part(self, *_args, **_settings):
-        return Layout(self.drawn)
-
-    row = column = box = split = part
-
-    def label(self, text="", icon=""):
-        self.drawn.append(text)
-
-    def prop(self, _data, name, text=None, **_settings):
-        self.drawn.append(f"<{name}>")
-
-    def operator(self, name, text=None, **_settings):
-        self.drawn.append(text or name)
-        return type("Properties", (), {})()
+from drawn_panels import DrawnLayout, draw
 
 
 @pytest.fixture
@@ -55,11 +36,20 @@ def read_by_material(obj, name: str):
 
 
 def lines(obj) -> list[str]:
-    panel, layout = type("Panel", (), {})(), Layout()
-    panel.layout = layout
-    panel._columns = lambda: layout
-    effects_panel.EffectsPanel.draw(panel, type("Context", (), {"object": obj})())
-    return layout.drawn
+    """Return the texts of the panel with those of its list."""
+    context = SimpleNamespace(object=obj)
+    settings, layout = obj.adaptive_terrain.effects, DrawnLayout()
+    rows = effects_panel.AttributeList
+    members = settings.bl_rna.properties.values()
+    flags, _ = rows.filter_items(SimpleNamespace(filter_name="", bitflag_filter_item=1), None, settings.bl_rna, "")
+    for member, flag in zip(members, flags, strict=True):
+        if flag:
+            rows.draw_item(None, context, layout, settings.bl_rna, member, 0, settings, "active")
+    return draw(effects_panel.EffectsPanel, context).texts + layout.texts
+
+
+def choose(obj, name: str) -> None:
+    obj.adaptive_terrain.effects.active = obj.adaptive_terrain.effects.bl_rna.properties.find(name)
 
 
 def test_the_rows_stay_in_place_whatever_is_read(terrain):
@@ -78,18 +68,25 @@ def test_the_rows_stay_in_place_whatever_is_read(terrain):
 def test_the_details_are_those_of_the_effect_that_was_clicked(terrain):
     read_by_material(terrain, "slope")
     session.update_object(terrain)
-    assert bpy.ops.adaptive_terrain.show_effect(name="slope") == {"FINISHED"}
+    choose(terrain, "slope")
     said = " ".join(lines(terrain))
     assert "Read by material Rock, node Attribute" in said and "Slope (rad): How steep the ground is" in said
-    bpy.ops.adaptive_terrain.show_effect(name="wetness")
+    choose(terrain, "wetness")
     assert "Skipped, nothing reads it" in " ".join(lines(terrain))
     terrain.adaptive_terrain.effects.slope.when = "OFF"
     session.update_object(terrain)
-    bpy.ops.adaptive_terrain.show_effect(name="slope")
+    choose(terrain, "slope")
     assert "Skipped, switched off, read by" in " ".join(lines(terrain))
     assert all(len(text) <= LINE_LENGTH + 4 for text in lines(terrain))
-    with pytest.raises(RuntimeError, match="There is no effect 'erosion'"):
-        bpy.ops.adaptive_terrain.show_effect(name="erosion")
+
+
+def test_the_list_finds_attributes_by_their_names(terrain):
+    members = terrain.adaptive_terrain.effects.bl_rna
+    sought = SimpleNamespace(filter_name="SLO", bitflag_filter_item=1)
+    flags, _ = effects_panel.AttributeList.filter_items(sought, None, members, "")
+    assert [name for name, flag in zip(members.properties.keys(), flags, strict=True) if flag] == ["slope"]
+    choose(terrain, "geometry_metres")
+    assert effects_panel.chosen_of(terrain.adaptive_terrain.effects) == next(iter(ATTRIBUTES))
 
 
 def test_what_an_effect_is_and_why_it_is_nothing_is_not_cut_off(terrain):
@@ -99,7 +96,7 @@ def test_what_an_effect_is_and_why_it_is_nothing_is_not_cut_off(terrain):
     read_by_material(terrain, "sun")
     terrain.data.materials[0].name = "The northern cliffs, whose rock is of another kind than all of the others"
     session.update_object(terrain)
-    bpy.ops.adaptive_terrain.show_effect(name="sun")
+    choose(terrain, "sun")
     said = " ".join(lines(terrain))
     assert "0, since no sun lamp shines in the scene; read by material The northern cliffs" in said
 

@@ -27,11 +27,22 @@ SAME = 1e-3
 # m^3/s, the yield of half a square kilometre at one metre of rain a year. Streams of this discharge have a surface
 # however shallow they are, since by depth alone they would have gaps wherever they are fast.
 MIN_DISCHARGE = 0.016
+# Shares of the ground: from which on ground below 0 m is a sea, and that inland water covers.
+MIN_SEA, INLAND = 0.01, 0.05
 
 
-def water_of(field: HeightField, threads: int = 1) -> Surface:
-    """Return the surface of a height field's water layers, or of the default *Water* operator if it has none.
+def default_sea(field: HeightField) -> float:
+    """Return a level of the sea that shows water: 0 m at a coast, inland that of a lake on the lowest ground."""
+    heights = field.heights() if field.valid is None else field.heights()[field.valid != 0]
+    if np.mean(heights <= 0.0) >= MIN_SEA:
+        return 0.0
+    return float(np.quantile(heights, INLAND))
 
+
+def water_of(field: HeightField, threads: int = 1, sea: float | None = None) -> Surface:
+    """Return the surface of a height field's water layers, or of the *Water* operator if it has none or `sea` is given.
+
+    sea: level of the operator's sea in metres, None for its default.
     A raster with more than MAX_SAMPLES along a side is reduced to every second sample, every fourth and so on.
     """
     every = 1
@@ -44,12 +55,11 @@ def water_of(field: HeightField, threads: int = 1) -> Surface:
     lattice, heights = field.lattice, reduced(field.heights())
     steps = lattice.step_x * every, lattice.step_y * every
     missing = None if field.valid is None else reduced(field.valid) == 0
-    if DEPTH.name in field.layers:
+    if sea is None and DEPTH.name in field.layers:
         layers = {name: reduced(field.layers[name]) for name in NAMES if name in field.layers}
     else:
-        layers = WATER.apply(
-            OperatorGround(heights, *steps, missing=missing, threads=threads), WATER.defaults(), None
-        ).layers
+        values = WATER.defaults() | ({} if sea is None else {"sea": sea})
+        layers = WATER.apply(OperatorGround(heights, *steps, missing=missing, threads=threads), values, None).layers
     water_lattice = fit(heights.shape[1], heights.shape[0], *steps)
     surface = water_surface(water_lattice, heights, *map(layers.get, NAMES), missing, threads=threads)
     # Every lattice is centred at 0, and the reduced one may end short of the field's border.

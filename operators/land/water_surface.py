@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Add Water Surface: lakes, rivers and the sea of a terrain as a separate object, with depth and speed."""
+"""Add Water: lakes, rivers and the sea of a terrain as a separate object, with depth and speed."""
 
 from dataclasses import replace
 
@@ -8,7 +8,8 @@ import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.height_operators.derived_store import raster_of
-from ...cbt_terrain.height_operators.water_surface import water_of
+from ...cbt_terrain.height_operators.water import DEPTH
+from ...cbt_terrain.height_operators.water_surface import default_sea, water_of
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
 from ..bridge.demand.trees import tree_of_new
@@ -16,10 +17,12 @@ from ..bridge.scene_paths import absolute_path
 from ..bridge.writer import write_mesh
 from ..session import session
 from ..session.polls import on_terrain_object
+from ..text.numbers import length_text
 from .request import land_of
 from .shape_land import check_is_shaped
 
 MARK = "adaptive_terrain_water"  # a property of the object, by which it is found again under any name
+LEVEL = "adaptive_terrain_sea_level"  # a property of the object: the level that the user has chosen, metres
 MATERIAL = "Terrain Water"
 SHALLOW, DEEP = (0.10, 0.22, 0.22, 1.0), (0.004, 0.025, 0.05, 1.0)
 CLEAR, OPAQUE = 0.25, 0.96  # alpha at the shore, and of deep water
@@ -27,13 +30,19 @@ DEEP_METRES = 4.0
 
 
 class AddWaterSurface(bpy.types.Operator):
-    """Add the lakes, rivers and the sea of the shaped land as an object, with the attributes water_depth and
-    water_speed; press it again after the land has changed. Without the effect Water in the stack, those of a metre of
-    rain a year"""
+    """Add the lakes, the rivers and the sea of the terrain as an object with a material. Press it again after the land
+    has changed"""
 
     bl_idname = "adaptive_terrain.water_surface"
     bl_label = "Add Water"
     bl_options = {"REGISTER", "UNDO"}
+
+    level: bpy.props.FloatProperty(
+        name="Sea Level",
+        description="Height of the sea on the terrain: all lower ground is under water. At first 0 m at a coast; inland "
+        "it covers the lowest twentieth of the ground. The height operator Water has its own",
+        unit="LENGTH", options={"SKIP_SAVE"},
+    )  # fmt: skip
 
     @classmethod
     def poll(cls, context):
@@ -50,29 +59,41 @@ class AddWaterSurface(bpy.types.Operator):
     def execute(self, context):
         terrain = context.object
         try:
-            surface = _placed(_surface(terrain), terrain.adaptive_terrain)
-            water = _existing_water(terrain) or _add_water(terrain)
-            write_mesh(water.data, surface)
+            water = _existing_water(terrain)
+            level = self.level if self.properties.is_property_set("level") else water and water.get(LEVEL)
+            surface, sea = _surface(terrain, level)
+            water = water or _add_water(terrain)
+            write_mesh(water.data, _placed(surface, terrain.adaptive_terrain))
         except TerrainError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, f"{water.name} has {len(surface.triangles):,} triangles")
+        if level is not None:
+            water[LEVEL] = level
+        elif sea is not None:
+            self.level = sea  # the box at the lower left shows it
+        at = "" if sea is None else f", its sea at {length_text(sea)}"
+        self.report({"INFO"}, f"{water.name} has {len(surface.triangles):,} triangles{at}")
         return {"FINISHED"}
 
 
-def _surface(terrain) -> Surface:
+def _surface(terrain, level: float | None) -> tuple[Surface, float | None]:
+    """Return the water of a terrain, and the level of its sea; None where the land has water of its own.
+
+    level: that of the sea in metres, None for the land's own water or else a level that shows water.
+    """
     store, depsgraph = terrain.adaptive_terrain.store, bpy.context.evaluated_depsgraph_get()
     if not store:
         raise TerrainError(f"The terrain {terrain.name!r} has no height field", fix="import one from its panel")
     land = land_of(terrain, terrain.evaluated_get(depsgraph), depsgraph, waits=True)
-    surface = water_of(
-        raster_of(absolute_path(store), land, session.open_field, verified=True), launch.default_threads()
-    )
+    field = raster_of(absolute_path(store), land, session.open_field, verified=True)
+    if level is None and DEPTH.name not in field.layers:
+        level = default_sea(field)
+    surface = water_of(field, launch.default_threads(), level)
     if not len(surface.triangles):
         raise TerrainError(
             f"There is no water on {terrain.name!r}", expected="a lake, a sea or a stream of 0.016 m³/s or more"
         )
-    return surface
+    return surface, level
 
 
 def _placed(surface: Surface, settings) -> Surface:
@@ -106,6 +127,7 @@ def _add_water(terrain):
 def _material() -> bpy.types.Material:
     """Return a smooth material, clear at the shore and dark where the water is deep."""
     material = bpy.data.materials.new(MATERIAL)
+    material.diffuse_color = SHALLOW  # in viewports that show no materials
     tree = tree_of_new(material)
     nodes, links = tree.nodes, tree.links
     shader = nodes["Principled BSDF"]

@@ -9,7 +9,7 @@ from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.lattice import fit
 from adaptive_terrain.cbt_terrain.height_operators.height_operator import OperatorGround
 from adaptive_terrain.cbt_terrain.height_operators.water import WATER
-from adaptive_terrain.cbt_terrain.height_operators.water_surface import sea_depth, water_of, water_surface
+from adaptive_terrain.cbt_terrain.height_operators.water_surface import default_sea, sea_depth, water_of, water_surface
 from cut_surfaces import areas, assert_welded
 from rasters import hills
 
@@ -149,3 +149,19 @@ def test_the_water_of_a_field_comes_from_its_layers():
     depth = np.where(heights < -10.0, np.float32(-10.0) - heights, np.float32(0.0))
     found = water_of(from_array(heights, STEP_X, STEP_Y).with_raster(layers={"water_depth": depth}))
     assert abs(found.positions[:, 2] + 10.0).max() < 1e-4
+
+
+def test_inland_the_lowest_ground_is_under_water():
+    """A coast has its sea at 0 m; a valley of 500 to 990 m gets a lake on a twentieth of its ground."""
+    rows = np.linspace(500.0, 990.0, 99, dtype=np.float32)
+    valley = from_array(np.tile(rows, (80, 1)), step_x=STEP_X, step_y=STEP_Y)
+    level = default_sea(valley)
+    assert level == pytest.approx(524.5, abs=5.0)
+    surface = water_of(valley, sea=level)
+    flat = np.abs(surface.positions[:, 2] - level) < 1e-3
+    share = (level - 500.0) / 490.0
+    west, south, east, north = valley.lattice.rectangle()
+    lake = surface.positions[flat]
+    assert np.ptp(lake[:, 0]) == pytest.approx(share * (east - west), rel=0.05)
+    assert np.ptp(lake[:, 1]) == pytest.approx(north - south)
+    assert default_sea(from_array(np.tile(rows - 600.0, (80, 1)), step_x=STEP_X, step_y=STEP_Y)) == 0.0

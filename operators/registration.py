@@ -29,9 +29,11 @@ from .scatter import starter as starter_collection
 from .scene import set_up
 from .session import live, session
 from .terrain import frame_terrain, freeze_detail, properties, update_terrain
+from .text import translations
 from .ui import object_menu, panels, status_bar, status_row
 
 MODULES = (
+    translations,
     properties,
     keep_properties,
     keep_ground,

@@ -30,7 +30,7 @@ mkdir -p "$DIR"/usr/{bin,sbin,lib,lib64}
 for d in bin sbin lib lib64; do ln -sfn usr/$d "$DIR/$d"; done
 ls "$APT"/cache/archives/*.deb | xargs -P2 -n1 sh -c \
   'dpkg-deb --fsys-tarfile "$1" | tar -x --keep-directory-symlink -C "$0" \
-     --exclude=./usr/share/doc --exclude=./usr/share/man --exclude=./usr/share/locale' "$DIR"
+     --exclude=./usr/share/doc --exclude=./usr/share/man "--exclude=./usr/share/locale/*/LC_MESSAGES/[!b]*"' "$DIR"
 
 # what the packages' maintainer scripts would have done
 cd "$DIR"; mkdir -p etc/ld.so.conf.d tmp proc root dev var/lib

@@ -17,6 +17,7 @@ from ..text.numbers import length_text, plain
 # Custom properties as BlenderGIS has them on its scenes: the coordinate system, and where in it the local origin lies.
 SRID, CRS_X, CRS_Y = "SRID", "crs x", "crs y"
 LONGEST_CRS = 10_000
+LINES = ("From", "CRS", "Origin", "Raster", "Extent", "Spacing", "Heights")
 MAX_WARNINGS, LONGEST_WARNING = 8, 500
 
 
@@ -81,9 +82,8 @@ def _pair(report: dict, name: str) -> tuple | None:
 
 def lines_of(imported: Imported | None) -> list[tuple[str, str]]:
     """Return names and figures, always the same number: nothing below them moves when a store is written."""
-    names = ("From", "CRS", "Origin", "Raster", "Extent", "Spacing", "Heights")
     if imported is None:
-        return [(name, "-") for name in names]
+        return [(name, "-") for name in LINES]
     source = imported.settings.get("source", "")
     figures = (
         LANDS[source].label if source in LANDS else shown(Path(source).name) or "unknown",
@@ -94,7 +94,7 @@ def lines_of(imported: Imported | None) -> list[tuple[str, str]]:
         _both([length_text(length) for length in imported.step_m]),
         " to ".join(plain(height, 4) for height in imported.heights_m) + " m",
     )
-    return list(zip(names, figures, strict=True))
+    return list(zip(LINES, figures, strict=True))
 
 
 def _crs_name(crs: str) -> str:

@@ -114,7 +114,7 @@ def _shape_now(obj) -> str:
     if seconds is None:
         return "Shape Now"
     rounded = f"{seconds:.1g}" if seconds < 10.0 else f"{5 * round(seconds / 5)}"
-    return f"Shape Now (about {rounded} s)"
+    return bpy.app.translations.pgettext_iface("Shape Now (about {} s)").format(rounded)
 
 
 def status_lines(state) -> list[tuple[str, str]]:

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Labels in Blender's languages: a module per language with its table, from the English label to the translation.
+
+A label without an entry is one that Blender itself translates. Blender's own translation always comes first.
+"""
+
+import bpy
+
+from . import chinese, french, german, japanese, spanish
+
+LANGUAGES = {
+    "de_DE": german.LABELS,
+    "fr_FR": french.LABELS,
+    "es": spanish.LABELS,
+    "ja_JP": japanese.LABELS,
+    "zh_HANS": chinese.LABELS,
+}
+CONTEXTS = ("*", "Operator")  # of properties, panels and menus; of operators and their buttons
+
+
+def register() -> None:
+    tables = {
+        locale: {(context, label): text for label, text in labels.items() for context in CONTEXTS}
+        for locale, labels in LANGUAGES.items()
+    }
+    bpy.app.translations.register(__package__, tables)
+
+
+def unregister() -> None:
+    bpy.app.translations.unregister(__package__)

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The labels of the user interface, collected from the registered classes and from the source of the draw code."""
+
+import ast
+from pathlib import Path
+
+import bpy
+from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
+from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
+from adaptive_terrain.cbt_terrain.view.settings import BOUNDS, SETTINGS
+from adaptive_terrain.operators.accuracy.panel import STEPS, TERMS
+from adaptive_terrain.operators.importing.imported import LINES
+from adaptive_terrain.operators.ui.status_row import NO_VIEW
+
+OPERATORS = Path(__file__).resolve().parents[2] / "operators"
+TEXTS = ("text", "heading", "confirm_text")  # arguments of layout functions and dialogs
+# File formats, types of samples, names of the product and of attributes, and properties that no panel draws.
+UNTRANSLATED = {
+    *("PNG", "OpenEXR", "GeoTIFF", "CRS", "Adaptive Terrain", "Splat 1", "Splat 2", "Splat 3"),
+    *("uint8", "int8", "uint16", "int16", "uint32", "int32", "float16", "float32", "float64"),
+    *("Cost Curve", "No Cost Curve", "Measured Accuracy"),
+}
+# Labels that Blender translates itself into all five languages (checked with Blender 4.3).
+LEFT_TO_BLENDER = {
+    " ".join(label.split())
+    for label in """
+    3D Cursor, Active, Active Layer, Active Object, Align, Align to Normal, Ambient Occlusion, Amount, Amplitude,
+    Aspect, Attribute, Bicubic, Bilinear, Boundary, Camera, Channel, Clear, Color, Curvature, Depth, Detail, Direction,
+    Displacement, Edge, Edge Length, Effect, Effects, Export, File, File Path, Fit, Flow, Format, Frames, From, Gain,
+    Height, Highest, Image, Interpolation, Layers, Level, Line, Location, Lowest, Margin, Mask, Masks, Memory, Mesh,
+    Move, Noise Size, None, Object, Off, Offset, Origin, Other, Overlap, Overlay, Pack, Pattern, Pinned, Points,
+    Radius, Read, Render, Rigid Body, Rotation, Roughness, Samples, Scene Camera, Seed, Set Size, Shape, Size, Sky,
+    Smooth Shading, Source, Strength, Surface, Thickness, Tile Size, Tiles, Time, To, Triangle Area, Triangles, Type,
+    View, Viewport, Wave, Wavelength, Wetness, Wind, World
+    """.split(",")
+}
+
+
+def collect_labels() -> dict[str, str]:
+    """Return each label with one place that shows it."""
+    labels = dict.fromkeys(_labels_of_catalogues(), "catalogue")
+    for cls in _registered_classes():
+        labels |= dict.fromkeys(_labels_of_class(cls), cls.__name__)
+    for path in sorted(OPERATORS.rglob("*.py")):
+        labels |= dict.fromkeys(_labels_of_source(path), path.name)
+    return {label: place for label, place in labels.items() if any(map(str.isalpha, label))}
+
+
+def _registered_classes() -> list[type]:
+    """Return the extension's registered classes, without lists: Blender shows no label of a list."""
+    bases = [bpy.types.Panel, bpy.types.Menu, bpy.types.Operator, bpy.types.PropertyGroup]
+    found = []
+    while bases:
+        subclasses = bases.pop().__subclasses__()
+        bases += subclasses
+        found += [cls for cls in subclasses if cls.__module__.startswith("adaptive_terrain.") and cls.is_registered]
+    return found
+
+
+def _labels_of_class(cls: type) -> list[str]:
+    """Return the label of a class, and the names of its properties and of their items."""
+    if not issubclass(cls, bpy.types.Operator | bpy.types.PropertyGroup):
+        return [cls.bl_label]
+    rna, labels = cls.bl_rna, []
+    if issubclass(cls, bpy.types.Operator):
+        module, name = cls.bl_idname.split(".")
+        rna, labels = getattr(getattr(bpy.ops, module), name).get_rna_type(), [cls.bl_label]
+    for prop in rna.properties:
+        if prop.identifier in ("rna_type", "name") or prop.is_hidden:
+            continue
+        if prop.name != prop.identifier and prop.name not in ATTRIBUTES:  # the rest is drawn without its name
+            labels.append(prop.name)
+        labels += [item.name for item in prop.enum_items_static] if prop.type == "ENUM" else []
+    return labels
+
+
+def _labels_of_source(path: Path) -> list[str]:
+    """Return the literal texts that a module draws.
+
+    They are arguments of layout functions, also by way of a local variable of the same name, templates that the draw
+    code translates, names of figures (first in the tuples of functions `..._lines`), and the notices on sight.
+    """
+    labels = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.keyword) and node.arg in TEXTS:
+            labels += _literals(node.value)
+        elif isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "pgettext_iface":
+            labels += _literals(node.args[0])
+        elif isinstance(node, ast.Assign) and getattr(node.targets[0], "id", None) in TEXTS:
+            labels += _literals(node.value)
+        elif isinstance(node, ast.FunctionDef) and node.name == "sight_notice":
+            labels += [text for inner in ast.walk(node) if isinstance(inner, ast.Tuple) for text in _literals(inner)]
+        elif isinstance(node, ast.FunctionDef) and node.name.endswith("_lines"):
+            labels += [
+                text
+                for inner in ast.walk(node)
+                if isinstance(inner, ast.Tuple)
+                for text in _literals(inner.elts[0])
+                if text[:1].isupper()
+            ]
+    return labels
+
+
+def _literals(node: ast.expr) -> list[str]:
+    """Return the texts that an expression of literals may have as its value."""
+    if isinstance(node, ast.Constant):
+        return [node.value] if isinstance(node.value, str) else []
+    if isinstance(node, ast.IfExp):
+        return [*_literals(node.body), *_literals(node.orelse)]
+    if isinstance(node, ast.BoolOp):
+        return [text for value in node.values for text in _literals(value)]
+    if isinstance(node, ast.Tuple):
+        return [text for element in node.elts for text in _literals(element)]
+    return []
+
+
+def _labels_of_catalogues() -> list[str]:
+    """Return the labels of the tables from which panels and menus are made."""
+    bounds = [label for label, _unit in BOUNDS.values()]
+    rows = [setting.row or setting.label for setting in SETTINGS]
+    lands = [operator.label for operator in HEIGHT_OPERATORS.values()]
+    return [*bounds, *rows, *lands, *TERMS.values(), *STEPS.values(), *NO_VIEW, *LINES]

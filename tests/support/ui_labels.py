@@ -14,9 +14,10 @@ from adaptive_terrain.operators.ui.status_row import NO_VIEW
 
 OPERATORS = Path(__file__).resolve().parents[2] / "operators"
 TEXTS = ("text", "heading", "confirm_text")  # arguments of layout functions and dialogs
-# File formats, types of samples, names of the product and of attributes, and properties that no panel draws.
+VARIABLES = (*TEXTS, "bound")  # local ones that are drawn
+# Units, file formats, types of samples, names of the product and of attributes, and properties that no panel draws.
 UNTRANSLATED = {
-    *("PNG", "OpenEXR", "GeoTIFF", "CRS", "Adaptive Terrain", "Splat 1", "Splat 2", "Splat 3"),
+    *("m", "px", "PNG", "OpenEXR", "GeoTIFF", "CRS", "Adaptive Terrain", "Splat 1", "Splat 2", "Splat 3"),
     *("uint8", "int8", "uint16", "int16", "uint32", "int32", "float16", "float32", "float64"),
     *("Cost Curve", "No Cost Curve", "Measured Accuracy"),
 }
@@ -60,7 +61,7 @@ def _registered_classes() -> list[type]:
 def _labels_of_class(cls: type) -> list[str]:
     """Return the label of a class, and the names of its properties and of their items."""
     if not issubclass(cls, bpy.types.Operator | bpy.types.PropertyGroup):
-        return [cls.bl_label]
+        return [cls.bl_label, getattr(cls, "bl_category", "")]
     rna, labels = cls.bl_rna, []
     if issubclass(cls, bpy.types.Operator):
         module, name = cls.bl_idname.split(".")
@@ -77,7 +78,7 @@ def _labels_of_class(cls: type) -> list[str]:
 def _labels_of_source(path: Path) -> list[str]:
     """Return the literal texts that a module draws.
 
-    They are arguments of layout functions, also by way of a local variable of the same name, templates that the draw
+    They are arguments of layout functions, local variables with one of VARIABLES' names, templates that the draw
     code translates, names of figures (first in the tuples of functions `..._lines`), and the notices on sight.
     """
     labels = []
@@ -86,7 +87,7 @@ def _labels_of_source(path: Path) -> list[str]:
             labels += _literals(node.value)
         elif isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "pgettext_iface":
             labels += _literals(node.args[0])
-        elif isinstance(node, ast.Assign) and getattr(node.targets[0], "id", None) in TEXTS:
+        elif isinstance(node, ast.Assign) and getattr(node.targets[0], "id", None) in VARIABLES:
             labels += _literals(node.value)
         elif isinstance(node, ast.FunctionDef) and node.name == "sight_notice":
             labels += [text for inner in ast.walk(node) if isinstance(inner, ast.Tuple) for text in _literals(inner)]

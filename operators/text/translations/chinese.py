@@ -156,6 +156,7 @@ LABELS = {
     "Move Layer": "移动层",
     "No height map yet: import one": "尚无高度图: 请导入",
     "No update yet": "尚未更新",
+    "no view": "不可见",
     "No-Data": "无数据",
     "None: grass, scree, rock and snow": "无: 草、碎石、岩石和雪",
     "Not up to date: read why": "未更新: 查看原因",

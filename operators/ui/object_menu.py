@@ -8,7 +8,16 @@ OPERATORS = (
     ("import_source", "update", "frame", "freeze", "set_up_scene", "terrain_material", "pack_store"),
     ("shape", "water_surface", "bake_land", "export_heights", "land_clear"),
     ("bake", "export", "export_tiles", "export_tileset", "map_camera", "render_map", "submit", "bake_maps"),
-    ("scatter_add", "drop_to_ground", "keep_above_ground", "let_go", "profile", "viewshed", "add_collider"),
+    (
+        "scatter_add",
+        "starter_add",
+        "drop_to_ground",
+        "keep_above_ground",
+        "let_go",
+        "profile",
+        "viewshed",
+        "add_collider",
+    ),
     ("show_overlay", "measure_accuracy", "sweep_accuracy", "lock_interface"),
 )
 

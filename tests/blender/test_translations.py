@@ -7,7 +7,7 @@ import pytest
 from adaptive_terrain.operators.text.translations import LANGUAGES
 from ui_labels import LEFT_TO_BLENDER
 
-OURS = ("Set Up Scene", "Terrain Material", "Height Map", "Add Scatter", "Camera underground")
+OURS = ("Set Up Scene", "Terrain Material", "Import Options", "Add Scatter", "Camera underground")
 
 
 @pytest.fixture(scope="module")

@@ -97,7 +97,7 @@ def _draw_shaping(row, obj, state) -> None:
     """Draw one row: the button, or the progress of shaping with the buttons that end it."""
     job, wait = jobs.find(jobs.SHAPE, obj), shaped_land.render_wait_of(obj)
     if wait is not None:
-        row.progress(factor=wait.fraction, text=wait.text)
+        row.progress(factor=wait.fraction, text=f"Render: {wait.brief}")
         return
     if job is None:
         row.enabled = wanted = state.wanted or state.active and bool(session.record_of(obj).status.error)

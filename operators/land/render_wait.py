@@ -5,14 +5,18 @@ A render in a window runs its handlers on another thread, so that the window can
 may write the text above a render.
 """
 
+import math
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 
 import blf
 import bpy
 
+from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.height_operators import derived_store
 from ...cbt_terrain.height_operators.derived_store import Land
+from ...cbt_terrain.height_operators.shaping_cost import estimate_seconds
 from ..text.console import print_line
 
 PRINTED_S = 10.0  # between lines on the console
@@ -23,20 +27,27 @@ _handle = None
 
 @dataclass
 class LandWait:
-    """Shaping that a render waits for. `started`, `printed`: monotonic seconds."""
+    """Shaping that a render waits for. `started`, `printed`: monotonic seconds. `estimate`: seconds expected before."""
 
     folder: str
     started: float
+    estimate: float = math.inf
     fraction: float = 0.0
     message: str = ""
     printed: float = 0.0
 
     @property
     def text(self) -> str:
-        spent = time.monotonic() - self.started
-        left = spent * (1.0 - self.fraction) / self.fraction if self.fraction >= KNOWN else None
-        known = f", about {left:.0f} s left" if left is not None else ""
-        return f"Shaping land, {self.fraction:.0%}{known} ({self.message})"
+        return f"Shaping land, {self.brief} ({self.message})"
+
+    @property
+    def brief(self) -> str:
+        """The progress for a narrow panel."""
+        rest = 1.0 - self.fraction
+        left = rest * self.estimate
+        if self.fraction >= KNOWN:  # coarse levels come first and are slower than planned
+            left = min(left, rest * (time.monotonic() - self.started) / self.fraction)
+        return f"{self.fraction:.0%}" + (f", about {left:.0f} s left" if left < math.inf else "")
 
 
 waiting: LandWait | None = None
@@ -50,11 +61,19 @@ def _on_shaping(land: Land, fraction: float, message: str) -> None:
         waiting = None
         return
     if wait is None or wait.folder != land.folder:
-        wait = LandWait(land.folder, time.monotonic())
+        now = time.monotonic()
+        wait = LandWait(land.folder, now, _estimate(land), printed=now)
     wait.fraction, wait.message, waiting = fraction, message, wait
     if bpy.app.background and time.monotonic() - wait.printed >= PRINTED_S:
         wait.printed = time.monotonic()
         print_line(f"Adaptive Terrain: {wait.text}")
+
+
+def _estimate(land: Land) -> float:
+    with suppress(TerrainError, OSError):
+        found = estimate_seconds(land.source, land.stack, derived_store.preview_of(land), land.of_views)
+        return math.inf if found is None else found
+    return math.inf
 
 
 def _draw() -> None:

@@ -29,10 +29,12 @@ def test_a_render_shows_the_land_that_it_waits_for(terrain, monkeypatch, capsys)
 
 
 def test_the_text_has_the_time_that_is_left(monkeypatch):
-    wait = render_wait.LandWait("folder", 100.0, 0.25, "Rivers, 2,049 x 2,049")
+    wait = render_wait.LandWait("folder", 100.0, fraction=0.25, message="Rivers, 2,049 x 2,049")
     monkeypatch.setattr(render_wait.time, "monotonic", lambda: 110.0)
     assert wait.text == "Shaping land, 25%, about 30 s left (Rivers, 2,049 x 2,049)"
-    wait.fraction = 0.0
+    wait.estimate = 20.0
+    assert wait.brief == "25%, about 15 s left", "coarse levels are slower than the rest"
+    wait.fraction, wait.estimate = 0.0, float("inf")
     assert wait.text == "Shaping land, 0% (Rivers, 2,049 x 2,049)"
 
 

@@ -77,7 +77,7 @@ class AddWaterSurface(bpy.types.Operator):
 
 
 def _surface(terrain, level: float | None) -> tuple[Surface, float | None]:
-    """Return the water of a terrain, and the level of its sea; None where the land has water of its own.
+    """Return the water of a terrain, and the level of its sea; None where the land has its own water.
 
     level: that of the sea in metres, None for the land's own water or else a level that shows water.
     """

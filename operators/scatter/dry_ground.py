@@ -10,7 +10,7 @@ SEA = "sea"  # parameter of height operators: all ground up to this height is se
 
 
 def keep_dry(settings, terrain_settings) -> str:
-    """Keep a scatter out of a terrain's water; return what is done, as a sentence.
+    """Keep a scatter out of a terrain's water; return a sentence about the result.
 
     Water Depth is on in any case: it acts once the stack has *Water* or *Flood* and the land is shaped. Above the Sea
     is on for land that reaches down to the level of the sea.

@@ -20,7 +20,7 @@ SUN_STRENGTH, SUN_DISC_DEG = 6.0, 0.545  # W/m^2 at right angles, degrees
 WARM = (1.0, 0.78, 0.52)  # a sun at the horizon, relative to white
 WHITE_ELEVATION = math.radians(40.0)
 # Types of sky, the best first: since Blender 5.0, and before. Each with the strength that makes about 1 W/m^2 on level
-# ground while the sun stands at 28 degrees.
+# ground while the sun is 28 degrees high.
 SKY_TYPES = {"MULTIPLE_SCATTERING": 0.08, "NISHITA": 0.11}
 # Haze at the horizon and below, by the sun's elevation: its radiance, and its color from warm to cool.
 ELEVATIONS, RADIANCE = np.radians((2.0, 8.0, 15.0, 28.0)), (0.18, 0.4, 0.55, 0.65)
@@ -55,7 +55,7 @@ def _haze(elevation: float) -> list[float]:
 
 
 def add_sky(scene, towards: Vector) -> None:
-    """Give the scene a sky whose sun stands in the direction `towards`.
+    """Give the scene a sky whose sun is in the direction `towards`.
 
     The haze of the horizon continues below it, where the terrain ends.
     """

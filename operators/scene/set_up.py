@@ -25,7 +25,7 @@ SNOWLESS, SNOWLESS_M = "hills", 1500.0
 
 class SetUpScene(bpy.types.Operator):
     """Add a sun, a physical sky, a camera at the current view and the terrain's material, and remove Blender's default
-    cube and lamp. Press it again to replace what it has made; nothing else changes"""
+    cube and lamp. Press it again to replace these; nothing else changes"""
 
     bl_idname = "adaptive_terrain.set_up_scene"
     bl_label = "Set Up Scene"
@@ -61,8 +61,8 @@ class SetUpScene(bpy.types.Operator):
         sight.box_of(obj)  # raises an error before anything changes
         for default in defaults.untouched(scene):
             _remove(default)
-        for made in [item for item in scene.objects if MARK in item and item.type == "LIGHT"]:
-            _remove(made)
+        for lamp in [item for item in scene.objects if MARK in item and item.type == "LIGHT"]:
+            _remove(lamp)
         camera = self._place_camera(context, obj)
         ahead = camera.matrix_world.to_3x3() @ Vector((0.0, 0.0, -1.0))
         _light(scene, self.elevation, math.atan2(ahead.x, ahead.y) + self.turn)

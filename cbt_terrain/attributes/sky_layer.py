@@ -107,7 +107,7 @@ def _load(field: HeightField, scale: float) -> None:
 
 
 def _save(field: HeightField, scale: float, sky: np.ndarray) -> None:
-    """Write the layer into the store and remove those of scales before the last MAX_SCALES."""
+    """Write the layer of a vertical scale into the store, and remove the oldest so that MAX_SCALES remain."""
     file = file_of(LAYER, VERSION, (scale,))
     store.keep(field, file, sky)
     folder = store.data_folder(field)
@@ -115,7 +115,7 @@ def _save(field: HeightField, scale: float, sky: np.ndarray) -> None:
         return  # never removes files through a link
     with suppress(OSError, NotOursError):  # another process may do the same
         others = [f for f in folder.glob(f"effect_{LAYER}_*.npy") if f.stem != file]
-        for old in sorted(others, key=lambda f: f.stat().st_mtime_ns)[: len(others) + 1 - MAX_SCALES]:
+        for old in sorted(others, key=lambda f: f.stat().st_mtime_ns)[: max(0, len(others) + 1 - MAX_SCALES)]:
             owned_files.remove_file(old)
 
 
@@ -169,16 +169,17 @@ def sweep(
 
 
 def _cache_entry(field: HeightField, kind: str, scale: float) -> dict:
-    """Return the cache entry of a kind at a vertical scale, and drop scales before the last MAX_SCALES."""
+    """Return the cache entry of a kind at a vertical scale; remove the oldest so that MAX_SCALES remain."""
     if (kind, scale) not in field.cache.results:
         others = [key for key in field.cache.results if key[0] == kind]
-        for key in others[: len(others) + 1 - MAX_SCALES]:
+        for key in others[: max(0, len(others) + 1 - MAX_SCALES)]:
             del field.cache.results[key]
         field.cache.results[kind, scale] = {}
     return field.cache.results[kind, scale]
 
 
 def _layer(field: HeightField, values: np.ndarray, level: int) -> kernels.SkyLayer:
+    """Return values (float32 [..., rows, columns]) at the samples of a level as a layer for kernels."""
     layer, lattice = kernels.SkyLayer(), field.lattice
     layer.values = flat(values, wp.float32)
     layer.rows, layer.columns = values.shape[-2:]

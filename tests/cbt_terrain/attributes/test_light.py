@@ -327,3 +327,19 @@ def test_the_sky_of_the_last_two_vertical_scales_is_cached():
     assert [sky_layer.is_known(field, scale) for scale in (1.0, 1.1, 1.2, 1.3)] == [False, False, True, True]
     assert sum(key[0] in (sky_layer.LAYER, sky_layer.PREVIEW) for key in field.cache.results) == 4
     assert np.array_equal(made("sky", places), whole) and len(preview) == len(whole)
+
+
+def test_a_larger_limit_keeps_as_many_vertical_scales(monkeypatch, tmp_path):
+    """Of five scales, the newest four are cached and stored; before the limit none is removed."""
+    monkeypatch.setattr(sky_layer, "MAX_SCALES", 4)
+    draft = Draft(tmp_path / "store")
+    samples = draft.allocate("samples", (20, 30), np.float32)
+    samples[:] = raster(30, 20)
+    draft.publish(build(samples, 3.0, 3.0, missing=0, allocate=draft.allocate), "a test", {})
+    field = open_store(tmp_path / "store")
+    for count, scale in enumerate((1.0, 2.0, 3.0, 4.0, 5.0), 1):
+        sky_layer.sky_layer(field, scale, 1)
+        assert sum(key[0] == sky_layer.LAYER for key in field.cache.results) == min(count, 4)
+        assert len(list(tmp_path.glob("store/data-*/effect_sky_*.npy"))) == min(count, 4)
+    again = open_store(tmp_path / "store")
+    assert [sky_layer.is_known(again, scale) for scale in (1.0, 2.0, 5.0)] == [False, True, True]

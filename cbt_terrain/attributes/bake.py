@@ -137,6 +137,10 @@ class _Place:
 
 
 def _image(place: _Place, request: AttributeRequest, tile: int, side: int, form: str) -> _Image:
+    """Return the image of an attribute for a tile of `side` x `side` texels, with its content key.
+
+    The key changes with everything that the pixels depend on: parameters, versions, heights, tiling and coding.
+    """
     coding = coding_of(ATTRIBUTES[request.name], form)
     steps = plan([request]).steps
     content = (
@@ -169,6 +173,10 @@ def _key_in(file: Path) -> str | None:
 
 
 def _bake_images(place: _Place, images: list[_Image], folder: Path, on_progress, lock) -> None:
+    """Write images into `folder`, in bands of rows so that memory stays bounded.
+
+    Attributes of one tile are evaluated together. `lock` is held while a band is evaluated.
+    """
     total = sum(int(side * side) for side in {image.tile: image.side for image in images}.values())
     done = 0
     on_progress(0.0)
@@ -196,6 +204,7 @@ def _band(side: int) -> int:
 
 
 def _opened(folder: Path, image: _Image, pool, stack: ExitStack):
+    """Return the open file of an image; leaving `stack` closes it and discards waiting blocks."""
     writer = png.PngFile if image.coding.form == PNG else exr.ExrFile
     file = writer(folder / image.file, image.side, image.coding.channels, image.coding.depth, image.key, pool)
     stack.callback(file.leave)

@@ -17,7 +17,7 @@ DEFAULT_COLORS = ((0.07, 0.11, 0.03), (0.24, 0.2, 0.16), (0.13, 0.12, 0.115), (0
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Compute the requested values; implements `Make`."""
+    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
     values = wanted["color"]
     layers, colors = values["layers"], values["colors"]
     if len(layers) != len(colors):

@@ -218,7 +218,10 @@ def _held_once(steps: Sequence[AttributeRequest], count: int, max_bytes: int) ->
 
 
 def _keys(request: EffectRequest, heights: HeightField) -> dict[str, tuple]:
-    """Return everything that the values of each step depend on, except points and the levels of pictures."""
+    """Return a key of each step's values: ground, scale, parameters and the keys of attributes that it reads.
+
+    The points and the levels of pictures are not in it, since they change with every surface.
+    """
     keys: dict[str, tuple] = {}
     level = fixed_level(heights, request.geometry_metres)
     surface = heights.key, float(request.vertical_scale), float(request.vertical_offset)

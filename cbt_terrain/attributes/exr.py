@@ -30,6 +30,11 @@ class ExrFile:
     def __init__(
         self, path: Path, side: int, channels: int, depth: int, text: str, pool: Executor, lines: int = 0
     ) -> None:
+        """Create the file with its header and an empty table of offsets.
+
+        `side`: texels of a line, and lines unless `lines` is given. `depth`: bits of a value, 16 or 32. `text`: comment
+        in the header. `pool` compresses blocks.
+        """
         names = sorted(NAMES[channels])
         self._order = [NAMES[channels].index(name) for name in names]  # channels are in alphabetical order
         self._dtype, self._pool, self._waiting = np.dtype(f"<f{depth // 8}"), pool, []
@@ -62,7 +67,7 @@ class ExrFile:
             self._put()
 
     def close(self) -> None:
-        """Complete the file."""
+        """Write the waiting blocks and the table of their offsets, and close the file."""
         while self._waiting:
             self._put()
         self._file.seek(self._table)
@@ -76,6 +81,7 @@ class ExrFile:
         self._file.close()
 
     def _put(self) -> None:
+        """Wait for the oldest compressed block and append it to the file."""
         data = self._waiting.pop(0).result()
         self._offsets.append(self._file.tell())
         self._file.write(struct.pack("<ii", self._line, len(data)) + data)

@@ -38,6 +38,7 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
     steps = lattice.step_x * 2**level, lattice.step_y * 2**level
 
     def make() -> np.ndarray:
+        """Compute ln of the drainage area in m^2 of each sample of the level, float32 [rows, columns]."""
         heights = level_of(field.raster, level, threads) * np.float32(sign)
         holes = None if field.valid is None else field.valid[:: 2**level, :: 2**level] == 0
         if holes is not None:  # a level may end beyond the border
@@ -56,7 +57,7 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Compute the requested values; implements `Make`."""
+    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
     field, out = places.field, np.empty(len(places), np.float32)
     areas = ground(logarithms(field, places.vertical_scale, places.threads), 1.0, 0.0, places.threads)
     areas.west, areas.south, _, _ = field.lattice.rectangle()

@@ -37,7 +37,7 @@ OUTPUTS = {
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Compute the requested values; implements `Make`."""
+    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
     values, arrays = kernels.Values(), {}
     for name in wanted:
         field, dtype, shape, _ = OUTPUTS[name]

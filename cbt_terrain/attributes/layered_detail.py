@@ -79,6 +79,10 @@ def _masks(
 
 
 def _compute_masks(field, layers, numbers, heights, threads) -> list[LayerMask]:
+    """Return the masks of the splat layers `numbers` at all samples, 8 bits each.
+
+    An attribute of the splat map holds the weights of four layers.
+    """
     lattice = field.lattice
     requests = [
         AttributeRequest(name, (KIND,), parameters=(("layers", layers),)) for name in NAMES[: max(numbers) // 4 + 1]

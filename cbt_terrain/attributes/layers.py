@@ -30,7 +30,7 @@ NAMES = tuple(name for name, _, _ in KNOWN)
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Compute the requested values; implements `Make`."""
+    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
     values = {}
     for name in wanted:
         values[name] = out = np.zeros(len(places), np.float32)
@@ -56,6 +56,8 @@ def _as_raster(field: HeightField, name: str) -> HeightRaster:
 
 
 def _example(name: str) -> Callable[[Evaluate], None]:
+    """Return the example of a layer written by a height operator."""
+
     def example(evaluate: Evaluate) -> None:
         """Assert that a terrain without height operators has 0."""
         assert (evaluate(name, np.zeros((9, 9)), step=10.0) == 0.0).all()

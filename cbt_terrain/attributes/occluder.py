@@ -35,7 +35,7 @@ def occluder_of(places: SamplePoints) -> kernels.Occluder:
 
 
 def every_crossing(field: HeightField, scale: float) -> kernels.Occluder:
-    """Return the ground without blocks, of which kernels visit every crossing."""
+    """Return the ground for rays, without the tree of blocks by which others skip ground below a ray."""
     lattice, occluder = field.lattice, kernels.Occluder()
     occluder.samples = packed(field.samples, field.steps)
     occluder.west, occluder.south, _, _ = lattice.rectangle()

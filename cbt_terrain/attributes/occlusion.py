@@ -16,7 +16,7 @@ ANY = -1e300
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Compute the requested values; implements `Make`."""
+    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
     radius = float(wanted["ambient_occlusion"]["radius"])
     return {"ambient_occlusion": seen_from(places, far=radius, lowest=ANY)}
 

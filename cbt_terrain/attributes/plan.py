@@ -57,7 +57,7 @@ def kernels_of_steps(plan: AttributePlan) -> list[ModuleType]:
 
 
 def _merge(one: AttributeRequest, other: AttributeRequest) -> AttributeRequest:
-    """Merge two requests for an attribute. GEOMETRY wins, since geometry and everything it reads has one scale."""
+    """Merge two requests for an attribute. GEOMETRY wins, since all that geometry reads has one scale."""
     readers = tuple(dict.fromkeys((*one.readers, *other.readers)))
     family = GEOMETRY if GEOMETRY in (one.family, other.family) else one.family
     parameters = tuple(sorted((dict(one.parameters) | dict(other.parameters)).items()))

@@ -28,6 +28,11 @@ class PngFile:
     def __init__(
         self, path: Path, side: int, channels: int, depth: int, text: str, pool: Executor, lines: int = 0
     ) -> None:
+        """Create the file with its header.
+
+        `side`: texels of a line, and lines unless `lines` is given. `depth`: bits of a value, 8 or 16. `text`: comment
+        in the header. `pool` compresses blocks.
+        """
         self._pool, self._waiting, lines = pool, [], lines or side
         self._adler, self._length = 1, lines * (1 + side * channels * depth // 8)
         self._file = open(path, "wb")
@@ -48,7 +53,7 @@ class PngFile:
             self._put()
 
     def close(self) -> None:
-        """Complete the file."""
+        """Write the waiting blocks, the checksum and the end, and close the file."""
         while self._waiting:
             self._put()
         self._chunk(b"IDAT", struct.pack(">I", self._adler))

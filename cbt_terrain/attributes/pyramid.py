@@ -47,10 +47,12 @@ def _coarser_levels(raster: HeightRaster, threads: int) -> np.ndarray:
 
 
 def level_of(raster: HeightRaster, level: int, threads: int = 1) -> np.ndarray:
-    """Return the heights of a level, float32 [rows, columns] metres, row 0 south."""
+    """Return the heights of a level, float32 [rows, columns] metres, row 0 south; level 0 is the raster."""
     if level == 0:
         return raster.heights()
-    first = int(ground(raster, 1.0, 0.0, threads).first.numpy()[level])
+    vertical_scale, vertical_offset = 1.0, 0.0  # heights as they are
+    packed_levels = ground(raster, vertical_scale, vertical_offset, threads)  # fills the cache
+    first = int(packed_levels.first.numpy()[level])
     rows, columns = shapes(raster.lattice)[level]
     return raster.cache.pyramid[0][first : first + rows * columns].reshape(rows, columns)
 

@@ -130,7 +130,11 @@ def _nearness(grid: kernels.Grid, draw: "routing.Draw | None") -> wp.vec3f:
 
 
 def _link(d: kernels.DrainageArrays, pits: int, threads: int) -> None:
-    """Drain every basin that ends in a pit over its lowest pass."""
+    """Drain every basin that ends in a pit over its lowest pass into a neighbouring basin.
+
+    Passes are counted first and listed then, to allocate their arrays; sorted by height, they form a spanning tree.
+    `pits`: number of basins.
+    """
     width, height = d.grid.width, d.grid.height
     work = {"step": "routing", "threads": threads}
     launch.spread(routing.label_basins, -(-width * height // BLOCK), [BLOCK, d], cost=BLOCK, **work)

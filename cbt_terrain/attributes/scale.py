@@ -55,21 +55,27 @@ def footprint_levels(
         return levels
     placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
     levels[:] = np.inf
-    eyes = wp.array([_eye(field, view, placement) for view in views], dtype=kernels.FootprintEye, device=launch.DEVICE)
+    eyes = wp.array(
+        [_footprint_eye(field, view, placement) for view in views], dtype=kernels.FootprintEye, device=launch.DEVICE
+    )
     inputs = [shared(positions, wp.vec3f), eyes, _max_level(field), flat(levels, wp.float32)]
     blocks = -(-len(positions) // kernels.BLOCK)
     launch.spread(kernels.footprint_levels, blocks, inputs, step="footprint", threads=threads, cost=0.1 * kernels.BLOCK)
     return levels
 
 
-def _eye(field: HeightField, view: View, placement: np.ndarray) -> kernels.FootprintEye:
+def _footprint_eye(field: HeightField, view: View, placement: np.ndarray) -> kernels.FootprintEye:
+    """Return a view for the footprint kernel; a pixel covers sqrt(pixel2) samples at unit distance.
+
+    placement: float64 [4, 4], maps the terrain's space to the world.
+    """
     to_camera = product(view.world_to_camera, placement)
     eye = kernels.FootprintEye()
     eye.linear, eye.shift = wp.mat33d(to_camera[:3, :3]), wp.vec3d(to_camera[:3, 3])
-    if view.kind == ORTHOGRAPHIC:
+    if view.kind == ORTHOGRAPHIC:  # all points are at unit distance
         eye.linear, eye.shift = wp.mat33d(), wp.vec3d(1.0, 0.0, 0.0)
-    samples = 1.0 / (view.pixels_per_unit * _min_stretch(to_camera[:3, :2]) * _step(field))
-    eye.pixel2 = samples * samples
+    samples_per_pixel = 1.0 / (view.pixels_per_unit * _min_stretch(to_camera[:3, :2]) * _step(field))
+    eye.pixel2 = samples_per_pixel * samples_per_pixel
     return eye
 
 

@@ -30,9 +30,9 @@ FULL, PREVIEW = "FULL", "PREVIEW"
 
 
 def seen_from(places: SamplePoints, far: float = WITHOUT_END, lowest: float = HORIZONTAL) -> np.ndarray:
-    """Return the cosine-weighted fraction of the half space above the horizons, float32 [n].
+    """Return the visible fraction of the sky, cosine-weighted, float32 [n].
 
-    Ground up to `far` metres counts, and everything below the slope `lowest` is hidden.
+    Ground farther than `far` metres does not hide it; all below the slope `lowest` is hidden.
     """
     out = np.zeros(len(places), np.float32)
     directions = wp.array(azimuths(), dtype=wp.vec2d, device=launch.DEVICE)
@@ -42,7 +42,7 @@ def seen_from(places: SamplePoints, far: float = WITHOUT_END, lowest: float = HO
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Compute the requested values; implements `Make`."""
+    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
     field, scale, out = places.field, places.vertical_scale, np.empty(len(places), np.float32)
     if wanted["sky"]["quality"] == PREVIEW:
         directions = wp.array(azimuths()[:PREVIEW_AZIMUTHS], dtype=wp.vec2d, device=launch.DEVICE)

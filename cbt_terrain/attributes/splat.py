@@ -31,7 +31,7 @@ MIN_EDGE = 1e-30
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Compute the requested values; implements `Make`."""
+    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
     weights: dict[str, np.ndarray] = {}
     for layers in dict.fromkeys(values["layers"] for values in wanted.values()):
         names = [name for name in wanted if wanted[name]["layers"] == layers]
@@ -94,6 +94,11 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[w
 
 
 def _rule(rule: Rule, at: int, lowest: float, highest: float) -> kernels.SplatRule:
+    """Return a rule for the kernel, with limits in the unit of the values that it reads.
+
+    `at`: row of the attribute, first pixel of the image, or index of the other layer. `lowest`, `highest`: heights in
+    metres at which relief is 0 and 1. Flow is compared by its logarithm.
+    """
     limits, edge = np.array([rule.low, rule.high]), rule.edge
     if rule.of == splat_rules.RELIEF:
         # All level ground is at its lowest point.

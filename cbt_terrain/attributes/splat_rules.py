@@ -129,7 +129,7 @@ def covers_nothing(rule: Rule) -> bool:
 
 
 def check(layers: tuple[Layer, ...]) -> None:
-    """Raise TerrainError for invalid layers."""
+    """Raise TerrainError for too many layers, a number out of range, or a rule that cannot be evaluated."""
     if not 1 <= len(layers) <= MAX_LAYERS:
         raise TerrainError(
             f"There are {len(layers)} splat layers", expected=f"1 to {MAX_LAYERS}", fix="remove some or add one"

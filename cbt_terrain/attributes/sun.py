@@ -18,7 +18,7 @@ AFTERNOON = (-0.5, -0.5, 0.5 * math.sqrt(2.0), 0.00918)
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Compute the requested values; implements `Make`."""
+    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
     sun = strongest(wanted["sun"]["suns"])
     strips = None if sun is None else strips_of(sun)
     out = np.zeros(len(places), np.float32)

@@ -35,6 +35,7 @@ class EffectValues:
     """
 
     def __init__(self, threads: int) -> None:
+        """Start without points; `threads` copy and compare them."""
         self.threads = threads
         self.source = ValueSource()
         self._arrays: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}  # of this surface, of the last one
@@ -121,6 +122,7 @@ class EffectValues:
 
 
 def _pair(values: np.ndarray, last: np.ndarray, width: int) -> kernels.Pair:
+    """Return the arrays of an attribute, now and at the last surface, for the kernel that copies values."""
     pair = kernels.Pair()
     pair.last, pair.values, pair.width = flat(last, wp.float32), flat(values, wp.float32), width
     return pair

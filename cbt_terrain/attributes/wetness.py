@@ -21,7 +21,7 @@ MIN_TANGENT = 1e-3
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Compute the requested values; implements `Make`."""
+    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
     lattice, out = places.field.lattice, np.empty(len(places), np.float32)
     width = math.sqrt(lattice.step_x * lattice.step_y) * 2 ** routed_level(places.field)
     arrays = flat(read["flow"], wp.float32), shared(read["detail_normal"], wp.vec3f), flat(out, wp.float32)

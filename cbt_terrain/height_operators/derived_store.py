@@ -51,7 +51,7 @@ _verified: set[tuple[str, int]] = set()  # stores, with their time of change, wh
 
 
 def on_shaping(_land: "Land", _fraction: float, _message: str) -> None:
-    """Tell of land that the caller waits for: the finished fraction, at last 1, and the present step.
+    """Report the progress of shaping that the caller waits for: the finished fraction, 1 at the end, and a text.
 
     Blender's part replaces this function, which does nothing.
     """
@@ -183,6 +183,7 @@ def raster_of(store: str, land: Land | None, open_field: OpenField, verified: bo
 
 
 def _shape(land: Land, open_field: OpenField) -> None:
+    """Shape the tiles of a land that its folder lacks, together with those requested earlier."""
     wanted = wanted_tiles(land, open_field)
     if not is_whole(land, open_field) or not requested_tiles.has(land.folder, wanted):
         wanted = requested_tiles.with_known(land.folder, wanted)
@@ -229,7 +230,7 @@ def wanted_tiles(land: Land, open_field: OpenField) -> Tiles | None:
 
 
 def previewed(land: Land, open_field: OpenField) -> Preview:
-    """Return a preview of land, built at most once."""
+    """Return the preview of a land, built on first use; the last MAX_PREVIEWS stay in memory."""
     found = _previews.pop(land.folder, None)
     if found is None:
         counts["previews"] += 1
@@ -272,6 +273,7 @@ def check_after(store: str, error: TerrainError) -> None:
 
 
 def _open(store: str, open_field: OpenField) -> HeightField:
+    """Open a store, and remove derived land that is damaged so that it is shaped again. Raises TerrainError."""
     try:
         return open_field(store)
     except TerrainError as error:
@@ -317,11 +319,13 @@ def _remove_damaged(store: str, fault: TerrainError | None = None) -> TerrainErr
 
 
 def _damaged(store: str, fault: TerrainError) -> TerrainError:
+    """Return the error for shaped land that is damaged and will be built again."""
     what = f"The shaped land in {store!r} is damaged and is built again from its source ({fault.what})"
     return TerrainError(what, code=DAMAGED)
 
 
 def _is_limit(error: TerrainError) -> bool:
+    """Return whether an error comes from a limit of this process, such as open files, and not from damage."""
     return getattr(error.__cause__, "errno", None) in LIMITS_OF_PROCESS
 
 
@@ -331,6 +335,7 @@ def _is_rebuilt_here(store: str) -> bool:
 
 
 def _source_key(store: str) -> str:
+    """Return the content key of a store, read again if the store has changed. Raises TerrainError."""
     changed = stores.changed_ns(store)
     if not changed:
         raise TerrainError(

@@ -81,6 +81,7 @@ def _write_exrs(field: HeightField, _store: Path, files: dict[str, Path]) -> Non
 
 
 def _write_exr(field: HeightField, name: str, path: Path) -> None:
+    """Write a layer, or heights, of a store as a single-channel OpenEXR image of 32 bits."""
     lattice = field.lattice
     try:
         with written_beside(path) as partial, ThreadPoolExecutor(2, "adaptive_terrain_export") as pool:
@@ -212,6 +213,10 @@ def child_main() -> None:
 
 
 def _answer(request: dict, *_) -> list[str]:
+    """Write the requested GeoTIFFs in the child process, since rasterio must not be loaded into Blender.
+
+    A request has `raws`, files of raw samples to convert, or a `store` with the files of its layers.
+    """
     child.end_with_parent()
     if "raws" in request:
         for raw in request["raws"]:

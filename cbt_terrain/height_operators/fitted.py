@@ -36,6 +36,7 @@ def fitted(stack: Stack, low: float, high: float) -> Stack:
         return mask and replace(mask, rules=tuple(map(adapt_rule, mask.rules)))
 
     def adapt_parameters(entry: Entry) -> Mapping[str, float]:
+        """Return the parameters with heights moved and rates scaled to the relief, within their ranges."""
         found = dict(entry.parameters)
         for parameter in entry.declaration.parameters:
             key = entry.effect, parameter.name

@@ -131,6 +131,10 @@ def march(flood: Flood, seconds: float, progress=lambda _part: None) -> int:
 
 
 def _advance(flood: Flood, dt: float) -> None:
+    """Advance a flood by `dt` seconds in place: compute fluxes, limit them to the water there is, move it.
+
+    Outlets keep the depth beyond the border; water that leaves or enters there is added to `flood.left`.
+    """
     flood.fluxes, flood.pushed = flood.pushed, flood.fluxes
     s, work = kernels.FloodStep(), {"step": "flood", "threads": flood.threads, "cost": flood.bed.shape[1] / 4}
     s.height, s.width = flood.bed.shape
@@ -171,7 +175,7 @@ def _check_time(flood: Flood, seconds: float) -> None:
 
 
 def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
-    """Compute a level from the beginning, without the coarser one; implements `Apply`."""
+    """Return the depth and speed of a flood after `minutes`; heights stay, and the coarser level is not read."""
     rain = values["rain"] / 1000.0 / HOUR
     flood = still(
         ground.heights,

@@ -145,6 +145,7 @@ def vary_rock(bed: Bed, variety: float) -> None:
 
 
 def _draw(bed: Bed, number: int) -> Draw:
+    """Return the random numbers of step `number` for kernels, the same for a sample in every tile."""
     draw = Draw()
     draw.jitter, draw.seed = JITTER, (bed.seed * 0x9E3779B1 + number * 0x85EBCA77 + 1) & 0xFFFFFFFF
     draw.row, draw.column = bed.first

@@ -26,6 +26,7 @@ class LevelPlan:
     """
 
     def __init__(self, levels: Sequence[Level], entries: Sequence[Entry], wanted: Wanted) -> None:
+        """Plan the levels, finest first; wanted: tiles of each level by index, None for all."""
         self.levels, self.entries = levels, entries
         self.wants_whole = [tiles is None for tiles in wanted]
         every = zip(levels, wanted, strict=True)
@@ -34,6 +35,7 @@ class LevelPlan:
         self._count()
 
     def _count(self) -> None:
+        """Compute the tiles that each level needs for finer ones, and the planned nanoseconds of each entry."""
         self.needed = add_coarser(self.levels, self.wanted, [self._max_halo(level) for level in self.levels])
         self.costs = [0.0] * len(self.entries)
         for level in self.levels:
@@ -105,6 +107,7 @@ class LevelPlan:
         return rows * columns * max(entry.declaration.cost_ns, 1.0)
 
     def _add_costs(self, level: Level) -> None:
+        """Add the planned nanoseconds of all entries at a level."""
         tiles = self.with_neighbours(level, self.needed[level.number])
         for numbers in self.runs(level) if level.is_whole or tiles else ():
             for number, margin in zip(numbers, self.margins(level, numbers), strict=False):

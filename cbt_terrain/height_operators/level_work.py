@@ -14,7 +14,7 @@ from .levels import masked
 from .mask import compute_mask
 from .mask_reads import values_of
 from .stack import Entry
-from .tile_cache import TileCache, content_key
+from .tile_cache import TileCache, compute_digest
 from .tiles import Level, Window
 
 # Raise it when results change although no operator's version does.
@@ -151,14 +151,14 @@ def zero_holes(missing: np.ndarray | None, samples: np.ndarray) -> np.ndarray:
 
 
 def _key(entry: Entry, ground: OperatorGround, coarser: np.ndarray | None, kind: str) -> str:
-    """Return a digest of everything that determines a result."""
+    """Return the digest of an operator's inputs, by which its result is cached."""
     effect = entry.declaration
     method = METHOD, kind, effect.name, effect.version, sorted(entry.values.items()), ground.seed
     position = ground.first, ground.whole, ground.level, ground.step_x, ground.step_y, ground.size, ground.target
     mask = ground.mask if effect.masks else None
     arrays = [ground.heights, ground.missing, mask, coarser]
     layers = [item for name in sorted(ground.layers) for item in (name, ground.layers[name])]
-    return content_key(method, position, *arrays, *layers)
+    return compute_digest(method, position, *arrays, *layers)
 
 
 def within(inner: Window, outer: Window) -> Window:

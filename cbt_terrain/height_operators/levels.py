@@ -78,6 +78,7 @@ def masked(effect: HeightOperator, change: Change, mask: np.ndarray | None) -> C
 
 
 def _coarser_ground(ground: OperatorGround) -> OperatorGround:
+    """Return the ground at every second sample, as an operator reads it at the next coarser level."""
     halved = {
         "heights": coarser(ground.heights),
         "missing": None if ground.missing is None else coarser(ground.missing),

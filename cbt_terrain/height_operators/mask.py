@@ -167,6 +167,7 @@ def _between(values: np.ndarray, low: float, high: float, edge: float) -> np.nda
 
 
 def _weigh_attribute(rule: GroundRule, values: np.ndarray) -> np.ndarray:
+    """Return the weights of attribute values by a rule, 0 to 1; rules give logarithmic ones as powers of ten."""
     if rule.of not in LOGARITHMIC:
         return _between(values, rule.low, rule.high, rule.edge)
     low, high = (math.log10(limit) if limit > 0.0 else -math.inf for limit in (rule.low, rule.high))

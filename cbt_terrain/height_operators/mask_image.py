@@ -14,7 +14,7 @@ from ..importing.raster import ImportSettings
 from ..importing.sources import check_file, open_source
 from ..importing.store_job import ask, serve
 from ..run import child, owned_files
-from .tile_cache import content_key
+from .tile_cache import compute_digest
 
 MODULE = "cbt_terrain.height_operators.mask_image"
 MAX_SAMPLES = 1 << 28
@@ -27,7 +27,7 @@ def load_image(file: str, folder: Path) -> np.ndarray:
     """
     check_file(Path(file), "mask")
     found = os.stat(file)
-    key = content_key("mask", os.path.realpath(file), found.st_size, found.st_mtime_ns)
+    key = compute_digest("mask", os.path.realpath(file), found.st_size, found.st_mtime_ns)
     request = {"file": file, "folder": str(folder.absolute()), "key": key}
     cached = folder / f"{key}.npy"
     shape = tuple(ask(MODULE, request, f"the mask {shown(file)}"))
@@ -41,7 +41,7 @@ def child_main() -> None:
 
 
 def _read(request: dict, *_) -> list[int]:
-    """Write the image into the folder and return its rows and columns."""
+    """Convert a mask image to a float32 array file, values 0 to 1, in a child process; return its rows and columns."""
     path, cached = Path(request["file"]), Path(request["folder"]) / f"{request['key']}.npy"
     guard(path.suffix.lower(), cached.parent)
     child.end_with_parent()

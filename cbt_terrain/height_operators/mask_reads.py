@@ -15,7 +15,7 @@ from ..attributes.evaluate import on_samples
 from ..attributes.layers import NAMES as BY_PRODUCTS
 from ..field.heightfield import HeightField, HeightRaster
 from ..field.lattice import fit
-from .tile_cache import content_key
+from .tile_cache import compute_digest
 from .tiles import Level, Window
 
 SHAPES = ("mean_curvature", "profile_curvature", "plan_curvature", "flow", "wetness", "sky")
@@ -52,7 +52,7 @@ def _field(level: Level, heights: np.ndarray, missing: np.ndarray | None) -> Hei
         HeightRaster(
             heights,
             fit(level.columns, level.rows, level.step_x, level.step_y),
-            content_key(heights, level.step_x, level.step_y, missing),
+            compute_digest(heights, level.step_x, level.step_y, missing),
             valid=None if missing is None else (~missing).view(np.uint8),
         ),
         error=none,

@@ -21,7 +21,7 @@ from .mask_reads import values_of
 from .prepare import prepare
 from .stack import Entry, Stack, check_by_products
 from .stack_layers import merge_layers
-from .tile_cache import content_key
+from .tile_cache import compute_digest
 from .tiles import Level, levels_of
 
 # Samples along the longer side of the preview, whose errors are computed in a fraction of a second.
@@ -117,7 +117,7 @@ def preview(
         origin=source.origin, crs=source.crs, provenance=source.provenance,
     )  # fmt: skip
     build_ms = (time.perf_counter() - start) * 1e3
-    digest = content_key(result.raster.digest, stack.key())  # the stack's stands for the layers
+    digest = compute_digest(result.raster.digest, stack.key())  # the stack's stands for the layers
     result = result.with_raster(digest=digest, layers=_Layers(states[-1].ground.layers, *coarse))
     left = stack.active[len(states) - 1 :]
     without = (left[0].name or left[0].declaration.label) if left else ""
@@ -139,7 +139,7 @@ def _apply(
     start = cached_states.get("") or _Applied(_ground(source, level), np.zeros(level.shape, np.float32))
     states = [start]
     for entry in stack.active:
-        key = content_key(states[-1].key, Stack((entry,)).key())
+        key = compute_digest(states[-1].key, Stack((entry,)).key())
         if key in cached_states:
             states.append(cached_states[key])
             continue
@@ -166,6 +166,7 @@ def _mask(entry: Entry, images: Mapping, level: Level, ground: OperatorGround, t
 
 
 def _ground(source: HeightField, level: Level) -> OperatorGround:
+    """Return a level of the source as the ground that the first operator changes."""
     found = LevelGround.of(source, level)
     heights = np.ascontiguousarray(found.heights)
     return OperatorGround(
@@ -181,6 +182,10 @@ def _ground(source: HeightField, level: Level) -> OperatorGround:
 
 
 def _after(before: _Applied, ground: OperatorGround, entry: Entry, key: str) -> _Applied:
+    """Apply an entry to the ground before it and return the changed ground with the time it took.
+
+    `key`: digest of the ground and the entry, by which the result is reused.
+    """
     start, effect = time.perf_counter(), entry.declaration
     change = masked(effect, effect.apply(ground, entry.values, None), ground.mask)
     heights = zero_holes(ground.missing, change.heights)
@@ -201,6 +206,7 @@ def _source_heights(source: HeightField) -> np.ndarray:
     key = (*_FOUND, "shown")
 
     def interpolate() -> np.ndarray:
+        """Interpolate the samples bilinearly, two rows of samples for each row of the preview."""
         rows, columns = _positions(source)
         low = np.minimum(rows.astype(np.int64), source.lattice.height - 2)
         south, north = (_along(source.heights(low + more), columns) for more in (0, 1))

@@ -41,6 +41,7 @@ def apply(ground: OperatorGround, values, _coarser) -> Change:
 
 
 def _noise(ground: OperatorGround, values) -> ReliefNoise:
+    """Return the parameters of the noise for kernels; octaves end at waves of two samples."""
     noise = ReliefNoise()
     spacing = max(ground.step_x, ground.step_y)
     noise.octaves = max(0, math.ceil(math.log2(values["wave"] / (2.0 * spacing))))
@@ -53,6 +54,7 @@ def _noise(ground: OperatorGround, values) -> ReliefNoise:
 
 
 def _window(ground: OperatorGround, values) -> Window:
+    """Return the window of samples for kernels, with the reach of the slope's average in samples."""
     window = Window()
     window.height, window.width = ground.heights.shape
     window.row, window.column = ground.first
@@ -63,6 +65,7 @@ def _window(ground: OperatorGround, values) -> Window:
 
 
 def _example(shape) -> None:
+    """Assert that level ground stays, and that roughness and rock beds have their heights."""
     level = shape("relief", np.full((40, 50), 300.0), 10.0, plains=0.0)
     assert not level.heights.any()
     slope = 4.0 * np.arange(200)[None, :] + np.zeros((150, 1))

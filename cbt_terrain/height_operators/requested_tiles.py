@@ -69,7 +69,7 @@ def has(folder: str, wanted: Tiles | None) -> bool:
 
 
 def with_known(folder: str, wanted: Tiles | None) -> Tiles | None:
-    """Return these tiles with those requested before: one frame does not discard what another needs."""
+    """Return these tiles with those of earlier requests, so that one frame keeps what another needs."""
     there = known(folder)
     if wanted is None or len(there) != len(wanted):
         return wanted

@@ -45,7 +45,7 @@ FADE = 0.15
 
 
 def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
-    """Compute the change of a level; implements `Apply`."""
+    """Return the change of a level; `coarser`: that of the next coarser level, interpolated to this one."""
     years, steps = values["years"], min(max(math.ceil(values["years"] / STEP_YEARS), MIN_STEPS), MAX_STEPS)
     if coarser is not None:
         years, steps = _years_again(ground, values), STEPS_AGAIN[min(_halvings(ground), len(STEPS_AGAIN)) - 1]

@@ -125,6 +125,7 @@ class Shaping:
         """Return a function that an operator calls with its finished fraction; cost: nanoseconds of its work."""
 
         def report(fraction: float) -> None:
+            """Add the fraction of this operator to the progress. Raises Finished if the user ends the work early."""
             if level is not self.plan.levels[-1] and self.finish():  # the coarsest level is always computed
                 raise Finished
             total = max(self.plan.total, 1.0)
@@ -201,6 +202,11 @@ class TileSums:
 
 
 def _compute_level(run: Shaping, level: Level, chosen: list[int], coarser: LevelState | None) -> LevelState:
+    """Apply all entries to the chosen tiles of a level and return its state.
+
+    `chosen`: indices of tiles; their neighbours within the operators' halos are computed too. `coarser`: state of the
+    next coarser level, None at the coarsest. Its arrays are dropped as they are used, to save memory.
+    """
     ground, tiles = LevelGround.of(run.heights, level), run.plan.with_neighbours(level, chosen)
     work = LevelWork(run.cache, run.plan, level, ground, run.images, run.depths, run.threads)
     land = LandWindow(level.whole, np.zeros(level.shape, np.float32), {})
@@ -235,6 +241,10 @@ def _compute_level(run: Shaping, level: Level, chosen: list[int], coarser: Level
 
 
 def _added(run: Shaping, level: Level, number: int, whole: bool, tiles: list[int], sums: TileSums) -> Added:
+    """Return the report's line for entry `number` at a level: its changes in metres, tiles and time.
+
+    `whole`: the operator was applied to the whole level, not to each of `tiles`.
+    """
     computed = list(range(level.tile_count)) if whole else tiles
     rms = float(np.sqrt(sums.mean_square[computed].mean())) if computed else 0.0
     spacing, effect = max(level.step_x, level.step_y), run.entries[number].effect
@@ -287,6 +297,7 @@ def _upsample(arrays: Sequence[np.ndarray], shape: tuple[int, int]) -> np.ndarra
 
 @contextmanager
 def _counted(run: Shaping, entry: Entry, sums: TileSums, cost: float) -> Iterator[None]:
+    """Add the time and the computed pieces of the block to `sums`; cost: planned nanoseconds."""
     before, start = run.cache.made[entry.effect], time.perf_counter()
     yield
     sums.computed += run.cache.made[entry.effect] - before

@@ -36,6 +36,11 @@ class ShapeJob(StoreJob):
         tiles: str | os.PathLike | None = None,
         gentle: bool = False,
     ):
+        """Start shaping `source` by a stack into `store` in a child process.
+
+        `wanted`: tiles of each level, None for all. `tiles`: folder of cached tiles, or None. `gentle`: run at low
+        priority. No process starts if the store has this content already.
+        """
         stack = stack_from(stack_content(stack))
         store_folder.check_target(store)
         heights = open_source(source, Path(store), stack)
@@ -81,6 +86,7 @@ def child_main() -> None:
 
 
 def _shape(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
+    """Shape the requested store in the child process and return its report."""
     begin()
     if request["gentle"] and hasattr(os, "nice"):
         os.nice(GENTLE)

@@ -16,7 +16,7 @@ from ..field import store, store_folder
 from ..field.build import build
 from ..field.heightfield import HeightField
 from ..importing.build_store import finished_before
-from ..importing.drafts import drafted, figures, room_for
+from ..importing.drafts import common_report_entries, drafted, room_for
 from ..importing.placing import rotation_of
 from ..run import launch
 from .level_plan import MAX_WHOLE
@@ -177,6 +177,10 @@ def _write_layers(heights: HeightField, shaped: Shaped, draft: store.Draft) -> d
 def _provenance(
     source: str | os.PathLike, heights: HeightField, stack: Stack, shaped: Shaped, everywhere: bool
 ) -> dict:
+    """Return the entries of a store that tell how it was shaped, so that it can be updated.
+
+    `everywhere`: every tile of every level was requested.
+    """
     return {
         "source": str(source),
         "source_key": heights.raster.digest,
@@ -193,6 +197,10 @@ def _provenance(
 
 
 def _report(field: HeightField, source: str | os.PathLike, heights: HeightField, stack: Stack, shaped: Shaped) -> dict:
+    """Return the report of a shaping: sizes, effects, levels, and warnings about missing detail.
+
+    `field`: shaped terrain. `heights`: unshaped terrain of the store `source`.
+    """
     lattice, levels = field.lattice, levels_of(field.lattice)
     built = sum(map(len, shaped.tiles))
     warnings = []
@@ -206,7 +214,7 @@ def _report(field: HeightField, source: str | os.PathLike, heights: HeightField,
     return {
         "format": "shaped",
         "raster": [lattice.width, lattice.height],
-        **figures(field),
+        **common_report_entries(field),
         "rotation_deg": rotation_of(source),
         "bounds_against": "the surface as shaped",
         "effects": [entry.effect for entry in stack.active],

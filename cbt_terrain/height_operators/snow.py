@@ -32,7 +32,7 @@ WET = 0.05
 
 
 def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
-    """Compute the change of a level; implements `Apply`."""
+    """Return the change of a level; `coarser`: that of the next coarser level, interpolated to this one."""
     snowfall, clinging = _snowfall(ground, values)
     loose = start = snowfall - clinging
     if coarser is not None:
@@ -91,6 +91,7 @@ def _bare(ground: OperatorGround) -> np.ndarray:
 
 
 def _weather(ground: OperatorGround, values: Mapping[str, float]) -> kernels.Weather:
+    """Return the snow line, temperature gradient, aspect and sun for kernels."""
     weather, latitude = kernels.Weather(), math.radians(values["latitude"])
     weather.height, weather.width = ground.heights.shape
     weather.per_x, weather.per_y = 1.0 / ground.step_x, 1.0 / ground.step_y

@@ -55,6 +55,7 @@ class Entry:
     name: str = ""
 
     def __post_init__(self) -> None:
+        """Convert numbers of other libraries, as NumPy's, to Python's, so that keys and JSON are the same."""
         keep_plain_numbers(self, "A stack entry's")
         if isinstance(self.parameters, Mapping):
             parameters = {n: plain_number(v, float, f"The parameter {n}") for n, v in self.parameters.items()}
@@ -162,6 +163,10 @@ def _of(part: str, where: str) -> str:
 
 
 def _check_entry(where: str, entry: Entry) -> None:
+    """Raise TerrainError for an unknown effect, a parameter or seed out of range, or an invalid mask.
+
+    `where`: the entry's position in words, for the error; so in all functions below.
+    """
     name = f"{where}, {entry.effect},"
     if entry.effect not in HEIGHT_OPERATORS:
         effect = shown(repr(entry.effect))
@@ -208,6 +213,10 @@ def stack_from(content: object, where: str = "The stack", folder: Path | None = 
 
 
 def _heights(where: str, content: object) -> tuple[float, float] | None:
+    """Return the lowest and highest height of the land in metres, None if not given.
+
+    Raises TerrainError unless they are 1 m apart or more, between -12,000 and 20,000 m.
+    """
     if content is None:
         return None
     is_pair = isinstance(content, list) and len(content) == 2 and all(type(v) in (int, float) for v in content)
@@ -220,6 +229,7 @@ def _heights(where: str, content: object) -> tuple[float, float] | None:
 
 
 def _entry(where: str, content: object, folder: Path | None) -> Entry:
+    """Return the entry in parsed JSON; `folder`: of relative image names. Raises TerrainError."""
     entry = _object(where, content, _ENTRY)
     parameters = entry.get("parameters", {})
     if not isinstance(parameters, dict):
@@ -236,6 +246,7 @@ def _entry(where: str, content: object, folder: Path | None) -> Entry:
 
 
 def _mask(where: str, content: object, folder: Path | None) -> HeightMask:
+    """Return the mask in parsed JSON; `folder`: of relative image names. Raises TerrainError."""
     mask = _object(where, content, _MASK)
     image = _typed(where, mask, "image", str, "", "the name of a file")
     if image and folder is not None:
@@ -251,6 +262,7 @@ def _rule(where: str, content: object) -> GroundRule:
 
 
 def _object(where: str, content: object, known: tuple[str, ...]) -> dict:
+    """Return `content` if it is a JSON object with `known` keys only. Raises TerrainError."""
     if not isinstance(content, dict):
         raise TerrainError(f"{where} is {shown(repr(content))}", expected=f"an object with {', '.join(known)}")
     if unknown := sorted(set(content) - set(known)):
@@ -259,6 +271,7 @@ def _object(where: str, content: object, known: tuple[str, ...]) -> dict:
 
 
 def _list(where: str, name: str, content: object, max_length: int) -> list:
+    """Return `content` if it is a list of at most `max_length` items. Raises TerrainError."""
     if not isinstance(content, list) or len(content) > max_length:
         found = f"{len(content)} {name}" if isinstance(content, list) else f"{name} {shown(repr(content))}"
         raise TerrainError(f"{where} has {found}", expected=f"a list of at most {max_length}")
@@ -266,6 +279,7 @@ def _list(where: str, name: str, content: object, max_length: int) -> list:
 
 
 def _typed(where: str, content: dict, name: str, kind: type, default, expected: str):
+    """Return the value `name` of an object, or its default; raise TerrainError if it is not exactly a `kind`."""
     value = content.get(name, default)
     if type(value) is not kind:
         raise TerrainError(f"{where} has {name} {shown(repr(value))}", expected=expected)
@@ -273,6 +287,7 @@ def _typed(where: str, content: dict, name: str, kind: type, default, expected: 
 
 
 def _number(where: str, content: dict, name: str, default: float | None) -> float:
+    """Return the number `name` of an object, or its default. Raises TerrainError for text, NaN or over 1e300."""
     value = content.get(name, default)
     if type(value) not in (int, float) or (name in content and not abs(value) <= 1e300):
         raise TerrainError(f"{where} has {shown(name)} {shown(repr(value))}", expected="a number")
@@ -286,6 +301,7 @@ def stack_content(stack: Stack) -> dict:
 
 
 def _entry_content(entry: Entry) -> dict:
+    """Return an entry as JSON content; values that equal their defaults are left out."""
     content = {"effect": entry.effect, "parameters": dict(entry.parameters), "seed": entry.seed}
     content |= {} if entry.on else {"on": False}
     content |= {"name": entry.name} if entry.name else {}
@@ -315,7 +331,10 @@ def write_stack(stack: Stack, path: str | os.PathLike) -> None:
 
 
 def _relative(stack: Stack, folder: Path) -> Stack:
+    """Return the stack with mask images below `folder` named relative to it."""
+
     def near(entry: Entry) -> Entry:
+        """Return the entry with its image relative to the folder, unchanged if it lies elsewhere."""
         if entry.mask is None or not entry.mask.image or not Path(entry.mask.image).is_relative_to(folder):
             return entry
         image = Path(entry.mask.image).relative_to(folder).as_posix()

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .tile_cache import content_key
+from .tile_cache import compute_digest
 
 
 def merge_layers(
@@ -20,4 +20,4 @@ def key_with(key: str, layers: Mapping[str, np.ndarray]) -> str:
     """Return the key of a field with these layers and the heights of `key`."""
     if not layers:
         return key
-    return content_key(key, *(part for name in sorted(layers) for part in (name, layers[name])))
+    return compute_digest(key, *(part for name in sorted(layers) for part in (name, layers[name])))

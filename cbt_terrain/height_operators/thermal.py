@@ -31,7 +31,7 @@ HALO = 1.6
 
 
 def apply(ground: OperatorGround, values: Mapping[str, float], coarse: Change | None) -> Change:
-    """Compute the change of a level; implements `Apply`."""
+    """Return the change of a level; `coarser`: that of the next coarser level, interpolated to this one."""
     shape = ground.heights.shape
     breakable, loose = _breakable(ground, values), ground.layers.get("scree", np.zeros(shape, np.float32))
     left, scree = _start(ground, coarse, breakable, loose)

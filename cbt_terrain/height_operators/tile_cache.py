@@ -32,6 +32,7 @@ class TileCache:
     """
 
     def __init__(self, folder: Path | None = None, room: int = 0) -> None:
+        """Cache tiles in `folder`, or in no folder; room: bytes of the disk that must stay free."""
         self.folder, self.room = folder, room
         self.made, self.kept = Counter(), Counter()
         self._used: set[str] = set()
@@ -73,8 +74,8 @@ class TileCache:
                     total -= size
 
 
-def content_key(*parts) -> str:
-    """Return a hex digest of arrays and of the `repr` of everything else."""
+def compute_digest(*parts) -> str:
+    """Return a hex digest of arrays, by shape, type and bytes, and of the `repr` of other values."""
     digest = hashlib.blake2b(digest_size=16)
     for part in parts:
         if isinstance(part, np.ndarray):
@@ -86,6 +87,7 @@ def content_key(*parts) -> str:
 
 
 def _read(file: Path, shape: tuple[int, ...]) -> np.ndarray | None:
+    """Return a cached array, mapped, or None if it is missing, damaged or not finite."""
     try:
         verify_array(file, shape, np.float32)
         found = map_checked(file, shape, np.float32)
@@ -96,7 +98,7 @@ def _read(file: Path, shape: tuple[int, ...]) -> np.ndarray | None:
 
 
 def _write(file: Path, array: np.ndarray, room: int) -> None:
-    """Write an array if that leaves `room` bytes free. A folder that cannot be written is ignored."""
+    """Write an array unless fewer than `room` bytes of the disk stay free. Write errors are ignored."""
     with suppress(OSError):
         with open_folder(file.parent, make=True):  # another Blender may have removed it
             pass

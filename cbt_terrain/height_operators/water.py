@@ -25,7 +25,7 @@ DISCHARGE = LandLayer("discharge", "m^3/s", "Water that passes a place; in a lak
 
 
 def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
-    """Compute a level without the coarser one; implements `Apply`."""
+    """Return surface, speed and discharge of steady rivers; heights stay, and the coarser level is not read."""
     heights, threads = np.ascontiguousarray(ground.heights), ground.threads
     shape, count = heights.shape, heights.size
     dry = np.zeros(shape, np.uint8) if ground.missing is None else ground.missing.astype(np.uint8)
@@ -50,6 +50,7 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
 
 
 def _rain(ground: OperatorGround, values: Mapping[str, float]) -> kernels.SteadyRain:
+    """Return the rain for kernels: `runoff` is m^3/s of each sample, from metres a year."""
     rain = kernels.SteadyRain()
     rain.height, rain.width = ground.heights.shape
     rain.step_x, rain.step_y = ground.step_x, ground.step_y

@@ -17,7 +17,7 @@ from ..field.build import build, lattice_for
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.heightfield import HeightField
 from ..field.lands import LANDS
-from .drafts import drafted, figures
+from .drafts import common_report_entries, drafted
 from .height_range import fit_heights
 from .plausibility import ValueCheck, relief_warning
 from .raster import ImportSettings, Raster
@@ -102,7 +102,7 @@ def _build(
         on_progress=lambda f: on_progress(0.5 + 0.49 * f, "Measuring errors"),
     )
     return field.with_raster(
-        **({} if steps is None else _as_numbers(field, draft, steps)),
+        **({} if steps is None else _encode_samples(field, draft, steps)),
         origin=np.array([*place.middle, 0.0]),
         crs=place.crs,
     ), check
@@ -191,10 +191,11 @@ def _scaling(raster: Raster, settings: ImportSettings) -> tuple[float, float]:
     return raster.scale * scale, raster.offset * scale + settings.height_offset
 
 
-def _as_numbers(field: HeightField, draft: store.Draft, steps: codes.Steps) -> dict:
-    """Store the samples as the source's whole numbers, if these give the same heights to the last bit.
+def _encode_samples(field: HeightField, draft: store.Draft, steps: codes.Steps) -> dict:
+    """Store the samples as uint16 codes if these decode to bit-identical heights.
 
-    Return the attributes of the raster that this changes.
+    Otherwise keep the float32 array "raster" under the name "samples". Return the raster's new `samples` and `steps`,
+    or {}.
     """
     numbers = draft.allocate("samples", field.samples.shape, np.dtype(np.uint16))
     if codes.number(field.samples, steps, numbers):
@@ -206,7 +207,7 @@ def _as_numbers(field: HeightField, draft: store.Draft, steps: codes.Steps) -> d
 
 
 def _blocks(raster: Raster) -> Iterator[tuple[float, np.ndarray]]:
-    """Yield the rows of a raster in blocks, each with the share of the raster that was read by then."""
+    """Yield the rows of a raster in blocks, each with the fraction of rows read including this block."""
     rows_at_once = raster.block_rows * max(1, BLOCK_SAMPLES // (raster.width * raster.block_rows))
     for first in range(0, raster.height, rows_at_once):
         rows = raster.read(first, min(rows_at_once, raster.height - first))
@@ -271,7 +272,7 @@ def _source_step(raster: Raster, settings: ImportSettings, largest: float) -> fl
 
 
 def _report(field: HeightField, raster: Raster, place: Georeference) -> dict:
-    """Return the report of an import."""
+    """Return an import's report: format, sizes, and the warnings of raster, georeference and rounding."""
     warnings = [*raster.warnings, *place.warnings, *place.size_warnings]
     largest = max(abs(field.min_height), abs(field.max_height))
     warnings += rounding_warnings(raster.roundings, largest, field.source_max)
@@ -281,7 +282,7 @@ def _report(field: HeightField, raster: Raster, place: Georeference) -> dict:
     return {
         "format": raster.format,
         "raster": [raster.width, raster.height],
-        **figures(field),
+        **common_report_entries(field),
         "rotation_deg": place.rotation_deg,
         "bounds_against": against,
         "warnings": warnings,

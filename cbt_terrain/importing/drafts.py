@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Drafts of stores with room on the disk, and the part of a report that all terrains have."""
+"""Drafts of stores with room on the disk, and the part of a report that imported and shaped terrains share."""
 
 import shutil
 from collections.abc import Iterator
@@ -56,7 +56,7 @@ def unwritable(path: Path, reason: OSError, elsewhere: str = "choose another fol
 
 
 def _check_room(path: Path, lattice: Lattice, layers: int, elsewhere: str) -> None:
-    """Refuse a store that is larger than the free room of its disk. Raises TerrainError."""
+    """Raise TerrainError if a store is larger than the free bytes of its disk; `elsewhere`: remedy in the error."""
     needed = room_for(lattice, layers)
     existing = next((p for p in (path, *path.absolute().parents) if p.exists()), Path("."))
     free = shutil.disk_usage(existing).free
@@ -69,11 +69,16 @@ def _check_room(path: Path, lattice: Lattice, layers: int, elsewhere: str) -> No
 
 
 def _size(count: int) -> str:
+    """Return a number of bytes as text, in GB or MB."""
     return f"{count / 1e9:.2f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
 
 
-def figures(field: HeightField) -> dict:
-    """Return the entries of a report that all terrains have."""
+def common_report_entries(field: HeightField) -> dict:
+    """Return the report entries that imported and shaped terrains share.
+
+    Missing samples count as `cut_out` if the field has holes, otherwise as `filled`. `source_step_m` is the largest
+    rounding error of the source in metres.
+    """
     lattice = field.lattice
     return {
         "samples": [lattice.width, lattice.height],

@@ -72,7 +72,7 @@ def likeliest(choice: list[ExrChannel], channels: list[ExrChannel]) -> ExrChanne
 
 
 def _rank(channel: ExrChannel, channels: list[ExrChannel]) -> tuple[int, int, int]:
-    """Return a key that is smaller for a likelier height."""
+    """Return a sort key of a channel: names of heights come first, colours, vectors and other quantities last."""
     text, component = channel.full_name.casefold(), channel.component
     beside = {c.component for c in channels if (c.part, c.layer) == (channel.part, channel.layer)}
     is_vector = {"x", "y", "z"} <= beside or VECTOR.search(text) is not None

@@ -88,6 +88,12 @@ def open_raster(path: Path, settings: ImportSettings) -> Raster:
 
 
 def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
+    """Open a file with GDAL and return its band `settings.band` as a raster.
+
+    The file stays open until the raster's `close` is called. The georeference, the unit of heights and the rounding of
+    stored values come from the file; a VRT's from its sources. The raster is reprojected if the settings request it or
+    its grid is sheared. Raises TerrainError for a missing band or complex values.
+    """
     import rasterio
     from rasterio.enums import MaskFlags
 
@@ -241,6 +247,10 @@ def _reader(path: Path, dataset, band: int, masked: bool, no_data: float | None,
     from rasterio.windows import Window
 
     def read(first: int, count: int) -> np.ndarray:
+        """Return `count` rows from row `first` on; missing samples are NaN.
+
+        Integers of more than 16 bits and float64 stay float64 in a masked raster. Raises TerrainError for damaged rows.
+        """
         window = Window(0, first, dataset.width, count)
         try:
             rows = dataset.read(band, window=window)

@@ -23,6 +23,10 @@ class ImportJob(StoreJob):
     """An import that runs in a child process. Raises TerrainError at once for settings that cannot be used."""
 
     def __init__(self, settings: ImportSettings, store: str | os.PathLike) -> None:
+        """Start importing into `store` in a child process.
+
+        No process starts if the store has this content already.
+        """
         store_folder.check_target(store)
         store_folder.remove_abandoned(Path(store))
         super().__init__(
@@ -65,6 +69,7 @@ def child_main() -> None:
 
 
 def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
+    """Import in the child process, sandboxed, and return the report."""
     settings, path = ImportSettings(**request["settings"]), Path(request["store"])
     guard_import(settings, path)
     begin()  # after the guard: threads started before it could still write elsewhere

@@ -19,6 +19,7 @@ class ValueCheck:
     """Search of a raster's values, block by block, for marks of missing samples at both ends of their range."""
 
     def __init__(self, stored: np.dtype) -> None:
+        """Start without values; the ends of a type of 16 bits or more are suspected to mark missing samples."""
         limits = np.iinfo(stored) if stored.kind in "iu" and stored.itemsize > 1 else None
         self._ends = {float(limits.max), float(limits.min or limits.max)} if limits else set()
         self.marks: dict[float, int] = {}  # number of samples by mark
@@ -36,6 +37,7 @@ class ValueCheck:
             self.low, self.high = min(self.low, float(values.min())), max(self.high, float(values.max()))
 
     def _is_mark(self, value: float) -> bool:
+        """Return whether a value may mark missing samples: 0, a usual mark, an end of the type, or a huge number."""
         if value == 0.0 or value in MARKS or value in self._ends or value in self.marks:
             return True
         return abs(value) >= HUGE and len(self.marks) < MAX_MARKS  # heights in mm are huge, too, but many

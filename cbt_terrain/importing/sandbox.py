@@ -66,6 +66,7 @@ def limit_memory(max_bytes: int) -> str:
 
 
 def _outcome(drop, *arguments) -> str:
+    """Call `drop` and return its text, or that the right remains because the kernel refuses."""
     try:
         return drop(*arguments)
     except OSError as reason:
@@ -82,6 +83,7 @@ def _die_first() -> None:
 
 
 def _drop_calls(libc) -> str:
+    """Drop root's capabilities and all system calls that are not listed; return the outcome in words."""
     if platform.machine() not in MACHINES:
         return f"{REMAINS}: not known how on {platform.machine()}"
     _drop_capabilities(libc)
@@ -101,6 +103,10 @@ def _drop_capabilities(libc) -> None:
 
 
 def _drop_writes(libc, folder: Path | None) -> str:
+    """Restrict this process with Landlock: write in `folder` alone, read no devices; return the outcome in words.
+
+    Later versions of Landlock also refuse TCP, device calls, abstract sockets and signals.
+    """
     version = call(libc, LANDLOCK_CREATE_RULESET, None, ctypes.c_size_t(0), 1)
     if version < 2:  # version 1 refuses every rename into another folder, which a store needs
         return f"{REMAINS}: this kernel's Landlock is too old"
@@ -127,6 +133,7 @@ def _readable() -> list[Path]:
 
 
 def _allow(libc, ruleset: int, path: Path, access: int) -> None:
+    """Add the right `access` below `path` to a Landlock ruleset."""
     opened = os.open(path, os.O_PATH | os.O_CLOEXEC)
     try:
         call(libc, LANDLOCK_ADD_RULE, ruleset, 1, struct.pack("=Qi", access, opened), 0)

@@ -49,6 +49,7 @@ def read_aux(file: Path) -> str:
         raise TerrainError(f"{shown(file)} is not read, because it {problem}", fix="write it again with GDAL")
 
     def start(name: str, attributes: dict[str, str]) -> None:
+        """Refuse an element that is nested too deep, names another file or has a damaged projection."""
         nonlocal depth, in_system
         depth, in_system = depth + 1, depth == 1 and name == "SRS"
         if depth > MAX_DEPTH:

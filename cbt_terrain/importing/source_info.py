@@ -33,6 +33,7 @@ def versions() -> dict:
 
 
 def _version(name: str) -> str:
+    """Return the version of an installed package, "" if it is not installed."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:

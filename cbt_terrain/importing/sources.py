@@ -80,6 +80,7 @@ def check_neighbours(path: Path) -> None:
 
 
 def _open_land(settings: ImportSettings) -> Raster:
+    """Return the built-in land that the settings name as a raster of `settings.size` samples a side."""
     land, size = LANDS[settings.source], settings.size
 
     def read(first: int, count: int) -> np.ndarray:
@@ -93,7 +94,7 @@ def _open_land(settings: ImportSettings) -> Raster:
 
 
 def open_raw(path: Path, settings: ImportSettings) -> Raster:
-    """Open samples without a header. Raises TerrainError."""
+    """Open samples without a header, with the size and type in the settings. Raises TerrainError."""
     if settings.project:
         raise TerrainError(
             f"{shown(path)} has no header beside it, so no coordinate system, and cannot be reprojected",
@@ -149,6 +150,8 @@ def open_npy(path: Path, settings: ImportSettings) -> Raster:
 
 
 def _from_array(values: np.ndarray, settings: ImportSettings, format_name: str) -> Raster:
+    """Return an array, [rows, columns] with the north first, as a raster that is read in bands."""
+
     def read(first: int, count: int) -> np.ndarray:
         rows = np.asarray(values[first : first + count])
         return blank(rows.astype(rows.dtype.newbyteorder("=")), settings.no_data)

@@ -77,6 +77,11 @@ class ChildJob:
         variables: dict[str, str] | None = None,
         report: dict | None = None,
     ):
+        """Start a child process, or finish at once with `report` if there is one.
+
+        `module`: the child's module. `request`: sent to it as JSON. `what`: the work, as a noun for errors. `fix`:
+        remedy if the child dies. `variables`: environment of the child.
+        """
         self._what, self._fix, self._reading, self._watched = what, fix, reading, watched
         self._progress, self.cancelled = JobProgress(), False
         self._num_lines, self._messages = 0, {}  # the last message of each key
@@ -87,6 +92,7 @@ class ChildJob:
             self._start(module, request, variables or {})
 
     def _start(self, module: str, request: dict, variables: dict[str, str]) -> None:
+        """Start the child, send the request and read its answers in a thread. Raises TerrainError."""
         try:
             self._errors, pipe = tempfile.TemporaryFile(), subprocess.PIPE
             self._process = child.start(module, variables=variables, stdout=pipe, stderr=self._errors)
@@ -137,7 +143,7 @@ class ChildJob:
             pass  # it has just ended, which the next poll sees
 
     def _error_of_end(self) -> TerrainError:
-        """Return the error about a child that has ended without a result."""
+        """Return the error for a child that has ended without a result."""
         if self.cancelled:
             return TerrainError(f"{self._what} was cancelled{self._consequence}")
         if self._stalled:
@@ -179,6 +185,7 @@ class StoreJob(ChildJob):
     _consequence = ", and the store is as it was before"
 
     def __init__(self, module: str, store: str | os.PathLike, request: dict, **options) -> None:
+        """Start the child with the request and the name of a new folder for its arrays; options: see ChildJob."""
         self._store, self._folder = Path(store), store_folder.new_data_name()
         self._new_folders = store_folder.missing_folders(self._store)
         folders = list(map(str, self._new_folders))
@@ -186,6 +193,7 @@ class StoreJob(ChildJob):
         super().__init__(module, request | output, **options)
 
     def _published(self) -> dict | None:
+        """Return the report in the store if this job has published it, None otherwise."""
         try:
             content = stores.read_json(self._store)
         except TerrainError:
@@ -253,7 +261,7 @@ ChildWork = Callable[[dict, Tell, Callable[[], None]], dict]
 def serve(work: ChildWork, what: Callable[[dict], str], heard: Callable[[], None] = lambda: None) -> None:
     """Read a request from stdin, do it, and report on stdout; for the child process.
 
-    what(request): see ChildJob. heard() is called when the parent writes another line.
+    what(request): the work as a noun, for errors. heard(): called when the parent writes another line.
     """
     channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # libraries print to stderr
@@ -265,6 +273,7 @@ def serve(work: ChildWork, what: Callable[[dict], str], heard: Callable[[], None
         channel.flush()
 
     def on_progress(fraction: float, message: str) -> None:
+        """Send the progress, at most once in PROGRESS_SECONDS. Raises if the work was cancelled."""
         nonlocal sent
         stopping.check()
         if time.monotonic() - sent > PROGRESS_SECONDS:

@@ -109,6 +109,11 @@ def _allow(number: int, tests: list[Test]) -> list[tuple]:
 
 
 def _install(libc, lines: list[tuple]) -> None:
+    """Install a seccomp filter on all threads for good. `lines`: BPF instructions that decide about a call.
+
+    They follow a preamble that refuses other architectures and the x32 ABI, and answers "unknown call" to calls that
+    are newer than the list, so that libraries fall back to older ones. Raises OSError.
+    """
     audit_arch, column = MACHINES[platform.machine()]
     program = [
         *((LOAD, 0, 0, ARCH_AT), (JUMP_EQUAL, 1, 0, audit_arch), (RETURN, 0, 0, REFUSE)),
@@ -122,7 +127,7 @@ def _install(libc, lines: list[tuple]) -> None:
 
 
 def call(libc, number: int, *arguments) -> int:
-    """Make one system call. Raises OSError."""
+    """Make one system call and return its result. Raises OSError."""
     result = libc.syscall(ctypes.c_long(number), *arguments)
     if result < 0:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))

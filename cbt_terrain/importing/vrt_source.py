@@ -184,6 +184,7 @@ class _Reader:
         self.count = self.ignored = self.length = 0
 
     def start(self, name: str, attributes: dict[str, str]) -> None:
+        """Open an element, or skip it if it is ignored. Refuse elements and attributes that are not listed."""
         self.count += 1
         if self.count > MAX_ELEMENTS or len(self.open) + self.ignored >= MAX_DEPTH:
             self._refuse(f"more than {MAX_ELEMENTS:,} elements, or elements more than {MAX_DEPTH} deep")
@@ -202,6 +203,7 @@ class _Reader:
         self.pieces, self.length = [], 0
 
     def end(self, name: str) -> None:
+        """Close an element with its text, which is checked."""
         if self.ignored:
             self.ignored -= 1
             return
@@ -217,6 +219,7 @@ class _Reader:
         self.pieces, self.length = [], 0
 
     def text(self, data: str) -> None:
+        """Collect the text of the open element. Refuse more than MAX_TEXT characters."""
         if self.ignored:
             return
         self.length += len(data)
@@ -237,6 +240,7 @@ class _Reader:
             self._refuse(f"the value {shown(value, 40)!r} for {name} in <{element}>")
 
     def _refuse(self, what: str) -> None:
+        """Raise TerrainError: the file holds `what`, and only plain mosaics are read."""
         raise TerrainError(
             f"{shown(self.path)} holds {what}",
             expected="a plain mosaic of files",

@@ -34,6 +34,7 @@ class CostCurve:
     ms: tuple[float, ...]
 
     def __post_init__(self) -> None:
+        """Raise TerrainError unless errors fall, costs do not, and there are two points or more."""
         if self.unit not in UNITS:
             raise TerrainError(f"The cost curve's unit is {self.unit!r}", expected="px or m")
         for name in ("error", "triangles", "ms"):
@@ -104,6 +105,7 @@ class CostCurve:
         return cls(**data)
 
     def _cost(self, costs: tuple[float, ...], error: float) -> float:
+        """Return the cost at an error by the power law between the two measured points around it."""
         # The first segment that reaches down to the error, or the last; from its nearer measured end.
         i = next((i for i, e in enumerate(self.error[1:-1]) if e <= error), len(self.error) - 2)
         j = i + 1 if error <= self.error[i + 1] else i

@@ -79,6 +79,7 @@ class _Drawn:
     """A surface as a view sees it. A triangle that reaches behind the eye is left out."""
 
     def __init__(self, surface: Surface, view: View, placement: np.ndarray | None) -> None:
+        """Project a surface into the pixels of a view; triangles with a corner behind the camera are left out."""
         camera = view.world_to_camera if placement is None else product(view.world_to_camera, placement)
         points = product(np.c_[surface.positions, np.ones(len(surface.positions))], camera.T)
         clip = product(points, view.projection.T)

@@ -72,6 +72,7 @@ class MeshGround:
     """The reference surface of a height field as the kernels of the measurement read it; memory is shared."""
 
     def __init__(self, field: HeightField, vertical_scale: float, vertical_offset: float, threads: int) -> None:
+        """Pack the reference surface of a height field for kernels, at a vertical scale and offset (metres)."""
         lattice = field.lattice
         self.field, self.threads = field, threads
         self.scale, self.offset = float(vertical_scale), float(vertical_offset)
@@ -104,6 +105,7 @@ class MeasuredMesh:
     """A surface as delivered, ready to be walked over a ground."""
 
     def __init__(self, ground: MeshGround, surface: Surface) -> None:
+        """Pack a surface for kernels. Raises TerrainError for an empty mesh or one that is not finite."""
         self.ground, self.triangles = ground, len(surface.corner_verts) // 3
         if not len(surface.positions) or not np.isfinite(surface.positions).all():
             raise TerrainError("The mesh has no vertices or positions that are not finite", expected="a finite mesh")

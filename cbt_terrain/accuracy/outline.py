@@ -33,6 +33,7 @@ class _Rays:
     """A mesh ready for rays; holds the memory that the hierarchy refers to."""
 
     def __init__(self, sight: Sight, mesh: MeasuredMesh, positions: np.ndarray) -> None:
+        """Build a BVH of the mesh's triangles, padded against rounding, for rays from the camera."""
         low, high = (reduce(positions, axis=0).astype(np.float64) for reduce in (np.min, np.max))
         pad = PAD * length(high - low) + 1e-6 * float(np.abs(positions).max())
         corners = positions[mesh.packed.corners.numpy().reshape(-1, 3)]

@@ -118,6 +118,7 @@ class Sight:
     """A view's sight of the reference surface, independent of a mesh: one serves all meshes of a view."""
 
     def __init__(self, ground: MeshGround, view: View, placement: np.ndarray | None) -> None:
+        """Prepare measurements in the pixels of a view; `placement`: terrain to world, None for identity."""
         placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
         self.key = (ground.key, view.key(), placement.tobytes())
         self.ground, self.eye = ground, pack_eye(view, placement, ground)

@@ -228,6 +228,11 @@ def _row(
     effects: AttributePlan,
     on_part,
 ) -> Row:
+    """Return the table row of one setting: refine, measure and time every frame of the path.
+
+    A setting in metres ignores the camera, so one frame without views is enough. `sight` returns what is visible in a
+    view, `write` writes a surface as Blender's mesh, `on_part` gets the finished fraction of the row.
+    """
     criterion, terrain = setting.criterion(base), Terrain(heights, threads)
     if setting.unit == "m":
         frames = [dataclasses.replace(frames[0], views=(), after=None)]

@@ -83,6 +83,10 @@ def child_main() -> None:
 
 
 def _answer(request: dict, *_: object) -> dict:
+    """Convert projected coordinates in the file `path` to longitude and latitude in degrees, in place.
+
+    Run in a child process, since PROJ must not be loaded into Blender.
+    """
     from rasterio.crs import CRS
     from rasterio.warp import transform
 

@@ -104,6 +104,10 @@ class _Samples:
     """Bands of a grid: heights, attributes and holes at its samples."""
 
     def __init__(self, field: HeightField, axes: tuple[TileAxis, TileAxis], layers: list[_Layer], flipped: bool):
+        """Locate the grid's columns and rows in the terrain and choose the level of its attributes.
+
+        `flipped`: row 0 is the south.
+        """
         self.field, self.layers = with_detail(field, None), layers
         self.filled = self.field.with_raster(valid=None)
         self.axes, self.threads = axes, launch.default_threads()
@@ -243,7 +247,7 @@ def _measure(samples: _Samples, layers: list[_Layer], on_progress: Callable[[flo
 def _write_row(
     samples: _Samples, out: Path, names: dict[tuple, str], y: int, place: Placing, settings: HeightTiles
 ) -> None:
-    """Write one row of tiles of all layers."""
+    """Write row `y` of tiles in bands; `names`: file names by layer, column and row of the tile."""
     across, down = samples.axes
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(2, "adaptive_terrain_export"))
@@ -293,7 +297,7 @@ def _origin(samples: _Samples, place: Placing) -> list[float]:
 
 
 def _index(samples: _Samples, names: dict[tuple, str], place: Placing, settings: HeightTiles) -> dict:
-    """Return the content of the JSON file."""
+    """Return the content of the JSON file beside the tiles: sizes, coding of values and position on the map."""
     axes, heights = samples.axes, samples.layers[0]
     index = {
         "version": VERSION,

@@ -54,7 +54,7 @@ def split(mesh: TileMesh, axis: int, at: float) -> TileMesh:
 
 
 def _between(mesh: TileMesh, pairs: np.ndarray, axis: int, at: float) -> TileMesh:
-    """Return the vertices where the edges `pairs` [n, 2] meet the line."""
+    """Return vertices where the edges `pairs` [n, 2] cross the line at coordinate `at` of an axis (0 or 1)."""
     ends = mesh.positions[pairs].astype(np.float64)
     part = ((at - ends[:, 0, axis]) / (ends[:, 1, axis] - ends[:, 0, axis]))[:, None]
 

@@ -44,6 +44,7 @@ def child_main() -> None:
 
 
 def _answer(request: dict, *_: object) -> dict:
+    """Write the requested pictures as GeoTIFFs in the child process. Raises TerrainError."""
     from rasterio.errors import RasterioError
 
     child.end_with_parent()
@@ -57,6 +58,7 @@ def _answer(request: dict, *_: object) -> dict:
 
 
 def _write_geotiff(source: str, path: Path, transform: Sequence[float], crs: str) -> None:
+    """Copy a picture into a compressed GeoTIFF; transform: six affine numbers. crs: "" for none."""
     import rasterio
     from rasterio.transform import Affine
     from rasterio.windows import Window

@@ -82,6 +82,10 @@ def axes_of(lattice: Lattice, size: int, tiles: tuple[int, int] | None, overlap:
 
 
 def _axis(samples: int, step: float, size: int, count: int, overlap: int) -> TileAxis:
+    """Return the tiles along an axis of `samples` samples, `step` metres apart.
+
+    `size`: samples of a tile, 0 for a single tile. `count`: tiles that end at the border exactly, 0 to keep the step.
+    """
     length = (samples - 1) * step
     if not size:
         return TileAxis(samples, 1, overlap, step, length)

@@ -100,7 +100,10 @@ def export_tileset(
 
 
 def _levels(field: HeightField, error_m: float, triangles: int, on_progress: Callable[[float], None]) -> list[_Level]:
-    """Return the levels from the root to the finest."""
+    """Return the levels from the root to the finest; the error doubles from level to level.
+
+    `triangles`: about as many in a tile; the number of levels follows from it, as each has four times the tiles.
+    """
     terrain, finest = Terrain(field), []
     cells = min(field.lattice.cells_x, field.lattice.cells_y)
     depth = number = 0

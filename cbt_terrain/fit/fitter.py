@@ -82,6 +82,11 @@ class Fitter:
         threads: int,
         on_progress: Callable[[float], None],
     ):
+        """Prepare fits of a height field at one vertical scale and offset (metres).
+
+        `on_progress` gets the finished fraction and may raise. Raises TerrainError for a scale or offset that is
+        unusable.
+        """
         box_of(field, vertical_scale, vertical_offset)  # refuses numbers that cannot be used
         # The kernels of the fit read rows of floats.
         field = field.with_raster(samples=field.heights(), steps=None)
@@ -131,7 +136,10 @@ class Fitter:
         return borders.end(mesh.surface, self.field, self.plain, threads=self.threads)[0]
 
     def interpolated(self, update: Update, error_m: float) -> FittedMesh:
-        """Return the mesh of an update, measured as a fit is."""
+        """Return the interpolating mesh of an update, with its bound measured as for fitted meshes.
+
+        `error_m`: metres. The smaller of the measured bound and the update's is returned, since both hold.
+        """
         assert update.bound_m is not None and update.terms_m is not None  # its criterion has an error in metres
         if not self.scale:
             return FittedMesh(

@@ -25,6 +25,7 @@ class Sweeps:
     """A mesh that is being fitted: its triangles, and the list of those that the next sweep reads."""
 
     def __init__(self, fitter: Any, m: mesh_kernels.FitMesh, buffers: Buffers) -> None:
+        """Allocate the counters that sweeps return; `bind` fills the mesh."""
         self.fitter, self.m, self.buffers = fitter, m, buffers
         self.triangles = self.vertices = self.count = 0
         self.recorded: dict = {}
@@ -33,7 +34,7 @@ class Sweeps:
         self.found = shared(self.found_np, wp.int32)
 
     def bind(self, surface: Surface, known: list[wp.array]) -> None:
-        """Take over a welded mesh, with the heights that are known."""
+        """Start with a welded mesh; `known`: arrays of heights that are known already."""
         triangles, vertices = len(surface.triangles), len(surface.positions)
         if triangles + triangles // 8 > self.m.room:
             self._reserve(2 * triangles + 1024, vertices + triangles + 1024)
@@ -46,7 +47,7 @@ class Sweeps:
         self.fitter.spread(binding.gather, vertices, [self.m, shared(surface.positions, wp.vec3f), *known])
 
     def _reserve(self, triangles: int, vertices: int) -> None:
-        """Make room; earlier contents are lost."""
+        """Allocate arrays for this many triangles and vertices; earlier contents are lost."""
         get = self.buffers.get
         for count, arrays in (
             (triangles, {"level": wp.int32, "worst": wp.float64, "seen": wp.vec3f}),

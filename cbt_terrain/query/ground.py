@@ -98,6 +98,7 @@ def profile(
 
 
 def _check_count(count: float) -> None:
+    """Raise TerrainError if a profile has more than MAX_PLACES points."""
     if count > MAX_PLACES:
         raise TerrainError(
             f"The profile would have {count:,.0f} places",

@@ -17,6 +17,7 @@ class Candidates:
     """
 
     def __init__(self) -> None:
+        """Start with no candidates and memory for none."""
         self._used = 0
         self._keys = np.empty(0, np.int64)  # ascending
         self._at = np.empty(0, np.int64)  # first candidate of each run
@@ -43,7 +44,11 @@ class Candidates:
         return self._at[number], (self._keys[number] == keys) & (self._count[number] >= count)
 
     def reserve(self, count: int, keys: np.ndarray) -> int:
-        """Reserve `count` candidates and return the first. Without room, only the runs of the known `keys` stay."""
+        """Reserve `count` candidates and return the index of the first.
+
+        If the arrays are full, they grow and only the runs of the given `keys` are copied; other runs are computed
+        again.
+        """
         if self._used + count > len(self.density):
             number = np.searchsorted(self._keys, np.sort(keys))
             held, before = self._count[number], (self.positions, self.normals, self.density)

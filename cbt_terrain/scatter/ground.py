@@ -165,6 +165,10 @@ def _pattern(field: HeightField, scatter: Scatter) -> tuple[Pattern, int]:
 
 
 def _style(scatter: Scatter, tiles: int) -> kernels.ScatterStyle:
+    """Return the sizes, the alignment and a table of turns about the vertical for kernels.
+
+    The table has half turns only, rounded so that all C libraries give the same bytes.
+    """
     style = kernels.ScatterStyle()
     style.seed, style.tiles = scatter.seed, tiles
     style.size, style.variation, style.align = scatter.size, scatter.variation, scatter.align

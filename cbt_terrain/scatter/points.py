@@ -97,6 +97,11 @@ def place_points(
 def _points(
     request: ScatterRequest, views: list[View], ground: ScatterGround, history: FrameHistory, threads: int
 ) -> ScatterPoints:
+    """Choose the candidates that stand in the views, and fill the history's arrays with their points.
+
+    Two kernels run: `choose` lists the chosen candidates of each run, and `fill_points` writes them after the counts
+    are known. Raises TerrainError for more than `request.max_points`.
+    """
     scratch = history.scratch
     seen, pattern, scatter = _seen(request, views, ground), ground.pattern, request.scatter
     placed = pattern.west, pattern.south, pattern.side, scatter.seed
@@ -121,7 +126,10 @@ def _points(
 
 
 def _seen(request: ScatterRequest, views: list[View], ground: ScatterGround) -> Views:
-    """Return the views for kernels."""
+    """Return the views for kernels: frusta in the terrain's space, widened by the scatter's margins.
+
+    Also the horizon that hides points, and the square of the distance in metres up to which density is full.
+    """
     scatter, horizon, seen, local = request.scatter, request.horizon, Views(), []
     placement = np.eye(4) if request.placement is None else np.asarray(request.placement, np.float64)
     criterion, margins = Criterion(), (scatter.margin_deg, scatter.margin_deg)

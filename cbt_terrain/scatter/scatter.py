@@ -48,6 +48,7 @@ class Scatter:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        """Convert numbers to plain ones. Raise TerrainError for a value out of range."""
         keep_plain_numbers(self, "The scatter's")
         for name, low, high, unit in (
             ("spacing", 1e-4, LARGEST, "metres"),

@@ -102,7 +102,10 @@ def _entry(name: str, kind: str, value: bytes) -> bytes:
 
 
 def text_of(path: Path) -> str | None:
-    """Return the text of a complete ExrFile, None for any other file."""
+    """Return the comment of a file that ExrFile wrote completely, None for any other file.
+
+    The offset of the last block is written last, so a file is complete if that block ends with the file.
+    """
     try:
         with open_regular(path, links=True) as file:
             head = file.read(4096)

@@ -59,7 +59,12 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
     field, out = places.field, np.empty(len(places), np.float32)
-    areas = ground(logarithms(field, places.vertical_scale, places.threads), 1.0, 0.0, places.threads)
+    areas = ground(
+        logarithms(field, places.vertical_scale, places.threads),
+        vertical_scale=1.0,
+        vertical_offset=0.0,
+        threads=places.threads,
+    )
     areas.west, areas.south, _, _ = field.lattice.rectangle()
     inputs = [areas, float(routed_level(field)), shared(places.positions, wp.vec3f), flat(places.level, wp.float32)]
     launch.spread(

@@ -35,7 +35,9 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     for name in wanted:
         values[name] = out = np.zeros(len(places), np.float32)
         if name in places.field.layers:
-            pyramid = ground(_as_raster(places.field, name), 1.0, 0.0, places.threads)
+            pyramid = ground(
+                _as_raster(places.field, name), vertical_scale=1.0, vertical_offset=0.0, threads=places.threads
+            )
             where = shared(places.positions, wp.vec3f), flat(places.level, wp.float32)
             inputs = [pyramid, *where, flat(out, wp.float32)]
             launch.spread(kernels.layer_at, len(places), inputs, step="layers", threads=places.threads, cost=3)

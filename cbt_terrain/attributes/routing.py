@@ -111,7 +111,10 @@ def route(
 
 
 def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> kernels.Grid:
-    """Return the size and the weights by direction of a grid with steps in metres."""
+    """Return the size and the weights of a grid for kernels, by directions: along x, along y and diagonal.
+
+    step_x, step_y: metres. `nearness` is 1 / distance, `share` the length of contour over distance.
+    """
     grid, diagonal = kernels.Grid(), step_x * step_x + step_y * step_y
     grid.width, grid.height = columns, rows
     grid.nearness = wp.vec3f(1.0 / step_x, 1.0 / step_y, diagonal**-0.5)

@@ -70,7 +70,10 @@ def _rows(layers: tuple[Layer, ...], read: Mapping[str, np.ndarray], count: int)
 
 @lru_cache(maxsize=8)
 def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[wp.array, wp.array, wp.array]:
-    """Return layers, rules and images for the kernel. `lowest`, `highest`: range of relief in metres."""
+    """Return layers, rules and image pixels as arrays for the kernel, those of all layers one after another.
+
+    `lowest`, `highest`: metres at which relief is 0 and 1.
+    """
     check(layers)
     row, rows = 0, {}
     for name in reads(layers):

@@ -73,7 +73,7 @@ def tiling_of(lattice: Lattice) -> Tiling:
     """Return the tiling of a raster: about square tiles, within the limits of UDIM numbers."""
     west, south, east, north = lattice.rectangle()
     if max(lattice.cells_x, lattice.cells_y) <= SINGLE_CELLS:
-        return Tiling(1, 1, west, south, east - west, north - south, 0.0)
+        return Tiling(1, 1, west, south, east - west, north - south, margin=0.0)
     side = TILE_CELLS * max(lattice.step_x, lattice.step_y)
     side = max(side, (east - west) / MAX_COLUMNS, (north - south) / MAX_ROWS)
     columns = min(math.ceil((east - west) / side), MAX_COLUMNS)

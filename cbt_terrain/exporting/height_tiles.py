@@ -234,7 +234,7 @@ def placing_or_middle(field: HeightField) -> Placing:
 
 
 def _measure(samples: _Samples, layers: list[_Layer], on_progress: Callable[[float], None]) -> None:
-    """Find the ranges of integer layers without a range in a pass over all samples."""
+    """Widen the ranges of integer layers without a given range to all samples, before their values are coded."""
     total, wanted = samples.axes[1].inside, [not layer.has_range for layer in layers]
     for rows in samples.bands(0, total):
         heights, _, values = samples.band(rows)

@@ -34,7 +34,10 @@ class Sweeps:
         self.found = shared(self.found_np, wp.int32)
 
     def bind(self, surface: Surface, known: list[wp.array]) -> None:
-        """Start with a welded mesh; `known`: arrays of heights that are known already."""
+        """Start the sweeps from a welded mesh, all of its triangles active.
+
+        `known`: Warp arrays of the heights and states of vertices that are known, so that they are not computed again.
+        """
         triangles, vertices = len(surface.triangles), len(surface.positions)
         if triangles + triangles // 8 > self.m.room:
             self._reserve(2 * triangles + 1024, vertices + triangles + 1024)

@@ -85,7 +85,7 @@ def _write_exr(field: HeightField, name: str, path: Path) -> None:
     lattice = field.lattice
     try:
         with written_beside(path) as partial, ThreadPoolExecutor(2, "adaptive_terrain_export") as pool:
-            exr = ExrFile(partial, lattice.width, 1, 32, "", pool, lattice.height)
+            exr = ExrFile(partial, lattice.width, channels=1, depth=32, text="", pool=pool, lines=lattice.height)
             try:
                 for first in range(0, lattice.height, LINES):
                     exr.add(_rows(field, name, first)[..., None])
@@ -156,7 +156,7 @@ def _open_png(path: Path, shape: RasterShape, dtype: np.dtype, pool: Executor) -
 
 
 def _open_exr(path: Path, shape: RasterShape, dtype: np.dtype, pool: Executor) -> RowFile:
-    return RowFile(ExrFile(path, shape.width, 1, 32, "", pool, shape.height), dtype)
+    return RowFile(ExrFile(path, shape.width, channels=1, depth=32, text="", pool=pool, lines=shape.height), dtype)
 
 
 def _open_raw(path: Path, _shape: RasterShape, dtype: np.dtype, _pool: Executor) -> RowFile:

@@ -54,7 +54,7 @@ def _noise(ground: OperatorGround, values) -> ReliefNoise:
 
 
 def _window(ground: OperatorGround, values) -> Window:
-    """Return the window of samples for kernels, with the reach of the slope's average in samples."""
+    """Return the window of samples for kernels; the reach, in samples, is of the average that gives the slope."""
     window = Window()
     window.height, window.width = ground.heights.shape
     window.row, window.column = ground.first

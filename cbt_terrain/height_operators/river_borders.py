@@ -142,8 +142,8 @@ def set_boundary(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
 def _coarse_samples(bed: Bed, ground: OperatorGround, coarser: Change) -> _Coarse:
     """Return the coarser level's surface, flow, sediment and receivers at its samples in a tile.
 
-    `coarser`: its change, interpolated to the tile, of which every second sample is its own. Receivers next to the
-    raster's border or a cut are found by the water's way back.
+    `coarser`: its change, interpolated to the tile; every second sample of it is one of the coarser level. Receivers
+    along a cut follow from drainage area, since the ground beyond is unknown there.
     """
     odd = tuple(first % 2 for first in ground.first)
     every, per = tuple(slice(n, None, 2) for n in odd), 1.0 / (ground.step_x * ground.step_y)

@@ -174,7 +174,7 @@ def _resampled(path: Path, original: Raster, view, band: int) -> Raster:
         original,
         width=view.width,
         height=view.height,
-        read=_reader(path, view, band, False, None, 0),
+        read=_reader(path, view, band, masked=False, no_data=None, alpha=0),
         block_rows=view.block_shapes[band - 1][0],
         original=original,
     )

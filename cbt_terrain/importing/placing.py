@@ -78,7 +78,7 @@ def unit_lengths(field: HeightField) -> tuple[float, float]:
 
 
 def placing_of(store: str | os.PathLike) -> Placing:
-    """Return the position of a store's terrain. Raises TerrainError."""
+    """Return the map position and coordinate system of a store's terrain, empty if it has none. Raises TerrainError."""
     store = Path(store)
     field = stores.open_store(store)
     if not field.crs or not is_placed(field, store):

@@ -77,9 +77,9 @@ def scatter_points(
 def place_points(
     field: HeightField, request: ScatterRequest, history: FrameHistory, threads: int | None = None
 ) -> ScatterPoints:
-    """Return the points of a request.
+    """Return the points that a scatter request places in its views.
 
-    The history caches candidates, which depend on no view, so that the points do not depend on it.
+    The history caches candidates, which depend on no view, so that the points are the same with any history.
 
     Raises TerrainError for an invalid view, the horizon of other views, too many candidates for the memory, more points
     than `max_points`, and heights that are not finite.

@@ -8,6 +8,7 @@ import numpy as np
 CUBE, LAMP, CAMERA, WORLD = "Cube", "Light", "Camera", "World"
 PLACES = {CUBE: (0.0, 0.0, 0.0), LAMP: (4.076245, 1.005454, 5.903862), CAMERA: (7.358891, -6.925791, 4.958309)}
 LAMP_WATTS, WORLD_GREY = 1000.0, 0.050876
+CAMERA_TURN, CAMERA_LENS = (1.109319, 0.0, 0.814928), {"type": "PERSP", "lens": 50.0, "shift_x": 0.0, "shift_y": 0.0}
 CORNERS = sorted(product((-1.0, 1.0), repeat=3))
 
 
@@ -22,10 +23,12 @@ def untouched(scene) -> list:
 
 
 def is_default_camera(camera) -> bool:
-    """Return whether a camera is that of the start-up file, at its place and with its lens."""
+    """Return whether a camera is that of the start-up file, where it stands, looks and with its lens."""
     if camera is None or camera.name != CAMERA or camera.type != "CAMERA":
         return False
-    return _stands_alone(camera) and abs(camera.data.lens - 50.0) < 1e-3 and camera.data.animation_data is None
+    if not np.allclose(camera.rotation_euler, CAMERA_TURN, atol=1e-4) or camera.data.animation_data is not None:
+        return False
+    return _stands_alone(camera) and all(getattr(camera.data, name) == value for name, value in CAMERA_LENS.items())
 
 
 def is_default_world(world) -> bool:

@@ -62,7 +62,8 @@ class SetUpScene(bpy.types.Operator):
         for default in defaults.untouched(scene):
             _remove(default)
         for lamp in [item for item in scene.objects if MARK in item and item.type == "LIGHT"]:
-            _remove(lamp)
+            if len(lamp.users_scene) == 1:
+                _remove(lamp)
         camera = self._place_camera(context, obj)
         ahead = camera.matrix_world.to_3x3() @ Vector((0.0, 0.0, -1.0))
         _light(scene, self.elevation, math.atan2(ahead.x, ahead.y) + self.turn)
@@ -145,8 +146,11 @@ def _choose_look(scene) -> None:
 
 
 def _remove(obj) -> None:
-    """Remove an object and its data."""
-    bpy.data.batch_remove([obj, obj.data])
+    """Remove an object, and its data unless others use it."""
+    data = obj.data
+    bpy.data.objects.remove(obj)
+    if data.users == 0:
+        bpy.data.batch_remove([data])
 
 
 register, unregister = bpy.utils.register_classes_factory((SetUpScene,))

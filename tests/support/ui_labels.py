@@ -61,7 +61,8 @@ def _registered_classes() -> list[type]:
 def _labels_of_class(cls: type) -> list[str]:
     """Return the label of a class, and the names of its properties and of their items."""
     if not issubclass(cls, bpy.types.Operator | bpy.types.PropertyGroup):
-        return [cls.bl_label, getattr(cls, "bl_category", "")]
+        # Blender writes the name of the last preset over the label of a panel of presets; the source has it.
+        return [] if hasattr(cls, "preset_subdir") else [cls.bl_label, getattr(cls, "bl_category", "")]
     rna, labels = cls.bl_rna, []
     if issubclass(cls, bpy.types.Operator):
         module, name = cls.bl_idname.split(".")
@@ -87,7 +88,7 @@ def _labels_of_source(path: Path) -> list[str]:
             labels += _literals(node.value)
         elif isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "pgettext_iface":
             labels += _literals(node.args[0])
-        elif isinstance(node, ast.Assign) and getattr(node.targets[0], "id", None) in VARIABLES:
+        elif isinstance(node, ast.Assign) and getattr(node.targets[0], "id", None) in {*VARIABLES, "bl_label"}:
             labels += _literals(node.value)
         elif isinstance(node, ast.FunctionDef) and node.name == "sight_notice":
             labels += [text for inner in ast.walk(node) if isinstance(inner, ast.Tuple) for text in _literals(inner)]

@@ -82,6 +82,40 @@ def test_changed_defaults_are_kept(factory, add_terrain):
     assert factory.camera.name == "Terrain Camera"
 
 
+@pytest.mark.parametrize("change", [("data.type", "ORTHO"), ("data.shift_x", 0.2), ("rotation_euler", (0.3, 0, 0.2))])
+def test_a_changed_default_camera_is_kept(factory, add_terrain, change):
+    add_terrain()
+    camera, (name, value) = factory.camera, change
+    owner = camera.data if name.startswith("data.") else camera
+    setattr(owner, name.removeprefix("data."), value)
+    place = camera.location.copy()
+    SET_UP.set_up_scene()
+    assert factory.camera.name == "Terrain Camera" and factory.camera.data.type == "PERSP"
+    assert camera.location == place
+
+
+def test_lamps_that_share_the_suns_data_stay(factory, add_terrain):
+    add_terrain()
+    SET_UP.set_up_scene()
+    sun = factory.objects["Terrain Sun"]
+    factory.collection.objects.link(sun.copy())
+    other = bpy.data.objects.new("Second", sun.data)
+    factory.collection.objects.link(other)
+    assert SET_UP.set_up_scene() == {"FINISHED"}
+    assert "Second" in factory.objects and other.data.energy > 0.0
+
+
+def test_a_sun_of_two_scenes_stays(factory, add_terrain):
+    add_terrain()
+    SET_UP.set_up_scene()
+    second = bpy.data.scenes.new("Second")
+    second.collection.objects.link(factory.objects["Terrain Sun"])
+    second.world = factory.world
+    assert SET_UP.set_up_scene() == {"FINISHED"}
+    assert second.objects.keys() == ["Terrain Sun"] and second.world is not None
+    bpy.data.scenes.remove(second)
+
+
 @pytest.mark.parametrize("attached", ["parent", "modifier", "animation", "name"])
 def test_a_cube_in_use_is_kept(factory, add_terrain, attached):
     add_terrain()

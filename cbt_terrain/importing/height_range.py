@@ -42,6 +42,8 @@ def fit_heights(
         return settings, []
     low = low if low is not None else 0.0
     high = high if high is not None else low + RELIEF * width_m
+    if not low < high:
+        raise TerrainError(f"The lowest height, {low:g} m, is not below {high:g} m", fix="give both heights")
     ends = [(np.nanmin(rows), np.nanmax(rows)) for _, rows in blocks(raster) if np.isfinite(rows).any()]
     if not ends:
         return settings, []  # the import reports that there is no height

@@ -52,6 +52,13 @@ def test_one_end_alone_keeps_the_default_relief(tmp_path):
     assert (report["lowest_m"], report["highest_m"]) == pytest.approx((500.0, 509.75), abs=1e-4)
 
 
+def test_a_highest_height_alone_is_above_zero(tmp_path):
+    file, _ = image(tmp_path, "16.png")
+    with pytest.raises(TerrainError, match="lowest height, 0 m, is not below -500 m"):
+        imported(tmp_path, file, highest=-500.0)
+    assert imported(tmp_path, file, highest=-500.0, lowest=-600.0)[1]["highest_m"] == pytest.approx(-500.0)
+
+
 @pytest.mark.parametrize("scale", [{"height_scale": 1.0}, {"height_scale": 0.5}, {"height_offset": 7.0}])
 def test_an_explicit_scale_counts(tmp_path, scale):
     file, _ = image(tmp_path, "16.png")

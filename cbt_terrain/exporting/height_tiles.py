@@ -21,6 +21,7 @@ from ..attributes.evaluate import values_at
 from ..attributes.splat import NAMES as SPLATS
 from ..errors import TerrainError
 from ..field.heightfield import HeightField, with_detail
+from ..field.store_folder import check_no_description
 from ..height_operators.export import FORMATS, LINES, MASK_FORMAT, RasterFormat, RasterShape
 from ..importing.placing import Placing, is_placed, placing_of
 from ..query.ground import ground_at
@@ -31,6 +32,8 @@ from .tile_grid import TileAxis, axes_of
 VERSION = 1
 PATTERN = "{name}_x{x}_y{y}"
 HOLES = "holes"
+# Of the tiles that are written side by side. Systems allow 256 open files or more.
+MAX_OPEN, MAX_COLUMNS = 64, 65_536
 # Unreal: height in cm = (number - 32768) / 128 * scale Z.
 UNREAL_MIDDLE, UNREAL_STEP = 32_768, 12_800.0
 
@@ -117,9 +120,9 @@ class _Samples:
         steps = axes[0].spacing / field.lattice.step_x, axes[1].spacing / field.lattice.step_y
         self.level = max(0.0, math.log2(max(steps)))
 
-    def band(self, rows: slice) -> tuple[np.ndarray, np.ndarray | None, list[np.ndarray]]:
-        """Return heights, where ground is (None: everywhere), and values of all layers after the first, of rows."""
-        x, y = np.meshgrid(self.x, self.y[rows])
+    def band(self, rows: slice, columns: slice) -> tuple[np.ndarray, np.ndarray | None, list[np.ndarray]]:
+        """Return heights, where ground is (None: everywhere), and the values of all layers after the first."""
+        x, y = np.meshgrid(self.x[columns], self.y[rows])
         places, shape = np.stack([x.ravel(), y.ravel()], -1), x.shape
         heights = ground_at(self.filled, places, threads=self.threads).heights
         inside = None
@@ -145,6 +148,18 @@ class _Samples:
             stopping.check()
             yield slice(row, min(row + LINES, end))
 
+    def groups(self) -> Iterator[range]:
+        """Yield the tiles of a row in groups whose files and samples fit into memory together."""
+        across = self.axes[0]
+        count = max(1, min(MAX_OPEN // len(self.layers), MAX_COLUMNS // across.size))
+        for first in range(0, across.tiles, count):
+            yield range(first, min(first + count, across.tiles))
+
+    def columns_of(self, tiles: range) -> slice:
+        """Return the columns of some tiles of a row."""
+        across = self.axes[0]
+        return slice(across.first(tiles.start), across.first(tiles.stop - 1) + across.size)
+
 
 def export_height_tiles(
     field: HeightField,
@@ -164,6 +179,7 @@ def export_height_tiles(
         )
     if not out.is_dir():
         raise TerrainError(f"There is no folder {out} to write into", fix="create it or choose another")
+    check_no_description(out / f"{settings.name}.json")
     axes = axes_of(field.lattice, settings.size, settings.tiles, settings.overlap)
     layers = [_Layer("", FORMATS[suffix], suffix), *_mask_layers(masks)]
     if field.valid is not None:
@@ -177,7 +193,8 @@ def export_height_tiles(
         _measure(samples, layers, lambda done: on_progress(0.4 * done))
     try:
         for row in tile_rows:
-            _write_row(samples, out, names, row, place, settings)
+            for tiles in samples.groups():
+                _write_tiles(samples, out, names, tiles, row, place)
             on_progress(0.4 + 0.6 * (row + 1) / len(tile_rows))
         index = _index(samples, names, place, settings)
         with written_beside(out / f"{settings.name}.json") as partial:
@@ -214,10 +231,10 @@ def _names(settings: HeightTiles, axes: tuple[TileAxis, TileAxis], layers: list[
             for x in range(axes[0].tiles):
                 try:
                     names[k, x, y] = settings.pattern.format(name=name, x=x, y=y) + layer.suffix
-                except (LookupError, ValueError, AttributeError):
+                except (LookupError, ValueError, AttributeError, TypeError):
                     names[k, x, y] = ""
     used = [*names.values(), f"{settings.name}.json"]
-    bad = [name for name in used if not name or set(name) & set('/\\:*?"<>|\0')]
+    bad = [name for name in used if not name.rpartition(".")[0] or set(name) & set('/\\:*?"<>|\0')]
     if bad or len({name.casefold() for name in used}) < len(used):
         what = f"{bad[0]!r} is no file name" if any(bad) else "gives one name to several files, or none"
         raise TerrainError(
@@ -237,39 +254,39 @@ def _measure(samples: _Samples, layers: list[_Layer], on_progress: Callable[[flo
     """Widen the ranges of integer layers without a given range to all samples, before their values are coded."""
     total, wanted = samples.axes[1].inside, [not layer.has_range for layer in layers]
     for rows in samples.bands(0, total):
-        heights, _, values = samples.band(rows)
-        for layer, some, is_wanted in zip(layers, [heights, *values], wanted, strict=True):
-            if is_wanted:
-                layer.widen(some)
+        for tiles in samples.groups():
+            heights, _, values = samples.band(rows, samples.columns_of(tiles))
+            for layer, some, is_wanted in zip(layers, [heights, *values], wanted, strict=True):
+                if is_wanted:
+                    layer.widen(some)
         on_progress(rows.stop / total)
 
 
-def _write_row(
-    samples: _Samples, out: Path, names: dict[tuple, str], y: int, place: Placing, settings: HeightTiles
-) -> None:
-    """Write row `y` of tiles in bands; `names`: file names by layer, column and row of the tile."""
-    across, down = samples.axes
+def _write_tiles(samples: _Samples, out: Path, names: dict[tuple, str], group: range, y: int, place: Placing) -> None:
+    """Write a group of tiles of row `y` in bands, of all layers. `names`: file names by layer, column and row."""
+    (across, down), columns = samples.axes, samples.columns_of(group)
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(2, "adaptive_terrain_export"))
         tiles: list[tuple] = []
         for k, layer in enumerate(samples.layers):
-            for x in range(across.tiles):
+            for x in group:
                 partial = stack.enter_context(written_beside(out / names[k, x, y]))
                 transform, crs = _transform(samples, place, across.first(x), down.first(y))
                 missing = samples.field.valid is not None and layer.form.keeps_missing
                 shape = RasterShape(across.size, down.size, transform, crs, missing)
                 file = layer.form.open(partial, shape, layer.form.dtype, pool)
                 stack.callback(file.leave)
-                tiles.append((k, slice(across.first(x), across.first(x) + across.size), file, partial, shape))
+                first = across.first(x) - columns.start
+                tiles.append((k, slice(first, first + across.size), file, partial, shape))
         for rows in samples.bands(down.first(y), down.first(y) + down.size):
-            heights, inside, values = samples.band(rows)
+            heights, inside, values = samples.band(rows, columns)
             if not samples.layers[0].form.is_integer:
                 samples.layers[0].widen(heights)
             coded = [layer.coded(some) for layer, some in zip(samples.layers, [heights, *values], strict=True)]
             if inside is not None and samples.layers[0].form.keeps_missing:
                 coded[0][~inside] = np.nan
-            for k, columns, file, _, _ in tiles:
-                file.add(coded[k][:, columns])
+            for k, part, file, _, _ in tiles:
+                file.add(coded[k][:, part])
         for _, _, file, _, _ in tiles:
             file.close()
         finish = samples.layers[0].form.finish

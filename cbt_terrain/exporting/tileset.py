@@ -12,11 +12,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
+from ..field.store_folder import check_no_description
 from ..importing.placing import Placing
 from ..run import stopping
 from ..run.partial_files import written_beside
@@ -77,6 +79,7 @@ def export_tileset(
         raise TerrainError(f"{path} is no tileset", expected="a .json file in an existing folder")
     if not (math.isfinite(error_m) and error_m > 0.0) or triangles < 1:
         raise TerrainError(f"The error is {error_m} m with {triangles} triangles", expected="numbers above 0")
+    check_no_description(path)
     levels = _levels(field, error_m, triangles, lambda done: on_progress(0.5 * done))
     placing = placing_or_middle(field)
     frame = _place(levels, placing, path.parent)
@@ -209,7 +212,7 @@ def _tile(stem: str, levels: list[_Level], tiles: dict, number: int, x: int, y: 
     low, high = np.min([b[0] for b in boxes], 0), np.max([b[1] for b in boxes], 0)
     found = {"boundingVolume": {"box": _box(low, high)}, "geometricError": levels[number].bound, "box": (low, high)}
     if box is not None:
-        found["content"] = {"uri": _glb_name(stem, number, x, y), "boundingVolume": {"box": _box(*box)}}
+        found["content"] = {"uri": quote(_glb_name(stem, number, x, y)), "boundingVolume": {"box": _box(*box)}}
     return found | ({"children": children} if children else {})
 
 

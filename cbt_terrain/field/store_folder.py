@@ -147,6 +147,12 @@ def named_folder(path: Path) -> Path | None:
         return None
 
 
+def check_no_description(path: Path) -> None:
+    """Raise TerrainError if a file is the description of a store, without which the store is lost."""
+    if path.name.casefold() == JSON_NAME and named_folder(path.parent) is not None:
+        raise TerrainError(f"{path} belongs to a terrain store", fix="choose another folder")
+
+
 def _is_named(path: Path, folder: Path) -> bool:
     return named_folder(path) == folder
 

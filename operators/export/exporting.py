@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.store_folder import check_no_description
 from ...cbt_terrain.mesh.archive import finite_json, write_npz
 from ...cbt_terrain.run import stopping
 from ...cbt_terrain.run.owned_files import real_path, remove_file
@@ -152,6 +153,7 @@ def check_target(path: Path) -> None:
         raise TerrainError(f"{path} is a folder", expected="a file to write", fix="choose another name")
     if is_device(path):
         raise TerrainError(f"{path} is a device or a pipe", expected="a file to write", fix="choose another name")
+    check_no_description(path)
 
 
 @contextmanager

@@ -5,6 +5,7 @@ import json
 import math
 import struct
 from types import SimpleNamespace
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -55,7 +56,7 @@ def read_tileset(path):
         assert math.isfinite(tile["geometricError"]) and tile["geometricError"] >= 0
         mesh = None
         if "content" in tile:
-            mesh = read_glb(path.with_name(tile["content"]["uri"]))
+            mesh = read_glb(path.with_name(unquote(tile["content"]["uri"])))
             assert inside(mesh.positions, tile["content"]["boundingVolume"])
             assert inside(mesh.positions, tile["boundingVolume"])
         for child in tile.get("children", ()):

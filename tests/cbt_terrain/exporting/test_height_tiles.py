@@ -2,6 +2,7 @@
 """Tiles of heights and masks, read back by other libraries and by numpy."""
 
 import json
+import sys
 
 import numpy as np
 import OpenEXR
@@ -9,6 +10,7 @@ import pytest
 import rasterio
 from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.exporting import height_tiles
 from adaptive_terrain.cbt_terrain.exporting.height_tiles import HeightTiles, export_height_tiles
 from adaptive_terrain.cbt_terrain.exporting.tile_grid import UNREAL_SIZES, axes_of
 from adaptive_terrain.cbt_terrain.field.lattice import fit
@@ -192,9 +194,51 @@ def test_unreal_sizes_and_counts():
         HeightTiles(size=40, pattern="{name}_{z}"),
         HeightTiles(size=40, pattern="{x}{y}{0}"),
         HeightTiles(size=40, pattern="../{name}_x{x}_y{y}"),
+        HeightTiles(size=40, pattern="{name}_{x[0]}_{y}"),
+        HeightTiles(size=40, pattern="{name[a]}_{x}_{y}"),
+        HeightTiles(size=40, name=""),
     ],
 )
 def test_settings_that_cannot_work_are_refused(make, tmp_path, settings):
     with pytest.raises(TerrainError):
         make(settings)
     assert list((tmp_path / "tiles").iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit to lower")
+@pytest.mark.parametrize("form", ["r16", "png"])
+def test_a_row_may_have_more_tiles_than_open_files(make, tmp_path, form):
+    import resource
+
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (200, limits[1]))
+    try:
+        heights, index = make(HeightTiles(form, size=2, tiles=(240, 1)), heights=hills(100, 75))
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    scale = index["heights"]
+    found = scale["offset"] + scale["scale"] * joined(tmp_path / "tiles", index)
+    along = np.linspace(0, 99, 241)
+    for row, line in ((0, heights[0]), (-1, heights[-1])):
+        assert abs(found[row] - np.interp(along, np.arange(100), line)).max() <= scale["max_error"] + 1e-9
+
+
+def test_the_width_of_a_group_of_tiles_changes_no_byte(make, tmp_path, monkeypatch):
+    def written(name):
+        make(HeightTiles("exr", size=12), holes=True, masks=("slope",))
+        return (tmp_path / "tiles").rename(tmp_path / name)
+
+    whole = written("whole")
+    monkeypatch.setattr(height_tiles, "MAX_COLUMNS", 30)
+    parts = written("parts")
+    files = sorted(whole.iterdir())
+    assert len(files) > 100 and [file.name for file in files] == sorted(file.name for file in parts.iterdir())
+    assert all(file.read_bytes() == (parts / file.name).read_bytes() for file in files)
+
+
+def test_tiles_do_not_replace_the_description_of_a_store(tmp_path):
+    field, _ = imported(tmp_path, write_raster(tmp_path / "in.tif", hills(20, 20)))
+    before = (field.path / "store.json").read_bytes()
+    with pytest.raises(TerrainError, match="belongs to a terrain store"):
+        export_height_tiles(field, field.path, HeightTiles("r16", name="store"))
+    assert (field.path / "store.json").read_bytes() == before

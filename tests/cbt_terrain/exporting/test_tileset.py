@@ -200,3 +200,19 @@ def test_tilesets_that_cannot_be_made_are_refused(tmp_path):
         with pytest.raises(TerrainError):
             export_tileset(field, tmp_path / path, error)
     assert not list(tmp_path.glob("land*"))
+
+
+def test_addresses_of_tiles_are_quoted(tmp_path):
+    field, _ = imported(tmp_path, write_raster(tmp_path / "in.tif", smooth(20, 20)))
+    path = tmp_path / "a b#c?d%20é.json"
+    export_tileset(field, path, 1.0)
+    tileset, tiles = read_tileset(path)
+    assert tileset["root"]["content"]["uri"] == "a%20b%23c%3Fd%2520%C3%A9_0_0_0.glb" and len(tiles) == 1
+
+
+def test_a_tileset_does_not_replace_the_description_of_a_store(tmp_path):
+    field, _ = imported(tmp_path, write_raster(tmp_path / "in.tif", smooth(20, 20)))
+    before = sorted(field.path.rglob("*"))
+    with pytest.raises(TerrainError, match="belongs to a terrain store"):
+        export_tileset(field, field.path / "store.json", 1.0)
+    assert sorted(field.path.rglob("*")) == before

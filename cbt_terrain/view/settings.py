@@ -86,22 +86,22 @@ class CriterionSetting:
 CRITERIA = (
     CriterionSetting(
         "error_px", "Screen Error",
-        "Largest geometric error as seen by the camera, in pixels; 0 switches this criterion off",
+        "How far a visible point of the mesh may be from its true place, in pixels: smaller is finer; 0 is off",
         1.0, unit="px", viewport=2.0, usual=2.0, soft_max=20.0, digits=2, option="--pixel-error",
     ),
     CriterionSetting(
         "edge_px", "Edge Length",
-        "Longest edge as seen by the camera, in pixels; 0 switches this criterion off",
+        "Longest edge of a triangle as the camera sees it, in pixels; 0 is off",
         0.0, unit="px", usual=40.0, soft_max=200.0, option="--edge",
     ),
     CriterionSetting(
         "area_px", "Triangle Area",
-        "Largest triangle as seen by the camera, in square pixels; 0 switches this criterion off",
+        "Largest triangle as the camera sees it, in square pixels; 0 is off",
         0.0, row="Area (px²)", unit="px²", usual=400.0, soft_max=10_000.0, option="--area",
     ),
     CriterionSetting(
         "error_m", "Vertical Error",
-        "Largest vertical error in metres, whatever the camera sees; 0 switches this criterion off",
+        "How far the mesh may be above or below the ground anywhere, in metres, without regard to the camera; 0 is off",
         0.0, unit="m", usual=1.0, soft_max=100.0, digits=3, option="--metres",
     ),
 )  # fmt: skip
@@ -127,19 +127,19 @@ MODIFIERS = (
     ),
     CriterionSetting(
         "shading_floor", "Shading Floor",
-        "From above, errors of height move no pixel but show in shading and shadows: this part of them counts at "
-        "least. 1 is an error seen from the side, 0 counts only what moves in the picture",
+        "Seen from above, errors of height move no pixel but change shading and shadows. At least this fraction "
+        "of them counts: 1 is finest, 0 counts only visible movement",
         0.5, unit="fraction", max=1.0, digits=2, option="--shading-floor",
     ),
     CriterionSetting(
         "morph", "Geomorph",
-        "Points rise to their places as the camera comes nearer, instead of popping. The bound holds as without; it "
-        "takes a third more triangles or so",
+        "Vertices move smoothly to their places as the camera comes nearer, instead of popping; for about a third more "
+        "triangles",
         1.0, render=SMOOTH, min=1.0, max=MAX_MORPH, usual=SMOOTH, switch="smooth_transitions", option="--morph",
     ),
     CriterionSetting(
         "meshlet", "Meshlet Level",
-        "Every leaf of the tree becomes 4 to this power triangles",
+        "Split every triangle into 4 to this power smaller ones: faster for each triangle, but more of them",
         0, max=4, whole=True, option="--meshlet",
     ),
 )  # fmt: skip
@@ -147,15 +147,15 @@ MODIFIERS = (
 LIMITS = (
     CriterionSetting(
         "max_depth", "Max Depth",
-        "Bisections of a root square",
+        "How often the coarsest triangles may be halved",
         None, min=1, usual=20, switch="limit_depth", switch_label="Limit Depth",
-        switch_tooltip="Stop refining at a depth", whole=True, soft_max=40,
+        switch_tooltip="Stop halving triangles at this depth, even where the error is larger", whole=True, soft_max=40,
     ),
     CriterionSetting(
         "max_triangles", "Max Triangles",
-        "Triangles at most, but not fewer than two for each root square",
+        "Largest number of triangles in the mesh",
         None, max=2**31 - 1, usual=1_000_000, switch="limit_triangles", switch_label="Limit Triangles",
-        switch_tooltip="Coarsen the error asked for until the mesh fits a budget", whole=True, option="--budget",
+        switch_tooltip="Make the mesh coarser until it fits a number of triangles", whole=True, option="--budget",
     ),
 )  # fmt: skip
 SETTINGS = (*CRITERIA, *MODIFIERS, *LIMITS)

@@ -34,7 +34,9 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
         description="Metres from one side of the land to the other; small by default, as all that Blender adds",
         default=20.0, min=0.001, soft_max=100_000.0, unit="LENGTH",
     )  # fmt: skip
-    seed: bpy.props.IntProperty(name="Seed", description="Another seed is another land", default=DEFAULT_SEED, min=0)
+    seed: bpy.props.IntProperty(
+        name="Seed", description="Another number makes another land", default=DEFAULT_SEED, min=0
+    )
 
     @classmethod
     def poll(cls, context):

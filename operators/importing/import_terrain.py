@@ -148,7 +148,7 @@ class _Import(JobOperator):
 
 
 class ImportTerrain(_Import, bpy.types.Operator):
-    """Import the height map into a store; Blender stays usable meanwhile"""
+    """Read the height map. Blender stays usable meanwhile"""
 
     bl_idname = "adaptive_terrain.import_source"
     bl_options = {"REGISTER", "UNDO"}

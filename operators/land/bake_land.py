@@ -59,7 +59,7 @@ def shaped_field(obj, depsgraph):
 
 
 class BakeLand(LandOperator, bpy.types.Operator):
-    """Make the shaped land the terrain's own height field, and empty its stack; the store it was made from stays"""
+    """Replace the imported heights by those of the shaped land, and empty the list. The old store stays on disk"""
 
     bl_idname = "adaptive_terrain.bake_land"
     bl_label = "Bake to Store"

@@ -60,7 +60,7 @@ def _views(obj, scene, land: Land):
 
 
 class ShapeLand(JobOperator, bpy.types.Operator):
-    """Apply the stack at all its levels; Blender stays usable meanwhile"""
+    """Shape the land in full detail by all effects in the list. Blender stays usable meanwhile"""
 
     bl_idname = "adaptive_terrain.shape"
     bl_label = "Shape Now"
@@ -107,7 +107,7 @@ class ShapeLand(JobOperator, bpy.types.Operator):
 
 
 class FinishShaping(bpy.types.Operator):
-    """Be content with the levels that are done: coarser, but the whole"""
+    """Stop here and use the detail that is done"""
 
     bl_idname = "adaptive_terrain.shape_finish"
     bl_label = "Finish Early"

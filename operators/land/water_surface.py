@@ -39,8 +39,8 @@ class AddWaterSurface(bpy.types.Operator):
 
     level: bpy.props.FloatProperty(
         name="Sea Level",
-        description="Height of the sea on the terrain: all lower ground is under water. At first 0 m at a coast; "
-        "inland it covers the lowest twentieth of the ground. The height operator Water has its own",
+        description="Height of the sea: all lower ground is under water. At first it is 0 m at a coast, and inland the "
+        "level that covers the lowest twentieth of the ground. The height operator Water has its own",
         unit="LENGTH", options={"SKIP_SAVE"},
     )  # fmt: skip
 

@@ -55,7 +55,7 @@ def _criterion_switch(setting: CriterionSetting):
 
     return BoolProperty(
         name=setting.label,
-        description="Enable this criterion",
+        description="Limit this; the strictest limit that is on decides",
         get=lambda self: getattr(self, setting.name) > 0.0,
         set=switch,
         options=set(),
@@ -82,18 +82,19 @@ class DetailSettings:
 
     limit_time: BoolProperty(
         name="Time Budget",
-        description="Instead of the error above ask for the finest error that fits a time, from the curve that "
-        "Measure Accuracy has measured; the live viewport corrects it by the times of its last updates. A render does "
-        "not: the same curve and the same time give the same mesh on every machine",
+        description="Choose the finest error whose update fits this time, instead of the error above. Press Measure "
+        "Accuracy first. The viewport corrects the choice by its own times; renders are the same on every machine",
         update=changed,
     )  # fmt: skip
     max_ms: FloatProperty(
         name="Max Time (ms)",
-        description="Milliseconds of the engine for a new view; handing the mesh to Blender comes on top",
+        description="Milliseconds to compute the mesh of a new view; the transfer to Blender takes some more",
         default=50.0, min=0.01, soft_max=1000.0, precision=1, update=changed,
     )  # fmt: skip
     curve: StringProperty(
-        name="Cost Curve", description="What errors cost, as Measure Accuracy has measured it; JSON", update=changed
+        name="Cost Curve",
+        description="Time and triangles for each error, measured by Measure Accuracy; JSON",
+        update=changed,
     )
     no_curve: StringProperty(
         name="No Cost Curve", description="Why the last Measure Accuracy gave no curve; empty if it did"

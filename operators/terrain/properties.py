@@ -72,11 +72,11 @@ class CleanupSettings(bpy.types.PropertyGroup):
 
     use_below: BoolProperty(name="Delete Below", description="Cut away everything below a height", update=changed)
     below: FloatProperty(
-        name="Height", description="In the terrain's own space, in metres", unit="LENGTH", update=changed
+        name="Height", description="Height in metres below which the ground is cut away", unit="LENGTH", update=changed
     )
     boundary: PointerProperty(
         name="Boundary",
-        description="Keep only the mesh above and below the faces of this object",
+        description="Cut the terrain along the outline of this object, seen from above",
         type=bpy.types.Object, poll=lambda self, item: item.type == "MESH" and item != self.id_data, update=changed,
     )  # fmt: skip
 
@@ -87,7 +87,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
     enabled: BoolProperty(name="Adaptive Terrain", description="This object's mesh is written by Adaptive Terrain")
     store: StringProperty(
         name="Store",
-        description="Folder with the imported height field; import writes it",
+        description="Folder where the imported heights are kept; Import writes it",
         subtype="DIR_PATH", options=PATH_OPTIONS, update=changed,
     )  # fmt: skip
 
@@ -114,13 +114,13 @@ class TerrainSettings(bpy.types.PropertyGroup):
         name="Channel", description="Name of the EXR channel to read; empty for the first that looks like a height"
     )
     first_row_south: BoolProperty(
-        name="First Row South", description="For files that do not say where north is; pictures begin in the north"
+        name="First Row South", description="Turn the map over: the first row of the file is the southern one"
     )
     project: StringProperty(
         name="Reproject",
-        description="Coordinate system to bring the height map into at import: utm, or EPSG:n; empty: as it is",
+        description="Convert the map to another coordinate system: utm for true shapes, or EPSG:n; empty keeps its own",
     )  # fmt: skip
-    use_extent: BoolProperty(name="Set Size", description="Give the real-world size instead of taking it from the file")
+    use_extent: BoolProperty(name="Set Size", description="Enter the real-world size instead of using the file's")
     extent: FloatVectorProperty(
         name="Size",
         description="Metres from west to east and from south to north",
@@ -128,12 +128,12 @@ class TerrainSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
     height_scale: FloatProperty(
         name="Metres per Unit",
-        description="Metres in one unit of the file's values, applied by Import; what acts at once is Vertical Scale",
+        description="Metres in one unit of the file's values, such as 0.3048 for feet. Press Import after a change",
         default=1.0, precision=4,
     )  # fmt: skip
     height_offset: FloatProperty(
         name="Metres at Zero",
-        description="Height of the file's value 0, applied by Import; what acts at once is Vertical Offset",
+        description="Height of the file's value 0. Press Import after a change",
         unit="LENGTH", default=0.0,
     )  # fmt: skip
     use_heights: BoolProperty(
@@ -144,22 +144,26 @@ class TerrainSettings(bpy.types.PropertyGroup):
     lowest: FloatProperty(name="Lowest", description="Height of the lowest sample", unit="LENGTH")
     highest: FloatProperty(name="Highest", description="Height of the highest sample", default=1000.0, unit="LENGTH")
     use_no_data: BoolProperty(
-        name="Set No-Data", description="Give the value that means no data instead of taking it from the file"
+        name="Set No-Data", description="Enter the value of missing samples instead of using the file's"
     )
     no_data: FloatProperty(name="No-Data", description="Value of samples that are missing", default=-9999.0)
     holes: BoolProperty(
-        name="Cut Out No-Data", description="Make holes where samples are missing instead of filling them"
+        name="Cut Out No-Data", description="Leave holes where heights are missing instead of filling them"
     )
     island_size: IntProperty(
-        name="Samples", description="Samples on each side of the land", default=1025, min=3, max=16385
+        name="Samples",
+        description="Heights on each side of the built-in land: more is finer",
+        default=1025,
+        min=3,
+        max=16385,
     )
-    seed: IntProperty(name="Seed", description="Random seed", default=DEFAULT_SEED, min=0)
+    seed: IntProperty(name="Seed", description="Another number makes another land", default=DEFAULT_SEED, min=0)
 
     camera_source: EnumProperty(
         name="Seen From",
-        items=[(SCENE_CAMERA, "Scene Camera", "Refine for the scene's active camera; without one, for the viewports"),
-               (CHOSEN_CAMERA, "Chosen Camera", "Refine for one camera, whatever camera renders"),
-               (VIEWPORT_VIEW, "Viewport", "Refine for the views of the 3D viewports; a render uses the scene camera")],
+        items=[(SCENE_CAMERA, "Scene Camera", "Fine where the scene's camera looks, or else the viewports"),
+               (CHOSEN_CAMERA, "Chosen Camera", "Fine where one chosen camera looks, whichever camera renders"),
+               (VIEWPORT_VIEW, "Viewport", "Fine where the 3D viewports look; a render uses the scene's camera")],
         update=changed,
     )  # fmt: skip
     camera: PointerProperty(
@@ -167,18 +171,21 @@ class TerrainSettings(bpy.types.PropertyGroup):
     )
     interpolation: EnumProperty(
         name="Interpolation",
-        description="The terrain's surface between its samples",
-        items=[(INTERPOLATIONS[0], "Bilinear", "Flat from sample to sample: never above or below them"),
-               (INTERPOLATIONS[1], "Bicubic", "Smooth: closer than a sample it shows no facets, but takes more "
-                "triangles; beside cliffs it may overshoot")],
+        description="Shape of the ground between the heights of the file",
+        items=[(INTERPOLATIONS[0], "Bilinear", "Straight from height to height: never above or below them"),
+               (INTERPOLATIONS[1], "Bicubic", "Smooth, without facets close to the camera, for more triangles; "
+                "beside cliffs it may overshoot")],
         update=changed,
     )  # fmt: skip
     vertical_scale: FloatProperty(
-        name="Vertical Scale", description="Factor on every imported height; acts at once", default=1.0, update=changed
+        name="Vertical Scale",
+        description="Exaggerate or flatten all heights; acts at once",
+        default=1.0,
+        update=changed,
     )
     vertical_offset: FloatProperty(
         name="Vertical Offset",
-        description="Added to every imported height, in metres; acts at once",
+        description="Raise or lower the whole terrain, in metres; acts at once",
         unit="LENGTH", update=changed,
     )  # fmt: skip
     ground: PointerProperty(type=DisplacementSettings)
@@ -186,7 +193,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
     render: PointerProperty(type=RenderDetail)
     live: BoolProperty(
         name="Live Update",
-        description="Follow the camera in the viewport, without ever blocking it; it stands still in Edit Mode",
+        description="Refine the mesh while the camera moves, without blocking the window. Pauses in Edit Mode",
         default=True, update=changed,
     )  # fmt: skip
     frozen: StringProperty(
@@ -196,14 +203,14 @@ class TerrainSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
     smooth: BoolProperty(
         name="Smooth Shading",
-        description="Shade with the height field's own normals at full resolution; otherwise each face is flat",
+        description="Shade the ground smoothly; otherwise each face is flat",
         default=True, update=changed,
     )  # fmt: skip
     overlay: EnumProperty(
         name="Overlay",
         items=[(NO_OVERLAY, "None", "No colours; nothing is computed for them"),
-               (ERROR_OVERLAY, "Screen Error", "Each triangle's largest error, as the camera sees it; takes longer"),
-               (LEVEL_OVERLAY, "Level", "How often the triangle's root square was bisected")],
+               (ERROR_OVERLAY, "Screen Error", "Largest error of each triangle in pixels; makes updates slower"),
+               (LEVEL_OVERLAY, "Level", "How often each triangle was halved: fine where it is high")],
         update=_overlay_chosen,
     )  # fmt: skip
     effects: PointerProperty(type=effect_properties.EffectsSettings)
@@ -214,17 +221,17 @@ class TerrainSettings(bpy.types.PropertyGroup):
     land: PointerProperty(type=land_properties.LandSettings)
     bake_error_m: FloatProperty(
         name="Bake Error",
-        description="Largest vertical error of a baked static mesh, in metres",
+        description="How far a baked mesh may be above or below the ground, in metres",
         default=1.0, min=1e-6, soft_max=100.0, precision=3, unit="LENGTH",
     )  # fmt: skip
     bake_fit: BoolProperty(
         name="Fit",
-        description="Move vertices off the surface, within the bake error: fewer triangles, but a slower bake",
+        description="Use fewer triangles for the same error; the bake is slower",
         default=False,
     )  # fmt: skip
     collider_error_m: FloatProperty(
         name="Collider Error",
-        description="Largest vertical error of the collider, in metres of the world",
+        description="How far the collider may be above or below the ground, in metres",
         default=1.0, min=1e-6, soft_max=100.0, precision=3, unit="LENGTH",
     )  # fmt: skip
     reports: StringProperty(
@@ -239,8 +246,8 @@ class SceneSettings(bpy.types.PropertyGroup):
 
     stop_stale_renders: BoolProperty(
         name="Stop Renders That Would Be Stale",
-        description="Without a window, end Blender with an error where a terrain cannot be refined for the frame that "
-        "is to be rendered; else that frame shows the mesh of another one",
+        description="End a render without a window if a terrain cannot be updated for a frame, instead of rendering "
+        "the mesh of another frame",
         default=True,
     )  # fmt: skip
 

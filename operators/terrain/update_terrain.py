@@ -11,7 +11,7 @@ WAIT_S = 0.1
 
 
 class UpdateTerrain(bpy.types.Operator):
-    """Refine the terrain for its camera now, with the viewport's settings"""
+    """Refine the mesh for the camera now"""
 
     bl_idname = "adaptive_terrain.update"
     bl_label = "Update"

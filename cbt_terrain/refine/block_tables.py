@@ -21,21 +21,25 @@ def bisected(state: int, bisections: int) -> tuple[list[int], list[tuple[int, in
     legs: list[tuple[int, int]] = []
     unit = 1 << (bisections + 1) // 2
 
-    def walk(left: tuple[int, int], apex: tuple[int, int], right: tuple[int, int], state: int, more: int) -> None:
-        if not more:
+    def walk(
+        left: tuple[int, int], apex: tuple[int, int], right: tuple[int, int], state: int, bisections_left: int
+    ) -> None:
+        """Append the leaves and new vertices below a triangle, `bisections_left` bisections deep, in curve order."""
+        if not bisections_left:
             leaves.append(state)
             if state % 2 == 0:  # its third edge is new, and so is the end of it
                 legs.append(apex if state == curve.HYP_LEG else right)
             return
         middle = (left[0] + right[0]) // 2, (left[1] + right[1]) // 2
-        walk(left, middle, apex, curve.LEFT_STATES >> 4 * state & 7, more - 1)
-        walk(apex, middle, right, curve.RIGHT_STATES >> 4 * state & 7, more - 1)
+        walk(left, middle, apex, curve.LEFT_STATES >> 4 * state & 7, bisections_left - 1)
+        walk(apex, middle, right, curve.RIGHT_STATES >> 4 * state & 7, bisections_left - 1)
 
     walk((unit, 0), (0, 0), (0, unit), state, bisections)
     return leaves, legs
 
 
 def _array(values: list, dtype: type) -> wp.array:
+    """Return a Warp array of the values, whose Warp dtype is uint16, int32 or vec2i."""
     return wp.array(np.array(values, np.uint16 if dtype == wp.uint16 else np.int32), dtype=dtype, device="cpu")
 
 

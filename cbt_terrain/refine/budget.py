@@ -56,10 +56,9 @@ def ramp_start(
 ) -> float:
     """Return the factor on the criterion from which vertices morph on the mesh of `step`.
 
-    `step` is the finest that keeps to a budget.
-
-    It lies between the factors of the step and of the next coarser one, as the budget lies between the leaves of the
-    step before and of this one. So it is continuous where the step changes: there is no jump.
+    step: the finest one that keeps to the budget; it has `leaves` leaves. The factor lies between those of the step and
+    of the next coarser one, as the budget lies between the leaves of the step before and of this one. So it is
+    continuous where the step changes: there is no jump.
     """
     last, roots = math.sqrt(limit_of(step)), 2 * lattice.squares
     max_splits = max(request.max_leaves, roots)

@@ -130,7 +130,10 @@ class Outcome:
         return None if total < 0.0 else Excess(math.sqrt(bound2), fixed, total)
 
     def factor(self, what: int, request: float) -> float:
-        """Return the finite factor on a request, in the unit of `search`, that the mesh satisfies."""
+        """Return the finite factor by which the mesh exceeds a request, which is in the unit of `search`.
+
+        If no factor meets the triangle limit, the mesh is the root triangles, and the factor is theirs.
+        """
         if self.relaxed < math.inf:
             return self.relaxed
         found = replace(self, max_depth=1).search(what, -1.0)
@@ -176,7 +179,10 @@ def reason_of(bounds: list[Bound | None], relaxed: float) -> str:
 
 
 def bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
-    """Return pixels that a point in view can be from its place; 0 where nothing is in view."""
+    """Return the bound of the distance on screen between a point and its true position, pixels; 0 if none is in view.
+
+    None without that criterion or without views.
+    """
     if not criterion.error_px or not spans.views:
         return None
     found = _bound_px(criterion, spans, o)
@@ -186,7 +192,10 @@ def bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
 
 
 def _bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound:
-    """Return the bound for the views of `o.arrays`."""
+    """Return the bound of the screen error for the views of `o.arrays`.
+
+    It is computed in spans (pixel footprints) and converted at the end, unless it keeps to the request anyway.
+    """
     fixed = o.search(FIXED, -1.0)
     if fixed is None:
         return Bound(0.0, "", Terms(0.0, 0.0, 0.0))
@@ -200,13 +209,15 @@ def _bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound:
         _guaranteed(finest, fixed.value, low, high),
         fixed.value * (1 + o.relief / min_fixed) if min_fixed else 0.0,
     )
-    over = o.stopped_above(ERROR, min(guaranteed, limit))
+    too_coarse = o.stopped_above(ERROR, min(guaranteed, limit))
     guaranteed, worst = o.tighten(ERROR, finest, guaranteed, finest)
     guaranteed = min(guaranteed + (wanted - finest), limit)
-    at = over or worst or fixed
-    per = at.value / at.total if at.total else 0.0  # spans of a metre
-    value = over.value + (wanted - finest) if over else guaranteed
-    found = _bound(wanted, value, (at.fixed - source) * per, source * per, over is not None)
+    worst_leaf = too_coarse or worst or fixed
+    spans_per_metre = worst_leaf.value / worst_leaf.total if worst_leaf.total else 0.0
+    value = too_coarse.value + (wanted - finest) if too_coarse else guaranteed
+    found = _bound(
+        wanted, value, (worst_leaf.fixed - source) * spans_per_metre, source * spans_per_metre, too_coarse is not None
+    )
     if found.value <= criterion.error_px:
         return found
     seen = min(spans.pixels(found.value), LARGEST)
@@ -216,7 +227,10 @@ def _bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound:
 
 
 def bound_m(criterion: Criterion, o: Outcome) -> Bound | None:
-    """Return the bound of the height, metres, between mesh and surface anywhere; None without that criterion."""
+    """Return the bound of the height, metres, between mesh and surface anywhere; None without that criterion.
+
+    It is the request times the relaxation factor, or more if rounding or the depth limit prevents that.
+    """
     if not criterion.error_m:
         return None
     fixed, source, mean = _fixed(o), o.domain.source, mean_ramp(criterion.morph_until)
@@ -234,7 +248,10 @@ def bound_m(criterion: Criterion, o: Outcome) -> Bound | None:
 
 
 def bound_edge_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
-    """Return the bound of the longest edge between float32 corners, pixels; None without that criterion."""
+    """Return the bound of the longest edge between float32 corners, pixels; None without that criterion.
+
+    The search measures edges in spans, `spans.edge` of them a pixel.
+    """
     if not criterion.edge_px:
         return None
     mean = mean_ramp(criterion.morph_until)
@@ -305,4 +322,8 @@ def _bound(wanted: float, value: float, precision: float, source: float, stopped
 
 
 def _of_edges(over: Excess | None, longer: float) -> str:
+    """Return the reason of a bound on edges: a leaf `over` the limit, or float32 corners `longer` than allowed.
+
+    over: the worst leaf if the depth limit stopped one. longer: factor from `excess_of_edges`.
+    """
     return "max_depth" if over else "precision" if longer > 1 else ""

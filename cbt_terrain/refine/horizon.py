@@ -78,7 +78,10 @@ def fill(
 def horizon_of(
     field: HeightField, domain: Domain, criterion: CriterionArrays, max_depth: int, off: float, threads: int
 ) -> CriterionArrays:
-    """Return a criterion's views with filled maps, for a mesh that satisfies it times `off`, down to `max_depth`."""
+    """Return the criterion's views with filled horizon maps, for a mesh that satisfies it times `off`.
+
+    max_depth: bisections of the mesh's deepest leaf. The maps can test whether light or a view reaches a point.
+    """
     views = criterion.views.numpy().copy().view(np.recarray)
     entries = place_rings(domain, views, LARGEST)
     hiding = CriterionArrays()

@@ -61,13 +61,15 @@ def nested(roots: Sequence[Triangle], depth: int, is_split: Criterion) -> Criter
     """Return the criterion that also splits all ancestors of a split diamond (a *saturated* criterion)."""
     found: dict[Point, bool] = {}
 
-    def visit(triangles: Sequence[Triangle], left_over: int, apexes: dict[Point, set[Point]]) -> None:
-        for left, apex, right in triangles if left_over else ():
-            apexes.setdefault(middle(left, right), set()).add(apex)
+    def visit(triangles: Sequence[Triangle], depth_left: int, parents_of: dict[Point, set[Point]]) -> None:
+        """Evaluate the criterion on the diamonds of these triangles and of all below, and note their parents."""
+        for left, apex, right in triangles if depth_left else ():
+            parents_of.setdefault(middle(left, right), set()).add(apex)
             found[middle(left, right)] = is_split(middle(left, right), length(left, right))
-            visit(children((left, apex, right)), left_over - 1, apexes)
+            visit(children((left, apex, right)), depth_left - 1, parents_of)
 
     def split(vertex: Point) -> None:
+        """Mark a diamond, given by its split vertex, and all its ancestors as split."""
         found[vertex] = True
         for parent in parents[vertex]:
             if found.get(parent) is False:

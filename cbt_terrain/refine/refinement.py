@@ -52,8 +52,8 @@ def refine(
     hides, slices = has_rings(criterion), None
     for relaxed in RELAXED[request.is_limited] if hides else (math.inf,):
         if hides:
-            off = relaxed * (request.morph_until * math.sqrt(limit_of(1)) if morphs else 1.0)
-            fill(field, domain, criterion, depth, off, history.scratch, threads)
+            max_factor = relaxed * (request.morph_until * math.sqrt(limit_of(1)) if morphs else 1.0)
+            fill(field, domain, criterion, depth, max_factor, history.scratch, threads)
         slices, step = _limited(field, request, history, threads, relaxed)
         if slices is not None:
             break
@@ -122,7 +122,10 @@ def _walk(
     max_leaves: int,
     expected: int = 0,
 ) -> Slices | None:
-    """Walk, again with more room if it needs more; return None if there are more than `max_leaves`."""
+    """Walk over the curve, again with larger arrays if a slice needs them; None if there are more than `max_leaves`.
+
+    expected: leaves of the mesh if they are counted, so that one walk is enough.
+    """
     domain, criterion, depth, lattice = request.domain, request.criterion, request.max_depth, field.lattice
     cuts = _cuts(history, lattice, threads)
     history.hints.make_room(expected // (len(cuts) - 1))
@@ -157,16 +160,16 @@ def _cuts(history: FrameHistory, lattice: Lattice, threads: int) -> list[int]:
     leaves = tree.leaf_count - (1 << lattice.square_bits) + lattice.squares
     if threads < 2 or leaves < launch.SLICE_ITEMS:
         return [0, end]
-    ends = costs = np.array([0, leaves])
+    leaves_before = costs = np.array([0, leaves])  # leaves before each slice of the last frame, and their cost
     if last is not None and last.total == leaves:
-        ends, costs = (np.cumsum([0, *of]) for of in (last.counts[:, 0], last.work))
-    at = np.interp(np.arange(1, threads) / threads * costs[-1], costs, ends).astype(np.int64)
-    inner = tree.cells_of(tree.decode(np.minimum(at, leaves - 1))).tolist()
+        leaves_before, costs = (np.cumsum([0, *of]) for of in (last.counts[:, 0], last.work))
+    cut_leaves = np.interp(np.arange(1, threads) / threads * costs[-1], costs, leaves_before).astype(np.int64)
+    inner = tree.cells_of(tree.decode(np.minimum(cut_leaves, leaves - 1))).tolist()
     return [0, *sorted({cut for cut in inner if 0 < cut < end}), end]
 
 
 def _end(history: FrameHistory, slices: Slices, lattice: Lattice) -> Leaves:
-    """Describe the slices that hold any leaves, and write the leaves into the tree."""
+    """Describe the slices that hold any leaves as the next frame's `Leaves`, and write them into the tree."""
     counts, walks, squares, cell_bits = slices.counts, slices.walks, lattice.squares, slices.cell_bits
     used = np.flatnonzero(counts[:, 0])
     sides = history.scratch.numpy("sides")[: len(walks) * 4 * squares].reshape(len(walks), squares, 4)

@@ -56,6 +56,7 @@ def pack(criterion: Criterion, views: list[LocalView], spans: Spans, source: flo
     arrays, mean = CriterionArrays(), mean_ramp(criterion.morph_until)
 
     def squared(value: float) -> float:
+        """Return the square of a limit divided by the mean of the ramp; infinity for 0, which switches it off."""
         return value / mean * (value / mean) if value > 0 else math.inf
 
     arrays.view_count = len(views)

@@ -40,7 +40,10 @@ class Slices:
 
     @classmethod
     def of(cls, history: FrameHistory, lattice: Lattice, cuts: list[int], max_depth: int, max_leaves: int) -> "Slices":
-        """Bind the walks between `cuts` to the next frame; beyond the capacity each only counts its leaves."""
+        """Bind the walks between `cuts` (deepest cells) to the next frame's arrays; max_depth: bisections of a square.
+
+        A walk with more leaves than fit into its part of the arrays counts the others; above `max_leaves` it may stop.
+        """
         assert history.tree is not None, "refine and replay have a tree"
         count, squares, capacity = len(cuts) - 1, lattice.squares, history.hints.capacity
         stride, cell_bits = capacity + 2 * squares + 8, history.tree.max_depth - lattice.square_bits
@@ -77,7 +80,11 @@ class Slices:
         return cls(history, walks, [], capacity, cell_bits, counts, np.zeros(count, np.int64))
 
     def bind_reuse(self, caches: bool, motion: "Motion | None") -> None:
-        """Bind the lists of subtrees to cache for the next frame and, if the view's `motion` is known, to reuse."""
+        """Bind the lists of subtrees that the walks cache, and those of the last frame that they reuse.
+
+        caches: whether subtrees are cached for the next frame. motion: of the view since the last frame; None: reuse
+        none.
+        """
         history, count, last = self.history, len(self.walks), self.history.last
         written, scratch, read = history.next.arrays, history.scratch, history.last.arrays
         room = room_for(self.capacity) if caches else 0

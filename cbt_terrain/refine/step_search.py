@@ -42,7 +42,7 @@ class Found(NamedTuple):
 def lowest(splits: Splits, max_splits: int, start: Found | None, low: int) -> Found:
     """Find the finest step at which at most `max_splits` triangles are split, MAX_STEP + 1 if there is none.
 
-    splits: counts splits, which fall as steps rise. start, low: see `search` in budget.py.
+    splits: function that counts them at steps; the numbers fall as steps rise. start, low: see `search` in budget.py.
     """
     search = _Search(splits, max_splits, low)
     if start:
@@ -77,7 +77,10 @@ class _Search:
         return first
 
     def approach(self, goal: int, reach: int) -> None:
-        """Find a mesh close to `goal` splits; if the goal is the budget, the finest mesh that meets it."""
+        """Find a mesh close to `goal` splits; if the goal is the budget, the finest mesh that meets it.
+
+        reach: number of steps in the first window.
+        """
         beyond, stride = self.low, 1  # just finer than `beyond` there are more splits
         while beyond < self.high and (goal == self._max_splits or NEAR * self._reached < goal):
             finest, coarsest = self.window(goal, beyond, stride, reach)
@@ -87,7 +90,10 @@ class _Search:
             stride *= WIDER
 
     def window(self, goal: int, beyond: int, stride: int, reach: int) -> tuple[int, int]:
-        """Return the first and last step between which to search for `goal` splits."""
+        """Return the first and last step between which to search for `goal` splits.
+
+        beyond: a step that has more splits. stride: the factor on the window after failures. reach: steps in a window.
+        """
         if self.high > MAX_STEP:  # no step is known to fit
             return beyond, MAX_STEP
         finest = max(beyond, min(self._predicted(goal) - 1, self.high - stride))

@@ -37,8 +37,8 @@ class Terms:
     def shares(cls, bound: float, *parts: float) -> "Terms":
         """Divide a bound in proportion to its three terms in metres, in the order above."""
         total = add_up(parts)
-        part = bound / total if total > 0.0 else 0.0
-        return cls(*(p * part for p in parts))
+        unit_per_metre = bound / total if total > 0.0 else 0.0
+        return cls(*(metres * unit_per_metre for metres in parts))
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def position_rounding(
 
 
 def _half_step(largest: float) -> float:
-    """Return half the spacing of float32 at a number."""
+    """Return half the spacing of float32 at a number: the largest error of rounding to it."""
     return 0.5 * float(np.spacing(np.float32(largest))) if largest else 0.0
 
 

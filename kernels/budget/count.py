@@ -162,15 +162,15 @@ def count(domain: Domain, criterion: CriterionArrays, w: Count):
     step = wp.int32(w.finest)
     total = wp.int64(0)  # triangles that are split at `step`
     measured = wp.int64(0)  # diamonds
-    noted = wp.int32(0)  # marks
+    num_marks = wp.int32(0)
     criterion.limit = w.limits[step]
     limits = limits_of(criterion, none)
-    place = w.slot * CELLS
+    bottom = w.slot * CELLS
     square = wp.int32(w.first_cell >> wp.uint64(w.cell_bits))
     while (wp.uint64(square) << wp.uint64(w.cell_bits)) < w.end_cell and step <= w.coarsest:
-        w.stack[place] = square_cell(domain, w, square)
-        top = place + 1
-        while top > place and step <= w.coarsest:
+        w.stack[bottom] = square_cell(domain, w, square)
+        top = bottom + 1
+        while top > bottom and step <= w.coarsest:
             top -= 1
             cell = w.stack[top]
             number = wp.int32(3)
@@ -182,9 +182,9 @@ def count(domain: Domain, criterion: CriterionArrays, w: Count):
                     if p.code >= w.first_cell:
                         total += add(w, step, last, wp.int64(p.triangles))
                     measured += wp.int64(new)
-                    if measured >= wp.int64(noted + 1) * w.spacing and noted < MARKS:
-                        w.marks[w.slot * MARKS + noted] = p.code
-                        noted += 1
+                    if measured >= wp.int64(num_marks + 1) * w.spacing and num_marks < MARKS:
+                        w.marks[w.slot * MARKS + num_marks] = p.code
+                        num_marks += 1
                     if visits:
                         w.stack[top].x = p.x
                         w.stack[top].y = p.y

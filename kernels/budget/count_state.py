@@ -29,7 +29,7 @@ class Cell:
 class CellDiamond:
     """A diamond of a cell."""
 
-    number: wp.int32  # see `part_of`
+    number: wp.int32  # see `diamond_of_cell`
     x: wp.int32  # where it is split
     y: wp.int32
     depth: wp.int32

@@ -26,7 +26,7 @@ class BlockTable:
 
 @wp.func
 def new_vertices(blocks: BlockTable, state: wp.int32, bisections: wp.int32) -> wp.int32:
-    """Return the number of new vertices in a block."""
+    """Return the number of vertices that `bisections` even bisections add in a triangle of this curve state."""
     return item_at(blocks.vertices, 6 * bisections + state)
 
 
@@ -44,7 +44,11 @@ def write_block(
     point: wp.array(dtype=wp.vec2i),
     first_point: wp.int64,
 ):
-    """Write the words of a block's leaves, each with the bits `extra`, and its new vertices, in curve order."""
+    """Write the words of a block's leaves, each with the bits `extra`, and its new vertices, in curve order.
+
+    state: of the curve in the triangle (left, apex, right), lattice units. Leaves go to code[first_code] on, vertices
+    to point[first_point] on.
+    """
     entry = 6 * bisections + state
     first = item_at(blocks.first_leaf, entry)
     copy_codes(blocks.code, wp.int64(first), 1 << bisections, extra, code, first_code)

@@ -73,7 +73,7 @@ class Motion:
 
 @wp.func
 def weighed(view: LocalView, v: wp.vec3d) -> wp.float64:
-    """Return the length of v in camera space, metres."""
+    """Return the length of a vector v of terrain space in camera space, metres."""
     return wp.sqrt(view.weight[0] * (v[0] * v[0]) + view.weight[1] * (v[1] * v[1]) + view.weight[2] * (v[2] * v[2]))
 
 
@@ -179,10 +179,12 @@ def span_factors(
     upper = one + rise / wp.where(rise > zero, nearest, farthest)
     slants2 = slant_factors(view, motion, low, high)
     # Squared gains, before they are clamped to 1 and the largest.
-    was2 = slants2_of(motion.slant_x, motion.slant_y, motion.eye, low, high)
-    is2 = slants2_of(view.slant_x, view.slant_y, view.eye, low, high)
-    min_gain2 = smaller(nearest2 / was2[1], nearest_far2(view, low, high, min_of(view.depth, low, high)) / is2[1])
-    max_gain2 = larger(farthest2 / was2[0], farthest_far2(view, low, high) / is2[0])
+    slants_before2 = slants2_of(motion.slant_x, motion.slant_y, motion.eye, low, high)
+    slants_now2 = slants2_of(view.slant_x, view.slant_y, view.eye, low, high)
+    min_gain2 = smaller(
+        nearest2 / slants_before2[1], nearest_far2(view, low, high, min_of(view.depth, low, high)) / slants_now2[1]
+    )
+    max_gain2 = larger(farthest2 / slants_before2[0], farthest_far2(view, low, high) / slants_now2[0])
     if measures_edges == 1:
         min_gain2 = zero  # footprints of edges have no gain
     known = wp.int32(1)
@@ -260,32 +262,32 @@ def span_change(view: LocalView, motion: Motion, measures_edges: wp.int32, subtr
     min_growth = wp.float64(0.0)
     max_growth = wp.float64(0.0)
     known = wp.int32(1)
-    lowest = one
-    highest = one
+    min_factor = one
+    max_factor = one
     gain2 = one
     if view.kind != ORTHOGRAPHIC:
         min_growth, max_growth, known = change_of(view, motion, subtree.low, subtree.high)
     if view.max_gain2 > one or motion.max_gain2 > one:
-        lowest, highest, gain2, min_error = span_factors(
+        min_factor, max_factor, gain2, is_known = span_factors(
             view, motion, measures_edges, subtree.low, subtree.high, min_growth, max_growth
         )
-        known = wp.min(known, min_error)
+        known = wp.min(known, is_known)
     faded = wp.vec4d(one, one, one, one)
     if subtree.stands == OUTSIDE:
         gain2 = gain2 * view.off_screen2
     if subtree.stands == FADED:
-        faded, min_error = fade_change(view, motion, subtree.low, subtree.high)
-        known = wp.min(known, min_error)
+        faded, is_known = fade_change(view, motion, subtree.low, subtree.high)
+        known = wp.min(known, is_known)
     span = wp.sqrt(view.pixel2) * wp.sqrt(gain2)
-    fall = motion.ratio * lowest * faded[0] - one
-    rise = motion.ratio * highest * faded[1] - one
+    fall = motion.ratio * min_factor * faded[0] - one
+    rise = motion.ratio * max_factor * faded[1] - one
     zero = wp.float64(0.0)
     min_growth = min_growth * wp.where(min_growth < zero, faded[3], faded[2])
     max_growth = max_growth * wp.where(max_growth > zero, faded[3], faded[2])
     # Footprints drift, and so do those at which verdicts change.
-    rounded = (ROUNDED + wp.float64(4.0) * motion.drift) * subtree.coarse
-    min_growth = min_growth * span + smaller(fall * subtree.fine, fall * subtree.coarse) - rounded
-    max_growth = max_growth * span + larger(rise * subtree.fine, rise * subtree.coarse) + rounded
+    margin = (ROUNDED + wp.float64(4.0) * motion.drift) * subtree.coarse
+    min_growth = min_growth * span + smaller(fall * subtree.fine, fall * subtree.coarse) - margin
+    max_growth = max_growth * span + larger(rise * subtree.fine, rise * subtree.coarse) + margin
     return min_growth, max_growth, known
 
 
@@ -302,7 +304,7 @@ def stands_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
 def carried(criterion: CriterionArrays, motion: Motion, subtree: Subtree, in_frame: wp.int32):
     """Update a subtree's margins for the moved view. Returns the subtree, and 1 if all its verdicts stay the same.
 
-    in_frame: 1 if the frustum is known to contain it.
+    The subtree's leaves are then copied instead of found again. in_frame: 1 if the frustum is known to contain it.
     """
     min_growth, max_growth, holds = span_change(criterion.view, motion, criterion.measures_edges, subtree)
     subtree.fall = subtree.fall + min_growth

@@ -103,7 +103,11 @@ def border_role(
     columns: wp.int32,
     rows: wp.int32,
 ):
-    """Return the border role of the third edge p - q of a leaf in the square at `corner`."""
+    """Return the border role of the third edge p - q of a leaf in the square at `corner`, lattice units.
+
+    Squares write their right and upper sides for later squares, which read them as their left and lower sides. side: of
+    the square, lattice units. column, row: of the square. columns, rows: of all squares.
+    """
     role = INNER
     if p[0] == q[0]:
         if p[0] == corner[0]:

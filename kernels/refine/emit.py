@@ -35,7 +35,10 @@ def count_side(domain: Domain, w: Walk, q: Square, side: wp.int32):
 
 @wp.func
 def emit_entry(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
-    """Write the edge through which the curve enters a square; returns the first leaf's flags, vertices and edges."""
+    """Write the edge through which the curve enters a square; returns the first leaf's flags, vertices and edges.
+
+    The edge is new, unless the square to the left has it on its right side already.
+    """
     flags = wp.uint32(1) << wp.uint32(FIRST)
     vertices = wp.int32(0)
     edges = wp.int32(0)
@@ -91,7 +94,10 @@ def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
 
 @wp.func
 def stands_alone(w: Walk, q: Square, c: Cursor) -> wp.bool:
-    """Return whether all leaves below a triangle are in this slice, without flags of the square or border roles."""
+    """Return whether a triangle's leaves can be copied: all are in this slice and have no special bits.
+
+    Such bits are the flags of a square's first and last leaf, and border roles.
+    """
     end = c.cell + size_of(w, c.depth)
     inside = c.cell > wp.uint64(0) and end < size_of(w, 0) and c.cell >= q.start and q.base + end <= w.end_cell
     return inside and (w.grid == 0 or not touches_border(c.left, c.apex, c.right, q.corner, q.side))

@@ -278,7 +278,7 @@ def distance_from_plane(domain: Domain, t: Triangle) -> wp.float64:
 def measured(
     domain: Domain, criterion: CriterionArrays, what: wp.int32, tolerance2: wp.float64, tree: Bitfield, t: Triangle
 ) -> Triangle:
-    """Return the triangle with the upper bound for its leaves, or for the leaf that contains it.
+    """Return the triangle with its upper bound of the quantity `what`, for its leaves or the leaf that contains it.
 
     tolerance2: the square of the error that all leaves of the tree keep to unless rounding prevents that.
     """
@@ -301,10 +301,10 @@ def measured(
             t.plane = plane_of(domain, t)
         if t.is_drawn and t.depth > 2 * domain.levels:
             t.total = smaller(t.fixed + distance_from_plane(domain, t) * domain.error_scale, t.total)
-    all2 = t.total * t.total
+    quantity2 = t.total * t.total
     if what == EDGE or what == AREA:
         long2, legs2 = sizes(criterion, domain.unit_bits, deepest)
-        all2 = wp.where(what == EDGE, long2, legs2) + d.rise * d.rise
+        quantity2 = wp.where(what == EDGE, long2, legs2) + d.rise * d.rise
     t.is_small = what != FIXED and what != ERROR
     pixel2 = wp.float64(1.0)
     if what != METRES:
@@ -313,9 +313,9 @@ def measured(
     if t.leaf_depth == ANY:
         # No leaf below has a larger error than the criterion allows. As a part of a footprint that is most where the
         # footprint is finest, or the tolerance.
-        allowed = t.fixed + max_error_for(domain, wp.sqrt(tolerance2 * pixel2), t.fixed - domain.source)
-        all2 = smaller(larger(allowed * allowed, tolerance2 * pixel2), all2)
-    t.bound2 = wp.where(pixel2 < wp.float64(wp.inf), all2 / pixel2, UNSEEN)
+        allowed_m = t.fixed + max_error_for(domain, wp.sqrt(tolerance2 * pixel2), t.fixed - domain.source)
+        quantity2 = smaller(larger(allowed_m * allowed_m, tolerance2 * pixel2), quantity2)
+    t.bound2 = wp.where(pixel2 < wp.float64(wp.inf), quantity2 / pixel2, UNSEEN)
     return t
 
 

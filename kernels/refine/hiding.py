@@ -83,9 +83,10 @@ def bin_at(t: wp.float64) -> wp.int32:
 
 @wp.func
 def reach_on(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) -> wp.vec2d:
-    """Return the range of dy / dx of a box at distance `near` on a side (0 .. 3: east, north, west, south).
+    """Return the range of dy / dx that a box spans on a side of the eye (0 .. 3: east, north, west, south).
 
-    On the north and south side it is that of dx / dy. (1, -1): the box does not meet the side.
+    On the north and south side it is that of dx / dy. (1, -1): the box does not meet the side. low, high: the box,
+    metres from the eye. near: its least distance max(|x|, |y|), metres.
     """
     one = wp.float64(1.0)
     zero = wp.float64(0.0)
@@ -130,7 +131,10 @@ def bins_of(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) -> 
 
 @wp.func
 def is_hidden(rings: Rings, slopes: wp.array(dtype=wp.float32), low: wp.vec3d, high: wp.vec3d) -> wp.bool:
-    """Return whether a box is hidden. low, high: metres in terrain space from the eye."""
+    """Return whether nearer ground hides a box from the eye. low, high: metres in terrain space from the eye.
+
+    Every bin that the box meets must be above its highest ray in the last ring before it. slopes: the map of horizons.
+    """
     zero = wp.float64(0.0)
     near = nearest_of(low, high)
     ring = wp.min(ring_of(near) - rings.first, rings.count - 1)

@@ -37,7 +37,10 @@ class HorizonBlocks:
 
 @wp.func
 def min_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1: wp.int32, up: wp.float64):
-    """Return the minimum of up * height, metres before scaling, over the cells from (i0, j0) to (i1, j1)."""
+    """Return the minimum of up * height, metres before scaling, over the cells from (i0, j0) to (i1, j1).
+
+    up: 1 for the lowest height, -1 for the negative of the highest.
+    """
     low, high = heights_of_cells(domain, i0, j0, i1, j1)
     return wp.where(up > wp.float64(0.0), low, -high)
 
@@ -203,10 +206,10 @@ def off_at(
     across2: wp.float64,
     rise: wp.float64,
 ) -> wp.float64:
-    """Bound the distance, metres of height, of mesh and surface if the mesh satisfies the criterion times `relaxed`.
+    """Bound the height, metres, between mesh and surface at a point, for a mesh that satisfies the criterion.
 
-    across2: squared horizontal distance from the eye, metres. rise: height above the eye, metres. Only error criteria
-    bound this distance.
+    relaxed: factor on the criterion. across2: squared horizontal distance of the point from the eye, metres. rise: its
+    height above the eye, metres. reach2: see `reach2_of`. Only error criteria bound this height.
     """
     part2 = relaxed * relaxed * criterion.error_px2 * view.pixel2 * view.max_gain2
     metres2 = relaxed * relaxed * criterion.metres2
@@ -296,9 +299,9 @@ def fill_horizon(
     if (side & 1) == 1:
         per0 = wp.vec2d(t0 / domain.unit_x, ahead / domain.unit_y)
         per1 = wp.vec2d(t1 / domain.unit_x, ahead / domain.unit_y)
-    best = NOTHING
+    max_slope = NOTHING
     cell = wp.float64(wp.int32(1) << bits) * wp.min(domain.unit_x, domain.unit_y)
-    due = wp.float64(0.0)  # rings closer together than cells add nothing
+    next_radius = wp.float64(0.0)  # rings closer together than cells add nothing
     for ring in range(rings.count):
         radius = radius_of(rings.first + ring)
         u0 = x + radius * per0[0]
@@ -306,8 +309,8 @@ def fill_horizon(
         u1 = x + radius * per1[0]
         v1 = y + radius * per1[1]
         inside = u0 > one and v0 > one and u1 < east - one and v1 < north - one
-        if inside and begun < 2 and radius >= due:
-            due = radius + cell
+        if inside and begun < 2 and radius >= next_radius:
+            next_radius = radius + cell
             x0 = wp.int32(u0) - 1 - grown
             y0 = wp.int32(v0) - 1 - grown
             x1 = wp.int32(u1) + 2
@@ -324,9 +327,11 @@ def fill_horizon(
                 rise += steady_min(domain, blocks, grown, wp.vec2d(u0, v0), radius * (per1 - per0))
             else:
                 rise += min_over(domain, blocks, x0, y0, x1, y1, one)
-            if rise > best * radius:
-                best = larger(best, (rise - off_at(domain, criterion, view, reach2, relaxed, across2, rise)) / radius)
-        elif not inside and begun == 1 and best > NOTHING:
+            if rise > max_slope * radius:
+                max_slope = larger(
+                    max_slope, (rise - off_at(domain, criterion, view, reach2, relaxed, across2, rise)) / radius
+                )
+        elif not inside and begun == 1 and max_slope > NOTHING:
             begun = 2
-        criterion.slopes[rings.at + (ring + 1) * ROW + k] = wp.float32(best - wp.abs(best) * OUTWARD)
+        criterion.slopes[rings.at + (ring + 1) * ROW + k] = wp.float32(max_slope - wp.abs(max_slope) * OUTWARD)
     criterion.slopes[rings.at + k] = wp.float32(floor + wp.abs(floor) * OUTWARD)

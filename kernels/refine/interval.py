@@ -148,7 +148,10 @@ def unknown_interval() -> LodInterval:
 
 @wp.func
 def predict(interval: LodInterval, depth: wp.int32, min_error: wp.float64, error_m: wp.float64) -> wp.int32:
-    """Predict the verdict on a diamond below, whose error is between `sure` and `own` metres: SPLIT, LEAF or DOUBT."""
+    """Predict the verdict on a diamond below, whose stored error is from `min_error` to `error_m` metres.
+
+    SPLIT and LEAF are certain; DOUBT means that the diamond must be measured.
+    """
     verdict = wp.int32(LEAF)
     if depth < interval.split_depth or min_error > interval.split_above:
         verdict = SPLIT

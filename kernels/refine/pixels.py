@@ -279,7 +279,10 @@ def cover_of(
 
 @wp.func
 def hidden_factor2(hidden2: wp.float64, occlusion_fade: wp.float64, part: wp.float64) -> wp.float64:
-    """Return the squared factor by which footprints are coarser on ground that is hidden to the degree `part` > 0."""
+    """Return the squared factor by which footprints are coarser on ground that is hidden to the degree `part`, above 0.
+
+    hidden2: the factor of wholly hidden ground, squared. occlusion_fade: see LocalView.
+    """
     coarser2 = hidden2
     if part < wp.float64(1.0):
         factor = wp.float64(1.0) + occlusion_fade * part
@@ -291,9 +294,10 @@ def hidden_factor2(hidden2: wp.float64, occlusion_fade: wp.float64, part: wp.flo
 
 @wp.func
 def faded2(view: LocalView, inner: wp.float64, deep: wp.float64) -> wp.float64:
-    """Return the squared factor by which footprints are coarser at `inner` < 0 metres inside the planes, at a depth.
+    """Return the squared factor by which footprints are coarser outside the frustum, within and beyond its fringe.
 
-    It falls as `inner` or the depth rises, also in rounded arithmetic.
+    inner: metres inside the nearest plane, below 0. deep: depth, metres. The factor falls as either of them rises, also
+    in rounded arithmetic.
     """
     coarser2 = view.off_screen2
     outer = inner + fringe_at(view, deep)

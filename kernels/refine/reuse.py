@@ -58,7 +58,10 @@ def end_reuse(r: Reuse, slot: wp.int32):
 
 @wp.func
 def note_reused(r: Reuse, slot: wp.int32, subtree: Subtree, leaf: wp.int64, point: wp.int64):
-    """Note the leaves and points of a reused subtree; those that find no room here are written and displaced again."""
+    """List a reused subtree's leaves and points as runs for the tree and the displacement.
+
+    leaf, point: entries where they were copied to. Subtrees beyond the list's room are written and displaced again.
+    """
     count = r.cursor[slot].point_runs
     if count < r.room:
         entry = wp.int64(slot) * r.room + count
@@ -157,12 +160,18 @@ def open_subtree(
     interval: LodInterval,
     n: Written,
 ):
-    """Begin to cache the leaves below a triangle that is split, if only few bisections are left."""
+    """Begin to cache the leaves below a split triangle in the slice's list, if it has only few bisections below it.
+
+    m: its diamond. interval: the one below it. n: numbers that the slice has written so far. Margins begin at the slack
+    of the interval's verdicts; `note_turning` narrows them, and `close_subtree` completes the entry.
+    """
     k = w.slot
     opens = r.cursor[k].end == NOWHERE and r.cursor[k].count < r.room
     if opens:
-        few = m.error_m <= ERRORS_CACHED * interval.leaf_up_to and interval.leaf_depth - c.depth <= MAX_BISECTIONS
-        opens = few or w.max_depth - c.depth <= LAST_LEVELS
+        has_few_levels = (
+            m.error_m <= ERRORS_CACHED * interval.leaf_up_to and interval.leaf_depth - c.depth <= MAX_BISECTIONS
+        )
+        opens = has_few_levels or w.max_depth - c.depth <= LAST_LEVELS
     if opens:
         stands = stands_of(criterion.view, m.diamond.low, m.diamond.high)
         if stands_alone(w, q, c):
@@ -172,21 +181,22 @@ def open_subtree(
             w.counts[4 * k + STOPPED] = wp.int64(0)
             entry = wp.int64(k) * r.room + r.cursor[k].count
             coarse2, _edge2, _inside = coarsest(criterion, m.diamond, 0)
-            span = wp.sqrt(wp.where(criterion.measures_edges == 1, m.edge2, m.pixel2))  # footprints of edges are finer
+            # Footprints of edges are finer.
+            footprint = wp.sqrt(wp.where(criterion.measures_edges == 1, m.edge2, m.pixel2))
             r.cached[entry].cell = q.base + c.cell
             r.cached[entry].depth = c.depth
             r.cached[entry].stands = stands
             r.cached[entry].low = m.diamond.low
             r.cached[entry].high = m.diamond.high
-            r.cached[entry].fine = span
+            r.cached[entry].fine = footprint
             r.cached[entry].coarse = wp.sqrt(coarse2)
-            r.cached[entry].fall = r.slack * span
-            r.cached[entry].rise = r.slack * span
+            r.cached[entry].fall = r.slack * footprint
+            r.cached[entry].rise = r.slack * footprint
 
 
 @wp.func
 def note_turning(criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse, m: MeasuredDiamond):
-    """Limit the open subtree to footprints at which the diamond that was measured is decided as now."""
+    """Narrow the open subtree's margins to footprints at which this measured diamond gets the same verdict."""
     if r.cursor[w.slot].end != NOWHERE:
         inf = wp.float64(wp.inf)
         away = rise_to_turn(limits, m)
@@ -198,7 +208,10 @@ def note_turning(criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse, 
 
 @wp.func
 def close_subtree(w: Walk, r: Reuse, at: wp.uint64, n: Written):
-    """End the open subtree if it ends at cell `at` or before."""
+    """Complete the entry of the open subtree if it ends at cell `at` or before: its leaves, vertices and edges.
+
+    n: numbers that the slice has written so far. The entry is dropped if its box crosses the frustum's border.
+    """
     k = w.slot
     if at >= r.cursor[k].end:
         entry = wp.int64(k) * r.room + r.cursor[k].count

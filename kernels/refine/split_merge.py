@@ -22,7 +22,7 @@ MERGE = wp.constant(wp.uint64(1 << 63))  # an order to merge the children of a n
 
 @wp.func
 def is_too_coarse(domain: Domain, criterion: CriterionArrays, middle: wp.vec2i, depth: wp.int32) -> wp.bool:
-    """Return whether the diamond that is split at `middle` is too coarse."""
+    """Return whether the diamond at `depth` that is split at `middle` (lattice units) exceeds the criterion."""
     error = error_at(domain, middle[0], middle[1], depth)
     return too_coarse(
         criterion, criterion.limit, measure_diamond(domain, criterion, middle[0], middle[1], depth, error, 0)
@@ -39,7 +39,10 @@ def decide(
     max_depth: wp.int32,
     orders: wp.array(dtype=wp.uint64),
 ):
-    """Write an order for each leaf: a node to split, MERGE and a node whose children to merge, or 0."""
+    """Write an order for leaf `offset + tid`: a node to split, MERGE and a node whose children to merge, or 0.
+
+    max_depth: bisections of a square at most; deeper leaves are merged.
+    """
     k = offset + wp.tid()
     tree_id = heap_id_of(t, decode_leaf(t, k))
     node = node_of(grid, tree_id)

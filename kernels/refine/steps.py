@@ -29,8 +29,12 @@ def square_at(domain: Domain, w: Walk, number: wp.int32) -> Square:
 
 @wp.func
 def enter(w: Walk, q: Square) -> Cursor:
-    """Start at the first of a square's two halves and push the other on the stack; both are in doubt."""
-    place = w.slot * STACK
+    """Start at the first of a square's two halves and push the other on the stack; both are in doubt.
+
+    An entry of `aside` packs the triangle's curve state, its depth and the entry of its interval: 3, 6 and the other
+    bits.
+    """
+    entry = w.slot * STACK
     x0 = q.corner[0]
     y0 = q.corner[1]
     c = Cursor()
@@ -39,11 +43,11 @@ def enter(w: Walk, q: Square) -> Cursor:
     c.right = wp.vec2i(x0 + q.side, y0)
     c.state = LEG_HYP
     c.depth = 1
-    c.held = place
+    c.held = entry
     c.top = 1
-    w.stack[place] = wp.vec4i(x0 + q.side, y0 + q.side, x0, y0 + q.side)
-    w.aside[place] = HYP_LEG | (1 << 3) | (place << 9)
-    w.intervals[place] = unknown_interval()
+    w.stack[entry] = wp.vec4i(x0 + q.side, y0 + q.side, x0, y0 + q.side)
+    w.aside[entry] = HYP_LEG | (1 << 3) | (entry << 9)
+    w.intervals[entry] = unknown_interval()
     return c
 
 
@@ -71,9 +75,9 @@ def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
         c.depth = c.depth + 1
         half = size_of(w, c.depth)
         if c.cell + half > q.start:
-            place = w.slot * STACK + c.top
-            put(w.stack, place, wp.vec4i(middle[0], middle[1], c.right[0], c.right[1]))
-            put(w.aside, wp.int64(place), right_state(c.state, c.cell) | (c.depth << 3) | (c.held << 9))
+            entry = w.slot * STACK + c.top
+            put(w.stack, entry, wp.vec4i(middle[0], middle[1], c.right[0], c.right[1]))
+            put(w.aside, wp.int64(entry), right_state(c.state, c.cell) | (c.depth << 3) | (c.held << 9))
             c.top = c.top + 1
             c.state = left_state(c.state)
             c.right = c.apex
@@ -91,10 +95,10 @@ def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
             corners = item_at(w.stack, at)
             c.apex = wp.vec2i(corners[0], corners[1])
             c.right = wp.vec2i(corners[2], corners[3])
-            put_aside = item_at(w.aside, at)
-            c.state = put_aside & 7
-            c.depth = (put_aside >> 3) & 63
-            c.held = put_aside >> 9
+            packed = item_at(w.aside, at)
+            c.state = packed & 7
+            c.depth = (packed >> 3) & 63
+            c.held = packed >> 9
     return c
 
 

@@ -56,13 +56,13 @@ def exact_cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
     is. The result is at least SURE times the cell's code, so that intervals can decide without reading twists.
     """
     stored = wp.float32(0.0)
-    found = wp.float32(0.0)
-    counts = wp.bool(True)
+    largest = wp.float32(0.0)
+    may_be_larger = wp.bool(True)
     ring = wp.int32(0)
-    part = wp.float32(1.0)
-    while counts and ring <= RINGS + 1:
-        counts = wp.bool(False)
-        before = found
+    factor = wp.float32(1.0)
+    while may_be_larger and ring <= RINGS + 1:
+        may_be_larger = wp.bool(False)
+        largest_before = largest
         for k in range(wp.max(4 * ring, 1)):
             t = k % wp.max(ring, 1)
             side = k / wp.max(ring, 1)
@@ -70,21 +70,21 @@ def exact_cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
             y = wp.where((side & 1) == 0, t, ring - t)
             x = i + wp.where(side < 2, x, -x)
             y = j + wp.where(side < 2, y, -y)
-            error = part * cell_error(domain, x, y)
+            error = factor * cell_error(domain, x, y)
             if ring == 0:
                 stored = error
-            if error > before:
-                counts = wp.bool(True)
-            if error > found:
+            if error > largest_before:
+                may_be_larger = wp.bool(True)
+            if error > largest:
                 if ring <= RINGS:
-                    error = part * twist_error(domain, x, y)
-                found = wp.max(error, found)
+                    error = factor * twist_error(domain, x, y)
+                largest = wp.max(error, largest)
         if ring == 0:
-            found = wp.max(found, wp.float32(SURE) * stored)
-        counts = counts and found < stored
+            largest = wp.max(largest, wp.float32(SURE) * stored)
+        may_be_larger = may_be_larger and largest < stored
         ring += 1
-        part = wp.float32(0.25) * part
-    return wp.min(found, stored)
+        factor = wp.float32(0.25) * factor
+    return wp.min(largest, stored)
 
 
 @wp.func
@@ -95,7 +95,10 @@ def group_of(levels: wp.int32, depth: wp.int32) -> wp.int32:
 
 @wp.func
 def place(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
-    """Return the entry of the diamond split at (x, y), above the raster's cells: see kernels/field/layout.py."""
+    """Return the entry, in the array of errors, of the diamond split at (x, y), above the raster's cells.
+
+    The order of entries: see kernels/field/layout.py.
+    """
     group = group_of(domain.levels, depth)
     shift = domain.unit_bits - domain.levels + 2 * group
     return item_at(domain.base, group) + tile_index(x >> shift, y >> shift, item_at(domain.pages, group))
@@ -160,7 +163,10 @@ def raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -
 
 @wp.func
 def exact_raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """Return the same with `exact_cell_error`, of a bilinear surface inside the raster's cells."""
+    """Return `raster_error_at` from exact twists, inside the raster's cells of a bilinear surface.
+
+    Stored errors are rounded up, and an exact one may save triangles. (x, y): where the diamond is split.
+    """
     bits = domain.unit_bits - domain.levels
     i = x >> bits
     j = y >> bits
@@ -203,15 +209,15 @@ def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, lea
     (x, y): where the diamond is split. Beyond the raster's border the surface is level, so a triangle that crosses the
     border may miss all displacement.
     """
-    at = leaf_depth
+    table_entry = leaf_depth
     if leaf_depth <= domain.border_depth:
         reach = reach_of(domain.unit_bits, depth)
         if x + reach > domain.east or y + reach > domain.north:
-            at = 0
-    missed = domain.detail[at][0]
+            table_entry = 0
+    missed = domain.detail[table_entry][0]
     for k in range(domain.masked):
-        part = wp.float32(max_of_mask(domain, k, x, y, depth))
-        missed += part * domain.detail[64 * (k + 1) + at][0]
+        weight = wp.float32(max_of_mask(domain, k, x, y, depth))
+        missed += weight * domain.detail[64 * (k + 1) + table_entry][0]
     if domain.masked > 0:
         missed = missed * UP_MASKS
     return missed
@@ -219,7 +225,10 @@ def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, lea
 
 @wp.func
 def stored_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """Return `error_at` or more: at most twice as much where it `may_be_less`."""
+    """Return the diamond's error from stored codes with that of the detail, metres before scaling: `error_at` or more.
+
+    It is cheap, and at most twice `error_at`, where `may_be_less` is true.
+    """
     error = raster_error_at(domain, x, y, depth)
     if domain.detailed == 1 and not is_beyond(domain, x, y, depth):
         error = (error + detail_missed(domain, x, y, depth, depth)) * UP

@@ -50,7 +50,10 @@ NARROWED = wp.constant(2)
 def judge(
     domain: Domain, criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse, q: Square, c: Cursor, n: Written
 ):
-    """Return the verdict on a triangle, SPLIT, LEAF or EVEN_BLOCK, and the entry of the interval below it."""
+    """Return the verdict on a triangle, SPLIT, LEAF or EVEN_BLOCK, and the entry of the interval below it.
+
+    The interval from above decides if it can; otherwise the diamond is measured, and gives the interval below it.
+    """
     middle = middle_of(c)
     above = w.intervals[c.held]
     held = c.held

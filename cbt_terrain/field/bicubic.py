@@ -126,7 +126,10 @@ def _launch(kernel, count: int, inputs: list, threads: int, cost: float = 1.0) -
 
 
 def _numbers(field: HeightField, threads: int) -> list[float]:
-    """Return NUMBERS of a bicubic surface; slopes are rounded up."""
+    """Return range base and step, lowest and highest height (metres), and largest slopes along x and y, rounded up.
+
+    They are NUMBERS of the bicubic surface.
+    """
     lattice = field.lattice
     rows = lattice.cells_y
     found = np.zeros((rows, 4))

@@ -46,6 +46,7 @@ class Detail:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        """Raise TerrainError for a number outside of its range."""
         keep_plain_numbers(self, "The detail's")
         check_number("The detail's amplitude", self.amplitude, 0.0, LARGEST, "metres")
         check_number("The detail's wavelength", self.wavelength, 1e-3, LARGEST, "metres")
@@ -59,7 +60,10 @@ class Detail:
         return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
     def waves(self, finest: float) -> list[tuple[float, float]]:
-        """Return amplitude and wavelength, metres, of the octaves that leaves with edges of `finest` metres show."""
+        """Return the (amplitude, wavelength), metres, of the octaves that leaves with edges of `finest` metres resolve.
+
+        The longest octave is always there. The amplitudes add up to that of the detail.
+        """
         lengths = [self.wavelength * 0.5**k for k in range(MAX_OCTAVES)]
         shown = [length for k, length in enumerate(lengths) if k == 0 or length >= EDGES_A_WAVE * finest]
         parts = list(accumulate([1.0] + [self.roughness] * (len(shown) - 1), operator.mul))

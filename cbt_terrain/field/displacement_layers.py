@@ -34,6 +34,7 @@ class LayerMask:
     digest: str = ""
 
     def __post_init__(self) -> None:
+        """Convert the values to uint8 in C order and compute their digest."""
         values = np.ascontiguousarray(self.values, np.uint8)
         object.__setattr__(self, "values", values)
         content = repr(values.shape).encode() + values.data
@@ -129,7 +130,10 @@ def max_of_masks(ground: Ground | None) -> np.ndarray:
 
 
 def fill_layers(domain: Domain, ground: Ground | None, finest: float, lattice: Lattice, meshlet: int) -> None:
-    """Fill in what bounds need of the layers. `finest`: metres of the shortest edges."""
+    """Fill in the fields of `domain` that bound the displacement of the layers.
+
+    finest: metres of the shortest edges. meshlet: each leaf is drawn as 4**meshlet triangles.
+    """
     parts, levels = parts_of(ground, finest, lattice), mask_levels(lattice)
     domain.detailed, domain.max_detail = int(bool(parts)), highest(parts)
     domain.detail = shared(layer_tables(ground, finest, lattice, meshlet).reshape(-1, 2), wp.vec2f)

@@ -37,43 +37,46 @@ COLUMN_BLOCK = 64
 
 def stored_at(lattice: Lattice, depth: int) -> Depth:
     """Return the layout of the errors of one depth (1 .. cell_depth)."""
-    return _place(lattice.extent(depth), *lattice.layout(), lattice.cell_depth - depth)
+    return _layout_of(lattice.extent(depth), *lattice.layout(), lattice.cell_depth - depth)
 
 
 def ranges_at(lattice: Lattice, depth: int) -> Depth:
     """Return the layout of the ranges of one depth (1 .. range_depth, and cell_depth)."""
     finer = lattice.range_depth + 1 - depth if depth < lattice.cell_depth else 0
-    return _place(lattice.extent(depth), *lattice.range_layout(), finer)
+    return _layout_of(lattice.extent(depth), *lattice.range_layout(), finer)
 
 
-def _place(extent: tuple[int, int], base: np.ndarray, pages: np.ndarray, finer: int) -> Depth:
-    """Return the layout of diamonds `finer` bisections above the raster's cells."""
+def _layout_of(extent: tuple[int, int], base: np.ndarray, pages: np.ndarray, finer: int) -> Depth:
+    """Return the layout of diamonds `finer` bisections above the raster's cells; 0: of the cells themselves.
+
+    extent: columns and rows of the depth. base, pages: see `Lattice.layout`.
+    """
     group = (finer - 1) // 4 if finer else len(pages) - 1
-    place = Depth()
-    (place.columns, place.rows), place.sides = extent, int(finer % 2)
-    place.base, place.pages, place.first, place.step = int(base[group]), int(pages[group]), 0, 1
+    layout = Depth()
+    (layout.columns, layout.rows), layout.sides = extent, int(finer % 2)
+    layout.base, layout.pages, layout.first, layout.step = int(base[group]), int(pages[group]), 0, 1
     if finer:
         # Vertices from a corner to the middle of a side: one, or two in the coarser half of the group.
         half = 1 << (finer - 1) // 2 % 2
-        place.first, place.step = (0, half) if finer % 2 else (half, 2 * half)
-    return place
+        layout.first, layout.step = (0, half) if finer % 2 else (half, 2 * half)
+    return layout
 
 
-def upward(finest: int, place_of: Callable[[int], Depth]) -> Iterator[tuple[int, Depth, Depth, int]]:
+def upward(finest: int, layout_of: Callable[[int], Depth]) -> Iterator[tuple[int, Depth, Depth, int]]:
     """Yield every depth above `finest`, the deepest first: its number, the layout below it, its layout, and its items.
 
-    place_of(depth): layout of a depth.
+    layout_of(depth): layout of a depth.
     """
-    finer = place_of(finest)
+    finer = layout_of(finest)
     for depth in range(finest - 1, 0, -1):
-        coarser = place_of(depth)
+        coarser = layout_of(depth)
         yield depth, finer, coarser, items(coarser)
         finer = coarser
 
 
-def items(place: Depth) -> int:
+def items(depth: Depth) -> int:
     """Return the number of items of a launch over the diamonds of a depth."""
-    return (place.columns // 2 + 1) * (place.rows + 1) if place.sides else place.columns * place.rows
+    return (depth.columns // 2 + 1) * (depth.rows + 1) if depth.sides else depth.columns * depth.rows
 
 
 def build_errors(
@@ -108,7 +111,11 @@ def build_errors(
 
 
 def saturate_cells(cells: Depth, part: float, out: wp.array, step: str, threads: int) -> None:
-    """Raise the stored value of each cell to `part` of its four neighbours'."""
+    """Raise the stored value of each cell to at least `part` of its four neighbours'.
+
+    The value of a neighbour is raised first, so that a cell counts with part^n at a distance of n cells. out: the array
+    of all values. step: name of the timed step.
+    """
     about = {"step": step, "threads": threads}
     inputs = [wp.float32(part), cells, out]
     launch.spread(kernels.saturate_rows, cells.rows, inputs, cost=0.2 * cells.columns, **about)

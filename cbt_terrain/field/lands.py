@@ -54,6 +54,7 @@ class BuiltInTerrain:
 
 
 def _of_ranges(name: str, label: str, about: str, side: float, number: int, preset: str) -> BuiltInTerrain:
+    """Return a terrain that `raise_land` computes. number: which one. side: metres of its square."""
     half = wp.float64(0.5 * side)
     return BuiltInTerrain(
         name, label, about, side, raise_land, lambda size, row, seed: [number, size, row, half, seed], preset

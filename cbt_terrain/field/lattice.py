@@ -122,7 +122,10 @@ class Lattice:
         return self._images(self.levels - 1)
 
     def _images(self, levels: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the layout of groups of depths with squares of 2**levels cells, and of the raster's cells."""
+        """Return first entries and pages a row of the images in which groups of depths are stored, and of the cells.
+
+        A root square has 2**levels cells; see `layout` for the results.
+        """
         sizes, pages = [0], []
         for group in range((levels + 1) // 2 + 1):
             if group == (levels + 1) // 2:

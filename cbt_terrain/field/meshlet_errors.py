@@ -21,6 +21,7 @@ def error_for(field: HeightField, meshlet: int) -> np.ndarray:
 
 
 def _load_or_expand(field: HeightField, meshlet: int) -> np.ndarray:
+    """Load the hierarchy from the field's store, or compute it and write it there."""
     name = f"error_m{meshlet}" if field.interpolation == "bilinear" else f"error_c_m{meshlet}"
     expanded = store.load_derived(field, name, field.error.shape, np.uint8)
     if expanded is not None:

@@ -182,5 +182,6 @@ def _remove(entry: Path) -> None:
 
 
 def _remove_if_empty(folder: Path) -> None:
+    """Remove a folder if it is empty; errors are ignored, because an empty folder does no harm."""
     with suppress(OSError, TerrainError):
         remove_empty(folder)

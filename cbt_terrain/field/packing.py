@@ -91,7 +91,10 @@ def _copy_arrays(source: Path, target: Path, on_progress: Callable[[float], None
 
 
 def _copy(source: Path, target: Path, done: int, total: int, on_progress: Callable[[float], None]) -> int:
-    """Copy one file and return the bytes copied in all."""
+    """Copy one file, and return the bytes copied so far: `done` plus its size.
+
+    total: bytes of all files, for the fractions that `on_progress` gets.
+    """
     with open_regular(source) as reader, target.open("xb") as writer:
         while chunk := reader.read(CHUNK_BYTES):
             writer.write(chunk)

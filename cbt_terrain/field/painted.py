@@ -17,6 +17,7 @@ class Painted:
     digest: str = ""
 
     def __post_init__(self) -> None:
+        """Convert the values to float32, check them and compute their digest. Raises TerrainError."""
         values = np.ascontiguousarray(self.values, np.float32)
         if values.ndim != 2 or values.size == 0 or not np.isfinite(values).all():
             raise TerrainError(

@@ -135,6 +135,10 @@ def check_version(path: Path, file: Path) -> None:
 
 
 def _open(path: Path, content: dict) -> HeightField:
+    """Map the arrays that a checked JSON file describes, and return their height field.
+
+    Raises FileNotFoundError if an array is missing, and TerrainError if one is damaged.
+    """
     lattice = fit(**content["lattice"])
     shape = lattice.height, lattice.width
     folder = path / content["data"]
@@ -259,6 +263,7 @@ class Draft:
     """A version of a store while it is written; invisible until `publish`."""
 
     def __init__(self, path: Path, name: str | None = None):
+        """Create the folder of a new version and lock it. name: of the folder, by default a new unpredictable one."""
         self.path = path
         self._new_folders = missing_folders(path)
         self.folder = path / (name or new_data_name())

@@ -33,6 +33,7 @@ def _is_extent(cells: int, step) -> bool:
 
 
 def _is_lattice(value) -> bool:
+    """Return whether a value has the sizes and steps of a raster whose entries 31 bits can number."""
     if not isinstance(value, dict) or sorted(value) != sorted(LATTICE):
         return False
     width, height = value["width"], value["height"]
@@ -43,6 +44,7 @@ def _is_lattice(value) -> bool:
 
 
 def _is_provenance(value) -> bool:
+    """Return whether a value is an object; its "settings" are one, and their "source" is a text, if they exist."""
     if not isinstance(value, dict) or not isinstance(value.get("settings", {}), dict):
         return False
     return isinstance(value.get("settings", {}).get("source", ""), str)
@@ -52,13 +54,14 @@ def _is_text(value) -> bool:
     return isinstance(value, str)
 
 
-def _is_figure(value) -> bool:
-    """Return whether a value may be in a report: a text, a finite number, true or false, or a list of them."""
+def _is_report_value(value) -> bool:
+    """Return whether a report may hold a value: a text, a finite number, true or false, or a list of them."""
     return all(type(v) in (str, bool) or _is_number(v) for v in (value if isinstance(value, list) else [value]))
 
 
 def _is_report(value) -> bool:
-    if not isinstance(value, dict) or not all(map(_is_figure, value.values())):
+    """Return whether a value is an object of report values, in which "warnings" is a list of texts if it is there."""
+    if not isinstance(value, dict) or not all(map(_is_report_value, value.values())):
         return False
     warnings = value.get("warnings", [])
     return isinstance(warnings, list) and all(map(_is_text, warnings))
@@ -74,6 +77,10 @@ def _is_exponents(value) -> bool:
 
 
 def _is_steps(value) -> bool:
+    """Return whether a value is null, or the first number, scale and offset of `codes.Steps`.
+
+    The first number is the smallest of uint8 and uint16 (0), int8 or int16.
+    """
     if value is None:
         return True
     if not isinstance(value, list) or len(value) != 3 or value[0] not in (0, -128, -32768):
@@ -86,6 +93,7 @@ MAX_LAYERS = 64
 
 
 def _is_layers(value) -> bool:
+    """Return whether a value is an object of at most MAX_LAYERS layers: names of files, and texts for units."""
     if not isinstance(value, dict) or len(value) > MAX_LAYERS:
         return False
     return all(_LAYER.fullmatch(name) and _is_text(unit) for name, unit in value.items())

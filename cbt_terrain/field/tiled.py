@@ -45,6 +45,7 @@ class Tiled:
     image: Painted
 
     def __post_init__(self) -> None:
+        """Raise TerrainError for a number outside of its range or an image that is too large."""
         keep_plain_numbers(self, "The detail's")
         check_number("The detail's amplitude", self.amplitude, 0.0, LARGEST, "metres")
         check_number("The detail's tile", self.size, 1e-3, LARGEST, "metres")
@@ -118,7 +119,7 @@ def _nets(image: Painted) -> tuple[_Net, ...]:
 
 
 def _range(net: np.ndarray) -> float:
-    """Return the extent of a net's values and 0."""
+    """Return the length of the smallest interval that contains 0 and all values of a net."""
     return float(max(net.max(), 0.0) - min(net.min(), 0.0))
 
 

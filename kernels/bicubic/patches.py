@@ -22,21 +22,21 @@ mat24d = wp.types.matrix(shape=(2, 4), dtype=wp.float64)
 
 @wp.func
 def controls(p: wp.vec4d) -> wp.vec4d:
-    """Return the control heights of the cubic."""
+    """Return the four Bezier control heights of the cubic between samples p1 and p2 of the four samples p."""
     sixth = wp.float64(1.0) / wp.float64(6.0)
     return wp.vec4d(p[1], p[1] + (p[2] - p[0]) * sixth, p[2] - (p[3] - p[1]) * sixth, p[2])
 
 
 @wp.func
 def chord(p: wp.vec4d) -> wp.vec4d:
-    """Return the straight line from p1 to p2 as a cubic."""
+    """Return the straight line from sample p1 to p2 as the four control heights of a cubic."""
     third = (p[2] - p[1]) / wp.float64(3.0)
     return wp.vec4d(p[1], p[1] + third, p[2] - third, p[2])
 
 
 @wp.func
 def off_chord(p: wp.vec4d) -> wp.vec2d:
-    """Return the two inner control heights of the cubic less that line; the outer two are 0."""
+    """Return the two inner control heights of the cubic less its chord from p1 to p2; the outer two are 0."""
     two = wp.float64(2.0)
     sixth = wp.float64(1.0) / wp.float64(6.0)
     return wp.vec2d((two * p[1] - p[0] - p[2]) * sixth, (two * p[2] - p[1] - p[3]) * sixth)
@@ -44,7 +44,7 @@ def off_chord(p: wp.vec4d) -> wp.vec2d:
 
 @wp.func
 def slopes(p: wp.vec4d) -> wp.vec3d:
-    """Return the control values of the first derivative, metres a cell."""
+    """Return the three control values of the cubic's first derivative between p1 and p2, metres a cell."""
     half = wp.float64(0.5)
     middle = wp.float64(2.0) * (p[2] - p[1]) - half * (p[1] - p[0]) - half * (p[3] - p[2])
     return wp.vec3d(half * (p[2] - p[0]), middle, half * (p[3] - p[1]))
@@ -52,7 +52,7 @@ def slopes(p: wp.vec4d) -> wp.vec3d:
 
 @wp.func
 def second_derivatives(p: wp.vec4d) -> wp.vec2d:
-    """Return the control values of the second derivative, metres a square cell."""
+    """Return the two control values of the cubic's second derivative between p1 and p2, metres a square cell."""
     near = (p[1] - p[0]) - (p[2] - p[1])
     far = (p[2] - p[1]) - (p[3] - p[2])
     two = wp.float64(2.0)
@@ -109,13 +109,13 @@ def max_of_3(known: wp.float64, v: wp.vec3d) -> wp.float64:
 
 @wp.func
 def across(a: vec12d, b: vec12d, c: vec12d, d: vec12d, k: int) -> wp.vec4d:
-    """Return value `k` of four columns."""
+    """Return value `k` of the four columns a, b, c, d of samples from west to east, see `column`."""
     return wp.vec4d(a[k], b[k], c[k], d[k])
 
 
 @wp.func
 def heights(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.vec2d:
-    """Return the lowest and highest control height of a patch."""
+    """Return the lowest and highest control height of the patch between columns b and c."""
     low = wp.float64(wp.inf)
     high = -wp.float64(wp.inf)
     for k in range(4):
@@ -258,7 +258,10 @@ def patch_ranges(
     cells: Depth,
     ranges: wp.array(dtype=wp.uint16),
 ):
-    """Compute the lowest and highest control height of row `offset + tid` of cells."""
+    """Compute the ranges of row `offset + tid` of cells: lowest and highest control height as codes.
+
+    base, step: metres of code 0 and from code to code.
+    """
     cy = offset + wp.tid()
     per_step = wp.float64(1.0) / step
     a = column(raster, -1, cy)

@@ -28,7 +28,7 @@ def weights(s: wp.float64) -> wp.vec4d:
 
 @wp.func
 def slopes(s: wp.float64) -> wp.vec4d:
-    """Return the derivatives of the weights."""
+    """Return the derivatives of `weights` by s: the weights of four samples in the slope at s."""
     half = wp.float64(0.5)
     one = wp.float64(1.0)
     three = wp.float64(3.0)

@@ -11,7 +11,10 @@ from ..unchecked import item_at
 
 @wp.func
 def with_detail(domain: Domain, layers: PackedLayers, p: wp.vec2i, g: wp.vec3d) -> wp.vec3d:
-    """Add the detail's height and gradient (metres a cell) at a lattice point to `g`."""
+    """Add the height and gradient (metres a cell) of the displacement layers at a lattice point to `g`.
+
+    g: height and gradient of the surface there, before scaling.
+    """
     units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     level_x = wp.where(p[0] > domain.east, wp.float64(0.0), wp.float64(1.0))  # padding is level
     level_y = wp.where(p[1] > domain.north, wp.float64(0.0), wp.float64(1.0))

@@ -74,7 +74,10 @@ def prefetch_sample(s: Samples, i: wp.int64):
 def error_of(
     table: wp.array(dtype=wp.float32), group: wp.int32, codes: wp.array(dtype=wp.uint8), i: wp.int64
 ) -> wp.float32:
-    """Return the metres of code `i` of a group of depths."""
+    """Return the metres that code `i` stands for: an entry of the table of 256 values of a group of depths.
+
+    Groups and their tables: see cbt_terrain/field/codes.py.
+    """
     return item_at(table, wp.int64((group << 8) + wp.int32(item_at(codes, i))))
 
 
@@ -89,9 +92,10 @@ def encode_errors(
     errors: wp.array(dtype=wp.float32),
     codes: wp.array(dtype=wp.uint8),
 ):
-    """Encode block `offset + tid` of the entries `first` .. `end`: the first code not below the error.
+    """Encode block `offset + tid` of `block` errors of `first` .. `end`: the first code not below the error.
 
-    row: first entry of the group in `table`. Zeros are not written: `codes` are zero, and holes of a sparse file stay.
+    errors: metres, one group of depths. row: first entry of the group in `table`, whose 256 values rise; the code is
+    found by bisection. Zeros are not written: `codes` are zero, and holes of a sparse file stay.
     """
     begin = first + wp.int64(offset + wp.tid()) * wp.int64(block)
     for k in range(wp.int32(wp.min(wp.int64(block), end - begin))):

@@ -93,7 +93,10 @@ def slope_basis(t: wp.float64) -> wp.vec4d:
 
 @wp.func
 def image_detail(c: PackedLayers, d: PackedDetail, x: wp.float64, y: wp.float64):
-    """Return the height of a periodic image and its slopes, as `noise_detail` does."""
+    """Return the height of a periodic image at (x, y) metres, and its slopes, as `noise_detail` does.
+
+    The pixels around are control heights of a bicubic B-spline.
+    """
     u = x * d.frequency
     v = y * d.frequency
     fu = wp.floor(u)
@@ -120,17 +123,17 @@ def image_detail(c: PackedLayers, d: PackedDetail, x: wp.float64, y: wp.float64)
 
 @wp.func
 def mask_at(c: PackedLayers, first: wp.int64, x: wp.float64, y: wp.float64):
-    """Return the weight of a layer at (x, y) metres, 0 .. 1, and its derivatives along x and y, 1 / metre."""
+    """Return the weight of a layer south (x, y) metres, 0 .. 1, and its derivatives along x and y, 1 / metre."""
     s = wp.clamp((x - c.west) * c.per_x, wp.float64(0.0), wp.float64(c.columns - 1))
     t = wp.clamp((y - c.south) * c.per_y, wp.float64(0.0), wp.float64(c.rows - 1))
     i = wp.min(wp.int32(s), c.columns - 2)
     j = wp.min(wp.int32(t), c.rows - 2)
     s -= wp.float64(i)
     t -= wp.float64(j)
-    at = first + wp.int64(j) * wp.int64(c.columns) + wp.int64(i)
-    north = at + wp.int64(c.columns)
-    a = wp.float64(c.masks[at])
-    b = wp.float64(c.masks[at + wp.int64(1)]) - a
+    south = first + wp.int64(j) * wp.int64(c.columns) + wp.int64(i)
+    north = south + wp.int64(c.columns)
+    a = wp.float64(c.masks[south])
+    b = wp.float64(c.masks[south + wp.int64(1)]) - a
     e = wp.float64(c.masks[north])
     f = wp.float64(c.masks[north + wp.int64(1)]) - e
     low = a + b * s

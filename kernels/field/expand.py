@@ -30,15 +30,18 @@ def largest_about(values: wp.array(dtype=wp.float32), cells: Depth, p: wp.vec2i)
 @wp.kernel
 def raise_cells(
     offset: int,
-    before: Depth,
+    old_cells: Depth,
     old: wp.array(dtype=wp.float32),
     cells: Depth,
     part: wp.float32,
     errors: wp.array(dtype=wp.float32),
 ):
-    """Set cells to `part` of the largest value of themselves and their four neighbours: the error below them."""
+    """Set cells to `part` of the largest old value of themselves and their four neighbours: the error below them.
+
+    old_cells: layout of the array `old`. part: factor by which an error falls in the bisections, 1/4 or 1/2.
+    """
     p = diamond(cells, offset + wp.tid())
-    errors[entry(cells, p[0], p[1])] = largest_about(old, before, p) * part
+    errors[entry(cells, p[0], p[1])] = largest_about(old, old_cells, p) * part
 
 
 @wp.kernel
@@ -58,9 +61,10 @@ def add_errors(
     off: wp.array(dtype=wp.float32),
     errors: wp.array(dtype=wp.float32),
 ):
-    """Compute the error of diamonds on a surface that is `off` the measured one with the errors `plain`.
+    """Compute errors of diamonds on another surface: those on the bilinear one plus the distance between both.
 
-    `off` becomes the largest of the children. The error is the sum, and at least the children's.
+    plain: errors on the bilinear surface, metres. off: largest distance of the two surfaces, metres; it becomes the
+    largest of the children. An error is the sum, and at least the children's.
     """
     p = diamond(coarser, offset + wp.tid())
     if holds(coarser, p):

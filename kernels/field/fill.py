@@ -51,24 +51,26 @@ def fill_rows(
 ):
     """Fill rows first_row .. end_row in place; `apex` [width] and `start` [width] are this thread's scratch.
 
-    Only missing samples are written and only valid ones are copied, so threads do not disturb each other.
+    nearest: from `nearest_in_columns`. The parabolas of a row's lower envelope have their apex in the columns `apex`,
+    and each is the lowest from `start` on. Only missing samples are written and only valid ones are copied, so threads
+    do not disturb each other.
     """
     for y in range(first_row, end_row):
         count = wp.int32(0)
         for x in range(width):
             row = nearest[y * width + x]
             if row >= 0:
-                reach = wp.float64(row - y)
-                level = reach * reach + wp.float64(x) * wp.float64(x)
+                distance = wp.float64(row - y)
+                sum_squares = distance * distance + wp.float64(x) * wp.float64(x)
                 from_x = wp.float64(-1.0e300)
                 searching = wp.int32(1)
                 while searching == 1:
                     searching = wp.int32(0)
                     if count > 0:
-                        px = apex[count - 1]
-                        pr = wp.float64(nearest[y * width + px] - y)
-                        other = pr * pr + wp.float64(px) * wp.float64(px)
-                        from_x = (level - other) / (wp.float64(2.0) * wp.float64(x - px))
+                        last_x = apex[count - 1]
+                        last_distance = wp.float64(nearest[y * width + last_x] - y)
+                        last_sum_squares = last_distance * last_distance + wp.float64(last_x) * wp.float64(last_x)
+                        from_x = (sum_squares - last_sum_squares) / (wp.float64(2.0) * wp.float64(x - last_x))
                         if from_x <= start[count - 1]:
                             count = count - 1
                             searching = wp.int32(1)

@@ -26,7 +26,10 @@ def round_up(value: wp.float64):
 def row_error(
     h: wp.array(dtype=wp.float32), first: int, count: int, plane: wp.float64, slope: wp.float64
 ) -> wp.float64:
-    """Return the largest distance of `count` samples of a row, from index `first` on, from the plane along that row."""
+    """Return the largest distance, metres, of `count` samples in a row from a plane.
+
+    first: index of the first sample. plane: height of the plane there. slope: its metres a sample along the row.
+    """
     largest = wp.float64(0.0)
     for i in range(count):
         distance = wp.abs(wp.float64(item_at(h, first + i)) - (plane + slope * wp.float64(i)))
@@ -36,13 +39,13 @@ def row_error(
 
 @wp.func
 def corner(raster: Samples, x: int, y: int) -> wp.float64:
-    """Return the height of a vertex; beyond the border that of the nearest sample."""
+    """Return the height, metres, of vertex (x, y) in samples; beyond the border that of the nearest sample."""
     return wp.float64(raster.floats[wp.min(y, raster.rows - 1) * raster.columns + wp.min(x, raster.columns - 1)])
 
 
 @wp.func
 def row_inside(raster: Samples, x: int, y: int, count: int, plane: wp.float64, slope: wp.float64) -> wp.float64:
-    """Return the largest distance from the plane of those of `count` samples from (x, y) on that are in the raster."""
+    """Return `row_error` of those of `count` samples from (x, y) to the east that are in the raster; 0 if none is."""
     inside = wp.min(count, raster.columns - x)
     largest = wp.float64(0.0)
     if inside > 0 and y < raster.rows:
@@ -57,7 +60,8 @@ def diagonal_inside(
     """Return the largest distance of the bilinear surface from the plane along the diagonals of `cells` cells.
 
     The diagonals start at (x, y) and run east (`right` 1) or west (-1), north (`up` 1) or south (-1). Those beyond the
-    border do not count. Along one the distance is e(t) = e0 (1-t) + e1 t - c t (1-t), c the cell's twist.
+    border do not count. plane: height of the plane at (x, y); slope: its metres a cell along the diagonal. In a cell
+    the distance is e(t) = e0 (1-t) + e1 t - c t (1-t), c the cell's twist.
     """
     h = raster.floats
     width = raster.columns
@@ -211,7 +215,10 @@ def twists(offset: int, measured: Samples, cells: Depth, errors: wp.array(dtype=
 
 @wp.kernel
 def saturate_rows(offset: int, part: wp.float32, cells: Depth, errors: wp.array(dtype=wp.float32)):
-    """Raise each cell of row `offset + tid` to at least `part` of its western and eastern neighbours."""
+    """Raise each cell of row `offset + tid` to at least `part` of its western and eastern neighbours.
+
+    One pass goes east, one back west, so a value reaches all cells, times `part` for each step.
+    """
     cy = offset + wp.tid()
     last = wp.float32(0.0)
     for cx in range(cells.columns):

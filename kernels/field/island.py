@@ -99,7 +99,11 @@ def gullies(x: wp.float64, y: wp.float64, turns: wp.float64, seed: wp.uint32):
 
 @wp.func
 def island_height(x: wp.float64, y: wp.float64, seed: wp.uint32):
-    """Return metres above the sea at (x, y), both in -1 .. 1 over the island's square."""
+    """Return metres above the sea at (x, y), both in -1 .. 1 over the island's square.
+
+    `inland` is negative in the sea and grows inland; ridges, valleys, the volcano and the coast follow from it and
+    noise.
+    """
     one = wp.float64(1.0)
     half = wp.float64(0.5)
     wide = noise(x * wp.float64(2.0), y * wp.float64(2.0), seed + wp.uint32(101))

@@ -76,7 +76,10 @@ def unite(a: wp.vec2us, ranges: wp.array(dtype=wp.uint16), index: wp.int64):
 def patches_around(
     offset: int, columns: int, rows: int, cells: Depth, finest: Depth, ranges: wp.array(dtype=wp.uint16)
 ):
-    """Compute the ranges of `finest_ranges` from all cells in the diamonds' boxes."""
+    """Compute the ranges of `finest_ranges` of row `offset + tid` from all cells in the diamonds' boxes.
+
+    columns, rows: cells of the raster, whose ranges a bicubic surface stores.
+    """
     y = offset + wp.tid()
     for x in range(1 - (y & 1), finest.columns + 1, 2):
         r = wp.vec2us(wp.uint16(65535), wp.uint16(0))

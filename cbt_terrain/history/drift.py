@@ -33,7 +33,7 @@ class CachedSubtrees:
     def drift(self, domain: Domain, criterion: CriterionArrays, max_depth: int) -> float:
         """Return the largest relative change of lengths that pixel footprints consist of or are compared with.
 
-        Lengths in `Motion` do not count. Infinity if more than the camera has changed.
+        Lengths in `Motion` do not count. Infinity if anything but the camera has changed: then no subtree is reused.
         """
         of_criterion = [name for name in CriterionArrays.vars if name not in SQUARES + VIEWS]
         of_view = "kind", "plane_count", "off_screen2", "fade", "fringe"
@@ -56,7 +56,10 @@ def _squares(criterion: CriterionArrays) -> list[float]:
 
 
 def move(motion: Motion, before: LocalView, now: LocalView, drift: float) -> None:
-    """Fill in the view's motion since the last frame."""
+    """Fill in the motion of the view from `before` to `now`, for the kernels that test cached subtrees.
+
+    drift: see `CachedSubtrees.drift`.
+    """
     motion.eye, motion.depth, motion.planes, motion.drift = before.eye, before.depth, before.planes, drift
     offsets = zip(now.weight, now.eye, before.eye, strict=True)
     motion.step = math.sqrt(add_up(float(w) * (float(a) - float(b)) * (float(a) - float(b)) for w, a, b in offsets))

@@ -44,7 +44,7 @@ class Hints:
     marks: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def make_room(self, leaves: int) -> None:
-        """Have slices begin with room for at least `leaves` leaves."""
+        """Let slices begin with capacity for at least `leaves` leaves, and a quarter more."""
         if leaves > self.capacity:
             self.capacity = int(1.25 * leaves) + 1024
 
@@ -73,7 +73,11 @@ class FrameHistory:
 
     @contextmanager
     def alone(self) -> Iterator[None]:
-        """Keep other threads out. In a process that was forked while one was inside, begin with nothing."""
+        """Keep other threads out of the history for the block.
+
+        In a process that was forked while another thread was inside, begin with an empty history. Raises TerrainError
+        if the same thread is inside already.
+        """
         with self._lock:
             if self._lock.broken:
                 self.discard()
@@ -122,14 +126,15 @@ class FrameHistory:
         return motion
 
     def need_tree(self, max_depth: int, threads: int) -> None:
-        """Have a tree of this depth; another one is forgotten."""
+        """Keep the tree if it has this depth, else begin with a new one."""
         if self.tree is None or max_depth != self.tree.max_depth:
             self.tree, self._tree_leaves = ConcurrentBinaryTree(max_depth, threads), None
 
     def set_tree(self, leaves: Leaves, parts: list[LeafPart], cell_bits: int) -> bool:
         """Write the next frame's leaves into the tree, and return whether it has changed.
 
-        The parts may name nodes whose leaves are those of the last frame, as far as the tree still holds those.
+        parts: their codes by slice. They may name nodes whose leaves are those of the last frame; that is ignored if
+        the tree holds other leaves. cell_bits: log2 of the deepest cells of a root square.
         """
         if self._tree_leaves is not self.last.leaves:
             parts = [part._replace(num_same=0) for part in parts]
@@ -139,7 +144,7 @@ class FrameHistory:
         return changed
 
     def replace_leaves(self) -> None:
-        """Have the next frame's leaves written into the memory of the last ones: nothing is cached."""
+        """Let the next frame write its leaves into the memory of the last ones, so that none of them can be reused."""
         self.next.arrays.exchange(self.last.arrays, LEAF_ARRAYS)
         self.last.subtrees = None
 
@@ -172,7 +177,7 @@ class FrameHistory:
         self.last.vertices = None
 
     def room_for_points(self) -> Buffers:
-        """Return the memory of scatter points, other memory where a caller still reads the last ones."""
+        """Return the memory for scatter points; other memory where a caller still reads the last ones."""
         self._loans.reclaim([self.points], copied=[])
         return self.points
 

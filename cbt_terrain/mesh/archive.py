@@ -117,6 +117,7 @@ def _plain(value: object) -> object:
 
 
 def _array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
+    """Return the array of an entry; pickled objects are refused, because loading them runs code."""
     with archive.open(name) as entry:
         return np.lib.format.read_array(entry, allow_pickle=False)
 

@@ -25,7 +25,7 @@ def end(
 ) -> tuple[Surface, list[np.ndarray]]:
     """Cut the whole surface of the leaves at the raster's border and at its holes. Arguments are those of `cut`.
 
-    Return a Surface, and the pairs of swapped vertices of each cut, in order.
+    Return a Surface, and for each cut the pairs of swapped vertices, int64 [2, n], in order.
     """
     surface, at_border = cut(surface, border_sides(domain), room=room, threads=threads)
     if field.valid is None:

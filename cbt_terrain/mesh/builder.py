@@ -85,11 +85,13 @@ def build_surface(field: HeightField, request: SurfaceRequest, history: FrameHis
     )
 
     def memory_of(name: str) -> tuple[Buffers, str]:
+        """Return the buffers and the name in them that hold an array of the surface."""
         if name in DISPLACED:
             return arrays, name
         return scratch, prefix + ("level" if name == LEVEL else name)
 
     def room(name: str, _array: np.ndarray, count: int) -> np.ndarray:
+        """Return the memory of an array with room for `count` items: the `Room` of the cuts."""
         buffers, buffer_name = memory_of(name)
         return buffers.extend(buffer_name, count)
 
@@ -118,32 +120,34 @@ def _expand(
 
     Return the points and the numbers of triangles, vertices and edges.
     """
-    scratch, arrays, n = history.scratch, history.next.arrays, t.segments
+    scratch, arrays, segments = history.scratch, history.next.arrays, t.segments
     coarse, fine = (scratch.struct(meshlet_kernels.WeldedMesh, slot) for slot in range(2))
     triangles = leaves * t.triangles
-    all_vertices = vertices + edges * (n - 1) + leaves * t.inner_points
-    all_edges = edges * n + leaves * t.inner_lines
+    all_vertices = vertices + edges * (segments - 1) + leaves * t.inner_points
+    all_edges = edges * segments + leaves * t.inner_lines
     coarse.vertices, coarse.edge_count = vertices, edges
     point = scratch.get("mesh_point", all_vertices, wp.vec2i)
     bind(coarse, point=point, **mesh_arrays(scratch, "leaf_", leaves, edges, arrays))
     bind(fine, point=point, **mesh_arrays(scratch, "mesh_", triangles, all_edges, scratch))
-    # The leaves' own points first, in one row, where edges and leaves can look them up.
-    source, to, first = arrays.numpy("point"), scratch.numpy("mesh_point"), 0
+    # The leaves' points come first, without gaps between slices, where edges and leaves can look them up.
+    source, target, first = arrays.numpy("point"), scratch.numpy("mesh_point"), 0
     for base, count in parts:
-        to[first : first + count] = source[base : base + count]
+        target[first : first + count] = source[base : base + count]
         first += count
     pieces = _pieces(triangles, threads)
-    room = t.points + t.lines
-    numbers = scratch.get("template_numbers", pieces * room, wp.int32)
-    both = zip(launch.ranges(edges, pieces), launch.ranges(leaves, pieces), strict=True)
+    table_size = t.points + t.lines
+    numbers = scratch.get("template_numbers", pieces * table_size, wp.int32)
+    ranges = zip(launch.ranges(edges, pieces), launch.ranges(leaves, pieces), strict=True)
     inputs = [
-        [*of_edges, *of_leaves, k * room, t, coarse, fine, numbers] for k, (of_edges, of_leaves) in enumerate(both)
+        [*of_edges, *of_leaves, k * table_size, t, coarse, fine, numbers]
+        for k, (of_edges, of_leaves) in enumerate(ranges)
     ]
     launch.slices(meshlet_kernels.expand, inputs, step="meshlets", recorded=scratch.launches)
     return point, triangles, all_vertices, all_edges
 
 
 def _pieces(items: int, threads: int) -> int:
+    """Return the number of pieces for parallel work on `items` items: 1 if they are too few."""
     return threads if items >= launch.SLICE_ITEMS else 1
 
 

@@ -83,12 +83,13 @@ def copied(_name: str, array: np.ndarray, count: int) -> np.ndarray:
 def cut(
     surface: Surface, sides: Sequence[Side], *, room: Room = copied, threads: int = 1
 ) -> tuple[Surface, np.ndarray]:
-    """Return the part of a surface on the inner side of all `sides`, and int64 [2, n]: pairs of swapped vertices.
+    """Remove everything outside of `sides`; return the remaining surface and int64 [2, n]: pairs of swapped vertices.
 
     Each edge that changes sign gets one new vertex, so the mesh stays welded; its attributes are interpolated between
-    the edge's ends. Elements keep their numbers, except that the last ones fill the gaps. With another `room` than
-    `copied` the arrays are overwritten; swapping back restores the earlier vertices. The bytes do not depend on the
-    number of threads. `sides` should be few: each may double the number of listed triangles.
+    the edge's ends. Elements keep their numbers, except that the last ones fill the gaps of removed ones. `room`
+    allocates the larger arrays for new elements. With another `room` than `copied` the given arrays are overwritten;
+    swapping back restores the earlier vertices. The bytes do not depend on the number of threads. `sides` should be
+    few: each may double the number of listed triangles.
     """
     if not sides:
         return surface, NONE_SWAPPED
@@ -123,6 +124,11 @@ class _Work:
     """A surface that is being cut, in arrays with room for new elements."""
 
     def __init__(self, surface: Surface, near: np.ndarray, sides: int, room: Room, threads: int) -> None:
+        """Allocate the arrays for `sides` cuts and bind them to the kernels' struct.
+
+        near: bool [V], vertices that may be removed or moved; triangles with such a vertex are listed, and only they
+        change. It is overwritten.
+        """
         self.surface = surface
         self.before = len(surface.positions), len(surface.edges), len(surface.triangles)
         # At most this number of vertices is removed, with the edges between them: as many of the last fill the gaps.
@@ -158,7 +164,10 @@ class _Work:
         return array[: len(array) // each * each].reshape(len(array) // each, -1)
 
     def cut(self, side: Side, value: np.ndarray) -> None:
-        """Cut at a side. `value`: signed values of the vertices from before all cuts."""
+        """Cut at a side: add vertices, edges and triangles with their attributes; mark the negative part as removed.
+
+        value: float64 [V], the side's signed values of the vertices from before all cuts.
+        """
         first, first_edge, first_face, _ = self.counts.tolist()
         self.value[self.corners] = value[self.corners]
         earlier, on_line = slice(len(value), first), np.zeros(first - len(value), bool)
@@ -248,12 +257,12 @@ class _Work:
 
 
 def _merged(pairs: np.ndarray, count: int) -> np.ndarray:
-    """Return int64 [count]: the smallest number that each number is joined with by pairs, int [n, 2]."""
-    to = np.arange(count)
+    """Return int64 [count]: the smallest number that chains of pairs, int [n, 2], join each number with."""
+    joined = np.arange(count)
     for a, b in pairs.tolist():
-        smaller, larger = sorted((to[a], to[b]))
-        to[to == larger] = smaller
-    return to
+        smaller, larger = sorted((joined[a], joined[b]))
+        joined[joined == larger] = smaller
+    return joined
 
 
 def swap(array: np.ndarray, swapped: np.ndarray) -> None:

@@ -76,9 +76,9 @@ def reuse_points(history: FrameHistory) -> list[int]:
 
 
 def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> list[int]:
-    """Bind the runs of the `points` inside leaves that both frames have.
+    """Bind the runs of the `points` inside each leaf that both frames have.
 
-    Return the numbers of the list of all other points and of the list of these.
+    now: the vertices of the next frame. Return the numbers of the list of all other points and of the list of these.
     """
     scratch, before = history.scratch, history.last.vertices
     assert before is not None, "points are reused from the last frame"
@@ -95,9 +95,10 @@ def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> lis
 
 
 def _copy(history: FrameHistory, runs: Runs, base: np.ndarray, first: np.ndarray) -> None:
-    """Bind runs of points of the last frame.
+    """Bind runs of points that are copied from the last frame, with that frame's positions, normals and uv.
 
-    `base`: first entry of each slice's points there; `first`: number of its first vertex.
+    base: int64 [slices], first entry of each slice's points in that frame. first: int64 [slices], number of its first
+    vertex.
     """
     arrays, last = history.next.arrays, history.last.arrays
     bind(
@@ -114,7 +115,7 @@ def _copy(history: FrameHistory, runs: Runs, base: np.ndarray, first: np.ndarray
 
 @cache
 def _no_runs() -> Runs:
-    """Return lists without a run."""
+    """Return lists of runs that are empty, for a frame that copies no points."""
     runs = Runs()
     runs.runs, runs.counts = wp.zeros(1, dtype=Run, device="cpu"), wp.zeros(1, dtype=wp.int64, device="cpu")
     runs.room = 1

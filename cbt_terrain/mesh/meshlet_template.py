@@ -11,10 +11,11 @@ from ...kernels.mesh.meshlet import Template
 # Corners and sides are stored left, apex, right at odd depths, and mirrored at even ones.
 _MIRRORED_CORNERS, _MIRRORED_SIDES = [2, 1, 0], [1, 0, 2]
 
-Place = tuple[int, int, int]  # barycentric, in n-ths: left, apex, right
+Barycentric = tuple[int, int, int]  # weights of left, apex and right, in n-ths
 
 
-def _middle(p: Place, q: Place) -> Place:
+def _middle(p: Barycentric, q: Barycentric) -> Barycentric:
+    """Return the midpoint of two points in barycentric n-ths."""
     return (p[0] + q[0]) // 2, (p[1] + q[1]) // 2, (p[2] + q[2]) // 2
 
 
@@ -30,10 +31,11 @@ def template(meshlet: int) -> Template:
             for middle in [_middle(left, right)]
             for child in ((left, middle, apex), (apex, middle, right))
         ]
-    inner_points: dict[Place, int] = {}
-    inner_lines: dict[frozenset[Place], tuple[int, Place, Place]] = {}
+    inner_points: dict[Barycentric, int] = {}
+    inner_lines: dict[frozenset[Barycentric], tuple[int, Barycentric, Barycentric]] = {}
 
-    def point(b: Place) -> int:
+    def point(b: Barycentric) -> int:
+        """Return the number of a point: corners first, then points on sides, then inner ones as they are met."""
         if n in b:
             return b.index(n)
         side = _side(b)
@@ -41,7 +43,8 @@ def template(meshlet: int) -> Template:
             return 3 + side * (n - 1) + b[(side + 1) % 3] - 1
         return 3 * n + inner_points.setdefault(b, len(inner_points))
 
-    def line(p: Place, q: Place) -> int:
+    def line(p: Barycentric, q: Barycentric) -> int:
+        """Return the number of a line between two points: segments of sides first, then inner ones as they are met."""
         side = _side(p, q)
         if side is not None:
             return side * n + min(p[(side + 1) % 3], q[(side + 1) % 3])
@@ -64,9 +67,12 @@ def template(meshlet: int) -> Template:
     return t
 
 
-def _side(*places: Place) -> int | None:
-    """Return the side that all places are on: 0 from left to apex, 1 from apex to right, 2 from right to left."""
+def _side(*points: Barycentric) -> int | None:
+    """Return the side that all points are on: 0 from left to apex, 1 from apex to right, 2 from right to left.
+
+    None if no side contains them all.
+    """
     for side in range(3):
-        if all(b[(side + 2) % 3] == 0 for b in places):
+        if all(b[(side + 2) % 3] == 0 for b in points):
             return side
     return None

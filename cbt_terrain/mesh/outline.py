@@ -78,14 +78,14 @@ def _distances(triangles: np.ndarray, border: np.ndarray, surface: Surface) -> n
 
     The magnitude is exact only for vertices of triangles that cross the border; others have the right sign.
     """
-    place = surface.positions[:, :2].astype(np.float64)
-    is_inside = covered(triangles, place)
+    points = surface.positions[:, :2].astype(np.float64)
+    is_inside = covered(triangles, points)
     values = np.where(is_inside, 1.0, -1.0)
     corners = is_inside[surface.triangles]
     near = np.unique(surface.triangles[corners.any(axis=1) & ~corners.all(axis=1)])
     start, along = border[:, 0], border[:, 1] - border[:, 0]
     for part in np.array_split(near, 1 + len(near) * len(border) // BLOCK):
-        away = place[part][:, None] - start
+        away = points[part][:, None] - start
         t = np.clip(np.sum(away * along, axis=2) / np.sum(along * along, axis=1), 0.0, 1.0)
         away -= t[:, :, None] * along
         values[part] *= np.sqrt(np.sum(away * away, axis=2).min(axis=1))

@@ -52,7 +52,10 @@ def middles(surface: Surface) -> np.ndarray:
 
 
 def _depth(corners: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return the depth of points inside counter-clockwise triangles, float32 [n, 3, 2], metres; negative outside."""
+    """Return how deep points are inside counter-clockwise triangles, metres; negative outside.
+
+    corners: float32 [n, 3, 2], metres. places: float64 [n, 2]. The depth is the distance to the nearest side.
+    """
     corners = corners.astype(np.float64)
     sides, there = np.roll(corners, -1, axis=1) - corners, places[:, None] - corners
     across = sides[..., 0] * there[..., 1] - sides[..., 1] * there[..., 0]

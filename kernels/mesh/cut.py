@@ -80,7 +80,7 @@ def flag_holes(
 
 @wp.func
 def tolerance_along(tolerance: wp.float64, p: wp.vec3f, q: wp.vec3f) -> wp.float64:
-    """Return `tolerance` times the largest coordinate of p and q, as a fraction of the edge's length in plan."""
+    """Return `tolerance` times the largest coordinate of p and q, as a fraction of their distance in plan."""
     largest = wp.max(wp.max(wp.abs(p[0]), wp.abs(p[1])), wp.max(wp.abs(q[0]), wp.abs(q[1])))
     x = wp.float64(q[0]) - wp.float64(p[0])
     y = wp.float64(q[1]) - wp.float64(p[1])
@@ -98,9 +98,11 @@ def snap_to_line(tolerance: wp.float64, positions: wp.array(dtype=wp.vec3f), m: 
             a = m.value[p]
             b = m.value[q]
             if (a < wp.float64(0.0) and b > wp.float64(0.0)) or (a > wp.float64(0.0) and b < wp.float64(0.0)):
-                part = a / (a - b)
-                if wp.min(part, wp.float64(1.0) - part) < tolerance_along(tolerance, positions[p], positions[q]):
-                    m.value[wp.where(part < wp.float64(0.5), p, q)] = wp.float64(0.0)
+                fraction = a / (a - b)
+                if wp.min(fraction, wp.float64(1.0) - fraction) < tolerance_along(
+                    tolerance, positions[p], positions[q]
+                ):
+                    m.value[wp.where(fraction < wp.float64(0.5), p, q)] = wp.float64(0.0)
 
 
 @wp.func
@@ -114,7 +116,7 @@ def remove_triangle(m: Cut, t: wp.int32):
 
 @wp.func
 def add_one(m: Cut, kind: wp.int32) -> wp.int32:
-    """Count one more element of a kind; return its number."""
+    """Count one more element of a kind (VERTEX .. LISTED); return its number."""
     number = m.counts[kind]
     m.counts[kind] = number + 1
     return number
@@ -122,7 +124,11 @@ def add_one(m: Cut, kind: wp.int32) -> wp.int32:
 
 @wp.func
 def cut_point(m: Cut, first: wp.int32, e: wp.int32, p: wp.int32, q: wp.int32) -> wp.int32:
-    """Return the vertex that cuts edge e from p (positive) to q (negative). The first call makes it, in place of q."""
+    """Return the vertex at which edge e from p (positive) to q (negative) is cut.
+
+    The first call makes it and puts it in place of q; the call for the edge's other triangle finds it there. first: the
+    first number of vertices that this cut makes.
+    """
     a = m.edges[e][0]
     b = m.edges[e][1]
     n = a + b - p
@@ -216,7 +222,7 @@ def cut(m: Cut):
 
 @wp.kernel
 def drop(flagged: wp.array(dtype=wp.uint8), m: Cut):
-    """Leave out the listed triangles that are flagged."""
+    """Remove the listed triangles that are flagged; `close` keeps what other triangles still use."""
     for i in range(m.counts[LISTED]):
         if flagged[m.listed[i]] != wp.uint8(0):
             remove_triangle(m, m.listed[i])
@@ -224,7 +230,7 @@ def drop(flagged: wp.array(dtype=wp.uint8), m: Cut):
 
 @wp.kernel
 def close(m: Cut):
-    """Keep the vertices and edges of the triangles that remain."""
+    """Clear the marks of vertices and edges that remaining triangles use, so that only unused ones are removed."""
     for i in range(m.counts[LISTED]):
         t = m.listed[i]
         if m.removed[TRIANGLE, t] == wp.uint8(0):

@@ -137,7 +137,8 @@ def find_run(
 ):
     """Return begin and end of the run's points from point v on, and the first one's vertex of the last frame.
 
-    Begin and end are both `end` if the run has none.
+    Begin and end are both `end` if the run has none. run, run_end: entry of the list of runs, and its end. point_base:
+    entry of the slice's first point.
     """
     begin = end
     stop = end
@@ -159,7 +160,10 @@ def find_run(
 def next_new(
     points: DisplacedPoints, run: wp.int64, run_end: wp.int64, stop: wp.int32, end: wp.int32, point_base: wp.int64
 ):
-    """Return the end of the points to prefetch: from `stop` to the next run, AHEAD at most."""
+    """Return the end of the points to prefetch: from `stop` to the next run that is copied, AHEAD at most.
+
+    run, run_end: the next entry of the list of runs and its end. end: end of this piece's points.
+    """
     begin = wp.min(stop + AHEAD, end)
     if run < run_end:
         begin = wp.min(begin, wp.int32(points.reused.runs[run].first - point_base))
@@ -189,7 +193,7 @@ def fetch_samples(domain: Domain, q: wp.vec2i):
 
 @wp.func
 def surface_at(domain: Domain, p: wp.vec2i) -> wp.vec3d:
-    """Return height and gradient (metres a cell) of the surface at a lattice point."""
+    """Return height (metres before scaling) and gradient (metres a cell) at a lattice point, without detail."""
     bits = domain.unit_bits - domain.levels
     cell = wp.int32(1) << bits
     x = wp.min(p[0], domain.east)  # beyond the border the surface is level
@@ -220,9 +224,10 @@ def displace(
     domain: Domain,
     points: DisplacedPoints,
 ):
-    """Write positions (metres from the local origin), normals and texture coordinates of points on the surface.
+    """Write positions (metres from the local origin), normals and texture coordinates of points `first` .. `end`.
 
-    `slot`: number of the list of runs that are copied from the last frame.
+    point_base, vertex_base: entry of point 0, and its vertex. slot: number of the list of runs that are copied from the
+    last frame; all other points are computed.
     """
     last = point_base + wp.int64(end - 1)
     run, run_end = runs_of(points, slot)

@@ -43,7 +43,10 @@ def resolve(
     open_level: wp.array(dtype=wp.int32),
     found: wp.array(dtype=wp.vec2i),
 ):
-    """Find the (edge, vertex) of each import, slice by slice, and settle the entries that later slices import."""
+    """Find the (edge, vertex) of each import, slice by slice, and settle the entries that later slices import.
+
+    open, open_level, size: the two stacks of open edges at the end of a slice, see `join`.
+    """
     squares = w.columns * w.rows
     tops = wp.vec2i(0, 0)
     for k in range(slices):

@@ -103,7 +103,10 @@ def expand(
     out: WeldedMesh,
     numbers: wp.array(dtype=wp.int32),
 ):
-    """Expand a range of edges and a range of leaves. `numbers`: scratch for one leaf from entry `scratch` on."""
+    """Write points, lines and triangles of a range of edges and a range of leaves, by the template.
+
+    numbers: scratch from entry `scratch` on, for the numbers of one leaf's points and lines in the template's order.
+    """
     n = t.segments
     for e in range(first_edge, end_edge):
         expand_edge(e, n, source, out)

@@ -64,9 +64,10 @@ def by_shape(value) -> int:
 
 
 def first_corner(passage: int, odd: int) -> int:
-    """Return the corner (0 .. 2) that stores the front's left vertex.
+    """Return the corner (0 .. 2) of the stored triangle in which the front's left vertex is.
 
-    The order is left, apex, right if the depth is odd, else mirrored.
+    passage: LEG_LEG, HYP_LEG or LEG_HYP. odd: parity of the depth. The order is left, apex, right if it is odd, else
+    mirrored.
     """
     return 2 if passage == HYP_LEG else 1 - odd
 
@@ -214,7 +215,11 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
 
 @wp.func
 def note_rare(w: Weld, b: Base, slot: wp.int32, code: wp.int32, s: Strip, t: wp.int32, third: wp.int32, far: wp.int32):
-    """Note a triangle with an import, and give the edge by which the curve leaves a square to the square above."""
+    """List a triangle that uses an import, and give the edge by which the curve leaves a square to the square above.
+
+    t: the triangle. third, far: its third edge and that edge's far vertex. `join` replaces the imports of listed
+    triangles.
+    """
     e = STATE_SIZE * slot
     if (s.front0 | s.front1 | far | s.entry | third) < 0:
         n = w.state[e + FIXES]
@@ -229,7 +234,7 @@ def note_rare(w: Weld, b: Base, slot: wp.int32, code: wp.int32, s: Strip, t: wp.
 
 @wp.func
 def end(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32, s: Strip):
-    """Store the front and the open edges for the next slice."""
+    """Store the front and the numbers of open edges at the end of a slice, from which the next slice imports."""
     e = STATE_SIZE * slot
     w.state[e + LAST_LEVEL] = s.level
     if s.torn != 0:

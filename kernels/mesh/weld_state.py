@@ -100,7 +100,7 @@ def stack_base(room: wp.int32, leaves: wp.int32, side: wp.int32) -> wp.int32:
 
 @wp.func
 def add_import(w: Weld, b: Base, e: wp.int32, kind: wp.int32, value: wp.int32) -> wp.int32:
-    """Write an import and return the number that stands for it."""
+    """Add an import of a kind (FRONT ..) to the slice's list; return the negative number that stands for it."""
     n = w.state[e + IMPORTS]
     w.imports[2 * b.room + n] = wp.vec2i(kind, value)
     w.state[e + IMPORTS] = n + 1

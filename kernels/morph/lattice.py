@@ -59,7 +59,7 @@ def split_vertex(unit_bits: wp.int32, p: wp.vec2i) -> SplitVertex:
 
 @wp.func
 def diamond_above(unit_bits: wp.int32, v: SplitVertex, bisections: wp.int32) -> SplitVertex:
-    """Return the diamond an even number of bisections above that of v, with the whole edge in one of its triangles.
+    """Return the diamond an even number of bisections above that of v, of which one triangle contains v's whole edge.
 
     Two above, the split vertex is that end of the edge which is two bisections older; the other end is older still.
     """

@@ -32,7 +32,7 @@ from .state import NOWHERE, PENDING, REMEMBERED, Ends, Known, Memory, MorphedPoi
 
 @wp.func
 def surface_of(domain: Domain, layers: PackedLayers, p: wp.vec2i) -> wp.vec3d:
-    """Return height and gradient (metres a cell) of the surface with its detail."""
+    """Return height (metres before scaling) and gradient (metres a cell) of the detailed surface at point p."""
     g = surface_at(domain, p)
     if layers.count > 0:
         g = with_detail(domain, layers, p, g)
@@ -75,7 +75,10 @@ def ratio2_of(
 
 @wp.func
 def weight_of(ramp: Ramp, ratio2: wp.float64) -> wp.float64:
-    """Return W: 0 up to a ratio of 1, 1 from k on."""
+    """Return the weight W of a point on the ramp: 0 up to a ratio of 1, a smoothstep, and 1 from the ratio k on.
+
+    ratio2: squared ratio of its diamond's error to the criterion.
+    """
     one = wp.float64(1.0)
     weight = one
     if ratio2 < ramp.end2:
@@ -86,7 +89,7 @@ def weight_of(ramp: Ramp, ratio2: wp.float64) -> wp.float64:
 
 @wp.func
 def entry_of(memory: Memory, p: wp.vec2i) -> wp.int32:
-    """Return the entry in which a point is remembered."""
+    """Return the entry of the thread's hash table in which a point is remembered; another point may replace it."""
     mixed = p[0] * 73856093 ^ p[1] * 19349663
     return memory.slot * REMEMBERED + ((mixed ^ (mixed >> 15)) & (REMEMBERED - 1))
 
@@ -111,7 +114,8 @@ def evaluate_point(
 ):
     """Return a point's W, its record, the surface there, and the squared metres of the finest pixel on its diamond.
 
-    The surface is not that of a vertex of the last frame. Write the record and the relief of the vertex itself.
+    at: lattice point. last: number in the last frame, -1: none; of such a vertex the record is read, and the surface is
+    zero. The record and the relief of the vertex itself (`is_vertex`) are written for the next frame.
     """
     weight = wp.float64(1.0)
     pixel2 = wp.float64(0.0)
@@ -153,7 +157,7 @@ def evaluate_point(
 
 @wp.func
 def add_end(ends: Ends, end: MorphedPoint) -> Ends:
-    """Add an end to the sums."""
+    """Add an end of the edge to the sums of heights and normals; the settled error is the minimum."""
     ends.height += end.height
     ends.z += end.z
     ends.settled_metres2 = smaller(ends.settled_metres2, end.settled_metres2)
@@ -164,7 +168,10 @@ def add_end(ends: Ends, end: MorphedPoint) -> Ends:
 
 @wp.func
 def morph_between(target: MorphedPoint, weight: wp.float64, ends: Ends) -> MorphedPoint:
-    """Return a point in this frame from its surface, W and two ends."""
+    """Return a point in this frame: between the mean of its two ends (W = 0) and its surface (W = 1).
+
+    target: height and normal of the surface there. ends: sums over the two ends of the edge that the point splits.
+    """
     half = wp.float64(0.5)
     found = target
     found.z = half * ends.z + weight * (target.height - half * ends.height)
@@ -178,9 +185,9 @@ def morph_between(target: MorphedPoint, weight: wp.float64, ends: Ends) -> Morph
 
 @wp.func
 def settled_from(morphing: Morphing, pixel2: wp.float64) -> wp.float64:
-    """Return the `metres2` above which points are settled.
+    """Return the error `metres2` above which points are settled if a pixel on their diamonds spans at most `pixel2`.
 
-    No pixel on their diamonds then spans more than `pixel2`, squared metres.
+    pixel2: squared metres.
     """
     return pixel2 * morphing.ramp.end2 * morphing.ramp.limit * morphing.criterion.error_px2 * ABOVE
 
@@ -215,7 +222,7 @@ def was_unsettled(morphing: Morphing, last: wp.int64) -> wp.bool:
 
 @wp.func
 def no_ends() -> Ends:
-    """Return sums over nothing."""
+    """Return the sums over the two ends of an edge before either is added."""
     ends = Ends()
     ends.settled_metres2 = wp.float64(wp.inf)
     return ends
@@ -231,9 +238,11 @@ def morphed_point(
     last: wp.int64,
     clear_below: wp.int32,
 ):
-    """Return a vertex at the lattice point p in this frame, and the surface there (not of a vertex of the last frame).
+    """Return a vertex at the lattice point p in this frame, and the surface there (zero for one of the last frame).
 
-    `last`: its number in the last frame, -1: none. `clear_below`: if it is deeper, the frustums hold its diamond.
+    Its ends must be known first, and theirs before; points that wait for them are on a stack, since kernels cannot
+    recurse. last: its number in the last frame, -1: none. clear_below: the frustums contain the diamonds of deeper
+    points.
     """
     first = memory.slot * PENDING
     top = first - 1  # the last of the points that wait

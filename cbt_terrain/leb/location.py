@@ -42,7 +42,10 @@ def locate(tree: ConcurrentBinaryTree, lattice: Lattice, places: np.ndarray, mes
 
 
 def _path(x: np.ndarray, y: np.ndarray, depth: int) -> np.ndarray:
-    """Return the halves that hold points of a square: int64, `depth` bits, the first bisection is the highest."""
+    """Return the path to points of a square, int64: a bit for each of `depth` bisections, the first one the highest.
+
+    A bit is 1 in the second half. x, y: int64, 2^-UNIT_BITS of the square's side from its lower left corner.
+    """
     unit = 1 << UNIT_BITS
     second = x + y > unit  # of the square's two halves
     a, b = np.where(second, unit - y, y), np.where(second, unit - x, x)

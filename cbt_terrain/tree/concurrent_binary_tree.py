@@ -57,6 +57,7 @@ class ConcurrentBinaryTree:
     """
 
     def __init__(self, max_depth: int, threads: int | None = 1) -> None:
+        """Make a tree whose root is its only leaf. Raises TerrainError for a depth outside of 6 .. 40."""
         if not (isinstance(max_depth, int) and MIN_DEPTH <= max_depth <= MAX_DEPTH):
             raise TerrainError(
                 f"The tree's depth is {max_depth!r}", expected=f"a whole number, {MIN_DEPTH} .. {MAX_DEPTH}"
@@ -144,10 +145,10 @@ class ConcurrentBinaryTree:
     # Write all leaves: O(leaves)
 
     def set_leaves(self, parts: list[LeafPart], shift: int = 0, levels: int | None = None) -> bool:
-        """Replace the leaves by those of the parts, and return whether they are others; a thread writes each part.
+        """Replace the leaves by those of the parts, and return whether the tree has changed; a thread writes each part.
 
-        `shift`, `levels`: a leaf has 2^(levels - depth) cells, and its depth in the bits `shift` .. `shift` + 5 of its
-        code. Nodes whose leaves are the same, as the parts say, are passed over.
+        shift, levels: a leaf has 2^(levels - depth) cells, and its depth is in the bits `shift` .. `shift` + 5 of its
+        code. Nodes whose leaves are the same, as the parts state, are skipped.
         """
         parts, start = [part for part in parts if part.count], 0
         while len(self._runs) < len(parts):
@@ -160,9 +161,9 @@ class ConcurrentBinaryTree:
             if part.num_same:
                 bind(run, same=part.same)
             start = part.end
-        likely = sum(int(part.count) for part in parts) // SLOTS
-        if likely > self.bits.num_pages:
-            self._resize(max(likely, 2 * self.bits.num_pages))
+        estimated_pages = sum(int(part.count) for part in parts) // SLOTS
+        if estimated_pages > self.bits.num_pages:
+            self._resize(max(estimated_pages, 2 * self.bits.num_pages))
         self._state[bitfield.DIFFERS] = 0
         num_pages, is_empty = self.bits.num_pages, False
         while True:

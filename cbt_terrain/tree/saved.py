@@ -35,12 +35,12 @@ def depths_from_bytes(data: bytes) -> tuple[int, np.ndarray]:
     if len(data) != _HEADER.size + count + 4 or struct.unpack("<I", data[-4:])[0] != zlib.crc32(data[:-4]):
         raise TerrainError(f"{what} is cut short or damaged", where=f"{count} leaves", fix=fix)
     depths = np.frombuffer(data, np.uint8, count, _HEADER.size)
-    if not _are_of_tree(depths, max_depth):
+    if not _form_a_tree(depths, max_depth):
         raise TerrainError(f"{what} has leaves that do not form a tree", fix=fix)
     return max_depth, depths
 
 
-def _are_of_tree(depths: np.ndarray, max_depth: int) -> bool:
+def _form_a_tree(depths: np.ndarray, max_depth: int) -> bool:
     """Return whether leaves of these depths in order fill the tree.
 
     A leaf of 2**j cells begins at a multiple of 2**j, and the last leaf ends at the end of the tree.

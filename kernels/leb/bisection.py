@@ -95,7 +95,10 @@ def triangle_of(node: LebNode, unit_bits: wp.int32):
 
 @wp.func
 def first_neighbour(grid: SquareGrid, node: LebNode, heap_id: wp.int32, edge: wp.int32) -> LebNode:
-    """Return the neighbour of a triangle of depth 1 or 2 in the node's square."""
+    """Return the neighbour of a triangle of depth 1 or 2 in the node's square, from a table; id 0 beyond the grid.
+
+    heap_id: of the triangle, 2 .. 7. edge: 0 left, 1 right, 2 the longest.
+    """
     at = 9 * (heap_id - 2) + 3 * edge
     near = LebNode()
     near.column = node.column + FIRST_NEIGHBOURS[at]
@@ -107,7 +110,7 @@ def first_neighbour(grid: SquareGrid, node: LebNode, heap_id: wp.int32, edge: wp
 
 @wp.func
 def half(node: LebNode, bit: wp.uint64) -> LebNode:
-    """Return a child of a node; none of none."""
+    """Return child 0 or 1 of a node; a node with id 0, which stands for none, has none."""
     if node.heap_id != wp.uint64(0):
         node.heap_id = wp.uint64(2) * node.heap_id + bit
     return node

@@ -90,7 +90,7 @@ def bits_below(bit: wp.int32) -> wp.uint64:
 
 @wp.func
 def mark_changed(t: Bitfield, slot: wp.int32, level: wp.int32):
-    """Put a word on the list of those to be summed again, once."""
+    """Put a word on the list of those whose counter must be summed again; only once, whichever thread comes first."""
     count = t.counts[slot]
     if count != CHANGED:
         if compare_exchange(t.counts, slot, count, CHANGED) == count:
@@ -139,7 +139,10 @@ def count_before(bits: wp.uint64, counts: wp.array(dtype=wp.int32), first: wp.in
 
 @wp.func
 def leaf_of_bit(t: Bitfield, slot: wp.int32, level: wp.int32, bit: wp.int32, cell: wp.uint64, number: wp.int32):
-    """Return the leaf that begins at a bit: it ends at the word's next one."""
+    """Return the leaf that begins at a bit of a word: it ends at the word's next set bit.
+
+    slot, level: of the word. cell: the leaf's first cell. number: of the leaf.
+    """
     next_bit = wp.min(lowest_bit(t.words[slot] & ~bits_below(bit + 1)), 1 << wp.min(t.max_depth - WORD_BITS * level, 6))
     leaf = TreeLeaf()
     leaf.number = number

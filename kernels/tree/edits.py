@@ -61,11 +61,11 @@ def merge(t: Bitfield, heap_id: wp.uint64):
 
 @wp.kernel
 def split_leaves(offset: wp.int32, t: Bitfield, ids: wp.array(dtype=wp.uint64)):
-    """Split leaves."""
+    """Split leaf ids[offset + tid]; threads split different leaves at once."""
     split(t, ids[offset + wp.tid()])
 
 
 @wp.kernel
 def merge_leaves(offset: wp.int32, t: Bitfield, ids: wp.array(dtype=wp.uint64)):
-    """Merge the children of nodes, which are leaves."""
+    """Merge the children of node ids[offset + tid], which are leaves."""
     merge(t, ids[offset + wp.tid()])

@@ -189,6 +189,11 @@ class Terrain:
         vertical_offset: float,
         ms: dict[str, float],
     ) -> Update:
+        """Rebuild the mesh of a saved tree and commit it as the last frame; its bound in metres is that of its errors.
+
+        Raises TerrainError if the tree does not fit the height field. ms: dict that collects the milliseconds of each
+        step.
+        """
         box_of(self.field, vertical_scale, vertical_offset)
         cell_bits, depths = depths_in_squares(tree, self.field, meshlet)
         depth = int(depths.max())
@@ -267,6 +272,11 @@ class Terrain:
         vertical_offset: float,
         ms: dict[str, float],
     ) -> Update:
+        """Refine for the views, build the surface and its bounds, and commit them as the last frame.
+
+        The cut at the border may add triangles beyond the limit; then refine again with fewer leaves. placement:
+        float64 [4, 4], terrain to world. ms: dict that collects the milliseconds of each step.
+        """
         box = box_of(self.field, vertical_scale, vertical_offset)
         _check(criterion, views, placement)
         depth = self._max_depth(criterion)
@@ -279,6 +289,7 @@ class Terrain:
         unsure = domain.rounding + domain.max_lean + domain.source
 
         def views_within(margins: Any = None) -> list:
+            """Return the views in terrain space; `margins` as in `localise`, by default the guard band."""
             seen = zip(spans.views, spans.scales, strict=True)
             return [localise(view, placement, box, criterion, scale, unsure, margins) for view, scale in seen]
 
@@ -324,6 +335,10 @@ class Terrain:
         return update
 
     def _placed_domain(self, meshlet: int, depth: int, vertical_scale: float, vertical_offset: float) -> Domain:
+        """Return the height field with its vertical scale and offset and the float32 rounding bounds at this depth.
+
+        The last result is cached. depth: bisections of the deepest leaf; a meshlet adds 2 * meshlet bisections to it.
+        """
         key = (meshlet, depth, vertical_scale, vertical_offset)
         if self._placed is None or self._placed[0] != key:
             rounded = rounding(self.field, depth + 2 * meshlet, vertical_scale, vertical_offset)

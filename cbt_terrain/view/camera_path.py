@@ -61,19 +61,22 @@ class CameraPath:
 
 
 def hermite(times: np.ndarray, values: np.ndarray, at: float) -> np.ndarray:
-    """Evaluate the cubic Hermite curve through `values` [K, N] at rising `times` [K]; `at` is clamped to the ends."""
+    """Evaluate the cubic Hermite curve through `values` [K, N] at rising `times` [K]; `at` is clamped to the ends.
+
+    Its tangents are finite differences of the keyframes.
+    """
     at = min(max(float(at), times[0]), times[-1])
     if len(times) == 1:
         return values[0].copy()
     slopes = np.gradient(values, times, axis=0)
     i = min(int(np.searchsorted(times, at, side="right")) - 1, len(times) - 2)
-    span = times[i + 1] - times[i]
-    t = (at - times[i]) / span
+    duration = times[i + 1] - times[i]
+    t = (at - times[i]) / duration
     return (
         (1 + 2 * t) * (1 - t) * (1 - t) * values[i]
-        + t * (1 - t) * (1 - t) * span * slopes[i]
+        + t * (1 - t) * (1 - t) * duration * slopes[i]
         + t * t * (3 - 2 * t) * values[i + 1]
-        + t * t * (t - 1) * span * slopes[i + 1]
+        + t * t * (t - 1) * duration * slopes[i + 1]
     )
 
 
@@ -112,7 +115,10 @@ def _fault(path: Path, what: str, expected: str) -> TerrainError:
 
 
 def _clip(path: Path, data: dict) -> tuple[float, float]:
-    """Return the clip range, metres; a start beyond the end is allowed and clips nothing."""
+    """Return the clip range (start, end), metres; a start beyond the end is allowed and clips nothing.
+
+    Raises TerrainError for a range whose projection matrix would overflow.
+    """
     start, end = _numbers(path, "the file", {"clip": [0.1, 1e6]} | data, "clip", 2)
     if start == end or not math.isfinite(2 * start * end / (start - end)):
         raise _fault(path, f"the file has clip {[start, end]!r}", "two different distances (m)")
@@ -142,6 +148,10 @@ def _number(path: Path, where: str, data: dict, name: str, default: float | None
 
 
 def _numbers(path: Path, where: str, data: dict, name: str, count: int) -> list[float]:
+    """Return the list of `count` finite numbers under a name, or raise the error that names file and keyframe.
+
+    A single number comes as a list of one, from `_number`. where: the keyframe, in errors.
+    """
     value: Any = data.get(name)
     good = isinstance(value, list) and len(value) == count
     if not good or not all(type(v) in (int, float) and abs(v) <= sys.float_info.max for v in value):

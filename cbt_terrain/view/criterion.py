@@ -57,6 +57,7 @@ class Criterion:
     morph: float = 1.0
 
     def __post_init__(self) -> None:
+        """Check every number and clamp the requests to SMALLEST .. LARGEST. Raises TerrainError."""
         keep_plain_numbers(self, "The criterion's")
         for setting in SETTINGS:
             setting.check(getattr(self, setting.name))

@@ -24,7 +24,7 @@ def add_up(terms: Iterable) -> Any:
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """float64 [n, m]: a [n, k] times b [k, m]; [n]: times b [k]."""
+    """Multiply float64 matrices: a [n, k] by b [k, m] gives [n, m], by b [k] gives [n]."""
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     return add_up(np.multiply.outer(a[:, k], b[k]) for k in range(a.shape[1]))
 

@@ -37,8 +37,8 @@ def localise(
         box: float64 [2, 3], the bounding box of the terrain in terrain space, metres.
         height_scale: metres across the view that a metre of height counts as.
         off: largest distance of mesh and surface, metres of height; the frustum is wider by it, and boxes are higher.
-        margins: degrees beyond the frame's sides, across and along the view, that count as inside; by default those of
-            the criterion's guard band.
+        margins: degrees beyond the left and right sides, and beyond the top and bottom, that count as inside; by
+            default those of the criterion's guard band.
     """
     to_camera = product(view.world_to_camera, placement)
     linear, shift = to_camera[:3, :3], to_camera[:3, 3]
@@ -105,7 +105,7 @@ def eye_of(to_camera: np.ndarray) -> np.ndarray:
 
 
 def guard_margins(view: View, guard_deg: float) -> tuple[float, float]:
-    """Return the guard band across and along the view, degrees.
+    """Return the guard band beyond the left and right sides and beyond the top and bottom, degrees.
 
     A perspective frame narrower than NORMAL_FOV along an axis has a proportionally narrower band; otherwise nine tenths
     of a telephoto shot's triangles would be outside the frame.
@@ -113,8 +113,8 @@ def guard_margins(view: View, guard_deg: float) -> tuple[float, float]:
     if view.kind != PERSPECTIVE:
         return guard_deg, guard_deg
     fields = [settled(math.degrees(math.atan(high) - math.atan(low))) for low, high in view.bounds()]
-    across, along = (guard_deg * min(1.0, field / NORMAL_FOV) for field in fields)
-    return across, along
+    margin_x, margin_y = (guard_deg * min(1.0, field / NORMAL_FOV) for field in fields)
+    return margin_x, margin_y
 
 
 def _narrowness(view: View) -> float:
@@ -126,10 +126,10 @@ def _narrowness(view: View) -> float:
 
 
 def frustum_planes(view: View, margins: tuple[float, float]) -> np.ndarray:
-    """Return planes in camera space, float64 [n, 4], positive towards what may be seen, n from 0 to 6.
+    """Return planes in camera space, float64 [n, 4], positive on the visible side, n from 0 to 6.
 
-    margins: degrees across and along the view. They turn the side planes of a perspective outward; an orthographic
-    frame they widen by their tangents. A clip range that is upside down culls nothing.
+    margins: see `guard_margins`. They turn the side planes of a perspective outward, and widen an orthographic frame
+    by their tangents. A clip range that is upside down culls nothing.
     """
     if view.kind == PANORAMIC or not view.clip[0] < view.clip[1]:
         return np.zeros((0, 4))

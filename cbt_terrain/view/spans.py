@@ -150,10 +150,10 @@ def _aspect(view: View) -> tuple[float, float]:
 
 
 def whole_of(view: View, placement: np.ndarray, slant: float) -> float:
-    """Return pixels of an error that reaches the eye.
+    """Return the screen size, pixels, of an error that reaches the eye; larger errors have no bound on screen.
 
     In a perspective it is as long as the depth, measured along the view, and seen at the smallest slant; in a panorama
-    it is as long as the distance, and seen at that slant.
+    it is as long as the distance, and seen at that slant. slant: see `slants_of`.
     """
     if view.kind == PANORAMIC:
         return view.pixels_per_unit * slant
@@ -161,12 +161,12 @@ def whole_of(view: View, placement: np.ndarray, slant: float) -> float:
 
 
 def as_seen(view: View, whole: float, pixels: float) -> float:
-    """Return pixels that a point can be from its place in the frame where its error in height is `pixels` spans.
+    """Return the pixels between a point and its true position on screen, if its height is wrong by `pixels` spans.
 
     A span is taken at the reference surface, and an error towards the camera looks larger than that. Of an error e at
     depth z or more, and at distance d or more, a perspective of focal length f shows f e slant / (z - |u_z| e) at most,
     a panorama the angle whose tangent is e slant / (d - e steep), with slant^2 + steep^2 = 1, and at most asin(e / d)
-    where e > d steep. Beyond what could ever be asked, where the mesh may reach the eye: LARGEST.
+    where e > d steep. If the error may reach the eye, LARGEST. whole: see `whole_of`.
     """
     if view.kind == PERSPECTIVE:
         return min(pixels / (1 - pixels / whole), LARGEST) if pixels < whole else LARGEST
@@ -181,9 +181,10 @@ def as_seen(view: View, whole: float, pixels: float) -> float:
 
 
 def widening(view: View, whole: float, error_px: float) -> float:
-    """Return the factor, 1 or more, on spans of a pixel that makes a limit on them one on pixels as they are seen.
+    """Return the factor, 1 or more, on spans of a pixel that makes a limit in spans hold in pixels on screen.
 
-    `as_seen` is convex: below the requested error, spans times this factor are not below `as_seen`, either.
+    `as_seen` is convex: below the requested error, spans times this factor are not below `as_seen`, either. whole: see
+    `whole_of`.
     """
     if not error_px or error_px >= LARGEST or view.kind == ORTHOGRAPHIC:
         return 1 + ROUNDING
@@ -197,7 +198,7 @@ def widening(view: View, whole: float, error_px: float) -> float:
 
 
 def secant_of(view: View) -> float:
-    """Return the largest distance over depth of a point in the frame."""
+    """Return the largest ratio of distance to depth along the view of a point in the frame: that in its corner."""
     if view.kind != PERSPECTIVE:
         return 1.0
     x, y = (max(abs(end) for end in ends) for ends in view.bounds())
@@ -205,9 +206,10 @@ def secant_of(view: View) -> float:
 
 
 def unit_lengths(view: View, placement: np.ndarray, steps: tuple[float, float]) -> tuple[float, float]:
-    """Return the squared diagonal and squared side of a lattice unit, the longer ones, in camera space.
+    """Return the squared diagonal and squared side of a lattice unit, the longer ones of two, in camera space.
 
-    `steps` are the metres of one lattice unit in x and y. In metres of the terrain's height, as all of `LocalView`.
+    They are in metres of the terrain's height, as all lengths of `LocalView`. steps: metres of a lattice unit in x and
+    y.
     """
     linear = _to_camera(view, placement)
     east, north = linear[:, 0] * steps[0], linear[:, 1] * steps[1]

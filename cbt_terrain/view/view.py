@@ -35,6 +35,7 @@ class View:
     radians_per_pixel: float = 0.0
 
     def __post_init__(self) -> None:
+        """Convert the matrices to float64 and check all numbers. Raises TerrainError."""
         matrix = np.array(self.world_to_camera, np.float64)
         object.__setattr__(self, "world_to_camera", matrix)
         if self.projection is not None:
@@ -75,13 +76,14 @@ class View:
 
     def bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return the frame's left and right, bottom and top: tangents from the view axis (perspective) or metres."""
-        at = 2 if self.kind == PERSPECTIVE else 3
+        shift_column = 2 if self.kind == PERSPECTIVE else 3
         sign = 1.0 if self.kind == PERSPECTIVE else -1.0
         projection = self.projection
         assert projection is not None, "a panorama has no frame"
 
         def axis(i: int) -> tuple[float, float]:
-            scale, shift = float(projection[i, i]), sign * float(projection[i, at])
+            """Return the low and high end of the frame along axis 0, across, or 1, up: device coordinates -1, 1."""
+            scale, shift = float(projection[i, i]), sign * float(projection[i, shift_column])
             ends = sorted(((-1 + shift) / scale, (1 + shift) / scale))
             return ends[0], ends[1]
 
@@ -162,7 +164,7 @@ def listed_views(views: "Iterable[View] | View") -> list[View]:
 
 
 def _point(place: ArrayLike, name: str) -> np.ndarray:
-    """Return float64 [3], metres."""
+    """Return a point as float64 [3], metres; TerrainError for anything else. name: of the point, in errors."""
     found = vectors(place, 3, f"view's {name}")
     if len(found) != 1:
         raise TerrainError(f"The view's {name} has {len(found)} points", expected="one point: x, y and z in metres")

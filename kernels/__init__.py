@@ -33,7 +33,10 @@ def _initialise_quietly() -> None:
 
 
 def _initialise() -> None:
-    """Start Warp with a folder for compiled kernels. Raises OSError where not even a temporary one can be made."""
+    """Start Warp with a folder for compiled kernels: the user's cache, or a temporary folder if that fails.
+
+    Raises OSError if no temporary folder can be made either.
+    """
     try:
         if wp.config.kernel_cache_dir is None and os.name == "posix" and not os.environ.get("WARP_CACHE_PATH"):
             wp.config.kernel_cache_dir = _default_cache()
@@ -46,10 +49,10 @@ def _initialise() -> None:
 
 def _default_cache() -> str:
     """Return Warp's default folder, but none that is relative to the current one. Raises OSError without a home."""
-    places = ["~/Library/Caches"] if sys.platform == "darwin" else [os.environ.get("XDG_CACHE_HOME", ""), "~/.cache"]
-    for place in map(os.path.expanduser, places):
-        if os.path.isabs(place):
-            return os.path.join(place, "warp")
+    parents = ["~/Library/Caches"] if sys.platform == "darwin" else [os.environ.get("XDG_CACHE_HOME", ""), "~/.cache"]
+    for parent in map(os.path.expanduser, parents):
+        if os.path.isabs(parent):
+            return os.path.join(parent, "warp")
     raise OSError("this user has no home folder")
 
 

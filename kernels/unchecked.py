@@ -35,7 +35,9 @@ for item in (wp.uint8, wp.uint16, wp.int32, wp.int64, wp.uint64, wp.float32, wp.
 
 
 @wp.func_native("int* __restrict row = out.data + at; for (int k = 0; k < count; ++k) row[k] = first + step * k;")
-def number_row(out: wp.array(dtype=wp.int32), at: wp.int32, count: wp.int32, first: wp.int32, step: wp.int32): ...
+def number_row(out: wp.array(dtype=wp.int32), at: wp.int32, count: wp.int32, first: wp.int32, step: wp.int32):
+    """Write first, first + step .. to `count` entries of `out` from `at` on."""
+    ...
 
 
 for item in (wp.int32, wp.vec2i):
@@ -53,7 +55,12 @@ for item in (wp.int32, wp.vec2i):
         first: wp.int32,
         out: wp.array(dtype=item),
         at: wp.int32,
-    ): ...
+    ):
+        """Write numbers[first + places[row + k]] for k < count to `out`, from entry `at` on; a vec2i takes two of them.
+
+        places: a row of a table of indices, as of a meshlet's template. numbers: the mesh's numbers for these indices.
+        """
+        ...
 
 
 # Rows of an even block (kernels/refine/block.py): milliseconds for 1 M leaves of one edge length 3.2, in Warp 7.6; for
@@ -71,7 +78,9 @@ def copy_codes(
     extra: wp.uint16,
     out: wp.array(dtype=wp.uint16),
     at: wp.int64,
-): ...
+):
+    """Copy `count` codes from table[first] on to out[at] on, each with the bits `extra` set."""
+    ...
 
 
 @wp.func_native(
@@ -90,7 +99,12 @@ def place_legs(
     bits: wp.int32,
     out: wp.array(dtype=wp.vec2i),
     at: wp.int64,
-): ...
+):
+    """Write `count` vertices to out[at] on: apex + (a left + b right) >> bits, with (a, b) from legs[first] on.
+
+    left, right: vectors from the apex to the other two corners of the triangle, lattice units.
+    """
+    ...
 
 
 # What a cut asks of every triangle (kernels/mesh/cut.py): half the time of the plain loop.
@@ -99,10 +113,12 @@ def place_legs(
 @wp.func_native(
     "const int* v = corner_verts.data + 3 * t; return (near.data[v[0]] | near.data[v[1]] | near.data[v[2]]) != 0;"
 )
-def has_near_corner(near: wp.array(dtype=wp.uint8), corner_verts: wp.array(dtype=wp.int32), t: wp.int32) -> wp.bool: ...
+def has_near_corner(near: wp.array(dtype=wp.uint8), corner_verts: wp.array(dtype=wp.int32), t: wp.int32) -> wp.bool:
+    """Return whether a vertex of triangle t is flagged in `near`."""
+    ...
 
 
-# Places of the last surface and what was known of them (kernels/effects/keep.py).
+# Comparison of this surface's points and levels with the last one's (kernels/effects/keep.py).
 
 
 @wp.func_native(
@@ -113,7 +129,9 @@ def has_near_corner(near: wp.array(dtype=wp.uint8), corner_verts: wp.array(dtype
 )
 def count_same_vec3s(
     a: wp.array(dtype=wp.vec3f), i: wp.int32, b: wp.array(dtype=wp.vec3f), j: wp.int32, max_count: wp.int32
-) -> wp.int32: ...
+) -> wp.int32:
+    """Return how many items agree from a[i] and b[j] on, at most `max_count`."""
+    ...
 
 
 @wp.func_native(
@@ -121,4 +139,6 @@ def count_same_vec3s(
 )
 def count_same_floats(
     a: wp.array(dtype=wp.float32), i: wp.int32, b: wp.array(dtype=wp.float32), j: wp.int32, max_count: wp.int32
-) -> wp.int32: ...
+) -> wp.int32:
+    """Return how many items agree from a[i] and b[j] on, at most `max_count`."""
+    ...

@@ -92,17 +92,20 @@ class Buffers:
         self.launches: dict = {}
 
     def get(self, name: str, count: int, dtype: Any) -> wp.array:
-        """Return at least `count` items of a Warp dtype; the contents are kept only if the array need not grow."""
-        held = self._arrays.get(name)
-        if held is None or len(held[0]) < count:
+        """Return an array of at least `count` items of a Warp dtype; the contents are kept only if it need not grow.
+
+        A larger array gets a quarter more than the last one had, so that slowly growing meshes rarely allocate.
+        """
+        existing = self._arrays.get(name)
+        if existing is None or len(existing[0]) < count:
             scalar, columns = _NUMPY.get(dtype) or (_scalar(dtype), 1)
-            room = count if held is None else max(count, int(1.25 * len(held[0])))
-            array = np.empty((room, columns) if columns > 1 else room, scalar)
-            self._arrays[name] = held = (array, shared(array, dtype))
-        return held[1]
+            capacity = count if existing is None else max(count, int(1.25 * len(existing[0])))
+            array = np.empty((capacity, columns) if columns > 1 else capacity, scalar)
+            self._arrays[name] = existing = (array, shared(array, dtype))
+        return existing[1]
 
     def struct(self, kind: Any, slot: int = 0) -> Any:
-        """Return a Warp struct of one kind for a slot, always the same one: see `bind`."""
+        """Return the Warp struct of one kind for a slot: always the same object, so that `bind` sets only changes."""
         if (kind, slot) not in self._structs:
             self._structs[kind, slot] = kind()
         return self._structs[kind, slot]

@@ -91,6 +91,7 @@ def end_with_parent(clean_up: Callable[[], None] = lambda: None, heard: Callable
     """
 
     def wait() -> None:
+        """Read the pipe from the parent until it closes, ask to stop, and exit after the time of grace."""
         while os.read(0, 1024):
             heard()
         stopping.ask(signal.SIGTERM)

@@ -73,6 +73,7 @@ def _leave_cache(reason: Exception) -> None:
 
 
 def _error(name: str, reason: Exception) -> TerrainError:
+    """Return the error of a module that cannot be compiled, with the cause."""
     return TerrainError(
         f"The kernels of {name} cannot be compiled in {wp.config.kernel_cache_dir} ({shown(reason)})",
         fix="make room there, or set WARP_CACHE_PATH to a folder that can be written",
@@ -80,6 +81,10 @@ def _error(name: str, reason: Exception) -> TerrainError:
 
 
 def _load(name: str) -> None:
+    """Load a module's intact object, or compile it in a private folder and move it into the cache.
+
+    Warp writes to the folder that its configuration names, so that folder is exchanged during the compilation.
+    """
     file = compiled_file(name)
     if _is_whole(file):
         wp.load_module(name, device="cpu")

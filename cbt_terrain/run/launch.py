@@ -89,6 +89,7 @@ def together(jobs: Sequence[Callable[[], None]]) -> None:
 
 
 def _shared_pool() -> ThreadPoolExecutor:
+    """Return the process's pool of threads, created on first use."""
     global _pool
     with _starting:
         if _pool is None:
@@ -129,14 +130,18 @@ def slices(kernel: wp.Kernel, inputs: Sequence[list], *, step: str, recorded: di
     with timed(step):
         _load(kernel)
         held = {} if recorded is None else recorded
-        together([_command(held, kernel, (slot, 1), values).launch for slot, values in enumerate(inputs)])
+        together([_command(held, kernel, slot, 1, values).launch for slot, values in enumerate(inputs)])
 
 
-def _command(recorded: dict, kernel: wp.Kernel, place: tuple[int, int], values: list) -> Any:
-    """Return the recorded launch of `kernel` for a slot and a count of items, with these values."""
-    key = kernel, *place
+def _command(recorded: dict, kernel: wp.Kernel, slot: int, count: int, values: list) -> Any:
+    """Return the recorded launch of `kernel` over `count` items, with these values as its inputs.
+
+    Slots that run in parallel must not share a launch, so `slot` is in the key. Setting a parameter costs about as much
+    as a launch, so only values that are another object than in the last launch are set.
+    """
+    key = kernel, slot, count
     if key not in recorded:
-        launched = wp.launch(kernel, place[1], inputs=values, device=DEVICE, record_cmd=True)
+        launched = wp.launch(kernel, count, inputs=values, device=DEVICE, record_cmd=True)
         recorded[key] = launched, list(values)
     command, last = recorded[key]
     for i, value in enumerate(values):
@@ -169,9 +174,10 @@ def spread(
         pieces = max(1, min(int(threads or default_threads()), int(count * cost / SLICE_ITEMS)))
 
         def job(slot: int, lo: int, hi: int) -> Callable[[], None]:
+            """Return the launch over the items `lo` to `hi`."""
             values = [lo, *inputs]
             if recorded is not None:
-                return _command(recorded, kernel, (slot, hi - lo), values).launch
+                return _command(recorded, kernel, slot, hi - lo, values).launch
             return lambda: wp.launch(kernel, hi - lo, inputs=values, device=DEVICE)
 
         together([job(slot, *cut) for slot, cut in enumerate(ranges(count, pieces))])

@@ -82,6 +82,7 @@ def blocks_reader(path: str | os.PathLike) -> bool:
 
 
 def _content(handle: BinaryIO, max_bytes: int) -> bytes:
+    """Read a file to its end. Raises ValueError for more than `max_bytes`."""
     content = bytearray()
     while block := handle.read(BLOCK_BYTES):
         content += block

@@ -98,7 +98,7 @@ class OpenFolder(NamedTuple):
 
 
 def derived(path: Path) -> int:
-    """Return the number of last components of an absolute path that the program derives."""
+    """Return the number of components at the end of an absolute path that the program derives, see above."""
     parts, count = path.parts, 0
     while count < len(parts) - 1 and _DERIVED.fullmatch(parts[-1 - count]):
         count += 1
@@ -191,6 +191,7 @@ def check_no_link(path: str | os.PathLike, then: str = "try again") -> None:
 
 
 def _lstat(path: str | os.PathLike) -> os.stat_result | None:
+    """Return the `lstat` of a path; None if it is missing, unreadable or no possible path."""
     try:
         return os.lstat(path)
     except (OSError, ValueError):
@@ -203,6 +204,10 @@ def touch(path: str | os.PathLike) -> None:
 
 
 def _not_ours(path: Path, found: os.stat_result, expected: str, then: str = "try again") -> NotOursError:
+    """Return the error of a path that holds a link or an entry of another kind than `expected`.
+
+    found: its `lstat`. then: the user's next step once it is moved away.
+    """
     what = "a link" if is_link(found) else "a folder" if stat.S_ISDIR(found.st_mode) else "a file"
     if not is_link(found) and not stat.S_ISDIR(found.st_mode) and not stat.S_ISREG(found.st_mode):
         what = "a device or a pipe"

@@ -61,7 +61,7 @@ def written_beside(path: Path) -> Iterator[Path]:
 def written_among(path: Path) -> Iterator[Path]:
     """Do the same as `written_beside`, but inside the folder of `path`, for a file with relative paths to other files.
 
-    The name is unpredictable, so no link can have it.
+    The temporary name is unpredictable, so no link can have it.
     """
     check_replaceable(path)
     with private_folder(path.parent) as folder:
@@ -142,10 +142,10 @@ def make_folder(folder: Path, mode: int = 0o777, parents: bool = False) -> int:
             if attempt == ATTEMPTS - 1:
                 raise
         else:
-            if _take(lock) is not False and _is_there(folder / LOCK, lock):
+            if _try_lock(lock) is not False and _is_there(folder / LOCK, lock):
                 return lock
             os.close(lock)
-        time.sleep(0.001)  # a process that removes abandoned folders has it now
+        time.sleep(0.001)  # a process that removes abandoned folders holds the lock now
     raise FileExistsError(f"{folder} is held by another process")
 
 
@@ -193,7 +193,7 @@ def remove_if_abandoned(
             return
         lock = _open_lock(folder)
         try:
-            free = lock is None or _take(lock)
+            free = lock is None or _try_lock(lock)
             if free is False or (lock is not None and not _is_there(folder / LOCK, lock)):
                 return  # another process may have removed the folder, and its owner created it again
             if is_needed():
@@ -212,7 +212,7 @@ def remove_if_abandoned(
         return  # a link, or another process has just renamed or removed the folder
 
 
-def _take(lock: int) -> bool | None:
+def _try_lock(lock: int) -> bool | None:
     """Return whether a lock could be acquired; None if the file system has no locks."""
     try:
         if sys.platform == "win32":
@@ -242,6 +242,7 @@ def _open_lock(folder: Path) -> int | None:
 
 
 def _is_there(path: Path, file: int) -> bool:
+    """Return whether the open `file` is still the one at `path`, because another process may replace it."""
     try:
         return os.path.samestat(path.lstat(), os.fstat(file))
     except FileNotFoundError:

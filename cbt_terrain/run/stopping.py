@@ -124,7 +124,10 @@ def _replace(number: int) -> Callable[[], object]:
 
 
 def _listen(reader: int) -> None:
-    """Note signals, on the thread for them; a 0 ends it."""
+    """Read signal numbers from the pipe `reader`, on the thread for them.
+
+    The first asks to stop, a later one ends the process at once, and 0 ends the loop.
+    """
     first, end = None, None
     while number := os.read(reader, 1)[0]:
         if first is None:

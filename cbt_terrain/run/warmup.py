@@ -58,6 +58,7 @@ class _Preparation:
     """
 
     def __init__(self, *groups: list[ModuleType]) -> None:
+        """Start the thread. groups: modules that are needed together, the most urgent group first."""
         self.fraction: float | None = None
         self._groups, self.ready = groups, [threading.Event() for _ in groups]
         self.stopping = threading.Event()
@@ -65,6 +66,10 @@ class _Preparation:
         self.thread.start()
 
     def _run(self) -> None:
+        """Have children compile missing modules, load each group and set its event; runs on `thread`.
+
+        All events are set at the end, also after a failure, so that no caller waits for ever.
+        """
         processes = []
         try:
             compiled = {module: compiled_file(module) for group in self._groups for module in group}
@@ -89,7 +94,10 @@ class _Preparation:
                 ready.set()
 
     def _finish(self, modules: list[ModuleType], compiled: dict[ModuleType, Path], processes: list) -> None:
-        """Wait until the children have compiled `modules` or have ended, and load them."""
+        """Wait until the children have compiled `modules` or have ended, and load them.
+
+        compiled: file of each module's compiled object. processes: the children.
+        """
         files = list(compiled.values())
         while any(process.poll() is None for process in processes):
             self.fraction = sum(int(file.exists()) for file in files) / len(files)
@@ -101,6 +109,7 @@ class _Preparation:
             load(module)
 
     def _start_children(self) -> list[subprocess.Popen]:
+        """Start the child processes, each with a share of every group; return none if the system allows none."""
         count = min(MAX_CHILDREN, max(1, launch.default_threads() - 1))  # one core stays with the window
         cache = {"WARP_CACHE_PATH": str(Path(wp.config.kernel_cache_dir).parent)}
         streams = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)

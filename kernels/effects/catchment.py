@@ -9,7 +9,10 @@ from .routing import ROOT, DrainageArrays, axis, towards
 
 @wp.kernel
 def fill_lakes(d: DrainageArrays):
-    """Compute the lowest surface from which every sample drains, serially: no sample is below its receiver."""
+    """Compute `filled`, the lowest surface from which every sample drains, serially: no sample is below its receiver.
+
+    It visits receivers before donors.
+    """
     n = d.grid.width * d.grid.height
     for q in range(n):
         i = d.order[n - 1 - q]

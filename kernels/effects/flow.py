@@ -27,7 +27,10 @@ def bilinear(ground: Pyramid, level: wp.int32, x: wp.float64, y: wp.float64) -> 
 
 @wp.func
 def value_at(ground: Pyramid, coarser_by: wp.float32, p: wp.vec3f, level: wp.float32) -> wp.float64:
-    """Interpolate a pyramid at a point and a level; level `coarser_by` is its level 0."""
+    """Interpolate a pyramid of values at a point (metres) and a fractional level.
+
+    coarser_by: level of the raster that is level 0 of this pyramid, which may be coarser.
+    """
     last_x = wp.float64(ground.columns[0] - 1)
     last_y = wp.float64(ground.rows[0] - 1)
     x = wp.clamp((wp.float64(p[0]) - ground.west) / ground.step_x, wp.float64(0.0), last_x)

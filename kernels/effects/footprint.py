@@ -53,7 +53,12 @@ def levels_of(
     eyes: wp.array(dtype=FootprintEye),
     max_level: int,
     levels: wp.array(dtype=wp.float32),
-): ...
+):
+    """Write the finest level of any eye for `count` points from `first` on, 0 to `max_level` in steps of 1/8.
+
+    A level is log2 of the samples that a pixel covers. `levels` holds infinity before.
+    """
+    ...
 
 
 @wp.kernel

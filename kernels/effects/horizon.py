@@ -56,7 +56,10 @@ def cells_of(metres: wp.float64, origin: wp.float64, step: wp.float64, cells: wp
 
 @wp.func
 def gradient(g: Occluder, x: wp.float64, y: wp.float64):
-    """Return the slopes to the east and north by central differences of one cell, one-sided at the border."""
+    """Return the slopes to the east and north by central differences of one cell, one-sided at the border.
+
+    x, y: cells from the first sample.
+    """
     one = wp.float64(1.0)
     w = wp.max(x - one, wp.float64(0.0))
     e = wp.min(x + one, wp.float64(g.samples.columns - 1))

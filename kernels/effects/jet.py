@@ -70,7 +70,7 @@ def arc_tangent(t: wp.float64) -> wp.float64:
 def mean_curvature_of(q: Jet, r: wp.float64) -> wp.float64:
     """Return -((1 + zy^2) zxx - 2 zx zy zxy + (1 + zx^2) zyy) / 2 r^3, 1/m, positive on a summit.
 
-    r: 1 / sqrt(1 + zx^2 + zy^2).
+    q: jet (z, zx, zy, zxx, zxy, zyy), metres. r: 1 / sqrt(1 + zx^2 + zy^2).
     """
     one = wp.float64(1.0)
     sum = (one + q[2] * q[2]) * q[3] - wp.float64(2.0) * q[1] * q[2] * q[4] + (one + q[1] * q[1]) * q[5]
@@ -81,7 +81,8 @@ def mean_curvature_of(q: Jet, r: wp.float64) -> wp.float64:
 def profile_curvature_of(q: Jet, r: wp.float64, run: wp.float64) -> wp.float64:
     """Return -(zxx zx^2 + 2 zxy zx zy + zyy zy^2) run^2 r^3, 1/m, positive where the slope steepens downhill.
 
-    run: 1 / sqrt(zx^2 + zy^2), 0 on level ground.
+    q: jet (z, zx, zy, zxx, zxy, zyy), metres. r: 1 / sqrt(1 + zx^2 + zy^2). run: 1 / sqrt(zx^2 + zy^2), 0 on level
+    ground.
     """
     sum = q[3] * q[1] * q[1] + wp.float64(2.0) * q[4] * q[1] * q[2] + q[5] * q[2] * q[2]
     return -sum * (run * run) * (r * r * r)
@@ -89,7 +90,10 @@ def profile_curvature_of(q: Jet, r: wp.float64, run: wp.float64) -> wp.float64:
 
 @wp.func
 def plan_curvature_of(q: Jet, run: wp.float64) -> wp.float64:
-    """Return -(zxx zy^2 - 2 zxy zx zy + zyy zx^2) run^3, 1/m, positive on a ridge. run: see profile_curvature_of."""
+    """Return -(zxx zy^2 - 2 zxy zx zy + zyy zx^2) run^3, 1/m, positive on a ridge.
+
+    q: jet (z, zx, zy, zxx, zxy, zyy), metres. run: 1 / sqrt(zx^2 + zy^2), 0 on level ground.
+    """
     sum = q[3] * q[2] * q[2] - wp.float64(2.0) * q[4] * q[1] * q[2] + q[5] * q[1] * q[1]
     return -sum * (run * run) * run
 

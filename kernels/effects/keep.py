@@ -129,7 +129,10 @@ def list_fresh(
     fresh: wp.array(dtype=wp.int32),
     found: wp.array(dtype=wp.int32),
 ):
-    """List the points that are in no run or have another level than before; `found` [1]: their number."""
+    """List the points whose values must be computed: those in no run, or with another level than before.
+
+    runs: points that the last surface has, too, see match_in_order. found [1]: number of listed points.
+    """
     n = wp.int32(0)
     v = wp.int32(0)
     for k in range(run_count + 1):

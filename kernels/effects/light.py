@@ -58,8 +58,8 @@ def sky_seen(
     total = out[i]
     for k in range(first, end):
         azimuth = azimuths[k]
-        start = wp.max(wp.dot(g, azimuth), lowest)
-        slope = horizon(occluder, x, y, z, azimuth, far, start, wp.float64(1.0e300))
+        min_slope = wp.max(wp.dot(g, azimuth), lowest)
+        slope = horizon(occluder, x, y, z, azimuth, far, min_slope, wp.float64(1.0e300))
         total += wp.float32(open_fraction(slope, g, azimuth)) / wp.float32(count)
     if end == count:
         total = wp.clamp(total, wp.float32(0.0), wp.float32(1.0))

@@ -71,7 +71,10 @@ def extended_height(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32) 
 
 @wp.func
 def filtered_row(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32, inner: wp.bool) -> wp.float64:
-    """Return four times the [1 2 1] / 4 mean along x at a sample."""
+    """Return four times the [1 2 1] / 4 mean of heights along x at sample (x, y) of a level, metres.
+
+    inner: no sample is beyond the border, so that the fast reads are safe.
+    """
     west = wp.float64(0.0)
     here = wp.float64(0.0)
     east = wp.float64(0.0)
@@ -160,7 +163,9 @@ def halve(offset: int, ground: Pyramid, level: int, out: wp.array(dtype=wp.float
     q.c[5] = w0 * k[0] + w1 * k[1] + w2 * k[2] + w3 * k[3];
     return q;
 """)
-def jet_of(ground: Pyramid, level: int, x: int, y: int, u: wp.float32, v: wp.float32) -> Jet: ...
+def jet_of(ground: Pyramid, level: int, x: int, y: int, u: wp.float32, v: wp.float32) -> Jet:
+    """Return the jet at (u, v), 0 .. 1, of the cell of sample (x + 1, y + 1) of a level, derivatives per cell."""
+    ...
 
 
 @wp.func

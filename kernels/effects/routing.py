@@ -42,13 +42,13 @@ class Draw:
 
 @wp.func
 def towards(i: wp.int32, k: wp.int32, width: wp.int32) -> wp.int32:
-    """Return the neighbour of sample i in direction k."""
+    """Return the neighbour of sample i in direction k = 3 * (dy + 1) + dx + 1, with `width` samples in a row."""
     return i + (k / 3 - 1) * width + (k % 3 - 1)
 
 
 @wp.func
 def axis(k: wp.int32) -> wp.int32:
-    """Return the index of direction k's weight: 0 east-west, 1 north-south, 2 diagonal."""
+    """Return the axis of direction k, which is the index of its weight: 0 east-west, 1 north-south, 2 diagonal."""
     return wp.where(k % 2 == 0, 2, wp.where(k == 3 or k == 5, 0, 1))
 
 
@@ -77,7 +77,10 @@ def find_receivers(offset: int, d: DrainageArrays, nearness: wp.vec3f, draw: Dra
 
 @wp.func
 def grow(d: DrainageArrays, end: wp.int32):
-    """Route level samples without a receiver towards the queue, the first `end` of `order`, along shortest paths."""
+    """Route level samples without a receiver towards the queue along shortest paths (breadth first).
+
+    The queue is the first `end` entries of `order`; samples that are routed join it.
+    """
     at = wp.int32(0)
     while at < end:
         i = d.order[at]
@@ -171,7 +174,7 @@ def representative(up: wp.array(dtype=wp.int32), a: wp.int32) -> wp.int32:
 
 @wp.func
 def turn(to: wp.array(dtype=wp.uint8), i: wp.int32, k: wp.int32, width: wp.int32):
-    """Set the receiver of sample i to direction k and reverse its old path to the root."""
+    """Set the receiver of sample i to direction k and reverse its old path to the root: its basin drains there."""
     at = wp.int32(i)
     new = wp.int32(k)
     going = wp.int32(1)
@@ -214,7 +217,7 @@ def link_basins(count: int, pits: int, d: DrainageArrays, edge: wp.array(dtype=w
 
 @wp.func
 def donors_at(d: DrainageArrays, x: wp.int32, y: wp.int32) -> wp.uint8:
-    """Return the number of donors of a sample on the border."""
+    """Return the number of donors of a sample on the border: neighbours that drain into it."""
     count = wp.int32(0)
     for k in range(9):
         xx = x + k % 3 - 1

@@ -76,7 +76,12 @@ class DrainageArrays:
 """)
 def find_receivers_of_row(
     d: DrainageArrays, y: int, nearness: wp.vec3f, lowest: wp.float32, step: wp.float32, noise: wp.uint32
-): ...
+):
+    """Find the receivers of row y: steepest descents, each slope times a random factor, see Draw.
+
+    nearness: 1 / distance by axis. A factor is lowest + step * byte, the bytes from hashes of noise + column.
+    """
+    ...
 
 
 @wp.func_native("""
@@ -92,7 +97,9 @@ def find_receivers_of_row(
         out[x] = low + high;
     }
 """)
-def count_donors_of_row(d: DrainageArrays, y: int): ...
+def count_donors_of_row(d: DrainageArrays, y: int):
+    """Count the donors of the samples of row y, except its two ends."""
+    ...
 
 
 @wp.func_native("""
@@ -137,7 +144,9 @@ def next_pit(d: DrainageArrays, i: int) -> int:
         }
     }
 """)
-def label_samples(d: DrainageArrays, first: int, end: int): ...
+def label_samples(d: DrainageArrays, first: int, end: int):
+    """Label samples first .. end with the basin of the root downstream, and those on the way there."""
+    ...
 
 
 @wp.func_native("""
@@ -189,7 +198,9 @@ def passes_of_row(d: DrainageArrays, y: int) -> int:
 """)
 def list_passes_of_row(
     d: DrainageArrays, y: int, at: wp.int64, key: wp.array(dtype=wp.float32), edge: wp.array(dtype=wp.int32)
-): ...
+):
+    """List the passes of row y from entry `at` on: heights into `key`, 4 * sample + direction - 5 into `edge`."""
+    ...
 
 
 @wp.func_native("""
@@ -213,4 +224,9 @@ def list_passes_of_row(
         }
     }
 """)
-def walk_downstream(d: DrainageArrays): ...
+def walk_downstream(d: DrainageArrays):
+    """Fill `order` with donors before receivers, and add the area of each sample to its receiver's.
+
+    It walks down from every spring, and stops where another donor is still missing. Overwrites `donors`.
+    """
+    ...

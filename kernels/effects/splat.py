@@ -92,13 +92,13 @@ def smooth(x: wp.float32) -> wp.float32:
 
 @wp.func
 def corner(row: wp.uint32, i: wp.uint32) -> wp.float32:
-    """Return the value of lattice point i of a hashed row, -1 .. 1."""
+    """Return the random value of lattice point i of a hashed row, -1 .. 1."""
     return wp.float32(wp.int32(scramble(row + i))) * 4.656612873077393e-10
 
 
 @wp.func
 def fade(t: wp.float32) -> wp.float32:
-    """Return Perlin's quintic ("Improving noise", 2002)."""
+    """Return Perlin's quintic fade of t in 0 .. 1 (2002, "Improving noise"), smooth to the second derivative."""
     return t * t * t * (t * (t * 6.0 - 15.0) + 10.0)
 
 
@@ -119,18 +119,21 @@ def wave(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float32:
 
 @wp.func
 def noise_of(layer: SplatLayer, x: wp.float64, y: wp.float64, footprint: wp.float64) -> wp.float32:
-    """Return the layer's noise, -1 .. 1; octaves fade out below two footprints."""
+    """Return the layer's noise at (x, y) metres, -1 .. 1; octaves with waves of less than two footprints fade out.
+
+    footprint: metres that a pixel covers.
+    """
     sum = wp.float32(0.0)
     if layer.noise_size > wp.float64(0.0):
         per = wp.float64(1.0) / layer.noise_size
-        seen = wp.float32(layer.noise_size / footprint)  # footprints in a wave
+        footprints_per_wave = wp.float32(layer.noise_size / footprint)
         amount = wp.float32(8.0 / 15.0)  # amplitudes add up to 1
         octave = wp.int32(0)
-        while octave < OCTAVES and seen > 1.0:
+        while octave < OCTAVES and footprints_per_wave > 1.0:
             waves = wave(x * per, y * per, layer.seed + wp.uint32(octave) * GOLDEN)
-            sum += amount * wp.min(seen - 1.0, 1.0) * waves
+            sum += amount * wp.min(footprints_per_wave - 1.0, 1.0) * waves
             amount *= 0.5
-            seen *= 0.5
+            footprints_per_wave *= 0.5
             per *= wp.float64(2.0)
             octave += 1
     return sum
@@ -155,7 +158,10 @@ def image_at(images: wp.array(dtype=wp.float32), r: SplatRule, u: wp.float64, v:
 
 @wp.func
 def covered(q: wp.float32, low: wp.float32, high: wp.float32, per_edge: wp.float32, kind: wp.int32) -> wp.float32:
-    """Return the weight of a rule; its edges are linear if the quantity is a weight itself."""
+    """Return the weight of a rule, 0 .. 1: 1 between `low` and `high`, with soft edges.
+
+    q: the value that the rule reads. per_edge: 1 / width of an edge. Edges are linear if the value is a weight itself.
+    """
     a = (q - low) * per_edge + 0.5
     b = (high - q) * per_edge + 0.5
     nearer = wp.min(a, b)
@@ -171,7 +177,11 @@ def covered(q: wp.float32, low: wp.float32, high: wp.float32, per_edge: wp.float
 
 @wp.func
 def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp.float64) -> Weights:
-    """Return the cover of each layer by its own rules."""
+    """Return the cover of each layer by its own rules: its strength times the weights of the rules, at point v.
+
+    x, y: metres. footprint: metres that a pixel covers. Noise is expensive, so a second turn evaluates the rules for
+    which it matters.
+    """
     covers = Weights()
     for number in range(s.layer_count):
         layer = s.layers[number]

@@ -85,7 +85,9 @@ class Sweep:
     }
 """.replace("LINES", str(LINES))
 )
-def sweep_lines(s: Sweep, item: int): ...
+def sweep_lines(s: Sweep, item: int):
+    """Compute the horizons of the LINES lines of an item, and interpolate them at the samples between two lines."""
+    ...
 
 
 @wp.kernel
@@ -178,7 +180,7 @@ def bilinear(layer: SkyLayer, first: wp.int64, x: wp.float64, y: wp.float64) -> 
 
 @wp.kernel
 def take(offset: int, layer: SkyLayer, places: wp.array(dtype=wp.vec3f), out: wp.array(dtype=wp.float32)):
-    """Interpolate a layer at each point, clamped to the raster."""
+    """Interpolate a layer at each point, clamped to the raster; values are 0 .. 1."""
     i = offset + wp.tid()
     x = cells_of(wp.float64(places[i][0]), layer.west, layer.step_x, layer.columns - 1)
     y = cells_of(wp.float64(places[i][1]), layer.south, layer.step_y, layer.rows - 1)

@@ -90,7 +90,10 @@ def side_of(e: wp.float64) -> wp.float64:
 
 @wp.func
 def first_root(a: wp.float64, b: wp.float64, c: wp.float64) -> wp.float64:
-    """Return the smallest t > 0 with a t^2 + b t + c = 0 for c > 0; infinite without one."""
+    """Return the smallest t > 0 with a t^2 + b t + c = 0 for c > 0; infinite without one.
+
+    It uses the form of the solution that does not cancel.
+    """
     t = NOWHERE
     d = b * b - wp.float64(4.0) * a * c
     if d >= wp.float64(0.0):
@@ -180,7 +183,10 @@ def half_curvature_along(
 
 @wp.func
 def in_curved(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
-    """Return the same as `in_bilinear` for a bicubic surface or one with detail."""
+    """Return the same as `in_bilinear` for a bicubic surface or one with detail.
+
+    The ray advances by steps in which the bounded second derivative rules out a crossing, until it meets the surface.
+    """
     zero = wp.float64(0.0)
     curvature = half_curvature_along(surface, blocks, ray, part.i, part.j)
     side = part.side

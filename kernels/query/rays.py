@@ -29,7 +29,10 @@ def block_range(blocks: HeightRanges, bits: wp.int32, x: wp.int32, y: wp.int32):
 
 @wp.func
 def within(first: wp.float64, last: wp.float64, at: wp.float64, step: wp.float64, low: wp.float64, high: wp.float64):
-    """Return the part of first .. last in which at + t * step is between low and high; empty where first > last."""
+    """Return the part of first .. last in which at + t * step is between low and high; empty where first > last.
+
+    t: metres along a ray. at, step: the ray's position and direction along one axis.
+    """
     if step == wp.float64(0.0):
         if at < low or at > high:
             first = NOWHERE
@@ -45,7 +48,7 @@ def within(first: wp.float64, last: wp.float64, at: wp.float64, step: wp.float64
 def enter(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, end: wp.float64, known: wp.float64):
     """Return the part of 0 .. end in which the ray may meet the surface, and its side there.
 
-    The part is empty if first > last.
+    The part is empty if first > last. known: the ray's side before: 1 above, -1 below, 0 if any.
     """
     zero = wp.float64(0.0)
     first, last = within(zero, end, ray.u, ray.du, zero, wp.float64(surface.samples.columns - 1))
@@ -63,7 +66,11 @@ def enter(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, end: wp.float
 def way_out(
     surface: QueriedSurface, ray: Ray, bits: wp.int32, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64
 ):
-    """Return t (`last` at most) where the ray leaves the block of cell (i, j), by which line, and the cell beyond."""
+    """Return t (`last` at most) where the ray leaves the block of cell (i, j), by which line, and the cell beyond.
+
+    bits: the block has 2^bits cells a side. first: t where the ray enters it. The line is a number of the raster's
+    lines.
+    """
     zero = wp.float64(0.0)
     cells_x = surface.samples.columns - 1
     cells_y = surface.samples.rows - 1

@@ -67,7 +67,7 @@ def is_ground(surface: QueriedSurface, i: wp.int32, j: wp.int32, on_west: wp.boo
 
 @wp.func
 def in_saddle(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
-    """Return the height and the gradient (metres a cell) of the bilinear patch."""
+    """Return height and gradient (metres a cell) of the bilinear patch of cell (i, j), s, t cells from its corner."""
     p = corners_of(surface.samples, i, j)
     east = p[1] - p[0]
     north = p[2] - p[0]
@@ -77,7 +77,10 @@ def in_saddle(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, 
 
 @wp.func
 def metric(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64, g: wp.vec3d) -> wp.vec3d:
-    """Return height and gradient g (metres a cell) as metres a metre, those of the detail added."""
+    """Return height and gradient g (metres a cell) with the gradient in metres a metre, and with the detail added.
+
+    (i, j): cell. s, t: cells from its corner.
+    """
     found = wp.vec3d(g[0], g[1] * surface.per_x, g[2] * surface.per_y)
     if surface.layers.count > 0:
         x = surface.west + (wp.float64(i) + s) * surface.step_x

@@ -22,7 +22,8 @@ def in_sight(
 ):
     """Write for sample `first + offset + tid` whether the eye sees a point `target` metres above it.
 
-    Nothing rises above the line between them then.
+    Nothing rises above the line between them then. eye: metres. radius2: squared horizontal distance, metres, beyond
+    which nothing is seen. slack: metres that ground must rise above the line to hide.
     """
     n = first + offset + wp.tid()
     row = n / surface.samples.columns

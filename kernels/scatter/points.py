@@ -99,7 +99,7 @@ def is_ground(domain: Domain, valid: wp.array(dtype=wp.uint8), p: wp.vec2i) -> w
 
 @wp.func
 def nearest(units: wp.float64, samples: wp.int32, domain: Domain) -> wp.int32:
-    """Return the nearest lattice coordinate, clamped to one outside of the raster."""
+    """Return the lattice coordinate nearest to `units`, clamped to one unit outside of the raster's `samples`."""
     end = wp.float64((samples - 1) << (domain.unit_bits - domain.levels)) + wp.float64(1.0)
     return wp.int32(wp.floor(wp.clamp(units, wp.float64(-1.0), end) + wp.float64(0.5)))
 

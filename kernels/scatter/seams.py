@@ -64,21 +64,24 @@ def shifts(offset: int, seed: wp.uint32, tiles: wp.array(dtype=wp.vec2i), found:
 
 @wp.func
 def outside(at: wp.int32) -> wp.int32:
-    """Return the distance of a coordinate from a tile in units."""
+    """Return how far a coordinate is outside of a tile, in units; 0 inside."""
     return wp.max(wp.max(-at, at - (1 << UNIT_BITS)), 0)
 
 
 @wp.func
 def nearest2(pattern: Pattern, shift: wp.vec2i, q: wp.vec2i, ranks: wp.int32, limit: wp.float64) -> wp.float64:
-    """Return the squared distance from q to the nearest point of a tile with a rank below `ranks`, at most `limit`."""
-    found = limit
+    """Return the squared distance from q to the nearest point of a tile with a rank below `ranks`, at most `limit`.
+
+    All in units of the tile. shift: of the pattern in that tile, eighths of a side.
+    """
+    nearest = limit
     bits = UNIT_BITS - SQUARE_BITS
     last = (1 << SQUARE_BITS) - 1
-    reach = wp.int32(wp.sqrt(limit))
+    radius = wp.int32(wp.sqrt(limit))
     turn_x = shift[0] << (SQUARE_BITS - SHIFT_BITS)
     turn_y = shift[1] << (SQUARE_BITS - SHIFT_BITS)
-    for j in range(wp.max((q[1] - reach) >> bits, 0), wp.min((q[1] + reach) >> bits, last) + 1):
-        for i in range(wp.max((q[0] - reach) >> bits, 0), wp.min((q[0] + reach) >> bits, last) + 1):
+    for j in range(wp.max((q[1] - radius) >> bits, 0), wp.min((q[1] + radius) >> bits, last) + 1):
+        for i in range(wp.max((q[0] - radius) >> bits, 0), wp.min((q[0] + radius) >> bits, last) + 1):
             square = (((j - turn_y) & last) << SQUARE_BITS) + ((i - turn_x) & last)
             for k in range(pattern.first[square], pattern.first[square + 1]):
                 rank = pattern.order[k]
@@ -87,8 +90,8 @@ def nearest2(pattern: Pattern, shift: wp.vec2i, q: wp.vec2i, ranks: wp.int32, li
                 p = shifted(pattern.place[rank], shift)
                 x = wp.float64(p[0] - q[0])
                 y = wp.float64(p[1] - q[1])
-                found = wp.min(found, x * x + y * y)
-    return found
+                nearest = wp.min(nearest, x * x + y * y)
+    return nearest
 
 
 @wp.func

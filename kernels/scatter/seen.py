@@ -42,7 +42,10 @@ def distance2(view: LocalView, x: wp.float64, y: wp.float64, z: wp.float64) -> w
 
 @wp.func
 def wanted_by(full2: wp.float64, view: LocalView, p: wp.vec3d, clear: wp.int32) -> wp.float64:
-    """Return the density of a view at a point in its frame with the margin (`clear`: known to be so); 0 elsewhere."""
+    """Return the density that a view wants at a point p (metres) in its frame with the margin; 0 elsewhere.
+
+    full2: see Views. clear: 1 if p is known to be in the frame.
+    """
     inside = wp.float64(0.0)
     if clear == 0:
         inside = max_inside(view, p, p)
@@ -54,7 +57,7 @@ def wanted_by(full2: wp.float64, view: LocalView, p: wp.vec3d, clear: wp.int32) 
 
 @wp.func
 def wanted_at(views: Views, p: wp.vec3d, clear: wp.int32) -> wp.float64:
-    """Return the largest density of all views."""
+    """Return the largest density that any view wants at a point p, metres; 1 without views. clear: see `wanted_by`."""
     want = wp.where(views.count == 0, wp.float64(1.0), wp.float64(0.0))
     for v in range(views.count):
         want = larger(want, wanted_by(views.full2, views.views[v], p, clear))

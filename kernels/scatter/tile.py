@@ -17,27 +17,30 @@ CANDIDATES, MAX_CANDIDATES = wp.constant(8), wp.constant(2000)  # candidates for
 
 @wp.kernel
 def best_candidates(count: wp.int32, near: wp.array(dtype=wp.int32), points: wp.array(dtype=wp.vec2i)):
-    """Fill `points`, in 2^-16 of the side. near: squared distances of pixels to the nearest point, at first maximal."""
+    """Fill `points` with `count` positions in 2^-16 of the side: each the farthest of many random candidates.
+
+    near: squared distances of pixels to the nearest point, at first maximal.
+    """
     side = wp.int32(1) << BITS
     p = wp.vec2i(0, 0)
     draw = wp.uint32(0)
     for k in range(count):
         fine = wp.int32(scramble(wp.uint32(k) + wp.uint32(0x40000000)))
-        low = (wp.int32(1) << FINE_BITS) - 1
-        points[k] = wp.vec2i((p[0] << FINE_BITS) + (fine & low), (p[1] << FINE_BITS) + ((fine >> 8) & low))
+        fine_mask = (wp.int32(1) << FINE_BITS) - 1
+        points[k] = wp.vec2i((p[0] << FINE_BITS) + (fine & fine_mask), (p[1] << FINE_BITS) + ((fine >> 8) & fine_mask))
         # No pixel is farther from all points than 1.5 of their mean distance; farther pixels keep their nearest point.
-        reach = wp.min(wp.int32(1.5 * wp.float32(side) / wp.sqrt(wp.float32(k + 1))) + 2, side / 2)
-        for dy in range(-reach, reach + 1):
+        radius = wp.min(wp.int32(1.5 * wp.float32(side) / wp.sqrt(wp.float32(k + 1))) + 2, side / 2)
+        for dy in range(-radius, radius + 1):
             row = ((p[1] + dy) & (side - 1)) << BITS
-            for dx in range(-reach, reach + 1):
+            for dx in range(-radius, radius + 1):
                 i = row + ((p[0] + dx) & (side - 1))
                 near[i] = wp.min(near[i], dx * dx + dy * dy)
         best = wp.int32(-1)
-        at = wp.int32(0)
+        best_pixel = wp.int32(0)
         for _ in range(wp.min(CANDIDATES * (k + 1), MAX_CANDIDATES)):
             i = wp.int32(scramble(draw) >> wp.uint32(32 - 2 * BITS))
             draw += wp.uint32(1)
             if near[i] > best:
                 best = near[i]
-                at = i
-        p = wp.vec2i(at & (side - 1), at >> BITS)
+                best_pixel = i
+        p = wp.vec2i(best_pixel & (side - 1), best_pixel >> BITS)

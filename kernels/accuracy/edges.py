@@ -64,7 +64,7 @@ def turning_point(e0: wp.float64, e1: wp.float64, e2: wp.float64) -> wp.float64:
 
 @wp.func
 def begin(ground: Reference, f: MeasuredFacet, k: wp.int32) -> Stretch:
-    """Return the empty stretch before the first one of the edge from corner k to the next."""
+    """Return the empty stretch before the first one of edge k, which runs from corner k to the next."""
     n = (k + 1) % 3
     s = Stretch()
     u, v = on_edge(ground, f, k, wp.float64(0.0))
@@ -76,7 +76,10 @@ def begin(ground: Reference, f: MeasuredFacet, k: wp.int32) -> Stretch:
 
 @wp.func
 def meets(at: wp.int64, step: wp.int64, line: wp.int64, bits: wp.int64) -> wp.float64:
-    """Return where along the edge (0 .. 1) it meets a grid line, 2 if it is parallel to the line."""
+    """Return where along the edge (0 .. 1) it meets a grid line; 2 if it is parallel to the line.
+
+    at, step: the edge's begin and vector along one axis, lattice units. A cell has 2^bits of them.
+    """
     along = wp.float64(2.0)
     if step != wp.int64(0):
         along = wp.float64((line << bits) - at) / wp.float64(step)
@@ -85,17 +88,17 @@ def meets(at: wp.int64, step: wp.int64, line: wp.int64, bits: wp.int64) -> wp.fl
 
 @wp.func
 def advance(ground: Reference, f: MeasuredFacet, k: wp.int32, s: Stretch) -> Stretch:
-    """Return the stretch of edge k that follows s."""
+    """Return the stretch of edge k that follows s: up to the next grid line that the edge meets, or its end."""
     n = (k + 1) % 3
     dx = f.x[n] - f.x[k]
     dy = f.y[n] - f.y[k]
-    at_x = meets(f.x[k], dx, s.line_x, wp.int64(ground.bits))
-    at_y = meets(f.y[k], dy, s.line_y, wp.int64(ground.bits))
+    meets_x = meets(f.x[k], dx, s.line_x, wp.int64(ground.bits))
+    meets_y = meets(f.y[k], dy, s.line_y, wp.int64(ground.bits))
     s.from_ = s.to
-    s.to = wp.min(wp.float64(1.0), wp.min(at_x, at_y))
-    if at_x <= s.to:
+    s.to = wp.min(wp.float64(1.0), wp.min(meets_x, meets_y))
+    if meets_x <= s.to:
         s.line_x += wp.where(dx < wp.int64(0), wp.int64(-1), wp.int64(1))
-    if at_y <= s.to:
+    if meets_y <= s.to:
         s.line_y += wp.where(dy < wp.int64(0), wp.int64(-1), wp.int64(1))
     if ground.curved == 0:
         e0 = s.difference
@@ -125,7 +128,10 @@ def place_in(ground: Reference, f: MeasuredFacet, k: wp.int32, s: Stretch, q: wp
 
 @wp.func
 def rounded_away(ground: Reference, f: MeasuredFacet, k: wp.int32, position: wp.vec3f) -> wp.float64:
-    """Return the height in metres by which float32 has moved a triangle at corner k."""
+    """Return the height in metres by which the rounding to float32 has moved a triangle at corner k.
+
+    It is that of the position in the plane, as the triangle's slope turns it into height, and that of the height.
+    """
     u, v = on_edge(ground, f, k, wp.float64(0.0))
     z = wp.float64(position[2])
     by_plane = plane_at(f, u, v) - z

@@ -116,7 +116,7 @@ def facet_of(ground: Reference, mesh: DeliveredMesh, t: wp.int32) -> MeasuredFac
 
 @wp.func
 def plane_at(f: MeasuredFacet, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Return the height of the triangle's plane, metres."""
+    """Return the height of the triangle's plane, metres, u cells east and v cells north of the south-west corner."""
     return f.z + f.slope_u * (u - f.u) + f.slope_v * (v - f.v)
 
 
@@ -131,7 +131,10 @@ def detail_in(ground: Reference, u: wp.float64, v: wp.float64) -> wp.float64:
 
 @wp.func
 def in_cell(ground: Reference, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Return the height of the reference surface in cell (i, j), metres."""
+    """Return the height of the reference surface, metres, in cell (i, j), u cells east and v cells north.
+
+    u, v: from the raster's south-west corner.
+    """
     p = corners_of(ground.samples, i, j)
     s = u - wp.float64(i)
     t = v - wp.float64(j)
@@ -146,7 +149,7 @@ def in_cell(ground: Reference, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.fl
 
 @wp.func
 def reference_at(ground: Reference, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Return the height of the reference surface, metres."""
+    """Return the height of the reference surface, metres, u cells east and v cells north of the south-west corner."""
     i = wp.clamp(wp.int32(wp.floor(u)), 0, ground.samples.columns - 2)
     j = wp.clamp(wp.int32(wp.floor(v)), 0, ground.samples.rows - 2)
     return in_cell(ground, i, j, u, v)

@@ -51,7 +51,10 @@ def through_triangle(mesh: DeliveredMesh, t: wp.int32, origin: wp.vec3d, along: 
 def meets_mesh(
     ground: Reference, mesh: DeliveredMesh, boxes: Boxes, ray: SightRay, start: wp.float64, end: wp.float64
 ) -> wp.bool:
-    """Return whether a ray meets the mesh between start and end."""
+    """Return whether a ray meets the mesh between t = start and t = end.
+
+    The hierarchy of boxes lists candidates in float32; each triangle is then tested in float64.
+    """
     x = ground.west + ray.u * ground.step_x
     y = ground.south + ray.v * ground.step_y
     along = wp.vec3d(ray.du * ground.step_x, ray.dv * ground.step_y, ray.dz)

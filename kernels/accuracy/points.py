@@ -75,7 +75,10 @@ def first_from(points: MeasuredPoints, key: wp.int64) -> wp.int32:
 def visit(
     ground: Reference, f: MeasuredFacet, t: wp.int32, points: MeasuredPoints, corner: wp.int64, side_bits: wp.int64
 ):
-    """Write the difference and the owner of every point of one square that the triangle covers."""
+    """Write the difference and the owner of every point of one square that the triangle covers.
+
+    corner: Morton key of the square's first point. side_bits: its side has 2^side_bits units. t: the triangle.
+    """
     bits = wp.int64(ground.bits) + wp.int64(POINT_BITS)
     finer = wp.int64(1) << wp.int64(POINT_BITS)
     per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << bits)

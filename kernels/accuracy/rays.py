@@ -141,7 +141,10 @@ def between(
 
 @wp.func
 def side_of_span(ray: SightRay, t: wp.float64, out: wp.float64, a: wp.float64, b: wp.float64) -> wp.float64:
-    """Return 1 if the ray is above all heights between a and b from t to `out`, -1 if below them, else 0."""
+    """Return 1 if the ray is above all heights between a and b from t to `out`, -1 if below them, else 0.
+
+    a, b: metres, in either order. The ray must clear them by its tolerance.
+    """
     z0 = ray.z + t * ray.dz
     z1 = ray.z + out * ray.dz
     side = wp.float64(0.0)
@@ -193,18 +196,21 @@ def over_ground(ground: Reference, blocks: HeightBlocks, ray: SightRay, start: w
 
 
 @wp.func
-def time_to(place: wp.float64, speed: wp.float64, low: wp.int32, high: wp.int32) -> wp.float64:
-    """Return t where the ray leaves low .. high along one axis, NOWHERE where it does not."""
+def time_to(start: wp.float64, direction: wp.float64, low: wp.int32, high: wp.int32) -> wp.float64:
+    """Return t where the ray leaves the cells low .. high along one axis, NOWHERE where it runs parallel.
+
+    start, direction: the ray's position and direction along the axis, in cells.
+    """
     t = NOWHERE
-    if speed != wp.float64(0.0):
-        t = (wp.float64(wp.where(speed > wp.float64(0.0), high, low)) - place) / speed
+    if direction != wp.float64(0.0):
+        t = (wp.float64(wp.where(direction > wp.float64(0.0), high, low)) - start) / direction
     return t
 
 
 @wp.func
-def cell_behind(place: wp.float64, speed: wp.float64, out: wp.float64, low: wp.int32, high: wp.int32) -> wp.int32:
+def cell_behind(start: wp.float64, direction: wp.float64, out: wp.float64, low: wp.int32, high: wp.int32) -> wp.int32:
     """Return the ray's cell at `out` along the axis that it does not leave by, clamped to low .. high - 1."""
-    return wp.clamp(wp.int32(wp.floor(place + out * speed)), low, high - 1)
+    return wp.clamp(wp.int32(wp.floor(start + out * direction)), low, high - 1)
 
 
 @wp.func

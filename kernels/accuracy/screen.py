@@ -59,7 +59,7 @@ class Eye:
 
 @wp.func
 def to_camera(eye: Eye, u: wp.float64, v: wp.float64, z: wp.float64) -> wp.vec3d:
-    """Return a point in camera space, metres."""
+    """Return the point u cells east, v cells north and z metres high in camera space, metres."""
     p = wp.vec4d(u, v, z, wp.float64(1.0))
     return wp.vec3d(wp.dot(eye.right, p), wp.dot(eye.up, p), wp.dot(eye.back, p))
 
@@ -88,7 +88,10 @@ def in_frame(eye: Eye, camera: wp.vec3d) -> wp.bool:
 
 @wp.func
 def move_ahead(eye: Eye, truth: wp.vec3d, point: wp.vec3d) -> wp.vec3d:
-    """Return `point`, or where the way to it from `truth` reaches the depth below which the error is not bounded."""
+    """Return `point`, or where the way to it from `truth` reaches the depth `eye.near`.
+
+    Points of camera space, metres. Nearer than that depth no error is bounded, so it must not be measured.
+    """
     moved = point
     if eye.kind == PERSPECTIVE and -point[2] < eye.near and -truth[2] > eye.near:
         moved = truth + (point - truth) * ((-truth[2] - eye.near) / (point[2] - truth[2]))

@@ -72,7 +72,10 @@ def rows_of(s: Facet, bits: wp.int32):
 
 @wp.func
 def row_of(s: Facet, bits: wp.int32, j: wp.int32):
-    """Return the first sample of row `j` of the facet and the number of its samples, both counted from its apex."""
+    """Return the first sample of row `j` of the facet and the number of its samples, both counted from its apex.
+
+    A cell has 2^bits lattice units a side.
+    """
     n = wp.max(wp.abs(s.left_x), wp.abs(s.left_y)) >> bits
     away = wp.abs(j)
     first = wp.int32(0)

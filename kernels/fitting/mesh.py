@@ -102,13 +102,13 @@ def mark_around(m: FitMesh, v: wp.int32):
     """Mark the triangles that share a vertex for the next list."""
     start = m.first[v]
     t = start
-    way = wp.int32(0)
+    turn = wp.int32(0)
     while t >= 0:
         mark(m, t)
-        t = m.beside[3 * t + (corner_of(m, t, v) + way) % 3]
-        if t < 0 and way == 0:  # at the border; now the other way round
-            way = 2
-            t = m.beside[3 * start + (corner_of(m, start, v) + way) % 3]
+        t = m.beside[3 * t + (corner_of(m, t, v) + turn) % 3]
+        if t < 0 and turn == 0:  # at the border; now the other way round
+            turn = 2
+            t = m.beside[3 * start + (corner_of(m, start, v) + turn) % 3]
         elif t == start:
             t = -1
 
@@ -158,7 +158,10 @@ def put_triangle(m: FitMesh, t: wp.int32, corners: wp.vec3i, beside: wp.vec3i, l
 
 @wp.func
 def halve(m: FitMesh, t: wp.int32, new: wp.int32, middle: wp.int32, across: wp.int32, across_new: wp.int32):
-    """Bisect a triangle: it keeps its left half, `new` is its right one; `across` and `across_new` likewise beyond."""
+    """Bisect triangle t at the vertex `middle`: t becomes its left half, `new` its right one.
+
+    across, across_new: the halves of the neighbour behind the longest edge, -1 at the border.
+    """
     left = m.corner_verts[3 * t]
     apex = m.corner_verts[3 * t + 1]
     right = m.corner_verts[3 * t + 2]

@@ -43,9 +43,9 @@ def corners_of(m: FitMesh, t: wp.int32) -> wp.vec3f:
 
 
 @wp.func
-def weighted(q: wp.float32, weight: wp.float32, all: wp.float32) -> wp.vec2f:
-    """Return push and weight on a corner; none where the weight is only rounding."""
-    return wp.where(weight > NO_WEIGHT * all, wp.vec2f(q, weight), wp.vec2f())
+def weighted(q: wp.float32, weight: wp.float32, sum_weights: wp.float32) -> wp.vec2f:
+    """Return push q and weight on a corner; none where the weight is only rounding of the sum of weights."""
+    return wp.where(weight > NO_WEIGHT * sum_weights, wp.vec2f(q, weight), wp.vec2f())
 
 
 @wp.kernel
@@ -58,12 +58,12 @@ def pull(first: int, end: int, m: FitMesh):
         z = corners_of(m, t)
         aim = AIM * m.bound
         known = m.worst[t]
-        look = known == NOT_MEASURED
-        if not look:
+        is_measured = known == NOT_MEASURED
+        if not is_measured:
             last = m.seen[t]
             moved = wp.max(wp.max(wp.abs(z[0] - last[0]), wp.abs(z[1] - last[1])), wp.abs(z[2] - last[2]))
-            look = moved > wp.float32(0.0) and known + wp.float64(moved) > aim
-        if look:
+            is_measured = moved > wp.float32(0.0) and known + wp.float64(moved) > aim
+        if is_measured:
             left = m.point[m.corner_verts[3 * t]]
             apex = m.point[m.corner_verts[3 * t + 1]]
             right = m.point[m.corner_verts[3 * t + 2]]
@@ -78,8 +78,8 @@ def pull(first: int, end: int, m: FitMesh):
                 q = pushes_of(d, left, apex, right, height, corner_climbs, wp.float32(aim / d.error_scale))
             else:
                 q = pushes_in_cell(d, facet_of(m, t), aim / d.error_scale)
-            around = wp.abs(rise_left) + wp.abs(rise_right) + wp.float64(q[0])
-            m.worst[t] = (wp.float64(q[0]) + ROUNDED * around) * d.error_scale
+            size = wp.abs(rise_left) + wp.abs(rise_right) + wp.float64(q[0])
+            m.worst[t] = (wp.float64(q[0]) + ROUNDED * size) * d.error_scale
             all = q[1] + q[3] + q[5]
             m.pushes[3 * t] = weighted(q[4], q[3], all)
             m.pushes[3 * t + 1] = weighted(q[2], q[1], all)

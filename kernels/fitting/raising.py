@@ -39,7 +39,10 @@ def climb(
     codes: wp.array(dtype=wp.uint8),
     stack: wp.array(dtype=wp.vec3i),
 ):
-    """Raise the error of the diamond at (x, y), `depth` at most that of cells, and those above it to that of `code`."""
+    """Raise the error of the diamond at (x, y) and of all above it to that of `code`, so that errors stay nested.
+
+    depth: of the diamond, at most that of the raster's cells. stack: scratch.
+    """
     top = wp.int32(1)
     stack[0] = wp.vec3i(x, y, depth)
     while top > 0:

@@ -27,19 +27,19 @@ def refine(count: int, max_depth: int, local: wp.float64, m: FitMesh, found: wp.
     pins = wp.int32(0)
     later = wp.int32(0)
     deepest = wp.int32(0)
-    _push_corners(m, count)
+    _spread_excess(m, count)
     for k in range(count):
         t = m.active[k]
         over = m.worst[t] - m.bound
         if over > wp.float64(0.0):
             m.awake[t] = m.round + 1
             mark(m, t)
-            if over >= local * _max_push(m, t):
+            if over >= local * _max_excess_around(m, t):
                 finer = m.level[t] - 2 * d.levels - 1
                 cell = _cell_of(m, t)
                 error = _grid_error(m, t, finer, cell)
                 too_coarse = metres2_of(d, error, d.rounding + d.max_lean) > m.error * m.error
-                if m.level[t] < max_depth and (too_coarse or _is_held(m, t, error)):
+                if m.level[t] < max_depth and (too_coarse or _is_on_surface(m, t, error)):
                     splits += 1
                     if finer >= 0:
                         raise_cells(d, cell[0], cell[1], (finer + 1) >> 1, m.codes, m.climbing)
@@ -68,7 +68,7 @@ def refine(count: int, max_depth: int, local: wp.float64, m: FitMesh, found: wp.
 
 
 @wp.func
-def _push_corners(m: FitMesh, count: int):
+def _spread_excess(m: FitMesh, count: int):
     """Write to each vertex the largest excess of the listed triangles around it, metres."""
     for k in range(count):
         t = m.active[k]
@@ -80,8 +80,8 @@ def _push_corners(m: FitMesh, count: int):
 
 
 @wp.func
-def _max_push(m: FitMesh, t: int):
-    """Return the largest excess at a triangle's corners, metres."""
+def _max_excess_around(m: FitMesh, t: int):
+    """Return the largest excess that `_spread_excess` has written to a triangle's corners, metres."""
     largest = wp.float64(0.0)
     for c in range(3):
         largest = wp.max(largest, m.push[2 * m.corner_verts[3 * t + c]])
@@ -118,10 +118,10 @@ def _grid_error(m: FitMesh, t: int, finer: int, cell: wp.vec2i):
 
 
 @wp.func
-def _is_held(m: FitMesh, t: int, error: wp.float32):
-    """Return whether its vertices are on the surface already.
+def _is_on_surface(m: FitMesh, t: int, error: wp.float32):
+    """Return whether a triangle has all its vertices on the surface since before this round, and a large stored error.
 
-    Only a split then reduces the error of float32 positions.
+    Only a split then reduces the error of float32 positions. error: metres before scaling.
     """
     pinned = PINNED
     fresh = wp.float64(0.0)
@@ -135,7 +135,7 @@ def _is_held(m: FitMesh, t: int, error: wp.float32):
 
 @wp.func
 def _pin_corners(m: FitMesh, t: int):
-    """Move its vertices to the surface; returns the number that were not there."""
+    """Move a triangle's vertices to the surface; returns the number that were not there."""
     pins = wp.int32(0)
     for c in range(3):
         v = m.corner_verts[3 * t + c]

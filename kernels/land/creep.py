@@ -50,7 +50,9 @@ class Soil:
         out[x] = constant[x] ? m[x] : m[x] + v;
     }
 """)
-def creep_of_row(soil: Soil, y: int): ...
+def creep_of_row(soil: Soil, y: int):
+    """Take an explicit step of row y, from `old` to `h`."""
+    ...
 
 
 @wp.kernel
@@ -89,7 +91,9 @@ def creep(offset: int, soil: Soil):
         }
     }
 """)
-def diffuse_columns(soil: Soil, first: int, end: int): ...
+def diffuse_columns(soil: Soil, first: int, end: int):
+    """Take an implicit step of columns first .. end of `h`: Thomas's algorithm from south to north and back."""
+    ...
 
 
 @wp.func_native("""
@@ -114,7 +118,9 @@ def diffuse_columns(soil: Soil, first: int, end: int): ...
         z[x] = z[x] + d[x];
     }
 """)
-def diffuse_row(soil: Soil, y: int): ...
+def diffuse_row(soil: Soil, y: int):
+    """Take an implicit step of row y of `h`: Thomas's algorithm from west to east and back."""
+    ...
 
 
 @wp.kernel

@@ -77,7 +77,10 @@ def patch(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.vec3d:
 
 @wp.func
 def deposit(rain: DropletRain, x: wp.float64, y: wp.float64, volume: wp.float64, more: wp.int32):
-    """Deposit `volume` m3, or erode a negative one, under a round brush at (x, y), `more` samples wider."""
+    """Deposit `volume` m3, or erode a negative one, under a round brush at (x, y), `more` samples wider.
+
+    The weight falls from 1 in the middle to 0 at the brush's radius; samples that must not change get nothing.
+    """
     middle_x = wp.int32(x + wp.float64(0.5)) - rain.first_column
     middle_y = wp.int32(y + wp.float64(0.5)) - rain.first_row
     west = wp.max(middle_x - rain.brush_x - more, 0)
@@ -109,7 +112,11 @@ def deposit(rain: DropletRain, x: wp.float64, y: wp.float64, volume: wp.float64,
 
 @wp.func
 def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Run a droplet from (x, y) to its end; return the m3 that it carries over the border."""
+    """Run a droplet from (x, y) to its end; return the m3 that it carries over the border.
+
+    Each step goes downhill with inertia; the droplet deposits where it climbs or has more than its capacity, else it
+    erodes. At its end it deposits the rest.
+    """
     none = wp.float64(0.0)
     one = wp.float64(1.0)
     cell = rain.step_x * rain.step_y
@@ -117,10 +124,10 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
     min_y = wp.float64(rain.first_row)
     max_x = wp.float64(rain.first_column + rain.width - 1)
     max_y = wp.float64(rain.first_row + rain.height - 1)
-    go_x = wp.float64(0.0)
-    go_y = wp.float64(0.0)
+    direction_x = wp.float64(0.0)
+    direction_y = wp.float64(0.0)
     water = wp.float64(1.0)
-    held = wp.float64(0.0)
+    load = wp.float64(0.0)
     carried = wp.float64(0.0)
     step = wp.int32(0)
     here = patch(rain, x, y)
@@ -128,35 +135,35 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
         step += 1
         steepness = wp.sqrt(here[0] * here[0] + here[1] * here[1])
         if steepness > none:
-            go_x = rain.inertia * go_x - (one - rain.inertia) * here[0] / steepness
-            go_y = rain.inertia * go_y - (one - rain.inertia) * here[1] / steepness
-        length = wp.sqrt(go_x * go_x + go_y * go_y)
+            direction_x = rain.inertia * direction_x - (one - rain.inertia) * here[0] / steepness
+            direction_y = rain.inertia * direction_y - (one - rain.inertia) * here[1] / steepness
+        length = wp.sqrt(direction_x * direction_x + direction_y * direction_y)
         if length == none:
             step = rain.steps  # a plain has no downhill direction
         else:
-            go_x = go_x / length
-            go_y = go_y / length
-            u = x + go_x * rain.stride / rain.step_x
-            v = y + go_y * rain.stride / rain.step_y
+            direction_x = direction_x / length
+            direction_y = direction_y / length
+            u = x + direction_x * rain.stride / rain.step_x
+            v = y + direction_y * rain.stride / rain.step_y
             if u < min_x or v < min_y or u >= max_x or v >= max_y:
-                carried = held
-                held = none
+                carried = load
+                load = none
                 step = rain.steps
             else:
                 there = patch(rain, u, v)
                 if there[2] == there[2]:
                     fall = here[2] - there[2]
-                    room = rain.capacity * water * wp.max(fall, none) / rain.stride
+                    capacity = rain.capacity * water * wp.max(fall, none) / rain.stride
                     volume = none
                     if fall < none:
-                        volume = wp.min(-fall * cell, held)  # fills the hollow up to the height of the next point
-                    elif held > room:
-                        volume = (held - room) * rain.load
+                        volume = wp.min(-fall * cell, load)  # fills the hollow up to the height of the next point
+                    elif load > capacity:
+                        volume = (load - capacity) * rain.load
                     else:
                         row = wp.int32(y + wp.float64(0.5)) - rain.first_row
                         near = row * rain.width + wp.int32(x + wp.float64(0.5)) - rain.first_column
-                        volume = -wp.min((room - held) * rain.load, fall * cell) * wp.float64(rain.mask[near])
-                    held -= volume
+                        volume = -wp.min((capacity - load) * rain.load, fall * cell) * wp.float64(rain.mask[near])
+                    load -= volume
                     deposit(rain, x, y, volume, 0)
                     water *= one - rain.dry
                     x = u
@@ -164,8 +171,8 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
                     here = patch(rain, x, y)
                 else:
                     step = rain.steps
-    if held > none:
-        deposit(rain, x, y, held, 1)
+    if load > none:
+        deposit(rain, x, y, load, 1)
     return carried
 
 

@@ -102,7 +102,9 @@ _LIMIT = """
 
 
 @wp.func_native(_LIMIT)
-def limit_row(water: FloodStep, y: int): ...
+def limit_row(water: FloodStep, y: int):
+    """Compute `part` of row y: the fraction of its outflow that a sample's water allows."""
+    ...
 
 
 @wp.kernel
@@ -133,7 +135,9 @@ _MOVE = """
 
 
 @wp.func_native(_MOVE)
-def move_row(water: FloodStep, y: int): ...
+def move_row(water: FloodStep, y: int):
+    """Update the depths of row y by the fluxes, each times the `part` of the sample that it leaves, and by the rain."""
+    ...
 
 
 @wp.kernel

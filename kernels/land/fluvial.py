@@ -48,7 +48,9 @@ class River:
         out[x] = __builtin_sqrtf(m2) * near * p[x] * r.strength;
     }
 """)
-def rate_of_row(r: River, y: int): ...
+def rate_of_row(r: River, y: int):
+    """Compute F of row y, see `find_rates`."""
+    ...
 
 
 @wp.kernel
@@ -77,7 +79,9 @@ def find_rates(offset: int, r: River):
         if (r.lakes) w[i] = k == 4 || z[i] > w[j] ? z[i] : w[j];
     }
 """)
-def cut_samples(r: River): ...
+def cut_samples(r: River):
+    """Incise all samples from the outlets upstream, see `cut_down`."""
+    ...
 
 
 @wp.kernel
@@ -120,7 +124,9 @@ def cut_down(r: River):
         l[i + away[k]] += out;
     }
 """)
-def deposit_samples(r: River): ...
+def deposit_samples(r: River):
+    """Carry eroded material from the springs downstream, see `deposit`."""
+    ...
 
 
 @wp.kernel
@@ -166,7 +172,12 @@ def settle_samples(
     rock: wp.array(dtype=wp.float32),
     old: wp.array(dtype=wp.float32),
     deposited: wp.array(dtype=wp.float32),
-): ...
+):
+    """Move sediment between lake samples first .. end and their four neighbours `apart` samples away.
+
+    rock, old: metres of ground and of sediment on it. deposited: the sediment afterwards. width: samples in a row.
+    """
+    ...
 
 
 @wp.kernel

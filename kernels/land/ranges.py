@@ -17,7 +17,10 @@ MOUNTAINS, CANYON, ARCHIPELAGO = wp.constant(0), wp.constant(1), wp.constant(2)
 
 @wp.func
 def mountains_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.uint32) -> wp.float64:
-    """Return the height of a range from west to east with forelands on both sides; metres, above 0."""
+    """Return the height of a range from west to east with forelands on both sides; metres, above 0.
+
+    x, y: metres from the middle of a square of twice `half`.
+    """
     one = wp.float64(1.0)
     coarse_warp = noise(x / wp.float64(13000.0), y / wp.float64(13000.0), seed + wp.uint32(31))
     fine_warp = noise(x / wp.float64(4700.0), y / wp.float64(4700.0), seed + wp.uint32(32))
@@ -57,7 +60,11 @@ def ravine(x: wp.float64, y: wp.float64, length: wp.float64, seed: wp.uint32) ->
 
 @wp.func
 def canyon_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.uint32) -> wp.float64:
-    """Return the height of a plateau with a canyon from east to west and side canyons; metres, above 0."""
+    """Return the height of a plateau with a canyon from east to west and side canyons; metres, above 0.
+
+    x, y: metres from the middle of a square of twice `half`. The distance from the river, shorter in side canyons,
+    gives the height in its walls.
+    """
     one = wp.float64(1.0)
     wide = noise(x / wp.float64(9000.0), y / wp.float64(9000.0), seed + wp.uint32(41))[2]
     fine = noise(x / wp.float64(310.0), y / wp.float64(310.0), seed + wp.uint32(42))

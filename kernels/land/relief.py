@@ -118,7 +118,7 @@ def slope_and_curvature(w: Window, h: wp.array(dtype=wp.float32), row: wp.int32,
 
 @wp.func
 def ledges(k: ReliefNoise, x: wp.float64, y: wp.float64, z: wp.float32, slope: wp.float32) -> wp.float32:
-    """Return the metres that beds move the ground at (x, y, z).
+    """Return the metres that beds of rock move the ground at (x, y, z), metres; `slope` is the ground's.
 
     Foot and head of a bed stay in place, and a hard bed is steeper in between. Beds are folded and differ in hardness,
     and ledges end, so that they do not look like contour lines.
@@ -135,9 +135,9 @@ def ledges(k: ReliefNoise, x: wp.float64, y: wp.float64, z: wp.float32, slope: w
     below = f / middle
     above = (1.0 - f) / (1.0 - middle)
     stepped = wp.where(f < middle, middle * below * below * below, 1.0 - (1.0 - middle) * above * above * above)
-    ends = gradient_noise(x / LEDGE_LENGTH, y / LEDGE_LENGTH, bed_hash + LENGTH_SEED)[2]
-    hold = k.ledge * wp.min(2.0 * hard, 1.0) * wp.clamp(0.7 + 2.5 * ends, 0.0, 1.0)
-    return (stepped - f) * k.bed * hold * wp.clamp(2.0 * slope - 0.3, 0.0, 1.0)
+    extent = gradient_noise(x / LEDGE_LENGTH, y / LEDGE_LENGTH, bed_hash + LENGTH_SEED)[2]
+    strength = k.ledge * wp.min(2.0 * hard, 1.0) * wp.clamp(0.7 + 2.5 * extent, 0.0, 1.0)
+    return (stepped - f) * k.bed * strength * wp.clamp(2.0 * slope - 0.3, 0.0, 1.0)
 
 
 @wp.func
@@ -148,7 +148,7 @@ def sum_octaves(
 
     Steep detail damps finer octaves (Quilez, "more noise", 2008); on convex ground they are folded into crests.
     """
-    high = wp.float32(0.0)
+    total = wp.float32(0.0)
     gx = wp.float32(0.0)
     gy = wp.float32(0.0)
     sharp = 3.0 * k.wave * curvature
@@ -165,7 +165,7 @@ def sum_octaves(
             # The slope of -|n| without its jump, which damping would transfer to the ground.
             folded = wp.clamp(-8.0 * n[2], -1.0, 1.0) * crest
             value = n[2] * (1.0 - crest) + crest * (0.35 - wp.abs(n[2]))
-            high += fade * size * value / (1.0 + DAMP * (gx * gx + gy * gy))
+            total += fade * size * value / (1.0 + DAMP * (gx * gx + gy * gy))
             gx += size / wave * n[0] * (1.0 - crest + folded)
             gy += size / wave * n[1] * (1.0 - crest + folded)
             size *= k.gain
@@ -175,7 +175,7 @@ def sum_octaves(
             py = wp.float64(1.2) * px + wp.float64(1.6) * py + wp.float64(0.71484375)
             px = turned
             seed += NEXT_SEED
-    return high
+    return total
 
 
 @wp.kernel

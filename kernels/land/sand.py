@@ -76,7 +76,10 @@ def crests(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.vec2d:
 
 @wp.func
 def ridge_of_sand(phase: wp.float64, high: wp.float64, length: wp.float64) -> wp.vec2d:
-    """Return height and lee (0 or 1) of a dune `high` in waves of a length; its lee is at the angle of repose."""
+    """Return (height, lee) of a dune `high` metres in waves of `length` metres; its lee is at the angle of repose.
+
+    phase: position in the wave, 0 .. 1 downwind. lee: 1 behind the brink, else 0.
+    """
     one = wp.float64(1.0)
     brink = one - high / (REPOSE * length)
     if phase < brink:

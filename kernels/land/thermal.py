@@ -73,7 +73,9 @@ FACE_ROW = """
 
 
 @wp.func_native(FACE_ROW)
-def face_row(s0: Slope, y: int): ...
+def face_row(s0: Slope, y: int):
+    """Set `facing` of row y, see `face_rows`."""
+    ...
 
 
 @wp.kernel
@@ -166,12 +168,20 @@ SETTLE_SLAB = """
 
 
 @wp.func_native(SETTLE_SLAB)
-def settle_slab(s0: Slope, y: int, along: int, turn: int): ...
+def settle_slab(s0: Slope, y: int, along: int, turn: int):
+    """Settle the pairs of samples in rows y and y + 1.
+
+    along, turn: see `settle_slabs`.
+    """
+    ...
 
 
 @wp.kernel
 def settle_slabs(offset: int, start: int, along: int, turn: int, slope: Slope):
-    """Settle slab `offset + tid`, rows start + 2 * that and the next."""
+    """Settle slab `offset + tid`: rows start + 2 * that and the next.
+
+    Pairs along the rows settle only if `along`, first those whose western column has the parity of `turn`.
+    """
     settle_slab(slope, start + 2 * (offset + wp.tid()), along, turn)
 
 

@@ -21,7 +21,7 @@ from ..field.heightfield import HeightField
 from ..field.store_folder import check_no_description
 from ..importing.placing import Placing
 from ..run import stopping
-from ..run.partial_files import written_beside
+from ..run.partial_files import remove_abandoned, written_beside
 from ..terrain import Terrain
 from ..view.criterion import Criterion
 from ..view.linear import length
@@ -80,12 +80,13 @@ def export_tileset(
     if not (math.isfinite(error_m) and error_m > 0.0) or triangles < 1:
         raise TerrainError(f"The error is {error_m} m with {triangles} triangles", expected="numbers above 0")
     check_no_description(path)
+    remove_abandoned(path.parent)
     levels = _levels(field, error_m, triangles, lambda done: on_progress(0.5 * done))
     placing = placing_or_middle(field)
-    frame = _place(levels, placing, path.parent)
-    for finer, level in zip(levels[:0:-1], levels[-2::-1], strict=True):
-        level.bound = max(level.bound, finer.bound)
     try:
+        frame = _place(levels, placing, path.parent)
+        for finer, level in zip(levels[:0:-1], levels[-2::-1], strict=True):
+            level.bound = max(level.bound, finer.bound)
         tiles: dict[tuple[int, int, int], tuple] = {}
         for number, level in enumerate(levels):
             _write_level(path, number, level, levels[0].bound, tiles)

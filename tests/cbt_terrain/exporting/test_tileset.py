@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """3D Tiles, read back by other code: rules of the format, true errors, shared borders, position on the globe."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
@@ -216,3 +219,26 @@ def test_a_tileset_does_not_replace_the_description_of_a_store(tmp_path):
     with pytest.raises(TerrainError, match="belongs to a terrain store"):
         export_tileset(field, field.path / "store.json", 1.0)
     assert sorted(field.path.rglob("*")) == before
+
+
+def test_a_full_disk_is_reported_with_the_tileset(tmp_path, monkeypatch):
+    field, _ = imported(tmp_path, write_raster(tmp_path / "in.tif", smooth(20, 20), **UTM))
+
+    def save(*_):
+        raise OSError("99 requested and 1 written")  # numpy's own, without an error number
+
+    monkeypatch.setattr(np, "save", save)
+    with pytest.raises(TerrainError, match=r"land.json cannot be written \(99 requested and 1 written\)"):
+        export_tileset(field, tmp_path / "land.json", 1.0)
+    assert not list(tmp_path.glob("*land*"))
+
+
+def test_what_a_killed_export_has_left_is_removed(tmp_path):
+    field, _ = imported(tmp_path, write_raster(tmp_path / "in.tif", smooth(20, 20)))
+    module, out = "adaptive_terrain.cbt_terrain.run.partial_files", tmp_path / "out"
+    out.mkdir()
+    begin = f"import os, pathlib, {module} as m; file = m.written_beside(pathlib.Path({str(out / 'a.glb')!r}))"
+    subprocess.run([sys.executable, "-c", f"{begin}; file.__enter__(); os._exit(1)"], check=False)
+    assert len(list(out.iterdir())) == 1
+    export_tileset(field, out / "land.json", 1.0)
+    assert sorted(path.name for path in out.iterdir()) == ["land.json", "land_0_0_0.glb"]

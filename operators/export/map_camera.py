@@ -20,6 +20,8 @@ from ...cbt_terrain.exporting.pictures import WORLD_FILES, write_geotiffs, write
 from ...cbt_terrain.run import stopping
 from ...cbt_terrain.run.partial_files import private_folder
 from ..bridge.camera import render_resolution
+from ..bridge.scene_paths import absolute_path
+from ..importing.imported import imported_of
 from ..land import shaped_land
 from ..session import session, stale_renders
 from ..session.polls import cancelled_by_errors, on_terrain_object
@@ -155,14 +157,26 @@ def render_map(scene, path: Path, tiles: tuple[int, int] = (1, 1), with_geotiff:
         name = path.name if tiles == (1, 1) else f"{path.stem}_x{column}_y{row}{path.suffix}"
         picture = path.with_name(name)
         check_target(picture)
+        geotiff = picture if form == "TIFF" else picture.with_suffix(".tif")
+        _check_no_source(scene, {picture, geotiff} if with_geotiff else {picture})
         _render_part(scene, picture, size, x, y)
         transform = extent.transform(size, x[0], y[0])
         written += [picture, write_world_file(picture, transform)]
-        geotiffs.append((picture, picture if form == "TIFF" else picture.with_suffix(".tif"), transform))
+        geotiffs.append((picture, geotiff, transform))
     if with_geotiff:
         write_geotiffs(geotiffs, extent.crs)
         written += [file for picture, file, _ in geotiffs if file != picture]
     return written
+
+
+def _check_no_source(scene, files: set[Path]) -> None:
+    """Raise TerrainError if a map would replace the height map of a terrain."""
+    for settings in (obj.adaptive_terrain for obj in session.terrains_of(scene)):
+        imported = imported_of(settings)
+        sources = settings.source_path, imported.settings.get("source", "") if imported else ""
+        for source in (Path(absolute_path(name)) for name in sources if name):
+            if any(file.exists() and source.exists() and file.samefile(source) for file in files):
+                raise TerrainError(f"The map would replace the height map {source}", fix="choose another name")
 
 
 def _render_part(scene, picture: Path, size: tuple[int, int], x: list[int], y: list[int]) -> None:

@@ -130,3 +130,12 @@ def test_the_command_renders_the_map_of_a_scene(scene, mapped, tmp_path, capsys)
         assert file.shape == (90, 60) and file.transform.almost_equals(
             Affine(10, 0, 500_615, 0, -20 / 3, 5_199_990), 1e-6
         )
+
+
+@pytest.mark.parametrize("name", ["in.png", "in.tif"])
+def test_a_map_does_not_replace_its_height_map(scene, mapped, tmp_path, name):
+    before = (tmp_path / "in.tif").read_bytes()
+    bpy.ops.adaptive_terrain.map_camera()
+    with pytest.raises(RuntimeError, match="would replace the height map"):
+        bpy.ops.adaptive_terrain.render_map(filepath=str(tmp_path / name))
+    assert (tmp_path / "in.tif").read_bytes() == before and not (tmp_path / "in.png").exists()

@@ -41,8 +41,8 @@ class TerrainPanel:
             _draw_without_terrain(layout, context.object)
             return
         settings = obj.adaptive_terrain
+        # Always enabled: Blender keeps a button under the mouse disabled until the mouse leaves it, as after Add.
         row = layout.row(align=True)
-        row.enabled = bool(settings.store)
         row.operator("adaptive_terrain.update", icon="FILE_REFRESH")
         row.operator("adaptive_terrain.frame", text="Frame", icon="ZOOM_SELECTED")
         row.prop(settings, "live", text="Live", toggle=True)

@@ -33,6 +33,7 @@ from .file_outputs import literal
 
 NAME, SUN_NAME = "Map Camera", "Map Sun"
 EXTENT = "adaptive_terrain_map"  # property of the camera with the JSON of a MapExtent
+FRAME = "adaptive_terrain_map_frame"  # property with the numbers of `_frame_of` that belong to this extent
 MAX_SIDE, MAX_ASPECT = 65_536, 200.0  # of Blender's renders
 FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF"}
 MARGIN = 0.1  # of the terrain's height, above and below
@@ -106,11 +107,20 @@ def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float |
     scene.camera, render = camera, scene.render
     render.resolution_x, render.resolution_y, render.resolution_percentage = *size, 100
     render.pixel_aspect_x, render.pixel_aspect_y = (side / min(pixel) for side in pixel)
+    camera[FRAME] = _frame_of(scene)
     if with_sun and not any(other.type == "LIGHT" and other.data.type == "SUN" for other in scene.objects):
         sun = _object_named(scene, SUN_NAME, lambda: bpy.data.lights.new(SUN_NAME, "SUN"), "LIGHT")
         sun.data.energy = 3.0
         sun.matrix_world = Matrix(place[:3, :3].tolist()).to_4x4() @ _sun_rotation()
     return camera
+
+
+def _frame_of(scene) -> list[float]:
+    """Return the numbers that decide what the scene's camera shows: its shape, the picture's aspect and its place."""
+    data, render = scene.camera.data, scene.render
+    aspect = render.resolution_x * render.pixel_aspect_x / (render.resolution_y * render.pixel_aspect_y)
+    rows = scene.camera.matrix_world[:3]
+    return [data.ortho_scale, data.shift_x, data.shift_y, aspect, *(value for row in rows for value in row)]
 
 
 def _sun_rotation() -> Matrix:
@@ -144,6 +154,9 @@ def render_map(scene, path: Path, tiles: tuple[int, int] = (1, 1), with_geotiff:
     whole map, so they fit together.
     """
     extent, size = extent_of(scene.camera), render_resolution(scene)
+    frame = _frame_of(scene)
+    if not np.allclose(frame, list(scene.camera.get(FRAME, frame)), rtol=1e-5, atol=1e-6 * frame[0]):
+        raise TerrainError("The map's camera or the picture's aspect was changed", fix="use Map Camera again")
     form = FORMATS.get(path.suffix.lower())
     if form is None:
         raise TerrainError(f"{path} is of no format for maps", expected=", ".join(FORMATS))

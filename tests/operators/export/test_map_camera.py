@@ -121,6 +121,21 @@ def test_maps_that_cannot_be_made_are_refused(scene, mapped, tmp_path):
         bpy.ops.adaptive_terrain.map_camera()
 
 
+@pytest.mark.parametrize("change", ["move", "widen", "stretch"])
+def test_a_changed_map_camera_renders_no_map(scene, mapped, tmp_path, change):
+    bpy.ops.adaptive_terrain.map_camera()
+    if change == "move":
+        scene.camera.location.x += 5.0
+    elif change == "widen":
+        scene.camera.data.ortho_scale *= 1.01
+    else:
+        scene.render.resolution_x += 1
+    bpy.context.view_layer.update()
+    with pytest.raises(RuntimeError, match="changed: use Map Camera again"):
+        bpy.ops.adaptive_terrain.render_map(filepath=str(tmp_path / "map.png"))
+    assert not (tmp_path / "map.png").exists()
+
+
 def test_the_command_renders_the_map_of_a_scene(scene, mapped, tmp_path, capsys):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
     argv = ["map", "--scene", str(tmp_path / "shot.blend"), "--out", str(tmp_path / "map.jpg")]

@@ -97,7 +97,7 @@ def place_points(
 def _points(
     request: ScatterRequest, views: list[View], ground: ScatterGround, history: FrameHistory, threads: int
 ) -> ScatterPoints:
-    """Choose the candidates that stand in the views, and fill the history's arrays with their points.
+    """Choose the candidates in the views, and fill the history's arrays with their points.
 
     Two kernels run: `choose` lists the chosen candidates of each run, and `fill_points` writes them after the counts
     are known. Raises TerrainError for more than `request.max_points`.

@@ -116,7 +116,7 @@ def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float |
 
 
 def _frame_of(scene) -> list[float]:
-    """Return the numbers that decide what the scene's camera shows: its shape, the picture's aspect and its place."""
+    """Return the numbers that determine the map: the lens, the picture's aspect and the camera's place."""
     data, render = scene.camera.data, scene.render
     aspect = render.resolution_x * render.pixel_aspect_x / (render.resolution_y * render.pixel_aspect_y)
     rows = scene.camera.matrix_world[:3]

@@ -107,7 +107,7 @@ def test_later_updates_keep_earlier_surfaces(meshlet, holes, monkeypatch):
     expected = [Terrain(field, 2).update(criterion, [view]).surface for view in flight]
     assert [digest(surface) for surface in kept] == [digest(surface) for surface in expected]
     assert len({digest(surface) for surface in expected}) == 9
-    kept.clear()  # what is left in use of each surface is one view of one array
+    kept.clear()  # one view of one array of each surface is still in use
     for view in flight:
         terrain.update(criterion, [view])
     assert all(np.array_equal(a, b.normals[:-1]) for a, b in zip(normals, expected, strict=True))

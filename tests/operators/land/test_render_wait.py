@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A render that waits for land shows what it waits for."""
+"""A render that waits for land shows its progress."""
 
 import bpy
 import pytest

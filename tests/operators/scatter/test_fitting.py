@@ -28,7 +28,7 @@ def scatter(terrain):
 
 
 def block(name, size, scale=1.0):
-    """Return an object with a box of `size` metres in the world that stands on its origin, with its own scale."""
+    """Return an object with a box of `size` metres in the world on its origin, with its own scale."""
     x, y, z = np.array(size) / scale
     mesh = bpy.data.meshes.new(name)
     corners = [(i * x / 2, j * y / 2, k * z) for i in (-1, 1) for j in (-1, 1) for k in (0, 1)]

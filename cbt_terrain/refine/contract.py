@@ -110,8 +110,9 @@ class Outcome:
     def search(self, what: int, threshold: float) -> Excess | None:
         """Find the largest value of a quantity among leaves at the depth limit; None if none is above `threshold`.
 
-        what: FIXED, ERROR, EDGE or AREA on ground in view, or METRES anywhere. The result is rounded up by at most a
-        thousandth, for ERROR by a hundredth.
+        what: FIXED, ERROR, EDGE or AREA on ground in view, or METRES anywhere. With ANY as `max_depth` all leaves of
+        the tree are searched; `threshold` must then be the tolerance to which they were refined. The result is rounded
+        up by at most a thousandth, for ERROR by a hundredth.
         """
         stack, found = self.buffers.get("excess_stack", STACK, Triangle), self.buffers.get("excess", 3, wp.float64)
         inputs = [

@@ -79,6 +79,13 @@ def range_entry(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32) -> wp
 
 
 @wp.func
+def leaves_range_tile(domain: Domain, depth: wp.int32) -> wp.bool:
+    """Return whether the ranges of diamonds below those of `depth` are in other tiles: every four bisections."""
+    finer = 2 * domain.levels - 2 - depth
+    return (finer & 3) == 0 and finer > 0
+
+
+@wp.func
 def fetch_range(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
     """Prefetch the height range of the diamond split at (x, y); ranges of its depth must be stored."""
     prefetch(domain.ranges, range_entry(domain, x, y, 2 * domain.levels - 2 - depth))

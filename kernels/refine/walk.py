@@ -11,6 +11,7 @@ import warp as wp
 
 from ..field.domain import Domain
 from .block import MAX_BISECTIONS
+from .diamond import fetch_range, leaves_range_tile
 from .emit import emit, stands_alone
 from .interval import (
     DOUBT,
@@ -99,13 +100,18 @@ def judge(
 
 @wp.func
 def fetch_children(domain: Domain, w: Walk, c: Cursor):
-    """Prefetch the errors of a triangle's grandchildren, one step ahead."""
-    if w.intervals[c.held].calm == 0 and leaves_tile(domain, c.depth + 1):
-        x = (c.left[0] + c.right[0]) >> 1
-        y = (c.left[1] + c.right[1]) >> 1
+    """Prefetch the errors or height ranges of a triangle's grandchildren, one step ahead."""
+    interval = w.intervals[c.held]
+    x = (c.left[0] + c.right[0]) >> 1
+    y = (c.left[1] + c.right[1]) >> 1
+    if interval.calm == 0 and leaves_tile(domain, c.depth + 1):
         fetch_ahead(domain, (c.left[0] + x) >> 1, (c.left[1] + y) >> 1, c.depth + 2)
         fetch_ahead(domain, (c.apex[0] + x) >> 1, (c.apex[1] + y) >> 1, c.depth + 2)
         fetch_ahead(domain, (c.right[0] + x) >> 1, (c.right[1] + y) >> 1, c.depth + 2)
+    elif interval.even_depth == 0 and leaves_range_tile(domain, c.depth + 1):
+        fetch_range(domain, (c.left[0] + x) >> 1, (c.left[1] + y) >> 1, c.depth + 2)
+        fetch_range(domain, (c.apex[0] + x) >> 1, (c.apex[1] + y) >> 1, c.depth + 2)
+        fetch_range(domain, (c.right[0] + x) >> 1, (c.right[1] + y) >> 1, c.depth + 2)
 
 
 @wp.kernel

@@ -10,6 +10,7 @@ import hashlib
 import json
 import math
 import os
+import re
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, nullcontext
@@ -41,6 +42,7 @@ from .tiling import Tiling, tiling_of
 SHARPER = 0.5
 # IEC 61966-2-1 at even steps from 0 to 1; interpolation is off by at most a hundredth of a byte's step.
 SRGB = [12.92 * x if x <= 0.0031308 else 1.055 * x ** (1 / 2.4) - 0.055 for x in (k / 4096 for k in range(4097))]
+KEY = re.compile("[0-9a-f]{32}")  # of an image's content
 BAND_TEXELS = 1 << 19  # texels of a band: some megabytes, and a thirtieth of a second
 
 
@@ -169,7 +171,8 @@ def _key_in(file: Path) -> str | None:
     """Return the key in a complete image, None for anything else, such as a link."""
     if not owned_files.is_real_file(file):
         return None
-    return png.text_of(file) if file.suffix == ".png" else exr.text_of(file)
+    comment = png.text_of(file) if file.suffix == ".png" else exr.text_of(file)
+    return comment if comment and KEY.fullmatch(comment) else None
 
 
 def _bake_images(place: _Place, images: list[_Image], folder: Path, on_progress, lock) -> None:

@@ -102,7 +102,7 @@ def _entry(name: str, kind: str, value: bytes) -> bytes:
 
 
 def text_of(path: Path) -> str | None:
-    """Return the comment of a file that ExrFile wrote completely, None for any other file.
+    """Return the comment of a complete file, None for a file that is incomplete, of another kind or without one.
 
     The offset of the last block is written last, so a file is complete if that block ends with the file.
     """

@@ -84,7 +84,7 @@ def _compress(rows: np.ndarray, last: bool) -> tuple[bytes, np.ndarray]:
 
 
 def text_of(path: Path) -> str | None:
-    """Return the comment of a file that PngFile wrote completely, None for any other file."""
+    """Return the comment of a complete file, None for a file that is incomplete, of another kind or without one."""
     try:
         with open_regular(path, links=True) as file:
             head = file.read(4096)

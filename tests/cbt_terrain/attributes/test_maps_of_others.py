@@ -4,15 +4,25 @@
 import json
 import os
 
+import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest
 from adaptive_terrain.cbt_terrain.attributes.bake import bake
 from adaptive_terrain.cbt_terrain.attributes.folder import JSON_NAME
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from fields import rough
+from matplotlib.image import imsave
 
 SLOPE, NORMAL = AttributeRequest("slope", ("a test",)), AttributeRequest("detail_normal", ("a test",))
 links = pytest.mark.skipif(os.name != "posix", reason="Windows lets only some users make symbolic links")
+
+
+def test_a_users_image_with_a_comment_is_not_replaced(tmp_path):
+    imsave(tmp_path / "slope.png", np.zeros((8, 8, 3)), metadata={"Comment": "Created with GIMP"})
+    before = (tmp_path / "slope.png").read_bytes()
+    with pytest.raises(TerrainError, match="slope.png was not baked"):
+        bake(rough(9, 9), [SLOPE], tmp_path, [16])
+    assert (tmp_path / "slope.png").read_bytes() == before
 
 
 def test_a_users_image_is_not_replaced(tmp_path):

@@ -2,7 +2,9 @@
 """The measured distance of a delivered mesh from the reference surface."""
 
 from .interpolation import interpolation
-from .measure import Errors, Measurement, Sight, look, measure, popping, shading_change, triangle_errors
+from .measure import Measurement, look, measure, popping, shading_change, triangle_errors
+from .mesh import Errors
+from .screen import Sight
 
 __all__ = [
     "Errors",

@@ -56,13 +56,13 @@ class CostCurve:
         the points are levelled to the nearest monotone curve (least squares of the logarithms).
         """
         found: dict[float, list] = {}
-        for error, triangles, ms in points:
-            found.setdefault(error, []).append((triangles, ms))
-        error = sorted(found, reverse=True)
-        costs = [[statistics.median(column) for column in zip(*found[e], strict=True)] for e in error]
-        triangles, ms = zip(*costs, strict=True) if costs else ((), ())
-        costs = (tuple(_level(_positive(name, of))) for name, of in (("triangles", triangles), ("ms", ms)))
-        return cls(unit, tuple(error), *costs)
+        for error, *costs in points:
+            found.setdefault(error, []).append(costs)
+        errors = sorted(found, reverse=True)
+        medians = [[statistics.median(pair[k] for pair in found[error]) for error in errors] for k in (0, 1)]
+        names = "triangles", "ms"
+        triangles, ms = (tuple(_level(_positive(name, of))) for name, of in zip(names, medians, strict=True))
+        return cls(unit, tuple(errors), triangles, ms)
 
     def at(self, error: float) -> tuple[float, float]:
         """Return (triangles, ms) at an error; beyond the measured points, along the slope at that end."""

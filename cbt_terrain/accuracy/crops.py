@@ -82,6 +82,7 @@ class _Drawn:
         """Project a surface into the pixels of a view; triangles with a corner behind the camera are left out."""
         camera = view.world_to_camera if placement is None else product(view.world_to_camera, placement)
         points = product(np.c_[surface.positions, np.ones(len(surface.positions))], camera.T)
+        assert view.projection is not None  # a panorama has no crops
         clip = product(points, view.projection.T)
         perspective = view.kind == PERSPECTIVE
         ahead = clip[:, 3] > 0

@@ -74,7 +74,9 @@ def measure(
     meshes are measured under one view: most of the time goes into its rays. `on_progress` receives the fraction done;
     an exception that it raises ends the measurement. Raises TerrainError where the mesh does not cover the terrain.
     """
-    if view is not None:
+    if view is None:
+        sight = None
+    else:
         sight = _checked_sight(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
     ground = MeshGround(field, vertical_scale, vertical_offset, checked_threads(threads))
     mesh = MeasuredMesh(ground, surface)
@@ -90,7 +92,7 @@ def measure(
     facet_deg, shading_deg = errors_of(facet[covered]), errors_of(shading[covered])
     on_progress(0.3)
     screen = hidden = outline = None
-    if view is not None:
+    if sight is not None:
         sight.pixel_points(_part(on_progress, 0.3, 0.4))
         sight.states(_part(on_progress, 0.4, 0.7))
         there, _ = mesh.differences_at(sight.visible_points())
@@ -171,7 +173,7 @@ def popping(
     meshes = [MeasuredMesh(sight.ground, surface) for surface in (before, after)]
     samples = [mesh.differences()[0] for mesh in meshes]
     there = [mesh.differences_at(sight.visible_points())[0] for mesh in meshes]
-    return sight.errors(*samples, there)[0]
+    return sight.errors(samples[0], samples[1], there)[0]
 
 
 def shading_change(

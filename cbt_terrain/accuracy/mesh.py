@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A mesh against the reference surface in metres: at every sample, along every edge, at any points."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -64,7 +64,7 @@ def errors_of(values: np.ndarray) -> Errors:
     return Errors(values.size, *quantiles, mean, float(np.sqrt(squares / values.size)))
 
 
-def _blocks(values: np.ndarray):
+def _blocks(values: np.ndarray) -> Iterator[np.ndarray]:
     return (values[start : start + (1 << 20)] for start in range(0, values.size, 1 << 20))
 
 
@@ -130,7 +130,7 @@ class MeasuredMesh:
         inner = np.searchsorted(work, work[-1] * np.arange(1, threads) / threads)
         return sorted({0, *inner.tolist(), self.triangles})
 
-    def walk(self, kernel, arrays: list) -> None:
+    def walk(self, kernel: wp.Kernel, arrays: list) -> None:
         """Launch `kernel` over all triangles: it takes the first and the end, ground, mesh and `arrays`."""
         of = self.ground.packed, self.packed
         launch.slices(kernel, [[*piece, *of, *arrays] for piece in pairwise(self._cuts)], step="measure")

@@ -14,6 +14,7 @@ the vertical way to it reaches that depth: the error stays finite, and understat
 than 1e-9 of the terrain's size, the error counts as 0; no error counts as more than 1e30, the largest bound.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -28,7 +29,7 @@ from ..run import launch
 from ..run.buffers import shared
 from ..view.linear import inverse, length, lengths, product
 from ..view.view import KINDS, ORTHOGRAPHIC, PANORAMIC, View
-from .mesh import POINT_BITS, MeshGround, Progress, errors_of, ignore
+from .mesh import POINT_BITS, Errors, MeshGround, Progress, errors_of, ignore
 
 # Samples between two calls of on_progress, and pixels.
 BLOCK = 1 << 20
@@ -90,6 +91,7 @@ def pack_eye(view: View, placement: np.ndarray, ground: MeshGround) -> screen_ke
     if view.kind == PANORAMIC:
         e.pixels_per_radian, e.axes = 1.0 / view.radians_per_pixel, back[:3, :3]
         return e
+    assert view.projection is not None  # only a panorama has none
     p = view.projection
     e.to_x, e.to_y, e.to_w = p[0], p[1], p[3]
     at = 3 if view.kind == ORTHOGRAPHIC else 2
@@ -123,7 +125,8 @@ class Sight:
         self.key = (ground.key, view.key(), placement.tobytes())
         self.ground, self.eye = ground, pack_eye(view, placement, ground)
         self.columns, self.rows = pixel_grid(view)
-        self._pixels = self._state = None
+        self._pixels: np.ndarray | None = None
+        self._state: np.ndarray | None = None
 
     @cached_property
     def blocks(self) -> ray_kernels.HeightBlocks:
@@ -174,7 +177,7 @@ class Sight:
             self._state = state
         return self._state
 
-    def errors(self, before: np.ndarray, after: np.ndarray, there: tuple[np.ndarray, np.ndarray]) -> tuple:
+    def errors(self, before: np.ndarray, after: np.ndarray, there: Sequence[np.ndarray]) -> tuple[Errors, Errors]:
         """Return the errors in pixels between two heights: of visible points and of hidden ones.
 
         The largest of the visible ones is that of all points. The rest of their distribution is that of the points seen
@@ -184,19 +187,19 @@ class Sight:
         before, after: float32 [height, width], metres above the reference at every sample. there: float64 [n] twice,
         the same at the visible points.
         """
-        seen, unseen, states = [], [], self.states()
+        visible, hidden, states = [], [], self.states()
         (height, width), bits = before.shape, self.ground.bits + POINT_BITS
         for row, rows in _row_blocks(height, width):
             start, end = row * width, (row + rows) * width
             at = start + np.flatnonzero(states[start:end] != int(screen_kernels.OUTSIDE))
             points = np.stack([at % width, at // width], axis=1) << bits
             pixels = self._apart(points, *(a.reshape(-1)[at].astype(np.float64) for a in (before, after)))
-            seen.append(pixels[states[at] == int(screen_kernels.VISIBLE)])
-            unseen.append(pixels[states[at] == int(screen_kernels.HIDDEN)])
-        pixels, samples = errors_of(self.point_errors(*there)), errors_of(np.concatenate(seen))
-        found = pixels if pixels.count else samples
-        found = replace(found, count=pixels.count + samples.count, max=max(pixels.max, samples.max))
-        return found, errors_of(np.concatenate(unseen))
+            visible.append(pixels[states[at] == int(screen_kernels.VISIBLE)])
+            hidden.append(pixels[states[at] == int(screen_kernels.HIDDEN)])
+        seen, samples = errors_of(self.point_errors(*there)), errors_of(np.concatenate(visible))
+        found = seen if seen.count else samples
+        found = replace(found, count=seen.count + samples.count, max=max(seen.max, samples.max))
+        return found, errors_of(np.concatenate(hidden))
 
     def point_errors(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Return pixels between two heights of the visible points, float32 [n].
@@ -214,11 +217,11 @@ class Sight:
         self._launch(screen_kernels.point_errors, len(points), inputs, cost=4.0)
         return pixels
 
-    def _launch(self, kernel, count: int, inputs: list, cost: float) -> None:
+    def _launch(self, kernel: wp.Kernel, count: int, inputs: list, cost: float) -> None:
         launch.spread(kernel, count, inputs, step="measure", threads=self.ground.threads, cost=cost)
 
 
-def pixel_blocks(columns: int, rows: int):
+def pixel_blocks(columns: int, rows: int) -> Iterator[tuple[int, np.ndarray]]:
     """Yield blocks of at most BLOCK pixels: first row and the pixels' middles.
 
     The middles are float64 [n, 2], from the frame's middle.
@@ -230,7 +233,7 @@ def pixel_blocks(columns: int, rows: int):
         yield row, places.reshape(-1, 2)
 
 
-def _row_blocks(rows: int, columns: int):
+def _row_blocks(rows: int, columns: int) -> Iterator[tuple[int, int]]:
     """Return first row and number of rows of blocks of at most BLOCK items."""
     at_once = max(1, BLOCK // columns)
     return ((row, min(at_once, rows - row)) for row in range(0, rows, at_once))

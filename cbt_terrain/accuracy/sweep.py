@@ -6,8 +6,9 @@ import math
 import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-
-import numpy as np
+from functools import partial
+from operator import itemgetter
+from typing import Any
 
 from ..attributes.evaluate import EffectRequest, evaluate
 from ..attributes.plan import AttributePlan
@@ -22,9 +23,12 @@ from ..view.criterion import Criterion
 from ..view.view import View
 from . import Errors, Measurement, Sight, look, measure, popping, shading_change
 from .cost_curve import CostCurve
+from .mesh import Progress
 from .sweep_settings import Setting
 from .timed_runs import FRAME_RUNS, RUNS, TimedFrame, fastest, median_by_step, timed_runs, to_finished_mesh
 
+# Returns what is visible of a height field in a view of a frame.
+LookUp = Callable[[HeightField, View, TimedFrame], Sight]
 # Cached sights, of 16 bytes a pixel and 1 byte a sample each; those of a longer path are computed anew.
 MAX_SIGHTS = 16
 # Errors that differ by less than this part are the same for the Pareto front.
@@ -71,7 +75,10 @@ class Row:
     @property
     def error(self) -> float:
         """The largest error that was measured, in the setting's unit: of visible points, or of height."""
-        return self.measured.screen_px.max if self.setting.unit == "px" else self.measured.vertical_max_m
+        if self.setting.unit == "m":
+            return self.measured.vertical_max_m
+        assert self.measured.screen_px is not None  # it was measured in a view
+        return self.measured.screen_px.max
 
     @property
     def whole_ms(self) -> float:
@@ -125,7 +132,8 @@ def sweep(
     returns the milliseconds of that step, "ingest". `effects`: plan of the attributes that are made for every mesh.
     `on_progress` gets 0 .. 1. Any of them may raise, which ends the sweep.
     """
-    rows, sights = [], {}
+    rows = []
+    sights: dict[tuple, Sight] = {}
 
     def sight(reference: HeightField, view: View, frame: TimedFrame) -> Sight:
         """Return a cached sight: it is the same for every setting, and takes longest to compute."""
@@ -218,15 +226,15 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def _row(
-    heights,
+    heights: HeightField,
     setting: Setting,
     frames: Sequence[TimedFrame],
     base: Criterion,
-    threads,
-    sight,
-    write,
+    threads: int | None,
+    sight: LookUp,
+    write: Callable[[Surface], float] | None,
     effects: AttributePlan,
-    on_part,
+    on_part: Progress,
 ) -> Row:
     """Return the table row of one setting: refine, measure and time every frame of the path.
 
@@ -234,17 +242,21 @@ def _row(
     view, `write` writes a surface as Blender's mesh, `on_part` gets the finished fraction of the row.
     """
     criterion, terrain = setting.criterion(base), Terrain(heights, threads)
-    if setting.unit == "m":
+    in_pixels = setting.unit == "px"
+    if not in_pixels:
         frames = [dataclasses.replace(frames[0], views=(), after=None)]
-    seen_frames = [(frame, view) for frame in frames for view in frame.views or [None]]
-    updates, sizes, measured, changes, runs, spreads = [], [], [], [], [], []
+    num_views = sum(max(1, len(frame.views)) for frame in frames)
+    bounds, limited, sizes, changes, runs, spreads = [], set(), [], [], [], []
+    measured: list[Measurement] = []
     for frame in frames:
         update = terrain.update(criterion, frame.views, *frame.heights)
-        surface = update.surface
-        updates.append(dataclasses.replace(update, surface=None))  # or the meshes of all frames would stay in memory
+        surface, bound = update.surface, update.bound_px if in_pixels else update.bound_m
+        assert bound is not None  # the criterion has an error in this unit
+        bounds.append((bound, update.terms_px if in_pixels else update.terms_m))
+        limited.add(update.limited)
         sizes.append((update.triangles, len(surface.positions), _bytes(surface)))
-        for view in frame.views or [None]:
-            done = len(measured)
+        views: Sequence[View | None] = frame.views or [None]
+        for view in views:
             measured.append(
                 measure(
                     heights,
@@ -253,7 +265,7 @@ def _row(
                     *frame.heights,
                     threads=threads,
                     sight=sight(heights, view, frame) if view else None,
-                    on_progress=lambda fraction, done=done: on_part((done + fraction) / len(seen_frames)),
+                    on_progress=partial(_report_part, on_part, len(measured), num_views),
                 )
             )
 
@@ -261,32 +273,30 @@ def _row(
             request = EffectRequest(effects, surface, views, *frame.heights)
             return evaluate(heights, request, terrain.history, terrain.threads).attributes
 
-        update = None
-        if not frame.after:
-            surface = None  # its memory is free for the runs
+        before = surface if frame.after else None
+        del update, surface  # their memory is free for the runs
         count = RUNS if len(frames) == 1 else FRAME_RUNS
         found = timed_runs(terrain, criterion, frame, count, write, make_attributes if effects.steps else None)
         runs.append(fastest(found))
-        spreads.append(spread_of([run["cpu"] for run in found]))
-        if frame.after:
-            changes += _transitions(terrain, criterion, surface, frame.after, threads, sight)
+        times = [run["cpu"] for run in found]
+        spreads.append((min(times), max(times)))
+        if frame.after is not None and before is not None:
+            changes += _transitions(terrain, criterion, before, frame.after, threads, sight)
     popped, shaded = (worst([change[i] for change in changes]) for i in range(2))
     triangles, vertices, surface_bytes = (median_count(column) for column in zip(*sizes, strict=True))
     ms = median_by_step(runs)
     cpu = ms.pop("cpu")
-    in_pixels = setting.unit == "px"
-    bounds = [update.bound_px if in_pixels else update.bound_m for update in updates]
-    loosest = int(np.argmax(bounds))
+    loosest, terms = max(bounds, key=itemgetter(0))
     return Row(
         setting,
-        bounds[loosest],
-        tuple(sorted({update.limited for update in updates} - {""})),
+        loosest,
+        tuple(sorted(limited - {""})),
         triangles,
         vertices,
         surface_bytes / 1e6,
         terrain.buffer_bytes / 1e6,
         worst(measured),
-        updates[loosest].terms_px if in_pixels else updates[loosest].terms_m,
+        terms,
         popped,
         shaded,
         ms,
@@ -306,7 +316,14 @@ def spread_of(times_ms: Sequence[float]) -> tuple[float, float] | None:
     return (min(times_ms), max(times_ms)) if len(times_ms) > 1 else None
 
 
-def _fitted_row(heights, setting: Setting, frame: TimedFrame, threads, on_part) -> Row:
+def _report_part(report: Progress, done: int, count: int, fraction: float) -> None:
+    """Report the progress of `count` equal parts: `done` of them, and a fraction of the next."""
+    report((done + fraction) / count)
+
+
+def _fitted_row(
+    heights: HeightField, setting: Setting, frame: TimedFrame, threads: int | None, on_part: Progress
+) -> Row:
     """Return the row of a fit.
 
     It depends on no view; its time is that of a second run where the first is short enough to be disturbed.
@@ -319,14 +336,15 @@ def _fitted_row(heights, setting: Setting, frame: TimedFrame, threads, on_part) 
             vertical_scale=scale,
             vertical_offset=offset,
             threads=threads,
-            on_progress=lambda fraction, part=part: on_part((part + fraction) / 3),
+            on_progress=partial(_report_part, on_part, part, 3),
         )
         if fitted.ms["total"] > LONG_FIT_MS:
             break
     surface = fitted.surface
     measured = measure(
-        heights, surface, None, *frame.heights, threads=threads, on_progress=lambda f: on_part((2 + f) / 3)
+        heights, surface, None, *frame.heights, threads=threads, on_progress=partial(_report_part, on_part, 2, 3)
     )
+    assert fitted.bound_m is not None  # a fit has an error in metres
     return Row(
         setting,
         fitted.bound_m,
@@ -341,7 +359,14 @@ def _fitted_row(heights, setting: Setting, frame: TimedFrame, threads, on_part) 
     )
 
 
-def _transitions(terrain: Terrain, criterion: Criterion, before: Surface, frame: TimedFrame, threads, sight) -> list:
+def _transitions(
+    terrain: Terrain,
+    criterion: Criterion,
+    before: Surface,
+    frame: TimedFrame,
+    threads: int | None,
+    sight: LookUp,
+) -> list[list[Errors]]:
     """Return jumps and changes of shading from one frame to the next, for each view.
 
     `before` is the surface of the first frame.
@@ -359,7 +384,7 @@ def _bytes(surface: Surface) -> int:
     return sum(array.nbytes for array in surface.arrays().values())
 
 
-def worst(parts: Sequence):
+def worst(parts: Sequence) -> Any:
     """Return the largest of every figure of several Errors or Measurements, counts added; None if there are none."""
     parts = [part for part in parts if part is not None]
     if not parts or isinstance(parts[0], float):

@@ -4,6 +4,7 @@
 import dataclasses
 import math
 from dataclasses import dataclass
+from functools import partial
 
 from ..field.heightfield import INTERPOLATIONS, HeightField
 from ..plain_numbers import keep_plain_numbers
@@ -50,10 +51,17 @@ class Setting:
 
     def criterion(self, base: Criterion) -> Criterion:
         """Return `base` with this setting in place of its errors, lengths, areas and limits."""
-        errors = {"error_px": 0.0, "error_m": 0.0, "edge_px": 0.0, "area_px": 0.0, f"error_{self.unit}": self.error}
-        limits = {"max_depth": self.max_depth, "max_triangles": MAX_TRIANGLES, "meshlet": self.meshlet}
-        morph = base.morph if self.morph is None else self.morph
-        return dataclasses.replace(base, **errors, **limits, morph=morph)
+        return dataclasses.replace(
+            base,
+            error_px=self.error if self.unit == "px" else 0.0,
+            error_m=self.error if self.unit == "m" else 0.0,
+            edge_px=0.0,
+            area_px=0.0,
+            max_depth=self.max_depth,
+            max_triangles=MAX_TRIANGLES,
+            meshlet=self.meshlet,
+            morph=base.morph if self.morph is None else self.morph,
+        )
 
 
 def settings_for(heights: HeightField, frame: TimedFrame, morph: float = 1.0) -> list[Setting]:
@@ -63,20 +71,20 @@ def settings_for(heights: HeightField, frame: TimedFrame, morph: float = 1.0) ->
     the other interpolation. A fit has a bilinear surface without detail under it. If a frame follows, some errors have
     the other transitions: `morph` is that of the swept criterion.
     """
-    same = {"interpolation": heights.interpolation}
-    other = {"interpolation": next(name for name in INTERPOLATIONS if name != heights.interpolation)}
+    same = partial(Setting, interpolation=heights.interpolation)
+    other = partial(Setting, interpolation=next(name for name in INTERPOLATIONS if name != heights.interpolation))
     settings = []
     if frame.views:
-        settings += [Setting("px", error, **same) for error in PIXELS]
+        settings += [same("px", error) for error in PIXELS]
         depths = [heights.lattice.cell_depth - short for short in SHORT_OF_CELLS]
-        settings += [Setting("px", 1.0, max_depth=depth, **same) for depth in depths if depth >= 1]
-        settings += [Setting("px", 1.0, meshlet=meshlet, **same) for meshlet in MESHLETS]
-        settings += [Setting("px", error, **other) for error in PIXELS[::2]]
+        settings += [same("px", 1.0, max_depth=depth) for depth in depths if depth >= 1]
+        settings += [same("px", 1.0, meshlet=meshlet) for meshlet in MESHLETS]
+        settings += [other("px", error) for error in PIXELS[::2]]
         changed = SMOOTH if morph == 1 else 1.0
-        settings += [Setting("px", error, **same, morph=changed) for error in BOTH_WAYS_PX if frame.after]
+        settings += [same("px", error, morph=changed) for error in BOTH_WAYS_PX if frame.after]
     metres = metre_steps((heights.max_height - heights.min_height) * abs(frame.vertical_scale))
-    settings += [Setting("m", error, **same) for error in metres]
-    settings += [Setting("m", error, **other) for error in metres[::2]]
+    settings += [same("m", error) for error in metres]
+    settings += [other("m", error) for error in metres[::2]]
     return settings + [Setting("m", error, fitted=True) for error in metres if not heights.detail]
 
 

@@ -8,7 +8,7 @@ run by any factor, its processor time by little. The fastest run is the one that
 import dataclasses
 import statistics
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,14 +36,14 @@ class TimedFrame:
     `after`: the frame that follows it, to measure popping between the two.
     """
 
-    views: Iterable[View] = ()
+    views: tuple[View, ...] = ()
     placement: np.ndarray | None = None
     vertical_scale: float = 1.0
     vertical_offset: float = 0.0
     after: "TimedFrame | None" = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "views", listed_views(self.views))
+        object.__setattr__(self, "views", tuple(listed_views(self.views)))
         keep_plain_numbers(self, "The frame's")
 
     @property
@@ -72,7 +72,8 @@ def timed_runs(
     diagonal = length(((lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y))
     step = MOVE * diagonal * _stretch(frame.placement)
     nudge = NUDGE * max((field.max_height - field.min_height) * abs(scale), abs(frame.vertical_offset), 1.0)
-    updates, side, update, surface = [], 1, None, None
+    updates: list[dict[str, float]] = []
+    side, update, surface = 1, None, None
     while len(updates) <= count * _updates_a_run(updates):
         side = -side
         views = [_moved(view, side * step) for view in frame.views]

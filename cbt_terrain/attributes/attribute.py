@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Real
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -18,12 +19,16 @@ PICTURE, GEOMETRY = "PICTURE", "GEOMETRY"
 LINEAR_RGB = "linear RGB"  # unit of colours, Rec. 709
 
 
+# A value of a parameter: a number, a name, or a tuple of suns, layers, colours or decals.
+ParameterValue = Any
+
+
 @dataclass(frozen=True)
 class Parameter:
-    """A number with its default, range (`min`, `max`) and unit, "" if it has none."""
+    """A parameter with its default, range (`min`, `max`) and unit, "" if it has none."""
 
     name: str
-    default: float
+    default: ParameterValue
     min: float
     max: float
     unit: str
@@ -56,7 +61,7 @@ class SamplePoints:
 
 
 # Parameters of the requested attributes that are computed together, by name.
-Wanted = Mapping[str, Mapping[str, object]]
+Wanted = Mapping[str, Mapping[str, ParameterValue]]
 # (points, requested attributes, values at the points of the attributes that these read) -> values of each requested
 # attribute, float32 [n] or [n, width].
 Make = Callable[[SamplePoints, Wanted, Mapping[str, np.ndarray]], dict[str, np.ndarray]]
@@ -100,22 +105,22 @@ class AttributeDeclaration:
     cost_ns: float = 0.0
     source: str = ""
     version: int = 1
-    choose: Callable[[Mapping[str, object]], tuple[str, ...]] | None = None
-    nothing: Callable[[Mapping[str, object]], bool] | None = None
+    choose: Callable[[Mapping[str, ParameterValue]], tuple[str, ...]] | None = None
+    nothing: Callable[[Mapping[str, ParameterValue]], bool] | None = None
 
-    def reads_with(self, values: Iterable[tuple[str, object]]) -> tuple[str, ...]:
+    def reads_with(self, values: Iterable[tuple[str, ParameterValue]]) -> tuple[str, ...]:
         """Return the names of the attributes that it reads; `values`: parameters that differ from their defaults."""
         return self.reads if self.choose is None else self.choose(self.defaults() | dict(values))
 
-    def is_nothing(self, values: Iterable[tuple[str, object]]) -> bool:
+    def is_nothing(self, values: Iterable[tuple[str, ParameterValue]]) -> bool:
         """Return whether all its values are 0; `values`: parameters that differ from their defaults."""
         return self.nothing is not None and self.nothing(self.defaults() | dict(values))
 
-    def defaults(self) -> dict[str, float]:
+    def defaults(self) -> dict[str, ParameterValue]:
         """Return the default of every parameter."""
         return {parameter.name: parameter.default for parameter in self.parameters}
 
-    def check(self, values: Mapping[str, object]) -> None:
+    def check(self, values: Mapping[str, ParameterValue]) -> None:
         """Raise TerrainError for an unknown parameter or a value out of range."""
         known = {parameter.name: parameter for parameter in self.parameters}
         for name, value in values.items():
@@ -139,14 +144,14 @@ class AttributeRequest:
     name: str
     readers: tuple[str, ...]
     family: str = PICTURE
-    parameters: tuple[tuple[str, object], ...] = field(default=())
+    parameters: tuple[tuple[str, ParameterValue], ...] = field(default=())
 
     def __post_init__(self) -> None:
         numbers = tuple((name, _plain(value)) for name, value in self.parameters)
         object.__setattr__(self, "parameters", numbers)
 
 
-def _plain(value: object):
+def _plain(value: ParameterValue) -> ParameterValue:
     """Return numbers, alone or in tuples, as floats, and anything else as it is."""
     if isinstance(value, tuple):
         return tuple(map(_plain, value))

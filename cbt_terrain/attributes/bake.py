@@ -12,7 +12,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -175,7 +175,13 @@ def _key_in(file: Path) -> str | None:
     return comment if comment and KEY.fullmatch(comment) else None
 
 
-def _bake_images(place: _Place, images: list[_Image], folder: Path, on_progress, lock) -> None:
+def _bake_images(
+    place: _Place,
+    images: list[_Image],
+    folder: Path,
+    on_progress: Callable[[float], None],
+    lock: AbstractContextManager,
+) -> None:
     """Write images into `folder`, in bands of rows so that memory stays bounded.
 
     Attributes of one tile are evaluated together. `lock` is held while a band is evaluated.
@@ -206,7 +212,7 @@ def _band(side: int) -> int:
     return min(max(BAND_TEXELS // side, exr.BLOCK), side)
 
 
-def _opened(folder: Path, image: _Image, pool, stack: ExitStack):
+def _opened(folder: Path, image: _Image, pool: Executor, stack: ExitStack) -> png.PngFile | exr.ExrFile:
     """Return the open file of an image; leaving `stack` closes it and discards waiting blocks."""
     writer = png.PngFile if image.coding.form == PNG else exr.ExrFile
     file = writer(folder / image.file, image.side, image.coding.channels, image.coding.depth, image.key, pool)
@@ -231,9 +237,9 @@ def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) ->
 
 def _coded(values: np.ndarray, image: _Image) -> np.ndarray:
     """Encode a band for its file: rounded steps from `low`, or the numbers; channels without a value are 0."""
-    coding, kind = image.coding, np.dtype(np.float32)
+    coding, kind = image.coding, "f4"
     if coding.form == PNG:
-        limit, kind = (255, np.dtype(np.uint8)) if coding.depth == 8 else (65535, np.dtype(">u2"))
+        limit, kind = (255, "u1") if coding.depth == 8 else (65535, ">u2")
         values = _srgb(values) if coding.srgb else values
         steps = (values - np.float32(coding.low)) * np.float32(limit / (coding.high - coding.low))
         values = (np.clip(steps, 0, limit) + np.float32(0.5)).astype(np.uint16)
@@ -265,8 +271,8 @@ def _index(place: _Place, images: list[_Image], before: dict | None) -> dict:
         "rows": tiling.rows,
         "margin": tiling.margin,
     }
-    same = before is not None and all(before.get(name) == value for name, value in index.items())
-    maps = dict(before["maps"]) if same else {}
+    is_same = before is not None and all(before.get(name) == value for name, value in index.items())
+    maps = dict(before["maps"]) if before is not None and is_same else {}
     for name in sorted({image.request.name for image in images}):
         maps[name] = _entry(place, [image for image in images if image.request.name == name])
     return index | {"maps": {name: maps[name] for name in sorted(maps)}}

@@ -75,7 +75,7 @@ class Decal:
         if not (math.isfinite(self._area) and self._area != 0.0):
             raise TerrainError(f"The decal {self.name!r} stands upright or has no size", fix="rotate or scale it")
 
-    def __eq__(self, other) -> bool:
+    def __eq__(self, other: object) -> bool:
         return isinstance(other, Decal) and repr(self) == repr(other)
 
     def __hash__(self) -> int:
@@ -95,7 +95,8 @@ class Decal:
     def box(self) -> tuple[float, float, float, float]:
         """West, south, east and north end, metres in the terrain's space."""
         x, y = ((0.0, self.along[k], self.up[k], self.along[k] + self.up[k]) for k in (0, 1))
-        return tuple(self.corner[k] + end(side) for end in (min, max) for k, side in ((0, x), (1, y)))
+        west, south = self.corner[0] + min(x), self.corner[1] + min(y)
+        return west, south, self.corner[0] + max(x), self.corner[1] + max(y)
 
     def sample(self, places: SamplePoints) -> tuple[np.ndarray, np.ndarray]:
         """Return the indices of the points that it covers, int [n], and its values at their scale, float32 [n, 4]."""

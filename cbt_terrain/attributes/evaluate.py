@@ -135,7 +135,7 @@ def _values(
             levels[:] = fixed_level(heights, request.geometry_metres)
         else:
             footprint_levels(heights, positions, request.views, request.placement, values.threads, levels)
-        places[family] = SamplePoints(heights, positions, levels, *map(float, scale), values.threads)
+        places[family] = SamplePoints(heights, positions, levels, float(scale[0]), float(scale[1]), values.threads)
         fresh[family] = values.fresh(levels, before)
     if not all(ATTRIBUTES[step.name].scaled for step in steps):
         fresh[ANY_LEVEL] = values.new()

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The evaluation of the declarations' examples on small rasters with known values."""
 
+from typing import Any
+
 import numpy as np
 
 from ..field.build import from_array
@@ -8,7 +10,7 @@ from .attribute import AttributeRequest
 from .evaluate import on_samples
 
 
-def evaluate_on(name: str, heights: np.ndarray, step: float, level: float = 0.0, **parameters) -> np.ndarray:
+def evaluate_on(name: str, heights: np.ndarray, step: float, level: float = 0.0, **parameters: Any) -> np.ndarray:
     """Return an attribute at every inner sample of a raster, samples `step` metres apart.
 
     float32 [rows - 4, columns - 4] or [rows - 4, columns - 4, width].

@@ -6,7 +6,7 @@ Scan lines in blocks of 16, compressed by zlib (Technical Introduction to OpenEX
 
 import struct
 import zlib
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +37,9 @@ class ExrFile:
         """
         names = sorted(NAMES[channels])
         self._order = [NAMES[channels].index(name) for name in names]  # channels are in alphabetical order
-        self._dtype, self._pool, self._waiting = np.dtype(f"<f{depth // 8}"), pool, []
+        self._dtype, self._pool = np.dtype(f"<f{depth // 8}"), pool
+        self._waiting: list[Future] = []
+        self._offsets: list[int] = []
         kind = HALF if depth == 16 else FLOAT
         listed = b"".join(name.encode() + b"\0" + struct.pack("<iiii", kind, 0, 1, 1) for name in names) + b"\0"
         box = struct.pack("<iiii", 0, 0, side - 1, (lines or side) - 1)
@@ -52,7 +54,7 @@ class ExrFile:
             ("screenWindowCenter", "v2f", struct.pack("<ff", 0.0, 0.0)),
             ("screenWindowWidth", "float", struct.pack("<f", 1.0)),
         )
-        self._file, self._line, self._offsets = open(path, "wb"), 0, []
+        self._file, self._line = open(path, "wb"), 0
         self._file.write(MAGIC + b"".join(_entry(*entry) for entry in entries) + b"\0")
         self._table = self._file.tell()
         self._file.write(bytes(8 * -(-(lines or side) // BLOCK)))

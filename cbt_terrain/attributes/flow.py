@@ -12,10 +12,11 @@ from ...kernels.effects import pyramid as pyramid_kernels
 from ...kernels.effects import routing as routing_kernels
 from ..field.heightfield import HeightField, HeightRaster
 from ..field.lattice import fit
+from ..field.store import shapes_of_effects as shapes
 from ..run import launch
 from ..run.buffers import flat, shared
 from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
-from .pyramid import ground, level_of, level_with, shapes
+from .pyramid import ground, level_of, level_with
 from .routing import route
 from .whole import whole
 

@@ -9,6 +9,7 @@ import json
 import os
 import re
 from pathlib import Path
+from typing import Any
 
 from ..errors import TerrainError
 from ..run.named_file import cause, read_regular
@@ -45,7 +46,7 @@ def files_of(index: dict) -> set[str]:
     return {tile["file"] for entry in index["maps"].values() for tile in entry["tiles"]}
 
 
-def _is_index(content) -> bool:
+def _is_index(content: Any) -> bool:
     """Return whether a JSON value is a valid index; file names stay inside the folder."""
     try:
         numbers = [content[name] for name in ("columns", "rows", "margin", "vertical_scale", "vertical_offset")]

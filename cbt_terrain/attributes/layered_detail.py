@@ -5,6 +5,7 @@ Weights are computed once at every sample at the raster's scale, so that heights
 """
 
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,7 +79,13 @@ def _masks(
         return cache[key]
 
 
-def _compute_masks(field, layers, numbers, heights, threads) -> list[LayerMask]:
+def _compute_masks(
+    field: HeightField,
+    layers: tuple[Layer, ...],
+    numbers: Sequence[int],
+    heights: tuple[float, float],
+    threads: int,
+) -> list[LayerMask]:
     """Return the masks of the splat layers `numbers` at all samples, 8 bits each.
 
     An attribute of the splat map holds the weights of four layers.
@@ -88,7 +95,7 @@ def _compute_masks(field, layers, numbers, heights, threads) -> list[LayerMask]:
         AttributeRequest(name, (KIND,), parameters=(("layers", layers),)) for name in NAMES[: max(numbers) // 4 + 1]
     ]
     masks = np.empty((len(numbers), lattice.height, lattice.width), np.uint8)
-    for rows, values in on_samples(field, requests, *heights, threads):
+    for rows, values in on_samples(field, requests, heights[0], heights[1], threads):
         for mask, number in zip(masks, numbers, strict=True):
             weights = values[NAMES[number // 4]][..., number % 4]
             mask[rows] = np.rint(weights * np.float32(ALL))

@@ -2,6 +2,7 @@
 """Directions of light: azimuths of the sky, strips of the sun's disc."""
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 import warp as wp
@@ -38,7 +39,7 @@ def azimuths() -> np.ndarray:
     return np.concatenate(circle)[order]
 
 
-def strongest(suns) -> tuple[float, float, float, float] | None:
+def strongest(suns: Iterable[Iterable[float]]) -> tuple[float, float, float, float] | None:
     """Return the strongest of suns (x, y, z, angle) or (x, y, z, angle, strength), the first of equals.
 
     Raises TerrainError for an invalid direction or angle.
@@ -52,8 +53,10 @@ def strongest(suns) -> tuple[float, float, float, float] | None:
                 "and its strength",
             )
     lit = [row for row in rows if len(row) == 4 or row[4] > 0.0]
-    best = max(lit, key=lambda row: row[4] if len(row) == 5 else 1.0, default=None)
-    return None if best is None else best[:4]
+    if not lit:
+        return None
+    x, y, z, angle = max(lit, key=lambda row: row[4] if len(row) == 5 else 1.0)[:4]
+    return x, y, z, angle
 
 
 def strips_of(sun: tuple[float, float, float, float]) -> dict[str, object] | None:

@@ -58,7 +58,7 @@ def find_tops(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndar
     return stacked(halvings(finest, reduce), int(kernels.FINEST))
 
 
-def for_places(kernel, places: SamplePoints, inputs: list, out: np.ndarray, cost: float) -> None:
+def for_places(kernel: wp.Kernel, places: SamplePoints, inputs: list, out: np.ndarray, cost: float) -> None:
     """Launch `kernel` for AT_ONCE points at a time with `inputs`, the points and their part of `out`, float32 [n]."""
     for first in range(0, len(places), AT_ONCE):
         some = slice(first, first + AT_ONCE)

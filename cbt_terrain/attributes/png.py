@@ -3,7 +3,7 @@
 
 import struct
 import zlib
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +33,8 @@ class PngFile:
         `side`: texels of a line, and lines unless `lines` is given. `depth`: bits of a value, 8 or 16. `text`: comment
         in the header. `pool` compresses blocks.
         """
-        self._pool, self._waiting, lines = pool, [], lines or side
+        self._waiting: list[Future] = []
+        self._pool, lines = pool, lines or side
         self._adler, self._length = 1, lines * (1 + side * channels * depth // 8)
         self._file = open(path, "wb")
         self._file.write(SIGNATURE)
@@ -79,7 +80,7 @@ class PngFile:
 
 def _compress(rows: np.ndarray, last: bool) -> tuple[bytes, np.ndarray]:
     compressor = zlib.compressobj(LEVEL, zlib.DEFLATED, -15)
-    data = compressor.compress(rows)
+    data = compressor.compress(rows.data)
     return data + compressor.flush(zlib.Z_FINISH if last else zlib.Z_SYNC_FLUSH), rows
 
 

@@ -3,6 +3,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -97,13 +98,13 @@ def route(
     d.grid = grid = grid_of(rows, columns, step_x, step_y)
     d.h, d.base, d.to, d.donors = flat(h, wp.float32), *(flat(a, wp.uint8) for a in (base, to, donors))
     d.label, d.order = flat(np.zeros(count, np.int32), wp.int32), flat(order, wp.int32)
-    work = {"step": "routing", "threads": threads}
+    spread = partial(launch.spread, step="routing", threads=threads)
     inputs = [d, _nearness(grid, draw), draw or routing.Draw()]
-    launch.spread(routing.find_receivers, rows, inputs, cost=columns / 8, **work)
+    spread(routing.find_receivers, rows, inputs, cost=columns / 8)
     launch.once(routing.cross_flats, [d, flat(pits, wp.int32)], step="routing")
     if pits[0]:
         _link(d, int(pits[0]), threads)
-    launch.spread(routing.count_donors, rows, [d], cost=columns / 16, **work)
+    spread(routing.count_donors, rows, [d], cost=columns / 16)
     area = np.ones(count) if cell_weight is None else cell_weight.astype(np.float64).reshape(-1)
     d.area = flat(area, wp.float64)
     launch.once(routing.order_downstream, [d], step="routing")
@@ -139,13 +140,13 @@ def _link(d: kernels.DrainageArrays, pits: int, threads: int) -> None:
     `pits`: number of basins.
     """
     width, height = d.grid.width, d.grid.height
-    work = {"step": "routing", "threads": threads}
-    launch.spread(routing.label_basins, -(-width * height // BLOCK), [BLOCK, d], cost=BLOCK, **work)
+    spread = partial(launch.spread, step="routing", threads=threads)
+    spread(routing.label_basins, -(-width * height // BLOCK), [BLOCK, d], cost=BLOCK)
     start = np.zeros(height + 1, np.int64)
 
     def find(emit: int, key: np.ndarray, edge: np.ndarray) -> None:
         inputs = [emit, d, flat(start, wp.int64), flat(key, wp.float32), flat(edge, wp.int32)]
-        launch.spread(routing.find_passes, height - 1, inputs, cost=width / 8, **work)
+        spread(routing.find_passes, height - 1, inputs, cost=width / 8)
 
     find(0, np.empty(1, np.float32), np.empty(1, np.int32))
     start[1:] = np.cumsum(start[:-1])

@@ -13,11 +13,11 @@ import warp as wp
 from ...kernels.effects import footprint as kernels
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
+from ..field.store import shapes_of_effects as shapes
 from ..run import launch
 from ..run.buffers import flat, shared
 from ..view.linear import add_up, length, product, settled
 from ..view.view import ORTHOGRAPHIC, View
-from .pyramid import shapes
 
 STEPS_PER_LEVEL = 8
 

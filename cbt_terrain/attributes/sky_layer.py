@@ -16,12 +16,13 @@ import warp as wp
 from ...kernels.effects import sweep as kernels
 from ..field import store
 from ..field.heightfield import HeightField
+from ..field.store import shapes_of_effects as shapes
 from ..run import launch, owned_files
 from ..run.buffers import flat
 from ..run.locks import caching
 from ..run.owned_files import NotOursError
 from .light import AZIMUTHS, azimuths
-from .pyramid import level_of, level_with, shapes
+from .pyramid import level_of, level_with
 from .whole import file_of, read_stored
 
 # Bounds memory and the time of a step.

@@ -6,7 +6,7 @@ Rules read other attributes, which are computed once for all their readers.
 
 import math
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 import warp as wp
@@ -15,7 +15,7 @@ from ...kernels.effects import splat as kernels
 from ..run import launch
 from ..run.buffers import flat, shared
 from . import splat_rules
-from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
+from .attribute import AttributeDeclaration, Evaluate, ParameterValue, SamplePoints, Wanted
 from .splat_rules import LAYERS, READ_FROM, Layer, Rule, check, reads
 
 NAMES = ("splat_1", "splat_2", "splat_3")
@@ -78,7 +78,9 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[w
     row, rows = 0, {}
     for name in reads(layers):
         rows[name], row = row, row + (2 if name == READ_FROM[splat_rules.ASPECT] else 1)
-    structs, rules, images = [], [], []
+    structs = []
+    rules: list[kernels.SplatRule] = []
+    images: list[np.ndarray] = []
     for layer in layers:
         struct = kernels.SplatLayer()
         struct.first, struct.end, struct.on_top = len(rules), len(rules) + len(layer.rules), int(layer.on_top)
@@ -86,10 +88,10 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[w
         struct.seed = wp.uint32(layer.seed * 0x85EBCA6B & 0xFFFFFFFF)
         structs.append(struct)
         for rule in layer.rules:
-            at = rule.other if rule.of == splat_rules.LAYER else sum(int(image.size) for image in images)
+            at = rule.other if rule.of == splat_rules.LAYER else sum(image.size for image in images)
             at = rows[READ_FROM[rule.of]] if rule.of in READ_FROM else at
             rules.append(_rule(rule, at, lowest, highest))
-            if rule.of == splat_rules.IMAGE:
+            if rule.of == splat_rules.IMAGE and rule.image is not None:
                 images.append(rule.image.values.reshape(-1))
     pixels = np.concatenate(images) if images else np.empty(0, np.float32)
     arrays = (structs, kernels.SplatLayer), (rules or [kernels.SplatRule()], kernels.SplatRule)
@@ -130,6 +132,11 @@ def example(evaluate: Evaluate) -> None:
         assert (weights == (1.0 - share, share, 0.0, 0.0)).all()
 
 
+def _is_empty(first: int, values: Mapping[str, ParameterValue]) -> bool:
+    """Return whether there is no splat layer with the index `first`."""
+    return len(values["layers"]) <= first
+
+
 SPLATS = tuple(
     AttributeDeclaration(
         name=name,
@@ -142,7 +149,7 @@ SPLATS = tuple(
         span=(0.0, 1.0),
         reads=tuple(sorted(set(READ_FROM.values()))),
         choose=lambda values: reads(values["layers"]),
-        nothing=lambda values, first=4 * k: len(values["layers"]) <= first,
+        nothing=partial(_is_empty, 4 * k),
         parameters=(LAYERS,),
         halo="as far as the attributes of its rules",
         cost_ns=100,

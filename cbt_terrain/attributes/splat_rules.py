@@ -23,10 +23,9 @@ MAX_NUMBER, MAX_EDGE = 1e6, 1e30
 # Quantities of rules. RELIEF: height, 0 at the lowest and 1 at the highest point of the terrain. ASPECT: the cosine of
 # the angle between downhill and `direction`, 0 on level ground. NOISE: of the layer. LAYER: the cover of `other` by its
 # rules. IMAGE: `image` over the raster's extent. Layers of height operators (layers.py) come last.
-HEIGHT, RELIEF, SLOPE, ASPECT, CURVATURE, FLOW, WETNESS, NOISE, LAYER, IMAGE = KINDS = (
-    *("height", "relief", "slope", "aspect", "curvature", "flow", "wetness", "noise", "layer", "image"),
-)
-KINDS += LAYER_NAMES
+HEIGHT, RELIEF, SLOPE, ASPECT, CURVATURE = ("height", "relief", "slope", "aspect", "curvature")
+FLOW, WETNESS, NOISE, LAYER, IMAGE = ("flow", "wetness", "noise", "layer", "image")
+KINDS = (HEIGHT, RELIEF, SLOPE, ASPECT, CURVATURE, FLOW, WETNESS, NOISE, LAYER, IMAGE, *LAYER_NAMES)
 # The attribute that each reads; the others read none.
 READ_FROM = {
     HEIGHT: "height",

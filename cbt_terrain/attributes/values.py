@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from weakref import ref
 
 import numpy as np
@@ -52,7 +53,7 @@ class EffectValues:
         """Start another surface, float32 [V, 3]; this one becomes the last one. Return a copy of its points."""
         self._last_count, self._count = self._count, len(positions)
         places, last = self.turn(PLACES, 3)
-        launch.together([lambda a=a, b=b: np.copyto(places[a:b], positions[a:b]) for a, b in self._pieces()])
+        launch.together([partial(np.copyto, places[a:b], positions[a:b]) for a, b in self._pieces()])
         self._runs = np.empty((0, 3), np.int32) if last is None else _runs(places, last)
         return places
 
@@ -72,7 +73,7 @@ class EffectValues:
     def reuse(self, widths: Mapping[str, int]) -> dict[str, np.ndarray]:
         """Return arrays as `turn` does, filled with the values of points that the last surface has."""
         turned = {name: self.turn(name, width) for name, width in widths.items()}
-        pairs = [_pair(*both, widths[name]) for name, both in turned.items() if both[1] is not None]
+        pairs = [_pair(new, last, widths[name]) for name, (new, last) in turned.items() if last is not None]
         if len(self._runs) and pairs:
             arrays = [shared(self._runs, wp.vec3i), len(self._runs)]
             arrays.append(wp.array(pairs, dtype=kernels.Pair, device=launch.DEVICE))

@@ -99,9 +99,9 @@ def _arrays(field: HeightField) -> dict[str, tuple]:
 
 def _load(field: HeightField) -> dict[str, np.ndarray] | None:
     """Return the arrays cached in the field's store, None if any is missing or damaged."""
-    arrays = {name: store.load_derived(field, name, *of) for name, of in _arrays(field).items()}
-    missing = any(array is None for array in arrays.values())
-    return None if missing or not _are_valid(arrays["numbers_c"]) else arrays
+    found = {name: store.load_derived(field, name, *of) for name, of in _arrays(field).items()}
+    arrays = {name: array for name, array in found.items() if array is not None}
+    return arrays if len(arrays) == len(found) and _are_valid(arrays["numbers_c"]) else None
 
 
 def _are_valid(numbers: np.ndarray) -> bool:
@@ -115,13 +115,13 @@ def build(field: HeightField, threads: int) -> dict[str, np.ndarray]:
     """Compute the arrays of a bicubic surface, by name; the same bytes for any number of threads."""
     arrays = {name: np.zeros(shape, dtype) for name, (shape, dtype) in _arrays(field).items()}
     numbers, errors = _numbers(field, threads), np.zeros(len(arrays["error_c"]), np.float32)
-    _fill_ranges(field, *numbers[:2], arrays["ranges_c"], threads)
+    _fill_ranges(field, numbers[0], numbers[1], arrays["ranges_c"], threads)
     _fill_errors(field, errors, threads)
     arrays["numbers_c"][:] = [*numbers, *codes.encode(field.lattice, errors, arrays["error_c"], threads)]
     return arrays
 
 
-def _launch(kernel, count: int, inputs: list, threads: int, cost: float = 1.0) -> None:
+def _launch(kernel: wp.Kernel, count: int, inputs: list, threads: int, cost: float = 1.0) -> None:
     launch.spread(kernel, count, inputs, step="bicubic hierarchy", threads=threads, cost=cost)
 
 

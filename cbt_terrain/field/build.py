@@ -16,7 +16,7 @@ from .lattice import Lattice, fit
 Allocate = Callable[[str, tuple, np.dtype], np.ndarray]
 
 
-def _in_memory(_name: str, shape: tuple, dtype) -> np.ndarray:
+def _in_memory(_name: str, shape: tuple, dtype: np.dtype) -> np.ndarray:
     return np.zeros(shape, dtype)
 
 
@@ -26,9 +26,9 @@ def content_key(samples: np.ndarray, lattice: Lattice, source_max: float, valid:
     numbers = (lattice.step_x, lattice.step_y, lattice.levels, source_max)
     digest.update(repr((samples.shape, *numbers)).encode())
     for row in range(0, samples.shape[0], 256):
-        digest.update(np.ascontiguousarray(samples[row : row + 256]))
+        digest.update(np.ascontiguousarray(samples[row : row + 256]).data)
     if valid is not None:
-        digest.update(np.ascontiguousarray(valid))
+        digest.update(np.ascontiguousarray(valid).data)
     return digest.hexdigest()
 
 
@@ -71,7 +71,8 @@ def build(
     Raises TerrainError.
     """
     threads = threads or launch.default_threads()
-    lattice = lattice_for(*samples.shape[::-1], step_x, step_y, name)
+    height, width = samples.shape
+    lattice = lattice_for(width, height, step_x, step_y, name)
     if missing == samples.size:
         raise TerrainError(f"{name} has only missing samples (no-data or not a number)", expected="at least one height")
     valid = measured = None
@@ -142,6 +143,6 @@ def from_array(
     if not (np.isfinite(step_x) and np.isfinite(step_y) and step_x > 0.0 and step_y > 0.0):
         raise TerrainError(f"Samples are {step_x} x {step_y} m apart", expected="positive distances")
     raster, missing = cleaning.clean_rows(cleaning.widen(samples))
-    options = {"missing": missing, "source_max": source_max, "threads": threads, "holes": holes}
-    built = build(np.ascontiguousarray(raster), step_x, step_y, **options)
+    raster = np.ascontiguousarray(raster)
+    built = build(raster, step_x, step_y, missing=missing, holes=holes, source_max=source_max, threads=threads)
     return built.with_raster(origin=np.asarray(origin, np.float64), crs=crs, provenance=provenance or {})

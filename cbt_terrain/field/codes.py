@@ -13,6 +13,7 @@ coarser group's power is never smaller, so its entries are also in the finer gro
 at or above its children's.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -44,7 +45,7 @@ def _shape() -> np.ndarray:
 SHAPE = _shape()
 
 
-def tables(exponents) -> np.ndarray:
+def tables(exponents: Sequence[int]) -> np.ndarray:
     """Return the values of all codes in metres, by group, float32 [len(exponents), 256]."""
     return np.ldexp(SHAPE, np.asarray(exponents)[:, None]).astype(np.float32)
 
@@ -111,12 +112,12 @@ class Steps:
 
 def packed(samples: np.ndarray, steps: Steps | None) -> kernels.Samples:
     """Return the samples of a height field as kernels read them; memory is shared."""
-    s, coded = kernels.Samples(), steps is not None
+    s = kernels.Samples()
     s.rows, s.columns = samples.shape
-    s.coded = int(coded)
-    s.first, s.scale, s.offset = (steps.first, steps.scale, steps.offset) if coded else (0, 1.0, 0.0)
-    s.floats = flat(np.zeros(1, np.float32) if coded else samples, wp.float32)
-    s.numbers = flat(samples if coded else np.zeros(1, np.uint16), wp.uint16)
+    s.coded = int(steps is not None)
+    s.first, s.scale, s.offset = (0, 1.0, 0.0) if steps is None else (steps.first, steps.scale, steps.offset)
+    s.floats = flat(samples if steps is None else np.zeros(1, np.float32), wp.float32)
+    s.numbers = flat(np.zeros(1, np.uint16) if steps is None else samples, wp.uint16)
     return s
 
 

@@ -4,6 +4,7 @@
 import math
 import re
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -153,15 +154,15 @@ def from_transform(
             "these are degrees, give the extent in metres."
         )
     along, down = length((a * metres_x, d * metres_y)), length((b * metres_x, e * metres_y))
-    place = {"middle": (x, y), "crs": crs, "size_warnings": tuple(size_warnings)}
+    place = partial(Georeference, middle=(x, y), crs=crs, size_warnings=tuple(size_warnings))
     if a == e == 0.0:
-        return Georeference(down, along, first_row_south=d > 0.0, first_column_east=b < 0.0, transposed=True, **place)
+        return place(down, along, first_row_south=d > 0.0, first_column_east=b < 0.0, transposed=True)
     if b == d == 0.0:
-        return Georeference(along, down, first_row_south=e > 0.0, first_column_east=a < 0.0, **place)
+        return place(along, down, first_row_south=e > 0.0, first_column_east=a < 0.0)
     # A counterclockwise turn from rows to columns means that the first row is south.
     rotation = math.degrees(math.atan2(d * metres_y, a * metres_x))
     warning = _rotation_warning(rotation, crs, bool(degrees))
-    return Georeference(along, down, first_row_south=a * e > b * d, rotation_deg=rotation, warnings=(warning,), **place)
+    return place(along, down, first_row_south=a * e > b * d, rotation_deg=rotation, warnings=(warning,))
 
 
 def _metres_of_degrees(y: float, degrees: float, ellipsoid: tuple[float, float]) -> tuple[float, float]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -96,7 +97,7 @@ class HeightRaster:
     path: Path | None = None
     cache: FieldCache = field(default_factory=FieldCache, repr=False, init=False)
 
-    def heights(self, *index) -> np.ndarray:
+    def heights(self, *index: int | slice | np.ndarray) -> np.ndarray:
         """Return samples[index], or all of them, in float32 metres."""
         samples = self.samples[index]
         return samples if self.steps is None else self.steps.heights(samples)
@@ -191,11 +192,11 @@ class HeightField:
         """Return the metres of the error codes, float32 [groups, 256]."""
         return codes.tables(self.exponents)
 
-    def heights(self, *index) -> np.ndarray:
+    def heights(self, *index: int | slice | np.ndarray) -> np.ndarray:
         """Return samples[index], or all of them, in float32 metres."""
         return self.raster.heights(*index)
 
-    def with_raster(self, **changes) -> "HeightField":
+    def with_raster(self, **changes: Any) -> "HeightField":
         """Return the same surface of a raster with other attributes and an empty cache."""
         return replace(self, raster=replace(self.raster, **changes))
 

@@ -94,7 +94,7 @@ def build_errors(
     out = flat(errors, wp.float32)
     raster, counted = packed(samples, None), packed(samples if measured is None else measured, None)
 
-    def spread(kernel, count: int, inputs: list, cost: float) -> None:
+    def spread(kernel: wp.Kernel, count: int, inputs: list, cost: float) -> None:
         launch.spread(kernel, count, [*inputs, out], step="error hierarchy", threads=threads, cost=cost)
 
     cells = stored_at(lattice, lattice.cell_depth)
@@ -116,11 +116,11 @@ def saturate_cells(cells: Depth, part: float, out: wp.array, step: str, threads:
     The value of a neighbour is raised first, so that a cell counts with part^n at a distance of n cells. out: the array
     of all values. step: name of the timed step.
     """
-    about = {"step": step, "threads": threads}
+    spread = partial(launch.spread, step=step, threads=threads)
     inputs = [wp.float32(part), cells, out]
-    launch.spread(kernels.saturate_rows, cells.rows, inputs, cost=0.2 * cells.columns, **about)
+    spread(kernels.saturate_rows, cells.rows, inputs, cost=0.2 * cells.columns)
     blocks, cost = -(-cells.columns // COLUMN_BLOCK), 0.2 * COLUMN_BLOCK * cells.rows
-    launch.spread(kernels.saturate_columns, blocks, [COLUMN_BLOCK, *inputs], cost=cost, **about)
+    spread(kernels.saturate_columns, blocks, [COLUMN_BLOCK, *inputs], cost=cost)
 
 
 def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: int) -> None:
@@ -134,7 +134,7 @@ def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: i
     cells, before = stored_at(lattice, lattice.cell_depth), stored_at(lattice, lattice.cell_depth)
     before.base = 0
 
-    def spread(kernel, count: int, inputs: list) -> None:
+    def spread(kernel: wp.Kernel, count: int, inputs: list) -> None:
         launch.spread(kernel, count, [*inputs, out], step="meshlet errors", threads=threads)
 
     for step in range(2 * meshlet):
@@ -183,8 +183,10 @@ def build_ranges(
         return
     finest = ranges_at(lattice, lattice.range_depth)
     inputs = [packed(samples, None), wp.float64(base), wp.float64(step), finest, flat(ranges, wp.uint16)]
-    about = {"step": "height ranges", "threads": threads, "cost": 6.0 * lattice.width}
-    launch.spread(range_kernels.finest_ranges, finest.rows + 1, inputs, **about)
+    cost = 6.0 * lattice.width
+    launch.spread(
+        range_kernels.finest_ranges, finest.rows + 1, inputs, step="height ranges", threads=threads, cost=cost
+    )
     unite_ranges(lattice, ranges, threads)
 
 

@@ -106,9 +106,8 @@ class Lattice:
         padding, one column or row is beyond the border; the boxes of further ones are entirely beyond it.
         """
         side = self.levels - depth // 2
-        whole = self.columns << depth // 2, self.rows << depth // 2
-        cells = self.cells_x, self.cells_y
-        return tuple(min(n, -(-count >> side) + 1) for n, count in zip(whole, cells, strict=True))
+        columns, rows = self.columns << depth // 2, self.rows << depth // 2
+        return min(columns, -(-self.cells_x >> side) + 1), min(rows, -(-self.cells_y >> side) + 1)
 
     def layout(self) -> tuple[np.ndarray, np.ndarray]:
         """Return first entries, int64 [groups + 2], and pages a row, int32 [groups + 1], of the groups and the cells.

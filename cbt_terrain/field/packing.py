@@ -35,7 +35,7 @@ def copy_store(
     name = content["data"]
     stores.open_store(source)
     store_folder.check_target(target)
-    if (target / stores.JSON_NAME).exists():
+    if (target / store_folder.JSON_NAME).exists():
         there = stores.read_json(target)
         if (there["key"], there["data"]) == (content["key"], name):
             stores.open_store(target)
@@ -50,11 +50,11 @@ def copy_store(
         _copy_arrays(source / name, part, on_progress)
         store_folder.remove_arrays(target / name)  # left by a killed copy
         os.rename(part, target / name)
-        text = read_regular(source / stores.JSON_NAME, store_folder.MAX_JSON_BYTES, links=False)
-        draft = target / name / stores.JSON_NAME
+        text = read_regular(source / store_folder.JSON_NAME, store_folder.MAX_JSON_BYTES, links=False)
+        draft = target / name / store_folder.JSON_NAME
         draft.write_bytes(text)
         stores.check_version(target, draft)
-        os.replace(draft, target / stores.JSON_NAME)
+        os.replace(draft, target / store_folder.JSON_NAME)
         partial_files.end_work(target / name, lock)
         lock = None
     except OSError as reason:
@@ -65,7 +65,7 @@ def copy_store(
     finally:
         if lock is not None:
             os.close(lock)
-        if not (target / stores.JSON_NAME).exists():
+        if not (target / store_folder.JSON_NAME).exists():
             with suppress(OSError, NotOursError):
                 store_folder.remove_arrays(target / name)
             store_folder.discard(target, part.name, new_folders)

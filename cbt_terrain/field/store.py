@@ -26,6 +26,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from ..errors import TerrainError, check_path
 from ..run import owned_files, partial_files
@@ -184,9 +185,11 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     field = open_store(path)
     field.raster.check_samples()
     folder, found = data_folder(field), {}
-    shapes = {name: getattr(field, name) for name in ("samples", "error", "ranges", "valid")}
-    shapes |= {layer_name(name): field.layers[name] for name in field.layers}
-    for name, array in shapes.items():
+    if folder is None:
+        raise TerrainError(f"{path} was replaced while it was opened", fix="check it again")
+    arrays = {name: getattr(field, name) for name in ("samples", "error", "ranges", "valid")}
+    arrays |= {layer_name(name): field.layers[name] for name in field.layers}
+    for name, array in arrays.items():
         if array is not None:
             found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
     derived = {f"{name}.npy": like for name, like in derived_arrays(field.lattice).items()}
@@ -206,7 +209,7 @@ def shapes_of_effects(lattice: Lattice) -> list[tuple[int, int]]:
     """Return the possible shapes of effects over a whole raster: of its samples, of every other one, and so on."""
     cells = [(lattice.cells_y, lattice.cells_x)]
     while min(cells[-1]) > 1:
-        cells.append(tuple(-(-count // 2) for count in cells[-1]))
+        cells.append((-(-cells[-1][0] // 2), -(-cells[-1][1] // 2)))
     return [(rows + 1, columns + 1) for rows, columns in cells]
 
 
@@ -221,7 +224,9 @@ def derived_arrays(lattice: Lattice) -> dict[str, tuple]:
     plain, cells = lattice.node_count, lattice.node_count - lattice.cell_base
     # The curvatures of the raster's cells follow the errors of a bicubic surface.
     errors = {"error": plain, "error_c": plain + cells}
-    arrays = {f"{name}_m{m}": ((n,), np.uint8) for name, n in errors.items() for m in range(1, MAX_MESHLET + 1)}
+    arrays: dict[str, tuple] = {
+        f"{name}_m{m}": ((n,), np.uint8) for name, n in errors.items() for m in range(1, MAX_MESHLET + 1)
+    }
     arrays |= {"error_c": ((plain + cells,), np.uint8), "ranges_c": ((lattice.range_count + cells, 2), np.uint16)}
     # Six numbers, and the exponents of the groups, the cells and the curvatures.
     return arrays | {"numbers_c": ((6 + lattice.groups + 2,), np.float64)}
@@ -238,7 +243,7 @@ def data_folder(field: HeightField) -> Path | None:
     return field.path / content["data"] if content["key"] == field.raster.digest else None
 
 
-def load_derived(field: HeightField, name: str, shape: tuple, dtype) -> np.ndarray | None:
+def load_derived(field: HeightField, name: str, shape: tuple, dtype: DTypeLike) -> np.ndarray | None:
     """Return the array NAME.npy that was derived from a field, None if there is none."""
     folder = data_folder(field)
     if folder is None:
@@ -271,7 +276,7 @@ class Draft:
         self.published = False
         self._arrays: dict[str, np.ndarray] = {}
 
-    def allocate(self, name: str, shape: tuple, dtype) -> np.ndarray:
+    def allocate(self, name: str, shape: tuple, dtype: DTypeLike) -> np.ndarray:
         """Return a new zeroed array in the file NAME.npy, mapped for writing.
 
         Its space on disk is allocated now. Raises OSError (ENOSPC) if the disk is full, because a mapped page without

@@ -13,10 +13,12 @@ import mmap
 import os
 import struct
 import zlib
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from ..errors import TerrainError
 from ..run import launch, owned_files, partial_files
@@ -30,7 +32,7 @@ SAMPLED = 4
 AGAIN = "import or shape the terrain again"
 
 
-def header(shape: tuple[int, ...], dtype) -> bytes:
+def header(shape: tuple[int, ...], dtype: DTypeLike) -> bytes:
     """Return the header of a .npy file, a page of memory long, so that pages of a hierarchy are aligned (layout.py)."""
     plain = {"descr": np.lib.format.dtype_to_descr(np.dtype(dtype)), "fortran_order": False, "shape": tuple(shape)}
     magic = np.lib.format.magic(1, 0)
@@ -48,9 +50,9 @@ def file_bytes(nbytes: int) -> int:
     return PAGE_BYTES + nbytes + 4 * block_count(nbytes)
 
 
-def checksums(array: np.ndarray, blocks, threads: int = 1) -> np.ndarray:
+def checksums(array: np.ndarray, blocks: Sequence[int], threads: int = 1) -> np.ndarray:
     """Return the checksums of some blocks of a contiguous array, uint32 [len(blocks)]."""
-    data, found = memoryview(array.reshape(-1).view(np.uint8)), np.zeros(len(blocks), np.uint32)
+    data, found = array.reshape(-1).view(np.uint8).data, np.zeros(len(blocks), np.uint32)
 
     def sum_up(first: int) -> None:
         for k in range(first, len(blocks), threads):
@@ -74,7 +76,7 @@ def write_array(file: Path, array: np.ndarray) -> None:
         handle.write(all_checksums(array))
 
 
-def map_array(file: Path, shape: tuple[int, ...], dtype) -> np.ndarray:
+def map_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
     """Map an array copy-on-write: kernels use it like any other array, and nothing can change the file.
 
     Some of its blocks are checked. Raises FileNotFoundError, and TerrainError for any other fault. The walk reads
@@ -84,8 +86,9 @@ def map_array(file: Path, shape: tuple[int, ...], dtype) -> np.ndarray:
     count = len(sums)
     sample = sorted({k * (count - 1) // (SAMPLED - 1) for k in range(SAMPLED)}) if count else []
     _check(file, array, sums, sample)
-    if count and hasattr(mmap, "MADV_RANDOM"):
-        array.base._mmap.madvise(mmap.MADV_RANDOM)
+    mapped = getattr(array.base, "_mmap", None)
+    if mapped is not None and hasattr(mmap, "MADV_RANDOM"):
+        mapped.madvise(mmap.MADV_RANDOM)
     return array
 
 
@@ -95,14 +98,14 @@ def is_cut_off(array: np.ndarray) -> bool:
     return mapped is not None and mapped.size() < PAGE_BYTES + array.nbytes
 
 
-def verify_array(file: Path, shape: tuple[int, ...], dtype) -> int:
+def verify_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> int:
     """Check every block and return their number. Raises as `map_array`."""
     array, sums = _mapped(file, shape, dtype)
     _check(file, array, sums, range(len(sums)))
     return len(sums)
 
 
-def _mapped(file: Path, shape: tuple[int, ...], dtype) -> tuple[np.ndarray, np.ndarray]:
+def _mapped(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> tuple[np.ndarray, np.ndarray]:
     """Return the array and its checksums, uint32, of a file."""
     dtype = np.dtype(dtype)
     nbytes = int(np.prod(shape, dtype=object)) * dtype.itemsize
@@ -124,7 +127,7 @@ def _mapped(file: Path, shape: tuple[int, ...], dtype) -> tuple[np.ndarray, np.n
     return array.view(np.ndarray), sums
 
 
-def _check(file: Path, array: np.ndarray, sums: np.ndarray, blocks) -> None:
+def _check(file: Path, array: np.ndarray, sums: np.ndarray, blocks: Sequence[int]) -> None:
     """Raise TerrainError if one of these blocks of an array differs from its checksum."""
     threads = launch.default_threads() if len(blocks) > SAMPLED else 1
     wrong = np.flatnonzero(checksums(array, blocks, threads) != sums[list(blocks)])

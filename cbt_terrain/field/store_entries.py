@@ -2,6 +2,8 @@
 """Checks of the entries of a store's JSON file, which may have been edited or damaged."""
 
 import re
+from collections.abc import Callable
+from typing import Any
 
 from ..errors import shown
 from .codes import MAX_EXPONENT, MIN_EXPONENT, exponent_of
@@ -11,6 +13,7 @@ from .lattice import fit
 _DATA_NAME = re.compile(r"data-[0-9a-f]{32}")
 # Arguments of `fit` for a raster's lattice.
 LATTICE = ("width", "height", "step_x", "step_y")
+JsonValue = Any  # of any type: these functions check it
 # More cells than an import allows; avoids overflow in the arithmetic of sizes.
 MAX_CELLS = 2**31
 
@@ -20,19 +23,19 @@ def is_data_name(name: str) -> bool:
     return _DATA_NAME.fullmatch(name) is not None
 
 
-def _is_number(value, low: float = -1e300, high: float = 1e300) -> bool:
+def _is_number(value: JsonValue, low: float = -1e300, high: float = 1e300) -> bool:
     return type(value) in (int, float) and low <= value <= high
 
 
-def _is_count(value, low: int) -> bool:
+def _is_count(value: JsonValue, low: int) -> bool:
     return type(value) is int and low <= value <= MAX_CELLS
 
 
-def _is_extent(cells: int, step) -> bool:
+def _is_extent(cells: int, step: JsonValue) -> bool:
     return _is_number(step) and SMALLEST_EXTENT < step * cells < LARGEST_EXTENT
 
 
-def _is_lattice(value) -> bool:
+def _is_lattice(value: JsonValue) -> bool:
     """Return whether a value has the sizes and steps of a raster whose entries 31 bits can number."""
     if not isinstance(value, dict) or sorted(value) != sorted(LATTICE):
         return False
@@ -43,23 +46,23 @@ def _is_lattice(value) -> bool:
     return known and fit(**value).can_be_numbered
 
 
-def _is_provenance(value) -> bool:
+def _is_provenance(value: JsonValue) -> bool:
     """Return whether a value is an object; its "settings" are one, and their "source" is a text, if they exist."""
     if not isinstance(value, dict) or not isinstance(value.get("settings", {}), dict):
         return False
     return isinstance(value.get("settings", {}).get("source", ""), str)
 
 
-def _is_text(value) -> bool:
+def _is_text(value: JsonValue) -> bool:
     return isinstance(value, str)
 
 
-def _is_report_value(value) -> bool:
+def _is_report_value(value: JsonValue) -> bool:
     """Return whether a report may hold a value: a text, a finite number, true or false, or a list of them."""
     return all(type(v) in (str, bool) or _is_number(v) for v in (value if isinstance(value, list) else [value]))
 
 
-def _is_report(value) -> bool:
+def _is_report(value: JsonValue) -> bool:
     """Return whether a value is an object of report values, in which "warnings" is a list of texts if it is there."""
     if not isinstance(value, dict) or not all(map(_is_report_value, value.values())):
         return False
@@ -72,11 +75,11 @@ LARGEST_ERROR = 1000.0
 LARGEST = 1e39  # metres: above all float32, and without overflow in squares and sums
 
 
-def _is_exponents(value) -> bool:
+def _is_exponents(value: JsonValue) -> bool:
     return isinstance(value, list) and all(type(e) is int and MIN_EXPONENT <= e <= MAX_EXPONENT for e in value)
 
 
-def _is_steps(value) -> bool:
+def _is_steps(value: JsonValue) -> bool:
     """Return whether a value is null, or the first number, scale and offset of `codes.Steps`.
 
     The first number is the smallest of uint8 and uint16 (0), int8 or int16.
@@ -92,7 +95,7 @@ _LAYER = re.compile(r"[a-z][a-z0-9_]{0,40}")
 MAX_LAYERS = 64
 
 
-def _is_layers(value) -> bool:
+def _is_layers(value: JsonValue) -> bool:
     """Return whether a value is an object of at most MAX_LAYERS layers: names of files, and texts for units."""
     if not isinstance(value, dict) or len(value) > MAX_LAYERS:
         return False
@@ -102,7 +105,8 @@ def _is_layers(value) -> bool:
 _HEIGHT = (lambda value: _is_number(value, -LARGEST, LARGEST), "a finite number of metres")
 _DISTANCE = (lambda value: _is_number(value, 0.0, LARGEST), "a finite number of metres, at least 0")
 _SLOPE = (lambda value: _is_number(value, 0.0, 1e60), "a finite number, at least 0")
-_ENTRIES = {
+_Entry = tuple[Callable[[JsonValue], bool], str]  # a check, and the expected value in words
+_ENTRIES: dict[str, _Entry] = {
     "data": (lambda value: isinstance(value, str) and is_data_name(value), "data- and 32 hex digits"),
     "sum": (_is_text, "a text"),
     "digest": (_is_text, "a text"),
@@ -128,7 +132,7 @@ _ENTRIES = {
     "report": (_is_report, "an object with the figures and warnings of the import"),
 }
 # Entries that only some stores have.
-_OPTIONAL = {"layers": (_is_layers, f"an object of at most {MAX_LAYERS} layers and their units")}
+_OPTIONAL: dict[str, _Entry] = {"layers": (_is_layers, f"an object of at most {MAX_LAYERS} layers and their units")}
 
 
 def check_entries(content: dict) -> None:

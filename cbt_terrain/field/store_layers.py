@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The layers of a store: one array for each by-product of height operators, opened on first use."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +10,15 @@ from ..errors import TerrainError
 from .store_arrays import map_array
 
 
-class LayerFiles(Mapping):
+class LayerFiles(Mapping[str, np.ndarray]):
     """The layers of a store by name, each mapped and checked on first use.
 
     `units`: their units. `opened`: the mapped ones.
     """
 
     def __init__(self, folder: Path, units: Mapping[str, str], shape: tuple[int, int]) -> None:
-        self.units, self._folder, self._shape, self.opened = dict(units), folder, shape, {}
+        self.units, self._folder, self._shape = dict(units), folder, shape
+        self.opened: dict[str, np.ndarray] = {}
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return a layer, float32 [height, width].
@@ -38,7 +39,7 @@ class LayerFiles(Mapping):
             self.opened[name] = layer
         return self.opened[name]
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[str]:
         return iter(self.units)
 
     def __len__(self) -> int:

@@ -106,15 +106,15 @@ def _nets(image: Painted) -> tuple[_Net, ...]:
         off.append(_range(net - _doubled(heights[-1].astype(np.float64))))
     smooth = [_bounds(net.astype(np.float64)) for net in heights]
     found = []
-    for k, net in enumerate(heights):
+    for k, values in enumerate(heights):
         splits, far = [], 0.0
         for j in range(k, len(heights)):
             side = 2.0 ** (j - k)
             curvature, steep, highest = smooth[j]
             splits.append(Split(far, curvature / (side * side) * OUTWARD, steep / side * OUTWARD, highest * OUTWARD))
             far += off[j] * OUTWARD if j < len(off) else 0.0
-        splits.append(Split(_range(net.astype(np.float64)) * OUTWARD, 0.0, 0.0, 0.0))
-        found.append(_Net(np.ascontiguousarray(net), tuple(splits)))
+        splits.append(Split(_range(values.astype(np.float64)) * OUTWARD, 0.0, 0.0, 0.0))
+        found.append(_Net(np.ascontiguousarray(values), tuple(splits)))
     return tuple(found)
 
 

@@ -54,7 +54,7 @@ def balanced(
     return deposited, eroded
 
 
-def _fraction(gain, available):
+def _fraction(gain: np.ndarray | float, available: np.ndarray | float) -> np.ndarray:
     """Return the fraction of the available material to remove; negative to add, at most as much again."""
     return np.clip(gain / np.maximum(available, 1e-12), -1.0, 1.0)
 
@@ -72,7 +72,7 @@ def _gather(samples: np.ndarray, halvings: int) -> np.ndarray:
     return samples
 
 
-def _interpolate(samples: np.ndarray, shape: tuple[int, int], halvings: int) -> np.ndarray:
+def _interpolate(samples: np.ndarray, shape: tuple[int, ...], halvings: int) -> np.ndarray:
     """Apply `finer` several times, up to a shape; float32."""
     if halvings > 1:
         samples = _interpolate(samples, (shape[0] // 2 + 1, shape[1] // 2 + 1), halvings - 1)

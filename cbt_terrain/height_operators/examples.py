@@ -8,7 +8,7 @@ from .height_operator import Change, OperatorGround
 from .levels import apply_by_levels
 
 
-def shape_with(name: str, heights: np.ndarray, step: float, **parameters) -> Change:
+def shape_with(name: str, heights: np.ndarray, step: float, **parameters: float) -> Change:
     """Apply an operator over all levels to float32 [rows, columns] m, samples `step` metres apart."""
     effect = HEIGHT_OPERATORS[name]
     ground = OperatorGround(np.asarray(heights, np.float32), step, step)

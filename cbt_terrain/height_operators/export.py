@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -129,7 +130,7 @@ class RasterShape:
 class RowFile:
     """A raster that is written in bands of rows from the top. `file`: a PngFile, an ExrFile, or a binary file."""
 
-    def __init__(self, file, dtype: np.dtype):
+    def __init__(self, file: PngFile | ExrFile | BinaryIO, dtype: np.dtype):
         self._file, self._dtype = file, dtype
 
     def add(self, rows: np.ndarray) -> None:
@@ -212,7 +213,7 @@ def child_main() -> None:
     serve(_answer, lambda request: f"Reading the store {request['store']}")
 
 
-def _answer(request: dict, *_) -> list[str]:
+def _answer(request: dict, *_: object) -> list[str]:
     """Write the requested GeoTIFFs in the child process, since rasterio must not be loaded into Blender.
 
     A request has `raws`, files of raw samples to convert, or a `store` with the files of its layers.

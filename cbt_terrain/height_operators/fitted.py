@@ -22,10 +22,11 @@ def fitted(stack: Stack, low: float, high: float) -> Stack:
     foot = max(low, 0.0) if high > 0.0 else low
     if stack.heights is None or high - foot < MIN_RELIEF:
         return stack
-    ratio = (high - foot) / (stack.heights[1] - stack.heights[0])
+    designed_foot, designed_top = stack.heights
+    ratio = (high - foot) / (designed_top - designed_foot)
 
     def level(metres: float) -> float:
-        return foot + (metres - stack.heights[0]) * ratio
+        return foot + (metres - designed_foot) * ratio
 
     def adapt_rule(rule: GroundRule) -> GroundRule:
         if rule.of != HEIGHT:

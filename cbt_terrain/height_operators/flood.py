@@ -2,7 +2,7 @@
 """A flood over time: minutes of rain, or a surge of the sea. Heights do not change."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,11 +86,10 @@ def still(
     border[:, [0, -1]] = True
     outlets = np.flatnonzero(border)
     deep = np.where(holes, 0.0, np.maximum(under, 0.0)).reshape(-1)[outlets]
-    fluxes = [np.zeros((2, bed.shape[0] + 2, bed.shape[1])) for _ in range(2)]
+    fluxes, pushed = (np.zeros((2, bed.shape[0] + 2, bed.shape[1])) for _ in range(2))
     rains = np.ascontiguousarray(np.broadcast_to(np.float32(rain), bed.shape))
-    return Flood(
-        bed, depth, metres, rough, rains, outlets, deep, 0.0, *fluxes, np.ones_like(fluxes[0][0]), threads
-    )  # fmt: skip
+    part = np.ones_like(fluxes[0])
+    return Flood(bed, depth, metres, rough, rains, outlets, deep, 0.0, fluxes, pushed, part, threads)
 
 
 def longest_step(flood: Flood) -> float:
@@ -115,7 +114,7 @@ def step(flood: Flood, seconds: float) -> None:
     _advance(flood, seconds)
 
 
-def march(flood: Flood, seconds: float, progress=lambda _part: None) -> int:
+def march(flood: Flood, seconds: float, progress: Callable[[float], None] = lambda _part: None) -> int:
     """Advance in steps of at most SAFE times the longest stable one; return their number."""
     now, steps = 0.0, 0
     while now < seconds:
@@ -136,7 +135,7 @@ def _advance(flood: Flood, dt: float) -> None:
     Outlets keep the depth beyond the border; water that leaves or enters there is added to `flood.left`.
     """
     flood.fluxes, flood.pushed = flood.pushed, flood.fluxes
-    s, work = kernels.FloodStep(), {"step": "flood", "threads": flood.threads, "cost": flood.bed.shape[1] / 4}
+    s = kernels.FloodStep()
     s.height, s.width = flood.bed.shape
     s.step_x, s.step_y = flood.metres
     s.seconds, s.rough = dt, flood.rough
@@ -145,7 +144,7 @@ def _advance(flood: Flood, dt: float) -> None:
     s.east, s.north = (flat(a[1:], wp.float64) for a in flood.fluxes)
     s.part = flat(flood.part[1:], wp.float64)
     for phase in (kernels.push, kernels.limit, kernels.move):
-        launch.spread(phase, s.height, [s], **work)
+        launch.spread(phase, s.height, [s], step="flood", threads=flood.threads, cost=flood.bed.shape[1] / 4)
     # The depth at an outlet is that beyond it; a surplus has left the raster, a deficit has come in.
     water = flood.water.reshape(-1)
     flood.left += float(np.sum(water[flood.outlets] - flood.deep))

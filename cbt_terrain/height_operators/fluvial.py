@@ -10,7 +10,9 @@ Boundaries: `fixed` samples keep their heights and let water leave; at `border` 
 `outlet_level`.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -92,7 +94,7 @@ class Bed:
         return drainage
 
 
-def step(bed: Bed, years: float, values: dict[str, float], number: int) -> np.ndarray | None:
+def step(bed: Bed, years: float, values: Mapping[str, float], number: int) -> np.ndarray | None:
     """Advance by `years`; `number` selects the noise of the receivers. values: parameters of rivers.py.
 
     Return the sediment that reached each sample (at outlets: that has left), float64 [n], metres times samples; None
@@ -153,7 +155,7 @@ def _draw(bed: Bed, number: int) -> Draw:
 
 
 def _cut(
-    bed: Bed, drainage: Drainage, years: float, values: dict[str, float]
+    bed: Bed, drainage: Drainage, years: float, values: Mapping[str, float]
 ) -> tuple[kernels.River, np.ndarray | None]:
     """Incise the bed; return the kernel's state and, with deposition, the water's surface."""
     r, rate, (rows, columns) = kernels.River(), np.empty_like(bed.heights), bed.shape
@@ -187,22 +189,22 @@ def diffuse(
     ew, ns = spread / bed.step_x**2, spread / bed.step_y**2
     passes = int(np.ceil((ew + ns) / CREEP))
     (rows, columns), other = bed.shape, values.copy()
-    soil, common = creep_kernels.Soil(), {"step": "rivers", "threads": bed.threads}
+    soil, run = creep_kernels.Soil(), partial(launch.spread, step="rivers", threads=bed.threads)
     soil.grid = grid_of(rows, columns, bed.step_x, bed.step_y)
     soil.base, soil.weight = flat(still, wp.uint8), flat(weight, wp.float32)
     if passes > MAX_PASSES:
         soil.ew, soil.ns = ew, ns
         soil.scratch, soil.change, soil.h = (flat(a, wp.float32) for a in (other, np.empty_like(values), values))
         blocks = -(-columns // BLOCK)
-        launch.spread(creep_kernels.creep_along_columns, blocks, [BLOCK, soil], cost=BLOCK * rows / 8, **common)
-        launch.spread(creep_kernels.creep_along_rows, rows, [soil], cost=columns, **common)
+        run(creep_kernels.creep_along_columns, blocks, [BLOCK, soil], cost=BLOCK * rows / 8)
+        run(creep_kernels.creep_along_rows, rows, [soil], cost=columns)
         return values
     soil.ew, soil.ns = ew / max(passes, 1), ns / max(passes, 1)
     preserved = np.zeros_like(values) if preserved is None else preserved / np.float32(max(passes, 1))
     soil.preserved = flat(preserved, wp.float32)
     for _ in range(passes):
         soil.old, soil.h = flat(values, wp.float32), flat(other, wp.float32)
-        launch.spread(creep_kernels.creep, rows - 2, [soil], cost=columns / 16, **common)
+        run(creep_kernels.creep, rows - 2, [soil], cost=columns / 16)
         values, other = other, values
     return values
 

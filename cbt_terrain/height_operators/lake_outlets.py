@@ -12,7 +12,7 @@ import numpy as np
 from ..attributes.routing import route
 from .fluvial import Bed
 from .height_operator import Change, OperatorGround
-from .river_borders import LAKE, LEVEL, WALL, neighbour
+from .river_borders import LAKE, LEVEL, WALL, Positions, neighbour, sides
 
 # Coarse samples along an outlet: enough that no other pass is lower than its end.
 LENGTH = 32
@@ -33,7 +33,7 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     found, free = (np.full(bed.shape, np.inf, np.float32) for _ in range(2))
     heights, y, x = bed.heights.reshape(bed.shape), *_overflows(surface, wet, to, flow)
 
-    def lower(half: int, after) -> None:
+    def lower(half: int, after: Positions) -> None:
         """Lower the path at a sample or halfway to the next; under lakes only where the floor is above the level."""
         way, water = to[y, x].astype(np.int64), wet[y, x] | wet[after]
         j, i = (2 * n + s.start + half * a for n, s, a in zip((y, x), every, (way // 3 - 1, way % 3 - 1), strict=True))
@@ -41,7 +41,7 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
         some = ~water | (heights[j, i] > level)
         np.minimum.at(found, (j[some], i[some]), level[some])
 
-    def breach(after) -> None:
+    def breach(after: Positions) -> None:
         """Limit the ground halfway to the heights of both ends."""
         ends = [tuple(2 * n + s.start for n, s in zip(at, every, strict=True)) for at in ((y, x), after)]
         halfway = tuple((a + b) // 2 for a, b in zip(*ends, strict=True))
@@ -54,7 +54,7 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
         breach(below)
         y, x = np.unique(np.stack(below)[:, to[y, x] != 4], axis=1)
     cut = np.zeros(bed.shape, bool)
-    for side, border in zip((np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]), ground.rims, strict=True):
+    for side, border in zip(sides(bed.shape), ground.rims, strict=True):
         cut[side] |= not border
     constant = cut | bed.fixed.reshape(bed.shape)
     dams = np.isfinite(free) & ~constant
@@ -63,7 +63,7 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     bed.path_level = found.reshape(-1)[bed.path] - np.float32(WALL)
 
 
-def _overflows(surface, wet, to, flow) -> tuple[np.ndarray, np.ndarray]:
+def _overflows(surface: np.ndarray, wet: np.ndarray, to: np.ndarray, flow: np.ndarray) -> Positions:
     """Return rows and columns of outlets: dry samples next to a lake of their height, with its drainage area."""
     y, x = np.nonzero(~wet & (to != 4) & (flow >= MIN_AREA))
     over = np.zeros(len(y), bool)

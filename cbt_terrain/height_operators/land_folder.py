@@ -83,7 +83,7 @@ def shaped_stores(source: str) -> list[tuple[Path, int]]:
 
 def _is_removable(folder: Path) -> bool:
     """Return whether a folder holds a shaped store, or one that cannot be read any more."""
-    if not owned_files.is_real_file(folder / stores.JSON_NAME):
+    if not owned_files.is_real_file(folder / store_folder.JSON_NAME):
         return False
     try:
         return "shaped" in stores.read_json(folder)["provenance"]

@@ -75,7 +75,7 @@ class LevelPlan:
         An entry that is applied to a whole level is a run by itself. The entries between two of these form a run that
         is applied within each tile, which reads nothing of other tiles. A mask that reads the whole level starts a run.
         """
-        found = []
+        found: list[list[int]] = []
         for number, entry in enumerate(self.entries):
             alone = self.how(number, level) == WHOLE
             apart = entry.mask is not None and any(rule.of in SHAPES for rule in entry.mask.rules)
@@ -91,8 +91,9 @@ class LevelPlan:
         """
         found = [(BAND, BAND)]
         for number in reversed(numbers):
-            more = self.halo(self.entries[number], level) if self.how(number, level) == TILES else (0, 0)
-            found.append((found[-1][0] + more[0], found[-1][1] + more[1]))
+            halo = self.halo(self.entries[number], level) if self.how(number, level) == TILES else None
+            rows, columns = halo or (0, 0)
+            found.append((found[-1][0] + rows, found[-1][1] + columns))
         return found[::-1]
 
     def _max_halo(self, level: Level) -> tuple[int, int]:
@@ -124,7 +125,7 @@ class LevelPlan:
         likewise, where that does not hold.
         """
         needed = self.needed[level.number]
-        if max_change is None or level.is_whole:
+        if max_change is None or uncertain is None or level.is_whole:
             return list(needed)
         parents = {tile: level.parent(tile) for tile in needed}
         return [t for t, need in needed.items() if uncertain[parents[t]] or max_change[parents[t]] > need.metres]

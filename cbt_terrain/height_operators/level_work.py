@@ -20,6 +20,8 @@ from .tiles import Level, Window
 # Raise it when results change although no operator's version does.
 METHOD = 6
 Report = Callable[[float], None]
+# The arrays of a change (`num_arrays`), each float32 [rows, columns].
+Arrays = Sequence[np.ndarray] | np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,9 +128,7 @@ class LevelWork:
             return current + source
         return np.ascontiguousarray(source if current is None else current)
 
-    def accumulate(
-        self, entry: Entry, change: Sequence[np.ndarray], mask: np.ndarray | None, land: LandWindow
-    ) -> np.ndarray:
+    def accumulate(self, entry: Entry, change: Arrays, mask: np.ndarray | None, land: LandWindow) -> np.ndarray:
         """Add an entry's layers to those of the land and return its masked change of heights.
 
         It copies as little as possible: an array of a fine level takes hundreds of megabytes.
@@ -176,7 +176,7 @@ def num_arrays(effect: HeightOperator, level: Level) -> int:
     return 1 + len(effect.layers) + (len(effect.state) if level.number else 0)
 
 
-def unpacked(effect: HeightOperator, change: Sequence[np.ndarray]) -> Change:
+def unpacked(effect: HeightOperator, change: Arrays) -> Change:
     """Return a change from its arrays, each float32 [rows, columns], in the order of `num_arrays`."""
     end = 1 + len(effect.layers)
     state = dict(zip(effect.state, change[end:], strict=True)) if len(change) > end else {}
@@ -228,7 +228,8 @@ def apply_tile(
 
     def compute() -> np.ndarray:
         change = _pack(effect, effect.apply(ground, entry.values, unpacked(effect, coarser)), count)
-        return change[(slice(None), *ground.target)]
+        rows, columns = within(target, land.window)
+        return change[:, rows, columns]
 
     shape = count, *(axis.stop - axis.start for axis in target)
     return work.cache.take(effect.name, _key(entry, ground, coarser, "tile"), shape, compute)

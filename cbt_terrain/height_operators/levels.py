@@ -12,7 +12,7 @@ from .height_operator import Change, HeightOperator, OperatorGround
 COARSEST = 257
 
 
-def finer(samples: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def finer(samples: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Interpolate samples of a level linearly to `shape`, float32 [rows, columns], of the next finer level.
 
     samples: float32 [(rows + 1) // 2 or one more, likewise].
@@ -41,7 +41,7 @@ def finer_window(samples: np.ndarray, rows: slice, columns: slice) -> np.ndarray
     return fine[rows.start - 2 * south : rows.stop - 2 * south, columns.start - 2 * west : columns.stop - 2 * west]
 
 
-def finer_change(change: Change, shape: tuple[int, int]) -> Change:
+def finer_change(change: Change, shape: tuple[int, ...]) -> Change:
     """Interpolate all arrays of a change to the next finer level."""
     layers, state = ({name: finer(a, shape) for name, a in arrays.items()} for arrays in (change.layers, change.state))
     return Change(finer(change.heights, shape), layers, state)
@@ -52,18 +52,19 @@ def apply_by_levels(effect: HeightOperator, ground: OperatorGround, values: Mapp
 
     values: every parameter. Heights, mask and layers of a coarser level are every second sample of the finer one's.
     """
-    size = tuple((n - 1) * step for n, step in zip(ground.heights.shape, (ground.step_y, ground.step_x), strict=True))
+    rows, columns = ground.heights.shape
+    size = (rows - 1) * ground.step_y, (columns - 1) * ground.step_x
     change = _unmasked(effect, replace(ground, size=size), values)
     return masked(effect, change, ground.mask)
 
 
 def _unmasked(effect: HeightOperator, ground: OperatorGround, values: Mapping[str, float]) -> Change:
     """Return the change without its mask, which would otherwise be applied again at each level."""
-    shape, change = ground.heights.shape, None
-    ground = replace(ground, whole=shape)
-    if max(shape) > COARSEST:
-        change = finer_change(_unmasked(effect, _coarser_ground(ground), values), shape)
-    if change is not None and effect.finest and max(shape) > effect.finest:
+    (rows, columns), change = ground.heights.shape, None
+    ground = replace(ground, whole=(rows, columns))
+    if max(rows, columns) > COARSEST:
+        change = finer_change(_unmasked(effect, _coarser_ground(ground), values), (rows, columns))
+    if change is not None and effect.finest and max(rows, columns) > effect.finest:
         return change
     return effect.apply(ground, values, change)
 
@@ -79,10 +80,13 @@ def masked(effect: HeightOperator, change: Change, mask: np.ndarray | None) -> C
 
 def _coarser_ground(ground: OperatorGround) -> OperatorGround:
     """Return the ground at every second sample, as an operator reads it at the next coarser level."""
-    halved = {
-        "heights": coarser(ground.heights),
-        "missing": None if ground.missing is None else coarser(ground.missing),
-        "mask": None if ground.mask is None else coarser(ground.mask),
-        "layers": {name: coarser(layer) for name, layer in ground.layers.items()},
-    }
-    return replace(ground, step_x=2 * ground.step_x, step_y=2 * ground.step_y, level=ground.level + 1, **halved)
+    return replace(
+        ground,
+        step_x=2 * ground.step_x,
+        step_y=2 * ground.step_y,
+        level=ground.level + 1,
+        heights=coarser(ground.heights),
+        missing=None if ground.missing is None else coarser(ground.missing),
+        mask=None if ground.mask is None else coarser(ground.mask),
+        layers={name: coarser(layer) for name, layer in ground.layers.items()},
+    )

@@ -101,7 +101,7 @@ def compute_mask(
     image: float32 [rows, columns], row 0 south, or None. heights(window): returns float32 metres of the ground. read:
     values of MASK_ATTRIBUTES, float32 [rows, columns] of the window (mask_reads.py). window: None for the whole level.
     """
-    window = window or level.whole
+    window, read = window or level.whole, read or {}
     out = np.full([part.stop - part.start for part in window], mask.factor, np.float32)
     for first in range(0, len(out), BAND_ROWS):
         rows = slice(first, min(first + BAND_ROWS, len(out)))

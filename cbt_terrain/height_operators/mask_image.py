@@ -40,7 +40,7 @@ def child_main() -> None:
     serve(_read, lambda request: f"Reading the mask {shown(request['file'])}")
 
 
-def _read(request: dict, *_) -> list[int]:
+def _read(request: dict, *_: object) -> list[int]:
     """Convert a mask image to a float32 array file, values 0 to 1, in a child process; return its rows and columns."""
     path, cached = Path(request["file"]), Path(request["folder"]) / f"{request['key']}.npy"
     guard(path.suffix.lower(), cached.parent)

@@ -5,7 +5,7 @@ Shaping starts from the same level, so that rivers are where they will be.
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from ..run.locks import cached
 from .height_operator import OperatorGround
 from .level_work import LevelGround, zero_holes
 from .levels import masked
-from .mask import compute_mask
+from .mask import HeightMask, compute_mask
 from .mask_reads import values_of
 from .prepare import prepare
 from .stack import Entry, Stack, check_by_products
@@ -59,14 +59,14 @@ class Preview:
     """
 
     field: HeightField
-    ms: list[float] = field(default_factory=list)
+    ms: list[float]
     step_m: float = 0.0
     without: str = ""
     build_ms: float = 0.0
 
 
 @dataclass
-class _Layers(Mapping):
+class _Layers(Mapping[str, np.ndarray]):
     """Layers of the coarsest level, interpolated to the preview's samples on first use."""
 
     coarse: Mapping[str, np.ndarray]
@@ -79,7 +79,7 @@ class _Layers(Mapping):
             self.results[name] = _interpolate(self.coarse[name], self.rows, self.columns)
         return self.results[name]
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[str]:
         return iter(self.coarse)
 
     def __len__(self) -> int:
@@ -104,8 +104,8 @@ def preview(
     level = levels_of(source.lattice)[-1]
     states = _apply(source, level, stack, images or {}, threads, seconds)
     lattice, positions = source.lattice, _positions(source)
-    coarse = [at / (1 << level.number) for at in positions]
-    heights = _source_heights(source) + _interpolate(states[-1].change, *coarse)
+    rows, columns = (at / (1 << level.number) for at in positions)
+    heights = _source_heights(source) + _interpolate(states[-1].change, rows, columns)
     step_y = lattice.step_y * (lattice.height - 1) / (len(positions[0]) - 1)
     step_x = lattice.step_x * (lattice.width - 1) / (len(positions[1]) - 1)
     if source.valid is not None:
@@ -118,7 +118,7 @@ def preview(
     )  # fmt: skip
     build_ms = (time.perf_counter() - start) * 1e3
     digest = compute_digest(result.raster.digest, stack.key())  # the stack's stands for the layers
-    result = result.with_raster(digest=digest, layers=_Layers(states[-1].ground.layers, *coarse))
+    result = result.with_raster(digest=digest, layers=_Layers(states[-1].ground.layers, rows, columns))
     left = stack.active[len(states) - 1 :]
     without = (left[0].name or left[0].declaration.label) if left else ""
     return Preview(result, [state.ms for state in states[1:]], max(level.step_x, level.step_y), without, build_ms)
@@ -145,7 +145,7 @@ def _apply(
             continue
         mask = None
         if entry.mask is not None:
-            mask = _mask(entry, images, level, states[-1].ground, threads)
+            mask = _mask(entry.mask, images, level, states[-1].ground, threads)
         ground = replace(states[-1].ground, seed=entry.seed, threads=threads, mask=mask, progress=check_time)
         try:
             check_time(0.0)
@@ -159,10 +159,10 @@ def _apply(
     return states
 
 
-def _mask(entry: Entry, images: Mapping, level: Level, ground: OperatorGround, threads: int) -> np.ndarray:
-    names = sorted({rule.of for rule in entry.mask.rules})
+def _mask(mask: HeightMask, images: Mapping, level: Level, ground: OperatorGround, threads: int) -> np.ndarray:
+    names = sorted({rule.of for rule in mask.rules})
     read = values_of(names, level, ground.heights.__getitem__, ground.missing, ground.layers, threads)
-    return compute_mask(entry.mask, images.get(entry.mask.image), level, ground.heights.__getitem__, read)
+    return compute_mask(mask, images.get(mask.image), level, ground.heights.__getitem__, read)
 
 
 def _ground(source: HeightField, level: Level) -> OperatorGround:
@@ -198,7 +198,8 @@ def _positions(source: HeightField) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows and columns of the source that the preview samples, float64, from border to border."""
     sides = source.lattice.height, source.lattice.width
     ratio = min(1.0, (MAX_PREVIEW_SAMPLES - 1) / (max(sides) - 1))
-    return tuple(np.linspace(0.0, n - 1.0, max(2, round((n - 1) * ratio) + 1)) for n in sides)
+    rows, columns = (np.linspace(0.0, n - 1.0, max(2, round((n - 1) * ratio) + 1)) for n in sides)
+    return rows, columns
 
 
 def _source_heights(source: HeightField) -> np.ndarray:

@@ -2,6 +2,7 @@
 """Relief finer than the data: rock, gullies and ledges below the spacing of the source."""
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import warp as wp
@@ -11,7 +12,7 @@ from ...kernels.land.relief import ReliefNoise, Window, add_relief
 from ..attributes.attribute import Parameter
 from ..run import launch
 from ..run.buffers import flat
-from .height_operator import Change, HeightOperator, OperatorGround
+from .height_operator import Change, Evaluate, HeightOperator, OperatorGround
 
 # Fraction of the longest wave over which the ground's slope and curvature are measured.
 REACH = 0.25
@@ -22,7 +23,7 @@ BURIED = 2.0
 DIP_TO = np.array([2.0, 1.0]) / math.sqrt(5.0)
 
 
-def apply(ground: OperatorGround, values, _coarser) -> Change:
+def apply(ground: OperatorGround, values: Mapping[str, float], _coarser: Change | None) -> Change:
     """Compute a level without the coarser one, which only lacks the finest waves; implements `Apply`."""
     heights = np.ascontiguousarray(ground.heights)
     noise, window = _noise(ground, values), _window(ground, values)
@@ -40,7 +41,7 @@ def apply(ground: OperatorGround, values, _coarser) -> Change:
     return Change(added)
 
 
-def _noise(ground: OperatorGround, values) -> ReliefNoise:
+def _noise(ground: OperatorGround, values: Mapping[str, float]) -> ReliefNoise:
     """Return the parameters of the noise for kernels; octaves end at waves of two samples."""
     noise = ReliefNoise()
     spacing = max(ground.step_x, ground.step_y)
@@ -53,7 +54,7 @@ def _noise(ground: OperatorGround, values) -> ReliefNoise:
     return noise
 
 
-def _window(ground: OperatorGround, values) -> Window:
+def _window(ground: OperatorGround, values: Mapping[str, float]) -> Window:
     """Return the window of samples for kernels; the reach, in samples, is of the average that gives the slope."""
     window = Window()
     window.height, window.width = ground.heights.shape
@@ -64,7 +65,7 @@ def _window(ground: OperatorGround, values) -> Window:
     return window
 
 
-def _example(shape) -> None:
+def _example(shape: Evaluate) -> None:
     """Assert that level ground stays, and that roughness and rock beds have their heights."""
     level = shape("relief", np.full((40, 50), 300.0), 10.0, plains=0.0)
     assert not level.heights.any()

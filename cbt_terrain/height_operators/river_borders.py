@@ -27,14 +27,19 @@ BESIDE, WANDER, LESS = 48, 4, 16.0
 MORE, ROUNDS = 4.0, 5
 
 
-def neighbour(y, x, way):
+# Rows and columns of samples, int [n] each.
+Positions = tuple[np.ndarray, np.ndarray]
+
+
+def neighbour(y: np.ndarray, x: np.ndarray, way: np.ndarray | int) -> Positions:
     """Return row and column of the neighbour in a D8 direction: 3 * (north + 1) + east + 1, 4 is the sample itself."""
     return y + way // 3 - 1, x + way % 3 - 1
 
 
-def sides(shape: tuple[int, int]) -> list[tuple]:
+def sides(shape: tuple[int, ...]) -> list[tuple]:
     """Return indices of the south, north, west and east side."""
-    return [np.s_[0], np.s_[shape[0] - 1], np.s_[:, 0], np.s_[:, shape[1] - 1]]
+    every = slice(None)
+    return [(0, every), (shape[0] - 1, every), (every, 0), (every, shape[1] - 1)]
 
 
 def border_motion(bed: Bed, origin: np.ndarray, coarser: Change | None, years: float) -> Callable[[], None]:
@@ -126,8 +131,8 @@ def set_boundary(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     grows = seen.flow[y, x] > seen.flow
     y, x = (np.where(grows, n, at) for n, at in zip((y, x), np.indices(y.shape), strict=True))
     back = _ends(seen, y, x)
-    again, into = tuple(n[y, x] for n in back), seen.inside[back]
-    add_inflow(seen.inside & ~seen.inside[y, x] & seen.inside[again], *again, sign=-1.0)
+    again, into = (back[0][y, x], back[1][y, x]), seen.inside[back]
+    add_inflow(seen.inside & ~seen.inside[y, x] & seen.inside[again], again[0], again[1], sign=-1.0)
     ring = _ring(seen, ground, into)
     for lake in _lakes(seen, ring):
         largest = lake[np.argmax(ring.flow[lake])]
@@ -145,7 +150,7 @@ def _coarse_samples(bed: Bed, ground: OperatorGround, coarser: Change) -> _Coars
     `coarser`: its change, interpolated to the tile; every second sample of it is one of the coarser level. Receivers
     along a cut follow from drainage area, since the ground beyond is unknown there.
     """
-    odd = tuple(first % 2 for first in ground.first)
+    odd = ground.first[0] % 2, ground.first[1] % 2
     every, per = tuple(slice(n, None, 2) for n in odd), 1.0 / (ground.step_x * ground.step_y)
     floor = np.ascontiguousarray((ground.heights + coarser.heights)[every])
     lake, fixed = coarser.state[LAKE][every], bed.fixed.reshape(bed.shape)[every]
@@ -156,7 +161,8 @@ def _coarse_samples(bed: Bed, ground: OperatorGround, coarser: Change) -> _Coars
     south, north, west, east = (0 if border else 2 for border in ground.rims)
     inside[south : len(floor) - north, west : floor.shape[1] - east] = True
     flow, load = ((array[every] * per).astype(np.float64) for array in (coarser.layers["flow"], coarser.state[LOAD]))
-    to = np.where(wet, *reversed([*ways])).astype(int)
+    by_surface, by_floor = ways
+    to = np.where(wet, by_floor, by_surface).astype(int)
     at, cut = _around(to.shape, ground.rims, 0)
     for j, i in zip(*(n[cut & ~fixed[at]] for n in at), strict=True):
         to[j, i] = _way_back(j, i, surface, flow)
@@ -172,10 +178,10 @@ def _way_back(j: int, i: int, surface: np.ndarray, flow: np.ndarray) -> int:
     near = np.s_[south : j + 2, west : i + 2]
     more = np.where((flow[near] > flow[j, i]) & (surface[near] <= surface[j, i] + LEVEL), flow[near], np.inf)
     y, x = np.unravel_index(more.argmin(), more.shape)
-    return 3 * (south + y - j + 1) + (west + x - i + 1) if np.isfinite(more[y, x]) else 4
+    return int(3 * (south + y - j + 1) + (west + x - i + 1)) if np.isfinite(more[y, x]) else 4
 
 
-def _around(shape: tuple[int, int], rims: tuple[bool, ...], inset: int):
+def _around(shape: tuple[int, ...], rims: tuple[bool, ...], inset: int) -> tuple[Positions, np.ndarray]:
     """Return rows and columns of the samples along four sides, cuts `inset` samples inside, and which are on cuts."""
     south, north, west, east = rims
     low, high = inset * (not south), shape[0] - 1 - inset * (not north)
@@ -192,7 +198,8 @@ def _receivers(seen: _Coarse) -> tuple[np.ndarray, np.ndarray]:
     On the floor of a lake the path to its pit is reversed towards the outlet, which may be outside. Where the drainage
     area does not grow downstream, the receiver is the neighbour inside with the largest one.
     """
-    y, x = neighbour(*np.indices(seen.to.shape), seen.to)
+    y, x = np.indices(seen.to.shape)
+    y, x = neighbour(y, x, seen.to)
     within = np.where(seen.inside, seen.flow, -1.0)
     turned = seen.wet & ~seen.inside & (seen.to != 4) & (seen.flow[y, x] <= seen.flow)
     for j, i in zip(*np.nonzero(turned), strict=True):
@@ -217,7 +224,8 @@ def _ends(seen: _Coarse, y: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.n
     down = np.where(seen.inside, itself, y * shape[1] + x).reshape(-1)
     for _ in range(4):
         down = down[down]
-    return np.unravel_index(down.reshape(shape), shape)
+    row, column = np.unravel_index(down.reshape(shape), shape)
+    return row, column
 
 
 def _lakes(seen: _Coarse, ring: _Ring) -> list[np.ndarray]:
@@ -262,10 +270,10 @@ def _close(bed: Bed, ground: OperatorGround, seen: _Coarse, ring: _Ring) -> None
 def _along(bed: Bed, ground: OperatorGround, seen: _Coarse, ring: _Ring) -> tuple[np.ndarray, np.ndarray]:
     """Return the samples along the cut where water may leave and the nearest index in the ring of each, int64."""
     at, cut = _around(bed.shape, ground.rims, 0)
-    near = ((n - odd + 1) // 2 for n, odd in zip(at, seen.odd, strict=True))
-    near = tuple(np.clip(n, of.min(), of.max()) for n, of in zip(near, ring.at, strict=True))
+    halves = ((n - odd + 1) // 2 for n, odd in zip(at, seen.odd, strict=True))
+    near = tuple(np.clip(n, of.min(), of.max()) for n, of in zip(halves, ring.at, strict=True))
     indices = np.zeros(seen.to.shape, np.int64)
     indices[ring.at] = np.arange(len(ring.flow))
-    at = at[0] * bed.shape[1] + at[1]
-    cut &= ~bed.fixed[at]
-    return at[cut], indices[near][cut]
+    samples = at[0] * bed.shape[1] + at[1]
+    cut &= ~bed.fixed[samples]
+    return samples[cut], indices[near][cut]

@@ -122,7 +122,7 @@ def _begin(ground: OperatorGround, values: Mapping[str, float], coarser: Change 
     for side in sides(shape):
         uplift.reshape(shape)[side] = 0.0
     arrays = origin.copy(), np.zeros(n, np.float32), fixed, weight, weight.copy(), uplift, np.ones(n)
-    bed = Bed(shape, ground.step_x, ground.step_y, *arrays, ground.first, ground.seed, ground.threads)
+    bed = Bed((shape[0], shape[1]), ground.step_x, ground.step_y, *arrays, ground.first, ground.seed, ground.threads)
     bed.curvature = curvature_of(bed)
     if coarser is not None:
         done = np.float32(1.0 - _years_again(ground, values) / max(values["years"], 1.0))
@@ -150,7 +150,7 @@ def _fade(ground: OperatorGround) -> np.ndarray:
         return t * t * (3.0 - 2.0 * t)
 
     north, east = map(fade, ground.first, ground.heights.shape, spacings, sizes)
-    return np.float32(north[:, None] * east)
+    return (north[:, None] * east).astype(np.float32)
 
 
 def _spread(bed: Bed, coarser: Change) -> tuple[np.ndarray, np.ndarray]:
@@ -159,7 +159,9 @@ def _spread(bed: Bed, coarser: Change) -> tuple[np.ndarray, np.ndarray]:
     for side in sides(bed.shape):
         still[side] = 1
     settings = SPREAD * bed.step_x * bed.step_y, still.reshape(-1), np.ones(len(bed.weight), np.float32)
-    return tuple(diffuse(bed, a.reshape(-1).copy(), *settings) for a in (coarser.heights, coarser.layers["sediment"]))
+    arrays = coarser.heights, coarser.layers["sediment"]
+    change, sediment = (diffuse(bed, array.reshape(-1).copy(), *settings) for array in arrays)
+    return change, sediment
 
 
 def _keep_cliffs(

@@ -16,6 +16,7 @@ import numpy as np
 from ..field.heightfield import HeightField
 from .level_plan import TILES, UPSAMPLED, WHOLE, LevelPlan
 from .level_work import (
+    Arrays,
     LandWindow,
     LevelGround,
     LevelWork,
@@ -89,7 +90,7 @@ class LevelState:
     """
 
     level: Level
-    changes: list[Sequence[np.ndarray] | None]
+    changes: list[Arrays | None]
     total: np.ndarray
     layers: dict[str, np.ndarray]
     max_change: np.ndarray
@@ -190,7 +191,8 @@ class TileSums:
     @classmethod
     def zeros(cls, level: Level) -> "TileSums":
         """Return the sums of a level without changes."""
-        return cls(*(np.zeros(level.tile_count, kind) for kind in (float, float, bool)))
+        count = level.tile_count
+        return cls(np.zeros(count), np.zeros(count), np.zeros(count, bool))
 
     def add(self, level: Level, tile: int, delta: np.ndarray, mask: np.ndarray | None, window: Window) -> None:
         """Record the masked change of a tile, which is a part of a window."""
@@ -212,7 +214,8 @@ def _compute_level(run: Shaping, level: Level, chosen: list[int], coarser: Level
     land = LandWindow(level.whole, np.zeros(level.shape, np.float32), {})
     total = TileSums.zeros(level)
     uncertain = np.zeros(level.tile_count, bool)
-    changes, added = [], []
+    changes: list[Arrays | None] = []
+    added = []
     for numbers in run.plan.runs(level):
         coarse = [None if coarser is None else coarser.changes[number] for number in numbers]
         results, sums = _apply_run(run, work, numbers, tiles, coarse, land)
@@ -258,9 +261,9 @@ def _apply_run(
     work: LevelWork,
     numbers: list[int],
     tiles: list[int],
-    coarse: list[Sequence[np.ndarray] | None],
+    coarse: Sequence[Arrays | None],
     land: LandWindow,
-) -> tuple[list[Sequence[np.ndarray]], list[TileSums]]:
+) -> tuple[Sequence[Arrays], list[TileSums]]:
     """Apply a run of entries (LevelPlan.runs) to a level, and update `land`.
 
     Return the arrays and the sums of each. coarse: their changes at the coarser level, or None.
@@ -277,8 +280,8 @@ def _apply_run(
         change = apply_whole(work, entry, land, mask, start, report)
     run.done += cost
     if start is not None and level.number and numbers[0] not in run.plan.doubted:
-        both = (unpacked(entry.declaration, arrays) for arrays in (start, change))
-        if entry.declaration.doubts(*both, level.step_x * level.step_y):
+        before, after = (unpacked(entry.declaration, arrays) for arrays in (start, change))
+        if entry.declaration.doubts(before, after, level.step_x * level.step_y):
             run.plan.doubt(numbers[0])
     delta = change[0] if start is None else change[0] - start[0]
     for tile in range(level.tile_count):
@@ -287,7 +290,7 @@ def _apply_run(
     return [change], [sums]
 
 
-def _upsample(arrays: Sequence[np.ndarray], shape: tuple[int, int]) -> np.ndarray:
+def _upsample(arrays: Arrays, shape: tuple[int, int]) -> np.ndarray:
     """Interpolate a coarser change to float32 [arrays, rows, columns], one array at a time to save memory."""
     fine = np.empty((len(arrays), *shape), np.float32)
     for result, array in zip(fine, arrays, strict=True):
@@ -310,9 +313,9 @@ def _apply_tiles(
     work: LevelWork,
     numbers: list[int],
     tiles: list[int],
-    coarse: list[Sequence[np.ndarray]],
+    coarse: Sequence[Arrays | None],
     land: LandWindow,
-) -> tuple[list[Sequence[np.ndarray]], list[TileSums]]:
+) -> tuple[Sequence[Arrays], list[TileSums]]:
     """Apply a run of entries to tiles and blend these into the interpolated coarser level; see `_apply_run`.
 
     It blends the land after all entries, not each change, so that depths that are nowhere negative stay so.
@@ -321,6 +324,7 @@ def _apply_tiles(
     start = land.crop(level.whole)
     for number, arrays in zip(numbers, coarse, strict=True):
         entry = run.entries[number]
+        assert arrays is not None  # the coarsest level is computed as a whole
         mask, count = work.mask(entry, land), num_arrays(entry.declaration, level)
         change = [finer(array, level.shape) for array in arrays[:count]]
         first = mask if number == numbers[0] else first
@@ -353,7 +357,7 @@ def _compute_tile(
     work: LevelWork,
     numbers: list[int],
     tile: int,
-    coarse: list[Sequence[np.ndarray]],
+    coarse: Sequence[Arrays | None],
     land: LandWindow,
     mask: np.ndarray | None,
     sums: list[TileSums],
@@ -366,6 +370,7 @@ def _compute_tile(
     windows = [level.window(tile, *margin) for margin in run.plan.margins(level, numbers)]
     land, mask = land.crop(windows[0]), None if mask is None else mask[windows[0]]
     for number, arrays, entry_sums, target in zip(numbers, coarse, sums, windows[1:], strict=True):
+        assert arrays is not None
         entry, window = run.entries[number], land.window
         mask = mask if number == numbers[0] else work.mask(entry, land)
         here = within(target, window)

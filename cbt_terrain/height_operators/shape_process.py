@@ -45,7 +45,9 @@ class ShapeJob(StoreJob):
         store_folder.check_target(store)
         heights = open_source(source, Path(store), stack)
         store_folder.remove_abandoned(Path(store))
-        pairs = wanted and [None if tiles_of is None else sorted(tiles_of.items()) for tiles_of in wanted]
+        pairs = None
+        if wanted is not None:
+            pairs = [None if tiles_of is None else sorted(tiles_of.items()) for tiles_of in wanted]
         request = {"source": str(Path(source).absolute()), "stack": stack_content(stack), "wanted": pairs}
         super().__init__(
             "cbt_terrain.height_operators.shape_process",

@@ -15,6 +15,7 @@ from ..errors import TerrainError
 from ..field import store, store_folder
 from ..field.build import build
 from ..field.heightfield import HeightField
+from ..field.store_layers import layer_name
 from ..importing.build_store import finished_before
 from ..importing.drafts import common_report_entries, drafted, room_for
 from ..importing.placing import rotation_of
@@ -22,7 +23,7 @@ from ..run import launch
 from .level_plan import MAX_WHOLE
 from .level_work import METHOD
 from .mask_image import load_image
-from .shape import Shaped, shape
+from .shape import Added, Shaped, shape
 from .stack import Stack, check_by_products, land_name, stack_content, stack_from
 from .stack_layers import key_with, merge_layers
 from .tile_cache import TileCache
@@ -69,12 +70,13 @@ def run_shape(
     if report is not None:
         return report
     everywhere = wanted is None
-    wanted = whole_land(heights.lattice) if everywhere else wanted
+    wanted = whole_land(heights.lattice) if wanted is None else wanted
     units = layer_units(heights, stack)
     with drafted(path, folder, heights.lattice, len(units), ROOM_ELSEWHERE) as draft:
         room = room_for(heights.lattice, len(units))
-        cache = TileCache(path / store_folder.TILES if tiles is None else Path(tiles), room)
-        images = {file: load_image(file, cache.folder) for file in mask_files(stack)}
+        tiles = path / store_folder.TILES if tiles is None else Path(tiles)
+        cache = TileCache(tiles, room)
+        images = {file: load_image(file, tiles) for file in mask_files(stack)}
         shaped = shape(
             heights,
             stack,
@@ -114,7 +116,9 @@ def open_source(source: str | os.PathLike, path: Path, stack: Stack) -> HeightFi
 
 def shape_digest(heights: HeightField, stack: Stack, wanted: Wanted | None) -> str:
     """Return a digest of everything that determines the content of the store."""
-    tiles = wanted and [None if pairs is None else sorted((t, float(m)) for t, m in pairs.items()) for pairs in wanted]
+    tiles = None
+    if wanted is not None:
+        tiles = [None if pairs is None else sorted((t, float(m)) for t, m in pairs.items()) for pairs in wanted]
     content = METHOD, RECORD, store.VERSION, heights.raster.digest, stack.key(), tiles
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
@@ -169,7 +173,7 @@ def _write_layers(heights: HeightField, shaped: Shaped, draft: store.Draft) -> d
         if not np.isfinite(layer).all():
             problem = f"The stack's layer {name!r} has values that are not finite numbers"
             raise TerrainError(problem, fix="report the stack as a bug")
-        written[name] = draft.allocate(store.layer_name(name), layer.shape, np.dtype(np.float32))
+        written[name] = draft.allocate(layer_name(name), layer.shape, np.dtype(np.float32))
         written[name][:] = layer
     return written
 
@@ -230,7 +234,7 @@ def _report(field: HeightField, source: str | os.PathLike, heights: HeightField,
     }
 
 
-def _line(added) -> str:
+def _line(added: Added) -> str:
     """Return "rivers at 16 m: 3.2 m rms, 41 m at most, 12 tiles, 3 of them new, 210 ms"."""
     tiles = f"{added.made} tile{'s' if added.made != 1 else ''}, {added.computed} of them new"
     tiles = f"the whole level, {'new' if added.computed else 'known before'}" if added.whole else tiles

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..errors import TerrainError
 from ..field import store as stores
+from ..field import store_folder
 from ..field.lattice import Lattice, fit
 from ..view.linear import add_up
 from .land_folder import folder_beside, is_land_name
@@ -69,7 +70,9 @@ def _earlier(source: str) -> list[dict]:
     """Return the JSON of the newest shaped stores of a source, the newest last."""
     found = []
     with suppress(OSError):
-        files = [folder / stores.JSON_NAME for folder in folder_beside(source).iterdir() if is_land_name(folder.name)]
+        files = [
+            folder / store_folder.JSON_NAME for folder in folder_beside(source).iterdir() if is_land_name(folder.name)
+        ]
         found = sorted((file.stat().st_mtime, file) for file in files if file.is_file())[-NUM_EARLIER:]
     read = []
     for _, file in found:

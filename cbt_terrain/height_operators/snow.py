@@ -105,14 +105,23 @@ def _coarse_snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tup
     """Return `_snowfall` of the coarser level computed from these samples alone, interpolated to this level."""
     odd = [n % 2 for n in ground.first]
 
-    def coarse(samples: np.ndarray | None) -> np.ndarray | None:
-        return None if samples is None else halved(np.pad(samples, [(n, 0) for n in odd], mode="edge"))
+    def coarse(samples: np.ndarray) -> np.ndarray:
+        return halved(np.pad(samples, [(n, 0) for n in odd], mode="edge"))
 
-    first = (ground.first[0] // 2, ground.first[1] // 2)
-    layers = {name: coarse(a) for name, a in ground.layers.items() if name == "water_depth"}
-    arrays = [coarse(ground.heights), 2 * ground.step_x, 2 * ground.step_y, first, ground.whole, ground.level + 1]
-    below = OperatorGround(*arrays, coarse(ground.missing), coarse(ground.mask), layers, ground.seed, ground.threads)
-    shape = [n + o for n, o in zip(ground.heights.shape, odd, strict=True)]
+    below = OperatorGround(
+        heights=coarse(ground.heights),
+        step_x=2 * ground.step_x,
+        step_y=2 * ground.step_y,
+        first=(ground.first[0] // 2, ground.first[1] // 2),
+        whole=ground.whole,
+        level=ground.level + 1,
+        missing=None if ground.missing is None else coarse(ground.missing),
+        mask=None if ground.mask is None else coarse(ground.mask),
+        layers={name: coarse(a) for name, a in ground.layers.items() if name == "water_depth"},
+        seed=ground.seed,
+        threads=ground.threads,
+    )
+    shape = tuple(n + o for n, o in zip(ground.heights.shape, odd, strict=True))
     snowfall, clinging = (finer(a, shape)[odd[0] :, odd[1] :] for a in _snowfall(below, values))
     return snowfall, clinging
 

@@ -22,15 +22,17 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any, TypeVar
 
+from ..attributes.layers import NAMES as BY_PRODUCTS
 from ..errors import TerrainError, named_once, shown
 from ..plain_numbers import keep_plain_numbers, plain_number
 from ..run.named_file import cause, open_regular, read_named
 from .catalogue import HEIGHT_OPERATORS
 from .height_operator import HeightOperator
 from .mask import GroundRule, HeightMask
-from .mask_reads import BY_PRODUCTS
 
+T = TypeVar("T")
 VERSION = 1
 MAX_BYTES = 1 << 20
 EXPECTED = "a JSON file of entries"
@@ -102,9 +104,9 @@ class Stack:
         content = []
         for entry in self.active:
             mask = entry.mask
-            mask = mask and (replace(mask, image=""), _file_mark(mask.image), *mask.versions)
+            mark = None if mask is None else (replace(mask, image=""), _file_mark(mask.image), *mask.versions)
             values = sorted(entry.values.items())
-            content.append((entry.effect, entry.declaration.version, values, entry.seed, mask))
+            content.append((entry.effect, entry.declaration.version, values, entry.seed, mark))
         return hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
 
 
@@ -219,13 +221,14 @@ def _heights(where: str, content: object) -> tuple[float, float] | None:
     """
     if content is None:
         return None
-    is_pair = isinstance(content, list) and len(content) == 2 and all(type(v) in (int, float) for v in content)
-    if not is_pair or not -12000 <= content[0] <= content[1] - 1 <= 20000:
-        raise TerrainError(
-            f"{where} has heights {shown(repr(content))}",
-            expected="the land's lowest and highest height in metres, as [0, 1500]",
-        )
-    return float(content[0]), float(content[1])
+    if isinstance(content, list) and len(content) == 2 and all(type(v) in (int, float) for v in content):
+        low, high = content
+        if -12000 <= low <= high - 1 <= 20000:
+            return float(low), float(high)
+    raise TerrainError(
+        f"{where} has heights {shown(repr(content))}",
+        expected="the land's lowest and highest height in metres, as [0, 1500]",
+    )
 
 
 def _entry(where: str, content: object, folder: Path | None) -> Entry:
@@ -278,17 +281,17 @@ def _list(where: str, name: str, content: object, max_length: int) -> list:
     return content
 
 
-def _typed(where: str, content: dict, name: str, kind: type, default, expected: str):
+def _typed(where: str, content: dict, name: str, kind: type[T], default: T, expected: str) -> T:
     """Return the value `name` of an object, or its default; raise TerrainError if it is not exactly a `kind`."""
     value = content.get(name, default)
-    if type(value) is not kind:
-        raise TerrainError(f"{where} has {name} {shown(repr(value))}", expected=expected)
-    return value
+    if type(value) is kind:
+        return value
+    raise TerrainError(f"{where} has {name} {shown(repr(value))}", expected=expected)
 
 
 def _number(where: str, content: dict, name: str, default: float | None) -> float:
     """Return the number `name` of an object, or its default. Raises TerrainError for text, NaN or over 1e300."""
-    value = content.get(name, default)
+    value: Any = content.get(name, default)
     if type(value) not in (int, float) or (name in content and not abs(value) <= 1e300):
         raise TerrainError(f"{where} has {shown(name)} {shown(repr(value))}", expected="a number")
     return float(value)

@@ -6,6 +6,7 @@ A mask scales the rock that may break; scree slides where the mask is 0, too.
 
 import math
 from collections.abc import Iterator, Mapping
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -88,10 +89,10 @@ def settle(
     All float32 [rows, columns] m, see kernels/land/thermal.py. Overwrites `base` and `scree`.
     """
     slope, rest = slope_of(ground, values, base, left, scree), np.zeros_like(scree)
-    work = {"step": "thermal", "threads": ground.threads, "cost": 3.0 * slope.width}
-    numbers = [LONGEST, OCTAVES, values["uneven"] * slope.repose]
-    launch.spread(kernels.vary_repose, slope.height, [slope, *numbers], **work)
-    breaking, sweeps, recorded = times * BREAKING, times * (BREAKING + RESTING), {}
+    inputs, cost = [slope, LONGEST, OCTAVES, values["uneven"] * slope.repose], 3.0 * slope.width
+    launch.spread(kernels.vary_repose, slope.height, inputs, step="thermal", threads=ground.threads, cost=cost)
+    breaking, sweeps = times * BREAKING, times * (BREAKING + RESTING)
+    recorded: dict = {}
     for number in range(sweeps):
         if number == breaking:
             smooth_wear(left, breakable)
@@ -109,12 +110,12 @@ def sweep(slope: kernels.Slope, number: int, threads: int, recorded: dict | None
 
     The order of slabs alternates, else those of one parity would erode more than the others.
     """
-    work, odd = {"step": "thermal", "threads": threads, "recorded": recorded}, number & 1
-    launch.spread(kernels.face_rows, slope.height, [slope], cost=0.1 * slope.width, **work)
+    spread, odd = partial(launch.spread, step="thermal", threads=threads, recorded=recorded), number & 1
+    spread(kernels.face_rows, slope.height, [slope], cost=0.1 * slope.width)
     for along, parity in ((1, odd), (0, 1 - odd)):
         first = -((parity ^ slope.first_row) & 1)
         slabs, inputs = (slope.height - first + 1) // 2, [first, along, odd, slope]
-        launch.spread(kernels.settle_slabs, slabs, inputs, cost=0.5 * slope.width, **work)
+        spread(kernels.settle_slabs, slabs, inputs, cost=0.5 * slope.width)
         yield
 
 

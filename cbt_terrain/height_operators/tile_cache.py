@@ -34,7 +34,8 @@ class TileCache:
     def __init__(self, folder: Path | None = None, room: int = 0) -> None:
         """Cache tiles in `folder`, or in no folder; room: bytes of the disk that must stay free."""
         self.folder, self.room = folder, room
-        self.made, self.kept = Counter(), Counter()
+        self.made: Counter[str] = Counter()
+        self.kept: Counter[str] = Counter()
         self._used: set[str] = set()
         if folder is not None:
             with open_folder(folder, make=True):
@@ -74,13 +75,13 @@ class TileCache:
                     total -= size
 
 
-def compute_digest(*parts) -> str:
+def compute_digest(*parts: object) -> str:
     """Return a hex digest of arrays, by shape, type and bytes, and of the `repr` of other values."""
     digest = hashlib.blake2b(digest_size=16)
     for part in parts:
         if isinstance(part, np.ndarray):
             digest.update(repr((part.shape, part.dtype.str)).encode())
-            digest.update(np.ascontiguousarray(part))
+            digest.update(np.ascontiguousarray(part).data)
         else:
             digest.update(repr(part).encode())
     return digest.hexdigest()

@@ -208,7 +208,8 @@ def add_coarser(
         needed, sources = found[coarse.number], {}
         for tile in set().union(*(need.tiles for need in found[fine.number].values())):
             window = fine.window(tile, rows, columns)
-            sources[tile] = coarse.tiles_in(tuple(slice(axis.start // 2, (axis.stop - 1) // 2 + 2) for axis in window))
+            y, x = (slice(axis.start // 2, (axis.stop - 1) // 2 + 2) for axis in window)
+            sources[tile] = coarse.tiles_in((y, x))
         for tile, need in found[fine.number].items():
             parent = fine.parent(tile)
             known = needed.get(parent, TileNeed(math.inf, frozenset({parent})))

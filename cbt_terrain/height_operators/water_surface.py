@@ -61,10 +61,11 @@ def water_of(field: HeightField, threads: int = 1, sea: float | None = None) -> 
         values = WATER.defaults() | ({} if sea is None else {"sea": sea})
         layers = WATER.apply(OperatorGround(heights, *steps, missing=missing, threads=threads), values, None).layers
     water_lattice = fit(heights.shape[1], heights.shape[0], *steps)
-    surface = water_surface(water_lattice, heights, *map(layers.get, NAMES), missing, threads=threads)
+    depth, speed, discharge = layers[NAMES[0]], layers.get(NAMES[1]), layers.get(NAMES[2])
+    surface = water_surface(water_lattice, heights, depth, speed, discharge, missing, threads=threads)
     # Every lattice is centred at 0, and the reduced one may end short of the field's border.
     offset = np.subtract(lattice.rectangle()[:2], water_lattice.rectangle()[:2])
-    return replace(surface, positions=surface.positions + np.float32([*offset, 0.0]))
+    return replace(surface, positions=surface.positions + np.array([*offset, 0.0], np.float32))
 
 
 def water_surface(
@@ -98,7 +99,7 @@ def water_surface(
     uv = np.stack([column / (heights.shape[1] - 1), row / (heights.shape[0] - 1)], axis=-1).astype(np.float32)
     fast = np.zeros(len(used), np.float32) if speed is None else np.where(wet, speed, 0.0).ravel()[used]
     attributes = {
-        NORMALS: Attribute(np.tile(np.float32([0.0, 0.0, 1.0]), (len(used), 1)), POINT),
+        NORMALS: Attribute(np.tile(np.array([0.0, 0.0, 1.0], np.float32), (len(used), 1)), POINT),
         UV: Attribute(uv, POINT),
         "water_depth": Attribute(deep.ravel()[used].astype(np.float32), POINT, "m"),
         "water_speed": Attribute(fast.astype(np.float32), POINT, "m/s"),
@@ -186,8 +187,10 @@ def _triangles(deep: np.ndarray, wet: np.ndarray, missing: np.ndarray | None) ->
     north_east = (np.minimum(z[:, 0], z[:, 2]) >= np.minimum(z[:, 1], z[:, 3]))[:, None]
     corners = np.where(north_east, at[:, [0, 1, 2, 0, 2, 3]], at[:, [0, 1, 3, 1, 2, 3]])
     kinds = SIDES_NORTH_EAST, SIDES_NORTH_WEST
-    sides = [np.stack([4 * at[:, c] + towards for c, towards in kind], axis=-1) for kind in kinds]
-    return corners.ravel(), np.where(north_east, *sides).ravel()
+    north_east_sides, north_west_sides = (
+        np.stack([4 * at[:, c] + towards for c, towards in kind], axis=-1) for kind in kinds
+    )
+    return corners.ravel(), np.where(north_east, north_east_sides, north_west_sides).ravel()
 
 
 def _numbered(items: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray]:

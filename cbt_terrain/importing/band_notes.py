@@ -2,8 +2,12 @@
 """Warnings about a band that may not hold heights, and a guess at a file that GDAL refuses."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..run.named_file import open_regular
+
+if TYPE_CHECKING:
+    from rasterio import DatasetReader
 
 # First bytes of files, and their kinds.
 CONTENTS = (
@@ -18,7 +22,7 @@ DRIVER_KINDS = {"GTiff": ("TIFF", "BigTIFF"), "PNG": ("PNG",)}
 WHOLE_FILE = "a whole file of that kind"
 
 
-def band_notes(dataset, band: int, driver: str) -> list[str]:
+def band_notes(dataset: "DatasetReader", band: int, driver: str) -> list[str]:
     """Return warnings about one band of a rasterio dataset. driver: GDAL's name of the format."""
     from rasterio.enums import ColorInterp
 
@@ -36,7 +40,7 @@ def band_notes(dataset, band: int, driver: str) -> list[str]:
     return notes
 
 
-def float_alpha(dataset, band: int) -> int:
+def float_alpha(dataset: "DatasetReader", band: int) -> int:
     """Return the number of an alpha band that GDAL ignores because its type is neither uint8 nor uint16; 0 if none."""
     from rasterio.enums import ColorInterp
 

@@ -24,6 +24,7 @@ from .raster import ImportSettings, Raster
 from .rounding import half_step, rounding_warnings
 from .sidecars import sidecars
 from .sources import check_file, open_source
+from .store_job import Tell
 
 READING = "Reading"  # message while files from outside are read
 BLOCK_SAMPLES = 1 << 20  # read and written at a time, about
@@ -76,7 +77,7 @@ def run_import(
 
 
 def _build(
-    settings: ImportSettings, raster: Raster, place: Georeference, draft: store.Draft, shape: tuple, on_progress
+    settings: ImportSettings, raster: Raster, place: Georeference, draft: store.Draft, shape: tuple, on_progress: Tell
 ) -> tuple[HeightField, ValueCheck]:
     """Build the height field of a raster in the arrays of a draft. Return it and the check of its values."""
     steps = codes.steps_of(np.dtype(raster.stored), *_scaling(raster, settings))
@@ -220,7 +221,7 @@ def _read_heights(
     place: Georeference,
     heights: np.ndarray,
     check: ValueCheck,
-    on_progress,
+    on_progress: Callable[[float], None],
 ) -> tuple[int, float]:
     """Fill `heights` (row 0 south) from the raster.
 

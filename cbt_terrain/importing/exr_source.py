@@ -7,6 +7,8 @@ its symbols bind to Blender's own library and reading crashes.
 
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import TerrainError, shown
 from ..run.memory import physical_memory
 from .exr_channels import ExrChannel, likeliest, named
@@ -37,10 +39,10 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
         raise TerrainError(f"{path} cannot be read as OpenEXR ({cause(reason)})", fix="get the file again") from reason
     channel, also_named = _choose(path, channels, settings.channel)
     width, height = sizes[channel.part]
-    pixels = sum(int(sizes[c.part][0] * sizes[c.part][1]) for c in channels)
-    if min(map(min, sizes)) < 1 or 4 * pixels > min(physical_memory() // 4, MAX_RATIO * path.stat().st_size):
+    num_pixels = sum(int(sizes[c.part][0] * sizes[c.part][1]) for c in channels)
+    if min(map(min, sizes)) < 1 or 4 * num_pixels > min(physical_memory() // 4, MAX_RATIO * path.stat().st_size):
         raise TerrainError(
-            f"{path} has a header of {width} x {height} pixels in {len(channels)} channels, {4e-9 * pixels:.1f} GB",
+            f"{path} has a header of {width} x {height} pixels in {len(channels)} channels, {4e-9 * num_pixels:.1f} GB",
             expected="at most a quarter of this machine's memory, and no more than a file of this size can hold",
             fix="get the file again, or cut it into tiles",
         )
@@ -58,10 +60,10 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
             f"is, name it (--channel): {shown(', '.join(others))}."
         )
     if also_named:
-        others = shown(", ".join(c.full_name for c in also_named))
+        named = shown(", ".join(c.full_name for c in also_named))
         notes.append(
             f"The file has {len(also_named) + 1} channels that {shown(settings.channel)!r} may mean; "
-            f"{shown(channel.full_name)} is taken. If another one is meant, give its full name (--channel): {others}."
+            f"{shown(channel.full_name)} is taken. If another one is meant, give its full name (--channel): {named}."
         )
     return Raster(
         width=width,
@@ -100,7 +102,7 @@ def _choose(path: Path, channels: list[ExrChannel], name: str) -> tuple[ExrChann
     return channel, others
 
 
-def _pixels(path: Path, channel: ExrChannel):
+def _pixels(path: Path, channel: ExrChannel) -> np.ndarray:
     """Return the samples of a channel. Raises TerrainError if they are damaged."""
     import OpenEXR
 

@@ -3,13 +3,18 @@
 
 import json
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..field.georeference import Transform, degree_lengths, ellipsoid_of, is_sheared, without_dust
 from ..view.linear import lengths, product
 from .units import plane_metres
+
+if TYPE_CHECKING:
+    from rasterio import DatasetReader
+    from rasterio.crs import CRS
 
 # Largest distance, cells, of ground control points from the straight grid that replaces them.
 MAX_GCP_CELLS = 0.05
@@ -25,7 +30,7 @@ class FileGrid(NamedTuple):
         tool: GDAL command that places the raster.
     """
 
-    crs: object = None
+    crs: "CRS | None" = None
     transform: Transform | None = None
     problem: str = ""
     tool: str = ""
@@ -35,13 +40,19 @@ class FileGrid(NamedTuple):
         """Return the name of the coordinate system, "" if there is none."""
         return self.crs.to_string() if self.crs is not None else ""
 
-    def positions(self, columns: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return x and y of columns and rows, counted from the raster's corner."""
-        a, b, c, d, e, f = self.transform
+    @property
+    def placed(self) -> Transform:
+        """The transform of a grid that places its samples."""
+        assert self.transform is not None, self.problem
+        return self.transform
+
+    def positions(self, columns: ArrayLike, rows: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Return x and y of columns and rows, float64, counted from the raster's corner."""
+        (a, b, c, d, e, f), columns, rows = self.placed, np.asarray(columns), np.asarray(rows)
         return a * columns + b * rows + c, d * columns + e * rows + f
 
 
-def grid_of(dataset) -> FileGrid:
+def grid_of(dataset: "DatasetReader") -> FileGrid:
     """Return the grid of a rasterio dataset. Raises TerrainError for a geotransform without an area.
 
     GDAL returns the identity for a file without a geotransform.
@@ -59,7 +70,7 @@ def grid_of(dataset) -> FileGrid:
     return FileGrid()
 
 
-def _from_control_points(points: list, crs) -> FileGrid:
+def _from_control_points(points: list, crs: "CRS") -> FileGrid:
     """Return the straight grid through ground control points, if there is one."""
     pixels = np.array([(point.col, point.row, 1.0) for point in points], np.float64)
     ground = np.array([(point.x, point.y) for point in points], np.float64)
@@ -70,13 +81,13 @@ def _from_control_points(points: list, crs) -> FileGrid:
             off = np.linalg.lstsq(fit[:2].T, (product(pixels - middle, fit) + shift - ground).T, rcond=None)[0]
             if lengths(off).max() <= MAX_GCP_CELLS:
                 (a, d), (b, e), (c, f) = fit[0], fit[1], fit[2] + shift - product(middle[None, :2], fit[:2])[0]
-                numbers = tuple(float(f"{number:.13g}") for number in (a, b, c, d, e, f))  # more digits are noise
-                return FileGrid(crs, without_dust(numbers))
+                a, b, c, d, e, f = (float(f"{number:.13g}") for number in (a, b, c, d, e, f))  # more digits are noise
+                return FileGrid(crs, without_dust((a, b, c, d, e, f)))
     problem = f"places its samples by {len(points)} ground control point(s) that fit no straight grid"
     return FileGrid(crs, None, problem, "gdalwarp -tps")
 
 
-def unit_of(crs) -> dict:
+def unit_of(crs: "CRS | None") -> dict:
     """Return the arguments of `from_transform` for a coordinate system: its unit, and the ellipsoid of degrees."""
     if crs is not None and crs.is_geographic:
         return {"degrees": math.degrees(crs.units_factor[1]), "ellipsoid": ellipsoid_of(crs.to_wkt())}
@@ -87,13 +98,13 @@ def has_shear(grid: FileGrid, width: int, height: int) -> bool:
     """Return whether the rows and columns of a placed raster are not perpendicular on the ground."""
     unit = unit_of(grid.crs)
     if "degrees" not in unit:
-        return is_sheared(grid.transform, 1.0, 1.0)
+        return is_sheared(grid.placed, 1.0, 1.0)
     latitude = unit["degrees"] * float(grid.positions(width / 2, height / 2)[1])
     along_x, along_y = degree_lengths(latitude, unit["ellipsoid"])
-    return is_sheared(grid.transform, along_x, along_y)
+    return is_sheared(grid.placed, along_x, along_y)
 
 
-def base_crs(crs):
+def base_crs(crs: "CRS") -> "CRS | None":
     """Return the geographic system below a projected one, None if it has none."""
     from rasterio.crs import CRS
 

@@ -8,7 +8,9 @@ which first calls `keep_only_drivers`.
 import dataclasses
 import os
 import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,14 +23,17 @@ from .header_files import check_header, check_length
 from .length_scale import length_warnings, mirror_warnings
 from .png_file import png_damage
 from .raster import ImportSettings, Raster, blank, cause
-from .rounding import band_rounding
+from .rounding import SourceRounding, band_rounding
 from .sidecars import allow_aux_file, named_crs
 from .source_formats import FORMATS
 from .tiff_orientation import orientation_notes, orientation_of, oriented
 from .units import height_unit
 from .vrt_rounding import mosaic_roundings
 from .vrt_source import read_mosaic
-from .vrt_units import dataset_scales, mosaic_notes
+from .vrt_units import HeightScale, dataset_scales, mosaic_notes
+
+if TYPE_CHECKING:
+    from rasterio import DatasetReader
 
 # GDAL may try only the driver of a file's suffix.
 DRIVERS = {suffix: form.driver for suffix, form in FORMATS.items() if form.driver}
@@ -114,9 +119,8 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
         grid = grid._replace(crs=named_crs(path, notes))
     in_metres, unit_warnings = height_unit((dataset.units[band - 1] or "").strip(), grid.crs or dataset.crs)
     notes += [*band_notes(dataset, band, driver), *unit_warnings]
-    if mosaic is None:
-        found = (band_rounding(dataset, band),)
-    else:
+    found: tuple[SourceRounding, ...] = (band_rounding(dataset, band),)
+    if mosaic is not None:
         found = mosaic_roundings(mosaic, band, str(stored), lambda *of: roundings.get(of))
         notes += mosaic_notes(mosaic, band, lambda *of: scales.get(of))
     if grid.problem and settings.extent is None:
@@ -164,11 +168,16 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
         roundings=found,
         warnings=notes,
         sources=tuple(mosaic.sources) if mosaic is not None else (),
-        close=lambda: [thing.close() for thing in (view or dataset, dataset, *texts)],
+        close=lambda: _close(view or dataset, dataset, *texts),
     )
 
 
-def _resampled(path: Path, original: Raster, view, band: int) -> Raster:
+def _close(*files: "DatasetReader") -> None:
+    for file in files:
+        file.close()
+
+
+def _resampled(path: Path, original: Raster, view: "DatasetReader", band: int) -> Raster:
     """Return the raster of a resampled view of `original`, in which missing samples are NaN."""
     return dataclasses.replace(
         original,
@@ -180,19 +189,17 @@ def _resampled(path: Path, original: Raster, view, band: int) -> Raster:
     )
 
 
-def _open_file(path: Path, driver: str):
+def _open_file(path: Path, driver: str) -> "DatasetReader":
     """Open the dataset of one file. Raises TerrainError if its smallest readable piece is too large."""
     import rasterio
 
-    has_header = FORMATS[path.suffix.lower()].has_header
     if driver == "PNG":
         _check_png(path)
-    elif has_header:
-        check_header(path)
+    header = check_header(path) if FORMATS[path.suffix.lower()].has_header else None
     dataset = rasterio.open(path, driver=driver, sharing=False)
     _check_blocks(path, dataset)
-    if has_header:
-        check_length(path, dataset)
+    if header is not None:
+        check_length(path, header, dataset)
     return dataset
 
 
@@ -213,7 +220,9 @@ def _open_vrt(path: Path) -> tuple:
     import rasterio
     from rasterio.env import setenv
 
-    mosaic, roundings, scales = read_mosaic(path, set(MOSAIC_DRIVERS)), {}, {}
+    mosaic = read_mosaic(path, set(MOSAIC_DRIVERS))
+    roundings: dict[tuple[Path, int], SourceRounding] = {}
+    scales: dict[tuple[Path, int], HeightScale] = {}
     for source in mosaic.sources:
         driver = DRIVERS[source.suffix.lower()]
         if driver == "VRT":
@@ -242,7 +251,9 @@ def _open_vrt(path: Path) -> tuple:
     return dataset, texts, mosaic, roundings, scales
 
 
-def _reader(path: Path, dataset, band: int, masked: bool, no_data: float | None, alpha: int):
+def _reader(
+    path: Path, dataset: "DatasetReader", band: int, masked: bool, no_data: float | None, alpha: int
+) -> Callable[[int, int], np.ndarray]:
     """Return the function `read` of a Raster. alpha: number of a band that is 0 at missing samples; 0 for none."""
     from rasterio.windows import Window
 
@@ -270,7 +281,7 @@ def _reader(path: Path, dataset, band: int, masked: bool, no_data: float | None,
     return read
 
 
-def _grid_of(dataset, settings: ImportSettings) -> FileGrid:
+def _grid_of(dataset: "DatasetReader", settings: ImportSettings) -> FileGrid:
     """Return the grid of a dataset, an empty one for an invalid geotransform if the user gives an extent."""
     try:
         return grid_of(dataset)
@@ -297,7 +308,7 @@ def _georeference(grid: FileGrid, width: int, height: int, settings: ImportSetti
     )
 
 
-def _check_blocks(path: Path, dataset) -> None:
+def _check_blocks(path: Path, dataset: "DatasetReader") -> None:
     """Refuse a dataset with too many bands or with too large pieces, and let GDAL's cache hold two pieces."""
     from rasterio.enums import Interleaving
     from rasterio.env import setenv

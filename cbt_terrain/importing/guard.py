@@ -5,6 +5,7 @@ Loading comes first, because Warp writes kernels and Python writes compiled modu
 """
 
 import tempfile
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -57,7 +58,7 @@ def guard_import(settings: ImportSettings, path: Path) -> None:
 
 
 @contextmanager
-def _removed_scratch():
+def _removed_scratch() -> Iterator[None]:
     """Remove temporary files of the block, such as Warp's precompiled headers, which is not possible later."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:
         tempfile.tempdir = scratch

@@ -3,12 +3,16 @@
 
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import TerrainError, shown
 from ..run.named_file import open_regular
 from .source_formats import FORMATS
+
+if TYPE_CHECKING:
+    from rasterio import DatasetReader
 
 MAX_HEADER_BYTES = 1 << 20
 
@@ -37,8 +41,8 @@ def headless_warning(path: Path) -> str:
     )
 
 
-def check_header(path: Path) -> None:
-    """Refuse a missing header and an ENVI header, which GDAL does not read here. Raises TerrainError."""
+def check_header(path: Path) -> Path:
+    """Return a file's header; refuse a missing one and that of ENVI, which GDAL does not read. Raises TerrainError."""
     header = header_of(path)
     if header is None:
         raise TerrainError(
@@ -52,11 +56,12 @@ def check_header(path: Path) -> None:
                 expected="an ESRI header",
                 fix="write it as a GeoTIFF (gdal_translate)",
             )
+    return header
 
 
-def check_length(path: Path, dataset) -> None:
+def check_length(path: Path, header: Path, dataset: "DatasetReader") -> None:
     """Refuse a file that is shorter than its header requires, since GDAL would read zeros. Raises TerrainError."""
-    with open_regular(header_of(path), links=True) as file:
+    with open_regular(header, links=True) as file:
         text = file.read(MAX_HEADER_BYTES).decode("latin-1")
     skipped = re.search(r"(?im)^\s*skipbytes\s+(\d{1,18})", text)
     bits = int(dataset.tags(1, ns="IMAGE_STRUCTURE").get("NBITS", 0)) or 8 * np.dtype(dataset.dtypes[0]).itemsize

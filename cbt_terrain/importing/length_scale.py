@@ -2,12 +2,16 @@
 """Warnings about projected coordinate systems with wrong lengths, such as Web Mercator, or mirrored axes."""
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..field.georeference import Georeference, degree_lengths, ellipsoid_of
 from ..view.linear import length, lengths
 from .file_grid import FileGrid, base_crs
+
+if TYPE_CHECKING:
+    from rasterio.crs import CRS
 
 MAX_SCALE_ERROR = 0.01  # fraction of a length
 MIN_STEP = 1e-4  # metres; coordinates on Earth have too few digits to measure shorter steps
@@ -39,7 +43,7 @@ def mirror_warnings(grid: FileGrid, width: int, height: int) -> list[str]:
     """Return a warning if x and y of a system are left-handed at the raster's middle, so the ground is mirrored."""
     if grid.crs is None or not grid.crs.is_projected:
         return []
-    a, b, _, d, e, _ = grid.transform
+    a, b, _, d, e, _ = grid.placed
     x, y = grid.positions(width / 2, height / 2)
     step = max(length((a, d)), length((b, e)), 1.0)
     found = _degrees(grid.crs, x + step * np.array([-0.5, 0.5, 0.0, 0.0]), y + step * np.array([0.0, 0.0, -0.5, 0.5]))
@@ -70,7 +74,7 @@ def _passes_edge(grid: FileGrid, width: int, height: int) -> bool:
         back = np.array(transform(base, grid.crs, *transform(grid.crs, base, x, y)[:2])[:2])
     except Exception:  # PROJ cannot transform these points
         return True
-    a, b, _, d, e, _ = grid.transform
+    a, b, _, d, e, _ = grid.placed
     return not lengths(back - np.stack([x, y])).max() <= max(length((a, d)), length((b, e)))
 
 
@@ -121,13 +125,13 @@ def _factors(grid: FileGrid, width: int, height: int, place: Georeference) -> tu
         column, row = lengths(np.stack([_within_180(east) * along_x, north * along_y]))
         steps = (row, column) if place.transposed else (column, row)
         factors.append((place.step_x / steps[0], place.step_y / steps[1]))
-    found = np.array(factors)
-    if not np.isfinite(found[0]).all():
+    ratios = np.array(factors)
+    if not np.isfinite(ratios[0]).all():
         return np.empty((0, 2)), 0.0
-    return found[np.isfinite(found).all(axis=1)], float(latitude[:, 0].mean())
+    return ratios[np.isfinite(ratios).all(axis=1)], float(latitude[:, 0].mean())
 
 
-def _degrees(crs, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, tuple[float, float]] | None:
+def _degrees(crs: "CRS", x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, tuple[float, float]] | None:
     """Return longitudes and latitudes of positions, degrees [2, n], and the ellipsoid of a projected system's base.
 
     Return None if there is no geographic base or PROJ cannot transform to it.
@@ -138,6 +142,8 @@ def _degrees(crs, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, tuple[float
         base = base_crs(crs)
         moved = np.array(transform(crs, base, x, y)[:2])
     except Exception:
+        return None
+    if base is None:
         return None
     return np.degrees(moved * base.units_factor[1]), ellipsoid_of(base.to_wkt())
 

@@ -83,8 +83,9 @@ def placing_of(store: str | os.PathLike) -> Placing:
     field = stores.open_store(store)
     if not field.crs or not is_placed(field, store):
         return Placing()
-    *lengths, period = ask(MODULE, {"store": str(store.absolute())}, f"the coordinate system of the store {store}")
-    return Placing(*(float(c) for c in field.origin[:2]), *lengths, field.crs, period)
+    request, what = {"store": str(store.absolute())}, f"the coordinate system of the store {store}"
+    unit_x, unit_y, period = ask(MODULE, request, what)
+    return Placing(float(field.origin[0]), float(field.origin[1]), unit_x, unit_y, field.crs, period)
 
 
 def child_main() -> None:

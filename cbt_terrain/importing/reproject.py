@@ -9,6 +9,7 @@ cliffs and would increase rounding errors by half.
 import math
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +17,10 @@ from ..errors import TerrainError, shown
 from ..view.linear import length, lengths
 from .file_grid import FileGrid
 from .raster import ImportSettings, stands_for_missing
+
+if TYPE_CHECKING:
+    from rasterio import DatasetReader
+    from rasterio.crs import CRS
 
 # Largest error, samples, of positions that GDAL interpolates: 3 cm in a raster of 30 m.
 TOLERANCE = 0.001
@@ -27,7 +32,9 @@ _MERIDIAN = re.compile(r'PRIMEM\["[^"]*",\s*([-+.\deE]+)(?:,AUTHORITY\["[^"]*","
 _CODE = re.compile(r',AUTHORITY\["[^"]*","[^"]*"\]\]$')
 
 
-def reprojected(path: Path, dataset, grid: FileGrid, stored: np.dtype, settings: ImportSettings) -> tuple:
+def reprojected(
+    path: Path, dataset: "DatasetReader", grid: FileGrid, stored: np.dtype, settings: ImportSettings
+) -> tuple["DatasetReader", FileGrid]:
     """Return a resampled view of a rasterio dataset, and its grid.
 
     The view is float64 with NaN for missing samples, north up, and about as dense along each axis as the dataset.
@@ -64,7 +71,7 @@ def reprojected(path: Path, dataset, grid: FileGrid, stored: np.dtype, settings:
     view = WarpedVRT(
         dataset,
         src_crs=source.crs,
-        src_transform=Affine(*source.transform),
+        src_transform=Affine(*source.placed),
         crs=crs,
         transform=Affine(*transform),
         width=width,
@@ -81,13 +88,14 @@ def reprojected(path: Path, dataset, grid: FileGrid, stored: np.dtype, settings:
     return view, FileGrid(crs if settings.project else grid.crs, transform)
 
 
-def _centred(grid: FileGrid, dataset) -> FileGrid:
+def _centred(grid: FileGrid, dataset: "DatasetReader") -> FileGrid:
     """Return a grid with its prime meridian moved to its middle if its longitudes pass 180 degrees.
 
     PROJ returns longitudes within 180 degrees of the prime meridian, so it would miss samples beyond.
     """
     from rasterio.crs import CRS
 
+    assert grid.crs is not None
     wkt = grid.crs.to_wkt()
     meridian = _MERIDIAN.search(wkt)
     if not grid.crs.is_geographic or not meridian or abs(math.degrees(grid.crs.units_factor[1]) - 1.0) > 1e-9:
@@ -99,11 +107,11 @@ def _centred(grid: FileGrid, dataset) -> FileGrid:
     middle = float(longitudes.min() + longitudes.max()) / 2
     moved = (float(meridian[1]) + middle + 180.0) % 360.0 - 180.0
     wkt = f'{wkt[: meridian.start()]}PRIMEM["moved",{moved!r}]{wkt[meridian.end() :]}'
-    a, b, c, d, e, f = grid.transform
+    a, b, c, d, e, f = grid.placed
     return FileGrid(CRS.from_wkt(_CODE.sub("]", wkt)), (a, b, c - middle, d, e, f))
 
 
-def _target(path: Path, dataset, source: FileGrid, name: str):
+def _target(path: Path, dataset: "DatasetReader", source: FileGrid, name: str) -> "CRS":
     """Return the coordinate system of a name in ImportSettings.project. Raises TerrainError."""
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
@@ -121,7 +129,7 @@ def _target(path: Path, dataset, source: FileGrid, name: str):
     return crs
 
 
-def _utm_zone(path: Path, dataset, source: FileGrid) -> str:
+def _utm_zone(path: Path, dataset: "DatasetReader", source: FileGrid) -> str:
     """Return the WGS 84 UTM zone of a raster's middle, as EPSG:n."""
     from rasterio.crs import CRS
 
@@ -137,7 +145,7 @@ def _utm_zone(path: Path, dataset, source: FileGrid) -> str:
     return f"EPSG:{(32600 if latitude >= 0.0 else 32700) + zone}"
 
 
-def _grid(path: Path, dataset, source: FileGrid, crs) -> tuple:
+def _grid(path: Path, dataset: "DatasetReader", source: FileGrid, crs: "CRS") -> tuple:
     """Return the new raster's transform, width and height: it covers the old samples and is as dense at its middle."""
     right, bottom = dataset.width - 0.5, dataset.height - 0.5  # samples are in the middle of cells
     sides = np.linspace([0.5, 0.5], [right, bottom], BORDER_SAMPLES)
@@ -173,7 +181,7 @@ def _steps(column_x: float, row_x: float, column_y: float, row_y: float) -> tupl
     return step, step
 
 
-def _check_way_back(path: Path, dataset, source: FileGrid, crs) -> None:
+def _check_way_back(path: Path, dataset: "DatasetReader", source: FileGrid, crs: "CRS") -> None:
     """Refuse a raster whose points do not survive the way to the new system and back.
 
     A projected raster may pass the edge of its system, for example 180 degrees in Web Mercator.
@@ -182,16 +190,18 @@ def _check_way_back(path: Path, dataset, source: FileGrid, crs) -> None:
     columns, rows = (grid.ravel() for grid in np.meshgrid(inner * dataset.width, inner * dataset.height))
     x, y = source.positions(columns, rows)
     back_x, back_y = _transformed(path, crs, source.crs, *_transformed(path, source.crs, crs, x, y))
-    cell = max(length(source.transform[0:4:3]), length(source.transform[1:5:3]))
+    cell = max(length(source.placed[0:4:3]), length(source.placed[1:5:3]))
     if lengths(np.stack([back_x - x, back_y - y])).max() > cell:
         raise TerrainError(
-            f"{shown(path)} passes the edge of its coordinate system {source.crs.to_string()[:80]}, so parts of it are "
+            f"{shown(path)} passes the edge of its coordinate system {source.name[:80]}, so parts of it are "
             "not found in another one",
             fix="cut it there (gdalwarp -te), or import it as it is",
         )
 
 
-def _transformed(path: Path, source, target, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _transformed(
+    path: Path, source: "CRS", target: "CRS", x: np.ndarray, y: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return positions in another coordinate system, float64 [n] each. Raises TerrainError."""
     from rasterio.warp import transform
 

@@ -11,6 +11,7 @@ import os
 import platform
 import struct
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -65,7 +66,7 @@ def limit_memory(max_bytes: int) -> str:
     return f"{limit / 1e9:.1f} GB at most"
 
 
-def _outcome(drop, *arguments) -> str:
+def _outcome(drop: Callable[..., str], *arguments: object) -> str:
     """Call `drop` and return its text, or that the right remains because the kernel refuses."""
     try:
         return drop(*arguments)
@@ -82,7 +83,7 @@ def _die_first() -> None:
         Path("/proc/self/oom_score_adj").write_text("1000")
 
 
-def _drop_calls(libc) -> str:
+def _drop_calls(libc: ctypes.CDLL) -> str:
     """Drop root's capabilities and all system calls that are not listed; return the outcome in words."""
     if platform.machine() not in MACHINES:
         return f"{REMAINS}: not known how on {platform.machine()}"
@@ -91,7 +92,7 @@ def _drop_calls(libc) -> str:
     return "dropped"
 
 
-def _drop_capabilities(libc) -> None:
+def _drop_capabilities(libc: ctypes.CDLL) -> None:
     """Drop all of root's rights except those to read and write files."""
     header, sets = struct.pack("Ii", CAPABILITIES_VERSION, 0), ctypes.create_string_buffer(24)
     if libc.capget(header, sets) < 0:
@@ -102,7 +103,7 @@ def _drop_capabilities(libc) -> None:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
 
 
-def _drop_writes(libc, folder: Path | None) -> str:
+def _drop_writes(libc: ctypes.CDLL, folder: Path | None) -> str:
     """Restrict this process with Landlock: write in `folder` alone, read no devices; return the outcome in words.
 
     Later versions of Landlock also refuse TCP, device calls, abstract sockets and signals.
@@ -132,7 +133,7 @@ def _readable() -> list[Path]:
     return [*(Path("/", name) for name in os.listdir("/") if name != "dev"), *READABLE_DEVICES]
 
 
-def _allow(libc, ruleset: int, path: Path, access: int) -> None:
+def _allow(libc: ctypes.CDLL, ruleset: int, path: Path, access: int) -> None:
     """Add the right `access` below `path` to a Landlock ruleset."""
     opened = os.open(path, os.O_PATH | os.O_CLOEXEC)
     try:

@@ -49,7 +49,7 @@ def child_main() -> None:
     serve(_answer, lambda request: f"Reading {request['settings']['source']}")
 
 
-def _answer(request: dict, *_) -> dict:
+def _answer(request: dict, *_: object) -> dict:
     settings = request["settings"]
     return _gdal_versions() if settings is None else _describe(ImportSettings(**settings))
 
@@ -64,7 +64,7 @@ def _describe(settings: ImportSettings) -> dict:
     raster = open_source(settings)
     try:
         place = raster.georeference
-        fields = {"path": settings.source, "format": raster.format, "stored": raster.stored}
+        fields: dict[str, object] = {"path": settings.source, "format": raster.format, "stored": raster.stored}
         fields["raster"] = [raster.width, raster.height]
         if place is not None:
             fields |= {"step_m": [place.step_x, place.step_y], "middle": list(place.middle), "crs": place.crs}

@@ -8,17 +8,19 @@ have taken over the child.
 """
 
 import dataclasses
+import io
 import json
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from ..errors import TerrainError, shown
 from ..field import store as stores
@@ -84,8 +86,9 @@ class ChildJob:
         """
         self._what, self._fix, self._reading, self._watched = what, fix, reading, watched
         self._progress, self.cancelled = JobProgress(), False
-        self._num_lines, self._messages = 0, {}  # the last message of each key
-        self._process, self._stall, self._stalled = None, Stall(), False
+        self._num_lines = 0
+        self._messages: dict[str, Any] = {}  # the last message of each key
+        self._stall, self._stalled = Stall(), False
         if report is not None:
             self._progress = JobProgress(1.0, "Done", True, None, report)
         else:
@@ -96,8 +99,10 @@ class ChildJob:
         try:
             self._errors, pipe = tempfile.TemporaryFile(), subprocess.PIPE
             self._process = child.start(module, variables=variables, stdout=pipe, stderr=self._errors)
-            self._process.stdin.write(json.dumps(request).encode() + b"\n")
-            self._process.stdin.flush()
+            assert self._process.stdin is not None and self._process.stdout is not None  # both are pipes
+            self._stdin, self._stdout = self._process.stdin, self._process.stdout
+            self._stdin.write(json.dumps(request).encode() + b"\n")
+            self._stdin.flush()
         except OSError as reason:
             what = self._what[0].lower() + self._what[1:]
             raise TerrainError(f"No Python process could be started for {what} ({reason})", fix=FREE_MEMORY) from reason
@@ -105,7 +110,7 @@ class ChildJob:
         self._reader.start()
 
     def _read_lines(self) -> None:
-        while line := self._process.stdout.readline(MAX_LINE_BYTES):
+        while line := self._stdout.readline(MAX_LINE_BYTES):
             self._messages.update(_parse_line(line))
             self._num_lines += 1
 
@@ -137,8 +142,8 @@ class ChildJob:
     def _say(self, text: str) -> None:
         """Write a line to the child, if it lives."""
         try:
-            self._process.stdin.write(text.encode() + b"\n")
-            self._process.stdin.flush()
+            self._stdin.write(text.encode() + b"\n")
+            self._stdin.flush()
         except OSError:
             pass  # it has just ended, which the next poll sees
 
@@ -158,8 +163,8 @@ class ChildJob:
 
     def _finish(self) -> None:
         """Set the outcome of a child that has ended: a report, an error, or a kill just after its work was done."""
-        self._process.stdin.close()
-        self._process.stdout.close()
+        self._stdin.close()
+        self._stdout.close()
         report, error = self._messages.get("report"), self._messages.get("error")
         if report is None and error is None:
             report = self._published()
@@ -184,7 +189,7 @@ class StoreJob(ChildJob):
 
     _consequence = ", and the store is as it was before"
 
-    def __init__(self, module: str, store: str | os.PathLike, request: dict, **options) -> None:
+    def __init__(self, module: str, store: str | os.PathLike, request: dict, **options: Any) -> None:
         """Start the child with the request and the name of a new folder for its arrays; options: see ChildJob."""
         self._store, self._folder = Path(store), store_folder.new_data_name()
         self._new_folders = store_folder.missing_folders(self._store)
@@ -244,18 +249,19 @@ def wait_for(start: Callable[[], ChildJob], on_progress: Tell = lambda _fraction
     if progress.error is not None:
         raise progress.error
     on_progress(1.0, progress.message)
+    assert progress.report is not None  # a job that is done has an error or a report
     return progress.report
 
 
-def ask(module: str, request: dict, what: str):
+def ask(module: str, request: dict, what: str) -> Any:
     """Return the report of a child that opens a file from outside. what: the file, in errors. Raises TerrainError."""
-    options = {"what": f"Reading {what}", "reading": what, "watched": (JobProgress.message,), "variables": VARIABLES}
-    return wait_for(lambda: ChildJob(module, request, fix=CHECK_FILE, **options))
+    job = partial(ChildJob, what=f"Reading {what}", fix=CHECK_FILE, reading=what, watched=(JobProgress.message,))
+    return wait_for(lambda: job(module, request, variables=VARIABLES))
 
 
 # Arguments: a request, a function for progress, and a function to call when the process may start threads. Result: the
-# report.
-ChildWork = Callable[[dict, Tell, Callable[[], None]], dict]
+# report, an object or a list.
+ChildWork = Callable[[dict, Tell, Callable[[], None]], Mapping | Sequence]
 
 
 def serve(work: ChildWork, what: Callable[[dict], str], heard: Callable[[], None] = lambda: None) -> None:
@@ -265,7 +271,7 @@ def serve(work: ChildWork, what: Callable[[dict], str], heard: Callable[[], None
     """
     channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # libraries print to stderr
-    request = json.loads(sys.stdin.buffer.raw.readline())  # unbuffered: the thread of end_with_parent reads the rest
+    request = json.loads(io.FileIO(0, closefd=False).readline())  # the thread of end_with_parent reads the rest
     sent = 0.0
 
     def send(content: dict) -> None:

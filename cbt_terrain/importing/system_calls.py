@@ -15,11 +15,11 @@ import struct
 
 # By machine: its AUDIT_ARCH, and its column in the table of calls.
 MACHINES = {"x86_64": (0xC000003E, 0), "aarch64": (0xC00000B7, 1)}
-SECCOMP = (317, 277)
+SECCOMP, LIMITS = (317, 277), (302, 261)
 FIRST_NEW = 424  # from here on both machines have the same numbers
 X32 = 0x40000000  # calls of x86_64's second numbering begin here
 # By name: the numbers on x86_64 and aarch64, None where the machine lacks the call.
-ALLOWED = {
+ALLOWED: dict[str, tuple[int | None, int | None]] = {
     **{"read": (0, 63), "write": (1, 64), "readv": (19, 65), "writev": (20, 66), "pread64": (17, 67)},
     **{"pwrite64": (18, 68), "preadv": (295, 69), "pwritev": (296, 70), "lseek": (8, 62), "close": (3, 57)},
     **{"open": (2, None), "openat": (257, 56), "dup": (32, 23), "dup2": (33, None), "dup3": (292, 24)},
@@ -42,7 +42,7 @@ ALLOWED = {
     **{"gettid": (186, 178), "getppid": (110, 173), "getuid": (102, 174), "geteuid": (107, 175)},
     **{"getgid": (104, 176), "getegid": (108, 177), "uname": (63, 160), "sysinfo": (99, 179)},
     **{"getrusage": (98, 165), "times": (100, 153), "getrandom": (318, 278), "getcpu": (309, 168)},
-    **{"getrlimit": (97, 163), "prlimit64": (302, 261)},
+    **{"getrlimit": (97, 163), "prlimit64": LIMITS},
 }
 O_ACCMODE, O_TRUNC = 3, 0x200
 MAP_SHARED, MAP_ANONYMOUS = 0x01, 0x20
@@ -78,19 +78,19 @@ def tested_arguments() -> dict[str, list[Test]]:
     }
 
 
-def allow_only_listed(libc) -> None:
+def allow_only_listed(libc: ctypes.CDLL) -> None:
     """Refuse every call but those of `ALLOWED`, on all threads, for good. Raises OSError."""
     tests, column = tested_arguments(), MACHINES[platform.machine()][1]
     lines = []
     for name, numbers in ALLOWED.items():
-        if numbers[column] is not None:
-            lines += _allow(numbers[column], tests.get(name, []))
+        if (number := numbers[column]) is not None:
+            lines += _allow(number, tests.get(name, []))
     _install(libc, [*lines, (RETURN, 0, 0, REFUSE)])
 
 
-def keep_limits(libc) -> None:
+def keep_limits(libc: ctypes.CDLL) -> None:
     """Refuse to change a resource limit, on all threads, for good. Raises OSError."""
-    number = ALLOWED["prlimit64"][MACHINES[platform.machine()][1]]
+    number = LIMITS[MACHINES[platform.machine()][1]]
     _install(libc, [*_allow(number, [(4, WORD, (0,)), (5, WORD, (0,))]), (RETURN, 0, 0, ALLOW)])  # no new limit
 
 
@@ -108,7 +108,7 @@ def _allow(number: int, tests: list[Test]) -> list[tuple]:
     return [(JUMP_EQUAL, 0, len(inside), number), *inside]
 
 
-def _install(libc, lines: list[tuple]) -> None:
+def _install(libc: ctypes.CDLL, lines: list[tuple]) -> None:
     """Install a seccomp filter on all threads for good. `lines`: BPF instructions that decide about a call.
 
     They follow a preamble that refuses other architectures and the x32 ABI, and answers "unknown call" to calls that
@@ -126,7 +126,7 @@ def _install(libc, lines: list[tuple]) -> None:
     call(libc, SECCOMP[column], 1, 1, filter_)  # SECCOMP_SET_MODE_FILTER, SECCOMP_FILTER_FLAG_TSYNC
 
 
-def call(libc, number: int, *arguments) -> int:
+def call(libc: ctypes.CDLL, number: int, *arguments: object) -> int:
     """Make one system call and return its result. Raises OSError."""
     result = libc.syscall(ctypes.c_long(number), *arguments)
     if result < 0:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rounding of a mosaic's samples, from its sources and the scale that the VRT applies to each."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -10,18 +10,13 @@ import numpy as np
 from .rounding import SourceRounding
 from .vrt_source import Mosaic
 
+# Returns the rounding of a band of a file, None if it is unknown.
+RoundingOf = Callable[[Path, int], SourceRounding | None]
 SOURCES = ("SimpleSource", "ComplexSource", "AveragedSource")
 
 
-def mosaic_roundings(
-    mosaic: Mosaic, band: int, stored: str, rounding_of: Callable[[Path, int], SourceRounding | None]
-) -> tuple[SourceRounding, ...]:
-    """Return the different roundings of the sources of one band of a mosaic.
-
-    Args:
-        stored: type of the band's values.
-        rounding_of: rounding_of(path, band) returns the rounding of a file, None if it is unknown.
-    """
+def mosaic_roundings(mosaic: Mosaic, band: int, stored: str, rounding_of: RoundingOf) -> tuple[SourceRounding, ...]:
+    """Return the different roundings of the sources of one band of a mosaic. stored: type of the band's values."""
     found = _roundings(mosaic, len(mosaic.texts) - 1, band, rounding_of)
     is_exact = [np.can_cast(rounding.stored, stored) and rounding.scale == 1.0 for rounding in found]
     return tuple(
@@ -30,12 +25,12 @@ def mosaic_roundings(
     )
 
 
-def _roundings(mosaic: Mosaic, number: int, band: int, rounding_of) -> dict[SourceRounding, None]:
+def _roundings(mosaic: Mosaic, number: int, band: int, rounding_of: RoundingOf) -> dict[SourceRounding, None]:
     """Return the roundings of the sources of band `band` of text `number`, in order and once."""
     found: dict[SourceRounding, None] = {}
     for source, source_band, scaling in sources_of(mosaic, number, band):
         if isinstance(source, int):
-            inner = _roundings(mosaic, source, source_band, rounding_of)
+            inner: Iterable[SourceRounding | None] = _roundings(mosaic, source, source_band, rounding_of)
         else:
             inner = [rounding_of(source, source_band)]
         found |= dict.fromkeys(rounding.scaled(*scaling) for rounding in inner if rounding is not None)

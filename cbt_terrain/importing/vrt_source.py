@@ -118,7 +118,7 @@ def _add(path: Path, suffixes: set[str], outer: tuple[Path, ...], mosaic: Mosaic
                 name.text = f"/vsimem/{mosaic.folder}/{_add(source, suffixes, (*outer, real), mosaic)}.vrt"
             name.attrib["relativeToVRT"] = "0"
         for element in (*tree.iter("NoDataValue"), *tree.iter("NODATA")):
-            element.text = _within_float32(element.text)
+            element.text = _within_float32(element.text or "")
         mosaic.numbers[real] = len(mosaic.texts)
         mosaic.texts.append(ElementTree.tostring(tree, encoding="unicode"))
     return mosaic.numbers[real]
@@ -180,7 +180,8 @@ class _Reader:
 
     def __init__(self, path: Path) -> None:
         self.path, self.builder = path, ElementTree.TreeBuilder()
-        self.open, self.pieces = [], []  # names of the open elements, and texts of the innermost
+        self.open: list[str] = []  # names of the open elements
+        self.pieces: list[str] = []  # texts of the innermost
         self.count = self.ignored = self.length = 0
 
     def start(self, name: str, attributes: dict[str, str]) -> None:
@@ -227,7 +228,7 @@ class _Reader:
             self._refuse(f"a text of more than {MAX_TEXT:,} characters in <{self.open[-1]}>")
         self.pieces.append(data)
 
-    def doctype(self, *_arguments) -> None:
+    def doctype(self, *_arguments: object) -> None:
         self._refuse("a document type, which may define entities")
 
     def _check(self, element: str, name: str, value: str) -> None:

@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Warning about units, scales and offsets of a mosaic's files that the VRT lacks, because GDAL ignores them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from xml.etree import ElementTree
 
 from ..errors import shown
 from .units import SAME_UNIT, metres_of, vertical_unit
 from .vrt_rounding import band_element, sources_of
 from .vrt_source import Mosaic
+
+if TYPE_CHECKING:
+    from rasterio import DatasetReader
+    from rasterio.crs import CRS
 
 _DEFAULTS = (("UnitType", ""), ("Scale", "1"), ("Offset", "0"))
 
@@ -47,7 +51,11 @@ class HeightScale(NamedTuple):
         return " ".join(filter(None, [f"in {shown(self.unit)}" if self.unit else "", scaled])) or "as metres"
 
 
-def height_scale(band_unit: str, crs, scale: float, offset: float) -> HeightScale:
+# Returns the conversion of a band of a file, None if it is unknown.
+ScaleOf = Callable[[Path, int], HeightScale | None]
+
+
+def height_scale(band_unit: str, crs: "CRS | None", scale: float, offset: float) -> HeightScale:
     """Return the conversion of a band's values to heights.
 
     Args:
@@ -61,7 +69,7 @@ def height_scale(band_unit: str, crs, scale: float, offset: float) -> HeightScal
     return HeightScale(band_unit, known if band_unit else 1.0, scale, offset)
 
 
-def dataset_scales(dataset) -> list[HeightScale]:
+def dataset_scales(dataset: "DatasetReader") -> list[HeightScale]:
     """Return the conversion to heights of each band of a rasterio dataset."""
     crs = dataset.crs or dataset.gcps[1]
     return [
@@ -70,11 +78,8 @@ def dataset_scales(dataset) -> list[HeightScale]:
     ]
 
 
-def mosaic_notes(mosaic: Mosaic, band: int, scale_of: Callable[[Path, int], HeightScale | None]) -> list[str]:
-    """Return a warning, if any, about conversions of one band's files that the VRT lacks.
-
-    scale_of: scale_of(path, band) returns the conversion of a file, None if it is unknown.
-    """
+def mosaic_notes(mosaic: Mosaic, band: int, scale_of: ScaleOf) -> list[str]:
+    """Return a warning, if any, about conversions of one band's files that the VRT lacks."""
     number = len(mosaic.texts) - 1
     vrt_scale = _vrt_scale(mosaic, number, band)
     # Equal units may have different names, so compare metres.
@@ -120,7 +125,7 @@ def _vrt_scale(mosaic: Mosaic, number: int, band: int) -> HeightScale:
     return height_scale(unit.strip(), _crs(mosaic.texts[number]), float(scale), float(offset))
 
 
-def _crs(text: str):
+def _crs(text: str) -> "CRS | None":
     """Return the coordinate system of a VRT, None if PROJ knows none of its name."""
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
@@ -131,7 +136,7 @@ def _crs(text: str):
         return None
 
 
-def _scales(mosaic: Mosaic, number: int, band: int, scale_of) -> set[HeightScale]:
+def _scales(mosaic: Mosaic, number: int, band: int, scale_of: ScaleOf) -> set[HeightScale]:
     """Return the conversions to heights of the sources of band `band` of text `number`, completed by the VRTs.
 
     Sources that the VRT scales are left out, because it may have converted them.
@@ -139,7 +144,9 @@ def _scales(mosaic: Mosaic, number: int, band: int, scale_of) -> set[HeightScale
     vrt_scale, found = _vrt_scale(mosaic, number, band), set()
     for source, source_band, scaling in sources_of(mosaic, number, band):
         if scaling == (1.0, 0.0):
-            is_vrt = isinstance(source, int)
-            inner = _scales(mosaic, source, source_band, scale_of) if is_vrt else {scale_of(source, source_band)}
+            if isinstance(source, int):
+                inner: Iterable[HeightScale | None] = _scales(mosaic, source, source_band, scale_of)
+            else:
+                inner = [scale_of(source, source_band)]
             found |= {vrt_scale.over(scale) for scale in inner if scale is not None}
     return found

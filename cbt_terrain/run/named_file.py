@@ -8,6 +8,7 @@ regular files, without waiting, and reads no more than a caller expects.
 import errno
 import os
 import stat
+from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO
 
@@ -18,7 +19,7 @@ BLOCK_BYTES = 1 << 20
 DESCRIPTORS = ("/dev/stdin", "/dev/fd/", "/proc/self/fd/")
 
 
-def open_regular(file: str | os.PathLike, links: bool = False) -> BinaryIO:
+def open_regular(file: str | os.PathLike, links: bool = False) -> BufferedReader:
     """Open a regular file for reading, through a link only if `links`. Raises OSError for anything else."""
     if not links and os.path.islink(file):
         raise OSError("it is a link, not a regular file")

@@ -214,15 +214,6 @@ HANDLERS = {
 }
 
 
-def register() -> None:
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).append(handler)
-
-
-def unregister() -> None:
-    for event, handler in HANDLERS.items():
-        listed = getattr(bpy.app.handlers, event)
-        if handler in listed:
-            listed.remove(handler)
+def forget() -> None:
     _rendered_frames.clear()
     _joined_frames.clear()

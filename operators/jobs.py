@@ -280,13 +280,9 @@ class CancelJob(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def register() -> None:
-    bpy.utils.register_class(CancelJob)
-
-
-def unregister() -> None:
+def stop_all() -> None:
+    """Stop every job, because its operator is about to go."""
     for job in list(running):
         job.close()
         if job.timer is not None:
             bpy.context.window_manager.event_timer_remove(job.timer)
-    bpy.utils.unregister_class(CancelJob)

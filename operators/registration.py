@@ -3,90 +3,76 @@
 
 import atexit
 import gc
+from pathlib import Path
 
 import bpy
+from bpy.props import PointerProperty
 
 from . import handlers, jobs
-from .accuracy import measure as measure_accuracy
-from .accuracy import sweep as sweep_accuracy
+from .accuracy import registered as accuracy
+from .attributes import registered as attributes
 from .bridge import freed_memory
-from .export import bake_terrain, export_terrain, export_tiles, map_camera
-from .farm import submit_to_farm
-from .ground import add_collider, drop_to_ground, keep_above, keep_ground, pick_ground, profile_curve, viewshed
-from .ground import properties as keep_properties
-from .importing import add_terrain, import_terrain, menus, move_stores, pack_store, store_paths
-from .land import bake_land, render_wait, shape_land, water_surface
-from .land import cache as land_cache
-from .land import presets as land_presets
-from .land import stack_list as land_list
-from .layers import images as layer_images
-from .layers import operators as splat_layers
-from .layers import terrain_material
-from .maps import operators as bake_maps
+from .export import registered as export
+from .farm import registered as farm
+from .ground import keep_ground
+from .ground import properties as ground_properties
+from .ground import registered as ground
+from .importing import add_terrain, import_terrain, menus, move_stores, store_paths
+from .importing import registered as importing
+from .land import registered as land
+from .land import render_wait
+from .layers import images
+from .layers import registered as layers
+from .maps import registered as maps
 from .overlay import panel as overlay_panel
-from .scatter import operators as add_scatter
-from .scatter import starter as starter_collection
-from .scene import set_up
+from .overlay import registered as overlay
+from .scatter import properties as scatter_properties
+from .scatter import registered as scatter
+from .scene import registered as scene
 from .session import live, session
-from .terrain import frame_terrain, freeze_detail, properties, update_terrain
+from .terrain import properties as terrain_properties
+from .terrain import registered as terrain
 from .text import translations
-from .ui import object_menu, panels, status_bar, status_row
+from .ui import object_menu, status_bar
+from .ui import registered as ui
 
-MODULES = (
-    translations,
-    properties,
-    keep_properties,
-    keep_ground,
-    store_paths,
-    move_stores,
-    import_terrain,
-    add_terrain,
-    menus,
-    frame_terrain,
-    pack_store,
-    update_terrain,
-    freeze_detail,
-    bake_terrain,
-    bake_land,
-    bake_maps,
-    terrain_material,
-    set_up,
-    add_scatter,
-    starter_collection,
-    splat_layers,
-    layer_images,
-    land_list,
-    land_presets,
-    land_cache,
-    shape_land,
-    render_wait,
-    water_surface,
-    export_terrain,
-    export_tiles,
-    map_camera,
-    submit_to_farm,
-    drop_to_ground,
-    keep_above,
-    pick_ground,
-    profile_curve,
-    viewshed,
-    add_collider,
-    measure_accuracy,
-    sweep_accuracy,
-    overlay_panel,
-    status_row,
-    panels,
-    object_menu,
-    handlers,
-    live,
-    status_bar,
-    jobs,  # ends what runs before the operators go
+# Groups of settings come before those that contain them: layers before scatter and terrain.
+ROOMS = (
+    *(ground, importing, attributes, layers, scatter, land, maps, terrain),
+    *(overlay, scene, export, farm, accuracy, ui),
 )
+CLASSES = (*(cls for room in ROOMS for cls in room.CLASSES), jobs.CancelJob)
+HANDLERS = (*(pair for room in ROOMS for pair in room.HANDLERS), *handlers.HANDLERS.items())
+SETTINGS = (
+    (bpy.types.Object, "adaptive_terrain", terrain_properties.TerrainSettings),
+    (bpy.types.Scene, "adaptive_terrain", terrain_properties.SceneSettings),
+    (bpy.types.Object, "adaptive_scatter", scatter_properties.ScatterSettings),
+    (bpy.types.Object, "adaptive_terrain_keep", ground_properties.KeepSettings),
+)
+MENU_ENTRIES = (
+    (bpy.types.VIEW3D_MT_mesh_add, add_terrain.draw_entry),
+    (bpy.types.TOPBAR_MT_file_import, menus.draw_import_entry),
+    (bpy.types.VIEW3D_MT_mesh_add, menus.draw_add_entry),
+    (bpy.types.VIEW3D_MT_object, object_menu.draw_entry),
+)
+PRESETS = str(Path(__file__).parent)  # the folder that holds "presets"
+# Modules with timers, threads and drawing of their own; they stop before the operators go.
+SERVICES = (translations, store_paths, render_wait, overlay_panel, live, status_bar)
 
 
 def register() -> None:
-    for module in MODULES:
-        module.register()
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    for owner, name, group in SETTINGS:
+        setattr(owner, name, PointerProperty(type=group))
+    for event, handler in HANDLERS:
+        getattr(bpy.app.handlers, event).append(handler)
+    for menu, entry in MENU_ENTRIES:
+        menu.append(entry)
+    bpy.utils.register_preset_path(PRESETS)
+    move_stores.move_old_stores()
+    for service in SERVICES:
+        service.start()
     if bpy.app.binary_path:
         # Python looks for garbage once more at its end. Without all that kernels are, Blender's start and end take 1.5
         # and not 2.1 s of a processor.
@@ -97,7 +83,22 @@ def register() -> None:
 
 def unregister() -> None:
     atexit.unregister(unregister)
-    for module in reversed(MODULES):
-        module.unregister()
+    jobs.stop_all()
+    for service in reversed(SERVICES):
+        service.stop()
+    bpy.utils.unregister_preset_path(PRESETS)
+    for menu, entry in MENU_ENTRIES:
+        menu.remove(entry)
+    for event, handler in HANDLERS:
+        listed = getattr(bpy.app.handlers, event)
+        if handler in listed:
+            listed.remove(handler)
+    for owner, name, _ in SETTINGS:
+        delattr(owner, name)
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)
+    for forget in (handlers.forget, import_terrain.forget, images.forget, keep_ground.forget):
+        forget()
+    ground_properties.look_again()
     session.clear()
     freed_memory.unregister()

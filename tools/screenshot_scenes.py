@@ -53,11 +53,11 @@ def run(operator, *arguments, **options):
 def open_panels(names: set[str]) -> None:
     """Register the panels anew, with these open and the others closed."""
     panels = module("operators.ui.panels")
-    panels.unregister()
+    register, unregister = bpy.utils.register_classes_factory(panels.CLASSES)
+    unregister()
     for cls in panels.CLASSES:
-        if issubclass(cls, bpy.types.Panel) and not getattr(cls, "preset_subdir", ""):
-            cls.bl_options = set() if cls.bl_idname.removeprefix(PANEL) in names else {"DEFAULT_CLOSED"}
-    panels.register()
+        cls.bl_options = set() if cls.bl_idname.removeprefix(PANEL) in names else {"DEFAULT_CLOSED"}
+    register()
 
 
 def settle(terrain):

@@ -168,6 +168,3 @@ class MeasureAccuracy(MeasuringOperator, bpy.types.Operator):
             if result.no_curve:
                 self.report({"WARNING"}, f"{DETAIL[mode].capitalize()}: {result.no_curve}")
             self.report({"INFO"}, f"{DETAIL[mode].capitalize()}: {errors_text(result.measured)}")
-
-
-register, unregister = bpy.utils.register_classes_factory((MeasureAccuracy,))

@@ -192,4 +192,4 @@ def _rounded(value: float) -> str:
     return plain(float(f"{value:.2g}"))
 
 
-CLASSES = (StatisticsPanel, AccuracyReportPanel)
+PANELS = (StatisticsPanel, AccuracyReportPanel)

@@ -139,6 +139,3 @@ class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
     def finish(self, _context, _obj, result: tuple[Path, AccuracySubject]) -> None:
         folder, subject = result
         self.report({"INFO"}, f"{folder / accuracy_report.PAGE}: {len(subject.rows)} settings measured")
-
-
-register, unregister = bpy.utils.register_classes_factory((SweepAccuracy,))

@@ -70,4 +70,3 @@ EffectsSettings = type(
         "__doc__": "When effects are computed, and with which numbers; a member for each, of the effect's name.",
     },
 )
-CLASSES = (*GROUPS.values(), EffectsSettings)

@@ -79,6 +79,3 @@ class BakeTerrain(bpy.types.Operator):
         else:
             self.report({"INFO"}, message)
         return {"FINISHED"}
-
-
-register, unregister = bpy.utils.register_classes_factory((BakeTerrain,))

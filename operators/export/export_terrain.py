@@ -63,6 +63,3 @@ class ExportTerrain(bpy.types.Operator, ExportHelper):
             session.update_object(obj)
         except TerrainError as error:
             self.report({"WARNING"}, str(error))
-
-
-register, unregister = bpy.utils.register_classes_factory((ExportTerrain,))

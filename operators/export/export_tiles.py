@@ -129,6 +129,3 @@ class ExportTileset(LandOperator, bpy.types.Operator, ExportHelper):
             report = export_tileset(field, path, self.error_m, self.triangles)
         self.report({"INFO"}, tileset_line(path.name, report))
         return {"FINISHED"}
-
-
-register, unregister = bpy.utils.register_classes_factory((ExportHeightTiles, ExportTileset))

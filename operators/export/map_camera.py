@@ -286,6 +286,3 @@ class RenderMap(bpy.types.Operator, ExportHelper):
         files = render_map(context.scene, Path(self.filepath), tuple(self.tiles), self.geotiff)
         self.report({"INFO"}, f"Written: {files[0].name} and {len(files) - 1} more")
         return {"FINISHED"}
-
-
-register, unregister = bpy.utils.register_classes_factory((MapCamera, RenderMap))

@@ -93,6 +93,3 @@ class SubmitToFarm(bpy.types.Operator):
 def _check_is_saved() -> None:
     if bpy.data.is_dirty and not bpy.app.background:  # `is_dirty` is always set in the background
         raise TerrainError("The file has unsaved changes, and a farm renders the saved file", fix="save it first")
-
-
-register, unregister = bpy.utils.register_classes_factory((SubmitToFarm,))

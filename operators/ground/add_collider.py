@@ -81,6 +81,3 @@ def _make_passive(context, collider) -> None:
             bpy.ops.rigidbody.object_add(type="PASSIVE")
     collider.rigid_body.type, collider.rigid_body.collision_shape = "PASSIVE", "MESH"
     collider.rigid_body.mesh_source = "BASE"
-
-
-register, unregister = bpy.utils.register_classes_factory((AddCollider,))

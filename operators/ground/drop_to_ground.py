@@ -173,6 +173,3 @@ def rest_pose(evaluated, corners, ground, align: bool) -> RestPose | None:
 
 def _middle(corners: np.ndarray) -> np.ndarray:
     return (corners.min(axis=0) + corners.max(axis=0)) / 2
-
-
-register, unregister = bpy.utils.register_classes_factory((DropToGround,))

@@ -91,6 +91,3 @@ def _held(context) -> list:
 
 def _can_let_go(obj) -> bool:
     return obj.adaptive_terrain_keep.keep and not moves.is_linked(obj)
-
-
-register, unregister = bpy.utils.register_classes_factory((KeepAboveGround, LetGo))

@@ -9,7 +9,6 @@ change.
 
 import math
 
-import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
@@ -249,15 +248,6 @@ def _set_free(obj) -> None:
 
 
 @persistent
-def _forget(_file) -> None:
+def forget(_file: str = "") -> None:
     _settled.clear()
     _notes.clear()
-
-
-def register() -> None:
-    bpy.app.handlers.load_pre.append(_forget)
-
-
-def unregister() -> None:
-    bpy.app.handlers.load_pre.remove(_forget)
-    _forget("")

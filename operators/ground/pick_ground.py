@@ -102,6 +102,3 @@ def _ray_under(context, event):
             kinds = view3d_utils.region_2d_to_origin_3d, view3d_utils.region_2d_to_vector_3d
             return tuple(kind(region, part, place) for kind in kinds)
     return None
-
-
-register, unregister = bpy.utils.register_classes_factory((PickGround,))

@@ -173,6 +173,3 @@ def _new_curve(context, name: str, lines: list[np.ndarray]):
     obj.location = Vector(first.tolist())
     context.collection.objects.link(obj)
     return obj
-
-
-register, unregister = bpy.utils.register_classes_factory((ProfileCurve,))

@@ -22,7 +22,7 @@ def is_any_on_ground() -> bool:
 
 
 @persistent
-def _look_again(_self=None, _context=None) -> None:
+def look_again(_self=None, _context=None) -> None:
     global _looked
     _looked = None
 
@@ -33,7 +33,7 @@ class KeepSettings(bpy.types.PropertyGroup):
     keep: BoolProperty(
         name="Keep Every Frame",
         description="Move the object vertically in every frame",
-        update=_look_again,
+        update=look_again,
     )  # fmt: skip
     how: EnumProperty(
         name="Keep",
@@ -52,21 +52,3 @@ class KeepSettings(bpy.types.PropertyGroup):
         description="The terrain that counts as ground; empty: the highest at the place",
         type=bpy.types.Object, poll=lambda self, item: item.adaptive_terrain.enabled,
     )  # fmt: skip
-
-
-HANDLERS = "load_post", "undo_post", "redo_post"
-
-
-def register() -> None:
-    bpy.utils.register_class(KeepSettings)
-    bpy.types.Object.adaptive_terrain_keep = PointerProperty(type=KeepSettings)
-    for event in HANDLERS:
-        getattr(bpy.app.handlers, event).append(_look_again)
-    _look_again()
-
-
-def unregister() -> None:
-    for event in HANDLERS:
-        getattr(bpy.app.handlers, event).remove(_look_again)
-    del bpy.types.Object.adaptive_terrain_keep
-    bpy.utils.unregister_class(KeepSettings)

@@ -124,6 +124,3 @@ def _group(name: str):
     for source, goal in links:
         group.links.new(source, goal)
     return group
-
-
-register, unregister = bpy.utils.register_classes_factory((Viewshed,))

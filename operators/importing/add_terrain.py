@@ -93,15 +93,5 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
             )
 
 
-def _menu_entry(self, context):
+def draw_entry(self, context):
     self.layout.operator(AddTerrain.bl_idname, icon="RNDCURVE")
-
-
-def register() -> None:
-    bpy.utils.register_class(AddTerrain)
-    bpy.types.VIEW3D_MT_mesh_add.append(_menu_entry)
-
-
-def unregister() -> None:
-    bpy.types.VIEW3D_MT_mesh_add.remove(_menu_entry)
-    bpy.utils.unregister_class(AddTerrain)

@@ -198,16 +198,6 @@ def _give_back(obj) -> None:
             session.update_object(obj)
 
 
-CLASSES = (ImportTerrain, ImportAdded)
-
-
-def register() -> None:
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
+def forget() -> None:
     _gone.clear()
     _added.clear()
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

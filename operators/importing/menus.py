@@ -76,16 +76,14 @@ class AddTerrainFromFile(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def _import_entry(self, _context):
+def draw_import_entry(self, _context):
     self.layout.operator(AddTerrainFromFile.bl_idname, text="Terrain (.tif, .hgt, .asc, .png, .exr, .r16)")
 
 
-def _add_entry(self, _context):
+def draw_add_entry(self, _context):
     self.layout.operator(AddTerrainFromFile.bl_idname, icon="FILE_IMAGE")
 
 
-CLASSES = [AddTerrainFromFile]
-MENUS = {"TOPBAR_MT_file_import": _import_entry, "VIEW3D_MT_mesh_add": _add_entry}
 if hasattr(bpy.types, "FileHandler"):  # Blender 4.1
 
     class HeightMapDropped(bpy.types.FileHandler):
@@ -99,19 +97,3 @@ if hasattr(bpy.types, "FileHandler"):  # Blender 4.1
         @classmethod
         def poll_drop(cls, context):
             return context.area is not None and context.area.type == "VIEW_3D" and context.mode == "OBJECT"
-
-    CLASSES.append(HeightMapDropped)
-
-
-def register() -> None:
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    for name, entry in MENUS.items():
-        getattr(bpy.types, name).append(entry)
-
-
-def unregister() -> None:
-    for name, entry in MENUS.items():
-        getattr(bpy.types, name).remove(entry)
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

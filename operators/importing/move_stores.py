@@ -34,11 +34,3 @@ def _tell(moved: MovedStores, old: Path) -> None:
     if moved.stores:
         names = ", ".join(moved.stores)
         tell(f"moved from {old}", f"Stores were moved out of {old}, {DELETES}, into {new}: {names}.")
-
-
-def register() -> None:
-    move_old_stores()
-
-
-def unregister() -> None:
-    pass

@@ -125,21 +125,3 @@ def on_save_pre(_path, _unused=None) -> None:
 def on_save_post(_path, _unused=None) -> None:
     if _first_save and not bpy.app.background and bpy.data.filepath and find_strays():
         bpy.app.timers.register(_offer, first_interval=OFFER_S)
-
-
-HANDLERS = {"save_pre": on_save_pre, "save_post": on_save_post}
-CLASSES = (PackStore, OfferPack)
-
-
-def register() -> None:
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).append(handler)
-
-
-def unregister() -> None:
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).remove(handler)
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

@@ -142,16 +142,12 @@ if hasattr(bpy.app.handlers, "blend_import_post"):  # Blender 4.3
     HANDLERS["blend_import_post"] = on_append
 
 
-def register() -> None:
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).append(handler)
+def start() -> None:
     if not bpy.app.background:
         bpy.app.timers.register(find_moved_stores, first_interval=0.0)  # the open file, which is out of reach here
 
 
-def unregister() -> None:
-    for event, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, event).remove(handler)
+def stop() -> None:
     if bpy.app.timers.is_registered(find_moved_stores):
         bpy.app.timers.unregister(find_moved_stores)
     notices.clear()

@@ -113,7 +113,3 @@ class ExportHeights(LandOperator, bpy.types.Operator, ExportHelper):
         files = export_raster(shaped_field(obj, depsgraph).path, self.filepath)
         self.report({"INFO"}, f"Written: {', '.join(file.name for file in files)}")
         return {"FINISHED"}
-
-
-CLASSES = (BakeLand, ExportHeights)
-register, unregister = bpy.utils.register_classes_factory(CLASSES)

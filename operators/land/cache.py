@@ -104,6 +104,3 @@ class ClearLandCache(bpy.types.Operator):
 
     def _store(self, context) -> str:
         return absolute_path(context.object.adaptive_terrain.store)
-
-
-register, unregister = bpy.utils.register_classes_factory((ClearLandCache,))

@@ -215,5 +215,4 @@ class LandOutputPanel(TerrainSubpanel):
         column.operator("adaptive_terrain.land_clear", icon="TRASH")
 
 
-LISTS = (LandList, LandPresets, AddLandMenu)
 PANELS = (LandPanel, LandEffectPanel, LandLayersPanel, LandOutputPanel)

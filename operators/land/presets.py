@@ -95,7 +95,3 @@ class AddLandPreset(AddPresetBase, bpy.types.Operator):
             raise TerrainError(f"The preset {self.name!r} cannot be removed", expected="one of your own presets")
         remove_file(found, may_be_link=True)
         return {"FINISHED"}
-
-
-CLASSES = (ApplyLandPreset, AddLandPreset)
-register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -169,4 +169,3 @@ class LandSettings(bpy.types.PropertyGroup):
 
 
 OTHER_RULES = [group for group in RULES.values() if group not in BANDS.values()]
-CLASSES = (*GROUPS.values(), *OTHER_RULES, LandMask, LandEntry, LandSettings)

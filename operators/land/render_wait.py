@@ -90,14 +90,14 @@ def _draw() -> None:
     blf.disable(0, blf.SHADOW)
 
 
-def register() -> None:
+def start() -> None:
     global _handle
     derived_store.on_shaping = _on_shaping
     if not bpy.app.background:
         _handle = bpy.types.SpaceImageEditor.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
 
 
-def unregister() -> None:
+def stop() -> None:
     global _handle, waiting
     if _handle is not None:
         bpy.types.SpaceImageEditor.draw_handler_remove(_handle, "WINDOW")

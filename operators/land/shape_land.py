@@ -120,7 +120,3 @@ class FinishShaping(bpy.types.Operator):
     def execute(self, context):
         jobs.find(jobs.SHAPE, context.object).child.finish_early()
         return {"FINISHED"}
-
-
-CLASSES = (ShapeLand, FinishShaping)
-register, unregister = bpy.utils.register_classes_factory(CLASSES)

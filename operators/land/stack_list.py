@@ -138,7 +138,3 @@ def _place_last(land) -> None:
     to = min(land.active + 1, last)
     land.entries.move(last, to)
     land.active = to
-
-
-CLASSES = (AddLandEffect, DuplicateLandEffect, RemoveLandEffect, MoveLandEffect, AddLandRule)
-register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -147,6 +147,3 @@ def _material() -> bpy.types.Material:
         links.new(part.outputs[0], ramp.inputs["Fac"])
         links.new(ramp.outputs["Color"], shader.inputs[socket])
     return material
-
-
-register, unregister = bpy.utils.register_classes_factory((AddWaterSurface,))

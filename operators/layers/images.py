@@ -116,16 +116,5 @@ def forget_changed(_scene, depsgraph) -> None:
 
 
 @persistent
-def _forget(_file) -> None:
-    _read.clear()
-
-
-def register() -> None:
-    bpy.app.handlers.depsgraph_update_post.append(forget_changed)
-    bpy.app.handlers.load_post.append(_forget)
-
-
-def unregister() -> None:
-    bpy.app.handlers.depsgraph_update_post.remove(forget_changed)
-    bpy.app.handlers.load_post.remove(_forget)
+def forget(_file: str = "") -> None:
     _read.clear()

@@ -11,8 +11,6 @@ from ..session.polls import on_terrain
 
 PRESETS = "adaptive_terrain/layers"
 PRESET_PANEL = "ADAPTIVE_TERRAIN_PT_layer_presets"
-# The folder that holds "presets", as Blender wants to know it.
-FOLDER = str(Path(__file__).parents[1])
 
 
 class _LayerOperator:
@@ -130,18 +128,3 @@ def _shown(value) -> str:
     if isinstance(value, tuple):
         return f"({', '.join(map(_shown, value))})"
     return f"{value:.7g}" if isinstance(value, float) else repr(value)
-
-
-CLASSES = (AddLayer, RemoveLayer, MoveLayer, AddPreset)
-
-
-def register() -> None:
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    bpy.utils.register_preset_path(FOLDER)
-
-
-def unregister() -> None:
-    bpy.utils.unregister_preset_path(FOLDER)
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

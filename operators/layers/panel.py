@@ -85,6 +85,3 @@ def draw_rules(column, layer) -> None:
     column.prop(layer, "noise_size")
     column.prop(layer, "ragged")
     column.prop(layer, "seed")
-
-
-LISTS = (LayerList, LayerPresets)

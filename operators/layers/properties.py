@@ -256,6 +256,3 @@ def _number_of(layers, name: str, before: int) -> int:
         expected="a layer above it in the list",
         fix="move that one up, or choose another",
     )
-
-
-CLASSES = (*BANDS.values(), AspectSettings, DisplacementSettings, LayerSettings)

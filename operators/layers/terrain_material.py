@@ -51,6 +51,3 @@ def sources_of(obj, light) -> LayerSources:
     layers = [] if COLORS in maps else layers  # they are in it
     light = [name for name in (SKY, SUN) if name in light or name in maps]
     return LayerSources(layers, light, maps, lambda tree: map_vector(tree, obj), tile_metres(obj))
-
-
-register, unregister = bpy.utils.register_classes_factory((TerrainMaterial,))

@@ -48,6 +48,3 @@ def _bake(request: MapRequest, job: jobs.BackgroundJob) -> Baked:
 def _image_files(baked: Baked) -> set[str]:
     """Return the file names that images of Blender may have: of single files, and of all tiles together."""
     return files_of(baked.index) | {entry["file"] for entry in baked.index["maps"].values()}
-
-
-register, unregister = bpy.utils.register_classes_factory((BakeMaps,))

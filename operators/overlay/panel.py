@@ -58,14 +58,12 @@ class ShowOverlay(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def register() -> None:
+def start() -> None:
     global _swatches
     _swatches = bpy.utils.previews.new()
-    bpy.utils.register_class(ShowOverlay)
 
 
-def unregister() -> None:
+def stop() -> None:
     global _swatches
-    bpy.utils.unregister_class(ShowOverlay)
     bpy.utils.previews.remove(_swatches)
     _swatches = None

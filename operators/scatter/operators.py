@@ -80,18 +80,8 @@ def _select_alone(context, obj) -> None:
 
 
 @persistent
-def _on_load(_path, _unused=None) -> None:
+def on_load(_path, _unused=None) -> None:
     """Show the collections that files of older versions hold in the modifier alone."""
     for obj in bpy.data.objects:
         if is_scatter(obj) and obj.adaptive_scatter.collection is None:
             obj.adaptive_scatter.collection = collection_of(obj)
-
-
-def register() -> None:
-    bpy.utils.register_class(AddScatter)
-    bpy.app.handlers.load_post.append(_on_load)
-
-
-def unregister() -> None:
-    bpy.app.handlers.load_post.remove(_on_load)
-    bpy.utils.unregister_class(AddScatter)

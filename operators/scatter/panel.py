@@ -105,4 +105,4 @@ def scatter_lines(settings, scatter: ScatterRecord | None, status) -> list[tuple
     return [("Points", points), ("Looked at", tested), ("Update", took), ("Off the mesh", off)]
 
 
-CLASSES = (ScattersPanel, ScatterPanel)
+PANELS = (ScattersPanel, ScatterPanel)

@@ -113,6 +113,3 @@ def scatter_of(settings, terrain_settings) -> Scatter:
     numbers = {name: getattr(settings, name) for name in ("spacing", "full_until", "size", "variation", "align")}
     margins = {"margin_deg": settings.margin_deg, "margin_m": settings.margin_m}
     return Scatter(where=layer_alone(settings.where), layers=layers, on=on, seed=settings.seed, **numbers, **margins)
-
-
-CLASSES = (ScatterSettings,)

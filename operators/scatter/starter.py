@@ -127,6 +127,3 @@ def _material(name: str) -> bpy.types.Material:
     shader.inputs["Specular IOR Level"].default_value = 0.2
     nodes.arrange()
     return material
-
-
-register, unregister = bpy.utils.register_classes_factory((AddStarterCollection,))

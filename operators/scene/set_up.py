@@ -151,6 +151,3 @@ def _remove(obj) -> None:
     bpy.data.objects.remove(obj)
     if data.users == 0:
         bpy.data.batch_remove([data])
-
-
-register, unregister = bpy.utils.register_classes_factory((SetUpScene,))

@@ -279,7 +279,7 @@ def _on_draw() -> None:
         mark_dirty()
 
 
-def register() -> None:
+def start() -> None:
     global _worker, _draw_handle
     _worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="adaptive_terrain_live")
     if not bpy.app.background:
@@ -288,7 +288,7 @@ def register() -> None:
         _draw_handle = bpy.types.SpaceView3D.draw_handler_add(_on_draw, (), "WINDOW", "POST_PIXEL")
 
 
-def unregister() -> None:
+def stop() -> None:
     global _worker, _job, _dirty, _draw_handle
     warmup.stop()
     if bpy.app.timers.is_registered(tick):

@@ -149,6 +149,3 @@ def to_sentence(done: list[str]) -> str:
     """Join the texts of `frame` to one sentence."""
     text = "; ".join(done)
     return f"{text[0].upper()}{text[1:]}."
-
-
-register, unregister = bpy.utils.register_classes_factory((FrameTerrain,))

@@ -25,6 +25,3 @@ class FreezeDetail(bpy.types.Operator):
         settings.frozen = "" if settings.frozen else session.freeze(context.object)
         self.report({"INFO"}, "The mesh keeps its triangles" if settings.frozen else "The mesh follows its camera")
         return {"FINISHED"}
-
-
-register, unregister = bpy.utils.register_classes_factory((FreezeDetail,))

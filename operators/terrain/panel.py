@@ -84,4 +84,4 @@ class RenderPanel(TerrainSubpanel):
             column.operator("adaptive_terrain.lock_interface", icon="UNLOCKED")
 
 
-CLASSES = (ViewportPanel, RenderPanel)
+PANELS = (ViewportPanel, RenderPanel)

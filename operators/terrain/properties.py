@@ -22,10 +22,8 @@ from ...cbt_terrain.field.lands import LANDS, BuiltInTerrain
 from ...cbt_terrain.importing.raster import RAW_TYPES
 from ..attributes import properties as effect_properties
 from ..land import properties as land_properties
-from ..layers import properties as layer_properties
 from ..layers.properties import LayerSettings
 from ..maps.properties import PATH_OPTIONS, MapSettings
-from ..scatter.properties import ScatterSettings
 from .detail_properties import RenderDetail, ViewportDetail, changed
 from .displacement_properties import DisplacementSettings
 
@@ -250,23 +248,3 @@ class SceneSettings(bpy.types.PropertyGroup):
         "the mesh of another frame",
         default=True,
     )  # fmt: skip
-
-
-CLASSES = (
-    *(*effect_properties.CLASSES, *layer_properties.CLASSES, *land_properties.CLASSES),
-    *(ViewportDetail, RenderDetail, CleanupSettings, MapSettings, TerrainSettings, SceneSettings, ScatterSettings),
-)
-
-
-def register() -> None:
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    bpy.types.Object.adaptive_terrain = PointerProperty(type=TerrainSettings)
-    bpy.types.Scene.adaptive_terrain = PointerProperty(type=SceneSettings)
-    bpy.types.Object.adaptive_scatter = PointerProperty(type=ScatterSettings)
-
-
-def unregister() -> None:
-    del bpy.types.Object.adaptive_terrain, bpy.types.Scene.adaptive_terrain, bpy.types.Object.adaptive_scatter
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

@@ -55,7 +55,3 @@ class LockInterface(bpy.types.Operator):
     def execute(self, context):
         context.scene.render.use_lock_interface = True
         return {"FINISHED"}
-
-
-CLASSES = (UpdateTerrain, LockInterface)
-register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -36,15 +36,5 @@ class ObjectMenu(bpy.types.Menu):
             self.layout.separator()
 
 
-def _entry(self, _context):
+def draw_entry(self, _context):
     self.layout.menu(ObjectMenu.bl_idname)
-
-
-def register() -> None:
-    bpy.utils.register_class(ObjectMenu)
-    bpy.types.VIEW3D_MT_object.append(_entry)
-
-
-def unregister() -> None:
-    bpy.types.VIEW3D_MT_object.remove(_entry)
-    bpy.utils.unregister_class(ObjectMenu)

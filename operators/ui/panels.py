@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The tab "Terrain" in the sidebar of the 3D viewport, and the same panels in the Properties editor."""
 
-import bpy
-
 from ...cbt_terrain.run import warmup
 from ..accuracy import panel as statistics_panel
 from ..attributes import panel as effects_panel
@@ -171,16 +169,15 @@ PANELS = (
     *height_map_panel.SURFACE_PANELS,
     maps_panel.MapsPanel,
     *land_panel.PANELS,
-    *scatter_panel.CLASSES,
+    *scatter_panel.PANELS,
     ground_panel.GroundPanel,
     OutputPanel,
     AdvancedPanel,
     CameraPanel,
-    *detail_panel.CLASSES,
+    *detail_panel.PANELS,
     MeshPanel,
     overlay_panel.OverlayPanel,
     effects_panel.EffectsPanel,
-    *statistics_panel.CLASSES,
+    *statistics_panel.PANELS,
 )
-CLASSES = (effects_panel.AttributeList, *land_panel.LISTS, *layers_panel.LISTS, *panels_of(PANELS))
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+CLASSES = panels_of(PANELS)

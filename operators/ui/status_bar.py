@@ -62,13 +62,13 @@ def _redraw_if_changed() -> None:
         bpy.msgbus.publish_rna(key=(bpy.types.Window, "view_layer"))
 
 
-def register() -> None:
+def start() -> None:
     if not bpy.app.background:
         bpy.types.STATUSBAR_HT_header.prepend(_draw)
         bpy.app.timers.register(_turn, first_interval=TURN_S, persistent=True)
 
 
-def unregister() -> None:
+def stop() -> None:
     global _shown
     if bpy.app.timers.is_registered(_turn):
         bpy.app.timers.unregister(_turn)

@@ -144,6 +144,3 @@ class ShowMessage(bpy.types.Operator):
 
         context.window_manager.popup_menu(draw, title=terrain.name, icon="ERROR")
         return {"FINISHED"}
-
-
-register, unregister = bpy.utils.register_classes_factory((ShowMessage,))

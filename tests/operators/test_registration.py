@@ -6,14 +6,14 @@ import gc
 import adaptive_terrain
 import bpy
 import pytest
-from adaptive_terrain.operators import handlers
+from adaptive_terrain.operators import registration
 
 
 def trace():
     """Return everything that an extension can leave behind: handlers, classes, properties, timers, menu entries."""
-    listed = {event: len(getattr(bpy.app.handlers, event)) for event in handlers.HANDLERS}
+    listed = {event: len(getattr(bpy.app.handlers, event)) for event, _ in registration.HANDLERS}
     names = [name for name in dir(bpy.types) if "adaptive_terrain" in name.lower() or "Terrain" in name]
-    menu = len(bpy.types.VIEW3D_MT_mesh_add._dyn_ui_initialize())
+    menu = [len(menu._dyn_ui_initialize()) for menu, _ in registration.MENU_ENTRIES]
     operators = [name for name in dir(bpy.ops.adaptive_terrain) if not name.startswith("_")]
     return listed, names, menu, operators, hasattr(bpy.types.Object, "adaptive_terrain")
 
@@ -35,12 +35,19 @@ def test_many_times_leaves_nothing(unregistered):
     assert trace() == before and gc.isenabled()
 
 
+def test_no_class_of_a_room_is_forgotten(empty):
+    kinds = "Operator", "Panel", "PropertyGroup", "Menu", "UIList", "FileHandler"
+    bases = [getattr(bpy.types, kind) for kind in kinds if hasattr(bpy.types, kind)]
+    here = [cls for base in bases for cls in base.__subclasses__() if cls.__module__.startswith("adaptive_terrain.")]
+    assert len(here) > 100 and set(here) == set(registration.CLASSES) and all(cls.is_registered for cls in here)
+
+
 def test_every_handler_is_there_once_and_survives_loading(empty, tmp_path):
-    for event, handler in handlers.HANDLERS.items():
+    for event, handler in registration.HANDLERS:
         assert getattr(bpy.app.handlers, event).count(handler) == 1
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "empty.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "empty.blend"))
-    for event, handler in handlers.HANDLERS.items():
+    for event, handler in registration.HANDLERS:
         assert getattr(bpy.app.handlers, event).count(handler) == 1
 
 

@@ -85,9 +85,7 @@ def draw(panel, context=None) -> DrawnLayout:
 
 def panels_in(space: str) -> list[type]:
     """Return the registered panels of an editor that are shown now, presets left out."""
-    found = [cls for cls in panels.CLASSES if issubclass(cls, bpy.types.Panel) and hasattr(cls, "draw")]
-    found = [cls for cls in found if cls.bl_space_type == space and not getattr(cls, "preset_subdir", "")]
-    return [cls for cls in found if cls.poll(bpy.context)]
+    return [cls for cls in panels.CLASSES if cls.bl_space_type == space and cls.poll(bpy.context)]
 
 
 def open_rows(space: str) -> int:

@@ -18,7 +18,7 @@ LANGUAGES = {
 CONTEXTS = ("*", "Operator")  # of properties, panels and menus; of operators and their buttons
 
 
-def register() -> None:
+def start() -> None:
     tables = {
         locale: {(context, label): text for label, text in labels.items() for context in CONTEXTS}
         for locale, labels in LANGUAGES.items()
@@ -26,5 +26,5 @@ def register() -> None:
     bpy.app.translations.register(__package__, tables)
 
 
-def unregister() -> None:
+def stop() -> None:
     bpy.app.translations.unregister(__package__)

@@ -59,11 +59,11 @@ def picture(moment: str):
 
 def only_open(panels, names: set[str]) -> None:
     """Close all panels of the sidebar except some; presets keep their place."""
-    panels.unregister()
+    register, unregister = bpy.utils.register_classes_factory(panels.CLASSES)
+    unregister()
     for cls in panels.CLASSES:
-        if issubclass(cls, bpy.types.Panel) and not getattr(cls, "preset_subdir", ""):
-            cls.bl_options = set() if cls.bl_idname in names else {"DEFAULT_CLOSED"}
-    panels.register()
+        cls.bl_options = set() if cls.bl_idname in names else {"DEFAULT_CLOSED"}
+    register()
 
 
 def take_steps(steps, report: dict, first_interval: float = 0.5) -> None:

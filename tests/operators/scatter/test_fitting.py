@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.operators.scatter import fitting
 from adaptive_terrain.operators.scatter.instancing import MODIFIER, collection_of, set_collection
-from adaptive_terrain.operators.scatter.operators import _on_load, new_scatter
+from adaptive_terrain.operators.scatter.operators import new_scatter, on_load
 from adaptive_terrain.operators.scatter.panel import ScatterPanel, size_lines
 from adaptive_terrain.operators.session import session
 from mathutils import Euler
@@ -168,7 +168,7 @@ def test_the_panel_shows_collections_of_older_files(scatter):
     set_collection(scatter, trees)
     before = numbers(scatter)
     scatter.adaptive_scatter.fitted = (0.0,) * 4
-    _on_load("")
+    on_load("")
     assert scatter.adaptive_scatter.collection == trees and numbers(scatter) == before
 
 

@@ -1,0 +1,19 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Classes and handlers of imports, in the order of their registration."""
+
+from . import menus, pack_store, store_paths
+from .add_terrain import AddTerrain
+from .import_terrain import ImportAdded, ImportTerrain
+from .menus import AddTerrainFromFile
+from .pack_store import OfferPack, PackStore
+
+CLASSES = (
+    *(ImportTerrain, ImportAdded, AddTerrain, AddTerrainFromFile),
+    *([menus.HeightMapDropped] if hasattr(menus, "HeightMapDropped") else []),
+    *(PackStore, OfferPack),
+)
+HANDLERS = (
+    *store_paths.HANDLERS.items(),
+    ("save_pre", pack_store.on_save_pre),
+    ("save_post", pack_store.on_save_post),
+)

@@ -111,6 +111,12 @@ def check_free_name(kind: str, name: str, known: Container[str]) -> None:
         raise TerrainError(f"The {kind} {name!r} is registered already", fix="choose another name")
 
 
+def unwritable(what: str, reason: Exception, elsewhere: str = "choose another folder") -> TerrainError:
+    """Return the error for output that the system does not write. what: the file, with a noun before its name."""
+    why = getattr(reason, "strerror", None) or reason
+    return TerrainError(f"{what} cannot be written ({why})", fix=f"make room or {elsewhere}")
+
+
 def named_once(pairs: list[tuple[str, object]]) -> dict:
     """Return a JSON object as a dict. Raise ValueError for a repeated name, of which Python would keep the last."""
     content = {}

@@ -19,7 +19,7 @@ from ..attributes.attribute import AttributeRequest, SamplePoints
 from ..attributes.catalogue import ATTRIBUTES
 from ..attributes.evaluate import values_at
 from ..attributes.splat import NAMES as SPLATS
-from ..errors import TerrainError
+from ..errors import TerrainError, unwritable
 from ..field.heightfield import HeightField, with_detail
 from ..field.store_folder import check_no_description
 from ..height_operators.export import FORMATS, LINES, MASK_FORMAT, RasterFormat, RasterShape
@@ -200,8 +200,7 @@ def export_height_tiles(
         with written_beside(out / f"{settings.name}.json") as partial:
             partial.write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
     except OSError as reason:
-        fix = "make room or choose another folder"
-        raise TerrainError(f"The tiles in {out} cannot be written ({reason.strerror or reason})", fix=fix) from reason
+        raise unwritable(f"The tiles in {out}", reason) from reason
     return index
 
 

@@ -8,7 +8,7 @@ the same for y. A world file has the middle of the first pixel instead of its co
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..errors import TerrainError
+from ..errors import unwritable
 from ..importing.store_job import ask, serve
 from ..run import child
 from ..run.partial_files import written_beside
@@ -52,8 +52,7 @@ def _answer(request: dict, *_: object) -> dict:
         try:
             _write_geotiff(picture, Path(file), transform, request["crs"])
         except (OSError, RasterioError) as reason:
-            fix = "make room or choose another folder"
-            raise TerrainError(f"The map {file} cannot be written ({reason})", fix=fix) from reason
+            raise unwritable(f"The map {file}", reason) from reason
     return {}
 
 

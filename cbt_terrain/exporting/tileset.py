@@ -16,7 +16,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ..errors import TerrainError
+from ..errors import TerrainError, unwritable
 from ..field.heightfield import HeightField
 from ..field.store_folder import check_no_description
 from ..importing.placing import Placing
@@ -97,8 +97,7 @@ def export_tileset(
         with written_beside(path) as partial:
             partial.write_text(json.dumps(_tileset(root, levels[0], frame), indent=1) + "\n", encoding="utf-8")
     except OSError as reason:
-        fix = "make room or choose another folder"
-        raise TerrainError(f"The tileset {path} cannot be written ({reason.strerror or reason})", fix=fix) from reason
+        raise unwritable(f"The tileset {path}", reason) from reason
     triangles = sum(int(count) for _, count in tiles.values())
     return TilesetReport(len(tiles), triangles, tuple(level.bound for level in levels), frame is not None)
 

@@ -80,6 +80,15 @@ def changed_ns(path: str | os.PathLike) -> int:
     return max(stat.st_mtime_ns, stat.st_ctime_ns)
 
 
+def check_exists(store: str) -> int:
+    """Return `changed_ns` of a store. Raises TerrainError if there is none."""
+    changed = changed_ns(store)
+    if not changed:
+        what = f"There is no terrain store at {store!r}"
+        raise TerrainError(what, fix="choose its folder under Store, or import again")
+    return changed
+
+
 def read_json(path: Path, file: Path | None = None) -> dict:
     """Return the content of a store's JSON file, checked entry by entry. Raises TerrainError.
 

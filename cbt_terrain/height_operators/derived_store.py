@@ -336,12 +336,7 @@ def _is_rebuilt_here(store: str) -> bool:
 
 def _source_key(store: str) -> str:
     """Return the content key of a store, read again if the store has changed. Raises TerrainError."""
-    changed = stores.changed_ns(store)
-    if not changed:
-        raise TerrainError(
-            f"There is no terrain store at {store!r}", fix="choose its folder under Store, or import again"
-        )
-    return _key_of(store, changed)
+    return _key_of(store, stores.check_exists(store))
 
 
 @functools.lru_cache(maxsize=64)

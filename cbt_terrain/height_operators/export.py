@@ -16,7 +16,7 @@ import numpy as np
 
 from ..attributes.exr import ExrFile
 from ..attributes.png import PngFile
-from ..errors import TerrainError
+from ..errors import TerrainError, unwritable
 from ..field.heightfield import HeightField
 from ..field.store import open_store
 from ..importing.placing import is_placed, unit_lengths
@@ -94,12 +94,7 @@ def _write_exr(field: HeightField, name: str, path: Path) -> None:
             finally:
                 exr.leave()
     except OSError as reason:
-        raise _not_written(path, reason) from reason
-
-
-def _not_written(path: Path, reason: OSError) -> TerrainError:
-    problem = f"{path} cannot be written ({reason.strerror or reason})"
-    return TerrainError(problem, fix="make room or choose another folder")
+        raise unwritable(str(path), reason) from reason
 
 
 def _write_tiffs(_field: HeightField, store: Path, files: dict[str, Path]) -> None:
@@ -252,9 +247,9 @@ def _write_tiff(path: Path, bands: Iterable[np.ndarray], shape: RasterShape) -> 
             for k, rows in enumerate(bands):
                 file.write(rows, 1, window=Window(0, k * LINES, shape.width, len(rows)))
     except rasterio.errors.RasterioError as reason:
-        raise _not_written(path, OSError(f"GDAL: {reason}")) from reason
+        raise unwritable(str(path), OSError(f"GDAL: {reason}")) from reason
     except OSError as reason:
-        raise _not_written(path, reason) from reason
+        raise unwritable(str(path), reason) from reason
 
 
 def _georeference(field: HeightField, store: str) -> tuple:

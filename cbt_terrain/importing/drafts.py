@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..errors import TerrainError
+from ..errors import TerrainError, unwritable
 from ..field import store
 from ..field.heightfield import HeightField
 from ..field.lattice import Lattice
@@ -37,7 +37,7 @@ def drafted(
         draft = store.Draft(path, folder)
         yield draft
     except OSError as reason:
-        raise unwritable(path, reason, elsewhere) from reason
+        raise unwritable(f"The store {path}", reason, elsewhere) from reason
     finally:
         if draft is not None:
             draft.discard_unless_published()
@@ -46,13 +46,6 @@ def drafted(
 def room_for(lattice: Lattice, layers: int) -> int:
     """Return the bytes that a store takes."""
     return (6 + 4 * layers) * lattice.width * lattice.height + 5 * lattice.node_count + 4 * lattice.range_count
-
-
-def unwritable(path: Path, reason: OSError, elsewhere: str = "choose another folder") -> TerrainError:
-    """Return the error for a store that the system does not write."""
-    return TerrainError(
-        f"The store {path} cannot be written ({reason.strerror or reason})", fix=f"make room or {elsewhere}"
-    )
 
 
 def _check_room(path: Path, lattice: Lattice, layers: int, elsewhere: str) -> None:

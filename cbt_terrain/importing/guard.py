@@ -10,11 +10,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ...kernels import remove_temporary_cache
+from ..errors import unwritable
 from ..field import store_folder
 from ..run.memory import physical_memory
 from ..run.owned_files import open_folder
 from . import sandbox
-from .drafts import unwritable
 from .gdal_source import keep_only_drivers
 from .raster import ImportSettings
 from .source_formats import FORMATS
@@ -53,7 +53,7 @@ def guard_import(settings: ImportSettings, path: Path) -> None:
         with open_folder(path, make=True):
             pass
     except OSError as reason:
-        raise unwritable(path, reason) from reason
+        raise unwritable(f"The store {path}", reason) from reason
     guard(Path(settings.source).suffix.lower(), path)
 
 

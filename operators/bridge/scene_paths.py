@@ -4,6 +4,9 @@
 import os
 import re
 
+from ...cbt_terrain.errors import TerrainError
+
+NO_HEIGHTS = "terrain.no_heights"  # code of the error of a terrain without a store
 _DRIVE = re.compile(r"^[A-Za-z]:[\\/]")
 
 
@@ -20,3 +23,16 @@ def absolute_path(text: str, library=None) -> str:
     if os.sep == "\\" or "\\" not in path or _DRIVE.match(text) or os.path.lexists(path):
         return path
     return bpy.path.abspath(text.replace("\\", "/"), library=library)
+
+
+def store_path(obj) -> str:
+    """Return the absolute path of a terrain's store. Raises TerrainError if the terrain has none."""
+    if not obj.adaptive_terrain.store:
+        raise no_heights(obj)
+    return absolute_path(obj.adaptive_terrain.store)
+
+
+def no_heights(obj) -> TerrainError:
+    """Return the error for a terrain without a store."""
+    what = f"The terrain {obj.name!r} has no height field"
+    return TerrainError(what, fix="import one from its panel", code=NO_HEIGHTS)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...cbt_terrain.errors import TerrainError, shown
+from ...cbt_terrain.errors import shown, unwritable
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.importing.placing import placing_of
 from ...cbt_terrain.query.ground import ground_at, profile
@@ -62,6 +62,4 @@ def write(names: list[str], lines: list[list[str]], out: Path | None) -> None:
         with written_beside(out) as partial, partial.open("w", encoding="utf-8", newline="") as file:
             csv.writer(file, lineterminator="\n").writerows([names, *lines])
     except OSError as reason:
-        raise TerrainError(
-            f"{out} cannot be written ({reason.strerror or reason})", fix="make room or choose another folder"
-        ) from None
+        raise unwritable(str(out), reason) from None

@@ -13,7 +13,7 @@ from ...cbt_terrain.exporting.tile_grid import MAX_TILE, UNREAL_SIZES
 from ...cbt_terrain.exporting.tileset import TRIANGLES, export_tileset
 from ...cbt_terrain.height_operators.export import FORMATS
 from ..attributes.request import gather_effects
-from ..land.bake_land import LandOperator, check_has_store, shaped_field
+from ..land.bake_land import LandOperator, shaped_field
 from ..session import session
 from ..terrain.request import RENDER
 from ..text.tile_lines import height_tiles_line, tileset_line
@@ -82,7 +82,6 @@ class ExportHeightTiles(LandOperator, bpy.types.Operator, ExportHelper):
             column.prop(self, name)
 
     def _carry_out(self, obj, depsgraph):
-        check_has_store(obj)
         path, sizes = Path(self.filepath), {FREE: self.free_size, WHOLE: 0}
         settings = HeightTiles(
             form=path.suffix[1:].lower(),
@@ -121,7 +120,6 @@ class ExportTileset(LandOperator, bpy.types.Operator, ExportHelper):
     )
 
     def _carry_out(self, obj, depsgraph):
-        check_has_store(obj)
         path = Path(self.filepath)
         check_target(path)
         field = shaped_field(obj, depsgraph)

@@ -7,11 +7,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import JSON_NAME
 from ...cbt_terrain.height_operators.derived_store import raster_of
 from ...cbt_terrain.importing.import_process import import_source
-from ..bridge.scene_paths import absolute_path
+from ..bridge.scene_paths import store_path
 from ..importing.import_terrain import settings_of
 from ..importing.import_terrain import summary as import_summary
 from ..land.request import land_of
@@ -29,9 +28,7 @@ To = Callable[[float], None]  # part of a terrain that is done, 0 .. 1
 
 def store_of(obj) -> Path:
     """Return the folder that a terrain's settings name. Raises TerrainError if they name none."""
-    if not obj.adaptive_terrain.store:
-        raise TerrainError(f"The terrain {obj.name!r} has no height field", fix="import one from its panel")
-    return Path(absolute_path(obj.adaptive_terrain.store))
+    return Path(store_path(obj))
 
 
 def is_missing(store: Path) -> bool:

@@ -10,7 +10,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.packing import copy_store
 from ...cbt_terrain.height_operators import derived_store
 from ...cbt_terrain.height_operators.export import WRITERS, check_export, export_raster
-from ..bridge.scene_paths import absolute_path
+from ..bridge.scene_paths import absolute_path, store_path
 from ..importing import imported
 from ..importing.store_location import baked_folder
 from ..session import session
@@ -37,6 +37,7 @@ class LandOperator:
 
     def execute(self, context):
         try:
+            store_path(context.object)  # raises TerrainError before any work
             return self._carry_out(context.object, context.evaluated_depsgraph_get())
         except (TerrainError, OSError) as error:
             return self._failed(error)
@@ -46,16 +47,10 @@ class LandOperator:
         return {"CANCELLED"}
 
 
-def check_has_store(obj) -> None:
-    """Raise TerrainError for a terrain without a height field."""
-    if not obj.adaptive_terrain.store:
-        raise TerrainError(f"The terrain {obj.name!r} has no height field", fix="import one from its panel")
-
-
 def shaped_field(obj, depsgraph):
     """Return the height field of a terrain's land, which is shaped first if it is needed. Raises TerrainError."""
     land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
-    return derived_store.raster_of(absolute_path(obj.adaptive_terrain.store), land, session.open_field, verified=True)
+    return derived_store.raster_of(store_path(obj), land, session.open_field, verified=True)
 
 
 class BakeLand(LandOperator, bpy.types.Operator):
@@ -108,7 +103,6 @@ class ExportHeights(LandOperator, bpy.types.Operator, ExportHelper):
     filter_glob: bpy.props.StringProperty(default=GLOB, options={"HIDDEN"})
 
     def _carry_out(self, obj, depsgraph):
-        check_has_store(obj)
         check_export(self.filepath)
         files = export_raster(shaped_field(obj, depsgraph).path, self.filepath)
         self.report({"INFO"}, f"Written: {', '.join(file.name for file in files)}")

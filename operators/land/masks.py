@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from mathutils import Matrix
 
-from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.errors import unwritable
 from ...cbt_terrain.run.owned_files import is_real_file, open_folder
 from ...cbt_terrain.run.partial_files import written_beside
 from ..bridge.cleanup import plan_triangles
@@ -49,10 +49,8 @@ def _written(folder: Path, digest: str, make) -> str:
         with written_beside(path) as partial, open(partial, "wb") as file:
             np.save(file, np.ascontiguousarray(make(), np.float32))
     except OSError as reason:
-        raise TerrainError(
-            f"The mask {path} cannot be written ({reason.strerror or reason})",
-            fix="make room, or pack the store into a folder that can be written",
-        ) from reason
+        elsewhere = "pack the store into a folder that can be written"
+        raise unwritable(f"The mask {path}", reason, elsewhere) from reason
     return str(path)
 
 

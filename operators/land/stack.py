@@ -11,7 +11,7 @@ from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
 from ...cbt_terrain.height_operators.mask import ASPECT, LIMITS, SLOPE, GroundRule, HeightMask
 from ...cbt_terrain.height_operators.stack import Entry, Stack
 from ...cbt_terrain.run.named_file import blocks_reader
-from ..bridge.scene_paths import absolute_path
+from ..bridge.scene_paths import absolute_path, no_heights
 from ..importing.imported import imported_of
 from . import masks as land_masks
 from .entries import add_entry
@@ -81,7 +81,7 @@ def _mask(entry, terrain, depsgraph, masks: Path) -> HeightMask | None:
 def _extent_of(terrain) -> tuple[float, float]:
     found = imported_of(terrain.adaptive_terrain)
     if found is None:
-        raise TerrainError(f"The terrain {terrain.name!r} has no height field", fix="import one from its panel")
+        raise no_heights(terrain)
     return found.extent_m
 
 

@@ -13,7 +13,7 @@ from ...cbt_terrain.height_operators.water_surface import default_sea, water_of
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
 from ..bridge.demand.trees import tree_of_new
-from ..bridge.scene_paths import absolute_path
+from ..bridge.scene_paths import store_path
 from ..bridge.writer import write_mesh
 from ..session import session
 from ..session.polls import on_terrain_object
@@ -81,11 +81,9 @@ def _surface(terrain, level: float | None) -> tuple[Surface, float | None]:
 
     level: that of the sea in metres, None for the land's own water or else a level that shows water.
     """
-    store, depsgraph = terrain.adaptive_terrain.store, bpy.context.evaluated_depsgraph_get()
-    if not store:
-        raise TerrainError(f"The terrain {terrain.name!r} has no height field", fix="import one from its panel")
+    store, depsgraph = store_path(terrain), bpy.context.evaluated_depsgraph_get()
     land = land_of(terrain, terrain.evaluated_get(depsgraph), depsgraph, waits=True)
-    field = raster_of(absolute_path(store), land, session.open_field, verified=True)
+    field = raster_of(store, land, session.open_field, verified=True)
     if level is None and DEPTH.name not in field.layers:
         level = default_sea(field)
     surface = water_of(field, launch.default_threads(), level)

@@ -5,7 +5,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ...cbt_terrain.errors import TerrainError
-from ..bridge.scene_paths import absolute_path
+from ..bridge.scene_paths import store_path
 from ..session import session
 from ..session.polls import on_terrain_object
 from .dry_ground import keep_dry
@@ -37,9 +37,7 @@ class AddScatter(bpy.types.Operator):
         terrain = context.object
         settings = terrain.adaptive_terrain
         try:
-            if not settings.store:
-                raise TerrainError(f"The terrain {terrain.name!r} has no height field", fix="import one from its panel")
-            west, south, east, north = session.open_field(absolute_path(settings.store)).lattice.rectangle()
+            west, south, east, north = session.open_field(store_path(terrain)).lattice.rectangle()
         except TerrainError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -27,7 +27,7 @@ from ..attributes.request import Effects, gather_effects
 from ..bridge import camera as cameras
 from ..bridge.cleanup import Cleanup, plan_triangles
 from ..bridge.evaluated import found_in
-from ..bridge.scene_paths import absolute_path
+from ..bridge.scene_paths import absolute_path, no_heights
 from ..land.request import land_of
 from ..scatter.request import Scatters, gather_scatters
 from .detail_properties import value_of
@@ -36,7 +36,6 @@ from .overrides import NO_OVERRIDES, Overrides
 from .properties import CHOSEN_CAMERA, SCENE_CAMERA, VIEWPORT_VIEW
 
 VIEWPORT, RENDER = "VIEWPORT", "RENDER"
-NO_HEIGHTS = "terrain.no_heights"  # code of the error of a terrain without a store
 ERRORS = "error_px", "error_m"  # varied by a time budget
 
 
@@ -116,9 +115,7 @@ def gather(
     evaluated = obj.evaluated_get(depsgraph)
     settings = evaluated.adaptive_terrain  # the evaluated copy has the values that animation and drivers set
     if not settings.store:
-        raise TerrainError(
-            f"The terrain {obj.name!r} has no height field", fix="import one from its panel", code=NO_HEIGHTS
-        )
+        raise no_heights(obj)
     interpolation = overrides.interpolation or settings.interpolation
     if interpolation not in INTERPOLATIONS:  # a driver or a script may set any number
         raise TerrainError(f"The terrain {obj.name!r} has an unknown interpolation", fix="choose one on its panel")

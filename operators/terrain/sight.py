@@ -9,6 +9,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.view.linear import inverse
 from ...cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from ..bridge import camera as cameras
+from ..bridge.scene_paths import no_heights
 from ..land import shaped_land
 from ..session import session
 from .properties import CHOSEN_CAMERA
@@ -22,7 +23,7 @@ def box_of(obj, depsgraph=None) -> np.ndarray:
     placed = obj if depsgraph is None else obj.evaluated_get(depsgraph)
     settings = placed.adaptive_terrain
     if not settings.store:
-        raise TerrainError(f"The terrain {obj.name!r} has no height field", fix="import one from its panel")
+        raise no_heights(obj)
     field = session.open_field(shaped_land.store_of(obj))
     x, y = _half_extent(field)
     heights = [h * settings.vertical_scale + settings.vertical_offset for h in (field.min_height, field.max_height)]

@@ -11,10 +11,10 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import warmup
 from .. import jobs
 from ..bridge import camera as cameras
+from ..bridge.scene_paths import NO_HEIGHTS
 from ..scatter.request import is_scatter
 from ..session import session
 from ..terrain import sight
-from ..terrain.request import NO_HEIGHTS
 from .panel_parts import error_lines, wrapped
 
 POPUP_LINE = 80

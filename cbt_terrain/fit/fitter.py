@@ -23,7 +23,8 @@ import warp as wp
 from ...kernels.fitting import binding, raising
 from ...kernels.fitting import mesh as mesh_kernels
 from ...kernels.fitting import moving as kernels
-from ...kernels.refine.pixels import CriterionArrays, LocalView, unlimited
+from ...kernels.refine.local_view import LocalView
+from ...kernels.refine.pixels import CriterionArrays, unlimited
 from ..field import codes
 from ..field.depths import DEPTH_BELOW_CELLS, usual_depth
 from ..field.domain import box_of

@@ -23,7 +23,8 @@ from ..run import launch
 from .level_plan import MAX_WHOLE
 from .level_work import METHOD
 from .mask_image import load_image
-from .shape import Added, Shaped, shape
+from .shape import Shaped, shape
+from .shaping import Added
 from .stack import Stack, check_by_products, land_name, stack_content, stack_from
 from .stack_layers import key_with, merge_layers
 from .tile_cache import TileCache

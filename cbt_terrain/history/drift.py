@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from ...kernels.field.domain import Domain
 from ...kernels.refine.coherence import Motion
-from ...kernels.refine.pixels import CriterionArrays, LocalView
+from ...kernels.refine.local_view import LocalView
+from ...kernels.refine.pixels import CriterionArrays
 from ..view.linear import add_up
 
 # Largest fraction by which lengths, all but pixel footprints, may change from frame to frame: 4 times this comes off

@@ -10,7 +10,8 @@ import warp as wp
 from ...kernels.field.domain import Domain
 from ...kernels.refine.hiding import RING_BITS, ROW
 from ...kernels.refine.horizon_map import FINEST, HorizonBlocks, fill_blocks, fill_horizon
-from ...kernels.refine.pixels import CriterionArrays, LocalView
+from ...kernels.refine.local_view import LocalView
+from ...kernels.refine.pixels import CriterionArrays
 from ..field.blocks import halvings, stacked
 from ..field.heightfield import HeightField
 from ..run import launch

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import warp as wp
 
 from ...kernels.field.domain import Domain
-from ...kernels.refine.pixels import CriterionArrays, LocalView
+from ...kernels.refine.local_view import LocalView
+from ...kernels.refine.pixels import CriterionArrays
 from ..field.domain import make_domain
 from ..field.heightfield import HeightField
 from ..view.criterion import Criterion

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ...kernels.refine.pixels import CriterionArrays, LocalView
+from ...kernels.refine.local_view import LocalView
+from ...kernels.refine.pixels import CriterionArrays
 from ...kernels.scatter import points as kernels
 from ...kernels.scatter.seen import Views
 from ..errors import TerrainError

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from ...kernels.refine.pixels import MAX_PLANES, LocalView
+from ...kernels.refine.local_view import MAX_PLANES, LocalView
 from ..errors import TerrainError
 from .criterion import LARGEST, Criterion
 from .linear import length, lengths, min_stretch, product, settled, solve

@@ -4,7 +4,7 @@
 import warp as wp
 
 from ..query.rays import within
-from ..refine.pixels import PANORAMIC
+from ..refine.local_view import PANORAMIC
 from .facets import DeliveredMesh, Reference
 from .rays import NOWHERE, SightRay
 from .screen import Eye, ray_through

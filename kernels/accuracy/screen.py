@@ -7,7 +7,7 @@ before and after. Its error is the distance of their projections.
 
 import warp as wp
 
-from ..refine.pixels import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE
+from ..refine.local_view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE
 from .edges import advance, begin, place_in, places_of
 from .facets import (
     DeliveredMesh,

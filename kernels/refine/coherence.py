@@ -10,25 +10,20 @@ the same as without a cache.
 import warp as wp
 
 from .diamond import larger, smaller
-from .pixels import (
+from .local_view import (
     CLEAR,
     CROSSED,
     ORTHOGRAPHIC,
     OUTSIDE,
     PERSPECTIVE,
-    CriterionArrays,
     LocalView,
-    ends_of,
-    farthest_far2,
     fringe_at,
     max_of,
     min_of,
-    nearest_far2,
     planes_type,
-    sizes_of,
-    slants2_of,
     steady_stand_of,
 )
+from .pixels import CriterionArrays, ends_of, farthest_far2, nearest_far2, sizes_of, slants2_of
 
 NEAR = wp.constant(wp.float64(1.01))  # with what `Motion.drift` may be
 FADED = wp.constant(2)  # stand of a subtree of which a part or all is in the fringe of the frustum

@@ -5,9 +5,7 @@ It is found by branch and bound. A triangle's upper bound holds for all triangle
 and boxes are nested. So the triangle with the larger bound is searched first, and triangles whose bound is not above
 the largest value found are skipped.
 
-Refinement judges a diamond by its whole box, which contains the boxes of its neighbours' children, too. This search
-uses a tighter box: that of the triangle alone, inside the raster's cells with the heights that the surface has there,
-and clipped to the frame: a triangle that extends from below the camera into the frame counts from where it enters.
+Each triangle is judged by its tight box (tight_box.py).
 
 A leaf that is large compared with its distance is divided further. Each part counts with its distance, and with the
 largest distance of the surface in it from the triangle that is drawn there.
@@ -21,19 +19,9 @@ from ..field.codes import bilinear, corners_of, twist_of
 from ..field.domain import Domain
 from ..tree.bitfield import Bitfield, is_leaf
 from .diamond import Diamond, diamond_at, larger, max_error_for, rest_of, smaller
-from .pixels import (
-    CROSSED,
-    OUTSIDE,
-    PERSPECTIVE,
-    CriterionArrays,
-    LocalView,
-    farthest_pixel2,
-    min_of,
-    nearest_pixel2,
-    sizes,
-    stand_of,
-)
+from .pixels import CriterionArrays, sizes
 from .stored_errors import detail_missed, halvings_at, is_beyond, raster_error_at
+from .tight_box import MARGIN, ONE_SPAN, box_between, finest_seen_in
 
 # Quantities to search for.
 FIXED = wp.constant(0)  # rounding of float32 and of the source, which cannot be refined away: pixel footprints
@@ -43,18 +31,11 @@ AREA = wp.constant(3)  # twice the area: squared pixel footprints
 METRES = wp.constant(4)  # total error, in view or not: metres
 ANY = wp.constant(0)  # instead of the depth of leaves: all leaves of the tree
 STACK = wp.constant(80)  # triangles: one per level, and both of the last
-# A part of a leaf is small enough if squared pixel footprints differ by less than the first factor in it; at the
-# frame's sides, where it may be out of view, by less than the second.
-ONE_SPAN = wp.constant(wp.float64(1.2))
-ONE_SPAN_CROSSED = wp.constant(wp.float64(1.02))
 # The search ends within this factor of the largest square; for errors on screen, whose leaves it divides, within the
 # second.
 NEARLY = wp.constant(wp.float64(1.002))
 NEARLY_ON_SCREEN = wp.constant(wp.float64(1.02))
 UNSEEN = wp.constant(wp.float64(-1.0))
-# Relative; far above what rounding does to a sum of a few terms.
-MARGIN = wp.constant(wp.float64(1e-12))
-NESTED = wp.constant(wp.float64(1e-13))  # of heights, for each bisection; rounding is a thousandth of it
 
 
 @wp.struct
@@ -74,111 +55,6 @@ class Triangle:
     plane: wp.vec3d  # height at that apex, metres before scaling, and slopes along x and y, metres per lattice unit
     fixed: wp.float64  # metres, see Excess in cbt_terrain/refine/contract.py; of a part the leaf's values
     total: wp.float64
-
-
-@wp.func
-def heights_between(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32):
-    """Return the lowest and highest metres, before scaling, of the bilinear surface over a lattice rectangle.
-
-    In each cell the extremes are at corners of the intersection of cell and rectangle.
-    """
-    bits = domain.unit_bits - domain.levels
-    part = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)  # exact: a power of two
-    low = wp.float64(wp.inf)
-    high = wp.float64(-wp.inf)
-    for j in range(wp.max(y0, 0) >> bits, wp.min((y1 - 1) >> bits, domain.samples.rows - 2) + 1):
-        y = j << bits
-        south = wp.float64(wp.max(y0, y) - y) * part
-        north = wp.float64(wp.min(y1 - y, wp.int32(1) << bits)) * part
-        for i in range(wp.max(x0, 0) >> bits, wp.min((x1 - 1) >> bits, domain.samples.columns - 2) + 1):
-            x = i << bits
-            west = wp.float64(wp.max(x0, x) - x) * part
-            east = wp.float64(wp.min(x1 - x, wp.int32(1) << bits)) * part
-            corners = corners_of(domain.samples, i, j)
-            a = bilinear(corners, west, south)
-            b = bilinear(corners, east, south)
-            c = bilinear(corners, west, north)
-            d = bilinear(corners, east, north)
-            low = smaller(smaller(a, b), smaller(smaller(c, d), low))
-            high = larger(larger(a, b), larger(larger(c, d), high))
-    return low, high
-
-
-@wp.func
-def box_between(
-    domain: Domain, d: Diamond, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, depth: wp.int32
-) -> Diamond:
-    """Cut a diamond's box to a lattice rectangle, and inside a bilinear cell to the surface's heights there."""
-    box = Diamond()
-    low = d.low[2]
-    high = d.high[2]
-    if depth > 2 * domain.levels and domain.bicubic == 0:
-        min_height, max_height = heights_between(domain, x0, y0, x1, y1)
-        min_height -= domain.max_detail
-        max_height += domain.max_detail
-        z0 = min_height * domain.height_scale + domain.height_offset
-        z1 = max_height * domain.height_scale + domain.height_offset
-        # Margins shrink from depth to depth by more than rounding can do to the heights of the surface.
-        margin = domain.rounding + NESTED * wp.float64(64 - depth) * larger(wp.abs(z0), wp.abs(z1))
-        low = larger(low, smaller(z0, z1) - margin)
-        high = smaller(high, larger(z0, z1) + margin)
-    west = domain.west + wp.float64(x0) * domain.unit_x
-    south = domain.south + wp.float64(y0) * domain.unit_y
-    box.low = wp.vec3d(west, south, low)
-    east = domain.west + wp.float64(x1) * domain.unit_x
-    north = domain.south + wp.float64(y1) * domain.unit_y
-    box.high = wp.vec3d(east, north, high)
-    return box
-
-
-@wp.func
-def min_depth_in(view: LocalView, d: Diamond) -> wp.float64:
-    """Return a lower bound of the depth, metres, of all points in the box and in the frustum.
-
-    This is linear programming with one frustum plane at a time. For any multiplier >= 0, the minimum over the box of
-    depth - multiplier * (distance from the plane) is a lower bound (weak duality). The bound is largest if the
-    multiplier cancels a coordinate.
-    """
-    found = wp.float64(-wp.inf)
-    for p in range(view.plane_count):
-        plane = view.planes[p]
-        for axis in range(3):
-            multiplier = view.depth[axis] / plane[axis]
-            if multiplier > wp.float64(0.0) and multiplier < wp.float64(wp.inf):
-                bound = view.depth[3] - multiplier * plane[3]
-                size = wp.abs(view.depth[3]) + wp.abs(multiplier * plane[3])
-                for k in range(3):
-                    reach = larger(wp.abs(d.low[k]), wp.abs(d.high[k]))
-                    size += (wp.abs(view.depth[k]) + wp.abs(multiplier * plane[k])) * reach
-                    if k != axis:
-                        factor = view.depth[k] - multiplier * plane[k]
-                        bound += smaller(factor * d.low[k], factor * d.high[k])
-                found = larger(found, bound - MARGIN * size)
-    return found
-
-
-@wp.func
-def finest_seen_in(view: LocalView, d: Diamond, of_edges: wp.bool):
-    """Return the squared finest and coarsest pixel footprint, metres, on the part of the box in view.
-
-    of_edges: whether footprints of edges are measured, or those of heights. The finest is infinite if the box is out of
-    view. The coarsest is scaled for the comparison with ONE_SPAN.
-    """
-    pixel2 = wp.float64(wp.inf)
-    coarse2 = wp.float64(0.0)
-    stand = stand_of(view, d.low, d.high, wp.float64(0.0))
-    if stand != OUTSIDE:
-        deep = min_of(view.depth, d.low, d.high)
-        if view.kind == PERSPECTIVE:
-            deep = larger(min_depth_in(view, d), deep)
-        pixel2, edge2 = nearest_pixel2(view, d.low, d.high, deep)
-        coarse2, coarse_edge2 = farthest_pixel2(view, d)
-        if of_edges:
-            pixel2 = edge2
-            coarse2 = coarse_edge2
-        if stand == CROSSED:
-            coarse2 = coarse2 * ONE_SPAN / ONE_SPAN_CROSSED
-    return pixel2, coarse2
 
 
 @wp.func

@@ -14,9 +14,10 @@ from ..field.codes import bilinear, corners_of
 from ..field.domain import Domain
 from ..unchecked import item_at
 from .diamond import heights_of_cells, larger, smaller
-from .excess import heights_between
 from .hiding import BINS, ROW, bin_of, radius_of
-from .pixels import CriterionArrays, LocalView
+from .local_view import LocalView
+from .pixels import CriterionArrays
+from .tight_box import heights_between
 
 FINEST = wp.constant(2)  # the smallest blocks have 4 x 4 cells
 FEW_CELLS = wp.constant(8)  # along a rectangle: up to this size cells are read, beyond it blocks

@@ -9,7 +9,8 @@ from .coherence import Subtree, carried, stands_of
 from .diamond import smaller
 from .emit import stands_alone
 from .interval import DOUBT, REUSED, Limits, LodInterval, MeasuredDiamond, rise_to_turn, too_coarse
-from .pixels import CLEAR, CROSSED, CriterionArrays, coarsest
+from .local_view import CLEAR, CROSSED
+from .pixels import CriterionArrays, coarsest
 from .reuse_state import Reuse, ReuseCursor
 from .runs import NOT_CLEAR
 from .steps import STOPPED, size_of

@@ -9,7 +9,7 @@ import warp as wp
 
 from ..refine.diamond import larger
 from ..refine.hiding import is_hidden
-from ..refine.pixels import CLEAR, ORTHOGRAPHIC, OUTSIDE, LocalView, max_inside, stand_of
+from ..refine.local_view import CLEAR, ORTHOGRAPHIC, OUTSIDE, LocalView, max_inside, stand_of
 
 
 @wp.struct

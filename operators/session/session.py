@@ -4,113 +4,34 @@
 Records hold no reference to Blender data, which undo and loading invalidate. Their key is the object's `session_uid`.
 """
 
-import dataclasses
 import threading
 import time
-from collections import Counter
 
 import bpy
-import numpy as np
 
-from ...cbt_terrain.accuracy.time_correction import TimeCorrection
 from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
 from ...cbt_terrain.attributes.layered_detail import displaced
 from ...cbt_terrain.attributes.plan import plan
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.bicubic import interpolated
-from ...cbt_terrain.field.heightfield import FieldKey, HeightField
-from ...cbt_terrain.field.store import changed_ns, is_intact, open_store
+from ...cbt_terrain.field.heightfield import HeightField
+from ...cbt_terrain.field.store import check_exists, is_intact, open_store
 from ...cbt_terrain.height_operators import derived_store
-from ...cbt_terrain.mesh.attributes import Attribute
 from ...cbt_terrain.mesh.surface import Surface
-from ...cbt_terrain.refine.contract import ReportedBounds
 from ...cbt_terrain.run import launch, warmup
 from ...cbt_terrain.run.owned_files import real_path
 from ...cbt_terrain.terrain import Terrain
-from ..attributes.request import EffectStatus, statuses
+from ..attributes.request import statuses
 from ..bridge import freed_memory
 from ..bridge.cleanup import clean_up
 from ..bridge.demand import kept
 from ..bridge.writer import write_mesh, write_normals
-from ..overlay.colors import Overlay, make_overlay
-from ..scatter.request import ScatterRecord, make_points, show_points
+from ..overlay.colors import make_overlay
+from ..scatter.request import make_points, show_points
 from ..terrain import frozen
 from ..terrain.properties import ERROR_OVERLAY, NO_OVERLAY
 from ..terrain.request import VIEWPORT, Request, gather
-
-
-@dataclasses.dataclass
-class Status:
-    """The last update as the panel shows it.
-
-    Attributes:
-        request: the request, None before the first update.
-        field_key: key of the height field.
-        bounds: bounds of the mesh.
-        left: triangles after the clean-up.
-        ms: milliseconds by step.
-        effects: status by name.
-        effects_bytes: memory of all effects, including their cache for the next update.
-    """
-
-    mode: str = ""
-    request: Request | None = None
-    field_key: FieldKey | None = None
-    changed: bool = False
-    leaves: int = 0
-    triangles: int = 0
-    bounds: ReportedBounds = ReportedBounds()
-    left: int = 0
-    ms: dict[str, float] = dataclasses.field(default_factory=dict)
-    effects: dict[str, EffectStatus] = dataclasses.field(default_factory=dict)
-    effects_bytes: int = 0
-    error: str = ""
-    failure: TerrainError | None = None
-
-    @property
-    def digest(self) -> str:
-        """Identify the mesh and its views."""
-        return self.request.digest(self.field_key) if self.request and self.field_key else ""
-
-
-@dataclasses.dataclass
-class Record:
-    """One terrain's engine and its last results.
-
-    Attributes:
-        serial: number of the current surface.
-        shown: key of the surface in the mesh and of how it was written.
-        postponed: float32 [V, 3], normals that the mesh lacks because it is live; None if it has them.
-        overlay: None while it is off; `overlay_key` identifies its inputs, `overlay_ms` its time.
-        effects: attributes in arrays of the terrain's history, which holds `effects_bytes`.
-        effects_serial: number of the current values.
-        effects_status: status by name.
-        effects_runs: how often each was computed.
-        live_key: key of the last live request.
-        time_correction: from updates of the live viewport.
-        scatters: by the session_uid of their objects.
-        generation: changes with everything that makes a running update stale.
-    """
-
-    terrain: Terrain | None = None
-    field: object = None
-    serial: int = 0
-    shown: tuple | None = None
-    postponed: np.ndarray | None = None
-    overlay: Overlay | None = None
-    overlay_key: tuple | None = None
-    overlay_ms: float = 0.0
-    effects: dict[str, Attribute] = dataclasses.field(default_factory=dict)
-    effects_serial: int = 0
-    effects_status: dict[str, EffectStatus] = dataclasses.field(default_factory=dict)
-    effects_bytes: int = 0
-    effects_runs: Counter = dataclasses.field(default_factory=Counter)
-    live_key: tuple | None = None
-    time_correction: TimeCorrection = dataclasses.field(default_factory=TimeCorrection)
-    scatters: dict[int, ScatterRecord] = dataclasses.field(default_factory=dict)
-    generation: int = 0
-    status: Status = dataclasses.field(default_factory=Status)
-
+from .record import Record, Status
 
 # Hold the lock during an update: two would share the same cores. Effect values are valid until the next update, so copy
 # them for longer use.
@@ -306,12 +227,7 @@ def field_of(request: Request):
 
 def open_field(store: str):
     """Return the height field of a store folder, opened again only if the folder changed or a file was truncated."""
-    changed = changed_ns(store)
-    if not changed:
-        raise TerrainError(
-            f"There is no terrain store at {store!r}", fix="choose its folder under Store, or import again"
-        )
-    key = str(real_path(store)), changed
+    key = str(real_path(store)), check_exists(store)
     if key not in _fields or not is_intact(_fields[key]):
         for old in [other for other in _fields if other[0] == key[0]]:
             del _fields[old]

@@ -5,8 +5,8 @@ import warp as wp
 
 from ..field.domain import Domain
 from .diamond import Diamond
-from .excess import heights_between, min_depth_in
-from .pixels import LocalView
+from .local_view import LocalView
+from .tight_box import heights_between, min_depth_in
 
 
 @wp.kernel

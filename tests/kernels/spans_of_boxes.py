@@ -5,7 +5,8 @@ import warp as wp
 
 from .coherence import FADED, Motion, Subtree, span_change
 from .diamond import Diamond
-from .pixels import CriterionArrays, LocalView, finest_in
+from .local_view import LocalView
+from .pixels import CriterionArrays, finest_in
 
 
 @wp.kernel

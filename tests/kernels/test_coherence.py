@@ -18,7 +18,8 @@ from adaptive_terrain.cbt_terrain.view.local_view import localise
 from adaptive_terrain.cbt_terrain.view.morph import SMOOTH
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from adaptive_terrain.kernels.refine.coherence import FADED, Motion, Subtree
-from adaptive_terrain.kernels.refine.pixels import CLEAR, CriterionArrays, LocalView
+from adaptive_terrain.kernels.refine.local_view import CLEAR, LocalView
+from adaptive_terrain.kernels.refine.pixels import CriterionArrays
 from fields import extent, rough
 from invariants import arrays
 from twins import load

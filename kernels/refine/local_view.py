@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A view in terrain space, and where a box is relative to its frustum.
+
+All functions are monotone, also in rounded arithmetic: a box inside another one is at least as far inside each plane.
+"""
+
+import warp as wp
+
+from .diamond import larger, smaller
+from .hiding import Rings
+
+PERSPECTIVE = wp.constant(0)
+ORTHOGRAPHIC = wp.constant(1)
+PANORAMIC = wp.constant(2)
+CLEAR = wp.constant(1)
+OUTSIDE = wp.constant(0)
+CROSSED = wp.constant(-1)
+MAX_PLANES = wp.constant(6)
+planes_type = wp.types.matrix(shape=(6, 4), dtype=wp.float64)
+
+
+@wp.struct
+class LocalView:
+    """A view in terrain space. Lengths in camera space are in metres of the terrain's height."""
+
+    kind: wp.int32
+    plane_count: wp.int32
+    eye: wp.vec3d  # metres
+    unsure: wp.float64  # largest distance of mesh and surface, metres of height: boxes are extended by it
+    weight: wp.vec3d  # squared metres of camera space per squared metre along each axis
+    depth: wp.vec4d  # depth along the view = depth . (x, y, z, 1), metres, reduced by the effect of `unsure`
+    pixel2: wp.float64  # squared footprint, metres; of a perspective at unit depth and the frame's largest slant, of a
+    # panorama at unit distance
+    slant_x: wp.vec2d  # slant times depth, over the frame's largest, = slant_x . (dx, dy) across the view ...
+    slant_y: wp.vec2d  # ... and slant_y . (dx, dy) along it; metres of camera space per metre from the eye
+    max_gain2: wp.float64  # squared largest slant of the frame over the smallest that counts
+    cosine2: wp.float64  # squared minimum of depth over distance inside the frame
+    near2: wp.float64  # squared distance below which nothing is visible
+    off_screen2: wp.float64  # squared factor by which footprints are coarser outside the frustum
+    fade: wp.float64  # 0: that factor is a step; else it grows over the fringe as (1 + fade * fraction)^4
+    fringe: wp.float64  # width of the fringe beyond a plane: metres; of a perspective a fraction of the depth
+    hidden2: wp.float64  # squared factor by which footprints are coarser on hidden ground
+    ramp: wp.float64  # 0: that factor is a step; else it grows down to this slope below the horizon
+    occlusion_fade: wp.float64  # ... as (1 + occlusion_fade * fraction)^4
+    rings: Rings
+    planes: planes_type  # positive towards the frustum
+
+
+@wp.func
+def max_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+    """Return the largest plane . (x, y, z, 1) in a box."""
+    found = plane[3] + larger(plane[0] * low[0], plane[0] * high[0])
+    found += larger(plane[1] * low[1], plane[1] * high[1])
+    found += larger(plane[2] * low[2], plane[2] * high[2])
+    return found
+
+
+@wp.func
+def min_of(plane: wp.vec4d, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+    """Return the smallest plane . (x, y, z, 1) in a box."""
+    found = plane[3] + smaller(plane[0] * low[0], plane[0] * high[0])
+    found += smaller(plane[1] * low[1], plane[1] * high[1])
+    found += smaller(plane[2] * low[2], plane[2] * high[2])
+    return found
+
+
+@wp.func
+def max_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+    """Return the minimum over all frustum planes of the innermost corner's distance inside the plane, metres.
+
+    It is negative if the box is outside the frustum, and infinite without planes.
+    """
+    inside = wp.float64(wp.inf)
+    planes = view.planes  # here, or Warp copies all of them for each
+    for p in range(view.plane_count):
+        inside = smaller(max_of(planes[p], low, high), inside)
+    return inside
+
+
+@wp.func
+def min_inside(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
+    """Return the minimum over all frustum planes of the outermost corner's distance inside the plane, metres.
+
+    It is negative unless the frustum contains the box, and infinite without planes.
+    """
+    inside = wp.float64(wp.inf)
+    planes = view.planes
+    for p in range(view.plane_count):
+        inside = smaller(min_of(planes[p], low, high), inside)
+    return inside
+
+
+@wp.func
+def stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d, beyond: wp.float64) -> wp.int32:
+    """Classify a box against the frustum.
+
+    CLEAR: the frustum contains it. OUTSIDE: it is more than `beyond` metres outside a plane. CROSSED: neither is known.
+    """
+    zero = wp.float64(0.0)
+    stand = CLEAR
+    if min_inside(view, low, high) < zero:
+        stand = CROSSED
+        if max_inside(view, low, high) + beyond < zero:
+            stand = OUTSIDE
+    return stand
+
+
+@wp.func
+def fringe_at(view: LocalView, deep: wp.float64) -> wp.float64:
+    """Return the width, metres, of the fringe beyond a plane at a depth."""
+    wide = view.fringe
+    if view.kind == PERSPECTIVE:
+        wide = wide * larger(deep, wp.float64(0.0))
+    return wide
+
+
+@wp.func
+def steady_stand_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
+    """Classify a box against the frustum as `stand_of` does; a box in the fringe is CROSSED, too."""
+    beyond = wp.float64(0.0)
+    if view.fade > beyond:
+        beyond = fringe_at(view, max_of(view.depth, low, high))
+    return stand_of(view, low, high, beyond)

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the session keeps of each terrain: its engine, its last results, and the status that the panel shows."""
+
+import dataclasses
+from collections import Counter
+
+import numpy as np
+
+from ...cbt_terrain.accuracy.time_correction import TimeCorrection
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.heightfield import FieldKey
+from ...cbt_terrain.mesh.attributes import Attribute
+from ...cbt_terrain.refine.contract import ReportedBounds
+from ...cbt_terrain.terrain import Terrain
+from ..attributes.request import EffectStatus
+from ..overlay.colors import Overlay
+from ..scatter.request import ScatterRecord
+from ..terrain.request import Request
+
+
+@dataclasses.dataclass
+class Status:
+    """The last update as the panel shows it.
+
+    Attributes:
+        request: the request, None before the first update.
+        field_key: key of the height field.
+        bounds: bounds of the mesh.
+        left: triangles after the clean-up.
+        ms: milliseconds by step.
+        effects: status by name.
+        effects_bytes: memory of all effects, including their cache for the next update.
+    """
+
+    mode: str = ""
+    request: Request | None = None
+    field_key: FieldKey | None = None
+    changed: bool = False
+    leaves: int = 0
+    triangles: int = 0
+    bounds: ReportedBounds = ReportedBounds()
+    left: int = 0
+    ms: dict[str, float] = dataclasses.field(default_factory=dict)
+    effects: dict[str, EffectStatus] = dataclasses.field(default_factory=dict)
+    effects_bytes: int = 0
+    error: str = ""
+    failure: TerrainError | None = None
+
+    @property
+    def digest(self) -> str:
+        """Identify the mesh and its views."""
+        return self.request.digest(self.field_key) if self.request and self.field_key else ""
+
+
+@dataclasses.dataclass
+class Record:
+    """One terrain's engine and its last results.
+
+    Attributes:
+        serial: number of the current surface.
+        shown: key of the surface in the mesh and of how it was written.
+        postponed: float32 [V, 3], normals that the mesh lacks because it is live; None if it has them.
+        overlay: None while it is off; `overlay_key` identifies its inputs, `overlay_ms` its time.
+        effects: attributes in arrays of the terrain's history, which holds `effects_bytes`.
+        effects_serial: number of the current values.
+        effects_status: status by name.
+        effects_runs: how often each was computed.
+        live_key: key of the last live request.
+        time_correction: from updates of the live viewport.
+        scatters: by the session_uid of their objects.
+        generation: changes with everything that makes a running update stale.
+    """
+
+    terrain: Terrain | None = None
+    field: object = None
+    serial: int = 0
+    shown: tuple | None = None
+    postponed: np.ndarray | None = None
+    overlay: Overlay | None = None
+    overlay_key: tuple | None = None
+    overlay_ms: float = 0.0
+    effects: dict[str, Attribute] = dataclasses.field(default_factory=dict)
+    effects_serial: int = 0
+    effects_status: dict[str, EffectStatus] = dataclasses.field(default_factory=dict)
+    effects_bytes: int = 0
+    effects_runs: Counter = dataclasses.field(default_factory=Counter)
+    live_key: tuple | None = None
+    time_correction: TimeCorrection = dataclasses.field(default_factory=TimeCorrection)
+    scatters: dict[int, ScatterRecord] = dataclasses.field(default_factory=dict)
+    generation: int = 0
+    status: Status = dataclasses.field(default_factory=Status)

@@ -132,5 +132,5 @@ def test_the_effects_page_has_all_effects():
     rows = re.findall(r"^\| `(\w+)` \| (.*?) \|", table, re.MULTILINE)
     assert rows == [(name, effect.about) for name, effect in ATTRIBUTES.items()], "run `make effects`"
     assert not any(effect.bound for effect in ATTRIBUTES.values())  # as the page states
-    described = re.findall(r"^\*\*.*?\*\* \(`(\w+)`\)\. (.*?)\. \*", operators, re.MULTILINE)
+    described = re.findall(r"^\* \*\*.*?\*\* \(`(\w+)`\)\. (.*?)\. \*", operators, re.MULTILINE)
     assert described == [(name, effect.about) for name, effect in HEIGHT_OPERATORS.items()], "run `make effects`"

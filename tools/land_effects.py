@@ -10,7 +10,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import matplotlib
 import numpy as np
+from adaptive_terrain.cbt_terrain.attributes.attribute import Parameter
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.lands import LANDS, BuiltInTerrain
 from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
@@ -18,11 +20,12 @@ from adaptive_terrain.cbt_terrain.height_operators.shape import shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack, read_stack
 from adaptive_terrain.cbt_terrain.height_operators.tiles import whole_land
 from adaptive_terrain.operators.text.numbers import plain
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 PRESETS = Path(__file__).resolve().parents[1] / "operators" / "presets" / "adaptive_terrain" / "land"
 SIZE = 1025
 WIDE = 480  # pixels, of each half of a picture
+GAP, LETTERS = 8, 20  # pixels between pictures of a sheet, and of the line below one
 # What is shown of each effect: parameters that differ, the part of the island that is looked at (west, south, side, of
 # 1), and what of its layers is drawn over the ground.
 SHOWN: dict[str, tuple[dict, tuple[float, float, float], str]] = {
@@ -49,38 +52,32 @@ RAMPS = {"dunes": SAND, "canyon": ROCK, "mountains": MEADOWS}
 SEAS = ("island", "archipelago")
 HEAD = """## Effects that shape the land
 
-These change heights: a stack of them on a terrain makes a second store next to the source's, level by level
-and only for the tiles that a shot sees finer than that. They take metres and years, not pixels. Their by-products
-(depth of scree, snow, water, wear) are layers, which materials, splats and maps may read;
+These change heights: a stack of them makes a second store next to the source's, level by level and only for the tiles
+that a shot sees finer than that. Their by-products (depth of scree, snow, water, wear) are layers for materials.
 `adaptive-terrain shape --store DIR --stack FILE.json --out DIR` applies a stack, and so does the panel Land.
 
-Two limits:
+* **The number of samples decides where valleys lie.** Twice as many cells along a side add detail to the same land.
+  Any other number moves the samples of the coarse levels, where valleys are chosen: on the built-in island 1,030
+  samples a side instead of 1,025 change the heights by 0.26 m rms before the demo's stack and by 49 m rms after it.
+* **The border of a raster is open.** Streams and droplets carry material over it, and nothing comes in.
 
-* **The number of samples decides where valleys lie.** Twice as many cells along a side add detail to the same land:
-  *Converges* below has the measured differences. Any other number moves the samples of the coarse levels, where
-  valleys are chosen. On the built-in island 1,030 samples a side instead of 1,025 change the heights by 0.26 m rms
-  before the demo's stack and by 49 m rms after it. The stack itself changes them by 166 m rms. So choose the number of
-  samples before you shape.
-* **The border of a raster is open.** Streams and droplets carry material over it, and nothing comes in. *Conserves*
-  below has how much that was.
+![Each effect on the built-in island, before and after](images/land_effects.jpg)
 
-![The demo's island: lifted while rivers cut it, beds of basalt, snow on their ledges](images/land_whole.jpg)
-
-![A valley of the demo's island: a lake, scree below cliffs, snow above](images/land_valley.jpg)
-
-Each measured on the island, {size:,} x {size:,} samples {step:g} m apart, all levels, one thread, as its picture
-shows it. *Finer by one level*: root mean square of the change by the last halving of the spacing, at the samples that
-both have. Seconds are the processor's.
+Each measured on the island, {size:,} x {size:,} samples {step:g} m apart, all levels, one thread. *Finer by one level*:
+root mean square of the change by the last halving of the spacing, at the samples that both have; *s*: of the processor.
 
 | effect | changes heights by, rms | finer by one level | s | microseconds a sample |
 | --- | ---: | ---: | ---: | ---: |
 """
 LANDS_HEAD = """## Built-in lands
 
-`adaptive-terrain import NAME --size N --seed S --store DIR` makes one at any resolution, from no file: a place has
-the same height at every resolution and the same bytes on every machine. On the left as it is imported, on the right
-with the preset stack that suits it.
+`adaptive-terrain import NAME --size N --seed S --store DIR` makes one at any resolution, from no file: a place has the
+same height at every resolution and the same bytes on every machine. On the right: with the preset stack that suits it.
+
+![The built-in lands, as imported and with their presets](images/lands.jpg)
 """
+# Pictures that other pages show alone.
+ALONE = ("land_rivers", "land_relief", "land_snow", "land_of_mountains", "land_of_archipelago")
 
 
 @dataclass(frozen=True)
@@ -115,7 +112,27 @@ def land_section() -> tuple[list[str], dict[str, bytes]]:
         layer = next((name for name in ("snow", "water_depth") if name in shown.layers), "")
         ramp = RAMPS.get(land.name, LAND_RAMP)
         pictures[f"land_of_{land.name}.jpg"] = beside(shown, WHOLE, layer, ramp, land.name in SEAS)
-    return [*operator_lines(costs), *land_lines()], pictures
+    sheets = {
+        "land_effects.jpg": sheet({name: pictures[f"land_{name}.jpg"] for name in HEIGHT_OPERATORS}),
+        "lands.jpg": sheet({name: pictures[f"land_of_{name}.jpg"] for name in LANDS}),
+    }
+    shown_alone = {f"{name}.jpg": pictures[f"{name}.jpg"] for name in ALONE}
+    return [*operator_lines(costs), *land_lines()], shown_alone | sheets
+
+
+def sheet(pictures: dict[str, bytes]) -> bytes:
+    """Return a JPEG of pictures in two columns, each above its name."""
+    tiles = [Image.open(io.BytesIO(picture)) for picture in pictures.values()]
+    width, height = (max(tile.size[axis] for tile in tiles) * 3 // 4 for axis in (0, 1))
+    whole = Image.new("RGB", (2 * width + GAP, -(-len(tiles) // 2) * (height + LETTERS + GAP)), (250, 249, 245))
+    font = ImageFont.truetype(matplotlib.get_data_path() + "/fonts/ttf/DejaVuSans.ttf", LETTERS - 5)
+    for number, (name, tile) in enumerate(zip(pictures, tiles, strict=True)):
+        x, y = number % 2 * (width + GAP), number // 2 * (height + LETTERS + GAP)
+        whole.paste(tile.resize((width, height), Image.Resampling.LANCZOS), (x, y))
+        ImageDraw.Draw(whole).text((x, y + height + 1), name, fill=(28, 31, 38), font=font)
+    file = io.BytesIO()
+    whole.save(file, "JPEG", quality=86)
+    return file.getvalue()
 
 
 def operator_lines(costs: dict[str, str]) -> list[str]:
@@ -134,17 +151,16 @@ def operator_lines(costs: dict[str, str]) -> list[str]:
             "Converges:": effect.converges,
             "Looks": "at the whole raster" if math.isinf(halo) else f"{plain(halo)} m around a tile of 1 m",
             "Source:": effect.source,
+            "Parameters": ", ".join(map(parameter_text, effect.parameters)),
         }
         text = "; ".join(f"*{name}* {fact}" for name, fact in facts.items() if fact)
-        lines.append(f"![{effect.about}](images/land_{effect.name}.jpg)\n")
-        lines.append(f"**{effect.label}** (`{effect.name}`). {effect.about}. {text}.\n")
-    lines.append("| operator | parameter | default | range | meaning |\n| --- | --- | ---: | --- | --- |")
-    lines += [
-        f"| `{effect.name}` | `{p.name}` | {p.default:g} {p.unit} | {p.min:g} to {p.max:g} | {p.about} |"
-        for effect in operators
-        for p in effect.parameters
-    ]
+        lines.append(f"* **{effect.label}** (`{effect.name}`). {effect.about}. {text}.")
     return [*lines, ""]
+
+
+def parameter_text(p: Parameter) -> str:
+    """Return a parameter's name, default, unit and range."""
+    return f"`{p.name}` {f'{p.default:g} {p.unit}'.rstrip()} ({p.min:g} to {p.max:g})"
 
 
 def land_lines() -> list[str]:
@@ -152,11 +168,10 @@ def land_lines() -> list[str]:
     lines = [LANDS_HEAD]
     for land in LANDS.values():
         suits = f"; preset *{land.preset.replace('_', ' ')}*" if land.preset else ""
-        lines.append(f"![{land.about}](images/land_of_{land.name}.jpg)\n")
         lines.append(
-            f"**{land.name}**: {land.about[0].lower()}{land.about[1:]}. {land.side / 1e3:g} km a side{suits}.\n"
+            f"* **{land.name}**: {land.about[0].lower()}{land.about[1:]}. {land.side / 1e3:g} km a side{suits}."
         )
-    return lines
+    return [*lines, ""]
 
 
 def shaped(land: BuiltInTerrain, size: int, stack: Stack) -> Shown:

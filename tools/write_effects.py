@@ -56,29 +56,21 @@ HEAD = """# Effects
 
 Written by `make effects`; do not edit it by hand. Absolute times are of one machine on one day.
 
-An effect is something that a material, a modifier or a map may read of a terrain: its slope, its layers, how
-much sky it sees. **Only effects that something reads are computed.** The extension looks which attributes your
-node trees read, adds the inputs of those, and computes each once. `adaptive-terrain effects --scene shot.blend`
-lists the readers of each effect and why the others are skipped; so does the panel
-[Attributes](reference/panel/attributes.md).
+An effect is something that a material, a modifier or a map may read of a terrain: its slope, its layers, how much sky
+it sees. **Only effects that something reads are computed**, and each once. `adaptive-terrain effects --scene FILE` and
+the panel [Attributes](reference/panel/attributes.md) list the readers of each effect and why the others are skipped.
 """
 SCALES = """## Two scales
 
-* **For pictures** (materials, lights) a value is that of the ground at the size of a pixel: smoothed where it
-  is far away, so that it does not flicker. The scale goes in steps of an eighth of an octave, so values stay
-  bit for bit while the camera creeps.
-* **For geometry** (modifiers, geometry nodes, exports) there is one scale in metres, the raster's own at first.
-  So nothing moves with the camera. What both read has that scale.
+* **For pictures** (materials, lights) a value is that of the ground at the size of a pixel, so that it does not
+  flicker far away. The scale has steps of an eighth of an octave, so values stay bit for bit while the camera creeps.
+* **For geometry** (modifiers, geometry nodes, exports) there is one scale in metres, so nothing moves with the camera.
 """
 CUSTOM_EFFECT = """## An effect of your own
 
 [Architecture](architecture.md#add-an-attribute) lists the steps; `examples/06_an_effect.py` is a whole program, and a
-test runs it.
-
-* The values depend on the position, the scale, the parameters and the effects read, and on nothing else. They are the
-  same whether some positions are evaluated or all: only new vertices are.
-* Same bytes on any machine: no BLAS, no random numbers, no clock.
-* Raise `version` whenever its values change.
+test runs it. Values depend on the position, the scale, the parameters and the effects read, and on nothing else: no
+BLAS, no random numbers, no clock. Raise `version` whenever they change.
 """
 ALONE = ("color", "height", "sky", "splat_1")  # attributes whose pictures other pages show
 
@@ -159,11 +151,11 @@ def saving(demo: Demo) -> list[str]:
     return [
         "## What it saves\n",
         f"Frame {FRAME} of the demo: the island, {SIZE:,} x {SIZE:,} samples, at 1 pixel of {RESOLUTION[0]} x "
-        f"{RESOLUTION[1]}; {demo.vertices:,} vertices, none of them known from the frame before. Where the next frame "
-        "of a flight keeps a vertex, it keeps its values.\n",
+        f"{RESOLUTION[1]}; {demo.vertices:,} vertices, none of them known from the frame before. Measured on "
+        f"{machine()['Processor']}, {machine()['System']}, {machine()['Threads']} threads.\n",
         "| | effects | ms | MB |\n| --- | ---: | ---: | ---: |",
         *(f"| {what} | {count} | {plain(ms)} | {plain(size / 1e6)} |" for what, count, ms, size in rows),
-        f"\nMeasured on {machine()['Processor']}, {machine()['System']}, {machine()['Threads']} threads.\n",
+        "",
     ]
 
 

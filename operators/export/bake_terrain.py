@@ -3,7 +3,6 @@
 
 import bpy
 
-from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.fit.fit import bake as bake_mesh
 from ...cbt_terrain.fit.fit import check_interpolation
 from ...cbt_terrain.run import warmup
@@ -11,7 +10,7 @@ from ...cbt_terrain.view.criterion import Criterion
 from ..bridge.cleanup import clean_up
 from ..bridge.writer import write_mesh
 from ..session import session
-from ..session.polls import on_terrain_object
+from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 from ..terrain.request import gather
 from ..text.shown_bounds import bound_text, limit_text
 
@@ -54,25 +53,18 @@ def bake(obj, depsgraph, error_m: float, fitted: bool = False):
     return baked, update
 
 
-class BakeTerrain(bpy.types.Operator):
+class BakeTerrain(TerrainObjectOperator, bpy.types.Operator):
     """Make an ordinary mesh object with one vertical error everywhere, independent of any camera"""
 
     bl_idname = "adaptive_terrain.bake"
     bl_label = "Bake Static Mesh"
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context):
-        return on_terrain_object(cls, context)
-
+    @cancelled_by_errors
     def execute(self, context):
         obj = context.object
         settings = obj.adaptive_terrain
-        try:
-            baked, update = bake(obj, context.evaluated_depsgraph_get(), settings.bake_error_m, settings.bake_fit)
-        except TerrainError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        baked, update = bake(obj, context.evaluated_depsgraph_get(), settings.bake_error_m, settings.bake_fit)
         message = f"{len(baked.data.polygons):,} triangles, at most {bound_text(update.bound_m, 'm')} off"
         if update.limited:
             self.report({"WARNING"}, f"{message}: held back by {limit_text(update.limited)}")

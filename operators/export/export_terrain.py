@@ -8,14 +8,14 @@ from bpy_extras.io_utils import ExportHelper
 
 from ...cbt_terrain.errors import TerrainError
 from ..session import session
-from ..session.polls import on_terrain_object
+from ..session.polls import TerrainObjectOperator
 from ..terrain.request import RENDER
 from .formats import FORMATS, format_of
 
 GLOB = ";".join(f"*.{name}" for name, form in FORMATS.items() if not form.is_whole_scene)
 
 
-class ExportTerrain(bpy.types.Operator, ExportHelper):
+class ExportTerrain(TerrainObjectOperator, bpy.types.Operator, ExportHelper):
     """Write the terrain as the camera sees it at this frame, at the detail of the render, to a file"""
 
     bl_idname = "adaptive_terrain.export"
@@ -24,10 +24,6 @@ class ExportTerrain(bpy.types.Operator, ExportHelper):
     filename_ext = ".ply"
     check_extension = None  # the suffix that the user types is the format
     filter_glob: bpy.props.StringProperty(default=GLOB, options={"HIDDEN"})
-
-    @classmethod
-    def poll(cls, context):
-        return on_terrain_object(cls, context)
 
     def execute(self, context):
         try:

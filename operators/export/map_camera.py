@@ -24,7 +24,7 @@ from ..bridge.scene_paths import absolute_path
 from ..importing.imported import imported_of
 from ..land import shaped_land
 from ..session import session, stale_renders
-from ..session.polls import cancelled_by_errors, on_terrain_object
+from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 from ..terrain import sight
 from ..terrain.properties import SCENE_CAMERA
 from .blender_exporters import need_no_shear
@@ -229,7 +229,7 @@ def _changed(owner, values: dict):
             setattr(owner, name, value)
 
 
-class MapCamera(bpy.types.Operator):
+class MapCamera(TerrainObjectOperator, bpy.types.Operator):
     """Look straight down on the whole terrain, north up, with an orthographic camera and whole pixels for each cell of
     the height map"""
 
@@ -247,10 +247,6 @@ class MapCamera(bpy.types.Operator):
     sun: bpy.props.BoolProperty(
         name="Sun", description="Add a sun from the north-west if the scene has none, for shaded relief", default=True
     )
-
-    @classmethod
-    def poll(cls, context):
-        return on_terrain_object(cls, context)
 
     @cancelled_by_errors
     def execute(self, context):

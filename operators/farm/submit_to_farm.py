@@ -9,6 +9,7 @@ from ...cbt_terrain.errors import TerrainError
 from ..bridge.scene_paths import absolute_path
 from ..export.formats import parse_frames
 from ..session import session
+from ..session.polls import cancelled_by_errors
 from ..terrain.properties import PATH_OPTIONS
 from .submit import INSTALLED, submit
 
@@ -63,24 +64,21 @@ class SubmitToFarm(bpy.types.Operator):
             self.frames = f"{scene.frame_start}-{scene.frame_end}"
         return context.window_manager.invoke_props_dialog(self, width=400, confirm_text="Write Job")
 
+    @cancelled_by_errors
     def execute(self, context):
-        try:
-            _check_is_saved()
-            if not self.folder.strip():
-                raise TerrainError("The job has no folder", expected="one, such as //farm/")
-            lines, notes = submit(
-                context.scene,
-                session.terrains_of(context.scene),
-                Path(absolute_path(self.folder)),
-                frames=self._frames(),
-                chunk=self.chunk,
-                formats=() if self.render else ("npz",),
-                extension=INSTALLED if self.bring else None,
-                allow_outside=self.allow_outside,
-            )
-        except (TerrainError, OSError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        _check_is_saved()
+        if not self.folder.strip():
+            raise TerrainError("The job has no folder", expected="one, such as //farm/")
+        lines, notes = submit(
+            context.scene,
+            session.terrains_of(context.scene),
+            Path(absolute_path(self.folder)),
+            frames=self._frames(),
+            chunk=self.chunk,
+            formats=() if self.render else ("npz",),
+            extension=INSTALLED if self.bring else None,
+            allow_outside=self.allow_outside,
+        )
         for kind, texts in (("INFO", lines), ("WARNING", notes)):
             for text in texts:
                 self.report({kind}, text)

@@ -8,7 +8,7 @@ from ...cbt_terrain.run import warmup
 from ...cbt_terrain.view.linear import lengths
 from ..bridge.writer import write_mesh
 from ..session import session
-from ..session.polls import cancelled_by_errors, on_terrain_object
+from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 from ..text.numbers import length_text
 from ..text.shown_bounds import limit_text
 from . import world_ground
@@ -16,7 +16,7 @@ from . import world_ground
 MARK = "adaptive_terrain_collider"  # custom property of a collider: its bound in metres
 
 
-class AddCollider(bpy.types.Operator):
+class AddCollider(TerrainObjectOperator, bpy.types.Operator):
     """Add a coarse static mesh for physics, which is nowhere further than Collider Error from the ground and which
     renders do not show; press it again after the terrain has changed. With a rigid body world it is a passive body"""
 
@@ -27,10 +27,6 @@ class AddCollider(bpy.types.Operator):
     rigid_body: bpy.props.BoolProperty(
         name="Rigid Body", description="Make it a passive rigid body, and a rigid body world if the scene has none"
     )
-
-    @classmethod
-    def poll(cls, context):
-        return on_terrain_object(cls, context)
 
     @cancelled_by_errors
     def execute(self, context):

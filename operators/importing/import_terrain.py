@@ -138,11 +138,8 @@ class _Import(JobOperator):
         if note := picture_note(imported.imported_of(obj.adaptive_terrain)):
             self.report({"INFO"}, note)
         self.report({"INFO"}, summary(report))
-        if obj.adaptive_terrain.live and not bpy.app.background:
-            live.mark_dirty()
-            return
         try:
-            session.update_object(obj)
+            live.show_soon(obj)
         except TerrainError as error:
             self.report({"WARNING"}, str(error))  # the import itself is done
 

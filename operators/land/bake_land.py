@@ -14,37 +14,28 @@ from ..bridge.scene_paths import absolute_path, store_path
 from ..importing import imported
 from ..importing.store_location import baked_folder
 from ..session import session
-from ..session.polls import on_terrain_object
+from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 from . import shape_land
 from .request import land_of
 
 GLOB = ";".join(f"*{suffix}" for suffix in WRITERS)
 
 
-class LandOperator:
+class LandOperator(TerrainObjectOperator):
     """Base of operators that need land that is shaped at all levels; a subclass has `_carry_out`."""
-
-    @classmethod
-    def poll(cls, context):
-        return on_terrain_object(cls, context)
 
     def invoke(self, context, event):
         try:
             shape_land.check_is_shaped(context.object, context.evaluated_depsgraph_get())
         except TerrainError as error:
-            return self._failed(error)
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         return super().invoke(context, event) if isinstance(self, ExportHelper) else self.execute(context)
 
+    @cancelled_by_errors
     def execute(self, context):
-        try:
-            store_path(context.object)  # raises TerrainError before any work
-            return self._carry_out(context.object, context.evaluated_depsgraph_get())
-        except (TerrainError, OSError) as error:
-            return self._failed(error)
-
-    def _failed(self, error):
-        self.report({"ERROR"}, str(error))
-        return {"CANCELLED"}
+        store_path(context.object)  # raises TerrainError before any work
+        return self._carry_out(context.object, context.evaluated_depsgraph_get())
 
 
 def shaped_field(obj, depsgraph):

@@ -15,7 +15,7 @@ from ...cbt_terrain.run.owned_files import check_folder
 from .. import jobs
 from ..bridge.scene_paths import absolute_path
 from ..session import session
-from ..session.polls import on_terrain
+from ..session.polls import cancelled_by_errors, on_terrain
 from ..text.numbers import plain
 
 
@@ -87,18 +87,15 @@ class ClearLandCache(bpy.types.Operator):
         for line in self.messages:
             self.layout.label(text=line)
 
+    @cancelled_by_errors
     def execute(self, context):
         freed = 0
-        try:
-            for what, folder, size in stored_land(self._store(context)):
-                if what == "tiles":
-                    store_folder.remove_tiles(folder)
-                elif what != "shown":
-                    remove(folder)
-                freed += size - bytes_in(folder)
-        except (TerrainError, OSError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        for what, folder, size in stored_land(self._store(context)):
+            if what == "tiles":
+                store_folder.remove_tiles(folder)
+            elif what != "shown":
+                remove(folder)
+            freed += size - bytes_in(folder)
         self.report({"INFO"}, f"{megabytes(freed)} freed")
         return {"FINISHED"}
 

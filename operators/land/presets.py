@@ -12,7 +12,7 @@ from ...cbt_terrain.height_operators.fitted import fitted
 from ...cbt_terrain.height_operators.stack import read_stack, write_stack
 from ...cbt_terrain.run.owned_files import remove_file
 from ..importing.imported import imported_of
-from ..session.polls import on_terrain
+from ..session.polls import TerrainOperator, cancelled_by_errors
 from ..text.numbers import plain
 from . import stack as land_stack
 from .entries import PRESETS
@@ -22,7 +22,7 @@ PRESET_PANEL = "ADAPTIVE_TERRAIN_PT_land_presets"
 SUFFIX = ".json"
 
 
-class ApplyLandPreset(bpy.types.Operator):
+class ApplyLandPreset(TerrainOperator, bpy.types.Operator):
     """Replace the stack by that of a file"""
 
     bl_idname = "adaptive_terrain.land_preset"
@@ -31,16 +31,9 @@ class ApplyLandPreset(bpy.types.Operator):
 
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
 
-    @classmethod
-    def poll(cls, context):
-        return on_terrain(cls, context)
-
+    @cancelled_by_errors
     def execute(self, context):
-        try:
-            stack = read_stack(self.filepath)
-        except TerrainError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        stack = read_stack(self.filepath)
         imported = imported_of(context.object.adaptive_terrain)
         if stack.heights is not None and imported is not None:
             designed_for, stack = stack.heights, fitted(stack, *imported.heights_m)
@@ -54,7 +47,7 @@ class ApplyLandPreset(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class AddLandPreset(AddPresetBase, bpy.types.Operator):
+class AddLandPreset(TerrainOperator, AddPresetBase, bpy.types.Operator):
     """Save the stack as a preset, or remove one"""
 
     bl_idname = "adaptive_terrain.land_preset_add"
@@ -62,31 +55,24 @@ class AddLandPreset(AddPresetBase, bpy.types.Operator):
     preset_menu = PRESET_PANEL
     preset_subdir = PRESETS
 
-    @classmethod
-    def poll(cls, context):
-        return on_terrain(cls, context)
-
+    @cancelled_by_errors
     def execute(self, context):
         """Load a preset, as Blender's operator does for Python and XML files only."""
         name = self.as_filename(self.name)
         if not name:
             return {"FINISHED"}
         found = bpy.utils.preset_find(name, PRESETS, ext=SUFFIX)
-        try:
-            if self.remove_name:
-                return self._remove(found)
-            if found:
-                raise TerrainError(f"There is a preset {self.name!r} already", fix="choose another name")
-            folder = bpy.utils.user_resource("SCRIPTS", path=os.path.join("presets", PRESETS), create=True)
-            land = context.object.adaptive_terrain.land
-            write_stack(land_stack.preset_of(land), Path(folder, name + SUFFIX))
-            for entry in land.entries:
-                if entry.mask.kind == BY_OBJECT:
-                    note = f"{entry.name} is masked by an object, which a preset cannot hold: there it acts everywhere"
-                    self.report({"WARNING"}, note)
-        except (TerrainError, OSError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        if self.remove_name:
+            return self._remove(found)
+        if found:
+            raise TerrainError(f"There is a preset {self.name!r} already", fix="choose another name")
+        folder = bpy.utils.user_resource("SCRIPTS", path=os.path.join("presets", PRESETS), create=True)
+        land = context.object.adaptive_terrain.land
+        write_stack(land_stack.preset_of(land), Path(folder, name + SUFFIX))
+        for entry in land.entries:
+            if entry.mask.kind == BY_OBJECT:
+                note = f"{entry.name} is masked by an object, which a preset cannot hold: there it acts everywhere"
+                self.report({"WARNING"}, note)
         return {"FINISHED"}
 
     def _remove(self, found: str | None):

@@ -97,11 +97,8 @@ class ShapeLand(JobOperator, bpy.types.Operator):
 
     def finish(self, _context, obj, _land: Land | None = None) -> None:
         """Show the land: the next update finds the shaped store by the settings."""
-        if obj.adaptive_terrain.live and not bpy.app.background:
-            live.mark_dirty()
-            return
         try:
-            session.update_object(obj)
+            live.show_soon(obj)
         except TerrainError as error:
             self.report({"WARNING"}, str(error))
 

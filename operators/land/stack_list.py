@@ -4,7 +4,7 @@
 import bpy
 
 from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
-from ..session.polls import on_terrain
+from ..session.polls import TerrainOperator
 from .entries import add_entry, copy_group, free_name
 from .properties import RULES
 
@@ -21,12 +21,8 @@ def _items(_self, _context):
 _ITEMS = [(name, effect.label, effect.about) for name, effect in HEIGHT_OPERATORS.items()]
 
 
-class _StackOperator:
+class _StackOperator(TerrainOperator):
     bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context):
-        return on_terrain(cls, context)
 
     def execute(self, context):
         land = context.object.adaptive_terrain.land

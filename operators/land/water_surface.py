@@ -16,7 +16,7 @@ from ..bridge.demand.trees import tree_of_new
 from ..bridge.scene_paths import store_path
 from ..bridge.writer import write_mesh
 from ..session import session
-from ..session.polls import on_terrain_object
+from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 from ..text.numbers import length_text
 from .request import land_of
 from .shape_land import check_is_shaped
@@ -29,7 +29,7 @@ CLEAR, OPAQUE = 0.25, 0.96  # alpha at the shore, and of deep water
 DEEP_METRES = 4.0
 
 
-class AddWaterSurface(bpy.types.Operator):
+class AddWaterSurface(TerrainObjectOperator, bpy.types.Operator):
     """Add the lakes, the rivers and the sea of the terrain as an object with a material. Press it again after the land
     has changed"""
 
@@ -44,10 +44,6 @@ class AddWaterSurface(bpy.types.Operator):
         unit="LENGTH", options={"SKIP_SAVE"},
     )  # fmt: skip
 
-    @classmethod
-    def poll(cls, context):
-        return on_terrain_object(cls, context)
-
     def invoke(self, context, _event):
         try:
             check_is_shaped(context.object, context.evaluated_depsgraph_get())
@@ -56,17 +52,14 @@ class AddWaterSurface(bpy.types.Operator):
             return {"CANCELLED"}
         return self.execute(context)
 
+    @cancelled_by_errors
     def execute(self, context):
         terrain = context.object
-        try:
-            water = _existing_water(terrain)
-            level = self.level if self.properties.is_property_set("level") else water and water.get(LEVEL)
-            surface, sea = _surface(terrain, level)
-            water = water or _add_water(terrain)
-            write_mesh(water.data, _placed(surface, terrain.adaptive_terrain))
-        except TerrainError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        water = _existing_water(terrain)
+        level = self.level if self.properties.is_property_set("level") else water and water.get(LEVEL)
+        surface, sea = _surface(terrain, level)
+        water = water or _add_water(terrain)
+        write_mesh(water.data, _placed(surface, terrain.adaptive_terrain))
         if level is not None:
             water[LEVEL] = level
         elif sea is not None:

@@ -7,18 +7,14 @@ import bpy
 from bl_operators.presets import AddPresetBase
 
 from ...cbt_terrain.attributes.splat_rules import MAX_LAYERS
-from ..session.polls import on_terrain
+from ..session.polls import TerrainOperator
 
 PRESETS = "adaptive_terrain/layers"
 PRESET_PANEL = "ADAPTIVE_TERRAIN_PT_layer_presets"
 
 
-class _LayerOperator:
+class _LayerOperator(TerrainOperator):
     bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context):
-        return on_terrain(cls, context)
 
 
 class AddLayer(_LayerOperator, bpy.types.Operator):
@@ -80,17 +76,13 @@ class MoveLayer(_LayerOperator, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class AddPreset(AddPresetBase, bpy.types.Operator):
+class AddPreset(TerrainOperator, AddPresetBase, bpy.types.Operator):
     """Save the layers as a preset, or remove one"""
 
     bl_idname = "adaptive_terrain.layer_preset_add"
     bl_label = "Add Layer Preset"
     preset_menu = PRESET_PANEL
     preset_subdir = PRESETS
-
-    @classmethod
-    def poll(cls, context):
-        return on_terrain(cls, context)
 
     def add(self, context, filepath: str) -> None:
         Path(filepath).write_text(preset_text(context.object.adaptive_terrain.layers), encoding="utf-8")

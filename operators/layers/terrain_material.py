@@ -4,14 +4,13 @@
 import bpy
 
 from ...cbt_terrain.attributes.splat import NAMES
-from ...cbt_terrain.errors import TerrainError
 from ..maps.images import map_image, map_vector, tile_metres
-from ..session.polls import on_terrain_object
+from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 from .material import A_GROUP, COLORS, NORMAL, SKY, SUN, LayerSources, dress
 from .properties import colors_of
 
 
-class TerrainMaterial(bpy.types.Operator):
+class TerrainMaterial(TerrainObjectOperator, bpy.types.Operator):
     """Give the terrain a material of its layers and light, made from what there is. Press it again when layers were
     added or maps baked: links and settings stay"""
 
@@ -28,17 +27,10 @@ class TerrainMaterial(bpy.types.Operator):
         name="Sun", description="Darken what the sun does not reach, by the group's Shadow: for lamps that cast none"
     )
 
-    @classmethod
-    def poll(cls, context):
-        return on_terrain_object(cls, context)
-
+    @cancelled_by_errors
     def execute(self, context):
         light = [name for name, on in ((SKY, self.sky), (SUN, self.sun)) if on]
-        try:
-            material = dress(context.object, sources_of(context.object, light))
-        except TerrainError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        material = dress(context.object, sources_of(context.object, light))
         self.report({"INFO"}, f"{material.name} is the material of {context.object.name}")
         return {"FINISHED"}
 

@@ -7,24 +7,20 @@ from bpy.app.handlers import persistent
 from ...cbt_terrain.errors import TerrainError
 from ..bridge.scene_paths import store_path
 from ..session import session
-from ..session.polls import on_terrain_object
+from ..session.polls import TerrainObjectOperator
 from .dry_ground import keep_dry
 from .fitting import FULL_OF_CONES, PER_SIDE, REACH_HEIGHTS, put_numbers, rounded, scale_of
 from .instancing import add_modifier, collection_of
 from .request import is_scatter, scatters_of
 
 
-class AddScatter(bpy.types.Operator):
+class AddScatter(TerrainObjectOperator, bpy.types.Operator):
     """Add points that keep their places on the terrain, as dense as the camera can see; then choose the
     collection of objects to put on them"""
 
     bl_idname = "adaptive_terrain.scatter_add"
     bl_label = "Add Scatter"
     bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context):
-        return on_terrain_object(cls, context)
 
     def invoke(self, context, _event):
         """Add the scatter without waiting for kernels; the live update makes the points."""

@@ -267,6 +267,14 @@ def _finish(job: LiveUpdate) -> None:
     jobs.redraw_panels()
 
 
+def show_soon(obj) -> None:
+    """Show the heights of a terrain that have changed: by the next live update, or now. Raises TerrainError."""
+    if obj.adaptive_terrain.live and not bpy.app.background:
+        mark_dirty()
+    else:
+        session.update_object(obj)
+
+
 def _report(record: session.Record, error: Exception) -> None:
     if record.status.error != str(session.as_terrain_error(error)):
         session.set_error(record, error)

@@ -35,14 +35,30 @@ def on_terrain_object(operator: type, context) -> bool:
     return context.mode == "OBJECT"
 
 
+class TerrainOperator:
+    """Base of operators on the active terrain."""
+
+    @classmethod
+    def poll(cls, context):
+        return on_terrain(cls, context)
+
+
+class TerrainObjectOperator:
+    """Base of operators on the active terrain in Object Mode."""
+
+    @classmethod
+    def poll(cls, context):
+        return on_terrain_object(cls, context)
+
+
 def cancelled_by_errors(execute: Callable) -> Callable:
-    """Decorate an operator's `execute`: a TerrainError is reported and cancels the operator."""
+    """Decorate an operator's `execute`: a TerrainError or an OSError is reported and cancels the operator."""
 
     @functools.wraps(execute)
     def run(self, context):  # Blender counts the arguments
         try:
             return execute(self, context)
-        except TerrainError as error:
+        except (TerrainError, OSError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
 

@@ -4,20 +4,16 @@
 import bpy
 
 from ..session import session
-from ..session.polls import cancelled_by_errors, on_terrain_object
+from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 
 
-class FreezeDetail(bpy.types.Operator):
+class FreezeDetail(TerrainObjectOperator, bpy.types.Operator):
     """Keep the triangles that the viewport shows now, whatever the camera sees, in renders too; press again to let the
     mesh follow its camera. Heights still follow the vertical scale and offset"""
 
     bl_idname = "adaptive_terrain.freeze"
     bl_label = "Freeze Detail"
     bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context):
-        return on_terrain_object(cls, context)
 
     @cancelled_by_errors
     def execute(self, context):

@@ -5,21 +5,17 @@ import bpy
 
 from ...cbt_terrain.run import warmup
 from ..session import session
-from ..session.polls import cancelled_by_errors, on_terrain_object
+from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 
 WAIT_S = 0.1
 
 
-class UpdateTerrain(bpy.types.Operator):
+class UpdateTerrain(TerrainObjectOperator, bpy.types.Operator):
     """Refine the mesh for the camera now"""
 
     bl_idname = "adaptive_terrain.update"
     bl_label = "Update"
     bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context):
-        return on_terrain_object(cls, context)
 
     def invoke(self, context, event):
         """Wait for kernels without blocking the window, if the click comes during the first start."""

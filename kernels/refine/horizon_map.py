@@ -254,6 +254,18 @@ def ground_near(
     return high
 
 
+@wp.func
+def arc_of(domain: Domain, side: wp.int32, t0: wp.float64, t1: wp.float64):
+    """Return both ends of a bin's arc from the eye, lattice units per metre of radius."""
+    ahead = wp.where(side < 2, wp.float64(1.0), wp.float64(-1.0))
+    per0 = wp.vec2d(ahead / domain.unit_x, t0 / domain.unit_y)
+    per1 = wp.vec2d(ahead / domain.unit_x, t1 / domain.unit_y)
+    if (side & 1) == 1:
+        per0 = wp.vec2d(t0 / domain.unit_x, ahead / domain.unit_y)
+        per1 = wp.vec2d(t1 / domain.unit_x, ahead / domain.unit_y)
+    return per0, per1
+
+
 @wp.kernel
 def fill_horizon(
     offset: int,
@@ -293,13 +305,7 @@ def fill_horizon(
         rise = high - view.eye[2]
         off = off_at(domain, criterion, view, reach2, relaxed, wp.float64(2.0) * start * start, rise)
         floor = (rise + off) / start
-    # Lattice units of an arc's ends from the eye, per metre of radius.
-    ahead = wp.where(side < 2, one, -one)
-    per0 = wp.vec2d(ahead / domain.unit_x, t0 / domain.unit_y)
-    per1 = wp.vec2d(ahead / domain.unit_x, t1 / domain.unit_y)
-    if (side & 1) == 1:
-        per0 = wp.vec2d(t0 / domain.unit_x, ahead / domain.unit_y)
-        per1 = wp.vec2d(t1 / domain.unit_x, ahead / domain.unit_y)
+    per0, per1 = arc_of(domain, side, t0, t1)
     max_slope = NOTHING
     cell = wp.float64(wp.int32(1) << bits) * wp.min(domain.unit_x, domain.unit_y)
     next_radius = wp.float64(0.0)  # rings closer together than cells add nothing

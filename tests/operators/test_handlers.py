@@ -4,18 +4,12 @@
 from types import SimpleNamespace
 
 import bpy
-import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators import handlers, jobs
 from adaptive_terrain.operators.session import live, session, stale_renders
 from adaptive_terrain.operators.ui import status_bar
-
-
-def positions(obj):
-    array = np.empty(3 * len(obj.data.vertices), np.float32)
-    obj.data.vertices.foreach_get("co", array)
-    return array.tobytes()
+from blender_meshes import digest_alone
 
 
 @pytest.fixture
@@ -31,11 +25,11 @@ def flight(scene):
 def test_a_frame_change_follows_the_camera(flight, add_terrain):
     terrain = add_terrain()
     flight.frame_set(2)
-    first = positions(terrain)
+    first = digest_alone(terrain)
     flight.frame_set(8)
-    assert len(terrain.data.polygons) > 100 and positions(terrain) != first
+    assert len(terrain.data.polygons) > 100 and digest_alone(terrain) != first
     flight.frame_set(2)
-    assert positions(terrain) == first
+    assert digest_alone(terrain) == first
     assert session.record_of(terrain).status.bounds.bound_px <= 1.0
 
 
@@ -74,7 +68,7 @@ def test_a_render_uses_its_settings_and_restores_the_viewports(flight, add_terra
     terrain.adaptive_terrain.viewport.error_px = 10.0
     flight.render.resolution_percentage = 25
     flight.frame_set(3)
-    viewport = positions(terrain)
+    viewport = digest_alone(terrain)
     flight.frame_start = flight.frame_end = 3
     shown = []
 
@@ -86,7 +80,7 @@ def test_a_render_uses_its_settings_and_restores_the_viewports(flight, add_terra
         render(flight, tmp_path)
     finally:
         bpy.app.handlers.render_post.remove(look)
-    assert shown[0] > 0 and positions(terrain) == viewport
+    assert shown[0] > 0 and digest_alone(terrain) == viewport
     assert session.record_of(terrain).status.mode == "VIEWPORT"
 
 
@@ -99,7 +93,7 @@ def test_handlers_of_other_extensions_change_no_mesh(flight, add_terrain, tmp_pa
     flight.collection.objects.link(other)
 
     def look(scene, _unused):
-        found[-1].append(positions(terrain))
+        found[-1].append(digest_alone(terrain))
 
     def update(scene, _unused=None):
         bpy.context.view_layer.update()
@@ -205,11 +199,11 @@ def test_live_update_writes_from_a_worker(window, add_terrain):
     bpy.context.view_layer.update()
     turns()
     assert len(terrain.data.polygons) > 100
-    before = positions(terrain)
+    before = digest_alone(terrain)
     terrain.adaptive_terrain.viewport.error_px = 6.0
     bpy.context.view_layer.update()
     turns()
-    assert positions(terrain) != before
+    assert digest_alone(terrain) != before
 
 
 def test_a_stale_result_is_dropped(window, add_terrain):

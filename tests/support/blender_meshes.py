@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a Blender object shows, as numbers to compare."""
 
-import numpy as np
 from invariants import assert_blender_invariants
+from live_windows import positions
 
 
 def digest(obj) -> tuple[int, bytes]:
@@ -14,6 +14,4 @@ def digest(obj) -> tuple[int, bytes]:
 
 def digest_alone(obj) -> tuple[int, bytes]:
     """Return the `digest` of an object that may be no terrain of this file or may have been cut by a clean-up."""
-    array = np.empty(3 * len(obj.data.vertices), np.float32)
-    obj.data.vertices.foreach_get("co", array)
-    return len(obj.data.polygons), array.tobytes()
+    return len(obj.data.polygons), positions(obj).tobytes()

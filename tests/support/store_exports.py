@@ -16,6 +16,11 @@ FLIGHT = {
 }
 
 
+def run(*arguments) -> int:
+    """Run the command line; return its exit code."""
+    return command_line.main([str(argument) for argument in arguments])
+
+
 @pytest.fixture
 def flight(tmp_path):
     path = tmp_path / "flight.json"

@@ -11,14 +11,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.export import file_outputs
+from store_exports import run
 
 RED, BLUE, GREEN = b"\xff\0\0", b"\0\0\xff", b"\0\xff\0"
-
-
-def run(*arguments) -> int:
-    return command_line.main([str(argument) for argument in arguments])
 
 
 def save_image(path: Path, color: bytes) -> None:

@@ -5,7 +5,6 @@ import json
 import os
 
 import pytest
-from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.export import summaries
 from adaptive_terrain.operators.export.summaries import (
     closed_summary,
@@ -13,13 +12,10 @@ from adaptive_terrain.operators.export.summaries import (
     content_digest,
     summary_checksum,
 )
+from store_exports import run
 
 FIGURES = {"name": "a", "triangles": 5, "limited": "", "ms": {"total": 1.0}, **dict.fromkeys(summaries.BOUNDS)}
 FIGURES["bound_px"] = 1.0
-
-
-def run(*arguments) -> int:
-    return command_line.main([str(argument) for argument in arguments])
 
 
 @pytest.fixture

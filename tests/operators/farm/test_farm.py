@@ -20,6 +20,7 @@ from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.export import preparing
 from adaptive_terrain.operators.farm import bundle
 from openjd.model import IntRangeExpr, create_job, decode_job_template, preprocess_job_parameters
+from store_exports import run
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -45,10 +46,6 @@ def shot(scene, add_terrain, store, tmp_path):
     scene.render.engine, scene.render.resolution_x, scene.render.resolution_y = "BLENDER_WORKBENCH", 96, 54
     bpy.ops.wm.save_mainfile()
     return path
-
-
-def run(*arguments) -> int:
-    return command_line.main([str(argument) for argument in arguments])
 
 
 def read(job: Path) -> tuple[dict, dict, dict]:

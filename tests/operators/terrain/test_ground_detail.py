@@ -7,26 +7,21 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.session import session
 from adaptive_terrain.operators.terrain.layered_ground import ground_of
-
-
-def positions(obj) -> bytes:
-    array = np.empty(3 * len(obj.data.vertices), np.float32)
-    obj.data.vertices.foreach_get("co", array)
-    return array.tobytes()
+from blender_meshes import digest_alone
 
 
 def test_an_amplitude_adds_detail_and_none_takes_it_away(scene, add_terrain):
     obj = add_terrain()
     plain = session.update_object(obj)
-    before = positions(obj)
+    before = digest_alone(obj)
     obj.adaptive_terrain.ground.amplitude, obj.adaptive_terrain.ground.wavelength = 20.0, 50.0
     bpy.context.view_layer.update()
     detailed = session.update_object(obj)
-    assert detailed.triangles > plain.triangles and positions(obj) != before
+    assert detailed.triangles > plain.triangles and digest_alone(obj) != before
     assert session.record_of(obj).field.detail.amplitude == 20.0
     obj.adaptive_terrain.ground.amplitude = 0.0
     bpy.context.view_layer.update()
-    assert session.update_object(obj).triangles == plain.triangles and positions(obj) == before
+    assert session.update_object(obj).triangles == plain.triangles and digest_alone(obj) == before
 
 
 def test_a_number_that_cannot_be_names_the_terrain(scene, add_terrain):
@@ -52,12 +47,12 @@ def test_an_image_is_detail_and_painting_it_shows(scene, add_terrain):
     bpy.context.view_layer.update()
     assert session.update_object(obj).triangles > before
     assert session.record_of(obj).field.detail.image.values.shape == (8, 8)
-    chequered = positions(obj)
+    chequered = digest_alone(obj)
     ground.image.pixels.foreach_set(np.full(8 * 8 * 4, 0.5, np.float32))
     ground.image.update_tag()
     bpy.context.view_layer.update()
     session.update_object(obj)
-    assert positions(obj) != chequered
+    assert digest_alone(obj) != chequered
     heights = session.record_of(obj).field.detail.image.values
     assert (heights == 0.5).all(), "a grey image is level"
 

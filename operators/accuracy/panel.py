@@ -30,7 +30,6 @@ class StatisticsPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_statistics"
     bl_label = "Accuracy of Last Update"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = self._columns()
@@ -70,7 +69,6 @@ class AccuracyReportPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_accuracy_report"
     bl_label = "Accuracy Report"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_statistics"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = self._columns()

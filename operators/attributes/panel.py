@@ -51,7 +51,6 @@ class EffectsPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_effects"
     bl_label = "Attributes"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         obj = show_terrain(self.layout, context)

@@ -25,7 +25,6 @@ class SourcePanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_source"
     bl_label = "Import Options"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = self._columns()
@@ -75,7 +74,6 @@ class ImportedPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_imported"
     bl_label = "Imported"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = self._columns()
@@ -98,7 +96,6 @@ class SurfacePanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_surface"
     bl_label = "Surface"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_look"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = self._columns()
@@ -114,7 +111,6 @@ class DisplacementPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_ground"
     bl_label = "Displacement"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_surface"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         draw_ground(self._columns(), session.shown_terrain(context).adaptive_terrain.ground)

@@ -68,7 +68,6 @@ class LandPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_land"
     bl_label = "Land"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw_header_preset(self, _context):
         LandPresets.draw_panel_header(self.layout)
@@ -130,6 +129,7 @@ class LandEffectPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_land_effect"
     bl_label = "Effect"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_land"
+    bl_options = set()
 
     @classmethod
     def poll(cls, context):
@@ -176,7 +176,6 @@ class LandLayersPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_land_layers"
     bl_label = "By-Products"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_land"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         statuses = session.record_of(session.shown_terrain(context)).status.effects
@@ -206,7 +205,6 @@ class LandOutputPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_land_output"
     bl_label = "Export and Cache"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_land"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, _context):
         column = self._columns()

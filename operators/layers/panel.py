@@ -43,6 +43,7 @@ class LayersPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_layers"
     bl_label = "Layers"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_look"
+    bl_options = set()
 
     def draw_header_preset(self, _context):
         LayerPresets.draw_panel_header(self.layout)

@@ -11,7 +11,6 @@ class MapsPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_maps"
     bl_label = "Maps"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_look"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = self._columns()

@@ -17,7 +17,6 @@ class OverlayPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_overlay"
     bl_label = "Overlay"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = self._columns()

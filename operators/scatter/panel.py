@@ -22,7 +22,6 @@ class ScattersPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_scatters"
     bl_label = "Scatter"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         terrain = show_terrain(self.layout, context)

@@ -63,7 +63,6 @@ class ViewportPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_viewport"
     bl_label = "Detail in Viewport"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         _draw_detail(self._columns(), session.shown_terrain(context).adaptive_terrain.viewport)
@@ -73,7 +72,6 @@ class RenderPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_render"
     bl_label = "Detail in Render"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = self._columns()

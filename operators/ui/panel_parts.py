@@ -28,7 +28,9 @@ def panels_of(classes) -> list[type]:
 
 
 class TerrainSubpanel:
-    """Base of the panels below the first: shown for a terrain only."""
+    """Base of the panels below the first: shown for a terrain only, and closed at first."""
+
+    bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context):

@@ -82,7 +82,6 @@ class LookPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_look"
     bl_label = "Look"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, _context):
         """Draw nothing: the sub-panels have the rows."""
@@ -92,7 +91,6 @@ class AdvancedPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_advanced"
     bl_label = "Advanced"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         obj = session.shown_terrain(context)
@@ -115,7 +113,6 @@ class CameraPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_camera"
     bl_label = "Camera"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = self._columns()
@@ -129,7 +126,6 @@ class MeshPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_mesh"
     bl_label = "Mesh"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = self._columns()
@@ -144,7 +140,6 @@ class OutputPanel(TerrainSubpanel):
     bl_idname = "ADAPTIVE_TERRAIN_PT_output"
     bl_label = "Bake and Export"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         column = self._columns()

@@ -41,7 +41,7 @@ def example(evaluate: Evaluate) -> None:
 
 COLOR = AttributeDeclaration(
     name="color",
-    about="Colour of the ground: of the splat layers by their weights, with decals over it",
+    about="Colour of the ground: the colours of the layers by their shares, with decals on top",
     unit=LINEAR_RGB,
     make=make,
     kernels=(splat_kernels,),

@@ -89,7 +89,7 @@ def example(evaluate: Evaluate) -> None:
 
 FLOW = AttributeDeclaration(
     name="flow",
-    about="How much land drains through a place; below the surface of a lake, through its outlet",
+    about="Area of the land whose water runs through a point; in a lake, through its outlet",
     unit="m2",
     make=make,
     kernels=(catchment, kernels, pyramid_kernels, routing_kernels),

@@ -60,7 +60,7 @@ def height_example(evaluate: Evaluate) -> None:
 
 HEIGHT = AttributeDeclaration(
     name="height",
-    about="Height of the ground as displaced: a mean over the samples that are as far apart as the scale",
+    about="Height of the ground with displacement, averaged over the smallest forms that are shown there",
     unit="m",
     make=make,
     kernels=KERNELS,
@@ -80,7 +80,7 @@ def slope_example(evaluate: Evaluate) -> None:
 
 SLOPE = AttributeDeclaration(
     name="slope",
-    about="How steep the ground is: 0 is level, pi / 2 upright",
+    about="Angle of the ground: 0 is level, pi / 2 is upright",
     unit="rad",
     make=make,
     kernels=KERNELS,
@@ -100,7 +100,7 @@ def aspect_example(evaluate: Evaluate) -> None:
 
 ASPECT = AttributeDeclaration(
     name="aspect",
-    about="Direction downhill, clockwise from north, as its sine (to the east) and cosine (to the north); (0, 0) on "
+    about="Compass direction in which the ground falls, as its sine (to the east) and cosine (to the north); (0, 0) on "
     "level ground",
     unit="",
     make=make,
@@ -125,7 +125,7 @@ def mean_curvature_example(evaluate: Evaluate) -> None:
 
 MEAN_CURVATURE = AttributeDeclaration(
     name="mean_curvature",
-    about="Mean curvature of the surface: positive on summits and ridges, negative in hollows and channels",
+    about="How the ground bends: positive on summits and ridges, negative in hollows and channels",
     unit="1/m",
     make=make,
     kernels=KERNELS,
@@ -147,7 +147,7 @@ def profile_curvature_example(evaluate: Evaluate) -> None:
 
 PROFILE_CURVATURE = AttributeDeclaration(
     name="profile_curvature",
-    about="Curvature down the slope: positive where it steepens downhill, negative at its foot; 0 on level ground",
+    about="How the slope changes downhill: positive where it gets steeper, negative at its foot, 0 on level ground",
     unit="1/m",
     make=make,
     kernels=KERNELS,
@@ -170,8 +170,8 @@ def plan_curvature_example(evaluate: Evaluate) -> None:
 
 PLAN_CURVATURE = AttributeDeclaration(
     name="plan_curvature",
-    about="Curvature of the contour line: positive on ridges, negative in valleys; at most 1 / the distance of samples "
-    "at the scale, 0 on level ground",
+    about="How contour lines bend: positive on ridges, negative in valleys, 0 on level ground; at most 1 / the "
+    "distance of samples at the scale",
     unit="1/m",
     make=make,
     kernels=KERNELS,
@@ -190,8 +190,8 @@ def normal_example(evaluate: Evaluate) -> None:
 
 DETAIL_NORMAL = AttributeDeclaration(
     name="detail_normal",
-    about="Normal of the ground at the scale that is shown, in the terrain's own space: near by the detail's, far away "
-    "the land's beneath it",
+    about="Direction in which the ground faces, in the terrain's own space: with displacement close to the camera, "
+    "without it far away",
     unit="",
     make=make,
     kernels=KERNELS,

@@ -18,13 +18,13 @@ from .pyramid import ground
 # Name, unit, and one line of meaning.
 KNOWN = (
     ("wear", "m", "Depth of rock that erosion has removed"),
-    ("sediment", "m", "Depth of what rivers have laid down"),
-    ("scree", "m", "Depth of scree on the rock"),
+    ("sediment", "m", "Depth of the material that rivers have deposited"),
+    ("scree", "m", "Depth of the loose stones on the rock"),
     ("snow", "m", "Depth of snow"),
-    ("slides", "m", "Depth of snow that slides have brought; where negative, taken"),
+    ("slides", "m", "Depth of the snow that avalanches have brought; negative where they have taken it"),
     ("water_depth", "m", "Depth of the water of rivers, lakes and the sea"),
     ("water_speed", "m/s", "Speed of the water"),
-    ("discharge", "m^3/s", "Water that passes a place; in a lake, what leaves it"),
+    ("discharge", "m^3/s", "Water that passes a point; in a lake, the water that leaves it"),
 )
 NAMES = tuple(name for name, _, _ in KNOWN)
 
@@ -70,7 +70,7 @@ def _example(name: str) -> Callable[[Evaluate], None]:
 LAYERS = tuple(
     AttributeDeclaration(
         name=name,
-        about=f"{about}, as effects on heights have left it; 0 without them",
+        about=f"{about}. Land effects make it; 0 without them",
         unit=unit,
         make=make,
         kernels=(kernels, pyramid_kernels),

@@ -32,13 +32,13 @@ def example(evaluate: Evaluate) -> None:
 
 OCCLUSION = AttributeDeclaration(
     name="ambient_occlusion",
-    about="Open part of what surrounds a place within a radius: 1 is open, 0 closed",
+    about="How open the surroundings of a point are, within a radius: 1 is open, 0 is closed in",
     unit="1",
     span=(0.0, 1.0),
     make=make,
     kernels=(light_kernels, pyramid_kernels, sweep_kernels),
     example=example,
-    parameters=(Parameter("radius", 50.0, 0.01, 1e6, "m", "How far around a place ground counts"),),
+    parameters=(Parameter("radius", 50.0, 0.01, 1e6, "m", "How far around a point the ground counts"),),
     scaled=False,
     halo="the radius",
     cost_ns=11000,

@@ -62,7 +62,7 @@ def example(evaluate: Evaluate) -> None:
 
 SKY = AttributeDeclaration(
     name="sky",
-    about="Part of the sky that is seen, weighted by the cosine about the ground's normal: 1 is all of it",
+    about="Share of the sky that a point sees, weighted by the cosine about the ground's normal: 1 is all of it",
     unit="1",
     span=(0.0, 1.0),
     make=make,

@@ -140,7 +140,7 @@ def _is_empty(first: int, values: Mapping[str, ParameterValue]) -> bool:
 SPLATS = tuple(
     AttributeDeclaration(
         name=name,
-        about=f"What part of the ground the splat layers {4 * k + 1} to {4 * k + 4} cover; all add up to exactly 1",
+        about=f"Shares of the ground that layers {4 * k + 1} to {4 * k + 4} cover; all layers add up to exactly 1",
         unit="",
         make=make,
         kernels=(kernels,),

@@ -39,7 +39,7 @@ def example(evaluate: Evaluate) -> None:
 
 SUN = AttributeDeclaration(
     name="sun",
-    about="Part of the sun's disc above the horizon, of the strongest sun: 1 is in the sun, 0 in the shadow",
+    about="Share of the sun's disc above the horizon, of the strongest sun lamp: 1 is in the sun, 0 is in the shadow",
     unit="1",
     span=(0.0, 1.0),
     make=make,

@@ -40,7 +40,8 @@ def example(evaluate: Evaluate) -> None:
 
 WETNESS = AttributeDeclaration(
     name="wetness",
-    about="Topographic wetness index: ln of the area that drains through a metre of contour over the slope's tangent",
+    about="Where water gathers: about 3 on slopes and 12 in valleys. The topographic wetness index: ln of the area "
+    "that drains through a metre of contour over the slope's tangent",
     unit="",
     make=make,
     kernels=(catchment_kernels, kernels, pyramid_kernels, routing_kernels),

@@ -74,18 +74,16 @@ LANDS: dict[str, BuiltInTerrain] = {
             lambda size, row, seed: [size, row, seed],
             "volcanic_island",
         ),
-        _of_ranges(
-            "mountains", "Mountains", "A range with forelands, for rivers to cut", 24_576.0, MOUNTAINS, "great_range"
-        ),
+        _of_ranges("mountains", "Mountains", "A mountain range with foothills", 24_576.0, MOUNTAINS, "great_range"),
         BuiltInTerrain(
             "dunes",
             "Dunes",
-            "Sand in crests across the wind, slip faces to the east",
+            "Long crests of sand, steep on their east side",
             _DUNES,
             raise_dunes,
             lambda size, row, seed: [size, row, wp.float64(0.5 * _DUNES), seed],
         ),
-        _of_ranges("canyon", "Canyon", "A plateau of hard and soft beds, cut by a river", 16_384.0, CANYON, "desert"),
+        _of_ranges("canyon", "Canyon", "A plateau of rock layers, cut by a river", 16_384.0, CANYON, "desert"),
         _of_ranges(
             "archipelago",
             "Archipelago",

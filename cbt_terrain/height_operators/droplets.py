@@ -173,15 +173,15 @@ def example(shape: Evaluate) -> None:
 DROPLETS = HeightOperator(
     name="droplets",
     label="Gullies",
-    about="Short gullies and small fans, from droplets that run a few hundred metres",
+    about="Short gullies and small fans of earth, cut by drops of rain",
     apply=apply,
     kernels=(kernels,),
     example=example,
     parameters=(
-        Parameter("droplets", 20000.0, 0.0, 200000.0, "1/km²", "Droplets that fall"),
-        Parameter("reach", 480.0, 50.0, 2000.0, "m", "How far a droplet runs at most"),
-        Parameter("strength", 1.0, 0.0, 10.0, "", "How much a droplet carries: 1 is 250 m³ on a slope of 1"),
-        Parameter("sea", 0.0, -12000.0, 9000.0, "m", "Ground up to this height is sea, where droplets end"),
+        Parameter("droplets", 20000.0, 0.0, 200000.0, "1/km²", "Number of droplets: more cut more gullies"),
+        Parameter("reach", 480.0, 50.0, 2000.0, "m", "Longest path of a droplet: longer makes longer gullies"),
+        Parameter("strength", 1.0, 0.0, 10.0, "", "How much earth a droplet carries: 1 is 250 m³ on a slope of 45°"),
+        Parameter("sea", 0.0, -12000.0, 9000.0, "m", "Height of the sea, where droplets end"),
     ),
     layers=(
         LandLayer("sediment", "m", "What droplets have laid down"),

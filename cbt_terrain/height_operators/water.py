@@ -21,7 +21,9 @@ YEAR = 365.2425 * 86400.0  # seconds
 
 DEPTH = LandLayer("water_depth", "m", "Depth of the water, of rivers, lakes and the sea", per_metre=False)
 SPEED = LandLayer("water_speed", "m/s", "Speed of the water", per_metre=False)
-DISCHARGE = LandLayer("discharge", "m^3/s", "Water that passes a place; in a lake, what leaves it", per_metre=False)
+DISCHARGE = LandLayer(
+    "discharge", "m^3/s", "Water that passes a point; in a lake, the water that leaves it", per_metre=False
+)
 
 
 def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
@@ -81,14 +83,14 @@ def example(evaluate: Evaluate) -> None:
 WATER = HeightOperator(
     name="water",
     label="Water",
-    about="Where water is and how fast: rivers, lakes and the sea under steady rain; heights stay",
+    about="Rivers, lakes and the sea under steady rain, with their depth and speed; heights stay",
     apply=apply,
     kernels=(catchment_kernels, routing_kernels, kernels),
     example=example,
     parameters=(
-        Parameter("rain", 1.0, 0.0, 1000.0, "m/yr", "What runs off: rain less what evaporates and seeps away"),
-        Parameter("sea", 0.0, -12000.0, 9000.0, "m", "Level of the sea: all ground below it is under water"),
-        Parameter("roughness", 0.05, 0.005, 0.5, "s/m^(1/3)", "Manning's coefficient of the beds"),
+        Parameter("rain", 1.0, 0.0, 1000.0, "m/yr", "Rain that runs off, without what evaporates or seeps away"),
+        Parameter("sea", 0.0, -12000.0, 9000.0, "m", "Height of the sea: all lower ground is under water"),
+        Parameter("roughness", 0.05, 0.005, 0.5, "s/m^(1/3)", "How much beds slow water: Manning's coefficient"),
     ),
     layers=(DEPTH, SPEED, DISCHARGE),
     halo=lambda _values, _step: math.inf,

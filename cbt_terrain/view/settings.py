@@ -86,12 +86,13 @@ class CriterionSetting:
 CRITERIA = (
     CriterionSetting(
         "error_px", "Screen Error",
-        "How far a visible point of the mesh may be from its true place, in pixels: smaller is finer; 0 is off",
+        "Largest error that the camera may see, in pixels: smaller is finer and slower; 0 is off",
         1.0, unit="px", viewport=2.0, usual=2.0, soft_max=20.0, digits=2, option="--pixel-error",
     ),
     CriterionSetting(
         "edge_px", "Edge Length",
-        "Longest edge of a triangle as the camera sees it, in pixels; 0 is off",
+        "Longest edge of a triangle as the camera sees it, in pixels, for materials and modifiers that move vertices; "
+        "0 is off",
         0.0, unit="px", usual=40.0, soft_max=200.0, option="--edge",
     ),
     CriterionSetting(
@@ -101,7 +102,7 @@ CRITERIA = (
     ),
     CriterionSetting(
         "error_m", "Vertical Error",
-        "How far the mesh may be above or below the ground anywhere, in metres, without regard to the camera; 0 is off",
+        "How far the mesh may be above or below the ground anywhere, in metres, whatever the camera sees; 0 is off",
         0.0, unit="m", usual=1.0, soft_max=100.0, digits=3, option="--metres",
     ),
 )  # fmt: skip
@@ -109,37 +110,38 @@ CRITERIA = (
 MODIFIERS = (
     CriterionSetting(
         "guard_deg", "Guard Band",
-        "How far outside the frame full detail is kept, in degrees at a field of view of 50; a lens that sees less has "
-        "it in proportion",
+        "How far outside the camera's frame full detail is kept, in degrees, for reflections and shadows. It is meant "
+        "for a field of view of 50°; narrower lenses have less, in proportion",
         2.5, row="Guard (°)", unit="°", soft_max=89.0, option="--guard",
     ),
     CriterionSetting(
         "off_screen_factor", "Off-Screen Factor",
-        "How many times coarser the terrain may be outside the frame, at a field of view of 50 degrees; a lens that "
-        "sees less has it coarser in proportion. 1 keeps full detail everywhere",
+        "How many times coarser the terrain may be outside the camera's frame, at a field of view of 50°; narrower "
+        "lenses have it coarser, in proportion. 1 keeps full detail everywhere",
         16.0, row="Off-Screen ×", min=1.0, max=math.inf, soft_max=1000.0, option="--off-screen",
     ),
     CriterionSetting(
         "hidden_factor", "Hidden Factor",
-        "How many times coarser the terrain may be where nearer ground hides it from the camera; 1 keeps full detail. "
-        "Shadows, mirrors and a wide aperture can show hidden ground: keep 1 where they matter",
+        "How many times coarser the terrain may be where hills hide it from the camera; 1 keeps full detail. Keep 1 "
+        "where shadows, mirrors or a strong depth of field show hidden ground",
         1.0, row="Hidden ×", min=1.0, max=math.inf, soft_max=64.0, option="--occlusion",
     ),
     CriterionSetting(
         "shading_floor", "Shading Floor",
-        "Seen from above, errors of height move no pixel but change shading and shadows. At least this fraction "
-        "of them counts: 1 is finest, 0 counts only visible movement",
+        "How much errors of height count that move no pixel but change the shading, as seen from above: 1 is finest, 0 "
+        "counts only visible movement",
         0.5, unit="fraction", max=1.0, digits=2, option="--shading-floor",
     ),
     CriterionSetting(
         "morph", "Geomorph",
-        "Vertices move smoothly to their places as the camera comes nearer, instead of popping; for about a third more "
-        "triangles",
+        "Move vertices smoothly to their places as the camera comes nearer, instead of letting them pop. It takes "
+        "about a third more triangles",
         1.0, render=SMOOTH, min=1.0, max=MAX_MORPH, usual=SMOOTH, switch="smooth_transitions", option="--morph",
     ),
     CriterionSetting(
         "meshlet", "Meshlet Level",
-        "Split every triangle into 4 to this power smaller ones: faster for each triangle, but more of them",
+        "Divide every triangle into 4 (level 1), 16 (2), 64 (3) or 256 (4) smaller ones: less time for each triangle, "
+        "but more of them",
         0, max=4, whole=True, option="--meshlet",
     ),
 )  # fmt: skip
@@ -147,9 +149,9 @@ MODIFIERS = (
 LIMITS = (
     CriterionSetting(
         "max_depth", "Max Depth",
-        "How often the coarsest triangles may be halved",
+        "How often the coarsest triangles may be halved; two more halve their size",
         None, min=1, usual=20, switch="limit_depth", switch_label="Limit Depth",
-        switch_tooltip="Stop halving triangles at this depth, even where the error is larger", whole=True, soft_max=40,
+        switch_tooltip="Stop halving triangles at a depth, even where the error is larger", whole=True, soft_max=40,
     ),
     CriterionSetting(
         "max_triangles", "Max Triangles",

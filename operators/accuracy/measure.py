@@ -148,9 +148,8 @@ def _requests(obj, depsgraph) -> tuple[dict[str, Request], list[TerrainError]]:
 
 
 class MeasureAccuracy(MeasuringOperator, bpy.types.Operator):
-    """Measure the errors of the mesh and what finer and coarser ones cost, for this camera: once with the viewport's
-    detail and once with the render's own camera, resolution and detail. Leave the view alone meanwhile, so that the
-    times are right; measure again after large changes"""
+    """Measure how far the mesh is from the true ground, and the time of finer and coarser meshes, for the viewport's
+    and the render's detail. Leave the view alone until it is done; measure again after large changes"""
 
     bl_idname = "adaptive_terrain.measure_accuracy"
     bl_label = "Measure Accuracy"

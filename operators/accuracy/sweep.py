@@ -103,8 +103,8 @@ def measured(look: Look, through: str, job: BackgroundJob) -> AccuracySubject:
 
 
 class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
-    """Measure this terrain at the detail of the render for every kind of setting: errors in pixels and metres, depth,
-    meshlets, interpolation and fit. Writes a page with plots and tables, and the same as CSV; takes a minute or more"""
+    """Measure this terrain with many settings, and write a page with plots and tables and the same as CSV. It takes a
+    minute or more; Open Report shows the page"""
 
     bl_idname = "adaptive_terrain.sweep_accuracy"
     bl_label = "Write Accuracy Report"

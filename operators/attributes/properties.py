@@ -11,9 +11,9 @@ from ..terrain.detail_properties import changed
 
 ON_DEMAND, PINNED, OFF = "DEMAND", "PINNED", "OFF"
 WHEN = [
-    (ON_DEMAND, "On Demand", "Compute it if a material, a modifier, a driver or an export uses it", "LINKED", 0),
-    (PINNED, "Pinned", "Compute it always: for scripts", "PINNED", 1),
-    (OFF, "Off", "Never give it to materials, which get 0; other attributes may still use it", "CANCEL", 2),
+    (ON_DEMAND, "On Demand", "Compute it only if a material, a modifier, a driver or an export uses it", "LINKED", 0),
+    (PINNED, "Pinned", "Compute it always, for scripts that read it; updates take longer", "PINNED", 1),
+    (OFF, "Off", "Materials read 0, which saves time; other attributes may still use it", "CANCEL", 2),
 ]
 
 
@@ -52,13 +52,13 @@ def _settings_of(effect: AttributeDeclaration) -> type:
 GROUPS = {name: _settings_of(effect) for name, effect in ATTRIBUTES.items()}
 _scale = FloatProperty(
     name="Geometry Scale",
-    description="Size in metres of the smallest forms that modifiers and geometry nodes see in attributes; 0 is the "
-    "distance between the heights of the file",
+    description="Size of the smallest forms that modifiers and geometry nodes see in attributes: larger is smoother. 0 "
+    "is the distance between the heights of the file",
     default=0.0, min=0.0, soft_max=1000.0, precision=2, unit="LENGTH", update=changed,
 )  # fmt: skip
 _active = IntProperty(
     name="Chosen Attribute",
-    description="Number of the attribute whose details are shown, among the members",
+    description="Row of the list whose details are shown",
     default=2, options=set(),
 )  # fmt: skip
 EffectsSettings = type(

@@ -54,7 +54,8 @@ def bake(obj, depsgraph, error_m: float, fitted: bool = False):
 
 
 class BakeTerrain(TerrainObjectOperator, bpy.types.Operator):
-    """Make an ordinary mesh object with one vertical error everywhere, independent of any camera"""
+    """Make an ordinary mesh object with the same accuracy everywhere, whatever the camera sees. Use it to edit the
+    terrain by hand or for other programs"""
 
     bl_idname = "adaptive_terrain.bake"
     bl_label = "Bake Static Mesh"

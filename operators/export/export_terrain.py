@@ -16,7 +16,8 @@ GLOB = ";".join(f"*.{name}" for name, form in FORMATS.items() if not form.is_who
 
 
 class ExportTerrain(TerrainObjectOperator, bpy.types.Operator, ExportHelper):
-    """Write the terrain as the camera sees it at this frame, at the detail of the render, to a file"""
+    """Write the terrain of this frame to a file, as detailed as in a render. The ending of the file name is the
+    format"""
 
     bl_idname = "adaptive_terrain.export"
     bl_label = "Export"

@@ -22,9 +22,9 @@ from .exporting import check_target
 GLOB = ";".join(f"*{suffix}" for suffix in FORMATS)
 FREE, WHOLE = "FREE", "WHOLE"
 SIZES = (
-    *((str(size), f"{size:,}", "Size of an Unreal landscape") for size in UNREAL_SIZES),
-    (FREE, "Other", "Any number of samples"),
-    (WHOLE, "Whole Raster", "One tile with the samples of the height map"),
+    *((str(size), f"{size:,}", "Size of a landscape in Unreal Engine") for size in UNREAL_SIZES),
+    (FREE, "Other", "Enter another number"),
+    (WHOLE, "Whole Raster", "One tile with all heights of the height map"),
 )
 
 
@@ -37,8 +37,8 @@ def mask_requests(obj, depsgraph, field) -> tuple:
 
 
 class ExportHeightTiles(LandOperator, bpy.types.Operator, ExportHelper):
-    """Write the heights of the land as tiles for game engines, its by-products and layers as 8-bit masks, and their
-    scale and position as JSON"""
+    """Write the heights of the land as tiles for game engines, its layers as masks, and their scale and position as a
+    JSON file"""
 
     bl_idname = "adaptive_terrain.export_tiles"
     bl_label = "Export Height Tiles"
@@ -47,24 +47,38 @@ class ExportHeightTiles(LandOperator, bpy.types.Operator, ExportHelper):
     check_extension = None  # the suffix that the user types is the format
     filter_glob: bpy.props.StringProperty(default=GLOB, options={"HIDDEN"})
     size: bpy.props.EnumProperty(
-        name="Tile Size", description="Samples along a tile's side", items=SIZES, default=WHOLE
+        name="Tile Size", description="Number of heights along each side of a tile", items=SIZES, default=WHOLE
     )
-    free_size: bpy.props.IntProperty(name="Samples", description="Samples a side", default=513, min=2, max=MAX_TILE)
+    free_size: bpy.props.IntProperty(
+        name="Samples", description="Number of heights along each side of a tile", default=513, min=2, max=MAX_TILE
+    )
     fit: bpy.props.BoolProperty(
-        name="Fit Number of Tiles", description="Space the samples so that this number of tiles covers the land exactly"
+        name="Fit Number of Tiles",
+        description="Change the distance between heights so that a given number of tiles covers the land exactly",
     )
-    tiles: bpy.props.IntVectorProperty(name="Tiles", description="Tiles along X and Y", size=2, default=(1, 1), min=1)
+    tiles: bpy.props.IntVectorProperty(
+        name="Tiles", description="Number of tiles along X and Y", size=2, default=(1, 1), min=1
+    )
     overlap: bpy.props.IntProperty(
-        name="Overlap", description="Samples that neighbouring tiles share", default=1, min=0, max=1
+        name="Overlap",
+        description="Rows of heights that neighbouring tiles share at their border: 0 or 1, as the game engine expects",
+        default=1,
+        min=0,
+        max=1,
     )
     flip: bpy.props.BoolProperty(
-        name="South First", description="The first row of samples and tiles is the southern one"
+        name="South First",
+        description="Begin files and tile numbers in the south instead of the north, for programs that expect it",
     )
     masks: bpy.props.BoolProperty(
-        name="Masks", description="Also write by-products and splat layers as 8-bit PNG", default=True
+        name="Masks",
+        description="Also write the layers and the by-products of land effects as 8-bit PNG images",
+        default=True,
     )
     pattern: bpy.props.StringProperty(
-        name="Pattern", description="Name of a tile, with {name}, {x} and {y}", default=PATTERN
+        name="Pattern",
+        description="File name of each tile: {name} is the name that you choose, {x} and {y} are the tile's numbers",
+        default=PATTERN,
     )
 
     def draw(self, _context):
@@ -101,7 +115,8 @@ class ExportHeightTiles(LandOperator, bpy.types.Operator, ExportHelper):
 
 
 class ExportTileset(LandOperator, bpy.types.Operator, ExportHelper):
-    """Write the land as 3D Tiles: glb files with levels of detail, whose geometric error is a bound that holds"""
+    """Write the land as 3D Tiles for viewers of globes and maps: glb files in levels of detail, each with the largest
+    error that it has"""
 
     bl_idname = "adaptive_terrain.export_tileset"
     bl_label = "Export 3D Tiles"
@@ -110,13 +125,16 @@ class ExportTileset(LandOperator, bpy.types.Operator, ExportHelper):
     filter_glob: bpy.props.StringProperty(default="*.json", options={"HIDDEN"})
     error_m: bpy.props.FloatProperty(
         name="Finest Error",
-        description="Largest vertical error of the finest level",
+        description="How far the finest level may be above or below the ground. Smaller is finer and makes more files",
         default=1.0,
         min=1e-4,
         unit="LENGTH",
     )
     triangles: bpy.props.IntProperty(
-        name="Triangles", description="Mean number in a tile of the finest level", default=TRIANGLES, min=1
+        name="Triangles",
+        description="Average number of triangles in a file of the finest level. Fewer make more and smaller files",
+        default=TRIANGLES,
+        min=1,
     )
 
     def _carry_out(self, obj, depsgraph):

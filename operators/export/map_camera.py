@@ -230,22 +230,29 @@ def _changed(owner, values: dict):
 
 
 class MapCamera(TerrainObjectOperator, bpy.types.Operator):
-    """Look straight down on the whole terrain, north up, with an orthographic camera and whole pixels for each cell of
-    the height map"""
+    """Add an orthographic camera that looks straight down on the whole terrain, north up, and set the size of the
+    render to whole pixels for each cell of the height map"""
 
     bl_idname = "adaptive_terrain.map_camera"
     bl_label = "Map Camera"
     bl_options = {"REGISTER", "UNDO"}
 
     pixels: bpy.props.IntProperty(
-        name="Pixels per Cell", description="Along each side of a cell of the height map", default=1, min=1, max=1024
+        name="Pixels per Cell",
+        description="Pixels along each side of a cell of the height map: more make a larger picture",
+        default=1,
+        min=1,
+        max=1024,
     )
-    use_metres: bpy.props.BoolProperty(name="By Metres", description="Set the size of a pixel in metres instead")
+    use_metres: bpy.props.BoolProperty(name="By Metres", description="Enter the size of a pixel in metres instead")
     metres: bpy.props.FloatProperty(
-        name="Metres per Pixel", description="Rounded so that whole pixels fit the terrain", default=10.0, min=1e-4
+        name="Metres per Pixel",
+        description="Size of a pixel on the ground; it is rounded so that whole pixels fit the terrain",
+        default=10.0,
+        min=1e-4,
     )
     sun: bpy.props.BoolProperty(
-        name="Sun", description="Add a sun from the north-west if the scene has none, for shaded relief", default=True
+        name="Sun", description="Add a sun from the north-west for shaded relief, if the scene has no sun", default=True
     )
 
     @cancelled_by_errors
@@ -261,7 +268,7 @@ class MapCamera(TerrainObjectOperator, bpy.types.Operator):
 
 
 class RenderMap(bpy.types.Operator, ExportHelper):
-    """Render the map camera's picture, in one piece or in tiles, with world files and as GeoTIFF"""
+    """Render the picture of the map camera, whole or in tiles, with files that give map programs its place on Earth"""
 
     bl_idname = "adaptive_terrain.render_map"
     bl_label = "Render Map"
@@ -269,8 +276,18 @@ class RenderMap(bpy.types.Operator, ExportHelper):
     filename_ext = ".png"
     check_extension = None  # the suffix that the user types is the format
     filter_glob: bpy.props.StringProperty(default=";".join(f"*{s}" for s in WORLD_FILES), options={"HIDDEN"})
-    tiles: bpy.props.IntVectorProperty(name="Tiles", description="Across and down", size=2, default=(1, 1), min=1)
-    geotiff: bpy.props.BoolProperty(name="GeoTIFF", description="Also write each picture as GeoTIFF", default=True)
+    tiles: bpy.props.IntVectorProperty(
+        name="Tiles",
+        description="Number of pictures across and down: use several for a map that is too large for one render",
+        size=2,
+        default=(1, 1),
+        min=1,
+    )
+    geotiff: bpy.props.BoolProperty(
+        name="GeoTIFF",
+        description="Also write each picture as a GeoTIFF, which contains its place on Earth",
+        default=True,
+    )
 
     @classmethod
     def poll(cls, context):

@@ -15,32 +15,41 @@ from .submit import INSTALLED, submit
 
 
 class SubmitToFarm(bpy.types.Operator):
-    """Write a job that a render farm runs (Open Job Description: Deadline Cloud and others; and Flamenco), of the file
-    as it is saved, with the stores of its terrains"""
+    """Write a folder for a render farm: the saved file, the stores of its terrains, and a job for Deadline Cloud (Open
+    Job Description) and Flamenco"""
 
     bl_idname = "adaptive_terrain.submit"
     bl_label = "Submit to Farm"
 
     folder: bpy.props.StringProperty(
         name="Folder",
-        description="Where the job is written; frames go to the folder frames in it",
+        description="Folder of the job; the rendered frames go to its subfolder frames",
         subtype="DIR_PATH",
         default="//farm/",
         options=PATH_OPTIONS,
     )
     frames: bpy.props.StringProperty(
-        name="Frames", description="Such as 1-24, 1-24:2 or 1-3,8; empty: the scene's", options={"SKIP_SAVE"}
+        name="Frames",
+        description="Frames to render, such as 1-24, 1-24:2 for every second, or 1-3,8. Empty: those of the scene",
+        options={"SKIP_SAVE"},
     )
-    chunk: bpy.props.IntProperty(name="Frames per Task", default=4, min=1, soft_max=100)
-    render: bpy.props.BoolProperty(name="Render", description="Pictures; else meshes as .npz files", default=True)
+    chunk: bpy.props.IntProperty(
+        name="Frames per Task",
+        description="Frames that one computer makes in a row: more start Blender less often, fewer use more computers",
+        default=4, min=1, soft_max=100,
+    )  # fmt: skip
+    render: bpy.props.BoolProperty(
+        name="Render", description="Render pictures; otherwise write meshes as .npz files", default=True
+    )
     bring: bpy.props.BoolProperty(
         name="Bring Extension",
-        description="Workers install this extension for the job alone: same platform, 200 MB. Else they need it",
+        description="Send this extension (200 MB) with the job. The farm's computers need the same system as this one; "
+        "switch it off if they have the extension",
         default=True,
     )
     allow_outside: bpy.props.BoolProperty(
         name="Allow Outside",
-        description="Also bring files from outside this file's folder that are no images, height maps or stores",
+        description="Also send files from outside the folder of this file that are not images, height maps or stores",
         default=False,
         options={"SKIP_SAVE"},
     )

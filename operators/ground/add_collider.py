@@ -17,15 +17,15 @@ MARK = "adaptive_terrain_collider"  # custom property of a collider: its bound i
 
 
 class AddCollider(TerrainObjectOperator, bpy.types.Operator):
-    """Add a coarse static mesh for physics, which is nowhere further than Collider Error from the ground and which
-    renders do not show; press it again after the terrain has changed. With a rigid body world it is a passive body"""
+    """Add a coarse mesh for physics that stays within Collider Error of the ground and is not rendered. Press it again
+    after the terrain has changed"""
 
     bl_idname = "adaptive_terrain.add_collider"
     bl_label = "Add Collider"
     bl_options = {"REGISTER", "UNDO"}
 
     rigid_body: bpy.props.BoolProperty(
-        name="Rigid Body", description="Make it a passive rigid body, and a rigid body world if the scene has none"
+        name="Rigid Body", description="Make it a passive rigid body, and add a rigid body world if the scene has none"
     )
 
     @cancelled_by_errors

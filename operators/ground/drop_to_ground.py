@@ -30,26 +30,30 @@ class RestPose:
 
 
 class DropToGround(bpy.types.Operator):
-    """Move the selected objects along the world's Z axis to the ground; of a curve, each of its points. A mesh on an
-    armature takes that along. The active terrain counts if it is selected, else the highest ground at the place"""
+    """Move the selected objects straight up or down onto the ground; of a curve, each control point. The active terrain
+    counts if it is selected, otherwise the highest ground there"""
 
     bl_idname = "adaptive_terrain.drop_to_ground"
     bl_label = "Drop to Ground"
     bl_options = {"REGISTER", "UNDO"}
 
     anchor: bpy.props.EnumProperty(
-        name="Lay Down",
-        items=[(BOUNDS, "Lowest Point", "The lowest corner of the object's bounding box, over the box's middle"),
-               (ORIGIN, "Origin", "The object's origin")],
+        name="Lay Down", description="Part of the object that touches the ground",
+        items=[(BOUNDS, "Lowest Point", "Put the bottom of the object's bounding box on the ground"),
+               (ORIGIN, "Origin", "Put the object's origin on the ground")],
     )  # fmt: skip
-    offset: bpy.props.FloatProperty(name="Offset", description="Metres from the ground up", unit="LENGTH")
+    offset: bpy.props.FloatProperty(
+        name="Offset",
+        description="Height above the ground, in metres; below 0 the object is sunk into it",
+        unit="LENGTH",
+    )
     align: bpy.props.BoolProperty(
-        name="Align to Normal", description="Turn the object's Z axis to the ground's normal there"
+        name="Align to Normal", description="Tilt the object with the slope: its Z axis follows the ground's normal"
     )
     keep: bpy.props.BoolProperty(
         name="Keep Every Frame",
-        description="Stay on the ground in every frame, wherever animation, parents and constraints lead; the delta "
-        "transforms are used for it",
+        description="Hold the object on the ground in every frame, whatever its animation, parents and constraints do. "
+        "It uses the delta transforms",
     )
 
     @classmethod

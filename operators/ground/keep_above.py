@@ -15,8 +15,8 @@ from .properties import ABOVE
 
 
 class KeepAboveGround(bpy.types.Operator):
-    """Keep the selected objects, or the scene's camera, at least so far above the ground in every frame: lift them
-    straight up where they would be lower. The delta transforms are used for it"""
+    """Keep the selected objects, or the scene's camera, at least Clearance above the ground in every frame. It uses the
+    delta transforms"""
 
     bl_idname = "adaptive_terrain.keep_above_ground"
     bl_label = "Keep Above Ground"
@@ -24,7 +24,7 @@ class KeepAboveGround(bpy.types.Operator):
 
     clearance: bpy.props.FloatProperty(
         name="Clearance",
-        description="Metres that the ground lies below the origin at least, straight down",
+        description="Smallest distance from the object's origin straight down to the ground, in metres",
         default=2.0, min=0.0, unit="LENGTH",
     )  # fmt: skip
 
@@ -65,8 +65,8 @@ def _chosen(context) -> list:
 
 
 class LetGo(bpy.types.Operator):
-    """Keep the selected objects on or above the ground no longer: they go back to where their own location, their
-    animation, parents and constraints have them"""
+    """Stop keeping the selected objects on or above the ground. They return to where their location, animation, parents
+    and constraints put them"""
 
     bl_idname = "adaptive_terrain.let_go"
     bl_label = "Let Go"

@@ -19,20 +19,22 @@ DOWN = 0.0, 0.0, -1.0
 
 
 class PickGround(bpy.types.Operator):
-    """Click on the terrain to put the 3D cursor there, at the height map's full resolution. Esc or the right button
-    ends it. A script gives the ray"""
+    """Click on the terrain to put the 3D cursor on the ground, at the height map's full resolution. Esc or the right
+    mouse button ends it"""
 
     bl_idname = "adaptive_terrain.pick_ground"
     bl_label = "Pick Ground"
     bl_options = {"REGISTER", "UNDO"}
 
     moves: bpy.props.EnumProperty(
-        name="Move",
-        items=[(CURSOR, "3D Cursor", "Put the 3D cursor on the ground"),
-               (OBJECT, "Active Object", "Put the origin of the active object on the ground")],
+        name="Move", description="Thing that moves to the ground where you click",
+        items=[(CURSOR, "3D Cursor", "Put the 3D cursor where you click"),
+               (OBJECT, "Active Object", "Put the origin of the active object where you click")],
     )  # fmt: skip
-    origin: bpy.props.FloatVectorProperty(name="Origin", description="Where the ray begins", unit="LENGTH")
-    direction: bpy.props.FloatVectorProperty(name="Direction", description="Where the ray goes", default=DOWN)
+    origin: bpy.props.FloatVectorProperty(name="Origin", description="Start of the ray, for scripts", unit="LENGTH")
+    direction: bpy.props.FloatVectorProperty(
+        name="Direction", description="Direction of the ray, for scripts", default=DOWN
+    )
 
     @classmethod
     def poll(cls, context):

@@ -21,8 +21,8 @@ PATH_OPTIONS = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) 
 
 
 class ProfileCurve(bpy.types.Operator):
-    """Lay a selected curve on the terrain: a new curve through every cell that it crosses, its figures as a table
-    (CSV) and its picture (SVG) where files are named. The vertical is the terrain's own"""
+    """Add a copy of the selected curve that follows the ground. With a file name, also write its heights as a table
+    (CSV) and a picture (SVG)"""
 
     bl_idname = "adaptive_terrain.profile"
     bl_label = "Profile"
@@ -30,12 +30,13 @@ class ProfileCurve(bpy.types.Operator):
 
     spacing: bpy.props.FloatProperty(
         name="Spacing",
-        description="Metres of the terrain between two points; 0: wherever the curve crosses a line of samples",
+        description="Distance between two points of the new curve, in metres; 0: a point wherever it crosses a line of "
+        "the height map",
         min=0.0, unit="LENGTH",
     )  # fmt: skip
     filepath: bpy.props.StringProperty(
         name="File",
-        description="Where the table goes, and with the suffix .svg beside it the picture; empty: no files",
+        description="File of the table; the picture is written beside it with the ending .svg. Empty: no files",
         subtype="FILE_PATH", options=PATH_OPTIONS,
     )  # fmt: skip
 

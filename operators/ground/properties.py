@@ -32,23 +32,25 @@ class KeepSettings(bpy.types.PropertyGroup):
 
     keep: BoolProperty(
         name="Keep Every Frame",
-        description="Move the object vertically in every frame",
+        description="Move the object up or down in every frame, so that it follows the ground",
         update=look_again,
     )  # fmt: skip
     how: EnumProperty(
-        name="Keep",
-        items=[(ON, "On Ground", "At the offset from the ground, whatever height its animation gives it"),
-               (ABOVE, "Above Ground", "Where its animation has it, but never lower than the clearance")],
+        name="Keep", description="How the object follows the ground",
+        items=[(ON, "On Ground", "Stay at the offset from the ground, whatever height its animation gives it"),
+               (ABOVE, "Above Ground", "Follow its animation, but never come closer to the ground than the clearance")],
     )  # fmt: skip
-    offset: FloatProperty(name="Offset", description="Metres from the ground up to the origin", unit="LENGTH")
+    offset: FloatProperty(name="Offset", description="Height of the origin above the ground, in metres", unit="LENGTH")
     clearance: FloatProperty(
         name="Clearance",
         description="Smallest distance from the origin straight down to the ground, in metres",
         default=2.0, min=0.0, unit="LENGTH",
     )  # fmt: skip
-    align: BoolProperty(name="Align to Normal", description="Turn the object's Z axis to the ground's normal")
+    align: BoolProperty(
+        name="Align to Normal", description="Tilt the object with the slope: its Z axis follows the ground's normal"
+    )
     terrain: PointerProperty(
         name="Terrain",
-        description="The terrain that counts as ground; empty: the highest at the place",
+        description="Terrain that counts as ground. Empty: the highest one at the object's place",
         type=bpy.types.Object, poll=lambda self, item: item.adaptive_terrain.enabled,
     )  # fmt: skip

@@ -16,22 +16,25 @@ MAX_PIXELS = 4096  # along a side; Blender needs 16 bytes per pixel for writing
 
 
 class Viewshed(bpy.types.Operator):
-    """Find what of the terrain is in sight of the active object, or of the scene's camera where a terrain is active:
-    an image over the whole terrain, white where it is seen, and by it the attribute "viewshed" of the mesh"""
+    """Find the ground that the active object sees, or the scene's camera if a terrain is active: makes an image of the
+    whole terrain, white where it is seen"""
 
     bl_idname = "adaptive_terrain.viewshed"
     bl_label = "Viewshed"
     bl_options = {"REGISTER", "UNDO"}
 
     target_height: bpy.props.FloatProperty(
-        name="Target Height", description="Metres above the ground of what is to be seen", min=0.0, unit="LENGTH"
+        name="Target Height",
+        description="Height above the ground of the things to be seen, in metres; 0 is the ground itself",
+        min=0.0,
+        unit="LENGTH",
     )
     radius: bpy.props.FloatProperty(
-        name="Radius", description="Look only so far, in metres of the terrain; 0: everywhere", min=0.0, unit="LENGTH"
+        name="Radius", description="How far to look, in metres; 0: over the whole terrain", min=0.0, unit="LENGTH"
     )
     attribute: bpy.props.BoolProperty(
         name="Attribute",
-        description='Give the terrain a modifier that makes the attribute "viewshed" of the image',
+        description="Add a modifier to the terrain that gives its materials the result as the attribute viewshed",
         default=True,
     )
 

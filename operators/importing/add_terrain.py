@@ -13,29 +13,29 @@ from ..terrain.properties import ISLAND, land_items, land_of
 
 
 class AddTerrain(bpy.types.Operator, AddObjectHelper):
-    """Add a terrain with a built-in land"""
+    """Add a terrain with built-in land, which you can replace by your own height map"""
 
     bl_idname = "mesh.adaptive_terrain_add"
     bl_label = "Adaptive Terrain"
     bl_options = {"REGISTER", "UNDO"}
 
-    land: bpy.props.EnumProperty(name="Land", items=land_items(), default=ISLAND)
+    land: bpy.props.EnumProperty(name="Land", description="Built-in land", items=land_items(), default=ISLAND)
     shape: bpy.props.BoolProperty(
         name="Shape",
-        description="Put the effects on heights that suit the land into its stack: rivers, scree, snow. They are in "
-        "metres, so that the land has its own size then",
+        description="Also add land effects that suit it, such as rivers, scree and snow. The land then has its real "
+        "size in metres",
     )  # fmt: skip
     natural_size: bpy.props.BoolProperty(
         name="Own Size",
-        description="As wide as the land is itself, 8 to 33 km; viewports are moved so that they see it",
+        description="Give the land its real width, 8 to 33 km, and move the viewports so that they show it",
     )
     size: bpy.props.FloatProperty(
         name="Size",
-        description="Metres from one side of the land to the other; small by default, as all that Blender adds",
+        description="Width of the land in metres; small by default, like other objects that Blender adds",
         default=20.0, min=0.001, soft_max=100_000.0, unit="LENGTH",
     )  # fmt: skip
     seed: bpy.props.IntProperty(
-        name="Seed", description="Another number makes another land", default=DEFAULT_SEED, min=0
+        name="Seed", description="Another number makes other land of the same kind", default=DEFAULT_SEED, min=0
     )
 
     @classmethod
@@ -48,7 +48,7 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
         layout.use_property_split = True
         layout.prop(self, "land")
         layout.prop(self, "seed")
-        for name, free in (("shape", land.preset), ("own_size", not self._is_shaped(land)),
+        for name, free in (("shape", land.preset), ("natural_size", not self._is_shaped(land)),
                            ("size", not self.natural_size and not self._is_shaped(land))):  # fmt: skip
             row = layout.row()
             row.enabled = bool(free)

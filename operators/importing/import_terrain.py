@@ -145,14 +145,14 @@ class _Import(JobOperator):
 
 
 class ImportTerrain(_Import, bpy.types.Operator):
-    """Read the height map. Blender stays usable meanwhile"""
+    """Read the height map into this terrain. You can go on working meanwhile"""
 
     bl_idname = "adaptive_terrain.import_source"
     bl_options = {"REGISTER", "UNDO"}
 
 
 class ImportAdded(_Import, bpy.types.Operator):
-    """Import the land of a terrain that was just added"""
+    """Import the land of the new terrain"""
 
     bl_idname = "adaptive_terrain.import_added"
     # What adds the terrain stays the last operation, for its panel is where one chooses another land or size. So this

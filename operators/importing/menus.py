@@ -13,7 +13,7 @@ LABEL = "Terrain from File"
 
 
 class AddTerrainFromFile(bpy.types.Operator):
-    """Add a terrain, and import a height map into it"""
+    """Add a terrain from a height map: GeoTIFF, HGT, ASCII grid, PNG, EXR, RAW and others"""
 
     bl_idname = "mesh.adaptive_terrain_from_file"
     bl_label = LABEL
@@ -23,12 +23,14 @@ class AddTerrainFromFile(bpy.types.Operator):
     filter_glob: bpy.props.StringProperty(default=";".join(f"*{suffix}" for suffix in FORMATS), options={"HIDDEN"})
     use_heights: bpy.props.BoolProperty(
         name="Set Heights",
-        description="Give the heights of the lowest and the highest sample. Without them an 8 or 16-bit image that "
-        "names no size gets a relief of a quarter of its width",
+        description="Enter the heights of the lowest and the highest value. Otherwise an 8 or 16-bit image without a "
+        "size in metres gets a relief of a quarter of its width",
     )
-    lowest: bpy.props.FloatProperty(name="Lowest", description="Height of the lowest sample", unit="LENGTH")
+    lowest: bpy.props.FloatProperty(
+        name="Lowest", description="Height of the lowest value in the file, in metres", unit="LENGTH"
+    )
     highest: bpy.props.FloatProperty(
-        name="Highest", description="Height of the highest sample", default=1000.0, unit="LENGTH"
+        name="Highest", description="Height of the highest value in the file, in metres", default=1000.0, unit="LENGTH"
     )
 
     @classmethod

@@ -25,9 +25,8 @@ _first_save = False
 
 
 class PackStore(JobOperator, bpy.types.Operator):
-    """Copy every store that is elsewhere into the folder of the .blend file, with its shaped land and baked maps, and
-    name it by a relative path: the folder can then be moved, and rendered elsewhere. The original stays where it was,
-    since other files may use it"""
+    """Copy the imported heights, the shaped land and the baked maps into the folder of the .blend file, so that you can
+    move the folder to another computer. The originals stay"""
 
     bl_idname = "adaptive_terrain.pack_store"
     bl_label = "Pack Store Beside File"
@@ -87,7 +86,7 @@ class PackStore(JobOperator, bpy.types.Operator):
 
 
 class OfferPack(bpy.types.Operator):
-    """Ask whether stores in the data folder are to be packed beside the file that was just saved"""
+    """Offer to copy imported heights from the data folder to the folder of the file that was just saved"""
 
     bl_idname = "adaptive_terrain.offer_pack"
     bl_label = "Pack Terrain Beside File"

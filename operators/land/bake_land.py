@@ -45,7 +45,7 @@ def shaped_field(obj, depsgraph):
 
 
 class BakeLand(LandOperator, bpy.types.Operator):
-    """Replace the imported heights by those of the shaped land, and empty the list. The old store stays on disk"""
+    """Make the shaped land the terrain's own heights, and empty the list. The imported heights stay on disk"""
 
     bl_idname = "adaptive_terrain.bake_land"
     bl_label = "Bake to Store"
@@ -83,8 +83,8 @@ def free_folder(wanted: str) -> str:
 
 
 class ExportHeights(LandOperator, bpy.types.Operator, ExportHelper):
-    """Write the heights of the land as a float32 raster with its place on Earth, GeoTIFF or EXR, and each by-product of
-    its stack in another file"""
+    """Write the heights of the shaped land as a 32-bit GeoTIFF or EXR with its place on Earth, and each by-product as
+    another file"""
 
     bl_idname = "adaptive_terrain.export_heights"
     bl_label = "Export Heights"

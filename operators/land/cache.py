@@ -60,8 +60,7 @@ def megabytes(size: float) -> str:
 
 
 class ClearLandCache(bpy.types.Operator):
-    """Remove shaped land that no open terrain shows, and tiles, also of what this one was baked from; it can all be
-    made again"""
+    """Delete shaped land that no open terrain shows, to free disk space. It is computed again when it is needed"""
 
     bl_idname = "adaptive_terrain.land_clear"
     bl_label = "Clear Land Cache"

@@ -23,7 +23,7 @@ SUFFIX = ".json"
 
 
 class ApplyLandPreset(TerrainOperator, bpy.types.Operator):
-    """Replace the stack by that of a file"""
+    """Replace the list by the effects of a preset"""
 
     bl_idname = "adaptive_terrain.land_preset"
     bl_label = "Land Preset"
@@ -48,7 +48,7 @@ class ApplyLandPreset(TerrainOperator, bpy.types.Operator):
 
 
 class AddLandPreset(TerrainOperator, AddPresetBase, bpy.types.Operator):
-    """Save the stack as a preset, or remove one"""
+    """Save the list as a preset, or delete one"""
 
     bl_idname = "adaptive_terrain.land_preset_add"
     bl_label = "Add Land Preset"

@@ -70,8 +70,8 @@ def _property(parameter: Parameter):
     if parameter.unit and not known and parameter.unit != parameter.name:
         unit = unit_text(parameter.unit)
         with_unit = f"{label} ({unit})"
-        label, about = (with_unit, about) if len(with_unit) <= LABEL else (label, f"{about}, {unit}")
-    words = {"name": label, "description": about[:1].upper() + about[1:]} | STILL
+        label, about = (with_unit, about) if len(with_unit) <= LABEL else (label, f"{about} ({unit})")
+    words = {"name": label, "description": about} | STILL
     if isinstance(parameter.default, int):
         return IntProperty(**words, default=parameter.default, min=int(parameter.min), max=int(parameter.max))
     low, high, default = (_stored(parameter, value) for value in (parameter.min, parameter.max, parameter.default))
@@ -96,15 +96,21 @@ RULES = {
     HEIGHT: BANDS[rules.HEIGHT],
     SLOPE: BANDS[rules.SLOPE],
     "mean_curvature": BANDS[rules.CURVATURE],
-    "profile_curvature": band("Profile Curvature", "1 / m: above 0 where it steepens downhill", 0, 10, 0.01, (-10, 10)),
-    "plan_curvature": band("Plan Curvature", "of contours, 1 / m: above 0 on ridges", 0, 10, 0.01, (-10, 10)),
+    "profile_curvature": band(
+        "Profile Curvature", "curvature downhill (1/m): above 0 where it gets steeper", 0, 10, 0.01, (-10, 10)
+    ),
+    "plan_curvature": band(
+        "Plan Curvature", "curvature of contour lines (1/m): above 0 on ridges", 0, 10, 0.01, (-10, 10)
+    ),
     "flow": BANDS[rules.FLOW],
     "wetness": BANDS[rules.WETNESS],
-    "sky": band("Sky", "part of the sky that is seen: 1 on open level ground, less in gorges", 0.8, 1, 0.1, (0, 1)),
+    "sky": band("Sky", "share of visible sky: 1 on open level ground, less in gorges", 0.8, 1, 0.1, (0, 1)),
     **{name: BANDS[name] for name in ("wear", "sediment", "scree", "snow", "water_depth")},
-    "slides": band("Slides", "snow that slides have brought, m; below 0, taken", 0.5, 1e4, 0.5, (-1e4, 1e4)),
-    "water_speed": band("Water Speed", "of the water, m/s", 0.5, 1e3, 0.5, (0, 1e3)),
-    "discharge": band("Discharge", "water that passes, m³/s; the edge in powers of ten", 1, 1e6, 1, (0, 1e6), step=100),
+    "slides": band(
+        "Slides", "depth of snow from avalanches (m): below 0 where it slid away", 0.5, 1e4, 0.5, (-1e4, 1e4)
+    ),
+    "water_speed": band("Water Speed", "speed of the water (m/s)", 0.5, 1e3, 0.5, (0, 1e3)),
+    "discharge": band("Discharge", "amount of water that passes (m³/s)", 1, 1e6, 1, (0, 1e6), decades=True, step=100),
 }
 
 
@@ -112,25 +118,25 @@ class LandMask(bpy.types.PropertyGroup):
     """Where an effect acts, and how much."""
 
     kind: EnumProperty(
-        name="Mask",
+        name="Mask", description="Where the effect acts",
         items=[(EVERYWHERE, "Everywhere", "The effect acts on the whole terrain"),
-               (BY_RULE, "Rule", "It acts where the ground that it finds is within limits: of height, slope, aspect, "
-                "curvature, flow, sky, or of what effects above it have left"),
-               (BY_IMAGE, "Image", "It acts where a painted image over the terrain is bright"),
-               (BY_OBJECT, "Object", "It acts below and above an object: inside its shadow on the plan")],
+               (BY_RULE, "Rule", "The effect acts where the ground has a certain height, slope, direction or other "
+                                 "property"),
+               (BY_IMAGE, "Image", "The effect acts where a painted image over the terrain is bright"),
+               (BY_OBJECT, "Object", "The effect acts inside the outline of an object, seen from above")],
         **STILL,
     )  # fmt: skip
     factor: FloatProperty(
-        name="Amount", description="Part of the effect that is wanted", default=1.0, min=0.0, max=1.0,
-        subtype="FACTOR", **STILL,
+        name="Amount", description="Strength of the effect inside the mask: 0 is none, 1 is all",
+        default=1.0, min=0.0, max=1.0, subtype="FACTOR", **STILL,
     )  # fmt: skip
     image: PointerProperty(
         name="Image",
-        description="Over the whole terrain, north up; its red is how much of the effect is wanted",
+        description="Image over the whole terrain, north up: its red channel is the strength of the effect",
         type=bpy.types.Image, poll=lambda self, item: item.source in {"FILE", "GENERATED"}, **STILL,
     )  # fmt: skip
     object: PointerProperty(
-        name="Object", description="A mesh seen from above",
+        name="Object", description="Mesh whose outline from above is the mask; it may be hidden",
         type=bpy.types.Object, poll=lambda self, item: item.type == "MESH" and item != self.id_data, **STILL,
     )  # fmt: skip
     aspect: PointerProperty(type=AspectSettings)
@@ -144,9 +150,11 @@ class LandEntry(bpy.types.PropertyGroup):
     """One effect of the stack. Its numbers are in the member of the effect's name."""
 
     name: StringProperty(name="Name", description="As the list shows it")
-    effect: StringProperty(name="Effect", description="Which effect on heights it is", **STILL)
-    on: BoolProperty(name="Switched On", description="Shape the land with it", default=True, **STILL)
-    seed: IntProperty(name="Seed", description="Another seed is other chance", default=0, min=0, max=MAX_SEED, **STILL)
+    effect: StringProperty(name="Effect", description="Kind of the land effect", **STILL)
+    on: BoolProperty(name="Switched On", description="Use this effect", default=True, **STILL)
+    seed: IntProperty(
+        name="Seed", description="Another number gives another random pattern", default=0, min=0, max=MAX_SEED, **STILL
+    )
     mask: PointerProperty(type=LandMask)
 
 
@@ -160,9 +168,10 @@ class LandSettings(bpy.types.PropertyGroup):
     entries: CollectionProperty(type=LandEntry)
     where: EnumProperty(
         name="Detail",
-        description="Where the finer levels are made",
-        items=[(EVERYWHERE_FINE, "Everywhere", "The whole terrain as fine as its height map"),
-               (SEEN, "In the Shot", "As fine as the frames of the scene show it; coarser levels elsewhere")],
+        description="Where the land is shaped in full detail",
+        items=[(EVERYWHERE_FINE, "Everywhere", "The whole terrain, as fine as its height map"),
+               (SEEN, "In the Shot", "Only what the frames of the scene show, as fine as they show it; the rest stays "
+                                     "coarse. It saves time on large terrains")],
         **STILL,
     )  # fmt: skip
     active: IntProperty(name="Active", options=set())

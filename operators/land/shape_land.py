@@ -60,7 +60,8 @@ def _views(obj, scene, land: Land):
 
 
 class ShapeLand(JobOperator, bpy.types.Operator):
-    """Shape the land in full detail by all effects in the list. Blender stays usable meanwhile"""
+    """Compute the land in full detail with all effects of the list. You can go on working meanwhile; a render waits for
+    it"""
 
     bl_idname = "adaptive_terrain.shape"
     bl_label = "Shape Now"
@@ -104,7 +105,7 @@ class ShapeLand(JobOperator, bpy.types.Operator):
 
 
 class FinishShaping(bpy.types.Operator):
-    """Stop here and use the detail that is done"""
+    """Stop here and use the detail that is finished"""
 
     bl_idname = "adaptive_terrain.shape_finish"
     bl_label = "Finish Early"

@@ -46,12 +46,12 @@ def _has_room(operator, land) -> bool:
 
 
 class AddLandEffect(_StackOperator, bpy.types.Operator):
-    """Add an effect on heights after the chosen one; it acts on the ground that those above it leave"""
+    """Add a land effect below the chosen one. It acts on the ground that the effects above it have made"""
 
     bl_idname = "adaptive_terrain.land_add"
     bl_label = "Add Land Effect"
 
-    effect: bpy.props.EnumProperty(name="Effect", description="Which effect on heights", items=_items)
+    effect: bpy.props.EnumProperty(name="Effect", description="Kind of the land effect", items=_items)
 
     def _change(self, land) -> bool:
         if not _has_room(self, land):
@@ -80,7 +80,7 @@ class DuplicateLandEffect(_EntryOperator, bpy.types.Operator):
 
 
 class RemoveLandEffect(_EntryOperator, bpy.types.Operator):
-    """Remove the chosen effect"""
+    """Remove the chosen effect from the list"""
 
     bl_idname = "adaptive_terrain.land_remove"
     bl_label = "Remove Land Effect"
@@ -92,12 +92,14 @@ class RemoveLandEffect(_EntryOperator, bpy.types.Operator):
 
 
 class MoveLandEffect(_EntryOperator, bpy.types.Operator):
-    """Move the chosen effect in the stack: each acts on the ground that those above it leave"""
+    """Move the chosen effect up or down. Each effect acts on the ground that those above it have made"""
 
     bl_idname = "adaptive_terrain.land_move"
     bl_label = "Move Land Effect"
 
-    by: bpy.props.IntProperty(name="By", default=1, min=-MAX_ENTRIES, max=MAX_ENTRIES)
+    by: bpy.props.IntProperty(
+        name="By", description="Rows to move; below 0 is up", default=1, min=-MAX_ENTRIES, max=MAX_ENTRIES
+    )
 
     def _change(self, land) -> bool:
         to = land.active + self.by
@@ -109,13 +111,13 @@ class MoveLandEffect(_EntryOperator, bpy.types.Operator):
 
 
 class AddLandRule(_EntryOperator, bpy.types.Operator):
-    """Let the mask depend on one quantity more"""
+    """Add a condition to the mask, such as the curvature of the ground or the depth of snow"""
 
     bl_idname = "adaptive_terrain.land_rule_add"
     bl_label = "Add Rule"
 
     of: bpy.props.EnumProperty(
-        name="Quantity",
+        name="Quantity", description="Property of the ground that the condition is about",
         items=[(of, *(group.__annotations__["use"].keywords[key] for key in ("name", "description")))
                for of, group in RULES.items()],
     )  # fmt: skip

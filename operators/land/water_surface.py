@@ -30,8 +30,8 @@ DEEP_METRES = 4.0
 
 
 class AddWaterSurface(TerrainObjectOperator, bpy.types.Operator):
-    """Add the lakes, the rivers and the sea of the terrain as an object with a material. Press it again after the land
-    has changed"""
+    """Add the terrain's lakes, rivers and sea as an object with a water material. Press it again after the land has
+    changed"""
 
     bl_idname = "adaptive_terrain.water_surface"
     bl_label = "Add Water"
@@ -39,8 +39,8 @@ class AddWaterSurface(TerrainObjectOperator, bpy.types.Operator):
 
     level: bpy.props.FloatProperty(
         name="Sea Level",
-        description="Height of the sea: all lower ground is under water. At first it is 0 m at a coast, and inland the "
-        "level that covers the lowest twentieth of the ground. The height operator Water has its own",
+        description="Height of the sea: all lower ground is under water. At first it is 0 m at a coast; inland it "
+        "covers the lowest twentieth of the ground",
         unit="LENGTH", options={"SKIP_SAVE"},
     )  # fmt: skip
 

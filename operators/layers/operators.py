@@ -18,7 +18,7 @@ class _LayerOperator(TerrainOperator):
 
 
 class AddLayer(_LayerOperator, bpy.types.Operator):
-    """Add a layer below the chosen one; it covers those above it in the list"""
+    """Add a layer below the chosen one. Layers further down in the list cover those above"""
 
     bl_idname = "adaptive_terrain.layer_add"
     bl_label = "Add Layer"
@@ -58,12 +58,14 @@ class RemoveLayer(_LayerOperator, bpy.types.Operator):
 
 
 class MoveLayer(_LayerOperator, bpy.types.Operator):
-    """Move the chosen layer in the list: layers further down cover those above"""
+    """Move the chosen layer up or down. Layers further down in the list cover those above"""
 
     bl_idname = "adaptive_terrain.layer_move"
     bl_label = "Move Layer"
 
-    by: bpy.props.IntProperty(name="By", default=1, min=-MAX_LAYERS, max=MAX_LAYERS)
+    by: bpy.props.IntProperty(
+        name="By", description="Rows to move; below 0 is up", default=1, min=-MAX_LAYERS, max=MAX_LAYERS
+    )
 
     def execute(self, context):
         settings = context.object.adaptive_terrain
@@ -77,7 +79,7 @@ class MoveLayer(_LayerOperator, bpy.types.Operator):
 
 
 class AddPreset(TerrainOperator, AddPresetBase, bpy.types.Operator):
-    """Save the layers as a preset, or remove one"""
+    """Save the layers as a preset, or delete one"""
 
     bl_idname = "adaptive_terrain.layer_preset_add"
     bl_label = "Add Layer Preset"

@@ -38,15 +38,16 @@ def band(
     ends: the range; a limit at its end is open. decades: the edge is in powers of ten, which have no unit.
     """
     lowest, highest = ends
-    options = {"update": changed, "precision": 3} | options
-    without = {name: value for name, value in options.items() if not (decades and name == "unit")}
+    options = {"min": lowest, "max": highest, "update": changed, "precision": 3} | options
+    without = {name: value for name, value in options.items() if name not in ("min", "max", "unit" if decades else "")}
     limits = {
-        "use": BoolProperty(name=label, description=f"It depends on this: {about}", update=changed),
-        "low": FloatProperty(name="From", description=about, default=low, min=lowest, max=highest, **options),
-        "high": FloatProperty(name="To", description=about, default=high, min=lowest, max=highest, **options),
+        "use": BoolProperty(name=label, description=f"Limit to ground with a certain {about}", update=changed),
+        "low": FloatProperty(name="From", description=f"Lower limit of the {about}", default=low, **options),
+        "high": FloatProperty(name="To", description=f"Upper limit of the {about}", default=high, **options),
         "edge": FloatProperty(
             name="Edge",
-            description="How wide each limit is, from nothing to all, about its place",
+            description="Width of the soft transition at each limit; 0 is a hard border"
+            + (". In powers of ten" if decades else ""),
             default=edge, min=0.0, max=min(highest - lowest, rules.MAX_EDGE), **without,
         ),
     }  # fmt: skip
@@ -58,45 +59,45 @@ _HALF_TURN = math.pi / 2
 MAX_FLOAT = float(np.finfo(np.float32).max)  # panels show it as "inf"
 # Kind of rule -> its group. The order is that of the panel.
 BANDS = {
-    rules.RELIEF: band("Relief", "height, 0 at the terrain's lowest place and 1 at its highest", 0, 1, 0.1, (0, 1)),
+    rules.RELIEF: band("Relief", "relative height: 0 at the lowest point, 1 at the highest", 0, 1, 0.1, (0, 1)),
     rules.HEIGHT: band("Height", "height", -1e5, 1e5, 50.0, (-1e5, 1e5), unit="LENGTH"),
-    rules.SLOPE: band("Slope", "slope", 0, _HALF_TURN, 0.15, (0, _HALF_TURN), subtype="ANGLE"),
-    rules.CURVATURE: band("Curvature", "mean curvature, 1 / m: above 0 on ridges, below in hollows",
+    rules.SLOPE: band("Slope", "slope: 90° is upright", 0, _HALF_TURN, 0.15, (0, _HALF_TURN), subtype="ANGLE"),
+    rules.CURVATURE: band("Curvature", "curvature (1/m): above 0 on ridges, below 0 in hollows",
                            -10, 10, 0.01, (-10, 10)),
-    rules.FLOW: band("Flow", "land that drains through; the edge in powers of ten", 0, MAX_FLOAT, 1.0,
+    rules.FLOW: band("Flow", "area that drains through it: large in streams", 0, MAX_FLOAT, 1.0,
                      (0, MAX_FLOAT), decades=True, unit="AREA", step=100),
-    rules.WETNESS: band("Wetness", "topographic wetness, about 3 on slopes and 12 in valleys", -50, 50, 2, (-50, 50)),
+    rules.WETNESS: band("Wetness", "wetness: about 3 on slopes, 12 in valleys", -50, 50, 2, (-50, 50)),
     **{
-        name: band(label, f"depth of {what}, which effects on heights leave", 0.5, 1e4, 0.5, (0, 1e4), unit="LENGTH")
+        name: band(label, f"depth of {what}, made by land effects", 0.5, 1e4, 0.5, (0, 1e4), unit="LENGTH")
         for name, label, what in (
             ("wear", "Wear", "rock that erosion has removed"),
-            ("sediment", "Sediment", "what rivers have laid down"),
-            ("scree", "Scree", "scree"),
+            ("sediment", "Sediment", "the material that rivers have deposited"),
+            ("scree", "Scree", "loose stones"),
             ("snow", "Snow", "snow"),
             ("water_depth", "Water Depth", "water"),
         )
     },
-    rules.NOISE: band("Patches", "the layer's noise, -1 to 1", 0, 1, 0.3, (-1, 1)),
+    rules.NOISE: band("Patches", "value of the layer's noise, from -1 to 1, for patches", 0, 1, 0.3, (-1, 1)),
 }  # fmt: skip
 
 
 class AspectSettings(bpy.types.PropertyGroup):
     """Which way the ground faces."""
 
-    use: BoolProperty(name="Aspect", description="The layer depends on which way the ground faces", update=changed)
+    use: BoolProperty(name="Aspect", description="Limit to ground that faces a certain direction", update=changed)
     direction: FloatProperty(
         name="Towards",
-        description="Compass direction downhill, clockwise from north",
+        description="Compass direction in which the ground falls, clockwise from north: 90° is east",
         min=0.0, max=math.tau, subtype="ANGLE", update=changed,
     )  # fmt: skip
     within: FloatProperty(
         name="Within",
-        description="How far from that direction",
+        description="Largest angle from that direction",
         default=math.radians(60), min=0.0, max=math.pi, subtype="ANGLE", update=changed,
     )  # fmt: skip
     edge: FloatProperty(
         name="Edge",
-        description="How wide the limit is, in cosines of the angle",
+        description="Width of the soft transition, as a difference of cosines; 0 is a hard border",
         default=0.4, min=0.0, max=2.0, precision=3, update=changed,
     )  # fmt: skip
 
@@ -123,35 +124,39 @@ class LayerSettings(bpy.types.PropertyGroup):
     last_name: StringProperty(options={"HIDDEN"})
     color: FloatVectorProperty(
         name="Color",
-        description="Of the terrain's material, where the layer lies",
+        description="Colour of the ground in the terrain's material where this layer is",
         subtype="COLOR", size=3, min=0.0, max=1.0, default=(0.3, 0.3, 0.3),
     )  # fmt: skip
     strength: FloatProperty(
-        name="Strength", description="How much it covers where its rules hold", default=1.0, min=0.0, max=1.0,
+        name="Strength", description="How much of the ground the layer covers where its rules hold: 0 is nothing, 1 is "
+        "all", default=1.0, min=0.0, max=1.0,
         subtype="FACTOR", update=changed,
     )  # fmt: skip
     on_top: BoolProperty(
         name="On Top",
-        description="It takes its part from the layers above it in the list; otherwise it shares the ground with them",
+        description="Cover the layers above it in the list; otherwise share the ground with them",
         default=True, update=changed,
     )  # fmt: skip
     noise_size: FloatProperty(
-        name="Noise Size", description="Of the largest waves of the layer's noise", default=200.0, min=0.001, max=1e6,
-        unit="LENGTH", update=changed,
+        name="Noise Size", description="Size of the largest patches of the layer's noise",
+        default=200.0, min=0.001, max=1e6, unit="LENGTH", update=changed,
     )  # fmt: skip
     ragged: FloatProperty(
-        name="Ragged Edges", description="By how many of their widths noise moves the limits", default=0.8, min=0.0,
-        max=100.0, soft_max=2.0, precision=2, update=changed,
+        name="Ragged Edges",
+        description="How much noise moves the borders of the layer, in widths of their soft transition; 0: not at all",
+        default=0.8, min=0.0, max=100.0, soft_max=2.0, precision=2, update=changed,
     )  # fmt: skip
-    seed: IntProperty(name="Seed", description="Another seed is other noise", default=0, min=0, update=changed)
+    seed: IntProperty(
+        name="Seed", description="Another number gives another pattern of noise", default=0, min=0, update=changed
+    )
     aspect: PointerProperty(type=AspectSettings)
     mask: StringProperty(
-        name="Mask", description="A layer above this one in the list: this one lies only where that one does",
+        name="Mask", description="Show this layer only where another one is, which is above it in the list",
         update=changed,
     )  # fmt: skip
     image: PointerProperty(
         name="Painted",
-        description="An image over the whole terrain, north up: the layer lies where its red is 1",
+        description="Painted image over the whole terrain, north up: the layer is where its red channel is 1",
         type=bpy.types.Image, poll=is_gray, update=changed,
     )  # fmt: skip
     detail: PointerProperty(type=DisplacementSettings)

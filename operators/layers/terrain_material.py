@@ -11,8 +11,8 @@ from .properties import colors_of
 
 
 class TerrainMaterial(TerrainObjectOperator, bpy.types.Operator):
-    """Give the terrain a material of its layers and light, made from what there is. Press it again when layers were
-    added or maps baked: links and settings stay"""
+    """Give the terrain a material with the colours of its layers, the light and the baked maps. Press it again after
+    you added layers or baked maps: your own nodes and settings stay"""
 
     bl_idname = "adaptive_terrain.terrain_material"
     bl_label = "Terrain Material"
@@ -20,11 +20,13 @@ class TerrainMaterial(TerrainObjectOperator, bpy.types.Operator):
 
     sky: bpy.props.BoolProperty(
         name="Sky",
-        description="Darken what sees little of the sky. A baked map of it is taken in any case; without one, a large "
-        "height map takes seconds",
+        description="Darken ground that sees little of the sky. Without a baked map of it, a large height map takes "
+        "seconds",
     )
     sun: bpy.props.BoolProperty(
-        name="Sun", description="Darken what the sun does not reach, by the group's Shadow: for lamps that cast none"
+        name="Sun",
+        description="Darken ground that lies in the shadow of the terrain, for lamps that cast no shadow. "
+        "Shadow in the node group sets how much",
     )
 
     @cancelled_by_errors

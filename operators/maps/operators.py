@@ -15,8 +15,8 @@ from .request import gathered
 
 
 class BakeMaps(JobOperator, bpy.types.Operator):
-    """Bake effects into images, from the height map itself: shading then does not depend on the triangles. Only images
-    that are not there yet, or that something has changed for, are made"""
+    """Save attributes, such as normals or colours, as images as fine as the height map: shading then does not depend on
+    the triangles. Only missing and outdated images are made"""
 
     bl_idname = "adaptive_terrain.bake_maps"
     bl_label = "Bake Maps"

@@ -36,44 +36,51 @@ class MapSettings(bpy.types.PropertyGroup):
 
     frames: EnumProperty(
         name="For",
-        description="The views for which the maps have to be fine enough",
+        description="Views for which the images are fine enough",
         items=[
-            (FRAME, "Frame", "The render's camera where it is now, whichever way it turns"),
+            (FRAME, "Frame", "The render's camera at its place in this frame, in every direction"),
             (SHOT, "Shot", "All frames of the scene; ground that is in none of them gets the coarsest images"),
-            (WHOLE, "Whole", "The height map's own detail everywhere"),
+            (WHOLE, "Whole", "Everywhere as fine as the height map"),
         ],
     )
     which: EnumProperty(
         name="Maps",
+        description="Which attributes are baked",
         items=[
-            (READ, "Read", "Those that the materials read"),
-            (CHOSEN, "Chosen", "Those chosen below"),
+            (READ, "Read", "The attributes that the materials show as images"),
+            (CHOSEN, "Chosen", "The attributes that are chosen below"),
         ],
         default=CHOSEN,
     )
     chosen: EnumProperty(
         name="Chosen",
+        description="Attributes to bake",
         options={"ENUM_FLAG"},
         items=[(name, label(name), ATTRIBUTES[name].about) for name in sorted(ATTRIBUTES)],
         default={"detail_normal"} & set(ATTRIBUTES),
     )
-    use_budget: BoolProperty(name="Limit Memory", description="Make all maps coarser alike until they fit")
+    use_budget: BoolProperty(name="Limit Memory", description="Make all maps coarser until they fit into the memory")
     budget_mb: FloatProperty(
-        name="Memory", description="Of the images in Blender, in megabytes", default=500.0, min=1.0, soft_max=16000.0
+        name="Memory",
+        description="Memory of the images in Blender, in megabytes",
+        default=500.0,
+        min=1.0,
+        soft_max=16000.0,
     )
     form: EnumProperty(
         name="Format",
+        description="File format of the images",
         items=[
-            (PNG, "PNG", "8 bits for directions and shares, 16 for measures"),
-            (EXR, "OpenEXR", "Floats: four times the memory"),
+            (PNG, "PNG", "Small files: 8 bits for directions and shares, 16 bits for measures"),
+            (EXR, "OpenEXR", "Exact floating-point values, for four times the memory"),
         ],
     )
     folder: StringProperty(
         name="Folder",
-        description="Where the images are kept, in a folder for each terrain; without one, beside the store",
+        description="Folder of the images, with a subfolder for each terrain; empty: beside the store",
         subtype="DIR_PATH",
         options=PATH_OPTIONS,
     )
     mark: StringProperty(
-        name="Mark", description="What this terrain's folder is called, unlike those of others", options={"HIDDEN"}
+        name="Mark", description="Name of this terrain's folder, unlike those of others", options={"HIDDEN"}
     )

@@ -44,7 +44,7 @@ def swatch(colour: tuple[float, float, float]) -> int:
 
 
 class ShowOverlay(bpy.types.Operator):
-    """Let every 3D viewport of this window draw solid, in the colours of the overlay"""
+    """Show the overlay's colours: switch every 3D viewport of this window to Solid with the color of attributes"""
 
     bl_idname = "adaptive_terrain.show_overlay"
     bl_label = "Show in Viewport"

@@ -15,8 +15,8 @@ from .request import is_scatter, scatters_of
 
 
 class AddScatter(TerrainObjectOperator, bpy.types.Operator):
-    """Add points that keep their places on the terrain, as dense as the camera can see; then choose the
-    collection of objects to put on them"""
+    """Add points that stay at the same places on the terrain, as many as the camera can see. Then choose a collection
+    whose objects stand on them"""
 
     bl_idname = "adaptive_terrain.scatter_add"
     bl_label = "Add Scatter"

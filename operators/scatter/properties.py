@@ -34,8 +34,8 @@ class ScatterSettings(bpy.types.PropertyGroup):
     enabled: BoolProperty(name="Adaptive Scatter", description="This object's points are written by Adaptive Terrain")
     collection: PointerProperty(
         name="Collection",
-        description="Each point shows one of its objects. Spacing, Full Until, Size and Reach follow from their sizes "
-        "until you change them",
+        description="Objects to scatter: each point shows one of them. Spacing, Full Until, Size and Reach follow from "
+        "their sizes until you change them",
         type=bpy.types.Collection, update=_collection_chosen,
     )  # fmt: skip
     fitted: FloatVectorProperty(
@@ -44,61 +44,71 @@ class ScatterSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
     spacing: FloatProperty(
         name="Spacing",
-        description="At full density there is one point on a square of this side, in the terrain's own space",
+        description="Distance between points at full density: one point on a square of this side, in the terrain's own "
+        "space. Smaller is denser",
         default=10.0, min=1e-3, soft_max=1000.0, precision=2, unit="LENGTH", update=changed,
     )  # fmt: skip
     full_until: FloatProperty(
         name="Full Until",
-        description="Distance from the camera up to which there are all points; further away as many a pixel as there. "
-        "0: all points everywhere",
+        description="Distance from the camera up to which all points exist; further away their number per pixel stays "
+        "the same. 0: all points everywhere",
         default=500.0, min=0.0, soft_max=10_000.0, precision=1, unit="LENGTH", update=changed,
     )  # fmt: skip
     use_sea: BoolProperty(
-        name="Above the Sea", description="No points on ground up to the level of the sea", default=False,
+        name="Above the Sea", description="Put no points on ground below the sea", default=False,
         update=changed,
     )  # fmt: skip
     sea_level: FloatProperty(
         name="Sea Level", description="Height of the sea in the terrain's own space", unit="LENGTH", update=changed
     )
     layer: StringProperty(
-        name="On Layer", description="A layer of the terrain: as dense as it covers the ground", update=changed
+        name="On Layer",
+        description="Scatter only where this layer of the terrain is, as densely as it covers the ground",
+        update=changed,
     )
     where: PointerProperty(type=LayerSettings)
     size: FloatProperty(
         name="Size",
-        description="Scale of a full-grown object; 1 keeps its size in the world, whatever the terrain's scale",
+        description="Scale of the objects: 1 keeps their size in the world, whatever the terrain's scale",
         default=1.0, min=0.0, soft_max=100.0, update=changed,
     )  # fmt: skip
     variation: FloatProperty(
-        name="Variation", description="Part of the size by which it varies either way", default=0.2, min=0.0, max=1.0,
+        name="Variation", description="How much the size varies up and down, as a fraction: 0.2 is 20 %",
+        default=0.2, min=0.0, max=1.0,
         subtype="FACTOR", update=changed,
     )  # fmt: skip
     align: FloatProperty(
-        name="Align to Ground", description="0 stands upright, 1 along the ground's normal", default=0.0, min=0.0,
+        name="Align to Ground",
+        description="How much the objects tilt with the slope: 0 stands upright, 1 follows the ground's normal",
+        default=0.0, min=0.0,
         max=1.0, subtype="FACTOR", update=changed,
     )  # fmt: skip
     roots: EnumProperty(
         name="Roots On",
-        items=[(SURFACE, "Ground", "At the heights of the height map: a point never moves, and is as far from the mesh "
-                "as the terrain's error allows"),
-               (MESH, "Mesh", "On the triangles that are drawn: a point goes up and down with them")],
+        description="What the objects stand on",
+        items=[(SURFACE, "Ground", "The heights of the height map: objects never move, but may be as far off the mesh "
+                "as its error"),
+               (MESH, "Mesh", "The triangles of the mesh: objects move up and down with them")],
         update=changed,
     )  # fmt: skip
     margin_deg: FloatProperty(
-        name="Margin", description="How far outside the frame points still are, degrees", default=5.0, min=0.0,
-        max=89.0, precision=1, update=changed,
+        name="Margin",
+        description="How far outside the camera's frame points still exist, in degrees: for shadows and fast cameras",
+        default=5.0, min=0.0, max=89.0, precision=1, update=changed,
     )  # fmt: skip
     margin_m: FloatProperty(
-        name="Reach", description="The same in metres: how far what stands there reaches, with its shadow",
+        name="Reach", description="The same in metres: how far the objects and their shadows reach",
         default=0.0, min=0.0, soft_max=100.0, unit="LENGTH", update=changed,
     )  # fmt: skip
     cull_hidden: BoolProperty(
-        name="Cull Hidden", description="No points where the terrain in front hides them from the camera, with what "
-        "stands there: set Reach to its height. It may still throw a shadow into view, or be seen in a mirror: keep "
-        "this off where that matters. Needs a Screen Error of the terrain, roots on the ground, and nothing cut away",
+        name="Cull Hidden", description="Leave out objects that hills hide from the camera; set Reach to their height "
+        "first. Keep it off where hidden objects cast shadows into view or show in mirrors. It needs a Screen Error, "
+        "roots on the ground, and nothing cut away",
         default=False, update=changed,
     )  # fmt: skip
-    seed: IntProperty(name="Seed", description="Random seed", default=0, min=0, update=changed)
+    seed: IntProperty(
+        name="Seed", description="Another number gives another random pattern", default=0, min=0, update=changed
+    )
 
 
 def scatter_of(settings, terrain_settings) -> Scatter:

@@ -30,14 +30,16 @@ DIFFERENCE = 0.3  # between instances, as part of a colour
 
 
 class AddStarterCollection(bpy.types.Operator):
-    """Add conifers, broadleaves, bushes, grass and rocks to the file, in a collection that the view layer excludes, and
-    put one kind on the scatter"""
+    """Add conifers, broadleaves, bushes, grass and rocks to the file, as a hidden collection, and scatter one kind of
+    them"""
 
     bl_idname = "adaptive_terrain.starter_add"
     bl_label = "Add Starter Collection"
     bl_options = {"REGISTER", "UNDO"}
 
-    kind: bpy.props.EnumProperty(name="Kind", items=[(kind, KINDS[kind][0], "") for kind in KINDS])
+    kind: bpy.props.EnumProperty(
+        name="Kind", description="Objects to scatter", items=[(kind, KINDS[kind][0], "") for kind in KINDS]
+    )
 
     @classmethod
     def poll(cls, context):

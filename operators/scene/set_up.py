@@ -24,21 +24,21 @@ SNOWLESS, SNOWLESS_M = "hills", 1500.0
 
 
 class SetUpScene(bpy.types.Operator):
-    """Add a sun, a physical sky, a camera at the current view and the terrain's material, and remove Blender's default
-    cube and lamp. Press it again to replace these; nothing else changes"""
+    """Add a sun, a sky, a camera at the current view and the terrain's material, and remove Blender's default cube and
+    light. Press it again to replace them; nothing else changes"""
 
     bl_idname = "adaptive_terrain.set_up_scene"
     bl_label = "Set Up Scene"
     bl_options = {"REGISTER", "UNDO"}
 
     view: bpy.props.EnumProperty(
-        name="Camera",
-        items=[(CURRENT, "Current View", "The camera stands where the viewport looks from"),
-               (ACROSS, "Across the Terrain", "The camera stands at the low side and looks towards the high one")],
+        name="Camera", description="Where the camera is put",
+        items=[(CURRENT, "Current View", "Put the camera where the viewport looks from"),
+               (ACROSS, "Across the Terrain", "Put the camera at the low side of the terrain, towards the high side")],
     )  # fmt: skip
     elevation: bpy.props.FloatProperty(
         name="Sun Elevation",
-        description="Angle of the sun above the horizon",
+        description="Angle of the sun above the horizon: low gives long shadows",
         default=math.radians(24.0), min=math.radians(1.0), max=math.radians(90.0), subtype="ANGLE",
     )  # fmt: skip
     turn: bpy.props.FloatProperty(

@@ -55,7 +55,7 @@ def _criterion_switch(setting: CriterionSetting):
 
     return BoolProperty(
         name=setting.label,
-        description="Limit this; the strictest limit that is on decides",
+        description="Use this limit. Of all limits that are on, the strictest decides",
         get=lambda self: getattr(self, setting.name) > 0.0,
         set=switch,
         options=set(),
@@ -82,13 +82,13 @@ class DetailSettings:
 
     limit_time: BoolProperty(
         name="Time Budget",
-        description="Choose the finest error whose update fits this time, instead of the error above. Press Measure "
-        "Accuracy first. The viewport corrects the choice by its own times; renders are the same on every machine",
+        description="Choose the finest error that can be computed within Max Time, instead of the error above; press "
+        "Measure Accuracy first. The viewport also learns from its own times; renders are the same on every computer",
         update=changed,
     )  # fmt: skip
     max_ms: FloatProperty(
         name="Max Time (ms)",
-        description="Milliseconds to compute the mesh of a new view; the transfer to Blender takes some more",
+        description="Time to compute the mesh of a new view, in milliseconds; the transfer to Blender takes some more",
         default=50.0, min=0.01, soft_max=1000.0, precision=1, update=changed,
     )  # fmt: skip
     curve: StringProperty(

@@ -20,30 +20,32 @@ class DisplacementSettings(bpy.types.PropertyGroup):
 
     amplitude: FloatProperty(
         name="Amplitude",
-        description="Largest height of the displacement above and below the height map, in metres; 0 adds none. "
-        "It takes triangles only where the camera can see it",
+        description="Largest height of the added relief above and below the height map, in metres; 0 adds none. It "
+        "takes triangles only where the camera can see it",
         default=0.0, min=0.0, soft_max=2.0, precision=3, step=1, unit="LENGTH", update=changed,
     )  # fmt: skip
     wavelength: FloatProperty(
         name="Wavelength",
-        description="Length of the longest wave, in metres; up to eight more are half as long each",
+        description="Size of the largest waves, in metres; up to eight smaller ones follow, each half as long",
         default=4.0, min=0.01, soft_max=100.0, precision=2, unit="LENGTH", update=changed,
     )  # fmt: skip
     roughness: FloatProperty(
         name="Roughness",
-        description="Height of each wave, as a fraction of that of the one twice as long",
+        description="Height of each smaller wave compared with the one twice as long: higher is rougher",
         default=0.5, min=0.0, max=1.0, precision=2, subtype="FACTOR", update=changed,
     )  # fmt: skip
-    seed: IntProperty(name="Seed", description="Random seed", default=0, min=0, update=changed)
+    seed: IntProperty(
+        name="Seed", description="Another number gives another random pattern", default=0, min=0, update=changed
+    )
     image: PointerProperty(
         name="Image",
-        description="A tiling image in place of noise: its red is the height, black as far below the surface as white "
-        "is above it",
+        description="Tiling image to use instead of noise: in its red channel white is high and black is as far below "
+        "the surface",
         type=bpy.types.Image, poll=is_gray, update=changed,
     )  # fmt: skip
     tile: FloatProperty(
         name="Tile Size",
-        description="Width of a tile of the image, in metres",
+        description="Width of one tile of the image, in metres",
         default=4.0, min=0.01, soft_max=100.0, precision=2, unit="LENGTH", update=changed,
     )  # fmt: skip
 

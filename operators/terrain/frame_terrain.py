@@ -122,8 +122,8 @@ def _move_view(space, region, region_3d, box: np.ndarray, visible: tuple[float, 
 
 
 class FrameTerrain(bpy.types.Operator):
-    """Move this viewport so that it shows the whole terrain, and let it and the camera see as far as the terrain
-    reaches. The camera stays where it is"""
+    """Move this viewport back until it shows the whole terrain, and let viewport and camera see as far as it reaches.
+    The camera stays in its place"""
 
     bl_idname = "adaptive_terrain.frame"
     bl_label = "Frame Terrain"

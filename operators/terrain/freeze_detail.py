@@ -8,8 +8,8 @@ from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 
 
 class FreezeDetail(TerrainObjectOperator, bpy.types.Operator):
-    """Keep the triangles that the viewport shows now, whatever the camera sees, in renders too; press again to let the
-    mesh follow its camera. Heights still follow the vertical scale and offset"""
+    """Keep the present triangles, whatever the camera sees, in renders too. Press it again to let the mesh follow the
+    camera"""
 
     bl_idname = "adaptive_terrain.freeze"
     bl_label = "Freeze Detail"

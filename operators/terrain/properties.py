@@ -85,12 +85,12 @@ class TerrainSettings(bpy.types.PropertyGroup):
     enabled: BoolProperty(name="Adaptive Terrain", description="This object's mesh is written by Adaptive Terrain")
     store: StringProperty(
         name="Store",
-        description="Folder where the imported heights are kept; Import writes it",
+        description="Folder of the imported heights. Import sets it; change it only if you have moved the folder",
         subtype="DIR_PATH", options=PATH_OPTIONS, update=changed,
     )  # fmt: skip
 
     source: EnumProperty(
-        name="Source",
+        name="Source", description="Where the heights come from",
         items=[*land_items(),
                (FILE, "File", "A height map: GeoTIFF, VRT, ASCII grid, HGT, PNG, EXR, RAW, NPY", "NONE", 1)],
         update=_source_chosen,
@@ -99,29 +99,36 @@ class TerrainSettings(bpy.types.PropertyGroup):
         name="File", description="Height map to import", subtype="FILE_PATH", options=PATH_OPTIONS
     )
     raw_size: IntVectorProperty(
-        name="Samples", description="Width and height of a RAW file, in samples", size=2, default=(0, 0), min=0
+        name="Samples", description="Width and height of the RAW file, in values", size=2, default=(0, 0), min=0
     )
     raw_dtype: EnumProperty(
-        name="Type",
-        items=[(name, name, f"Samples of a RAW file are {name}") for name in RAW_TYPES],
+        name="Type", description="Type of the values in the RAW file",
+        items=[(name, name, f"The values in the RAW file are {name}") for name in RAW_TYPES],
         default="uint16",
     )  # fmt: skip
-    raw_little_endian: BoolProperty(name="Little Endian", description="Byte order of a RAW file", default=True)
-    band: IntProperty(name="Band", description="Number of the band to read, from 1", default=1, min=1)
+    raw_little_endian: BoolProperty(
+        name="Little Endian",
+        description="Byte order of the RAW file. Change it if the land looks like noise",
+        default=True,
+    )
+    band: IntProperty(
+        name="Band", description="Band of the file that holds the heights; the first is 1", default=1, min=1
+    )
     channel: StringProperty(
-        name="Channel", description="Name of the EXR channel to read; empty for the first that looks like a height"
+        name="Channel", description="EXR channel that holds the heights; empty for the first that looks like a height"
     )
     first_row_south: BoolProperty(
-        name="First Row South", description="Turn the map over: the first row of the file is the southern one"
+        name="First Row South", description="Turn the map over, if the first row of the file is the southern one"
     )
     project: StringProperty(
         name="Reproject",
-        description="Convert the map to another coordinate system: utm for true shapes, or EPSG:n; empty keeps its own",
+        description="Convert the map to another coordinate system: utm for true shapes in metres, or a code such as "
+        "EPSG:25832. Empty keeps its own",
     )  # fmt: skip
     use_extent: BoolProperty(name="Set Size", description="Enter the real-world size instead of using the file's")
     extent: FloatVectorProperty(
         name="Size",
-        description="Metres from west to east and from south to north",
+        description="Size in metres from west to east and from south to north",
         size=2, default=(1000.0, 1000.0), min=0.001, unit="LENGTH",
     )  # fmt: skip
     height_scale: FloatProperty(
@@ -131,41 +138,50 @@ class TerrainSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
     height_offset: FloatProperty(
         name="Metres at Zero",
-        description="Height of the file's value 0. Press Import after a change",
+        description="Height of the file's value 0, in metres. Press Import after a change",
         unit="LENGTH", default=0.0,
     )  # fmt: skip
     use_heights: BoolProperty(
         name="Set Heights",
-        description="Give the heights of the lowest and the highest sample. Without them an 8 or 16-bit image that "
-        "names no size gets a relief of a quarter of its width",
+        description="Enter the heights of the lowest and the highest value. Otherwise an 8 or 16-bit image without a "
+        "size in metres gets a relief of a quarter of its width",
     )
-    lowest: FloatProperty(name="Lowest", description="Height of the lowest sample", unit="LENGTH")
-    highest: FloatProperty(name="Highest", description="Height of the highest sample", default=1000.0, unit="LENGTH")
+    lowest: FloatProperty(name="Lowest", description="Height of the lowest value in the file, in metres", unit="LENGTH")
+    highest: FloatProperty(
+        name="Highest", description="Height of the highest value in the file, in metres", default=1000.0, unit="LENGTH"
+    )
     use_no_data: BoolProperty(
-        name="Set No-Data", description="Enter the value of missing samples instead of using the file's"
+        name="Set No-Data", description="Enter the value that marks missing heights, instead of using the file's"
     )
-    no_data: FloatProperty(name="No-Data", description="Value of samples that are missing", default=-9999.0)
+    no_data: FloatProperty(name="No-Data", description="Value that marks missing heights", default=-9999.0)
     holes: BoolProperty(
         name="Cut Out No-Data", description="Leave holes where heights are missing instead of filling them"
     )
     island_size: IntProperty(
         name="Samples",
-        description="Heights on each side of the built-in land: more is finer",
+        description="Heights along each side of the built-in land: more is finer and takes longer",
         default=1025,
         min=3,
         max=16385,
     )
-    seed: IntProperty(name="Seed", description="Another number makes another land", default=DEFAULT_SEED, min=0)
+    seed: IntProperty(
+        name="Seed", description="Another number makes other land of the same kind", default=DEFAULT_SEED, min=0
+    )
 
     camera_source: EnumProperty(
-        name="Seen From",
-        items=[(SCENE_CAMERA, "Scene Camera", "Fine where the scene's camera looks, or else the viewports"),
+        name="Seen From", description="View that decides where the terrain is fine",
+        items=[(SCENE_CAMERA, "Scene Camera", "Fine where the scene's camera looks; without one, where the viewports "
+                                              "look"),
                (CHOSEN_CAMERA, "Chosen Camera", "Fine where one chosen camera looks, whichever camera renders"),
                (VIEWPORT_VIEW, "Viewport", "Fine where the 3D viewports look; a render uses the scene's camera")],
         update=changed,
     )  # fmt: skip
     camera: PointerProperty(
-        name="Camera", type=bpy.types.Object, poll=lambda self, item: item.type == "CAMERA", update=changed
+        name="Camera",
+        description="Camera that decides where the terrain is fine",
+        type=bpy.types.Object,
+        poll=lambda self, item: item.type == "CAMERA",
+        update=changed,
     )
     interpolation: EnumProperty(
         name="Interpolation",
@@ -177,13 +193,13 @@ class TerrainSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
     vertical_scale: FloatProperty(
         name="Vertical Scale",
-        description="Exaggerate or flatten all heights; acts at once",
+        description="Factor on all heights: more than 1 exaggerates them. It needs no new import",
         default=1.0,
         update=changed,
     )
     vertical_offset: FloatProperty(
         name="Vertical Offset",
-        description="Raise or lower the whole terrain, in metres; acts at once",
+        description="Raise or lower the whole terrain, in metres. It needs no new import",
         unit="LENGTH", update=changed,
     )  # fmt: skip
     ground: PointerProperty(type=DisplacementSettings)
@@ -191,7 +207,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
     render: PointerProperty(type=RenderDetail)
     live: BoolProperty(
         name="Live Update",
-        description="Refine the mesh while the camera moves, without blocking the window. Pauses in Edit Mode",
+        description="Keep the mesh up to date while the camera moves, without blocking Blender. It pauses in Edit Mode",
         default=True, update=changed,
     )  # fmt: skip
     frozen: StringProperty(
@@ -205,10 +221,11 @@ class TerrainSettings(bpy.types.PropertyGroup):
         default=True, update=changed,
     )  # fmt: skip
     overlay: EnumProperty(
-        name="Overlay",
-        items=[(NO_OVERLAY, "None", "No colours; nothing is computed for them"),
-               (ERROR_OVERLAY, "Screen Error", "Largest error of each triangle in pixels; makes updates slower"),
-               (LEVEL_OVERLAY, "Level", "How often each triangle was halved: fine where it is high")],
+        name="Overlay", description="Colours that show how the mesh is made",
+        items=[(NO_OVERLAY, "None", "No colours"),
+               (ERROR_OVERLAY, "Screen Error", "Colour each triangle by its largest error in pixels; updates take "
+                                               "longer"),
+               (LEVEL_OVERLAY, "Level", "Colour each triangle by how often it was halved: high levels are fine")],
         update=_overlay_chosen,
     )  # fmt: skip
     effects: PointerProperty(type=effect_properties.EffectsSettings)
@@ -224,7 +241,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
     bake_fit: BoolProperty(
         name="Fit",
-        description="Use fewer triangles for the same error; the bake is slower",
+        description="Use fewer triangles for the same error, by moving vertices off the ground. Baking takes longer",
         default=False,
     )  # fmt: skip
     collider_error_m: FloatProperty(
@@ -244,7 +261,7 @@ class SceneSettings(bpy.types.PropertyGroup):
 
     stop_stale_renders: BoolProperty(
         name="Stop Renders That Would Be Stale",
-        description="End a render without a window if a terrain cannot be updated for a frame, instead of rendering "
-        "the mesh of another frame",
+        description="End a background render if a terrain cannot be updated for a frame, instead of rendering the mesh "
+        "of another frame",
         default=True,
     )  # fmt: skip

@@ -11,7 +11,7 @@ WAIT_S = 0.1
 
 
 class UpdateTerrain(TerrainObjectOperator, bpy.types.Operator):
-    """Refine the mesh for the camera now"""
+    """Compute the mesh for the camera now"""
 
     bl_idname = "adaptive_terrain.update"
     bl_label = "Update"
@@ -42,7 +42,8 @@ class UpdateTerrain(TerrainObjectOperator, bpy.types.Operator):
 
 
 class LockInterface(bpy.types.Operator):
-    """Lock the interface during a render, so that drawing the viewport cannot meet a mesh that is being rebuilt"""
+    """Lock Blender's interface during renders, so that no viewport draws a mesh that is being rebuilt, which can
+    crash"""
 
     bl_idname = "adaptive_terrain.lock_interface"
     bl_label = "Lock Interface"

@@ -47,6 +47,23 @@ def collect_labels() -> dict[str, str]:
     return {label: place for label, place in labels.items() if any(map(str.isalpha, label))}
 
 
+def collect_tooltips() -> dict[str, str]:
+    """Return the tooltip of each operator, property and enum item that users see, by a name of its place."""
+    tooltips = {}
+    for cls in _registered_classes():
+        if not issubclass(cls, bpy.types.Operator | bpy.types.PropertyGroup):
+            continue
+        if issubclass(cls, bpy.types.Operator):
+            tooltips[cls.__name__] = _rna_of(cls).description
+        for prop in _shown_properties(cls):
+            place = f"{cls.__name__}.{prop.identifier}"
+            if not hasattr(prop, "fixed_type") or isinstance(prop.fixed_type, bpy.types.ID):
+                tooltips[place] = prop.description
+            if prop.type == "ENUM":
+                tooltips |= {f"{place}.{item.identifier}": item.description for item in prop.enum_items_static}
+    return tooltips
+
+
 def _registered_classes() -> list[type]:
     """Return the extension's registered classes, without lists: Blender shows no label of a list."""
     bases = [bpy.types.Panel, bpy.types.Menu, bpy.types.Operator, bpy.types.PropertyGroup]
@@ -63,17 +80,26 @@ def _labels_of_class(cls: type) -> list[str]:
     if not issubclass(cls, bpy.types.Operator | bpy.types.PropertyGroup):
         # Blender writes the name of the last preset over the label of a panel of presets; the source has it.
         return [] if hasattr(cls, "preset_subdir") else [cls.bl_label, getattr(cls, "bl_category", "")]
-    rna, labels = cls.bl_rna, []
-    if issubclass(cls, bpy.types.Operator):
-        module, name = cls.bl_idname.split(".")
-        rna, labels = getattr(getattr(bpy.ops, module), name).get_rna_type(), [cls.bl_label]
-    for prop in rna.properties:
-        if prop.identifier in ("rna_type", "name") or prop.is_hidden:
-            continue
+    labels = [cls.bl_label] if issubclass(cls, bpy.types.Operator) else []
+    for prop in _shown_properties(cls):
         if prop.name != prop.identifier and prop.name not in ATTRIBUTES:  # the rest is drawn without its name
             labels.append(prop.name)
         labels += [item.name for item in prop.enum_items_static] if prop.type == "ENUM" else []
     return labels
+
+
+def _rna_of(cls: type):
+    """Return the RNA of a class; that of an operator has its properties in `bpy.ops`."""
+    if not issubclass(cls, bpy.types.Operator):
+        return cls.bl_rna
+    module, name = cls.bl_idname.split(".")
+    return getattr(getattr(bpy.ops, module), name).get_rna_type()
+
+
+def _shown_properties(cls: type) -> list:
+    """Return the properties of an operator or a property group that users may see."""
+    properties = _rna_of(cls).properties
+    return [prop for prop in properties if prop.identifier not in ("rna_type", "name") and not prop.is_hidden]
 
 
 def _labels_of_source(path: Path) -> list[str]:

@@ -44,7 +44,7 @@ def test_lengths_and_angles_have_their_units():
         elif parameter.unit:
             unit = parameter.unit.replace("m2", "m²")
             said = "unit" in item or parameter.unit == parameter.name or f"({unit})" in item["name"]
-            assert said or item["description"].endswith(unit), (name, parameter.name)
+            assert said or item["description"].endswith(f"({unit})"), (name, parameter.name)
             assert len(item["name"]) <= 15, "what is longer is cut off on a panel of the usual width"
         assert item["options"] == set(), "another number is another land: nothing is animated"
 

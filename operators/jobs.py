@@ -21,11 +21,12 @@ from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.importing.store_job import ChildJob
 from ..cbt_terrain.run import warmup
 from .session import session
+from .text.translations import phrase
 
 POLL_S = 0.1
 CALL_S = 0.02  # between looks for calls that a thread waits for
 TURN_S = 0.05  # for which frames are visited before the window has its turn
-LOOKING = "Looking at frames"
+STARTING, LOOKING = "Starting", "Looking at frames"
 SHOWN_STEPS = 200  # a progress bar is redrawn when it has grown by one
 Steps = Generator[None, None, object]
 
@@ -74,7 +75,7 @@ class BackgroundJob:
 
     def __init__(self, kind: JobKind, uid: int | None, steps: Callable[["BackgroundJob"], Steps]):
         self.kind, self.uid = kind, uid
-        self.fraction, self.message = 0.0, "Starting"
+        self.fraction, self.message = 0.0, STARTING
         self.result, self.error = None, ""
         self.stopped = self.is_orphan = False
         self.child: ChildJob | None = None
@@ -86,7 +87,8 @@ class BackgroundJob:
     @property
     def text(self) -> str:
         """What the job does, for places that show jobs of all kinds."""
-        return f"{self.kind.title}: {self.message}" if self.message else self.kind.title
+        title = phrase(self.kind.title)
+        return f"{title}: {phrase(self.message)}" if self.message else title
 
     def terrain(self):
         """Return the job's object, None if it is gone."""

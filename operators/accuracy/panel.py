@@ -11,6 +11,7 @@ from .. import jobs
 from ..session import session
 from ..text.numbers import SMALLEST, plain
 from ..text.shown_bounds import NO_BOUND, bound_text, limit_text
+from ..text.translations import phrase
 from ..ui.panel_parts import TerrainSubpanel, error_lines, figures, message
 from . import measure as measure_accuracy
 from . import sweep as sweep_accuracy
@@ -133,11 +134,11 @@ def statistics_lines(status) -> list[tuple[str, str]]:
     for name, value, unit, terms in _bounds(status):
         lines.append((name, _bound(value, unit, 4)))
         parts = {label: getattr(terms, term) for term, label in TERMS.items()} if terms and value < LARGEST else {}
-        lines += [(f"    {label}", f"{plain(part)} {unit}") for label, part in parts.items() if part]
+        lines += [(f"    {phrase(label)}", f"{plain(part)} {unit}") for label, part in parts.items() if part]
     if status.bounds.limited:
         lines.append(("Held back by", limit_text(status.bounds.limited)))
     if status.bounds.relaxed != 1.0:
-        lines.append(("Coarser than asked", f"{plain(status.bounds.relaxed)} times"))
+        lines.append(("Coarser than asked", phrase("{} times", plain(status.bounds.relaxed))))
     lines += [("Leaves", f"{status.leaves:,}"), ("Triangles", f"{status.triangles:,}")]
     if status.left != status.triangles:
         lines.append(("Left by clean-up", f"{status.left:,}"))
@@ -154,7 +155,7 @@ def measured_lines(measured: dict) -> list[tuple[str, str, str]]:
         ("Facet normal (°)", "facet_deg"),
         ("Shading normal (°)", "shading_deg"),
     ]
-    lines = [("Measured", "largest", "95 %")]
+    lines = [("Measured", phrase("largest"), "95 %")]
     for name, key in distributions:
         errors = measured[key]
         if errors and errors["count"]:
@@ -180,7 +181,7 @@ def prediction_lines(status, curve: CostCurve, exact: bool) -> list[str]:
     lines = []
     for other in (error / 2, error * 2):
         triangles, ms = curve.at(other)
-        cost = f"~{_rounded(triangles * more)} triangles, ~{_rounded(ms * longer)} ms"
+        cost = phrase("~{} triangles, ~{} ms", _rounded(triangles * more), _rounded(ms * longer))
         lines.append(f"{plain(other)} {curve.unit}: {cost}")
     return lines
 

@@ -13,6 +13,7 @@ from ..maps.properties import label
 from ..session import session
 from ..text.effect_lines import cost_text, readers_text
 from ..text.numbers import plain, time_text, unit_text
+from ..text.translations import phrase
 from ..ui.panel_parts import TerrainSubpanel, figures, fixed_lines, show_terrain
 from .properties import is_number
 
@@ -78,14 +79,14 @@ def chosen_of(settings) -> str:
 def _draw_details(box, name: str, status) -> None:
     column = box.column(align=True)
     fixed_lines(column, about_text(name), ABOUT_LINES)
-    fixed_lines(column, readers_text(status), READER_LINES)
-    column.label(text=cost_text(status))
+    fixed_lines(column, readers_text(status, phrase), READER_LINES)
+    column.label(text=cost_text(status, phrase))
 
 
 def about_text(name: str) -> str:
     """`Slope (rad): how steep ...`; a share has no unit."""
     unit = ATTRIBUTES[name].unit
-    return f"{label(name)}{f' ({unit_text(unit)})' if unit not in ('', '1') else ''}: {ATTRIBUTES[name].about}"
+    return f"{phrase(label(name))}{f' ({unit_text(unit)})' if unit not in ('', '1') else ''}: {ATTRIBUTES[name].about}"
 
 
 def summary_lines(statuses, nbytes: int) -> list[tuple[str, str]]:
@@ -93,7 +94,7 @@ def summary_lines(statuses, nbytes: int) -> list[tuple[str, str]]:
     computed = [status for status in statuses.values() if not status.skipped]
     ms, megabytes = sum(status.ms for status in computed), sum(status.nbytes for status in computed) / 1e6
     return [
-        ("Computed", f"{len(computed)} of {len(ATTRIBUTES)}"),
+        ("Computed", phrase("{} of {}", len(computed), len(ATTRIBUTES))),
         ("Cost", f"{plain(ms)} ms, {plain(megabytes)} MB"),
-        ("Held", f"{plain(nbytes / 1e6)} of {plain(MAX_BYTES / 1e6)} MB"),
+        ("Held", phrase("{} of {} MB", plain(nbytes / 1e6), plain(MAX_BYTES / 1e6))),
     ]

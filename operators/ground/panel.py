@@ -3,6 +3,7 @@
 
 from ..session import session
 from ..text.numbers import length_text
+from ..text.translations import phrase
 from ..ui.panel_parts import message
 from . import add_collider, keep_ground
 from .properties import ON
@@ -57,7 +58,7 @@ class GroundPanel:
         column.operator("adaptive_terrain.add_collider", text=text, icon="PHYSICS")
         if collider is not None:
             bound = length_text(collider[add_collider.MARK])
-            column.label(text=f"{len(collider.data.polygons):,} triangles, ≤ {bound} off")
+            column.label(text=phrase("{} triangles, ≤ {} off", f"{len(collider.data.polygons):,}", bound))
 
 
 def notes(obj) -> list[str]:

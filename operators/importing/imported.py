@@ -13,6 +13,7 @@ from ...cbt_terrain.field.lands import LANDS
 from ...cbt_terrain.importing.raster import ImportSettings
 from ..bridge.scene_paths import absolute_path
 from ..text.numbers import length_text, plain
+from ..text.translations import phrase
 
 # Custom properties as BlenderGIS has them on its scenes: the coordinate system, and where in it the local origin lies.
 SRID, CRS_X, CRS_Y = "SRID", "crs x", "crs y"
@@ -86,13 +87,13 @@ def lines_of(imported: Imported | None) -> list[tuple[str, str]]:
         return [(name, "-") for name in LINES]
     source = imported.settings.get("source", "")
     figures = (
-        LANDS[source].label if source in LANDS else shown(Path(source).name) or "unknown",
+        LANDS[source].label if source in LANDS else shown(Path(source).name) or phrase("unknown"),
         _crs_name(imported.crs),
-        ", ".join(map(_coordinate, imported.origin)) if imported.crs else "none",
+        ", ".join(map(_coordinate, imported.origin)) if imported.crs else phrase("none"),
         f"{imported.raster[0]:,} x {imported.raster[1]:,}",
         _both([length_text(length) for length in imported.extent_m]),
         _both([length_text(length) for length in imported.step_m]),
-        " to ".join(plain(height, 4) for height in imported.heights_m) + " m",
+        phrase("{} to {} m", *(plain(height, 4) for height in imported.heights_m)),
     )
     return list(zip(LINES, figures, strict=True))
 
@@ -100,7 +101,7 @@ def lines_of(imported: Imported | None) -> list[tuple[str, str]]:
 def _crs_name(crs: str) -> str:
     """`EPSG:4326`, or the name in a CRS's definition."""
     if not crs:
-        return "none"
+        return phrase("none")
     return shown(crs.split('"')[1] if '["' in crs else crs)
 
 

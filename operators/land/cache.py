@@ -17,6 +17,7 @@ from ..bridge.scene_paths import absolute_path
 from ..session import session
 from ..session.polls import cancelled_by_errors, on_terrain
 from ..text.numbers import plain
+from ..text.translations import phrase
 
 
 def stored_land(store: str) -> list[tuple[str, Path, int]]:
@@ -48,10 +49,15 @@ def _sources(store: str) -> list[str]:
 def lines(store: str) -> list[str]:
     """Return the lines of the dialog: the folders, and the size of each kind of data."""
     parts, messages = stored_land(store), [str(folder_beside(source)) for source in _sources(store)]
-    for what, about in (("shown", "Land that is shown, and stays"), ("not shown now", "Land of other settings"),
-                        ("tiles", "Tiles, which spare time when settings change a little")):  # fmt: skip
+    for what, about in (
+        ("shown", phrase("Land that is shown, and stays")),
+        ("not shown now", phrase("Land of other settings")),
+        ("tiles", phrase("Tiles, which spare time when settings change a little")),
+    ):
         sizes = [size for kind, _, size in parts if kind == what]
-        messages.append(f"{about}: {megabytes(sum(sizes))}" + (f", stores: {len(sizes)}" if what != "tiles" else ""))
+        size = megabytes(sum(sizes))
+        number = "" if what == "tiles" else phrase(", stores: {}", len(sizes))
+        messages.append(f"{about}: {size}{number}")
     return messages
 
 

@@ -11,6 +11,7 @@ from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
 from .. import jobs
 from ..session import session
 from ..text.numbers import length_text, time_text, unit_text
+from ..text.translations import phrase
 from ..ui.panel_parts import LIMITS, TerrainSubpanel, draw_band, figures, fixed_lines, show_terrain
 from . import shaped_land
 from . import stack as land_stack
@@ -96,7 +97,7 @@ def _draw_shaping(row, obj, state) -> None:
     """Draw one row: the button, or the progress of shaping with the buttons that end it."""
     job, wait = jobs.find(jobs.SHAPE, obj), shaped_land.render_wait_of(obj)
     if wait is not None:
-        row.progress(factor=wait.fraction, text=f"Render: {wait.brief}")
+        row.progress(factor=wait.fraction, text=phrase("Render: {}", wait.brief))
         return
     if job is None:
         row.enabled = wanted = state.wanted or state.active and bool(session.record_of(obj).status.error)
@@ -113,14 +114,15 @@ def _shape_now(obj) -> str:
     if seconds is None:
         return "Shape Now"
     rounded = f"{seconds:.1g}" if seconds < 10.0 else f"{5 * round(seconds / 5)}"
-    return bpy.app.translations.pgettext_iface("Shape Now (about {} s)").format(rounded)
+    return phrase("Shape Now (about {} s)", rounded)
 
 
 def status_lines(state) -> list[tuple[str, str]]:
     """Return three lines, whatever the state."""
-    tiles = f"{state.tiles[0]:,} of {state.tiles[1]:,}" if state.tiles else "-"
-    spacing = f", {length_text(state.step_m)} apart" if state.step_m else ""
-    return [("Shown", f"{state.shown}{spacing}"), ("Tiles", tiles), ("Time", time_text(state.total_ms))]
+    tiles = phrase("{} of {}", *(f"{number:,}" for number in state.tiles)) if state.tiles else "-"
+    shown = phrase(state.shown)
+    shown = phrase("{}, {} apart", shown, length_text(state.step_m)) if state.step_m else shown
+    return [("Shown", shown), ("Tiles", tiles), ("Time", time_text(state.total_ms))]
 
 
 class LandEffectPanel(TerrainSubpanel):
@@ -195,8 +197,8 @@ def _reading(status) -> str:
         return "No update yet"
     count = len(status.readers)
     if status.skipped:
-        return "Switched off" if count else "No reader"
-    return f"{count} reader{'s' if count > 1 else ''}"
+        return phrase("Switched off") if count else phrase("No reader")
+    return phrase("1 reader") if count == 1 else phrase("{} readers", count)
 
 
 class LandOutputPanel(TerrainSubpanel):

@@ -18,6 +18,7 @@ from ...cbt_terrain.height_operators import derived_store
 from ...cbt_terrain.height_operators.derived_store import Land
 from ...cbt_terrain.height_operators.shaping_cost import estimate_seconds
 from ..text.console import print_line
+from ..text.translations import phrase
 
 PRINTED_S = 10.0  # between lines on the console
 KNOWN = 0.05  # part of the work after which the time that is left can be told
@@ -38,7 +39,7 @@ class LandWait:
 
     @property
     def text(self) -> str:
-        return f"Shaping land, {self.brief} ({self.message})"
+        return phrase("Shaping land, {} ({})", self.brief, self.message)
 
     @property
     def brief(self) -> str:
@@ -47,7 +48,8 @@ class LandWait:
         left = rest * self.estimate
         if self.fraction >= KNOWN:  # coarse levels come first and are slower than planned
             left = min(left, rest * (time.monotonic() - self.started) / self.fraction)
-        return f"{self.fraction:.0%}" + (f", about {left:.0f} s left" if left < math.inf else "")
+        done = f"{self.fraction:.0%}"
+        return phrase("{}, about {} s left", done, f"{left:.0f}") if left < math.inf else done
 
 
 waiting: LandWait | None = None

@@ -17,6 +17,7 @@ from ..bridge.scene_paths import absolute_path
 from ..importing.imported import imported_of
 from ..session import session
 from ..text.numbers import length_text, plain
+from ..text.translations import phrase
 from . import render_wait
 from .properties import EVERYWHERE
 
@@ -29,9 +30,9 @@ NOTES = {
     PREVIEW: "Refined in view while nothing changes; a render has all of it",
 }
 
-DOUBTFUL = "{} may not fit from tile to tile: "
-DOUBTFUL += f"harder rock may help, or {MAX_WHOLE:,} samples a side at most"
-WHOLE = ", except {}, whose tiles would not fit"
+DOUBTFUL = "{} may not fit from tile to tile: harder rock may help, or {} samples a side at most"
+LEFT_OUT = "Finer levels are left out: about {} m, {} m at most"
+LEFT_OUT_BUT = "Finer levels are left out, except {}, whose tiles would not fit: about {} m, {} m at most"
 
 
 @dataclass(frozen=True)
@@ -94,15 +95,15 @@ def _estimate(land: Land, _changed_ns: int) -> float | None:
 def _why_source(obj) -> str:
     """Return why the mesh does not show the stack."""
     if session.record_of(obj).status.error:
-        return NOTES[FAILED]
+        return phrase(NOTES[FAILED])
     if render_wait_of(obj) is not None:
-        return "A render shapes it now"
+        return phrase("A render shapes it now")
     settings = obj.adaptive_terrain
     if settings.frozen:
-        return "Not shown: frozen"
+        return phrase("Not shown: frozen")
     if obj.hide_viewport or not obj.visible_get():
-        return "Not shown: hidden"
-    return NOTES[SOURCE] if settings.live else "Not shown: Live Update is off"
+        return phrase("Not shown: hidden")
+    return phrase(NOTES[SOURCE]) if settings.live else phrase("Not shown: Live Update is off")
 
 
 def store_of(obj) -> str:
@@ -134,7 +135,7 @@ def state_of(obj) -> LandState:
     state = replace(state, seen=is_of_views(store_of(obj)))
     longer = max(found.extent_m) if found is not None else SMALL_M
     if longer < SMALL_M:  # such as the terrain of the Add menu
-        note = f"Effects are in metres, and the terrain measures {length_text(longer)}: set its Size"
+        note = phrase("Effects are in metres, and the terrain measures {}: set its Size", length_text(longer))
         state = replace(state, note=note)
     return state
 
@@ -144,18 +145,20 @@ def _as_updated(obj, numbers: list[int]) -> LandState:
     if request is not None and request.land is not None and not request.land.waits:
         found = preview_of(request.land)
         if found is not None:
-            note = f"{found.without} takes too long for a preview: Shape Now" if found.without else NOTES[PREVIEW]
+            late = phrase(found.without)
+            note = phrase("{} takes too long for a preview: Shape Now", late) if late else phrase(NOTES[PREVIEW])
             return LandState(True, PREVIEW, found.step_m, None, _by_number(numbers, found.ms), note)
     info = _shaping_info(_shown(request)) if request is not None and _shown(request) else None
     if info is None:
         return LandState(True, note=_why_source(obj))
     tiles, note = (sum(map(len, info.tiles)), sum(info.tile_counts)), ""
     if info.doubtful:
-        note = DOUBTFUL.format(info.doubtful)
+        note = phrase(DOUBTFUL, phrase(info.doubtful), f"{MAX_WHOLE:,}")
     elif info.left_out_max_m > 0.0:
-        exception = WHOLE.format(info.whole_effect) if info.whole_effect else ""
-        size = f"about {plain(info.left_out_rms_m)} m, {plain(info.left_out_max_m)} m at most"
-        note = f"Finer levels are left out{exception}: {size}"
+        sizes = plain(info.left_out_rms_m), plain(info.left_out_max_m)
+        note = (
+            phrase(LEFT_OUT_BUT, phrase(info.whole_effect), *sizes) if info.whole_effect else phrase(LEFT_OUT, *sizes)
+        )
     return LandState(True, SHAPED, info.step_m, tiles, _by_number(numbers, info.ms), note, info.finished_early)
 
 

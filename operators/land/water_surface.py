@@ -18,6 +18,7 @@ from ..bridge.writer import write_mesh
 from ..session import session
 from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 from ..text.numbers import length_text
+from ..text.translations import phrase
 from .request import land_of
 from .shape_land import check_is_shaped
 
@@ -96,7 +97,7 @@ def _placed(surface: Surface, settings) -> Surface:
 
 def button_text(terrain) -> str:
     """Return the text of the button."""
-    return "Add Water" if _existing_water(terrain) is None else "Update Water"
+    return phrase("Add Water") if _existing_water(terrain) is None else phrase("Update Water")
 
 
 def _existing_water(terrain):

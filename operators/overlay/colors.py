@@ -10,6 +10,7 @@ from ...cbt_terrain.accuracy import triangle_errors
 from ...cbt_terrain.mesh.attributes import CORNER, FACE, Attribute
 from ..bridge.writer import COLOUR_ATTRIBUTE
 from ..terrain.properties import ERROR_OVERLAY
+from ..text.translations import phrase
 
 # Nine stops of matplotlib's viridis, sRGB, which is perceptually uniform, also in grey and for the colour-blind.
 VIRIDIS = np.array([
@@ -61,7 +62,7 @@ def _errors(field, request, surface) -> Overlay:
     texts = [f"{scale * fraction:.3g} {unit}" for fraction in fractions]
     if largest > scale:
         fractions = np.append(fractions, math.inf)
-        texts.append(f"Above the criterion, up to {largest:.3g} {unit}")
+        texts.append(phrase("Above the criterion, up to {} {}", f"{largest:.3g}", unit))
     rows = _rows(errors / np.float32(scale))
     attributes = {f"error_{unit}": Attribute(errors, FACE, unit)} | _colours(_table(), rows)
     return Overlay(attributes, _legend(texts, scale_colours(fractions)))
@@ -79,7 +80,7 @@ def _levels(lattice, level: np.ndarray) -> Overlay:
     found = np.unique(level)
     if len(found):
         found = np.unique(found[np.linspace(0, len(found) - 1, LEGEND_LINES).round().astype(int)])
-    texts = [f"Level {n}: edges of {_shortest_edge_m(lattice, n):.3g} m" for n in found.tolist()]
+    texts = [phrase("Level {}: edges of {} m", n, f"{_shortest_edge_m(lattice, n):.3g}") for n in found.tolist()]
     return Overlay(_colours(colours, level), _legend(texts, colours[found]))
 
 

@@ -7,6 +7,7 @@ from ..layers.panel import draw_rules
 from ..session import session
 from ..text.numbers import length_text, time_text
 from ..text.shown_bounds import bound_text
+from ..text.translations import phrase
 from ..ui.panel_parts import TerrainSubpanel, figures, message, show_terrain, switched
 from ..ui.status_row import draw_failure
 from .fitting import count_on_land, size_of
@@ -31,7 +32,7 @@ class ScattersPanel(TerrainSubpanel):
             row = column.row()
             row.label(text=obj.name, icon="OUTLINER_OB_POINTCLOUD")
             row.prop(obj, "hide_viewport", text="", emboss=False)
-            column.label(text=f"{points} points, {took}", icon="BLANK1")
+            column.label(text=phrase("{} points, {}", points, took), icon="BLANK1")
         self.layout.operator("adaptive_terrain.scatter_add", icon="ADD")
 
 
@@ -56,7 +57,7 @@ class ScatterPanel:
         box = self.layout.box().column(align=True)
         figures(box, scatter_lines(settings, record.scatters.get(obj.session_uid), record.status))
         if not draw_failure(box, terrain):
-            box.label(text=f"On {terrain.name}", icon="CHECKMARK")
+            box.label(text=phrase("On {}", terrain.name), icon="CHECKMARK")
         column = self.layout.column()
         column.prop(settings, "collection")
         if settings.collection is None:
@@ -85,9 +86,10 @@ def summary(scatter: ScatterRecord | None) -> tuple[str, str]:
 def size_lines(settings, terrain) -> list[str]:
     """Return the sizes of the collection's objects, and the number of instances that the spacing stands for."""
     width, height = (0.0, 0.0) if settings.collection is None else size_of(settings.collection)
-    objects = f"Up to {length_text(width)} wide, {length_text(height)} high" if width else "No objects: cones"
+    sizes = length_text(width), length_text(height)
+    objects = phrase("Up to {} wide, {} high", *sizes) if width else phrase("No objects: cones")
     count = count_on_land(terrain, settings.spacing)
-    return [objects, "-" if count is None else f"{count:,} on all the land"]
+    return [objects, "-" if count is None else phrase("{} on all the land", f"{count:,}")]
 
 
 def scatter_lines(settings, scatter: ScatterRecord | None, status) -> list[tuple[str, str]]:
@@ -98,9 +100,9 @@ def scatter_lines(settings, scatter: ScatterRecord | None, status) -> list[tuple
         tested = f"{scatter.points.tested:,}"
         px, metres = status.bounds.bound_px, status.bounds.bound_m
         bound = (px, "px") if px is not None else (metres or 0.0, "m")
-        off = "0 (on the mesh)" if settings.roots == MESH else f"≤ {bound_text(*bound)}"
+        off = phrase("0 (on the mesh)") if settings.roots == MESH else f"≤ {bound_text(*bound)}"
         if settings.id_data.matrix_local != STANDING:
-            off = "moved: clear its transforms"
+            off = phrase("moved: clear its transforms")
     return [("Points", points), ("Looked at", tested), ("Update", took), ("Off the mesh", off)]
 
 

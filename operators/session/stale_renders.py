@@ -17,6 +17,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import stopping
 from ...cbt_terrain.run.owned_files import remove_empty
 from ..text.console import print_line
+from ..text.translations import phrase
 
 EXIT_CODE = 1
 FRAMES_NAMED = 10
@@ -97,8 +98,9 @@ def report() -> None:
 def lines_of(stale: dict[int, str]) -> list[str]:
     """Return the message's lines: the first few stale frames by number, and each reason once."""
     frames = ", ".join(map(str, sorted(stale)[:FRAMES_NAMED]))
-    more = f" and {len(stale) - FRAMES_NAMED:,} more" if len(stale) > FRAMES_NAMED else ""
-    return [f"Rendered with the mesh of another frame: {frames}{more}", *dict.fromkeys(stale.values())]
+    if len(stale) > FRAMES_NAMED:
+        frames = phrase("{} and {} more", frames, f"{len(stale) - FRAMES_NAMED:,}")
+    return [phrase("Rendered with the mesh of another frame: {}", frames), *dict.fromkeys(stale.values())]
 
 
 def _pop_up() -> None:

@@ -7,6 +7,7 @@ from ...cbt_terrain.view.criterion import requested_unit
 from ...cbt_terrain.view.settings import CRITERIA, LIMITS, MODIFIERS, CriterionSetting
 from ..session import session
 from ..text.numbers import plain
+from ..text.translations import phrase
 from ..ui.panel_parts import TerrainSubpanel, fixed_lines, switched
 from .request import criterion_from, within_time
 
@@ -55,8 +56,10 @@ def _budget(detail) -> str:
     unit, curve = requested_unit(criterion), CostCurve.from_json(detail.curve)
     error = getattr(criterion, f"error_{unit}")
     fits = curve.at(error)[1] <= detail.max_ms * (1 + ROUNDED)
-    text = f"{'Finest error that fits' if fits else 'None fits; coarsest error'}: {plain(error, 4)} {unit}"
-    return text if curve.error[-1] <= error <= curve.error[0] else f"{text}. Beyond what was measured"
+    value = f"{plain(error, 4)} {unit}"
+    text = phrase("Finest error that fits: {}", value) if fits else phrase("None fits; coarsest error: {}", value)
+    is_measured = curve.error[-1] <= error <= curve.error[0]
+    return text if is_measured else phrase("{}. Beyond the measured errors", text)
 
 
 class ViewportPanel(TerrainSubpanel):

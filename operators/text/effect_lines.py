@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Texts about attributes: their declarations, their readers in a scene, and the cost of an evaluation."""
 
+from collections.abc import Callable
+
 from ...cbt_terrain.attributes.attribute import GEOMETRY, AttributeDeclaration
 from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
 from .numbers import plain
@@ -41,20 +43,25 @@ def status_line(name: str, status) -> str:
     return f"{name}: {text}" if status.skipped else f"{name}: {text}; {figures(status)}"
 
 
-def readers_text(status) -> str:
-    """Return the readers of an effect after its note, or why it was skipped; `status` is None before an update."""
+def readers_text(status, say: Callable[..., str] = str.format) -> str:
+    """Return the readers of an effect after its note, or why it was skipped; `status` is None before an update.
+
+    say: formats a template with values, in a panel also translated.
+    """
     if status is None:
-        return "No update yet"
+        return say("No update yet")
     if status.skipped:
-        return f"Skipped, {status.skipped}"
-    scale = ", at one scale" if status.family == GEOMETRY else ""
-    read = f"ead by {' and '.join(status.readers)}{scale}"
-    return f"{status.note}; r{read}" if status.note else f"R{read}"
+        return say("Skipped, {}", status.skipped)
+    readers = status.readers[0]
+    for reader in status.readers[1:]:
+        readers = say("{} and {}", readers, reader)
+    read = say("Read by {}, at one scale" if status.family == GEOMETRY else "Read by {}", readers)
+    return f"{status.note}. {read}" if status.note else read
 
 
-def cost_text(status) -> str:
-    """Return the cost of the last update: `12.1 ms, 0.4 MB, 1,203 new`."""
-    return f"{figures(status)}, {status.computed:,} new" if status is not None and not status.skipped else "-"
+def cost_text(status, say: Callable[..., str] = str.format) -> str:
+    """Return the cost of the last update: `12.1 ms, 0.4 MB, 1,203 new`. say: see `readers_text`."""
+    return "-" if status is None or status.skipped else say("{}, {} new", figures(status), f"{status.computed:,}")
 
 
 def figures(took) -> str:

@@ -16,6 +16,7 @@ from ..session import session
 from ..session.polls import LEFT_ALONE
 from ..terrain import panel as detail_panel
 from ..terrain.properties import CHOSEN_CAMERA
+from ..text.translations import phrase
 from .panel_parts import TerrainSubpanel, figures, message, panels_of, show_terrain, split_column, switched
 from .status_row import NO_VIEW, draw_preparation, draw_status, sight_notice
 
@@ -73,9 +74,9 @@ def _draw_state(box, context, obj) -> None:
     """Draw two rows: the state, and the triangles and the error of the last update."""
     draw_status(box, context, obj)
     (_, triangles), (_, bound), _ = _figures_of(context, obj)
-    bound = f"error {bound}" if bound.startswith("≤") else bound
+    bound = phrase("error {}", bound) if bound.startswith("≤") else phrase(bound)
     shown = session.record_of(obj).status.mode
-    box.label(text=f"{triangles} triangles, {bound}" if shown else "", icon="BLANK1")
+    box.label(text=phrase("{} triangles, {}", triangles, bound) if shown else "", icon="BLANK1")
 
 
 class LookPanel(TerrainSubpanel):

@@ -9,6 +9,7 @@ from ...cbt_terrain.run import warmup
 from .. import jobs
 from ..land import render_wait
 from ..session import live
+from ..text.translations import phrase
 
 TURN_S = 0.1
 WIDTH = 14  # in the interface's units, so that the bar does not move with its text
@@ -26,7 +27,7 @@ def work() -> tuple[float | None, str] | None:
     for job in jobs.running:
         return job.fraction, job.text
     seconds = live.seconds_under_way()
-    return (None, f"{live.stage()}, {seconds:.0f} s") if seconds >= 1.0 else None
+    return (None, f"{phrase(live.stage())}, {seconds:.0f} s") if seconds >= 1.0 else None
 
 
 def _draw(self, _context) -> None:

@@ -2,19 +2,27 @@
 """The labels of the user interface, collected from the registered classes and from the source of the draw code."""
 
 import ast
+import re
 from pathlib import Path
 
 import bpy
 from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
+from adaptive_terrain.cbt_terrain.importing.build_store import READING
 from adaptive_terrain.cbt_terrain.view.settings import BOUNDS, SETTINGS
+from adaptive_terrain.operators import jobs
 from adaptive_terrain.operators.accuracy.panel import STEPS, TERMS
 from adaptive_terrain.operators.importing.imported import LINES
+from adaptive_terrain.operators.land import shaped_land
+from adaptive_terrain.operators.land.resting_land import CHOOSING
+from adaptive_terrain.operators.text.shown_bounds import LIMITS, NO_BOUND
 from adaptive_terrain.operators.ui.status_row import NO_VIEW
 
 OPERATORS = Path(__file__).resolve().parents[2] / "operators"
 TEXTS = ("text", "heading", "confirm_text")  # arguments of layout functions and dialogs
-VARIABLES = (*TEXTS, "bound")  # local ones that are drawn
+VARIABLES = (*TEXTS, "bound", "_stage")  # that are drawn
+PHRASES = ("phrase", "say")  # functions that translate a template, and fill in its values
+WORD = re.compile(r"(?<![\w.])[^\W\d_]{3,}(?![\w.])")
 # Units, file formats, types of samples, names of the product and of attributes, and properties that no panel draws.
 UNTRANSLATED = {
     *("m", "px", "PNG", "OpenEXR", "GeoTIFF", "CRS", "Adaptive Terrain", "Splat 1", "Splat 2", "Splat 3"),
@@ -27,12 +35,12 @@ LEFT_TO_BLENDER = {
     for label in """
     3D Cursor, Active, Active Layer, Active Object, Align, Align to Normal, Ambient Occlusion, Amount, Amplitude,
     Aspect, Attribute, Bicubic, Bilinear, Boundary, Camera, Channel, Clear, Color, Curvature, Depth, Detail, Direction,
-    Displacement, Edge, Edge Length, Effect, Export, File, File Path, Fit, Flow, Format, Frames, From, Gain,
-    Height, Highest, Image, Interpolation, Layers, Level, Line, Location, Lowest, Margin, Mask, Masks, Memory, Mesh,
-    Move, Noise Size, None, Object, Off, Offset, Origin, Other, Overlap, Overlay, Pack, Pattern, Pinned, Points,
-    Radius, Read, Render, Rigid Body, Rotation, Roughness, Samples, Scene Camera, Seed, Set Size, Shape, Size, Sky,
-    Smooth Shading, Source, Strength, Surface, Thickness, Tile Size, Tiles, Time, To, Triangle Area, Triangles, Type,
-    View, Viewport, Wave, Wavelength, Wetness, Wind, World
+    Displacement, Edge, Edge Length, Effect, Export, File, File Path, Fit, Flow, Format, Frames, From, Gain, Height,
+    Highest, Image, Interpolation, Layers, Level, Line, Location, Lowest, Margin, Mask, Masks, Memory, Mesh, Move, Noise
+    Size, None, Object, Off, Offset, Origin, Other, Overlap, Overlay, Pack, Pattern, Pinned, Points, Preview, Radius,
+    Read, Render, Rigid Body, Rotation, Roughness, Samples, Scene Camera, Seed, Set Size, Shape, Size, Sky, Smooth
+    Shading, Source, Strength, Surface, Thickness, Tile Size, Tiles, Time, To, Triangle Area, Triangles, Type, View,
+    Viewport, Wave, Wavelength, Wetness, Wind, World
     """.split(",")
 }
 
@@ -62,6 +70,19 @@ def collect_tooltips() -> dict[str, str]:
             if prop.type == "ENUM":
                 tooltips |= {f"{place}.{item.identifier}": item.description for item in prop.enum_items_static}
     return tooltips
+
+
+def drawn_f_strings() -> list[str]:
+    """Return the f-strings with words in modules of panels: Blender translates only texts without values."""
+    found = []
+    for path in sorted(OPERATORS.rglob("*.py")):
+        if "panel" not in path.name and path.parent.name != "ui":
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            texts = [part.value for part in getattr(node, "values", ()) if isinstance(part, ast.Constant)]
+            if isinstance(node, ast.JoinedStr) and WORD.search(" ".join(texts).replace("Adaptive Terrain", "")):
+                found.append(f"{path.name}: {ast.unparse(node)}")
+    return found
 
 
 def _registered_classes() -> list[type]:
@@ -112,7 +133,7 @@ def _labels_of_source(path: Path) -> list[str]:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.keyword) and node.arg in TEXTS:
             labels += _literals(node.value)
-        elif isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "pgettext_iface":
+        elif isinstance(node, ast.Call) and node.args and getattr(node.func, "id", "") in PHRASES:
             labels += _literals(node.args[0])
         elif isinstance(node, ast.Assign) and getattr(node.targets[0], "id", None) in {*VARIABLES, "bl_label"}:
             labels += _literals(node.value)
@@ -147,4 +168,7 @@ def _labels_of_catalogues() -> list[str]:
     bounds = [label for label, _unit in BOUNDS.values()]
     rows = [setting.row or setting.label for setting in SETTINGS]
     lands = [operator.label for operator in HEIGHT_OPERATORS.values()]
-    return [*bounds, *rows, *lands, *TERMS.values(), *STEPS.values(), *NO_VIEW, *LINES]
+    notes = (*shaped_land.NOTES.values(), shaped_land.DOUBTFUL, shaped_land.LEFT_OUT, shaped_land.LEFT_OUT_BUT)
+    shown = (shaped_land.SOURCE, shaped_land.PREVIEW, shaped_land.SHAPED, NO_BOUND, *LIMITS.values())
+    messages = (jobs.LOOKING, jobs.STARTING, CHOOSING, READING)
+    return [*bounds, *rows, *lands, *TERMS.values(), *STEPS.values(), *NO_VIEW, *LINES, *notes, *shown, *messages]

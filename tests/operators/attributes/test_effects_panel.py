@@ -70,7 +70,7 @@ def test_the_details_are_those_of_the_effect_that_was_clicked(terrain):
     session.update_object(terrain)
     choose(terrain, "slope")
     said = " ".join(lines(terrain))
-    assert "Read by material Rock, node Attribute" in said and "Slope (rad): How steep the ground is" in said
+    assert "Read by material Rock, node Attribute" in said and "Slope (rad): Angle of the ground" in said
     choose(terrain, "wetness")
     assert "Skipped, nothing reads it" in " ".join(lines(terrain))
     terrain.adaptive_terrain.effects.slope.when = "OFF"

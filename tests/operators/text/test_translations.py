@@ -4,7 +4,7 @@
 import pytest
 from adaptive_terrain.operators.blender import need_bpy
 from adaptive_terrain.operators.text import translations
-from ui_labels import LEFT_TO_BLENDER, UNTRANSLATED, collect_labels
+from ui_labels import LEFT_TO_BLENDER, UNTRANSLATED, collect_labels, drawn_f_strings
 
 
 @pytest.fixture(scope="module")
@@ -18,6 +18,10 @@ def test_every_label_is_translated(labels, locale):
     done = translations.LANGUAGES[locale].keys() | LEFT_TO_BLENDER | UNTRANSLATED
     missing = [f"{label!r} ({place})" for label, place in sorted(labels.items()) if label not in done]
     assert not missing, f"add to the {locale} table in operators/text/translations: {', '.join(missing)}"
+
+
+def test_labels_with_values_in_them_are_translated():
+    assert drawn_f_strings() == [], "draw `phrase(template, values)` instead"
 
 
 @pytest.mark.parametrize("locale", translations.LANGUAGES)

@@ -105,17 +105,15 @@ def export_tileset(
 def _levels(field: HeightField, error_m: float, triangles: int, on_progress: Callable[[float], None]) -> list[_Level]:
     """Return the levels from the root to the finest; the error doubles from level to level.
 
-    `triangles`: about as many in a tile; the number of levels follows from it, as each has four times the tiles.
+    `triangles`: about as many in a tile; the number of levels follows from it.
     """
     terrain, finest = Terrain(field), []
-    cells = min(field.lattice.cells_x, field.lattice.cells_y)
     depth = number = 0
     while number <= depth:
         stopping.check()
         update = terrain.update(Criterion(error_px=0.0, error_m=error_m * 2.0**number))
         if number == 0:
-            wanted = math.ceil(math.log(max(update.triangles / triangles, 1.0), 4))
-            depth = min(wanted, MAX_LEVELS, cells.bit_length() - 1)
+            depth = _depth((field.lattice.cells_x, field.lattice.cells_y), update.triangles / triangles)
         s = update.surface
         assert update.bound_m is not None  # the criterion has an error in metres
         mesh = TileMesh(s.positions, s.normals, s.uv, s.triangles.astype(np.int64))
@@ -123,6 +121,17 @@ def _levels(field: HeightField, error_m: float, triangles: int, on_progress: Cal
         number += 1
         on_progress(number / (depth + 1))
     return finest[::-1]
+
+
+def _depth(cells: tuple[int, int], tiles: float) -> int:
+    """Return the level with at least `tiles` tiles, or whose tiles are a cell long or the finest.
+
+    A level has four times the tiles of the one above, and twice as many once tiles are as narrow as a cell.
+    """
+    depth = 0
+    while depth < MAX_LEVELS and 2 << depth <= max(cells) and math.prod(min(1 << depth, n) for n in cells) < tiles:
+        depth += 1
+    return depth
 
 
 def _divided(field: HeightField, mesh: TileMesh, bound: float, side: int) -> _Level:

@@ -62,8 +62,11 @@ def fit_heights(
     )
     if is_chosen:
         return fitted, []
+    name = Path(settings.source).name
+    if top == bottom:
+        return fitted, [f"All values of {name} are {first:g} and have no unit: the terrain is flat, at {low:.6g} m."]
     return fitted, [
-        f"The values of {Path(settings.source).name}, {first:g} to {last:g}, have no unit: they became {low:.6g} to "
+        f"The values of {name}, {first:g} to {last:g}, have no unit: they became {low:.6g} to "
         f"{high:.6g} m, a quarter of the width. Give the lowest and the highest height in metres (--lowest, "
         "--highest), or the metres in one of its values as the height scale (--height-scale)."
     ]

@@ -80,7 +80,7 @@ def program() -> NoReturn:
 
 def _run(argv: list[str] | None) -> int:
     try:
-        arguments = _parser().parse_args(_with_frames_joined(sys.argv[1:] if argv is None else argv))
+        arguments = _parser().parse_args(_with_negatives_joined(sys.argv[1:] if argv is None else argv))
         arguments.run(arguments)
         print(end="", flush=True)
     except SystemExit as exit_:  # argparse has printed its message
@@ -114,11 +114,11 @@ def _parser() -> argparse.ArgumentParser:
         gc.enable()
 
 
-def _with_frames_joined(argv: list[str]) -> list[str]:
-    """Join frames that begin below 0, such as -5--1, to their option, because argparse takes them for an option."""
+def _with_negatives_joined(argv: list[str]) -> list[str]:
+    """Join values below 0, such as -1e9 or the frames -5--1, to their option: argparse takes them for an option."""
     joined = []
     for word in argv:
-        if joined and joined[-1] == "--frames" and re.match(r"-\d", word):
+        if joined and re.match("--[^=]+$", joined[-1]) and re.match(r"-(\.?\d|inf|nan)", word, re.IGNORECASE):
             joined[-1] += f"={word}"
         else:
             joined.append(word)

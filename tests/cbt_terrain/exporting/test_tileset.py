@@ -185,6 +185,17 @@ def test_holes_and_flat_land_have_sound_tilesets(tmp_path):
     assert {mesh.positions[:, 2].max() for _, _, mesh in tiles if mesh is not None} == {50.0}
 
 
+@pytest.mark.parametrize("shape", [(3, 1025), (1025, 3)])
+def test_levels_of_a_narrow_terrain_follow_its_long_side(tmp_path, shape):
+    heights = np.broadcast_to(np.random.default_rng(3).uniform(0, 50, (1, 1025)), (3, 1025)).astype(np.float32)
+    _, report = export(tmp_path, heights if shape == heights.shape else heights.T, 0.5, 50)
+    _, tiles = read_tileset(tmp_path / "land.json")
+    meshes = of_level(tiles, len(report.bounds) - 1)
+    counts = [len(surface_of(mesh)) for mesh in meshes]
+    assert len(report.bounds) == 6 and len(meshes) == 2 * 32, "cells of the short side, tiles of the long one"
+    assert np.mean(counts) < 1.5 * 50 and sum(plan_areas(mesh).sum() for mesh in meshes) == pytest.approx(2 * 1024, rel=1e-6)
+
+
 def test_the_same_terrain_gives_the_same_bytes(tmp_path, monkeypatch):
     from adaptive_terrain.cbt_terrain.run import launch
 

@@ -87,9 +87,14 @@ def test_heights_of_depths_keep_the_right_way_up(tmp_path):
     assert field.heights()[-1, 0] == pytest.approx(0.0, abs=1e-4), "the smallest value is the highest ground"
 
 
-def test_a_flat_image_has_the_lowest_height(tmp_path):
-    file = write_raster(tmp_path / "a.png", np.full((30, 40), 9, np.uint16))
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_a_flat_image_has_the_lowest_height(tmp_path, dtype):
+    file = write_raster(tmp_path / "a.png", np.full((30, 40), 9, dtype))
     assert imported(tmp_path, file, lowest=3.0, highest=4.0)[1]["lowest_m"] == pytest.approx(3.0)
+    report = imported(tmp_path, file)[1]
+    assert report["lowest_m"] == report["highest_m"] == 0.0
+    assert "All values of a.png are 9 and have no unit: the terrain is flat, at 0 m." in report["warnings"]
+    assert not any("quarter" in warning for warning in report["warnings"])
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ def test_what_an_effect_is_and_why_it_is_nothing_is_not_cut_off(terrain):
     session.update_object(terrain)
     choose(terrain, "sun")
     said = " ".join(lines(terrain))
-    assert "0, since no sun lamp shines in the scene; read by material The northern cliffs" in said
+    assert "0, since no sun lamp shines in the scene. Read by material The northern cliffs" in said
 
 
 def test_the_button_reads_the_layers_and_nothing_else(terrain):

@@ -2,13 +2,14 @@
 """Paths that no system can have are usage errors of every verb, and a TerrainError of the library."""
 
 import argparse
+from contextlib import suppress
 
 import pytest
 from adaptive_terrain.cbt_terrain.errors import MAX_NAME_BYTES, MAX_PATH_BYTES, TerrainError, path_fault
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.operators.cli.argument_types import path, path_text
-from adaptive_terrain.operators.cli.command_line import build_parser, main
+from adaptive_terrain.operators.cli.command_line import _with_negatives_joined, build_parser, main
 
 IMPOSSIBLE = {
     "NUL": "a\0b",
@@ -30,6 +31,20 @@ def path_arguments() -> list[tuple[str, argparse.Action]]:
         for action in parser._actions
         if action.metavar in PLACES or action.dest in POSITIONAL and not action.option_strings
     ]
+
+
+@pytest.mark.parametrize("number", ["-1e9", "-.5", "-3.4e+38", "-5--1", "-inf"])
+def test_options_take_values_that_begin_with_a_minus(number, capsys):
+    """argparse alone takes an exponent for an option: "expected one argument"."""
+    [verbs] = [action for action in build_parser()._actions if isinstance(action, argparse._SubParsersAction)]
+    tried = 0
+    for parser in verbs.choices.values():
+        for action in parser._actions:
+            if action.option_strings and action.nargs is None and action.type is not None:
+                with suppress(SystemExit):
+                    parser.parse_args(_with_negatives_joined([action.option_strings[0], number]))
+                tried += 1
+    assert tried > 50 and "expected one argument" not in capsys.readouterr().err
 
 
 def test_every_path_of_every_verb_is_checked():

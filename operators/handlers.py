@@ -20,7 +20,7 @@ from .bridge import freed_memory
 from .bridge.demand import kept
 from .ground import keep_ground
 from .importing import import_terrain
-from .land import resting_land
+from .land import render_wait, resting_land
 from .session import live, pauses, session, stale_renders
 from .terrain.request import RENDER, VIEWPORT
 from .text.console import print_line
@@ -157,6 +157,7 @@ def on_render_end(scene, _unused=None) -> None:
     """Restore the detail of the viewport; with a window on the main thread, where no drawing can interfere."""
     stale_renders.leave()
     stale_renders.report()
+    render_wait.forget_cancelling()
     _rendered_frames.clear()
     _joined_frames.clear()
     if bpy.app.background:

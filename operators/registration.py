@@ -20,7 +20,7 @@ from .ground import registered as ground
 from .importing import add_terrain, import_terrain, menus, move_stores, store_paths
 from .importing import registered as importing
 from .land import registered as land
-from .land import render_wait
+from .land import render_wait, shape_land
 from .layers import images
 from .layers import registered as layers
 from .maps import registered as maps
@@ -56,8 +56,8 @@ MENU_ENTRIES = (
     (bpy.types.VIEW3D_MT_object, object_menu.draw_entry),
 )
 PRESETS = str(Path(__file__).parent)  # the folder that holds "presets"
-# Modules with timers, threads and drawing of their own; they stop before the operators go.
-SERVICES = (translations, store_paths, render_wait, overlay_panel, live, status_bar)
+# Modules with timers, threads, keys and drawing of their own; they stop before the operators go.
+SERVICES = (translations, store_paths, render_wait, shape_land, overlay_panel, live, status_bar)
 
 
 def register() -> None:

@@ -6,14 +6,15 @@ from .cache import ClearLandCache
 from .panel import AddLandMenu, LandList, LandPresets
 from .presets import AddLandPreset, ApplyLandPreset
 from .properties import GROUPS, OTHER_RULES, LandEntry, LandMask, LandSettings
-from .shape_land import FinishShaping, ShapeLand
+from .render_wait import CancelWaiting
+from .shape_land import FinishShaping, ShapeAndRender, ShapeLand
 from .stack_list import AddLandEffect, AddLandRule, DuplicateLandEffect, MoveLandEffect, RemoveLandEffect
 from .water_surface import AddWaterSurface
 
 CLASSES = (
     *(*GROUPS.values(), *OTHER_RULES, LandMask, LandEntry, LandSettings),
     *(AddLandEffect, DuplicateLandEffect, RemoveLandEffect, MoveLandEffect, AddLandRule),
-    *(ApplyLandPreset, AddLandPreset, ClearLandCache, ShapeLand, FinishShaping, BakeLand, ExportHeights),
-    *(AddWaterSurface, LandList, LandPresets, AddLandMenu),
+    *(ApplyLandPreset, AddLandPreset, ClearLandCache, ShapeLand, ShapeAndRender, FinishShaping, CancelWaiting),
+    *(BakeLand, ExportHeights, AddWaterSurface, LandList, LandPresets, AddLandMenu),
 )
 HANDLERS = ()

@@ -20,6 +20,7 @@ from ...cbt_terrain.height_operators.shaping_cost import estimate_seconds
 from ..text.console import print_line
 from ..text.translations import phrase
 
+CANCELLED = "land.cancelled"  # code of the error after Esc
 PRINTED_S = 10.0  # between lines on the console
 KNOWN = 0.05  # part of the work after which the time that is left can be told
 TEXT_PX, MARGIN_PX = 16, 20
@@ -36,6 +37,7 @@ class LandWait:
     fraction: float = 0.0
     message: str = ""
     printed: float = 0.0
+    is_watched: bool = False
 
     @property
     def text(self) -> str:
@@ -53,12 +55,19 @@ class LandWait:
 
 
 waiting: LandWait | None = None
+_is_cancelled = False  # by Esc, until the render ends
 
 
 def _on_shaping(land: Land, fraction: float, message: str) -> None:
-    """Note the progress of shaping; on any thread."""
+    """Note the progress of shaping; on any thread. Raises TerrainError once the user has pressed Esc."""
     global waiting
     wait = waiting
+    if _is_cancelled and fraction < 1.0:
+        raise TerrainError(
+            "The render was cancelled while land was shaped",
+            fix="render again: finished tiles are reused",
+            code=CANCELLED,
+        )
     if fraction >= 1.0:
         waiting = None
         return
@@ -76,6 +85,45 @@ def _estimate(land: Land) -> float:
         found = estimate_seconds(land.source, land.stack, derived_store.preview_of(land), land.of_views)
         return math.inf if found is None else found
     return math.inf
+
+
+def watch() -> None:
+    """Let Esc end the shaping that a render waits for; called by a timer on the main thread.
+
+    While Blender's interface is locked, only its own operators get events.
+    """
+    wait, manager = waiting, bpy.context.window_manager
+    if wait is None or wait.is_watched or manager.is_interface_locked:
+        return
+    wait.is_watched = True
+    for window in manager.windows:
+        with bpy.context.temp_override(window=window):
+            bpy.ops.adaptive_terrain.cancel_waiting("INVOKE_DEFAULT")
+
+
+def forget_cancelling() -> None:
+    """Allow land to be shaped again after a cancelled render."""
+    global _is_cancelled
+    _is_cancelled = False
+
+
+class CancelWaiting(bpy.types.Operator):
+    """Cancel the shaping of land that a render waits for when Esc is pressed; the render gets the key, too"""
+
+    bl_idname = "adaptive_terrain.cancel_waiting"
+    bl_label = "Cancel"
+    bl_options = {"INTERNAL"}
+
+    def invoke(self, context, _event):
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, _context, event):
+        global _is_cancelled
+        if waiting is None:
+            return {"FINISHED", "PASS_THROUGH"}
+        _is_cancelled |= event.type == "ESC" and event.value == "PRESS"
+        return {"PASS_THROUGH"}
 
 
 def _draw() -> None:
@@ -104,3 +152,4 @@ def stop() -> None:
     if _handle is not None:
         bpy.types.SpaceImageEditor.draw_handler_remove(_handle, "WINDOW")
     _handle = waiting = None
+    forget_cancelling()

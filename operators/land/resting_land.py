@@ -92,11 +92,15 @@ def turn(shown: Iterable[tuple], idle: bool) -> bool:
     return False
 
 
-def stop() -> None:
-    """End the job: another file is opened, or the extension is disabled."""
-    global _making
+def give_way() -> None:
+    """End the job: the same land is needed at once."""
     if _making is not None:
         _end(_making)
+
+
+def stop() -> None:
+    """End the job: another file is opened, or the extension is disabled."""
+    give_way()
     _rests.clear()
     _left.clear()
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Shape the land in a child process: Blender stays usable, and the mesh shows the result when it is there."""
 
+from contextlib import suppress
 from dataclasses import replace
 
 import bpy
@@ -15,6 +16,7 @@ from .. import jobs
 from ..job_operator import JobOperator
 from ..session import live, session
 from ..session.shot import frames_of, look_through
+from . import resting_land
 from .request import land_of
 
 
@@ -50,32 +52,40 @@ def _check_is_seen(obj, depsgraph) -> None:
         )
 
 
-def _views(obj, scene, land: Land):
-    """Visit the frames of the shot if only visible land is to be fine; yield the views of the shot at last."""
+def _views(obj, scene, land: Land, frames: list[int]):
+    """Visit frames if only visible land is to be fine; yield their views at last."""
     if not land.of_views:
         yield []
         return
     placement = np.array(obj.matrix_world, np.float64)
-    yield from look_through(obj, scene, frames_of(scene), placement)
+    yield from look_through(obj, scene, frames, placement)
 
 
-class ShapeLand(JobOperator, bpy.types.Operator):
-    """Compute the land in full detail with all effects of the list. You can go on working meanwhile; a render waits for
-    it"""
+def next_unshaped(context):
+    """Return the first terrain that a render would wait for, because its land is not shaped; None if there is none."""
+    depsgraph = context.evaluated_depsgraph_get()
+    for obj in session.terrains_of(context.scene):
+        with suppress(TerrainError):  # the render reports it
+            land = None if obj.hide_render else land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
+            if land is not None and not land.is_shaped:
+                return obj
+    return None
 
-    bl_idname = "adaptive_terrain.shape"
-    bl_label = "Shape Now"
-    bl_options = {"REGISTER"}
+
+class _Shaping(JobOperator):
+    """Base of the operators that shape the land of `subject`."""
 
     kind = jobs.SHAPE
 
-    def stops_on_escape(self) -> bool:
-        return self.job.child is None  # the scene's frames are being visited
+    def frames(self, scene) -> list[int]:
+        """Return the frames whose views are to be fine."""
+        return frames_of(scene)
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
-        obj, depsgraph = context.object, context.evaluated_depsgraph_get()
+        obj, scene, depsgraph = self.subject(context), context.scene, context.evaluated_depsgraph_get()
         _check_is_seen(obj, depsgraph)
-        views = yield from jobs.visit_frames(job, _views(obj, context.scene, wanted_land(obj, depsgraph)))
+        visits = _views(obj, scene, wanted_land(obj, depsgraph), self.frames(scene))
+        views = yield from jobs.visit_frames(job, visits)
         land = wanted_land(job.terrain(), bpy.context.evaluated_depsgraph_get(), views)
         derived_store.is_whole(land, session.open_field)  # removes damaged land
         child, wanted = derived_store.begin_shaping(land, session.open_field)
@@ -85,23 +95,74 @@ class ShapeLand(JobOperator, bpy.types.Operator):
         derived_store.finish(land, wanted)
         return land
 
-    def execute(self, context):
-        obj = context.object
-        try:
-            _check_is_seen(obj, context.evaluated_depsgraph_get())
-            *_, views = _views(obj, context.scene, wanted_land(obj, context.evaluated_depsgraph_get()))
-            derived_store.raster_of("", wanted_land(obj, context.evaluated_depsgraph_get(), views), session.open_field)
-        except TerrainError as error:
-            return self.fail(obj, str(error))
-        self.finish(context, obj)
-        return {"FINISHED"}
-
     def finish(self, _context, obj, _land: Land | None = None) -> None:
         """Show the land: the next update finds the shaped store by the settings."""
         try:
             live.show_soon(obj)
         except TerrainError as error:
             self.report({"WARNING"}, str(error))
+
+
+class ShapeLand(_Shaping, bpy.types.Operator):
+    """Compute the land in full detail with all effects of the list. You can go on working meanwhile; a render waits for
+    it"""
+
+    bl_idname = "adaptive_terrain.shape"
+    bl_label = "Shape Now"
+    bl_options = {"REGISTER"}
+
+    def stops_on_escape(self) -> bool:
+        return self.job.child is None  # the scene's frames are being visited
+
+    def execute(self, context):
+        obj, scene = context.object, context.scene
+        try:
+            _check_is_seen(obj, context.evaluated_depsgraph_get())
+            *_, views = _views(obj, scene, wanted_land(obj, context.evaluated_depsgraph_get()), self.frames(scene))
+            derived_store.raster_of("", wanted_land(obj, context.evaluated_depsgraph_get(), views), session.open_field)
+        except TerrainError as error:
+            return self.fail(obj, str(error))
+        self.finish(context, obj)
+        return {"FINISHED"}
+
+
+class ShapeAndRender(_Shaping, bpy.types.Operator):
+    """Shape the land that a render needs, then render. Esc cancels; finished parts are kept"""
+
+    bl_idname = "adaptive_terrain.shape_and_render"
+    bl_label = "Shape and Render"
+
+    animation: bpy.props.BoolProperty(name="Animation", description="Render all frames", options={"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context):
+        cls.poll_message_set("The land is shaped: render as usual")
+        return context.mode == "OBJECT" and next_unshaped(context) is not None
+
+    def invoke(self, context, event):
+        resting_land.give_way()
+        return super().invoke(context, event)
+
+    def subject(self, context):
+        return next_unshaped(context)
+
+    def frames(self, scene) -> list[int]:
+        return frames_of(scene) if self.animation else [scene.frame_current]
+
+    def stops_on_escape(self) -> bool:
+        return True
+
+    def finish(self, context, obj, land: Land | None = None) -> None:
+        """Go on with the next terrain, or render."""
+        super().finish(context, obj, land)
+        window, animation, other = context.window, self.animation, next_unshaped(context)
+
+        def go_on() -> None:
+            operator = bpy.ops.adaptive_terrain.shape_and_render if other not in (None, obj) else bpy.ops.render.render
+            with bpy.context.temp_override(window=window):
+                operator("INVOKE_DEFAULT", animation=animation)
+
+        bpy.app.timers.register(go_on, first_interval=0.0)  # this job has ended by then
 
 
 class FinishShaping(bpy.types.Operator):
@@ -118,3 +179,25 @@ class FinishShaping(bpy.types.Operator):
     def execute(self, context):
         jobs.find(jobs.SHAPE, context.object).child.finish_early()
         return {"FINISHED"}
+
+
+_keys: list[tuple] = []  # keymap, and an entry of it
+
+
+def start() -> None:
+    """Give the keys of a render to ShapeAndRender; Blender's own get them where its poll fails."""
+    config = bpy.context.window_manager.keyconfigs.addon
+    if config is None or bpy.app.background:
+        return
+    keymap = config.keymaps.new("Screen")
+    for animation in (False, True):
+        item = keymap.keymap_items.new(ShapeAndRender.bl_idname, "F12", "PRESS", ctrl=animation)
+        item.properties.animation = animation
+        _keys.append((keymap, item))
+
+
+def stop() -> None:
+    """Return the keys."""
+    for keymap, item in _keys:
+        keymap.keymap_items.remove(item)
+    _keys.clear()

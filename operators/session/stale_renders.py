@@ -16,6 +16,7 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import stopping
 from ...cbt_terrain.run.owned_files import remove_empty
+from ..land.render_wait import CANCELLED
 from ..text.console import print_line
 from ..text.translations import phrase
 
@@ -25,6 +26,7 @@ _ending = False
 _raising = False
 _caught: list[TerrainError] = []
 _shown_stale: dict[int, str] = {}  # frame -> why
+_messages: list[str] = []  # about the render as a whole
 
 
 @contextmanager
@@ -51,6 +53,10 @@ def meet(scene, errors: list[TerrainError]) -> None:
         _caught.append(stale_frame_error(scene.frame_current, errors))
         return
     why = " ".join(dict.fromkeys(map(str, errors)))
+    if any(error.code == CANCELLED for error in errors):  # Blender ends the render
+        print_line(f"Adaptive Terrain: {why}")
+        _messages.append(why)
+        return
     if not (bpy.app.background and scene.adaptive_terrain.stop_stale_renders):
         print_line(f"Adaptive Terrain: frame {scene.frame_current} is rendered with a stale mesh. {why}")
         _shown_stale[scene.frame_current] = why
@@ -89,10 +95,11 @@ def leave() -> None:
 
 def report() -> None:
     """Show a message in the window with the stale frames of the finished render."""
-    if _shown_stale and not bpy.app.background:
+    if (_shown_stale or _messages) and not bpy.app.background:
         bpy.app.timers.register(_pop_up, first_interval=0.0)  # popups need the main thread
     else:
         _shown_stale.clear()
+        _messages.clear()
 
 
 def lines_of(stale: dict[int, str]) -> list[str]:
@@ -104,8 +111,9 @@ def lines_of(stale: dict[int, str]) -> list[str]:
 
 
 def _pop_up() -> None:
-    lines = lines_of(_shown_stale)
+    lines = [*dict.fromkeys(_messages), *(lines_of(_shown_stale) if _shown_stale else ())]
     _shown_stale.clear()
+    _messages.clear()
     manager = bpy.context.window_manager
     if not manager.windows:
         return

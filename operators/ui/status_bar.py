@@ -53,6 +53,7 @@ def _turn() -> float:
 
 def _redraw_if_changed() -> None:
     global _shown
+    render_wait.watch()
     now = work()
     if now is not None and now[0] is not None:
         now = round(now[0] * jobs.SHOWN_STEPS), now[1]

@@ -4,6 +4,16 @@
 from window_report import run_in_window
 
 
+def test_esc_cancels_the_land_of_a_render(program, tmp_path):
+    """Simulated keys reach operators alone: real ones also end the render itself (see docs/reference/panel/land.md)."""
+    report = run_in_window(program, "cancel_render.py", tmp_path)
+    assert not report["rendering_while_shaping"] and not report["rendered_after_esc"], "F12 shapes before it renders"
+    assert report["job_ends_s"] < 10.0 and report["wait_ends_s"] < 10.0
+    [[message]] = report["said"]
+    assert message == "The render was cancelled while land was shaped: render again: finished tiles are reused."
+    assert report["ended"][-1] == "render_complete" and report["shaped"] == "Shaped"
+
+
 def test_land_is_shaped_in_the_background(program, tmp_path):
     report = run_in_window(program, "click_land.py", tmp_path, ("preview", "shaping", "shaped", "finer"))
     assert report["preview"] < report["source"] - 1.0, "rivers cut: the mean of the mesh sinks"

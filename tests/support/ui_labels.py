@@ -33,14 +33,14 @@ UNTRANSLATED = {
 LEFT_TO_BLENDER = {
     " ".join(label.split())
     for label in """
-    3D Cursor, Active, Active Layer, Active Object, Align, Align to Normal, Ambient Occlusion, Amount, Amplitude,
-    Aspect, Attribute, Bicubic, Bilinear, Boundary, Camera, Channel, Clear, Color, Curvature, Depth, Detail, Direction,
-    Displacement, Edge, Edge Length, Effect, Export, File, File Path, Fit, Flow, Format, Frames, From, Gain, Height,
-    Highest, Image, Interpolation, Layers, Level, Line, Location, Lowest, Margin, Mask, Masks, Memory, Mesh, Move, Noise
-    Size, None, Object, Off, Offset, Origin, Other, Overlap, Overlay, Pack, Pattern, Pinned, Points, Preview, Radius,
-    Read, Render, Rigid Body, Rotation, Roughness, Samples, Scene Camera, Seed, Set Size, Shape, Size, Sky, Smooth
-    Shading, Source, Strength, Surface, Thickness, Tile Size, Tiles, Time, To, Triangle Area, Triangles, Type, View,
-    Viewport, Wave, Wavelength, Wetness, Wind, World
+    3D Cursor, Animation, Active, Active Layer, Active Object, Align, Align to Normal, Ambient Occlusion, Amount,
+    Amplitude, Aspect, Attribute, Bicubic, Bilinear, Boundary, Camera, Channel, Clear, Color, Curvature, Depth, Detail,
+    Direction, Displacement, Edge, Edge Length, Effect, Export, File, File Path, Fit, Flow, Format, Frames, From, Gain,
+    Height, Highest, Image, Interpolation, Layers, Level, Line, Location, Lowest, Margin, Mask, Masks, Memory, Mesh,
+    Move, Noise Size, None, Object, Off, Offset, Origin, Other, Overlap, Overlay, Pack, Pattern, Pinned, Points,
+    Preview, Radius, Read, Render, Rigid Body, Rotation, Roughness, Samples, Scene Camera, Seed, Set Size, Shape, Size,
+    Sky, Smooth Shading, Source, Strength, Surface, Thickness, Tile Size, Tiles, Time, To, Triangle Area, Triangles,
+    Type, View, Viewport, Wave, Wavelength, Wetness, Wind, World
     """.split(",")
 }
 

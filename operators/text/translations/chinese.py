@@ -275,6 +275,7 @@ LABELS = {
     "Set Up Scene": "布置场景",
     "Shading Floor": "着色下限",
     "Shading normal (°)": "着色法线 (°)",
+    "Shape and Render": "塑形并渲染",
     "Shape Now": "立即塑形",
     "Shape Now (about {} s)": "立即塑形 (约 {} 秒)",
     "Shaped": "已塑形",

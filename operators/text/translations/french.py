@@ -279,6 +279,7 @@ LABELS = {
     "Set Up Scene": "Préparer la scène",
     "Shading Floor": "Plancher d’ombrage",
     "Shading normal (°)": "Normale d’ombrage (°)",
+    "Shape and Render": "Façonner et rendre",
     "Shape Now": "Façonner",
     "Shape Now (about {} s)": "Façonner (environ {} s)",
     "Shaped": "Façonné",

@@ -279,6 +279,7 @@ LABELS = {
     "Set Up Scene": "Szene einrichten",
     "Shading Floor": "Mindestanteil Shading",
     "Shading normal (°)": "Shading-Normale (°)",
+    "Shape and Render": "Formen und rendern",
     "Shape Now": "Jetzt formen",
     "Shape Now (about {} s)": "Jetzt formen (etwa {} s)",
     "Shaped": "Geformt",

@@ -277,6 +277,7 @@ LABELS = {
     "Set Up Scene": "シーンをセットアップ",
     "Shading Floor": "シェーディング下限",
     "Shading normal (°)": "シェーディング法線 (°)",
+    "Shape and Render": "造形してレンダリング",
     "Shape Now": "今すぐ造形",
     "Shape Now (about {} s)": "今すぐ造形 (約{}秒)",
     "Shaped": "造形済み",

@@ -279,6 +279,7 @@ LABELS = {
     "Set Up Scene": "Preparar escena",
     "Shading Floor": "Mínimo de sombreado",
     "Shading normal (°)": "Normal de sombreado (°)",
+    "Shape and Render": "Modelar y renderizar",
     "Shape Now": "Modelar ahora",
     "Shape Now (about {} s)": "Modelar ahora (unos {} s)",
     "Shaped": "Modelado",

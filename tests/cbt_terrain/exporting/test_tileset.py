@@ -193,7 +193,9 @@ def test_levels_of_a_narrow_terrain_follow_its_long_side(tmp_path, shape):
     meshes = of_level(tiles, len(report.bounds) - 1)
     counts = [len(surface_of(mesh)) for mesh in meshes]
     assert len(report.bounds) == 6 and len(meshes) == 2 * 32, "cells of the short side, tiles of the long one"
-    assert np.mean(counts) < 1.5 * 50 and sum(plan_areas(mesh).sum() for mesh in meshes) == pytest.approx(2 * 1024, rel=1e-6)
+    assert np.mean(counts) < 1.5 * 50 and sum(plan_areas(mesh).sum() for mesh in meshes) == pytest.approx(
+        2 * 1024, rel=1e-6
+    )
 
 
 def test_the_same_terrain_gives_the_same_bytes(tmp_path, monkeypatch):

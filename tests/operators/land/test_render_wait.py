@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A render that waits for land shows its progress."""
 
+from types import SimpleNamespace
+
 import bpy
 import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.height_operators import derived_store
-from adaptive_terrain.operators.land import panel, render_wait, shaped_land
-from adaptive_terrain.operators.session import session
+from adaptive_terrain.operators import handlers
+from adaptive_terrain.operators.land import panel, render_wait, shape_land, shaped_land
+from adaptive_terrain.operators.session import session, stale_renders
 from adaptive_terrain.operators.ui import status_bar
 from land_scenes import add
 
@@ -50,6 +54,41 @@ def test_a_failed_wait_is_forgotten(terrain, monkeypatch):
     with pytest.raises(ValueError, match="disk"):
         session.update_object(terrain, mode="RENDER")
     assert render_wait.waiting is None
+
+
+def test_esc_ends_the_wait_with_one_message(terrain, monkeypatch, capsys):
+    """Blender itself ends the render at Esc: nothing is stale."""
+    add("rivers")
+
+    def shape(*arguments, **_options):
+        tell = arguments[4]
+        tell(0.5, "Rivers")
+        esc = SimpleNamespace(type="ESC", value="PRESS")
+        assert render_wait.CancelWaiting.modal(None, None, esc) == {"PASS_THROUGH"}
+        tell(0.6, "Rivers")
+        pytest.fail("the shaping went on")
+
+    monkeypatch.setattr(derived_store, "shape_store", shape)
+    for _ in range(2):  # terrains of one render
+        with pytest.raises(TerrainError) as caught:
+            session.update_object(terrain, mode="RENDER")
+        assert caught.value.code == render_wait.CANCELLED and render_wait.waiting is None
+        stale_renders.meet(bpy.context.scene, [caught.value])
+        shape = monkeypatch.setattr(derived_store, "shape_store", lambda *some, **_options: some[4](0.1, "Rivers"))
+    assert capsys.readouterr().out.count("The render was cancelled while land was shaped: render again") == 2
+    assert len(set(stale_renders._messages)) == 1 and not stale_renders._shown_stale
+    handlers.on_render_end(bpy.context.scene)
+    assert not stale_renders._messages and not render_wait._is_cancelled
+
+
+def test_f12_shapes_first_what_a_render_would_wait_for(terrain):
+    add("thermal")
+    assert bpy.ops.adaptive_terrain.shape_and_render.poll() and shape_land.next_unshaped(bpy.context) == terrain
+    terrain.hide_render = True
+    assert not bpy.ops.adaptive_terrain.shape_and_render.poll()
+    terrain.hide_render = False
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    assert not bpy.ops.adaptive_terrain.shape_and_render.poll(), "Blender's own F12 gets the key"
 
 
 def test_the_button_tells_the_seconds(terrain):

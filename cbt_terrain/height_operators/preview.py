@@ -14,6 +14,7 @@ from ..field.build import from_array
 from ..field.heightfield import HeightField
 from ..run.locks import cached
 from .height_operator import OperatorGround
+from .interpolation import add_change, interpolate, interpolate_columns
 from .level_work import LevelGround, zero_holes
 from .levels import masked
 from .mask import HeightMask, compute_mask
@@ -76,7 +77,7 @@ class _Layers(Mapping[str, np.ndarray]):
 
     def __getitem__(self, name: str) -> np.ndarray:
         if name not in self.results:
-            self.results[name] = _interpolate(self.coarse[name], self.rows, self.columns)
+            self.results[name] = interpolate(self.coarse[name], self.rows, self.columns)
         return self.results[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -105,7 +106,7 @@ def preview(
     states = _apply(source, level, stack, images or {}, threads, seconds)
     lattice, positions = source.lattice, _positions(source)
     rows, columns = (at / (1 << level.number) for at in positions)
-    heights = _source_heights(source) + _interpolate(states[-1].change, rows, columns)
+    heights = add_change(_source_heights(source), states[0].ground.heights, states[-1].change, rows, columns)
     step_y = lattice.step_y * (lattice.height - 1) / (len(positions[0]) - 1)
     step_x = lattice.step_x * (lattice.width - 1) / (len(positions[1]) - 1)
     if source.valid is not None:
@@ -206,29 +207,12 @@ def _source_heights(source: HeightField) -> np.ndarray:
     """Return the source's heights at the preview's samples, float32; cached."""
     key = (*_FOUND, "shown")
 
-    def interpolate() -> np.ndarray:
+    def interpolate_rows() -> np.ndarray:
         """Interpolate the samples bilinearly, two rows of samples for each row of the preview."""
         rows, columns = _positions(source)
         low = np.minimum(rows.astype(np.int64), source.lattice.height - 2)
-        south, north = (_along(source.heights(low + more), columns) for more in (0, 1))
+        south, north = (interpolate_columns(source.heights(low + more), columns) for more in (0, 1))
         fraction = (rows - low)[:, None].astype(np.float32)
         return south + fraction * (north - south)
 
-    return cached(source.cache.results, key, interpolate)
-
-
-def _interpolate(samples: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Interpolate a grid bilinearly at rows and columns, float32 [rows, columns]."""
-    low = np.minimum(rows.astype(np.int64), max(len(samples) - 2, 0))
-    fraction = (rows - low)[:, None].astype(np.float32)
-    lines = _along(samples, columns)
-    return lines[low] + fraction * (lines[np.minimum(low + 1, len(samples) - 1)] - lines[low])
-
-
-def _along(samples: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Interpolate each row linearly at columns."""
-    last = samples.shape[1] - 1
-    low = np.minimum(columns.astype(np.int64), max(last - 1, 0))
-    fraction = (columns - low).astype(np.float32)
-    left = samples[:, low]
-    return left + fraction * (samples[:, np.minimum(low + 1, last)] - left)
+    return cached(source.cache.results, key, interpolate_rows)

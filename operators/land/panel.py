@@ -15,7 +15,7 @@ from ..text.translations import phrase
 from ..ui.panel_parts import LIMITS, TerrainSubpanel, draw_band, figures, fixed_lines, show_terrain
 from . import shaped_land
 from . import stack as land_stack
-from .presets import PRESET_PANEL, PRESETS
+from .presets import FOLDER, PRESET_PANEL, PRESETS, SHIPPED, SUFFIX, AddLandPreset, ApplyLandPreset, user_files
 from .properties import BY_IMAGE, BY_OBJECT, BY_RULE, RULES
 
 NAME_WIDTH = 0.7  # of a row of the list
@@ -46,9 +46,28 @@ class LandList(bpy.types.UIList):
 class LandPresets(PresetPanel, bpy.types.Panel):
     bl_label = "Land Presets"
     preset_subdir = PRESETS
-    preset_extensions = {".json"}
-    preset_operator = "adaptive_terrain.land_preset"
-    preset_add_operator = "adaptive_terrain.land_preset_add"
+
+    def draw(self, context):
+        """Draw the shipped presets in groups, then the user's: Blender would sort them all by their file names."""
+        layout = self.layout
+        layout.emboss, layout.operator_context = "PULLDOWN_MENU", "EXEC_DEFAULT"
+        for heading, group in SHIPPED.items():
+            column = layout.column(align=True)
+            column.label(text=heading)
+            for name, (label, _tooltip) in group.items():
+                column.operator(ApplyLandPreset.bl_idname, text=label).filepath = str(FOLDER / f"{name}{SUFFIX}")
+            layout.separator()
+        column = layout.column(align=True)
+        for file in user_files():
+            row, name = column.row(align=True), bpy.path.display_name(file.name, title_case=False)
+            row.operator(ApplyLandPreset.bl_idname, text=name, translate=False).filepath = str(file)
+            remove = row.operator(AddLandPreset.bl_idname, text="", icon="REMOVE")
+            remove.name, remove.remove_name = name, True
+        row = layout.row()
+        name = row.row()
+        name.emboss = "NORMAL"
+        name.prop(context.window_manager, "preset_name", text="")
+        row.operator(AddLandPreset.bl_idname, text="", icon="ADD").name = context.window_manager.preset_name
 
 
 # Blender finds the panel by the name of its class.

@@ -20,6 +20,34 @@ from .properties import BY_OBJECT
 
 PRESET_PANEL = "ADAPTIVE_TERRAIN_PT_land_presets"
 SUFFIX = ".json"
+FOLDER = Path(__file__).resolve().parents[1] / "presets" / PRESETS
+# The shipped presets in the order of the menu: heading of a group -> name of a file -> label and tooltip.
+SHIPPED = {
+    "Keep the Land": {
+        "light_weathering": ("Light Weathering", "Scree below cliffs, small gullies and fine relief. Mountains and "
+                             "valleys stay where they are"),
+        "water_and_snow": ("Water and Snow", "Streams and lakes, and snow near the summits. The ground changes only by "
+                           "the depth of its snow"),
+    },
+    "Wear the Land Down": {
+        "desert": ("Desert", "250,000 years of flash floods, with ledges and scree. It lowers ridges and cuts gorges"),
+        "volcanic_island": ("Volcanic Island", "400,000 years of rivers, with scree and gullies. It cuts deep valleys"),
+        "old_hills": ("Old Hills", "2.5 million years of rivers. Most of a mountain's height is gone after them"),
+    },
+    "Build Different Mountains": {
+        "alpine": ("Alpine", "Uplift and rivers build different mountains from a young or small land, with snow and "
+                   "lakes. Do not use it to keep the summits of an elevation model"),
+        "great_range": ("Great Range", "Uplift and rivers build different mountains from a wide land, with snow and "
+                        "lakes. Do not use it to keep the summits of an elevation model"),
+    },
+}  # fmt: skip
+
+
+def user_files() -> list[Path]:
+    """Return the files of the presets that users have saved or installed, by name."""
+    folders = (Path(folder) for folder in bpy.utils.preset_paths(PRESETS))
+    files = (file for folder in folders if folder.resolve() != FOLDER for file in folder.glob(f"*{SUFFIX}"))
+    return sorted(files, key=lambda file: file.name.lower())
 
 
 class ApplyLandPreset(TerrainOperator, bpy.types.Operator):
@@ -30,6 +58,13 @@ class ApplyLandPreset(TerrainOperator, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+
+    @classmethod
+    def description(cls, _context, properties):
+        """Return the tooltip of a shipped preset, and for others that of the operator."""
+        file = Path(properties.filepath)
+        tooltips = {FOLDER / f"{name}{SUFFIX}": text for group in SHIPPED.values() for name, (_, text) in group.items()}
+        return tooltips.get(file, "")
 
     @cancelled_by_errors
     def execute(self, context):

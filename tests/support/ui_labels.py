@@ -14,6 +14,7 @@ from adaptive_terrain.operators import jobs
 from adaptive_terrain.operators.accuracy.panel import STEPS, TERMS
 from adaptive_terrain.operators.importing.imported import LINES
 from adaptive_terrain.operators.land import shaped_land
+from adaptive_terrain.operators.land.presets import SHIPPED
 from adaptive_terrain.operators.land.resting_land import CHOOSING
 from adaptive_terrain.operators.text.shown_bounds import LIMITS, NO_BOUND
 from adaptive_terrain.operators.ui.status_row import NO_VIEW
@@ -171,4 +172,19 @@ def _labels_of_catalogues() -> list[str]:
     notes = (*shaped_land.NOTES.values(), shaped_land.DOUBTFUL, shaped_land.LEFT_OUT, shaped_land.LEFT_OUT_BUT)
     shown = (shaped_land.SOURCE, shaped_land.PREVIEW, shaped_land.SHAPED, NO_BOUND, *LIMITS.values())
     messages = (jobs.LOOKING, jobs.STARTING, CHOOSING, READING)
-    return [*bounds, *rows, *lands, *TERMS.values(), *STEPS.values(), *NO_VIEW, *LINES, *notes, *shown, *messages]
+    presets = [
+        text for heading, group in SHIPPED.items() for text in (heading, *(label for label, _ in group.values()))
+    ]
+    return [
+        *bounds,
+        *rows,
+        *lands,
+        *presets,
+        *TERMS.values(),
+        *STEPS.values(),
+        *NO_VIEW,
+        *LINES,
+        *notes,
+        *shown,
+        *messages,
+    ]

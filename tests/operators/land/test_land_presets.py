@@ -4,6 +4,7 @@
 import json
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -13,7 +14,10 @@ from adaptive_terrain.cbt_terrain.height_operators.stack import stack_from
 from adaptive_terrain.operators.importing.imported import imported_of
 from adaptive_terrain.operators.land import stack as land_stack
 from adaptive_terrain.operators.land.entries import PRESETS
+from adaptive_terrain.operators.land.panel import LandPresets
+from adaptive_terrain.operators.land.presets import FOLDER, SHIPPED, ApplyLandPreset
 from adaptive_terrain.operators.land.properties import GROUPS
+from drawn_panels import DrawnLayout
 from land_scenes import add, names
 
 
@@ -55,7 +59,7 @@ def test_a_preset_file_is_the_commands_file(terrain, tmp_path):
 
 def test_bundled_presets_can_be_applied(terrain):
     files = [path for folder in bpy.utils.preset_paths("adaptive_terrain/land") for path in sorted_files(folder)]
-    assert len(files) >= 4
+    assert len(files) >= 7
     for file in files:
         assert bpy.ops.adaptive_terrain.land_preset(filepath=file) == {"FINISHED"}
         assert len(terrain.adaptive_terrain.land.entries) >= 2
@@ -105,7 +109,31 @@ def test_a_preset_says_which_masks_it_cannot_hold(terrain, tmp_path, monkeypatch
     assert said == "Entry 1, Fine Relief: its mask has a high limit of aspect, which is left out"
 
 
-@pytest.mark.parametrize("name", ["alpine", "desert", "great_range", "old_hills", "volcanic_island"])
+def test_the_menu_shows_kept_land_first_and_yours_last(terrain, tmp_path, monkeypatch):
+    paths = bpy.utils.preset_paths
+    monkeypatch.setattr(bpy.utils, "preset_paths", lambda subdir: [str(tmp_path), *paths(subdir)])
+    for name in ("zebra.json", "Aardvark.json", "notes.txt"):
+        (tmp_path / name).write_text("{}")
+    drawn = SimpleNamespace(layout=DrawnLayout())
+    LandPresets.draw(drawn, bpy.context)
+    shown = [text for text in drawn.layout.texts if not text.startswith(("<", "adaptive_terrain."))]
+    assert shown == [
+        *("Keep the Land", "Light Weathering", "Water and Snow"),
+        *("Wear the Land Down", "Desert", "Volcanic Island", "Old Hills"),
+        *("Build Different Mountains", "Alpine", "Great Range"),
+        *("Aardvark", "zebra"),
+    ]
+
+
+def test_a_shipped_preset_has_its_own_tooltip():
+    def tooltip(file):
+        return ApplyLandPreset.description(bpy.context, SimpleNamespace(filepath=str(file)))
+
+    assert "different mountains" in tooltip(FOLDER / "alpine.json")
+    assert tooltip("/elsewhere/alpine.json") == ""
+
+
+@pytest.mark.parametrize("name", [name for group in SHIPPED.values() for name in group])
 def test_the_panel_shows_the_numbers_of_shipped_presets(terrain, name):
     """And not 0.000 of a rise of 0.0004 m a year."""
     preset = bpy.utils.preset_find(name, PRESETS, ext=".json")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The shipped presets: each can be read, and shapes its land as its name says."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.lands import LANDS
@@ -11,9 +9,11 @@ from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import read_stack
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.operators.land.presets import FOLDER, SHIPPED
 
-FOLDER = Path(__file__).resolve().parents[3] / "operators/presets/adaptive_terrain/land"
-NAMES = ("alpine", "desert", "great_range", "old_hills", "volcanic_island")
+NAMES = ("alpine", "desert", "great_range", "old_hills", "volcanic_island", "light_weathering", "water_and_snow")
+ON = ("island", "canyon", "mountains", "mountains", "island", "canyon", "mountains")  # the land of each
+KEEPING, BUILDING = "Keep the Land", "Build Different Mountains"
 SIZE = 201
 
 
@@ -32,7 +32,7 @@ def layer_of(shaped, folder):
 def shaped(folder):
     """Shape every preset; return heights before and after, the spacing in metres and the report, by name."""
     made = {}
-    for name, land in zip(NAMES, ("island", "canyon", "mountains", "mountains", "island"), strict=True):
+    for name, land in zip(NAMES, ON, strict=True):
         if not (folder / land).exists():
             import_source(ImportSettings(land, size=SIZE), folder / land)
         report = run_shape(folder / land, read_stack(FOLDER / f"{name}.json"), folder / name)
@@ -49,6 +49,7 @@ def steepness(heights: np.ndarray, step: float) -> float:
 
 def test_all_of_them_are_tested():
     assert {path.stem for path in FOLDER.glob("*.json")} == set(NAMES)
+    assert {name for group in SHIPPED.values() for name in group} == set(NAMES)
     assert {land.preset for land in LANDS.values()} <= {"", *NAMES}
 
 
@@ -64,7 +65,25 @@ def test_heights_stay_finite_and_within_reason(shaped, name):
     before, after, _, _ = shaped[name]
     assert np.isfinite(after).all()
     assert after.max() < before.max() + 600.0
-    assert np.abs(after - before).max() > 20.0
+    assert name in SHIPPED[KEEPING] or np.abs(after - before).max() > 20.0
+
+
+@pytest.mark.parametrize("name", SHIPPED[KEEPING])
+def test_presets_that_keep_the_land_change_it_little(shaped, name):
+    """The summit and the mean stay within metres, and 99 % of the heights within 1 % of the relief."""
+    before, after, _, _ = (a if i > 1 else a.astype(np.float64) for i, a in enumerate(shaped[name]))
+    change, relief = after - before, np.ptp(before)
+    assert 0.0 < np.percentile(abs(change), 99) < 0.01 * relief and abs(change.mean()) < 1.0
+    assert abs(after.max() - before.max()) < 6.0
+    assert np.corrcoef(before.ravel(), after.ravel())[0, 1] > 0.9999
+
+
+def test_presets_with_uplift_are_in_the_group_that_says_so():
+    stacks = {name: read_stack(FOLDER / f"{name}.json") for name in NAMES}
+    uplifted = {name for name, stack in stacks.items() if any(e.values.get("rise", 0.0) > 0.0 for e in stack.entries)}
+    assert uplifted == set(SHIPPED[BUILDING])
+    assert all("different mountains" in tooltip for _, tooltip in SHIPPED[BUILDING].values())
+    assert list(SHIPPED)[0] == KEEPING and list(SHIPPED)[-1] == BUILDING
 
 
 def test_the_alps_grow_steep_and_old_hills_gentle(shaped):

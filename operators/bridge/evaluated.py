@@ -5,9 +5,11 @@ A setting gives Blender no reason to evaluate an object. One that is hidden in r
 excluded collection is not evaluated there: it has its place of another moment, after loading none, and no modifiers.
 """
 
+import numpy as np
 from mathutils import Matrix
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.view.linear import determinant
 
 RENDER = "RENDER"
 
@@ -64,3 +66,15 @@ def _not_there(obj, depsgraph, what: str, named) -> TerrainError:
         f"modifiers of it, and {owner} has some",
         fix="show it, or apply them",
     )
+
+
+def placement_of(terrain) -> np.ndarray:
+    """Return float64 [4, 4]: from a terrain's own space to the world. Raises TerrainError."""
+    placement, name = np.array(terrain.matrix_world, np.float64), terrain.name
+    if not np.isfinite(placement).all():
+        raise TerrainError(
+            f"The terrain {name!r} has a matrix that is not finite", fix="check its transform and parents"
+        )
+    if determinant(placement[:3, :3]) == 0.0:
+        raise TerrainError(f"The terrain {name!r} has a scale of 0", expected="another scale on each axis")
+    return placement

@@ -13,8 +13,9 @@ from mathutils import Vector
 
 from ..bridge.demand.trees import tree_of_new
 from ..bridge.nodes import Nodes
+from . import made
+from .made import keep_made
 
-MARK = "adaptive_terrain_scene"  # a property of everything that Set Up Scene has made
 SUN, SKY = "Terrain Sun", "Terrain Sky"
 SUN_STRENGTH, SUN_DISC_DEG = 6.0, 0.545  # W/m^2 at right angles, degrees
 WARM = (1.0, 0.78, 0.52)  # a sun at the horizon, relative to white
@@ -42,7 +43,7 @@ def add_sun(scene, elevation: float, azimuth: float):
     lamp.color = [low + (1.0 - low) * math.sqrt(white) for low in WARM]
     sun = bpy.data.objects.new(SUN, lamp)
     sun.matrix_world = sun_vector(elevation, azimuth).to_track_quat("Z", "Y").to_matrix().to_4x4()
-    sun[MARK] = True
+    keep_made(scene, made.SUN, sun)
     scene.collection.objects.link(sun)
     return sun
 
@@ -60,7 +61,7 @@ def add_sky(scene, towards: Vector) -> None:
     The haze of the horizon continues below it, where the terrain ends.
     """
     world = bpy.data.worlds.new(SKY)
-    world[MARK] = True
+    keep_made(scene, made.SKY, world)
     # Smooth without a disc: Cycles' own choice, a map of 2048 pixels, takes it ten seconds.
     world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", 256
     tree = tree_of_new(world)

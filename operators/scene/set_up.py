@@ -12,8 +12,8 @@ from ..layers.operators import PRESET_PANEL, PRESETS
 from ..layers.terrain_material import sources_of
 from ..session.polls import cancelled_by_errors, on_terrain_object
 from ..terrain import frame_terrain, sight
-from . import daylight, defaults, viewpoint
-from .daylight import MARK
+from . import daylight, defaults, made, viewpoint
+from .made import find_made, keep_made, was_set_up
 
 CURRENT, ACROSS = "CURRENT", "ACROSS"
 CAMERA = "Terrain Camera"
@@ -61,9 +61,9 @@ class SetUpScene(bpy.types.Operator):
         sight.box_of(obj)  # raises an error before anything changes
         for default in defaults.untouched(scene):
             _remove(default)
-        for lamp in [item for item in scene.objects if MARK in item and item.type == "LIGHT"]:
-            if len(lamp.users_scene) == 1:
-                _remove(lamp)
+        is_first, sun = not was_set_up(scene), find_made(scene, made.SUN)
+        if sun is not None and len(sun.users_scene) <= 1:
+            _remove(sun)
         camera = self._place_camera(context, obj)
         ahead = camera.matrix_world.to_3x3() @ Vector((0.0, 0.0, -1.0))
         _light(scene, self.elevation, math.atan2(ahead.x, ahead.y) + self.turn)
@@ -72,8 +72,7 @@ class SetUpScene(bpy.types.Operator):
             dress(obj, sources_of(obj, ()))
         elif has_group(obj):
             dress(obj, sources_of(obj, ()))
-        if MARK not in scene:
-            scene[MARK] = True
+        if is_first:
             _choose_look(scene)
         scene.render.use_lock_interface = True  # a viewport that draws while a render rewrites the mesh would crash
         self.report({"INFO"}, f"Sun, sky and {camera.name} are set up: press F12 to render")
@@ -87,14 +86,16 @@ class SetUpScene(bpy.types.Operator):
         """
         scene, viewport = context.scene, viewpoint.viewport_of(context)
         through_camera = viewport is not None and viewport[1].view_perspective == "CAMERA"
-        mine = next((item for item in scene.objects if MARK in item and item.type == "CAMERA"), None)
+        mine = find_made(scene, made.CAMERA)
+        if mine is not None and scene.objects.get(mine.name) != mine:
+            mine = None  # deleted by the user
         current = scene.camera
         if self.view == CURRENT and through_camera and current is not None and not defaults.is_default_camera(current):
             frame_terrain.widen_camera(obj, context.evaluated_depsgraph_get(), sight.box_of(obj))
             return current
         if mine is None:
             mine = current if defaults.is_default_camera(current) else _add_camera(scene)
-            mine[MARK] = True
+            keep_made(scene, made.CAMERA, mine)
         mine.data.lens = viewpoint.LENS_MM
         if self.view == CURRENT and viewport is not None and not through_camera:
             space, region_3d = viewport
@@ -120,7 +121,8 @@ def _light(scene, elevation: float, azimuth: float) -> None:
     suns = [item for item in scene.objects if item.type == "LIGHT" and item.data.type == "SUN"]
     sun = suns[0] if suns else daylight.add_sun(scene, elevation, azimuth)
     before, scene.world = scene.world, None
-    if before is not None and MARK in before:
+    if before is not None and before == find_made(scene, made.SKY):
+        keep_made(scene, made.SKY, None)
         if before.users == 0:
             bpy.data.worlds.remove(before)
     elif not defaults.is_default_world(before):

@@ -20,13 +20,12 @@ from ...cbt_terrain.field.heightfield import INTERPOLATIONS, FieldKey
 from ...cbt_terrain.height_operators.derived_store import Land
 from ...cbt_terrain.height_operators.requested_tiles import SeenTiles
 from ...cbt_terrain.view.criterion import Criterion, requested_unit
-from ...cbt_terrain.view.linear import determinant
 from ...cbt_terrain.view.settings import SETTINGS
 from ...cbt_terrain.view.view import View
 from ..attributes.request import Effects, gather_effects
 from ..bridge import camera as cameras
 from ..bridge.cleanup import Cleanup, plan_triangles
-from ..bridge.evaluated import found_in
+from ..bridge.evaluated import found_in, placement_of
 from ..bridge.scene_paths import absolute_path, no_heights
 from ..land.request import land_of
 from ..scatter.request import Scatters, gather_scatters
@@ -119,7 +118,7 @@ def gather(
     interpolation = overrides.interpolation or settings.interpolation
     if interpolation not in INTERPOLATIONS:  # a driver or a script may set any number
         raise TerrainError(f"The terrain {obj.name!r} has an unknown interpolation", fix="choose one on its panel")
-    placement = _placement(obj.name, evaluated)
+    placement = placement_of(evaluated)
     max_ms, note, frozen, curve = None, "", "", None
     if criterion is None:
         frozen = settings.frozen if replace(overrides, effects=None) == NO_OVERRIDES else ""
@@ -167,18 +166,6 @@ def gather(
         ),
         curve=curve,
     )
-
-
-def _placement(name: str, evaluated) -> np.ndarray:
-    """Return float64 [4, 4]: from the terrain's own space to the world. Raises TerrainError."""
-    placement = np.array(evaluated.matrix_world, np.float64)
-    if not np.isfinite(placement).all():
-        raise TerrainError(
-            f"The terrain {name!r} has a matrix that is not finite", fix="check its transform and parents"
-        )
-    if determinant(placement[:3, :3]) == 0.0:
-        raise TerrainError(f"The terrain {name!r} has a scale of 0", expected="another scale on each axis")
-    return placement
 
 
 def _shown_land(store: str, land: Land, frozen: str) -> tuple[str, Land | None]:

@@ -9,6 +9,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.view.linear import inverse
 from ...cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 from ..bridge import camera as cameras
+from ..bridge.evaluated import placement_of
 from ..bridge.scene_paths import no_heights
 from ..land import shaped_land
 from ..session import session
@@ -19,7 +20,10 @@ SMALL = 0.1  # fraction of a frame that a terrain must span to count as shown
 
 
 def box_of(obj, depsgraph=None) -> np.ndarray:
-    """Return the corners of the terrain's box in the world, float64 [8, 3]. Raises TerrainError without a store."""
+    """Return the corners of the terrain's box in the world, float64 [8, 3].
+
+    Raises TerrainError without a store, and for a matrix that flattens the terrain.
+    """
     placed = obj if depsgraph is None else obj.evaluated_get(depsgraph)
     settings = placed.adaptive_terrain
     if not settings.store:
@@ -28,7 +32,7 @@ def box_of(obj, depsgraph=None) -> np.ndarray:
     x, y = _half_extent(field)
     heights = [h * settings.vertical_scale + settings.vertical_offset for h in (field.min_height, field.max_height)]
     corners = np.array([(i, j, h) for i in (-x, x) for j in (-y, y) for h in heights])
-    matrix = np.array(placed.matrix_world, np.float64)
+    matrix = placement_of(placed)
     box = (matrix[:3, :3] @ corners.T).T + matrix[:3, 3]
     if not np.isfinite(box).all():
         raise TerrainError(

@@ -11,6 +11,7 @@ from bpy.props import PointerProperty
 from . import handlers, jobs
 from .accuracy import registered as accuracy
 from .attributes import registered as attributes
+from .assets import library as asset_library
 from .bridge import freed_memory
 from .export import registered as export
 from .farm import registered as farm
@@ -57,7 +58,7 @@ MENU_ENTRIES = (
 )
 PRESETS = str(Path(__file__).parent)  # the folder that holds "presets"
 # Modules with timers, threads, keys and drawing of their own; they stop before the operators go.
-SERVICES = (translations, store_paths, render_wait, shape_land, overlay_panel, live, status_bar)
+SERVICES = (translations, store_paths, asset_library, render_wait, shape_land, overlay_panel, live, status_bar)
 
 
 def register() -> None:

@@ -46,11 +46,21 @@ def start(module: str, *arguments: str, variables: dict[str, str] | None = None,
         variables: additions to its environment.
         streams: its other standard streams, as of Popen.
     """
+    paths = {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    command = [sys.executable, "-P", "-c", BOOTSTRAP, *bootstrap_arguments(module, *arguments)]
+    return start_program(command, paths | (variables or {}), **streams)
+
+
+def bootstrap_arguments(module: str, *arguments: str) -> list[str]:
+    """Return the command-line arguments that BOOTSTRAP reads."""
+    return [str(Path(__file__).resolve().parents[2]), PACKAGE, module, *arguments]
+
+
+def start_program(command: list[str], variables: dict[str, str] | None = None, **streams: Any) -> subprocess.Popen:
+    """Start a program as `start` does."""
     environment = {k: v for k, v in os.environ.items() if k not in FOREIGN_VARIABLES}
-    environment["PYTHONPATH"] = os.pathsep.join(p for p in sys.path if p)
-    folder = Path(__file__).resolve().parents[2]
     return subprocess.Popen(
-        [sys.executable, "-P", "-c", BOOTSTRAP, str(folder), PACKAGE, module, *arguments],
+        command,
         env=environment | (variables or {}),
         creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
         start_new_session=True,

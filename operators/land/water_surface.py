@@ -110,13 +110,13 @@ def _add_water(terrain):
     water = bpy.data.objects.new(name, bpy.data.meshes.new(name))
     water[MARK] = True
     water.parent = terrain
-    water.data.materials.append(bpy.data.materials.get(MATERIAL) or _material())
+    water.data.materials.append(bpy.data.materials.get(MATERIAL) or new_water_material())
     for collection in terrain.users_collection:
         collection.objects.link(water)
     return water
 
 
-def _material() -> bpy.types.Material:
+def new_water_material() -> bpy.types.Material:
     """Return a smooth material, clear at the shore and dark where the water is deep."""
     material = bpy.data.materials.new(MATERIAL)
     material.diffuse_color = SHALLOW  # in viewports that show no materials

@@ -84,6 +84,22 @@ def dress(obj, sources: LayerSources) -> bpy.types.Material:
     return material
 
 
+def new_plain_material(name: str, color: tuple[float, float, float], size: float) -> bpy.types.Material:
+    """Return a material of one color with the variation of a terrain's layers, of `size` metres."""
+    material = bpy.data.materials.new(name)
+    material.diffuse_color = *color, 1.0
+    tree = tree_of_new(material)
+    tree.nodes.clear()
+    n = Nodes(tree)
+    variation, length = n.add("ShaderNodeValue", label=VARIATION), n.add("ShaderNodeValue", label=SIZE)
+    variation.outputs[0].default_value, length.outputs[0].default_value = 0.5, size
+    varied = _varied(n, color, _noise(n, length.outputs[0]), variation.outputs[0])
+    inputs = {"Base Color": varied, "Roughness": 0.9, "Specular IOR Level": 0.2}
+    n.add("ShaderNodeOutputMaterial", {"Surface": n.add("ShaderNodeBsdfPrincipled", inputs).outputs[0]})
+    n.arrange()
+    return material
+
+
 def has_group(obj) -> bool:
     """Return whether a material of the object has the node group."""
     return any(_group_node(slot.material) is not None for slot in obj.material_slots)

@@ -14,7 +14,7 @@ COLLECTION, SCALE, CONE = "Collection", "Scale", "Cone Height"
 def add_modifier(obj, cone_height: float) -> None:
     """Add the modifier to a scatter; cones of `cone_height` metres stand for a collection that is not chosen yet."""
     modifier = obj.modifiers.new(MODIFIER, "NODES")
-    modifier.node_group = bpy.data.node_groups.get(GROUP) or _group()
+    modifier.node_group = bpy.data.node_groups.get(GROUP) or new_scatter_group()
     _set_input(modifier, CONE, cone_height)
 
 
@@ -58,7 +58,7 @@ def _set_input(modifier, name: str, value) -> None:
         modifier[identifier] = value
 
 
-def _group() -> bpy.types.NodeTree:
+def new_scatter_group() -> bpy.types.NodeTree:
     """Create the node group that turns points into instances of a collection's objects.
 
     The attribute `variant` chooses the object, `rotation` turns it and `size` scales it. Objects keep their own

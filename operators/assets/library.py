@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The entry of the asset library in Blender's preferences, and the child process that writes the library once.
+
+The files are in the extension's user folder, which Blender deletes with the extension. A background Blender, as on a
+farm, writes none; it lists a library that is there.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.run import child
+from ...cbt_terrain.run.owned_files import real_path
+from .build import AUTHOR, BLEND, STAMP
+
+ASSETS = 1  # raise it when the assets change within a version
+DELAY_S, POLL_S = 3.0, 0.5  # after the start of Blender, when its window is drawn; between looks at the child
+PACKAGE = __package__.rsplit(".", 2)[0]
+_process: subprocess.Popen | None = None
+
+
+def library_folder(create: bool = False) -> Path | None:
+    """Return the library's folder; None for a package that Blender did not install."""
+    if not PACKAGE.startswith("bl_ext."):
+        return None
+    return Path(bpy.utils.extension_path_user(PACKAGE, path="assets", create=create))
+
+
+def is_current(folder: Path) -> bool:
+    """Return whether a folder has the library of this version."""
+    try:
+        return (folder / BLEND).is_file() and (folder / STAMP).read_text(encoding="utf-8") == _stamp()
+    except (OSError, ValueError):
+        return False
+
+
+def _stamp() -> str:
+    """Return the version of the library that this extension writes in this Blender."""
+    from ... import __version__
+
+    return f"{__version__} {ASSETS}, Blender {bpy.app.version_string}"
+
+
+def add_entry(folder: Path) -> None:
+    """Add the library to the preferences, unless it is there."""
+    if not _entries(folder):
+        bpy.context.preferences.filepaths.asset_libraries.new(name=AUTHOR, directory=str(folder))
+
+
+def remove_entry(folder: Path) -> None:
+    """Remove the library from the preferences; other libraries stay."""
+    for entry in _entries(folder)[:1]:
+        bpy.context.preferences.filepaths.asset_libraries.remove(entry)
+
+
+def _entries(folder: Path) -> list:
+    libraries = bpy.context.preferences.filepaths.asset_libraries
+    return [entry for entry in libraries if entry.path and real_path(entry.path) == real_path(folder)]
+
+
+def start_writing(folder: Path) -> subprocess.Popen:
+    """Start a process that writes the library. Raises OSError."""
+    module, arguments = "operators.assets.build", (str(folder), _stamp())
+    given = ["-c", *child.bootstrap_arguments(module, *arguments)]
+    script = f"import sys\nsys.path[:], sys.argv[:] = {sys.path!r}, {given!r}\n{child.BOOTSTRAP}"
+    options = ["--background", "--factory-startup", "--python-exit-code", "1", "--python-expr", script]
+    streams = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    return child.start_program([bpy.app.binary_path, *options], **streams)
+
+
+def _turn() -> float | None:
+    """Start the child, or look whether it has ended, from a timer; return the seconds to the next look."""
+    global _process
+    folder = library_folder(create=True)
+    if _process is None and not is_current(folder):
+        try:
+            _process = start_writing(folder)
+        except OSError as reason:
+            print(f"Adaptive Terrain: the asset library cannot be written ({reason})")
+            return None
+        return POLL_S
+    if _process is not None and (code := child.poll(_process)) is None:
+        return POLL_S
+    if _process is not None and code:
+        print(f"Adaptive Terrain: the asset library cannot be written (exit code {code})")
+    _process = None
+    if is_current(folder):
+        add_entry(folder)
+    return None
+
+
+def start() -> None:
+    folder = library_folder()
+    if folder is None:
+        return
+    if (folder / BLEND).is_file():
+        add_entry(folder)
+    if not bpy.app.background and not is_current(folder):
+        bpy.app.timers.register(_turn, first_interval=DELAY_S, persistent=True)
+
+
+def stop() -> None:
+    global _process
+    if bpy.app.timers.is_registered(_turn):
+        bpy.app.timers.unregister(_turn)
+    if _process is not None:
+        child.kill(_process)
+        _process = None
+    if (folder := library_folder()) is not None:
+        remove_entry(folder)

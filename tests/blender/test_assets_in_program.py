@@ -1,0 +1,12 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The asset library in the real program: written once, listed in the Asset Browser, and gone with the extension."""
+
+from window_report import run_in_window
+
+
+def test_the_asset_browser_lists_the_library(program, tmp_path):
+    report = run_in_window(program, "asset_library.py", tmp_path, ("browser", "dropped"))
+    assert report["files"] == ["adaptive_terrain.blend", "blender_assets.cats.txt", "version.txt"]
+    assert report["assets"] == {"materials": 6, "node_groups": 2, "collections": 5}
+    assert report["dragged"] == ["Terrain Material"]
+    assert report["after_disable"] == [[["Mine", str(tmp_path)]], []]

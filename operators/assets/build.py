@@ -14,12 +14,14 @@ from ..land.water_surface import new_water_material
 from ..layers.material import LayerSources, dress, new_plain_material
 from ..scatter import starter
 from ..scatter.instancing import new_scatter_group
+from ..scene.haze import haze_group
 from .thumbnails import Studio
 
 BLEND, CATALOGS, STAMP = "adaptive_terrain.blend", "blender_assets.cats.txt", "version.txt"
 AUTHOR = "Adaptive Terrain"
 MATERIALS, GROUPS, PLANTS, ROCKS = "Materials", "Node Groups", "Plants", "Rocks"
 # Blender identifies a catalog by this number, never by its name.
+ROOT_UUID = "5f0e1c52-8f0a-4c0e-9a57-2b9d6c1a7e00"
 UUIDS = {
     MATERIALS: "5f0e1c52-8f0a-4c0e-9a57-2b9d6c1a7e01",
     GROUPS: "5f0e1c52-8f0a-4c0e-9a57-2b9d6c1a7e02",
@@ -44,59 +46,60 @@ def write_library(folder: Path, stamp: str) -> None:
     with tempfile.TemporaryDirectory(prefix="partial-", dir=folder.parent) as name:
         partial = Path(name)
         studio = Studio(bpy.context.scene, partial)
-        assets = {*_materials(studio), *_starter(studio), _scatter_group()}
-        bpy.data.libraries.write(str(partial / BLEND), assets, fake_user=True, compress=True)
-        lines = [f"{uuid}:{AUTHOR}/{label}:{AUTHOR}-{label}" for label, uuid in UUIDS.items()]
+        _add_materials(studio)
+        _add_starter(studio)
+        _add_groups()
+        # Before Blender 4.5 a file of chosen data-blocks loses the previews of collections.
+        bpy.ops.wm.save_as_mainfile(filepath=str(partial / BLEND), copy=True, compress=True)
+        lines = [f"{ROOT_UUID}:{AUTHOR}:{AUTHOR}"]
+        lines += [f"{uuid}:{AUTHOR}/{label}:{AUTHOR}-{label}" for label, uuid in UUIDS.items()]
         (partial / CATALOGS).write_text("\n".join(["VERSION 1", "", *lines, ""]), encoding="utf-8")
         (partial / STAMP).write_text(stamp, encoding="utf-8")
         for file in (CATALOGS, BLEND, STAMP):
             os.replace(partial / file, folder / file)
 
 
-def _mark(item, catalog: str, about: str):
-    """Mark a data-block as an asset of a catalog, and return it."""
+def _mark(item, catalog: str, about: str) -> None:
+    """Mark a data-block as an asset of a catalog."""
     item.asset_mark()
     data = item.asset_data
     data.catalog_id, data.author, data.description = UUIDS[catalog], AUTHOR, about
     data.tags.new("terrain")
-    return item
 
 
-def _materials(studio: Studio) -> list:
-    """Return the terrain's material and its node group, a material of each default layer, and water."""
+def _add_materials(studio: Studio) -> None:
+    """Add the terrain's material and its node group, a material of each default layer, and water."""
     layers = [(layer.name, color) for layer, color in zip(DEFAULT, DEFAULT_COLORS, strict=True)]
     ground = studio.add_ground(len(layers))
     terrain = dress(ground, LayerSources(layers))
     terrain.name = "Terrain Material"
     node = next(node for node in terrain.node_tree.nodes if node.type == "GROUP")
     node.inputs["Variation Size"].default_value = VARIATION_M
-    assets = [
-        _mark(terrain, MATERIALS, "The default layers of a terrain by their weights: grass, scree, rock and snow"),
-        _mark(node.node_tree, GROUPS, "Colors of a terrain's layers by the attribute splat_1, with variation"),
-    ]
+    _mark(terrain, MATERIALS, "The default layers of a terrain by their weights: grass, scree, rock and snow")
+    _mark(node.node_tree, GROUPS, "Colors of a terrain's layers by the attribute splat_1, with variation")
     plain = [new_plain_material(f"Terrain {name}", color, VARIATION_M) for name, color in layers]
-    assets += [_mark(item, MATERIALS, "A ground with variation, for any object") for item in plain]
+    for item in plain:
+        _mark(item, MATERIALS, "A ground with variation, for any object")
     water = new_water_material()
-    assets.append(_mark(water, MATERIALS, "Clear at the shore, dark where the attribute water_depth is large"))
+    _mark(water, MATERIALS, "Clear at the shore, dark where the attribute water_depth is large")
     for material in (terrain, *plain, water):
         ground.data.materials[0] = material
         studio.take(material, [ground])
     bpy.data.objects.remove(ground)
-    return assets
 
 
-def _starter(studio: Studio) -> list:
-    """Return the collections and the objects of the starter collection."""
-    assets = []
+def _add_starter(studio: Studio) -> None:
+    """Add the collections and the objects of the starter collection."""
     for kind, collection in starter.add_starter(bpy.context).items():
         catalog = ROCKS if kind == "ROCKS" else PLANTS
-        assets.append(_mark(collection, catalog, "Choose it as the collection of a scatter"))
+        _mark(collection, catalog, "Choose it as the collection of a scatter")
         studio.take(collection, collection.objects)
         for obj in collection.objects:
-            assets.append(_mark(obj, catalog, f"One of the {collection.name.lower()}, in metres"))
+            _mark(obj, catalog, f"One of the {collection.name.lower()}, in metres")
             studio.take(obj, [obj])
-    return assets
 
 
-def _scatter_group():
-    return _mark(new_scatter_group(), GROUPS, "Puts a collection's objects on points, in metres of the world")
+def _add_groups() -> None:
+    """Add the node groups that no asset uses."""
+    _mark(new_scatter_group(), GROUPS, "Puts a collection's objects on points, in metres of the world")
+    _mark(haze_group(), GROUPS, "Haze of the air before the output of a material, by height and distance")

@@ -15,6 +15,7 @@ from ...cbt_terrain.run import launch
 from ..bridge.demand.trees import tree_of_new
 from ..bridge.scene_paths import store_path
 from ..bridge.writer import write_mesh
+from ..scene.haze import join_haze
 from ..session import session
 from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 from ..text.numbers import length_text
@@ -138,4 +139,5 @@ def new_water_material() -> bpy.types.Material:
         links.new(depth.outputs["Fac"], part.inputs[0])
         links.new(part.outputs[0], ramp.inputs["Fac"])
         links.new(ramp.outputs["Color"], shader.inputs[socket])
+    join_haze(material)
     return material

@@ -102,7 +102,12 @@ def new_plain_material(name: str, color: tuple[float, float, float], size: float
 
 def has_group(obj) -> bool:
     """Return whether a material of the object has the node group."""
-    return any(_group_node(slot.material) is not None for slot in obj.material_slots)
+    return any(shows_layers(slot.material) for slot in obj.material_slots)
+
+
+def shows_layers(material) -> bool:
+    """Return whether a material has the node group."""
+    return _group_node(material) is not None
 
 
 def is_bare(obj) -> bool:

@@ -180,6 +180,31 @@ def add_default_layers(settings) -> None:
             band.low, band.high = max(rule.low, limits.hard_min), min(rule.high, limits.hard_max)
 
 
+LEAST_NOISE = 0.002  # metres: a property cannot hold the size 0 of no noise
+
+
+def has_default_layers(settings) -> bool:
+    """Return whether the layers of a terrain are those of `add_default_layers`, unchanged."""
+    layers = settings.layers
+    if len(layers) != len(rules.DEFAULT) or any(layer.mask or layer.detail.amplitude for layer in layers):
+        return False
+    found = [layer_alone(layer) for layer in layers]
+    if [_words(layer) for layer in found] != [_words(layer) for layer in rules.DEFAULT]:
+        return False
+    colors = np.ravel([layer.color for layer in layers]), np.ravel(DEFAULT_COLORS)
+    numbers = (np.concatenate([_numbers(layer) for layer in some]) for some in (found, rules.DEFAULT))
+    return np.allclose(*colors, rtol=1e-6) and np.allclose(*numbers, rtol=1e-6, atol=LEAST_NOISE)
+
+
+def _words(layer: rules.Layer) -> tuple:
+    return layer.name, layer.on_top, layer.seed, tuple(rule.of for rule in layer.rules)
+
+
+def _numbers(layer: rules.Layer) -> list[float]:
+    limits = (number for rule in layer.rules for number in (rule.low, rule.high, rule.edge))
+    return [layer.strength, layer.noise_size, layer.ragged, *limits]
+
+
 def layers_of(settings) -> tuple[rules.Layer, ...]:
     """Return the layers of a terrain's settings for the effects, empty for none.
 

@@ -5,6 +5,7 @@ import bpy
 
 from ..bridge.demand.trees import tree_of_new
 from ..bridge.nodes import Nodes
+from ..scene.haze import join_haze
 from . import starter_forms
 from .request import is_scatter
 
@@ -128,4 +129,5 @@ def _material(name: str) -> bpy.types.Material:
     shader.inputs["Roughness"].default_value = roughness
     shader.inputs["Specular IOR Level"].default_value = 0.2
     nodes.arrange()
+    join_haze(material)
     return material

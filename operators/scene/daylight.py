@@ -48,7 +48,7 @@ def add_sun(scene, elevation: float, azimuth: float):
     return sun
 
 
-def _haze(elevation: float) -> list[float]:
+def haze_color(elevation: float) -> list[float]:
     """Return the color of the haze for a sun, linear RGB."""
     radiance = float(np.interp(elevation, ELEVATIONS, RADIANCE))
     cool = min(elevation / ELEVATIONS[-1], 1.0)
@@ -77,7 +77,7 @@ def add_sky(scene, towards: Vector) -> None:
     limits = {"Value": up, "From Min": FADE[0], "From Max": FADE[1]}
     above = n.add("ShaderNodeMapRange", limits, interpolation_type="SMOOTHSTEP").outputs["Result"]
     light = n.scaled(sky.outputs[0], SKY_TYPES[sky.sky_type])
-    inputs = {"Color": n.mix(above, (*_haze(sky.sun_elevation), 1.0), light)}
+    inputs = {"Color": n.mix(above, (*haze_color(sky.sun_elevation), 1.0), light)}
     n.add("ShaderNodeOutputWorld", {"Surface": n.add("ShaderNodeBackground", inputs).outputs[0]})
     n.arrange()
     scene.world = world

@@ -9,10 +9,12 @@ from mathutils import Vector
 from ..importing.imported import imported_of
 from ..layers.material import dress, has_group, is_bare
 from ..layers.operators import PRESET_PANEL, PRESETS
+from ..layers.properties import has_default_layers
 from ..layers.terrain_material import sources_of
 from ..session.polls import cancelled_by_errors, on_terrain_object
 from ..terrain import frame_terrain, sight
 from . import daylight, defaults, made, viewpoint
+from .haze import set_haze
 from .made import find_made, keep_made, was_set_up
 
 CURRENT, ACROSS = "CURRENT", "ACROSS"
@@ -48,6 +50,13 @@ class SetUpScene(bpy.types.Operator):
         default=math.radians(-78.0), soft_min=-math.pi, soft_max=math.pi, subtype="ANGLE",
     )  # fmt: skip
 
+    haze: bpy.props.FloatProperty(
+        name="Haze",
+        description="Part of the light that haze takes from ground as far away as the terrain is long. It is in the "
+        "terrain's own material, and in water and plants of the extension",
+        default=0.4, min=0.0, max=0.95, subtype="FACTOR",
+    )  # fmt: skip
+
     @classmethod
     def poll(cls, context):
         if not on_terrain_object(cls, context):
@@ -66,12 +75,13 @@ class SetUpScene(bpy.types.Operator):
             _remove(sun)
         camera = self._place_camera(context, obj)
         ahead = camera.matrix_world.to_3x3() @ Vector((0.0, 0.0, -1.0))
-        _light(scene, self.elevation, math.atan2(ahead.x, ahead.y) + self.turn)
+        towards = _light(scene, self.elevation, math.atan2(ahead.x, ahead.y) + self.turn)
         if is_bare(obj):
             _choose_layers(obj)
             dress(obj, sources_of(obj, ()))
         elif has_group(obj):
             dress(obj, sources_of(obj, ()))
+        set_haze(obj, self.haze, daylight.haze_color(max(math.asin(max(-1.0, min(1.0, towards.z))), 0.0)))
         if is_first:
             _choose_look(scene)
         scene.render.use_lock_interface = True  # a viewport that draws while a render rewrites the mesh would crash
@@ -116,8 +126,11 @@ def _add_camera(scene):
     return camera
 
 
-def _light(scene, elevation: float, azimuth: float) -> None:
-    """Light a scene by a sun and the sky around it. A sun lamp of the user stays and the sky follows it."""
+def _light(scene, elevation: float, azimuth: float) -> Vector:
+    """Light a scene by a sun and the sky around it, and return the unit vector towards the sun.
+
+    A sun lamp of the user stays and the sky follows it.
+    """
     suns = [item for item in scene.objects if item.type == "LIGHT" and item.data.type == "SUN"]
     sun = suns[0] if suns else daylight.add_sun(scene, elevation, azimuth)
     before, scene.world = scene.world, None
@@ -127,13 +140,15 @@ def _light(scene, elevation: float, azimuth: float) -> None:
             bpy.data.worlds.remove(before)
     elif not defaults.is_default_world(before):
         before.use_fake_user = True  # else the file would lose it
-    daylight.add_sky(scene, sun.matrix_world.col[2].xyz.normalized())
+    towards = sun.matrix_world.col[2].xyz.normalized()
+    daylight.add_sky(scene, towards)
+    return towards
 
 
 def _choose_layers(obj) -> None:
-    """Give a terrain without layers those that suit it; others keep theirs, and high ground the default ones."""
+    """Give a terrain that has only default layers those that suit it; high ground keeps them."""
     settings, imported = obj.adaptive_terrain, imported_of(obj.adaptive_terrain)
-    if settings.layers or imported is None:
+    if imported is None or settings.layers and not has_default_layers(settings):
         return
     is_low = imported.heights_m[1] < SNOWLESS_M
     if preset := LAYERS.get(imported.settings.get("source", ""), SNOWLESS if is_low else ""):

@@ -7,6 +7,6 @@ from window_report import run_in_window
 def test_the_asset_browser_lists_the_library(program, tmp_path):
     report = run_in_window(program, "asset_library.py", tmp_path, ("browser", "dropped"))
     assert report["files"] == ["adaptive_terrain.blend", "blender_assets.cats.txt", "version.txt"]
-    assert report["assets"] == {"materials": 6, "node_groups": 2, "collections": 5}
+    assert report["assets"] == {"materials": 6, "node_groups": 3, "collections": 5}
     assert report["dragged"] == ["Terrain Material"]
     assert report["after_disable"] == [[["Mine", str(tmp_path)]], []]

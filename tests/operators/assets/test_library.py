@@ -56,7 +56,7 @@ def entries() -> list[tuple[str, str]]:
 def test_the_library_has_materials_groups_and_plants(assets):
     layers = {f"Terrain {name}" for name in ("Grass", "Scree", "Rock", "Snow")}
     assert set(assets["materials"]) == {"Terrain Material", "Terrain Water", *layers}
-    assert set(assets["node_groups"]) == {"Terrain Layers", "Adaptive Scatter in Metres"}
+    assert set(assets["node_groups"]) == {"Terrain Layers", "Adaptive Scatter in Metres", "Terrain Haze"}
     assert set(assets["collections"]) == {"Conifers", "Broadleaves", "Bushes", "Grass", "Rocks"}
     assert len(assets["objects"]) == 16 and all(obj.data.polygons for obj in assets["objects"].values())
 

@@ -232,3 +232,14 @@ def test_pictures_are_neither_black_nor_burnt(factory, add_terrain, tmp_path, tr
     assert 0.2 < pixels.mean() < 0.75
     assert (pixels.min(axis=2) > 0.97).mean() < 0.05 and (pixels.max(axis=2) < 0.03).mean() < 0.15
     assert pixels[:18].std() > 0.03, "the ground is not flat"
+
+
+@pytest.mark.parametrize("changed", [False, True])
+def test_default_layers_give_way_to_those_that_suit_the_land(factory, changed):
+    bpy.ops.mesh.adaptive_terrain_add(land="DUNES")
+    settings = bpy.context.object.adaptive_terrain
+    assert [layer.name for layer in settings.layers] == ["Grass", "Scree", "Rock", "Snow"]
+    if changed:
+        settings.layers[1].slope.low += 0.01
+    SET_UP.set_up_scene()
+    assert ("Sand" in [layer.name for layer in settings.layers]) != changed

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Haze over a terrain, as a node group before the output of its materials.
+
+A volume of that size would be noisy and slow. The group instead computes how much haze lies between the camera and a
+point, from air whose density falls by e for each `Height`, and mixes the haze's light into what the camera sees. Light
+that is not seen directly stays as it is.
+"""
+
+import math
+
+import bpy
+
+from ..bridge.nodes import Nodes
+from ..layers.material import shows_layers
+from ..terrain import sight
+
+GROUP = "Terrain Haze"
+MARK = "adaptive_terrain_haze"  # a property of the group, by which it is found under any name
+SHADER, COLOR, DISTANCE, BASE, HEIGHT = "Shader", "Color", "Distance", "Base", "Height"
+MIN_HEIGHT = 0.05  # of the terrain's longer side: flat land has haze above it, too
+THIN = 1e-3  # difference of heights, in scale heights, below which the density is that of one height
+
+
+def set_haze(obj, amount: float, color) -> None:
+    """Give the terrain's own material haze that hides `amount`, 0 to 1, of what is as far away as the terrain is long.
+
+    Water and plants that have haze already follow it; materials of other terrains and of the user stay.
+    """
+    box = sight.box_of(obj)
+    sides, low = box.max(axis=0) - box.min(axis=0), float(box[:, 2].min())
+    side = float(max(sides[:2]))
+    others = {other for other in bpy.data.materials if _node_of(other) is not None and not shows_layers(other)}
+    values = {
+        COLOR: (*color, 1.0),
+        DISTANCE: -side / math.log(1.0 - amount) if amount > 0.0 else 0.0,
+        BASE: low,
+        HEIGHT: max(float(sides[2]), MIN_HEIGHT * side),
+    }
+    for material in others | {slot.material for slot in obj.material_slots if shows_layers(slot.material)}:
+        _apply(material, values)
+
+
+def join_haze(material) -> None:
+    """Give a new material the haze that another material of the file has, if there is one."""
+    for other in bpy.data.materials:
+        if other is not material and (node := _node_of(other)) is not None:
+            values = {name: node.inputs[name].default_value for name in (DISTANCE, BASE, HEIGHT)}
+            _apply(material, values | {COLOR: tuple(node.inputs[COLOR].default_value)})
+            return
+
+
+def _node_of(material):
+    nodes = material.node_tree.nodes if material.node_tree else ()
+    return next((node for node in nodes if node.type == "GROUP" and node.node_tree and MARK in node.node_tree), None)
+
+
+def _apply(material, values: dict) -> None:
+    """Set the values of a material's haze; add it if it is missing. A distance of 0 removes it."""
+    if material.library is not None:
+        return
+    tree, node = material.node_tree, _node_of(material)
+    output = tree.get_output_node("ALL")
+    if node is None and output is not None and output.inputs["Surface"].is_linked and values[DISTANCE] > 0.0:
+        node = Nodes(tree).add("ShaderNodeGroup", node_tree=haze_group())
+        surface = output.inputs["Surface"].links[0]
+        node.location, output.location.x = output.location, output.location.x + 200.0
+        tree.links.new(surface.from_socket, node.inputs[SHADER])
+        tree.links.new(node.outputs[0], output.inputs["Surface"])
+        material.cycles.emission_sampling = "NONE"  # the haze lights nothing
+    if node is None:
+        return
+    if values[DISTANCE] > 0.0:
+        for name, value in values.items():
+            node.inputs[name].default_value = value
+        return
+    for link in node.outputs[0].links if node.inputs[SHADER].is_linked else ():
+        tree.links.new(node.inputs[SHADER].links[0].from_socket, link.to_socket)
+    tree.nodes.remove(node)
+
+
+def haze_group() -> bpy.types.NodeTree:
+    """Return the node group, built once a file."""
+    for group in bpy.data.node_groups:
+        if MARK in group and group.library is None:
+            return group
+    tree = bpy.data.node_groups.new(GROUP, "ShaderNodeTree")
+    tree[MARK] = True
+    tree.interface.new_socket(SHADER, in_out="OUTPUT", socket_type="NodeSocketShader")
+    tree.interface.new_socket(SHADER, in_out="INPUT", socket_type="NodeSocketShader")
+    tree.interface.new_socket(COLOR, in_out="INPUT", socket_type="NodeSocketColor")
+    for name in (DISTANCE, BASE, HEIGHT):
+        socket = tree.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
+        socket.subtype, socket.default_value = "DISTANCE", {DISTANCE: 1e5, BASE: 0.0, HEIGHT: 2000.0}[name]
+    n = Nodes(tree)
+    given = n.add("NodeGroupInput").outputs
+    geometry = n.add("ShaderNodeNewGeometry").outputs
+    away = n.add("ShaderNodeCameraData").outputs["View Distance"]
+    # Heights of the point and of the camera above the base, in scale heights.
+    height = n.math("MAXIMUM", given[HEIGHT], 1e-6)
+    above = n.math("SUBTRACT", _z(n, geometry["Position"]), given[BASE])
+    point = n.math("DIVIDE", above, height)
+    rise = n.math("DIVIDE", n.math("MULTIPLY", _z(n, geometry["Incoming"]), away), height)
+    # Mean density along the line of sight: the integral of exp(-z) over a segment, by its length.
+    lower = n.math("MAXIMUM", n.math("MINIMUM", point, n.math("ADD", point, rise)), 0.0)
+    span = n.math("MAXIMUM", n.math("ABSOLUTE", rise), THIN)
+    mean = n.math("DIVIDE", n.math("SUBTRACT", 1.0, _decay(n, span)), span)
+    density = n.math("MULTIPLY", mean, _decay(n, lower))
+    depth = n.math("DIVIDE", n.math("MULTIPLY", density, away), n.math("MAXIMUM", given[DISTANCE], 1e-6))
+    hidden = n.math("SUBTRACT", 1.0, _decay(n, depth))
+    seen = n.math("MULTIPLY", hidden, n.add("ShaderNodeLightPath").outputs["Is Camera Ray"])
+    haze = n.add("ShaderNodeEmission", {"Color": given[COLOR]}).outputs[0]
+    mixed = n.add("ShaderNodeMixShader", {0: seen, 1: given[SHADER], 2: haze})
+    n.add("NodeGroupOutput", {SHADER: mixed.outputs[0]})
+    n.arrange()
+    return tree
+
+
+def _z(n: Nodes, vector):
+    return n.add("ShaderNodeSeparateXYZ", {0: vector}).outputs["Z"]
+
+
+def _decay(n: Nodes, value):
+    return n.math("EXPONENT", n.math("MULTIPLY", value, -1.0))

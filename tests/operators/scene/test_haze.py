@@ -6,6 +6,7 @@ import math
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.operators.bridge.demand.trees import tree_of_new
 from adaptive_terrain.operators.importing.imported import imported_of
 from adaptive_terrain.operators.scene import haze
 from mathutils import Matrix, Vector
@@ -30,9 +31,9 @@ def black_plane(scene):
     plane = bpy.data.objects.new("Plane", mesh)
     scene.collection.objects.link(plane)
     material = bpy.data.materials.new("Plane")
-    material.use_nodes = True
-    material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = 0.0, 0.0, 0.0, 1.0
-    material.node_tree.nodes["Principled BSDF"].inputs["Specular IOR Level"].default_value = 0.0
+    shader = tree_of_new(material).nodes["Principled BSDF"]
+    shader.inputs["Base Color"].default_value = 0.0, 0.0, 0.0, 1.0
+    shader.inputs["Specular IOR Level"].default_value = 0.0
     mesh.materials.append(material)
     scene.world = None
     return plane, material
@@ -121,6 +122,6 @@ def test_new_plants_have_the_haze_of_the_terrain(scene, add_terrain):
 def test_materials_of_the_user_get_no_haze(scene, add_terrain):
     terrain, painted = add_terrain(), bpy.data.materials.new("Painted")
     terrain.data.materials.append(painted)
-    painted.use_nodes = True
+    tree_of_new(painted)
     SET_UP()
     assert hazy() == [] and terrain.active_material == painted

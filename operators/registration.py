@@ -10,8 +10,8 @@ from bpy.props import PointerProperty
 
 from . import handlers, jobs
 from .accuracy import registered as accuracy
-from .attributes import registered as attributes
 from .assets import library as asset_library
+from .attributes import registered as attributes
 from .bridge import freed_memory
 from .export import registered as export
 from .farm import registered as farm

@@ -15,7 +15,7 @@ HILL, HILL_SIDE = 300.0, 65  # metres across, and samples a side, of the ground 
 
 
 class Studio:
-    """A scene with sun, grey sky and an orthographic camera that frames what is put into it."""
+    """A scene with sun, grey sky and an orthographic camera that frames the objects in it."""
 
     def __init__(self, scene, folder: Path):
         self.scene, self.file = scene, folder / "preview.png"

@@ -180,7 +180,7 @@ def add_default_layers(settings) -> None:
             band.low, band.high = max(rule.low, limits.hard_min), min(rule.high, limits.hard_max)
 
 
-LEAST_NOISE = 0.002  # metres: a property cannot hold the size 0 of no noise
+MIN_NOISE_M = 0.002  # metres: a property cannot hold the size 0 of no noise
 
 
 def has_default_layers(settings) -> bool:
@@ -193,7 +193,7 @@ def has_default_layers(settings) -> bool:
         return False
     colors = np.ravel([layer.color for layer in layers]), np.ravel(DEFAULT_COLORS)
     numbers = (np.concatenate([_numbers(layer) for layer in some]) for some in (found, rules.DEFAULT))
-    return np.allclose(*colors, rtol=1e-6) and np.allclose(*numbers, rtol=1e-6, atol=LEAST_NOISE)
+    return np.allclose(*colors, rtol=1e-6) and np.allclose(*numbers, rtol=1e-6, atol=MIN_NOISE_M)
 
 
 def _words(layer: rules.Layer) -> tuple:

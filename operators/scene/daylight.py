@@ -13,8 +13,8 @@ from mathutils import Vector
 
 from ..bridge.demand.trees import tree_of_new
 from ..bridge.nodes import Nodes
-from . import made
-from .made import keep_made
+from . import built
+from .built import keep_built
 
 SUN, SKY = "Terrain Sun", "Terrain Sky"
 SUN_STRENGTH, SUN_DISC_DEG = 6.0, 0.545  # W/m^2 at right angles, degrees
@@ -43,7 +43,7 @@ def add_sun(scene, elevation: float, azimuth: float):
     lamp.color = [low + (1.0 - low) * math.sqrt(white) for low in WARM]
     sun = bpy.data.objects.new(SUN, lamp)
     sun.matrix_world = sun_vector(elevation, azimuth).to_track_quat("Z", "Y").to_matrix().to_4x4()
-    keep_made(scene, made.SUN, sun)
+    keep_built(scene, built.SUN, sun)
     scene.collection.objects.link(sun)
     return sun
 
@@ -61,7 +61,7 @@ def add_sky(scene, towards: Vector) -> None:
     The haze of the horizon continues below it, where the terrain ends.
     """
     world = bpy.data.worlds.new(SKY)
-    keep_made(scene, made.SKY, world)
+    keep_built(scene, built.SKY, world)
     # Smooth without a disc: Cycles' own choice, a map of 2048 pixels, takes it ten seconds.
     world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", 256
     tree = tree_of_new(world)

@@ -2,8 +2,8 @@
 """Haze over a terrain, as a node group before the output of its materials.
 
 A volume of that size would be noisy and slow. The group instead computes how much haze lies between the camera and a
-point, from air whose density falls by e for each `Height`, and mixes the haze's light into what the camera sees. Light
-that is not seen directly stays as it is.
+point, from air whose density falls by e for each `Height`, and mixes the haze's light into the camera's rays.
+Reflections and indirect light stay as they are.
 """
 
 import math
@@ -22,7 +22,7 @@ THIN = 1e-3  # difference of heights, in scale heights, below which the density 
 
 
 def set_haze(obj, amount: float, color) -> None:
-    """Give the terrain's own material haze that hides `amount`, 0 to 1, of what is as far away as the terrain is long.
+    """Give the terrain's own material haze that hides `amount`, 0 to 1, of ground as far away as the terrain is long.
 
     Water and plants that have haze already follow it; materials of other terrains and of the user stay.
     """

@@ -13,9 +13,9 @@ from ..layers.properties import has_default_layers
 from ..layers.terrain_material import sources_of
 from ..session.polls import cancelled_by_errors, on_terrain_object
 from ..terrain import frame_terrain, sight
-from . import daylight, defaults, made, viewpoint
+from . import built, daylight, defaults, viewpoint
+from .built import find_built, keep_built, was_set_up
 from .haze import set_haze
-from .made import find_made, keep_made, was_set_up
 
 CURRENT, ACROSS = "CURRENT", "ACROSS"
 CAMERA = "Terrain Camera"
@@ -70,7 +70,7 @@ class SetUpScene(bpy.types.Operator):
         sight.box_of(obj)  # raises an error before anything changes
         for default in defaults.untouched(scene):
             _remove(default)
-        is_first, sun = not was_set_up(scene), find_made(scene, made.SUN)
+        is_first, sun = not was_set_up(scene), find_built(scene, built.SUN)
         if sun is not None and len(sun.users_scene) <= 1:
             _remove(sun)
         camera = self._place_camera(context, obj)
@@ -96,7 +96,7 @@ class SetUpScene(bpy.types.Operator):
         """
         scene, viewport = context.scene, viewpoint.viewport_of(context)
         through_camera = viewport is not None and viewport[1].view_perspective == "CAMERA"
-        mine = find_made(scene, made.CAMERA)
+        mine = find_built(scene, built.CAMERA)
         if mine is not None and scene.objects.get(mine.name) != mine:
             mine = None  # deleted by the user
         current = scene.camera
@@ -105,7 +105,7 @@ class SetUpScene(bpy.types.Operator):
             return current
         if mine is None:
             mine = current if defaults.is_default_camera(current) else _add_camera(scene)
-            keep_made(scene, made.CAMERA, mine)
+            keep_built(scene, built.CAMERA, mine)
         mine.data.lens = viewpoint.LENS_MM
         if self.view == CURRENT and viewport is not None and not through_camera:
             space, region_3d = viewport
@@ -134,8 +134,8 @@ def _light(scene, elevation: float, azimuth: float) -> Vector:
     suns = [item for item in scene.objects if item.type == "LIGHT" and item.data.type == "SUN"]
     sun = suns[0] if suns else daylight.add_sun(scene, elevation, azimuth)
     before, scene.world = scene.world, None
-    if before is not None and before == find_made(scene, made.SKY):
-        keep_made(scene, made.SKY, None)
+    if before is not None and before == find_built(scene, built.SKY):
+        keep_built(scene, built.SKY, None)
         if before.users == 0:
             bpy.data.worlds.remove(before)
     elif not defaults.is_default_world(before):

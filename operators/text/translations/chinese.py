@@ -128,6 +128,7 @@ LABELS = {
     "Guard Band": "外缘范围",
     "Gullies": "冲沟",
     "Hard Angle": "硬岩角度",
+    "Haze": "薄雾",
     "Heights": "高度",
     "Held": "已占用",
     "Held back by": "受限于",

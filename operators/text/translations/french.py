@@ -130,6 +130,7 @@ LABELS = {
     "Guard Band": "Bande de garde",
     "Gullies": "Ravines",
     "Hard Angle": "Angle dur",
+    "Haze": "Brume",
     "Heights": "Hauteurs",
     "Held": "Occupé",
     "Held back by": "Limité par",

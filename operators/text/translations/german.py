@@ -130,6 +130,7 @@ LABELS = {
     "Guard Band": "Randbereich",
     "Gullies": "Rinnen",
     "Hard Angle": "Winkel (hart)",
+    "Haze": "Dunst",
     "Heights": "Höhen",
     "Held": "Belegt",
     "Held back by": "Begrenzt durch",

@@ -129,6 +129,7 @@ LABELS = {
     "Guard Band": "周辺の余裕",
     "Gullies": "ガリ",
     "Hard Angle": "硬岩の角度",
+    "Haze": "かすみ",
     "Heights": "高さ",
     "Held": "使用量",
     "Held back by": "制限の原因",

@@ -130,6 +130,7 @@ LABELS = {
     "Guard Band": "Banda de contorno",
     "Gullies": "Cárcavas",
     "Hard Angle": "Ángulo duro",
+    "Haze": "Bruma",
     "Heights": "Alturas",
     "Held": "Ocupado",
     "Held back by": "Limitado por",

@@ -93,16 +93,16 @@ def test_the_material_works_on_a_terrain(assets, scene, add_terrain):
 
 def test_the_entry_comes_once_and_only_it_goes(folders):
     folder, before = folders
-    library.register()
+    library.start()
     assert entries() == before, "an empty library is not listed"
     (folder / BLEND).write_bytes(b"")
     for _ in range(2):
-        library.register()
+        library.start()
         assert entries() == [*before, (f"{library.AUTHOR}.001", str(folder))]
     bpy.context.preferences.filepaths.asset_libraries[len(before)].name = "Renamed"
-    library.unregister()
+    library.stop()
     assert entries() == before
-    library.unregister()
+    library.stop()
     assert entries() == before
 
 
@@ -115,6 +115,6 @@ def test_a_library_of_another_version_is_not_current(written, monkeypatch):
 def test_a_package_outside_of_blender_has_no_library(empty):
     assert library.library_folder() is None and library.PACKAGE == "adaptive_terrain"
     before = entries()
-    library.register()
-    library.unregister()
+    library.start()
+    library.stop()
     assert entries() == before and not bpy.app.timers.is_registered(library._turn)

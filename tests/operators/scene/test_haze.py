@@ -25,7 +25,7 @@ def hazy() -> list[str]:
 
 @pytest.fixture
 def black_plane(scene):
-    """A black plane across the view of a camera without a world's light, and its hazy material."""
+    """Return a black plane across the view of a camera, without light of a world, and its hazy material."""
     mesh = bpy.data.meshes.new("Plane")
     mesh.from_pydata([(-1e5, 0, -1e5), (1e5, 0, -1e5), (1e5, 0, 1e5), (-1e5, 0, 1e5)], [], [(0, 1, 2, 3)])
     plane = bpy.data.objects.new("Plane", mesh)

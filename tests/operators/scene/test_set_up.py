@@ -7,8 +7,8 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.operators.bridge.camera import view_from_camera
+from adaptive_terrain.operators.scene.built import CAMERA, SKY, SUN, find_built
 from adaptive_terrain.operators.scene.daylight import SKY_TYPES
-from adaptive_terrain.operators.scene.made import CAMERA, SKY, SUN, find_made
 from adaptive_terrain.operators.terrain import sight
 
 SET_UP = bpy.ops.adaptive_terrain
@@ -22,7 +22,7 @@ def factory(empty):
 
 
 def made(scene):
-    return sorted(f"{item.type} {item.name}" for item in (find_made(scene, role) for role in (SUN, CAMERA)))
+    return sorted(f"{item.type} {item.name}" for item in (find_built(scene, role) for role in (SUN, CAMERA)))
 
 
 def sky_of(scene):
@@ -118,7 +118,7 @@ def test_a_sun_of_two_scenes_stays(factory, add_terrain):
 
 
 def copy_of(item, scene):
-    """Return a copy with data of its own, as Shift D makes it."""
+    """Return a copy with separate data, as Shift D makes it."""
     copy = item.copy()
     copy.data = item.data.copy()
     scene.collection.objects.link(copy)
@@ -130,10 +130,10 @@ def test_copies_of_what_it_has_made_stay(factory, add_terrain, swapped):
     """The user's copies may even have the names of the originals."""
     add_terrain()
     SET_UP.set_up_scene()
-    items = [find_made(factory, role) for role in (SUN, CAMERA)]
+    items = [find_built(factory, role) for role in (SUN, CAMERA)]
     copies = [copy_of(item, factory) for item in items]
     world = factory.world.copy()
-    for item, copy in zip((*items, find_made(factory, SKY)), (*copies, world), strict=True):
+    for item, copy in zip((*items, find_built(factory, SKY)), (*copies, world), strict=True):
         if swapped:
             item.name, copy.name = "Old", item.name
     factory.world = world
@@ -142,18 +142,18 @@ def test_copies_of_what_it_has_made_stay(factory, add_terrain, swapped):
     assert SET_UP.set_up_scene() == {"FINISHED"}
     assert set(copies) <= set(factory.objects) and copies[1].location == before
     assert world.name in bpy.data.worlds and factory.world != world and world.use_fake_user
-    assert find_made(factory, CAMERA) == items[1] and len([o for o in factory.objects if o.type == "LIGHT"]) == 1
+    assert find_built(factory, CAMERA) == items[1] and len([o for o in factory.objects if o.type == "LIGHT"]) == 1
 
 
 def test_what_the_user_has_deleted_is_made_again(factory, add_terrain):
     add_terrain()
     SET_UP.set_up_scene()
     for role in (SUN, CAMERA):
-        item = find_made(factory, role)
+        item = find_built(factory, role)
         item.users_collection[0].objects.unlink(item)
     assert SET_UP.set_up_scene() == {"FINISHED"}
     assert made(factory) == ["CAMERA Terrain Camera", "LIGHT Terrain Sun"]
-    assert factory.camera == find_made(factory, CAMERA) == factory.objects["Terrain Camera"]
+    assert factory.camera == find_built(factory, CAMERA) == factory.objects["Terrain Camera"]
     assert [lamp.name for lamp in bpy.data.lights] == ["Terrain Sun"]
 
 

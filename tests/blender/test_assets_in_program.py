@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The asset library in the real program: written once, listed in the Asset Browser, and gone with the extension."""
 
+import shutil
+
 from window_report import run_in_window
 
 
 def test_the_asset_browser_lists_the_library(program, tmp_path):
+    shutil.rmtree(program.user / "extensions/.user/user_default/adaptive_terrain/assets")
     report = run_in_window(program, "asset_library.py", tmp_path, ("browser", "dropped"))
     assert report["files"] == ["adaptive_terrain.blend", "blender_assets.cats.txt", "version.txt"]
     assert report["assets"] == {"materials": 6, "node_groups": 3, "collections": 5}

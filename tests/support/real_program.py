@@ -123,6 +123,9 @@ def program(bare_program, extension_zip):
     bare_program.run("--command", "extension", "install-file", "-r", "user_default", "--enable", extension_zip)
     quiet = "import bpy; preferences = bpy.context.preferences; preferences.view.show_splash = False; "
     quiet += "preferences.system.viewport_aa = 'OFF'; bpy.ops.wm.save_userpref()"
+    # An empty asset library, or the first window would write one.
+    quiet += f"; from {EXTENSION}.operators.assets import library; folder = library.library_folder(create=True); "
+    quiet += "(folder / library.BLEND).touch(); (folder / library.STAMP).write_text(library._stamp())"
     bare_program.run("-b", "--python-expr", quiet)
     lend_kernels(bare_program.kernels, EFFECT)
     return bare_program

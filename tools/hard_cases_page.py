@@ -84,6 +84,7 @@ CASES = {
     71: "What nearer ground hides",
     72: "What a scene reads: mutes, groups used twice, constant factors, drivers, computed names",
     73: "Scatter over a flight: no point moves, none appears full-grown",
+    85: "Damaged height maps of every format, in the sandbox",
 }
 
 HEAD = """\

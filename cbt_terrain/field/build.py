@@ -11,7 +11,7 @@ from ..run import launch
 from . import cleaning, codes, hierarchy
 from .heightfield import HeightField, HeightRaster
 from .holes import holes_leave_ground, refine_borders
-from .lattice import Lattice, fit
+from .lattice import Lattice, lattice_for
 
 Allocate = Callable[[str, tuple, np.dtype], np.ndarray]
 
@@ -30,18 +30,6 @@ def content_key(samples: np.ndarray, lattice: Lattice, source_max: float, valid:
     if valid is not None:
         digest.update(np.ascontiguousarray(valid).data)
     return digest.hexdigest()
-
-
-def lattice_for(width: int, height: int, step_x: float, step_y: float, name: str = "The raster") -> Lattice:
-    """Call `fit`. Raises TerrainError for a raster that is too large. name: of the raster, in the error."""
-    lattice = fit(width, height, step_x, step_y)
-    if not lattice.can_be_numbered:
-        raise TerrainError(
-            f"{name} has {width} x {height} samples, more than an index of 31 bits can number",
-            expected="about 31,000 x 31,000 at most",
-            fix="cut it into tiles or reduce it first",
-        )
-    return lattice
 
 
 def build(

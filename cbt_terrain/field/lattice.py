@@ -23,6 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import TerrainError
+
 # Indices of Warp's arrays and coordinates of the lattice are int32; coordinates have at least 5 bits more than samples.
 MAX_ENTRIES, MAX_SIDE = 2**31, 2**25
 # A leaf is drawn as 4**meshlet triangles, 4**MAX_MESHLET at most.
@@ -172,3 +174,15 @@ def fit(width: int, height: int, step_x: float = 1.0, step_y: float = 1.0) -> La
     cells_x, cells_y = width - 1, height - 1
     levels = (min(cells_x, cells_y) - 1).bit_length()
     return Lattice(-(-cells_x >> levels), -(-cells_y >> levels), levels, step_x, step_y, cells_x, cells_y)
+
+
+def lattice_for(width: int, height: int, step_x: float = 1.0, step_y: float = 1.0, name: str = "The raster") -> Lattice:
+    """Call `fit`. Raises TerrainError for a raster that is too large. name: of the raster, in the error."""
+    lattice = fit(width, height, step_x, step_y)
+    if not lattice.can_be_numbered:
+        raise TerrainError(
+            f"{name} has {width} x {height} samples, more than an index of 31 bits can number",
+            expected="about 31,000 x 31,000 at most",
+            fix="cut it into tiles or reduce it first",
+        )
+    return lattice

@@ -15,10 +15,16 @@ CONTENTS = (
     (b"MM\0+", "BigTIFF"), (b"\x76\x2f\x31\x01", "OpenEXR"), (b"PK\x03\x04", "ZIP"), (b"\x1f\x8b", "gzip"),
     (b"\x89HDF", "HDF5"), (b"CDF", "netCDF"), (b"\x93NUMPY", "NumPy"), (b"<VRTDataset", "VRT"),
     (b"\0\0\0\x0cjP", "JPEG 2000"), (b"%PDF", "PDF"), (b"<!DOCTYPE", "HTML"), (b"<html", "HTML"), (b"BM", "BMP"),
-    (b"GIF8", "GIF"), (b"RIFF", "WebP"), (b"8BPS", "Photoshop"), (b"DDS ", "DDS"),
+    (b"EHFA", "Erdas Imagine"), (b"GRIB", "GRIB"), (b"DSBB", "Surfer"), (b"DSRB", "Surfer"), (b"DSAA", "Surfer"),
+    (b"UHL1", "DTED"), (b"binterr", "binary terrain"), (b"TERRAGEN", "Terragen"), (b"LASF", "LAS"), (b"GIF8", "GIF"),
+    (b"RIFF", "WebP"), (b"8BPS", "Photoshop"), (b"DDS ", "DDS"),
 )  # fmt: skip
 BOM = b"\xef\xbb\xbf"
-DRIVER_KINDS = {"GTiff": ("TIFF", "BigTIFF"), "PNG": ("PNG",)}
+DRIVER_KINDS = {
+    "GTiff": ("TIFF", "BigTIFF"), "PNG": ("PNG",), "HFA": ("Erdas Imagine",), "GRIB": ("GRIB",), "DTED": ("DTED",),
+    "netCDF": ("netCDF", "HDF5"), "JP2OpenJPEG": ("JPEG 2000",), "WEBP": ("WebP",), "BT": ("binary terrain",),
+    "Terragen": ("Terragen",), **dict.fromkeys(("GSBG", "GS7BG", "GSAG"), ("Surfer",)),
+}  # fmt: skip
 WHOLE_FILE = "a whole file of that kind"
 
 

@@ -13,10 +13,11 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..field import cleaning, codes, store, store_folder
-from ..field.build import build, lattice_for
+from ..field.build import build
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.heightfield import HeightField
 from ..field.lands import LANDS
+from ..field.lattice import lattice_for
 from .drafts import common_report_entries, drafted
 from .height_range import fit_heights
 from .plausibility import ValueCheck, relief_warning
@@ -59,10 +60,10 @@ def run_import(
             return report
         place = _place(settings, raster)
         width, height = (max(count, 2) for count in _size(raster, place))
+        lattice = lattice_for(width, height, place.step_x, place.step_y, settings.source)
         given = settings
         settings, notes = fit_heights(settings, raster, place.step_x * (width - 1), _blocks)
         raster.warnings += notes
-        lattice = lattice_for(width, height, place.step_x, place.step_y, settings.source)
         with drafted(path, folder, lattice, doubt=DOUBT) as draft:
             field, check = _build(settings, raster, place, draft, (height, width), on_progress)
             field = field.with_raster(provenance=_provenance(given, raster))

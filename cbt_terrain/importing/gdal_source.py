@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rasters through rasterio (GDAL): GeoTIFF, BigTIFF, COG, SRTM .hgt, PNG, ASCII grid, raw with an ESRI header, VRT.
+"""Rasters through rasterio (GDAL), each format by its own driver (source_formats.py).
 
 Functions import rasterio, because its libraries must not meet those of Blender. They run in the import's child process,
 which first calls `keep_only_drivers`.
@@ -18,14 +18,16 @@ from ..errors import TerrainError, shown
 from ..field.georeference import Georeference, from_transform
 from ..run.named_file import open_regular
 from .band_notes import WHOLE_FILE, band_notes, content_hint, float_alpha
+from .driver_gaps import band_facts
 from .file_grid import FileGrid, grid_of, has_shear, unit_of
+from .format_choice import format_of
 from .header_files import check_header, check_length
 from .length_scale import length_warnings, mirror_warnings
 from .png_file import png_damage
 from .raster import ImportSettings, Raster, blank, cause
 from .rounding import SourceRounding, band_rounding
 from .sidecars import allow_aux_file, named_crs
-from .source_formats import FORMATS
+from .source_formats import FORMATS, SourceFormat
 from .tiff_orientation import orientation_notes, orientation_of, oriented
 from .units import height_unit
 from .vrt_rounding import mosaic_roundings
@@ -35,10 +37,7 @@ from .vrt_units import HeightScale, dataset_scales, mosaic_notes
 if TYPE_CHECKING:
     from rasterio import DatasetReader
 
-# GDAL may try only the driver of a file's suffix.
-DRIVERS = {suffix: form.driver for suffix, form in FORMATS.items() if form.driver}
-# The drivers of files that a VRT may name.
-MOSAIC_DRIVERS = {suffix: form.driver for suffix, form in FORMATS.items() if form.in_mosaic}
+MOSAIC_SUFFIXES = {suffix for suffix, form in FORMATS.items() if form.in_mosaic}  # of files that a VRT may name
 MAX_BANDS = 1024  # more than any height map has; interleaved bands are all read
 # Bytes of the smallest piece of a file that can be read: a tile or strip, with all its bands if they are interleaved.
 LARGEST_BLOCK = 256 << 20
@@ -54,15 +53,14 @@ OPTIONS = {
 }
 
 
-def keep_only_drivers(suffix: str) -> list[str]:
-    """Remove all GDAL drivers that a file with `suffix` does not need from this process, and return the others.
+def keep_only_drivers(wanted: set[str]) -> list[str]:
+    """Remove all other GDAL drivers from this process, and return those that remain.
 
     Raises TerrainError if more drivers remain, because files could use them.
     """
     import rasterio
     from rasterio import _env
 
-    wanted = set(MOSAIC_DRIVERS.values()) if suffix == ".vrt" else {DRIVERS[suffix]}
     with rasterio.Env() as env:
         known = set(env.drivers())
     os.environ["GDAL_SKIP"] = ",".join(sorted(known - wanted))  # is read when drivers are registered
@@ -81,9 +79,10 @@ def keep_only_drivers(suffix: str) -> list[str]:
 
 def open_raster(path: Path, settings: ImportSettings) -> Raster:
     """Open a raster file. Raises TerrainError if GDAL cannot."""
-    driver = DRIVERS[path.suffix.lower()]
+    form = format_of(path)
+    driver = form.driver
     try:
-        return _open_raster(path.absolute(), driver, settings)
+        return _open_raster(path.absolute(), form, settings)
     except TerrainError:
         raise
     except Exception as reason:  # GDAL has many classes of errors, and odd tags raise late
@@ -92,7 +91,7 @@ def open_raster(path: Path, settings: ImportSettings) -> Raster:
         ) from reason
 
 
-def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
+def _open_raster(path: Path, form: SourceFormat, settings: ImportSettings) -> Raster:
     """Open a file with GDAL and return its band `settings.band` as a raster.
 
     The file stays open until the raster's `close` is called. The georeference, the unit of heights and the rounding of
@@ -102,11 +101,12 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
     import rasterio
     from rasterio.enums import MaskFlags
 
+    driver = form.driver
     rasterio.Env(**OPTIONS).__enter__()  # for the rest of this process
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the report warns about a raster without a georeference
         notes = [] if driver == "VRT" else allow_aux_file(path)
-        opened = _open_vrt(path) if driver == "VRT" else (_open_file(path, driver), [], None, {}, {})
+        opened = _open_vrt(path) if driver == "VRT" else (_open_file(path, form), [], None, {}, {})
     dataset, texts, mosaic, roundings, scales = opened
     band = settings.band
     if not 1 <= band <= dataset.count:
@@ -114,11 +114,13 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
     if dataset.dtypes[band - 1].startswith("complex"):
         raise TerrainError(f"{path} holds {dataset.dtypes[band - 1]} values", expected="real numbers")
     stored = np.dtype(dataset.dtypes[band - 1])
-    grid = _grid_of(dataset, settings)
+    facts = band_facts(path, dataset, band, _grid_of(dataset, settings))
+    grid = facts.grid
     if grid.transform is not None and grid.crs is None and driver != "VRT":
         grid = grid._replace(crs=named_crs(path, notes))
-    in_metres, unit_warnings = height_unit((dataset.units[band - 1] or "").strip(), grid.crs or dataset.crs)
-    notes += [*band_notes(dataset, band, driver), *unit_warnings]
+    in_metres, unit_warnings = height_unit(facts.unit, grid.crs or dataset.crs)
+    in_metres *= facts.factor
+    notes += [*band_notes(dataset, band, driver), *facts.notes, *unit_warnings]
     found: tuple[SourceRounding, ...] = (band_rounding(dataset, band),)
     if mosaic is not None:
         found = mosaic_roundings(mosaic, band, str(stored), lambda *of: roundings.get(of))
@@ -161,7 +163,7 @@ def _open_raster(path: Path, driver: str, settings: ImportSettings) -> Raster:
         placed,
         georeference=georeference,
         is_sized=is_sized,
-        has_unit=bool(dataset.units[band - 1]),
+        has_unit=bool(facts.unit),
         projected_from=projected_from,
         scale=dataset.scales[band - 1] * in_metres,
         offset=dataset.offsets[band - 1] * in_metres,
@@ -189,18 +191,37 @@ def _resampled(path: Path, original: Raster, view: "DatasetReader", band: int) -
     )
 
 
-def _open_file(path: Path, driver: str) -> "DatasetReader":
-    """Open the dataset of one file. Raises TerrainError if its smallest readable piece is too large."""
+def _open_file(path: Path, form: SourceFormat) -> "DatasetReader":
+    """Open the dataset of one file. Raises TerrainError if it, or its smallest readable piece, is too large."""
     import rasterio
 
-    if driver == "PNG":
+    if form.max_bytes and path.stat().st_size > form.max_bytes:
+        raise TerrainError(
+            f"{shown(path)} has {path.stat().st_size / 1e6:,.0f} MB of text",
+            expected=f"{form.max_bytes / 1e6:,.0f} MB at most in a file of {form.title}",
+            fix="convert it to a GeoTIFF (gdal_translate)",
+        )
+    if form.driver == "PNG":
         _check_png(path)
-    header = check_header(path) if FORMATS[path.suffix.lower()].has_header else None
-    dataset = rasterio.open(path, driver=driver, sharing=False)
+    header = check_header(path) if form.has_header else None
+    dataset = rasterio.open(path, driver=form.driver, sharing=False)
+    _check_files(path, dataset)
     _check_blocks(path, dataset)
     if header is not None:
         check_length(path, header, dataset)
     return dataset
+
+
+def _check_files(path: Path, dataset) -> None:
+    """Refuse a file that names samples in another folder. Raises TerrainError."""
+    home = os.path.realpath(path.parent)
+    for name in dataset.files:
+        if os.path.realpath(os.path.dirname(name)) != home:
+            raise TerrainError(
+                f"{shown(path)} names the file {shown(name)!r}",
+                expected="its parts in its own folder",
+                fix="convert it to a GeoTIFF (gdal_translate) if you trust it",
+            )
 
 
 def _check_png(path: Path) -> None:
@@ -220,23 +241,23 @@ def _open_vrt(path: Path) -> tuple:
     import rasterio
     from rasterio.env import setenv
 
-    mosaic = read_mosaic(path, set(MOSAIC_DRIVERS))
+    mosaic = read_mosaic(path, MOSAIC_SUFFIXES)
     roundings: dict[tuple[Path, int], SourceRounding] = {}
     scales: dict[tuple[Path, int], HeightScale] = {}
     for source in mosaic.sources:
-        driver = DRIVERS[source.suffix.lower()]
-        if driver == "VRT":
+        form = FORMATS[source.suffix.lower()]
+        if form.driver == "VRT":
             continue
         allow_aux_file(source)  # the mosaic gets nothing of it
         try:
-            with _open_file(source, driver) as opened:
+            with _open_file(source, form) as opened:
                 roundings |= {(source, n): band_rounding(opened, n) for n in range(1, opened.count + 1)}
                 scales |= {(source, n): scale for n, scale in enumerate(dataset_scales(opened), 1)}
         except TerrainError:
             raise
         except Exception as reason:
             raise TerrainError(
-                f"{shown(source)}, a source of {shown(path)}, cannot be read as {driver} ({cause(reason)})",
+                f"{shown(source)}, a source of {shown(path)}, cannot be read as {form.driver} ({cause(reason)})",
                 expected=WHOLE_FILE,
             ) from reason
         finally:

@@ -10,30 +10,48 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ...kernels import remove_temporary_cache
-from ..errors import unwritable
+from ..errors import TerrainError, shown, unwritable
 from ..field import store_folder
 from ..run.memory import physical_memory
 from ..run.owned_files import open_folder
 from . import sandbox
+from .format_choice import format_of
 from .gdal_source import keep_only_drivers
 from .raster import ImportSettings
-from .source_formats import FORMATS
+from .source_formats import SourceFormat, drivers_of
 
 # The child's environment: no network for PROJ, and no other threads, which would keep their rights.
 VARIABLES = {"PROJ_NETWORK": "OFF", "GDAL_DRIVER_PATH": "disable", "OPENBLAS_NUM_THREADS": "1"}
 
 
-def guard(suffix: str, folder: Path | None) -> dict[str, str]:
-    """Drop this process's rights before a file with `suffix` is opened, and return the report of `sandbox.enter`.
+def guard(path: Path, folder: Path | None) -> dict[str, str]:
+    """Drop this process's rights before a file is opened, and return the report of `sandbox.enter`.
 
-    folder: where this process may still write. Raises TerrainError if GDAL keeps drivers that the file does not need.
+    folder: where this process may still write. Raises TerrainError if GDAL keeps drivers that the file does not need,
+    and for a format with a large parser if a right remains.
     """
-    if suffix in FORMATS:
-        FORMATS[suffix].load()
-        if FORMATS[suffix].driver:
-            keep_only_drivers(suffix)
+    form = format_of(path)
+    if form is not None:
+        form.load()
+        if form.driver:
+            keep_only_drivers(drivers_of(form))
     remove_temporary_cache()  # not possible later
-    return {**sandbox.enter(folder), "memory": sandbox.limit_memory(physical_memory() // 2)}
+    rights = sandbox.enter(folder)
+    if form is not None and form.is_large:
+        _check_rights(path, form, rights)
+    return {**rights, "memory": sandbox.limit_memory(physical_memory() // 2)}
+
+
+def _check_rights(path: Path, form: SourceFormat, rights: dict[str, str]) -> None:
+    """Raise TerrainError if this process keeps a right, since the parser of the format is too large to trust."""
+    kept = next((f"{name} {text}" for name, text in rights.items() if text != "dropped"), "")
+    if kept:
+        raise TerrainError(
+            f"{shown(path)} is not read here, because the parser of {form.title} is large and runs only in a process "
+            f"without any rights ({kept})",
+            expected="Linux 5.19 or later with Landlock and seccomp",
+            fix="import it there, or convert it to a GeoTIFF (gdal_translate) if you trust it",
+        )
 
 
 def guard_import(settings: ImportSettings, path: Path) -> None:
@@ -54,7 +72,7 @@ def guard_import(settings: ImportSettings, path: Path) -> None:
             pass
     except OSError as reason:
         raise unwritable(f"The store {path}", reason) from reason
-    guard(Path(settings.source).suffix.lower(), path)
+    guard(Path(settings.source), path)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 # Significant bits of GDAL's float32, by the bits that a TIFF stores.
 HALF_BITS, FLOAT32_BITS = 11, 24
 TIFF_FLOAT_BITS = {"16": HALF_BITS, "24": 17}
-LOSSY = ("JPEG", "YCbCr JPEG", "JXL", "WEBP")
+LOSSY = ("JPEG", "YCbCr JPEG", "JXL", "WEBP", "JPEG2000")
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,8 @@ def band_rounding(dataset: "DatasetReader", band: int) -> SourceRounding:
         error = float(of_file.get("MAX_Z_ERROR", 0.0))
     except ValueError:
         error = 0.0
-    method = of_file.get("COMPRESSION", "")
-    is_lossy = method in LOSSY and of_file.get("COMPRESSION_REVERSIBILITY", "LOSSY") != "LOSSLESS"
+    method = of_file.get("COMPRESSION") or of_band.get("COMPRESSION") or dataset.driver
+    is_lossy = method in LOSSY and not of_file.get("COMPRESSION_REVERSIBILITY", "LOSSY").startswith("LOSSLESS")
     error = error if error > 0.0 and math.isfinite(error) else 0.0
     return SourceRounding(stored, bits, error, is_cut=bits > 0, lossy=method if is_lossy else "")  # GDAL cuts them off
 

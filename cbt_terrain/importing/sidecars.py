@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 AUX = ".aux.xml"
 SUFFIXES = (
     *(".prj", ".tfw", ".tifw", ".tiffw", ".pgw", ".pngw", ".wld", ".tab", AUX),
-    *(".hdr", ".stx", ".clr", ".ovr", ".msk"),
+    *(".hdr", ".stx", ".clr", ".ovr", ".msk", ".sgrd", ".ige", ".rrd", ".j2w", ".wpw", ".blw"),
 )
 MAX_BYTES, MAX_DEPTH = 16 << 20, 64
 # A code or WKT. GDAL's other notations for a coordinate system may name a file.

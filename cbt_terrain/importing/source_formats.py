@@ -7,7 +7,7 @@ from importlib import import_module
 from pkgutil import resolve_name
 
 GDAL = "gdal_source:open_raster"
-RAW, BAND, CHANNEL = "raw", "band", "channel"
+RAW, BAND, CHANNEL, ENCODING, CELL = "raw", "band", "channel", "encoding", "cell"
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,14 @@ class SourceFormat:
         in_mosaic: whether a VRT may name such files.
         has_header: whether an ESRI header beside a file describes its samples.
         is_raw_alone: whether a file without its header is read as RAW.
-        options: settings that apply to the format only, of RAW, BAND and CHANNEL.
+        options: settings that apply to the format only, of RAW, BAND, CHANNEL, ENCODING and CELL.
         library: module that must be imported before the child process gives up its rights.
+        starts: first bytes that tell one of `others`; () for plain text.
+        others: further formats with the same suffix (format_choice.py).
+        is_large: whether its parser is so large that it runs only where the child gives up all rights (guard.py).
+        max_bytes: of a file; 0 for no limit.
+        raw_dtype: type of RAW samples, unless the settings give another one of that size; "" for theirs.
+        is_archive: whether a file holds another one that has to be unpacked first (archives.py).
     """
 
     title: str
@@ -34,6 +40,12 @@ class SourceFormat:
     is_raw_alone: bool = False
     options: tuple[str, ...] = (BAND,)
     library: str = ""
+    starts: tuple[bytes, ...] = ()
+    others: "tuple[SourceFormat, ...]" = ()
+    is_large: bool = False
+    max_bytes: int = 0
+    raw_dtype: str = ""
+    is_archive: bool = False
 
     def load(self) -> Callable:
         """Import and return the function that opens a file."""
@@ -42,30 +54,61 @@ class SourceFormat:
         return resolve_name(f"{__package__}.{self.opener}")
 
 
-_TIFF = SourceFormat("GeoTIFF", driver="GTiff", in_mosaic=True)
+_IMAGE = (BAND, ENCODING)
+_TIFF = SourceFormat("GeoTIFF", driver="GTiff", in_mosaic=True, options=_IMAGE)
 _BIL = SourceFormat("BIL", driver="EHdr", has_header=True, is_raw_alone=True)
 _RAW = SourceFormat("RAW", "sources:open_raw", options=(RAW,))
+_DTED = SourceFormat("DTED", driver="DTED")
+_NETCDF = SourceFormat("netCDF", driver="netCDF", is_large=True)
+_GRIB = SourceFormat("GRIB", driver="GRIB", is_large=True)
+_SURFER = (
+    SourceFormat("Surfer 6", driver="GSBG", starts=(b"DSBB",)),
+    SourceFormat("Surfer 7", driver="GS7BG", starts=(b"DSRB",)),
+    SourceFormat("Surfer text", driver="GSAG", starts=(b"DSAA",)),
+)
+_USGS_DEM = SourceFormat("USGS DEM", driver="USGSDEM")
 FORMATS = {
     ".tif": _TIFF,
     ".tiff": _TIFF,
     ".hgt": SourceFormat("SRTM", driver="SRTMHGT", in_mosaic=True),
-    ".png": SourceFormat("PNG", driver="PNG", in_mosaic=True),
+    ".png": SourceFormat("PNG", driver="PNG", in_mosaic=True, options=_IMAGE),
     ".asc": SourceFormat("ASCII grid", driver="AAIGrid", in_mosaic=True),
     ".vrt": SourceFormat("VRT", driver="VRT", in_mosaic=True),
     ".bil": _BIL,
     ".bip": _BIL,
     ".bsq": _BIL,
     ".flt": _BIL,
-    ".dem": SourceFormat("GTOPO30", driver="EHdr", has_header=True),  # without a header most often a text of the USGS
+    ".dem": SourceFormat("GTOPO30", driver="EHdr", has_header=True, others=(_USGS_DEM,)),
+    ".img": SourceFormat("Erdas Imagine", driver="HFA"),
+    ".dt0": _DTED,
+    ".dt1": _DTED,
+    ".dt2": _DTED,
+    ".nc": _NETCDF,
+    ".grd": SourceFormat("GMT grid", driver="netCDF", is_large=True, others=_SURFER),
+    ".grb": _GRIB,
+    ".grb2": _GRIB,
+    ".jp2": SourceFormat("JPEG 2000", driver="JP2OpenJPEG", is_large=True, options=_IMAGE),
+    ".webp": SourceFormat("WebP", driver="WEBP", options=_IMAGE),
+    ".xyz": SourceFormat("XYZ", driver="XYZ", max_bytes=1 << 29),
+    ".bt": SourceFormat("Binary terrain", driver="BT"),
+    ".ter": SourceFormat("Terragen", driver="Terragen"),
+    ".sdat": SourceFormat("SAGA", driver="SAGA"),
     ".exr": SourceFormat("OpenEXR", "exr_source:open_exr", options=(CHANNEL,), library="OpenEXR"),
     ".npy": SourceFormat("NumPy", "sources:open_npy", options=()),
     ".raw": _RAW,
     ".r16": _RAW,
-    ".r32": _RAW,
+    ".r32": SourceFormat("RAW", "sources:open_raw", options=(RAW,), raw_dtype="float32"),
     ".bin": _RAW,
 }
 
 
 def suffixes_with(option: str) -> tuple[str, ...]:
-    """Return the suffixes of files that an option of RAW, BAND and CHANNEL applies to."""
+    """Return the suffixes of files that an option of RAW, BAND, CHANNEL, ENCODING and CELL applies to."""
     return tuple(suffix for suffix, form in FORMATS.items() if option in form.options)
+
+
+def drivers_of(form: SourceFormat) -> set[str]:
+    """Return the GDAL drivers that a file of a format needs: its own, or those of all files that a VRT may name."""
+    if form.driver == "VRT":
+        return {other.driver for other in FORMATS.values() if other.in_mosaic}
+    return {form.driver} - {""}

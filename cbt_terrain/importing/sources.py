@@ -11,6 +11,7 @@ from ..errors import TerrainError, shown
 from ..field.georeference import Georeference
 from ..field.lands import LANDS
 from ..run.named_file import blocks_reader
+from .format_choice import format_of
 from .header_files import headless_warning, is_plain_raw
 from .raster import ImportSettings, Raster, blank
 from .source_formats import FORMATS
@@ -26,12 +27,12 @@ def open_source(settings: ImportSettings) -> Raster:
         return _open_land(settings)
     path = Path(settings.source)
     check_file(path)
-    suffix = path.suffix.lower()
     try:
         if is_plain_raw(path):
             return open_raw(path, settings)
-        if suffix in FORMATS:
-            return FORMATS[suffix].load()(path, settings)
+        form = format_of(path)
+        if form is not None:
+            return form.load()(path, settings)
     except OSError as reason:
         raise TerrainError(f"{path} cannot be read ({reason.strerror or reason})", fix="check the file") from reason
     raise TerrainError(
@@ -100,12 +101,14 @@ def open_raw(path: Path, settings: ImportSettings) -> Raster:
             f"{shown(path)} has no header beside it, so no coordinate system, and cannot be reprojected",
             fix="put its header there, or import it as it is",
         )
-    kind = np.dtype(settings.raw_dtype).newbyteorder("<" if settings.raw_little_endian else ">")
+    kind = np.dtype(settings.raw_dtype)
+    usual = np.dtype(FORMATS[path.suffix.lower()].raw_dtype or kind)
+    kind = (kind if kind.itemsize == usual.itemsize else usual).newbyteorder("<" if settings.raw_little_endian else ">")
     size = path.stat().st_size
     samples, rest = divmod(size, kind.itemsize)
     width, height = settings.raw_size or (math.isqrt(samples), math.isqrt(samples))
     if width * height * kind.itemsize != size or rest:
-        needed = f"{width} x {height} samples of {settings.raw_dtype} need {width * height * kind.itemsize}"
+        needed = f"{width} x {height} samples of {kind.name} need {width * height * kind.itemsize}"
         hint = f", or put its header {shown(path.with_suffix('.hdr').name)} beside it" if is_plain_raw(path) else ""
         raise TerrainError(
             f"{path} has {size} bytes, but {needed}",

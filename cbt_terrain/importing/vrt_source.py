@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 from xml.parsers import expat
 
 from ..errors import TerrainError, shown
+from ..field.lattice import lattice_for
 from ..run.named_file import open_regular
 from ..run.owned_files import real_path
 
@@ -110,6 +111,9 @@ def _add(path: Path, suffixes: set[str], outer: tuple[Path, ...], mosaic: Mosaic
         )
     if real not in mosaic.numbers:
         tree = _parse(path)
+        width, height = (int(tree.get(side, 0)) for side in ("rasterXSize", "rasterYSize"))
+        if not outer and min(width, height) > 1:  # before thousands of files are opened
+            lattice_for(width, height, name=shown(path))
         for name in tree.iter("SourceFilename"):
             source = _source_path(path, name, suffixes)
             mosaic.sources[source] = None

@@ -2,19 +2,34 @@
 """The table of height map formats."""
 
 import pytest
-from adaptive_terrain.cbt_terrain.importing import gdal_source, source_formats
-from adaptive_terrain.cbt_terrain.importing.source_formats import BAND, CHANNEL, FORMATS, RAW, suffixes_with
+from adaptive_terrain.cbt_terrain.importing import source_formats
+from adaptive_terrain.cbt_terrain.importing.source_formats import (
+    BAND,
+    CHANNEL,
+    ENCODING,
+    FORMATS,
+    RAW,
+    drivers_of,
+    suffixes_with,
+)
 
-TABLE = ".tif .tiff .hgt .png .asc .vrt .bil .bip .bsq .flt .dem .exr .npy .raw .r16 .r32 .bin".split()
+GDAL = ".tif .tiff .hgt .png .asc .vrt .bil .bip .bsq .flt .dem .img .dt0 .dt1 .dt2 .nc .grd .grb .grb2 .jp2".split()
+GDAL += ".webp .xyz .bt .ter .sdat".split()
+TABLE = [*GDAL, *".exr .npy .raw .r16 .r32 .bin".split()]
 
 
 def test_options_and_drivers_belong_to_the_right_suffixes():
     assert list(FORMATS) == TABLE
     assert suffixes_with(RAW) == (".raw", ".r16", ".r32", ".bin") and suffixes_with(CHANNEL) == (".exr",)
-    assert suffixes_with(BAND) == tuple(gdal_source.DRIVERS) == tuple(TABLE[:11])
-    assert sorted(gdal_source.MOSAIC_DRIVERS.values()) == ["AAIGrid", "GTiff", "GTiff", "PNG", "SRTMHGT", "VRT"]
+    assert suffixes_with(BAND) == tuple(suffix for suffix, form in FORMATS.items() if form.driver) == tuple(GDAL)
+    assert suffixes_with(ENCODING) == (".tif", ".tiff", ".png", ".jp2", ".webp")
     assert [suffix for suffix, form in FORMATS.items() if form.is_raw_alone] == [".bil", ".bip", ".bsq", ".flt"]
-    assert [suffix for suffix, form in FORMATS.items() if form.has_header] == TABLE[6:11]
+    assert [suffix for suffix, form in FORMATS.items() if form.has_header] == GDAL[6:11]
+
+
+def test_a_file_needs_its_own_driver_and_a_mosaic_those_of_its_files():
+    assert drivers_of(FORMATS[".grd"]) == {"netCDF"} and drivers_of(FORMATS[".npy"]) == set()
+    assert drivers_of(FORMATS[".vrt"]) == {"AAIGrid", "GTiff", "PNG", "SRTMHGT", "VRT"}
 
 
 @pytest.mark.parametrize("suffix", TABLE)

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.importing.gdal_source import DRIVERS
+from adaptive_terrain.cbt_terrain.importing.gdal_source import MOSAIC_SUFFIXES
 from adaptive_terrain.cbt_terrain.importing.vrt_source import _is_local, read_mosaic
 from hostile_files import PART, source, vrt
 from rasters import hills, write_raster
@@ -30,7 +30,7 @@ def test_gdal_is_given_whole_paths_and_nothing_else(tmp_path):
     write_raster(tmp_path / PART, hills(65, 33))
     (tmp_path / "in.vrt").write_text(vrt(source(PART)))
     (tmp_path / "a.vrt").write_text("<!-- <x> --><?pi?>" + vrt(source("in.vrt", more="<![CDATA[ ]]>") + source(PART)))
-    mosaic = read_mosaic(tmp_path / "a.vrt", set(DRIVERS))
+    mosaic = read_mosaic(tmp_path / "a.vrt", MOSAIC_SUFFIXES)
     assert list(mosaic.sources) == [tmp_path / "in.vrt", tmp_path / PART] and len(mosaic.texts) == 2
     inner, outer = ([n.text for n in ElementTree.fromstring(t).iter("SourceFilename")] for t in mosaic.texts)
     assert inner == [str(tmp_path / PART)]
@@ -42,4 +42,4 @@ def test_long_numbers_are_refused_at_once(tmp_path):
     for text in ("1" * 60_000 + "x", "1," * 30_000, "(" * 60_000):
         (tmp_path / "a.vrt").write_text(vrt("").replace("<VRTR", f"<GeoTransform>{text}</GeoTransform><VRTR"))
         with pytest.raises(TerrainError, match="for GeoTransform in <GeoTransform>"):
-            read_mosaic(tmp_path / "a.vrt", set(DRIVERS))
+            read_mosaic(tmp_path / "a.vrt", MOSAIC_SUFFIXES)

@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The format of a file: by its suffix and, where several formats share one, by its first bytes."""
+
+from pathlib import Path
+
+from ..run.named_file import open_regular
+from .source_formats import FORMATS, SourceFormat
+
+HEAD_BYTES = 1024  # the first record of a USGS DEM, which is text
+
+
+def format_of(path: Path) -> SourceFormat | None:
+    """Return the format of a file, None for an unknown suffix."""
+    form = FORMATS.get(path.suffix.lower())
+    if form is None or not form.others:
+        return form
+    try:
+        with open_regular(path, links=True) as file:
+            head = file.read(HEAD_BYTES)
+    except OSError:  # opening it reports that
+        return form
+    is_text = head.isascii() and head.decode("ascii").replace("\r", "").replace("\n", "").isprintable()
+    return next((other for other in form.others if (head.startswith(other.starts) if other.starts else is_text)), form)

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hard case 85: damaged files of every format that GDAL reads, in the import's sandbox."""
+
+import os
+
+import numpy as np
+import pytest
+from height_files import WRITERS, heights
+from hostile_files import damaged
+from sandboxed_reads import read_in_sandbox
+
+FILES = max(6, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 100)  # damaged ones of each format
+
+
+@pytest.mark.parametrize("names", [list(WRITERS)[::2], list(WRITERS)[1::2]], ids=["even", "odd"])
+def test_case_85_a_damaged_file_is_a_raster_or_one_error(tmp_path, names):
+    """Truncated and changed files are read or refused in one sentence: no crash, no traceback, no endless loop."""
+    random, files = np.random.default_rng(85), []
+    for name in names:
+        write, place, _ = WRITERS[name]
+        (tmp_path / "good").mkdir(exist_ok=True)
+        content = write(tmp_path / "good" / name, heights(), *place).read_bytes()
+        for number in range(FILES):
+            files.append(tmp_path / f"{number}{name}")
+            cut = content[: random.integers(1, len(content))]
+            files[-1].write_bytes(cut if number % 3 == 0 else damaged(content, random))
+            for beside in (tmp_path / "good").glob(f"{name.partition('.')[0]}.[hsp][gdr][rdj]*"):
+                (tmp_path / f"{number}{beside.name}").write_bytes(beside.read_bytes())
+    found = read_in_sandbox(files)
+    assert {outcome for outcome, _ in found} <= {"read", "error"}, [x for x in found if x[0] not in ("read", "error")]
+    errors = [text for outcome, text in found if outcome == "error"]
+    assert len(errors) > len(files) / 4
+    assert all("\n" not in text and text.endswith(".") and len(text) < 900 for text in errors)

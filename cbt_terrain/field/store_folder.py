@@ -130,8 +130,9 @@ def discard(path: Path, folder: str, new_folders: list[Path]) -> None:
     """
     if named_folder(path) == path / folder:
         return
-    with suppress(OSError, NotOursError):
-        remove_arrays(path / folder)
+    for name in (folder, scratch_name(folder)):
+        with suppress(OSError, NotOursError):
+            remove_arrays(path / name)
     with suppress(OSError, NotOursError):  # another import has written there
         for parent in new_folders:
             owned_files.remove_empty(parent)
@@ -160,6 +161,12 @@ def _is_named(path: Path, folder: Path) -> bool:
 def new_data_name() -> str:
     """Return the name of a new folder of arrays."""
     return f"{DATA_PREFIX}{partial_files.new_token()}"
+
+
+def scratch_name(folder: str) -> str:
+    """Return the name of the folder for temporary files beside a folder of arrays. Both carry the machine's mark."""
+    token = folder.removeprefix(DATA_PREFIX)
+    return f"{DATA_PREFIX}{token[:8]}{token[:7:-1]}"
 
 
 def remove_abandoned(path: Path) -> None:

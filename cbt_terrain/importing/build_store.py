@@ -18,6 +18,7 @@ from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.heightfield import HeightField
 from ..field.lands import LANDS
 from ..field.lattice import lattice_for
+from .archives import is_archive, unpacked
 from .drafts import common_report_entries, drafted
 from .height_range import fit_heights
 from .plausibility import ValueCheck, relief_warning
@@ -48,12 +49,22 @@ def run_import(
 
     Raises TerrainError.
     """
-    started = time.monotonic()
     store_folder.check_target(path)
+    settings.check()
+    path, source, folder = Path(path), Path(settings.source), folder or store_folder.new_data_name()
+    if is_archive(source):
+        check_file(source)
+    with unpacked(source, path / store_folder.scratch_name(folder)) as file:
+        return _import_file(settings, file, path, folder, on_progress)
+
+
+def _import_file(given: ImportSettings, file: Path, path: Path, folder: str, on_progress) -> dict:
+    """Import a file, which may be unpacked from the source that the settings name."""
+    started = time.monotonic()
+    settings = dataclasses.replace(given, source=str(file)) if is_archive(Path(given.source)) else given
     raster = open_source(settings)
-    path = Path(path)
     try:
-        digest = source_digest(settings, raster.sources)
+        digest = source_digest(given, raster.sources)
         # The sources of a mosaic are known only now. For all other files the caller has checked this already.
         report = finished_before(path, digest) if raster.sources else None
         if report is not None:
@@ -61,7 +72,6 @@ def run_import(
         place = _place(settings, raster)
         width, height = (max(count, 2) for count in _size(raster, place))
         lattice = lattice_for(width, height, place.step_x, place.step_y, settings.source)
-        given = settings
         settings, notes = fit_heights(settings, raster, place.step_x * (width - 1), _blocks)
         raster.warnings += notes
         with drafted(path, folder, lattice, doubt=DOUBT) as draft:
@@ -70,6 +80,7 @@ def run_import(
             report = _report(field, raster, place)
             if settings.source not in LANDS:
                 report["warnings"] += _implausible(raster, settings, place, report, check)
+            report["warnings"] = [text.replace(str(file), given.source) for text in report["warnings"]]
             report["seconds"] = round(time.monotonic() - started, 3)
             draft.publish(field, digest, report)
         return report

@@ -37,7 +37,7 @@ class BandFacts(NamedTuple):
 
 
 def band_facts(path: Path, dataset, band: int, grid: FileGrid) -> BandFacts:
-    """Return a band's grid and unit, corrected by what the driver leaves out. grid: as GDAL reports it."""
+    """Return a band's grid and unit, corrected by facts that the driver leaves out. grid: as GDAL reports it."""
     facts = BandFacts(grid, (dataset.units[band - 1] or "").strip())
     correct = _CORRECTIONS.get(dataset.driver)
     return facts if correct is None else correct(path, dataset, band, facts)

@@ -4,6 +4,7 @@
 from pathlib import Path
 
 from ..run.named_file import open_regular
+from . import archives
 from .source_formats import FORMATS, SourceFormat
 
 HEAD_BYTES = 1024  # the first record of a USGS DEM, which is text
@@ -16,8 +17,20 @@ def format_of(path: Path) -> SourceFormat | None:
         return form
     try:
         with open_regular(path, links=True) as file:
-            head = file.read(HEAD_BYTES)
+            return _choose(form, file.read(HEAD_BYTES))
     except OSError:  # opening it reports that
         return form
+
+
+def inner_format(path: Path) -> SourceFormat | None:
+    """Return the format of a file, or of the height map in an archive. Raises TerrainError for an unusable archive."""
+    if not archives.is_archive(path):
+        return format_of(path)
+    form = FORMATS[archives.inner_path(path).suffix.lower()]
+    return _choose(form, archives.read_head(path, HEAD_BYTES)) if form.others else form
+
+
+def _choose(form: SourceFormat, head: bytes) -> SourceFormat:
+    """Return the format, or one of its others, by the first bytes of a file."""
     is_text = head.isascii() and head.decode("ascii").replace("\r", "").replace("\n", "").isprintable()
     return next((other for other in form.others if (head.startswith(other.starts) if other.starts else is_text)), form)

@@ -15,7 +15,7 @@ from ..field import store_folder
 from ..run.memory import physical_memory
 from ..run.owned_files import open_folder
 from . import sandbox
-from .format_choice import format_of
+from .format_choice import inner_format
 from .gdal_source import keep_only_drivers
 from .raster import ImportSettings
 from .source_formats import SourceFormat, drivers_of
@@ -30,7 +30,7 @@ def guard(path: Path, folder: Path | None) -> dict[str, str]:
     folder: where this process may still write. Raises TerrainError if GDAL keeps drivers that the file does not need,
     and for a format with a large parser if a right remains.
     """
-    form = format_of(path)
+    form = inner_format(path)
     if form is not None:
         form.load()
         if form.driver:
@@ -44,11 +44,11 @@ def guard(path: Path, folder: Path | None) -> dict[str, str]:
 
 def _check_rights(path: Path, form: SourceFormat, rights: dict[str, str]) -> None:
     """Raise TerrainError if this process keeps a right, since the parser of the format is too large to trust."""
-    kept = next((f"{name} {text}" for name, text in rights.items() if text != "dropped"), "")
-    if kept:
+    right = next((f"{name} {text}" for name, text in rights.items() if text != "dropped"), "")
+    if right:
         raise TerrainError(
             f"{shown(path)} is not read here, because the parser of {form.title} is large and runs only in a process "
-            f"without any rights ({kept})",
+            f"without any rights ({right})",
             expected="Linux 5.19 or later with Landlock and seccomp",
             fix="import it there, or convert it to a GeoTIFF (gdal_translate) if you trust it",
         )

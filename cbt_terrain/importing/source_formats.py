@@ -67,6 +67,7 @@ _SURFER = (
     SourceFormat("Surfer text", driver="GSAG", starts=(b"DSAA",)),
 )
 _USGS_DEM = SourceFormat("USGS DEM", driver="USGSDEM")
+_ARCHIVE = SourceFormat("archive of one", "archives:open_archive", options=_IMAGE, is_archive=True)
 FORMATS = {
     ".tif": _TIFF,
     ".tiff": _TIFF,
@@ -99,6 +100,8 @@ FORMATS = {
     ".r16": _RAW,
     ".r32": SourceFormat("RAW", "sources:open_raw", options=(RAW,), raw_dtype="float32"),
     ".bin": _RAW,
+    ".zip": _ARCHIVE,
+    ".gz": _ARCHIVE,
 }
 
 

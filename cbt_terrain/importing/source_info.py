@@ -3,13 +3,16 @@
 
 import dataclasses
 import platform
+import tempfile
 from importlib import metadata
 from pathlib import Path
 
+from ..field import store_folder
 from ..field.lands import LANDS
 from ..run import child
+from .archives import is_archive, unpacked
 from .guard import guard
-from .raster import ImportSettings
+from .raster import ImportSettings, Raster
 from .sources import check_file, open_source
 from .store_job import ask, serve
 
@@ -19,7 +22,8 @@ def describe_source(settings: ImportSettings) -> dict:
     settings.check()
     if settings.source not in LANDS:
         check_file(Path(settings.source))
-    return _ask({"settings": dataclasses.asdict(settings)}, settings.source)
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:  # the child cannot remove it
+        return _ask({"settings": dataclasses.asdict(settings), "scratch": scratch}, settings.source)
 
 
 def versions() -> dict:
@@ -51,17 +55,24 @@ def child_main() -> None:
 
 def _answer(request: dict, *_: object) -> dict:
     settings = request["settings"]
-    return _gdal_versions() if settings is None else _describe(ImportSettings(**settings))
+    return _gdal_versions() if settings is None else _describe(ImportSettings(**settings), Path(request["scratch"]))
 
 
-def _describe(settings: ImportSettings) -> dict:
+def _describe(settings: ImportSettings, scratch: Path) -> dict:
     """Return the facts of a height map, in a child process that first gives up its rights.
 
-    Lengths are metres, except `middle`, in the unit of the file's coordinate system.
+    Lengths are metres, except `middle`, in the unit of the file's coordinate system. An archive is unpacked in a folder
+    of `scratch`.
     """
-    guard(Path(settings.source), None)
+    source = Path(settings.source)
+    guard(source, scratch if is_archive(source) else None)
     child.end_with_parent()
-    raster = open_source(settings)
+    with unpacked(source, scratch / store_folder.new_data_name()) as file:
+        return _fields(settings, open_source(dataclasses.replace(settings, source=str(file))))
+
+
+def _fields(settings: ImportSettings, raster: Raster) -> dict:
+    """Return the facts of an opened raster, and close it."""
     try:
         place = raster.georeference
         fields: dict[str, object] = {"path": settings.source, "format": raster.format, "stored": raster.stored}

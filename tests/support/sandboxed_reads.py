@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reading of many height maps in the import's sandbox, each in a process of its own that is forked from one program."""
+"""Reading of many height maps in the import's sandbox, one forked process for each."""
 
 import json
 import subprocess
@@ -16,7 +16,8 @@ from adaptive_terrain.cbt_terrain.importing import guard, sources
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 
 def read(path):
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    for descriptor in (1, 2):  # some drivers print
+        os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
     try:
         guard.guard(Path(path), None)
         raster = sources.open_source(ImportSettings(path))

@@ -15,19 +15,20 @@ from adaptive_terrain.cbt_terrain.importing.source_formats import (
 
 GDAL = ".tif .tiff .hgt .png .asc .vrt .bil .bip .bsq .flt .dem .img .dt0 .dt1 .dt2 .nc .grd .grb .grb2 .jp2".split()
 GDAL += ".webp .xyz .bt .ter .sdat".split()
-TABLE = [*GDAL, *".exr .npy .raw .r16 .r32 .bin".split()]
+TABLE = [*GDAL, *".exr .npy .raw .r16 .r32 .bin .zip .gz".split()]
 
 
 def test_options_and_drivers_belong_to_the_right_suffixes():
     assert list(FORMATS) == TABLE
     assert suffixes_with(RAW) == (".raw", ".r16", ".r32", ".bin") and suffixes_with(CHANNEL) == (".exr",)
-    assert suffixes_with(BAND) == tuple(suffix for suffix, form in FORMATS.items() if form.driver) == tuple(GDAL)
-    assert suffixes_with(ENCODING) == (".tif", ".tiff", ".png", ".jp2", ".webp")
+    assert [suffix for suffix, form in FORMATS.items() if form.driver] == GDAL
+    assert suffixes_with(BAND) == (*GDAL, ".zip", ".gz")
+    assert suffixes_with(ENCODING) == (".tif", ".tiff", ".png", ".jp2", ".webp", ".zip", ".gz")
     assert [suffix for suffix, form in FORMATS.items() if form.is_raw_alone] == [".bil", ".bip", ".bsq", ".flt"]
     assert [suffix for suffix, form in FORMATS.items() if form.has_header] == GDAL[6:11]
 
 
-def test_a_file_needs_its_own_driver_and_a_mosaic_those_of_its_files():
+def test_a_file_needs_its_driver_and_a_mosaic_several():
     assert drivers_of(FORMATS[".grd"]) == {"netCDF"} and drivers_of(FORMATS[".npy"]) == set()
     assert drivers_of(FORMATS[".vrt"]) == {"AAIGrid", "GTiff", "PNG", "SRTMHGT", "VRT"}
 
@@ -37,7 +38,7 @@ def test_every_format_has_a_function_that_opens_it(suffix):
     form = FORMATS[suffix]
     module, name = form.opener.split(":")
     assert name.startswith("open_") and (form.library or form.load().__name__ == name)
-    assert module in ("gdal_source", "exr_source", "sources")
+    assert module in ("gdal_source", "exr_source", "sources", "archives")
 
 
 def test_a_new_format_needs_an_entry_only(tmp_path, monkeypatch):

@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..field.georeference import Georeference
 from ..field.store_arrays import map_array, write_array
+from ..importing.coded_heights import PLAIN
 from ..importing.guard import guard
 from ..importing.raster import ImportSettings
 from ..importing.sources import check_file, open_source
@@ -45,7 +46,7 @@ def _read(request: dict, *_: object) -> list[int]:
     path, cached = Path(request["file"]), Path(request["folder"]) / f"{request['key']}.npy"
     guard(path, cached.parent)
     child.end_with_parent()
-    raster = open_source(ImportSettings(str(path)))
+    raster = open_source(ImportSettings(str(path), encoding=PLAIN))
     try:
         if raster.width * raster.height > MAX_SAMPLES:
             raise TerrainError(

@@ -38,7 +38,7 @@ def band_notes(dataset: "DatasetReader", band: int, driver: str) -> list[str]:
         what = f"The PNG has {dataset.count} channels" if is_picture else f"The file has {dataset.count} bands"
         notes.append(f"{what}; band {band} is taken as the height. If another one is, give its number (--band).")
     if len(others) >= 2 and all(kind == "uint8" for kind in dataset.dtypes[:3]):
-        notes[-1] += " Heights packed into colours (Terrarium, Terrain-RGB) are not read: unpack them into a GeoTIFF."
+        notes[-1] += " If heights are coded in its colours, name the encoding (--encoding terrarium or mapbox)."
     if dataset.colorinterp[band - 1] == ColorInterp.palette:
         notes.append("The file's samples are numbers of colours in a palette, not heights: save it as grey values.")
     if dataset.dtypes[band - 1] in ("uint8", "int8"):

@@ -8,9 +8,9 @@ which first calls `keep_only_drivers`.
 import dataclasses
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from ..errors import TerrainError, shown
 from ..field.georeference import Georeference, from_transform
 from ..run.named_file import open_regular
 from .band_notes import WHOLE_FILE, band_notes, content_hint, float_alpha
+from .coded_heights import decoded
 from .driver_gaps import band_facts
 from .file_grid import FileGrid, grid_of, has_shear, unit_of
 from .format_choice import format_of
@@ -31,7 +32,7 @@ from .source_formats import FORMATS, SourceFormat
 from .tiff_orientation import orientation_notes, orientation_of, oriented
 from .units import height_unit
 from .vrt_rounding import mosaic_roundings
-from .vrt_source import read_mosaic
+from .vrt_source import Mosaic, read_mosaic
 from .vrt_units import HeightScale, dataset_scales, mosaic_notes
 
 if TYPE_CHECKING:
@@ -51,6 +52,24 @@ OPTIONS = {
     "GDAL_VRT_ENABLE_PYTHON": "NO",
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
 }
+
+
+class OpenedVrt(NamedTuple):
+    """An open VRT.
+
+    Attributes:
+        dataset: a rasterio dataset.
+        texts: its files in memory, which must live as long.
+        mosaic: the VRT as it was read.
+        roundings: rounding of each band of each file, by path and number.
+        scales: conversion to heights, by the same.
+    """
+
+    dataset: "DatasetReader"
+    texts: list
+    mosaic: Mosaic
+    roundings: dict
+    scales: dict
 
 
 def keep_only_drivers(wanted: set[str]) -> list[str]:
@@ -91,24 +110,41 @@ def open_raster(path: Path, settings: ImportSettings) -> Raster:
         ) from reason
 
 
-def _open_raster(path: Path, form: SourceFormat, settings: ImportSettings) -> Raster:
-    """Open a file with GDAL and return its band `settings.band` as a raster.
-
-    The file stays open until the raster's `close` is called. The georeference, the unit of heights and the rounding of
-    stored values come from the file; a VRT's from its sources. The raster is reprojected if the settings request it or
-    its grid is sheared. Raises TerrainError for a missing band or complex values.
-    """
+def start_gdal() -> None:
+    """Set GDAL's options for the rest of this process."""
     import rasterio
-    from rasterio.enums import MaskFlags
 
-    driver = form.driver
-    rasterio.Env(**OPTIONS).__enter__()  # for the rest of this process
+    rasterio.Env(**OPTIONS).__enter__()
+
+
+def _open_raster(path: Path, form: SourceFormat, settings: ImportSettings) -> Raster:
+    """Open a file with GDAL and return its band `settings.band` as a raster, which its `close` closes."""
+    start_gdal()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the report warns about a raster without a georeference
-        notes = [] if driver == "VRT" else allow_aux_file(path)
-        opened = _open_vrt(path) if driver == "VRT" else (_open_file(path, form), [], None, {}, {})
-    dataset, texts, mosaic, roundings, scales = opened
-    band = settings.band
+        if form.driver == "VRT":
+            vrt = _open_vrt(path)
+            return raster_of(path, vrt.dataset, settings, form.driver, vrt=vrt)
+        notes = allow_aux_file(path)
+        original = _open_file(path, form)
+        dataset = decoded(path, original, settings)
+    if dataset is not original:
+        settings = dataclasses.replace(settings, band=1)
+    return raster_of(path, dataset, settings, form.driver, notes)
+
+
+def raster_of(
+    path: Path, dataset, settings: ImportSettings, driver: str, notes: Sequence[str] = (), vrt: OpenedVrt | None = None
+) -> Raster:
+    """Return the band `settings.band` of an open rasterio dataset as a raster.
+
+    The georeference, the unit of heights and the rounding of stored values come from the dataset; a VRT's from its
+    sources. The raster is reprojected if the settings request it or its grid is sheared. notes: warnings so far. Raises
+    TerrainError for a missing band or complex values.
+    """
+    from rasterio.enums import MaskFlags
+
+    band, notes, mosaic = settings.band, list(notes), vrt.mosaic if vrt is not None else None
     if not 1 <= band <= dataset.count:
         raise TerrainError(f"{path} has {dataset.count} band(s), but not band {band}", fix="choose another band")
     if dataset.dtypes[band - 1].startswith("complex"):
@@ -122,9 +158,9 @@ def _open_raster(path: Path, form: SourceFormat, settings: ImportSettings) -> Ra
     in_metres *= facts.factor
     notes += [*band_notes(dataset, band, driver), *facts.notes, *unit_warnings]
     found: tuple[SourceRounding, ...] = (band_rounding(dataset, band),)
-    if mosaic is not None:
-        found = mosaic_roundings(mosaic, band, str(stored), lambda *of: roundings.get(of))
-        notes += mosaic_notes(mosaic, band, lambda *of: scales.get(of))
+    if vrt is not None:
+        found = mosaic_roundings(vrt.mosaic, band, str(stored), lambda *of: vrt.roundings.get(of))
+        notes += mosaic_notes(vrt.mosaic, band, lambda *of: vrt.scales.get(of))
     if grid.problem and settings.extent is None:
         notes.append(
             f"The file {grid.problem}: a sample is taken as 1 m, and the first row as the north. Give the extent in "
@@ -170,7 +206,7 @@ def _open_raster(path: Path, form: SourceFormat, settings: ImportSettings) -> Ra
         roundings=found,
         warnings=notes,
         sources=tuple(mosaic.sources) if mosaic is not None else (),
-        close=lambda: _close(view or dataset, dataset, *texts),
+        close=lambda: _close(view or dataset, dataset, *(vrt.texts if vrt is not None else ())),
     )
 
 
@@ -232,12 +268,8 @@ def _check_png(path: Path) -> None:
         raise TerrainError(f"{shown(path)} is damaged ({damage})", expected="a whole PNG", fix="get the file again")
 
 
-def _open_vrt(path: Path) -> tuple:
-    """Open a VRT as `read_mosaic` rewrites it.
-
-    Return the dataset; its texts, which must live as long; the mosaic; and the rounding and the scale of each band of
-    each file, by path and number.
-    """
+def _open_vrt(path: Path) -> OpenedVrt:
+    """Open a VRT as `read_mosaic` rewrites it."""
     import rasterio
     from rasterio.env import setenv
 
@@ -269,7 +301,7 @@ def _open_vrt(path: Path) -> tuple:
     ]
     dataset = rasterio.open(texts[-1].name, driver="VRT", sharing=False)
     _check_blocks(path, dataset)
-    return dataset, texts, mosaic, roundings, scales
+    return OpenedVrt(dataset, texts, mosaic, roundings, scales)
 
 
 def _reader(

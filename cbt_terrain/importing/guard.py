@@ -15,6 +15,7 @@ from ..field import store_folder
 from ..run.memory import physical_memory
 from ..run.owned_files import open_folder
 from . import sandbox
+from .coded_heights import PLAIN, may_be_coded
 from .format_choice import inner_format
 from .gdal_source import keep_only_drivers
 from .raster import ImportSettings
@@ -24,17 +25,20 @@ from .source_formats import SourceFormat, drivers_of
 VARIABLES = {"PROJ_NETWORK": "OFF", "GDAL_DRIVER_PATH": "disable", "OPENBLAS_NUM_THREADS": "1"}
 
 
-def guard(path: Path, folder: Path | None) -> dict[str, str]:
+def guard(path: Path, folder: Path | None, encoding: str = PLAIN) -> dict[str, str]:
     """Drop this process's rights before a file is opened, and return the report of `sandbox.enter`.
 
-    folder: where this process may still write. Raises TerrainError if GDAL keeps drivers that the file does not need,
+    folder: where this process may still write. encoding: see ImportSettings.
+
+    Raises TerrainError if GDAL keeps drivers that the file does not need,
     and for a format with a large parser if a right remains.
     """
     form = inner_format(path)
     if form is not None:
         form.load()
         if form.driver:
-            keep_only_drivers(drivers_of(form))
+            in_memory = {"GTiff"} if may_be_coded(path, encoding) else set()  # for decoded heights
+            keep_only_drivers(drivers_of(form) | in_memory)
     remove_temporary_cache()  # not possible later
     rights = sandbox.enter(folder)
     if form is not None and form.is_large:
@@ -72,7 +76,7 @@ def guard_import(settings: ImportSettings, path: Path) -> None:
             pass
     except OSError as reason:
         raise unwritable(f"The store {path}", reason) from reason
-    guard(Path(settings.source), path)
+    guard(Path(settings.source), path, settings.encoding)
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from .source_formats import BAND, suffixes_with
 
 ISLAND = "island"
 _PROJECT = re.compile(r"(utm|epsg:\d{1,7})?", re.IGNORECASE)
+ENCODINGS = ("", "terrarium", "mapbox", "plain")  # coded_heights.py
 RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float16", "float32", "float64")
 
 
@@ -45,6 +46,8 @@ class ImportSettings:
         channel: name of an EXR channel; "" for the likeliest one.
         first_row_south: row order of files that do not define it; pictures begin in the north.
         project: coordinate system to reproject to, "utm" or "EPSG:n"; "" for none.
+        cell: side of the cells of gridded points in metres; None for four points in the mean.
+        encoding: of heights in an image's colours, one of ENCODINGS; "" recognises those of web map tiles.
     """
 
     source: str
@@ -64,6 +67,8 @@ class ImportSettings:
     channel: str = ""
     first_row_south: bool = False
     project: str = ""
+    encoding: str = ""
+    cell: float | None = None
 
     def __post_init__(self) -> None:
         keep_plain_numbers(self, "The import's")
@@ -98,6 +103,11 @@ class ImportSettings:
             raise TerrainError(f"The RAW size is {tuple(self.raw_size)} samples", expected="two positive counts")
         if self.source in LANDS and not 2 <= self.size <= 1 << 16:
             raise TerrainError(f"The built-in {self.source} has {self.size} samples a side", expected="2 to 65536")
+        if self.cell is not None and not (math.isfinite(self.cell) and self.cell > 0.0):
+            raise TerrainError(f"The cell size is {self.cell} m", expected="a positive length")
+        if self.encoding not in ENCODINGS:
+            known = ", ".join(ENCODINGS[1:])
+            raise TerrainError(f"The encoding {shown(self.encoding)!r} is not known", fix=f"choose one of {known}")
         if not _PROJECT.fullmatch(self.project):
             raise TerrainError(
                 f"The raster cannot be reprojected to {shown(self.project)!r}", expected="utm or EPSG:n, as EPSG:32632"

@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The formats of height maps, by the suffixes of their files."""
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pkgutil import resolve_name
 
+from ..errors import TerrainError
+
 GDAL = "gdal_source:open_raster"
+POINT_PACKAGES = '"laspy[lazrs]"'
 RAW, BAND, CHANNEL, ENCODING, CELL = "raw", "band", "channel", "encoding", "cell"
 
 
@@ -18,12 +22,13 @@ class SourceFormat:
         title: name of the format for users.
         opener: "module:function" of this package, for the import's child process. The function returns the Raster of a
             path and ImportSettings.
-        driver: GDAL's driver, "" for formats that GDAL does not read. Such a file can say where on Earth it is.
+        driver: GDAL's driver for the file or its grid, "" for formats that GDAL does not read. Files with a driver can
+            say where on Earth they are.
         in_mosaic: whether a VRT may name such files.
         has_header: whether an ESRI header beside a file describes its samples.
         is_raw_alone: whether a file without its header is read as RAW.
         options: settings that apply to the format only, of RAW, BAND, CHANNEL, ENCODING and CELL.
-        library: module that must be imported before the child process gives up its rights.
+        library: modules that must be imported before the child process gives up its rights.
         starts: first bytes that tell one of `others`; () for plain text.
         others: further formats with the same suffix (format_choice.py).
         is_large: whether its parser is so large that it runs only where the child gives up all rights (guard.py).
@@ -48,9 +53,15 @@ class SourceFormat:
     is_archive: bool = False
 
     def load(self) -> Callable:
-        """Import and return the function that opens a file."""
-        if self.library:
-            import_module(self.library)
+        """Import and return the function that opens a file. Raises TerrainError without the format's library."""
+        for name in self.library.split():
+            try:
+                import_module(name)
+            except ImportError:
+                raise TerrainError(
+                    f"{self.title} files are read by the Python package {name}, which is not installed",
+                    fix=f'run: "{sys.executable}" -m pip install {POINT_PACKAGES}',
+                ) from None
         return resolve_name(f"{__package__}.{self.opener}")
 
 
@@ -67,6 +78,9 @@ _SURFER = (
     SourceFormat("Surfer text", driver="GSAG", starts=(b"DSAA",)),
 )
 _USGS_DEM = SourceFormat("USGS DEM", driver="USGSDEM")
+_POINTS = SourceFormat(
+    "LAS point cloud", "point_cloud:open_points", driver="GTiff", options=(BAND, CELL), library="laspy lazrs"
+)
 _ARCHIVE = SourceFormat("archive of one", "archives:open_archive", options=_IMAGE, is_archive=True)
 FORMATS = {
     ".tif": _TIFF,
@@ -100,6 +114,8 @@ FORMATS = {
     ".r16": _RAW,
     ".r32": SourceFormat("RAW", "sources:open_raw", options=(RAW,), raw_dtype="float32"),
     ".bin": _RAW,
+    ".las": _POINTS,
+    ".laz": _POINTS,
     ".zip": _ARCHIVE,
     ".gz": _ARCHIVE,
 }

@@ -65,7 +65,7 @@ def _describe(settings: ImportSettings, scratch: Path) -> dict:
     of `scratch`.
     """
     source = Path(settings.source)
-    guard(source, scratch if is_archive(source) else None)
+    guard(source, scratch if is_archive(source) else None, settings.encoding)
     child.end_with_parent()
     with unpacked(source, scratch / store_folder.new_data_name()) as file:
         return _fields(settings, open_source(dataclasses.replace(settings, source=str(file))))

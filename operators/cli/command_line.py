@@ -153,6 +153,7 @@ def build_parser() -> argparse.ArgumentParser:
 def _add_import(subparsers) -> None:
     from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
     from ...cbt_terrain.field.lands import LANDS
+    from ...cbt_terrain.importing.raster import ENCODINGS
     from ...cbt_terrain.importing.source_formats import FORMATS
 
     verb = _verb(subparsers, "import", "turn a height map into a store", verbs.run_import)
@@ -176,6 +177,12 @@ def _add_import(subparsers) -> None:
     verb.add_argument("--holes", action="store_true", help="cut out samples without data instead of filling them")
     verb.add_argument("--band", type=int, metavar="N", help="band of a file with several, from 1 (1)")
     verb.add_argument("--channel", metavar="NAME", help="channel of an EXR file (the first that fits)")
+    verb.add_argument(
+        "--encoding",
+        choices=ENCODINGS[1:],
+        help="of heights in an image's colours; plain for none (recognised in web map tiles z/x/y.png)",
+    )
+    verb.add_argument("--cell", type=float, metavar="METRES", help="side of the cells of gridded points (from density)")
     verb.add_argument("--first-row-south", action="store_true", help="for files that do not say where north is")
     verb.add_argument("--project", **PROJECT)
     _add_raw(verb)

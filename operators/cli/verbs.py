@@ -22,11 +22,11 @@ class UsageError(Exception):
 def run_import(arguments) -> None:
     from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.importing.import_process import import_source
-    from ...cbt_terrain.importing.source_formats import BAND, CHANNEL, suffixes_with
+    from ...cbt_terrain.importing.source_formats import BAND, CELL, CHANNEL, ENCODING, suffixes_with
 
     if arguments.source not in LANDS and (arguments.size, arguments.seed) != (None, None):
         raise UsageError(f"--size and --seed are of built-in lands; {arguments.source} is taken as it is")
-    for option, suffixes in ((option, suffixes_with(option)) for option in (BAND, CHANNEL)):
+    for option, suffixes in ((option, suffixes_with(option)) for option in (BAND, CHANNEL, ENCODING, CELL)):
         if getattr(arguments, option) is not None and Path(arguments.source).suffix.lower() not in suffixes:
             raise UsageError(f"--{option} is of {', '.join(suffixes)}; {arguments.source} is taken as it is")
     settings = _import_settings(arguments)

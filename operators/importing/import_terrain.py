@@ -11,7 +11,7 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.importing.header_files import is_plain_raw
 from ...cbt_terrain.importing.import_process import ImportJob
 from ...cbt_terrain.importing.raster import ImportSettings
-from ...cbt_terrain.importing.source_formats import BAND, RAW, suffixes_with
+from ...cbt_terrain.importing.source_formats import BAND, CELL, ENCODING, RAW, suffixes_with
 from .. import jobs
 from ..bridge.scene_paths import absolute_path
 from ..job_operator import JobOperator
@@ -55,8 +55,12 @@ def settings_of(obj) -> ImportSettings:
         holes=settings.holes,
         band=settings.band,
         channel=settings.channel,
+        encoding=""
+        if settings.encoding == "AUTO" or not has_option(settings.source_path, ENCODING)
+        else settings.encoding,
+        cell=settings.cell if settings.cell and has_option(settings.source_path, CELL) else None,
         first_row_south=settings.first_row_south,
-        project=settings.project.strip() if placed(settings.source_path) else "",
+        project=settings.project.strip() if has_option(settings.source_path, BAND) else "",
         **raw,
         **heights,
     )
@@ -67,9 +71,9 @@ def is_raw(path: str) -> bool:
     return path.lower().endswith(suffixes_with(RAW)) or is_plain_raw(Path(absolute_path(path)))
 
 
-def placed(path: str) -> bool:
-    """Return whether a file of this kind can say where on Earth it is."""
-    return path.lower().endswith(suffixes_with(BAND))
+def has_option(path: str, option: str) -> bool:
+    """Return whether an import option of source_formats.py applies to a file; BAND: whether it can name its place."""
+    return path.lower().endswith(suffixes_with(option))
 
 
 def summary(report: dict) -> str:

@@ -2,11 +2,12 @@
 """The panels of the height map: the import's options, the imported store, and its surface in the scene."""
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.importing.source_formats import CHANNEL, suffixes_with
+from ...cbt_terrain.importing.source_formats import BAND, CELL, CHANNEL, ENCODING
 from ..session import session
 from ..terrain.properties import FILE
 from ..ui.panel_parts import TerrainSubpanel, draw_ground, figures, message, switched
 from . import import_terrain, store_paths
+from .import_terrain import has_option
 from .imported import changed_settings, imported_of, lines_of
 from .placement_notes import picture_note
 
@@ -59,12 +60,13 @@ def _draw_file(column, settings) -> None:
         column.prop(settings, "raw_size")
         column.prop(settings, "raw_dtype")
         column.prop(settings, "raw_little_endian")
-    elif settings.source_path.lower().endswith(suffixes_with(CHANNEL)):
-        column.prop(settings, "channel")
     else:
-        column.prop(settings, "band")
+        name = next((option for option in (CHANNEL, CELL) if has_option(settings.source_path, option)), BAND)
+        column.prop(settings, name)
+    if has_option(settings.source_path, ENCODING):
+        column.prop(settings, "encoding")
     column.prop(settings, "first_row_south")
-    if import_terrain.placed(settings.source_path):
+    if has_option(settings.source_path, BAND):
         column.prop(settings, "project")
     switched(column, settings, "use_no_data", "no_data")
     column.prop(settings, "holes")

@@ -117,6 +117,21 @@ class TerrainSettings(bpy.types.PropertyGroup):
     channel: StringProperty(
         name="Channel", description="EXR channel that holds the heights; empty for the first that looks like a height"
     )
+    encoding: EnumProperty(
+        name="Encoding",
+        description="How the colours of an image hold heights, as in web map tiles",
+        items=[
+            ("AUTO", "Automatic", "Recognise heights in web map tiles whose path ends with z/x/y.png"),
+            ("terrarium", "Terrarium", "Steps of 1/256 m above -32,768 m"),
+            ("mapbox", "Mapbox", "Terrain-RGB: steps of 0.1 m above -10,000 m"),
+            ("plain", "None", "The image holds no coded heights"),
+        ],
+    )
+    cell: FloatProperty(
+        name="Cell Size",
+        description="Side of the cells of gridded points; 0 takes four points a cell in the mean",
+        min=0.0, unit="LENGTH",
+    )  # fmt: skip
     first_row_south: BoolProperty(
         name="First Row South", description="Turn the map over, if the first row of the file is the southern one"
     )

@@ -26,7 +26,20 @@ PHRASES = ("phrase", "say")  # functions that translate a template, and fill in 
 WORD = re.compile(r"(?<![\w.])[^\W\d_]{3,}(?![\w.])")
 # Units, file formats, types of samples, names of the product and of attributes, and properties that no panel draws.
 UNTRANSLATED = {
-    *("m", "px", "PNG", "OpenEXR", "GeoTIFF", "CRS", "Adaptive Terrain", "Splat 1", "Splat 2", "Splat 3"),
+    *(
+        "m",
+        "px",
+        "PNG",
+        "OpenEXR",
+        "GeoTIFF",
+        "CRS",
+        "Terrarium",
+        "Mapbox",
+        "Adaptive Terrain",
+        "Splat 1",
+        "Splat 2",
+        "Splat 3",
+    ),
     *("uint8", "int8", "uint16", "int16", "uint32", "int32", "float16", "float32", "float64"),
     *("Cost Curve", "No Cost Curve", "Measured Accuracy"),
 }

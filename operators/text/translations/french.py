@@ -32,6 +32,7 @@ LABELS = {
     "Asked": "Demandé",
     "Aspect (K)": "Exposition (K)",
     "Attributes": "Attributs",
+    "Automatic": "Automatique",
     "Bake and Export": "Précalcul et export",
     "Bake Error": "Erreur vert. (précalcul)",
     "Bake Maps": "Précalculer les cartes",
@@ -58,6 +59,7 @@ LABELS = {
     "Cancel": "Annuler",
     "Canyon": "Canyon",
     "Choosing tiles": "Choix des tuiles",
+    "Cell Size": "Taille de cellule",
     "Chosen": "Choisies",
     "Chosen Attribute": "Attribut choisi",
     "Chosen Camera": "Caméra choisie",
@@ -89,6 +91,7 @@ LABELS = {
     "Effects are in metres, and the terrain measures {}: set its Size": (
         "Les effets sont en mètres et le terrain mesure {} : définissez sa taille"
     ),
+    "Encoding": "Codage",
     "Engine in all": "Calcul total",
     "Erodibility": "Érodabilité",
     "Error bound": "Borne d’erreur",

@@ -32,6 +32,7 @@ LABELS = {
     "Asked": "Verlangt",
     "Aspect (K)": "Exposition (K)",
     "Attributes": "Attribute",
+    "Automatic": "Automatisch",
     "Bake and Export": "Backen und Exportieren",
     "Bake Error": "Höhenfehler (Backen)",
     "Bake Maps": "Karten backen",
@@ -58,6 +59,7 @@ LABELS = {
     "Cancel": "Abbrechen",
     "Canyon": "Schlucht",
     "Choosing tiles": "Kacheln werden gewählt",
+    "Cell Size": "Zellengröße",
     "Chosen": "Ausgewählte",
     "Chosen Attribute": "Gewähltes Attribut",
     "Chosen Camera": "Gewählte Kamera",
@@ -89,6 +91,7 @@ LABELS = {
     "Effects are in metres, and the terrain measures {}: set its Size": (
         "Effekte rechnen in Metern, und das Gelände misst {}: seine Größe festlegen"
     ),
+    "Encoding": "Kodierung",
     "Engine in all": "Berechnung gesamt",
     "Erodibility": "Erodierbarkeit",
     "Error bound": "Fehlerschranke",

@@ -32,6 +32,7 @@ LABELS = {
     "Asked": "要求値",
     "Aspect (K)": "斜面方位 (K)",
     "Attributes": "属性",
+    "Automatic": "自動",
     "Bake and Export": "ベイクとエクスポート",
     "Bake Error": "ベイク誤差",
     "Bake Maps": "マップをベイク",
@@ -58,6 +59,7 @@ LABELS = {
     "Cancel": "キャンセル",
     "Canyon": "峡谷",
     "Choosing tiles": "タイルを選択中",
+    "Cell Size": "セルサイズ",
     "Chosen": "選択したもの",
     "Chosen Attribute": "選択中の属性",
     "Chosen Camera": "選択したカメラ",
@@ -88,6 +90,7 @@ LABELS = {
     "Duplicate Land Effect": "地勢エフェクトを複製",
     "Effects are in metres, and the terrain measures {}: set its Size": "エフェクトはメートル単位で、"
     "地形は{}です: サイズを設定してください",
+    "Encoding": "エンコード",
     "Engine in all": "計算の合計",
     "Erodibility": "侵食されやすさ",
     "Error bound": "誤差の上限",

@@ -32,6 +32,7 @@ LABELS = {
     "Asked": "Solicitado",
     "Aspect (K)": "Orientación (K)",
     "Attributes": "Atributos",
+    "Automatic": "Automático",
     "Bake and Export": "Capturar y exportar",
     "Bake Error": "Error de captura",
     "Bake Maps": "Capturar mapas",
@@ -58,6 +59,7 @@ LABELS = {
     "Cancel": "Cancelar",
     "Canyon": "Cañón",
     "Choosing tiles": "Eligiendo teselas",
+    "Cell Size": "Tamaño de celda",
     "Chosen": "Elegidos",
     "Chosen Attribute": "Atributo elegido",
     "Chosen Camera": "Cámara elegida",
@@ -89,6 +91,7 @@ LABELS = {
     "Effects are in metres, and the terrain measures {}: set its Size": (
         "Los efectos son en metros y el terreno mide {}: defina su tamaño"
     ),
+    "Encoding": "Codificación",
     "Engine in all": "Cálculo total",
     "Erodibility": "Erodabilidad",
     "Error bound": "Cota de error",

@@ -5,6 +5,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.importing import source_formats
 from adaptive_terrain.cbt_terrain.importing.source_formats import (
     BAND,
+    CELL,
     CHANNEL,
     ENCODING,
     FORMATS,
@@ -15,14 +16,14 @@ from adaptive_terrain.cbt_terrain.importing.source_formats import (
 
 GDAL = ".tif .tiff .hgt .png .asc .vrt .bil .bip .bsq .flt .dem .img .dt0 .dt1 .dt2 .nc .grd .grb .grb2 .jp2".split()
 GDAL += ".webp .xyz .bt .ter .sdat".split()
-TABLE = [*GDAL, *".exr .npy .raw .r16 .r32 .bin .zip .gz".split()]
+TABLE = [*GDAL, *".exr .npy .raw .r16 .r32 .bin .las .laz .zip .gz".split()]
 
 
 def test_options_and_drivers_belong_to_the_right_suffixes():
     assert list(FORMATS) == TABLE
     assert suffixes_with(RAW) == (".raw", ".r16", ".r32", ".bin") and suffixes_with(CHANNEL) == (".exr",)
-    assert [suffix for suffix, form in FORMATS.items() if form.driver] == GDAL
-    assert suffixes_with(BAND) == (*GDAL, ".zip", ".gz")
+    assert [suffix for suffix, form in FORMATS.items() if form.driver] == [*GDAL, ".las", ".laz"]
+    assert suffixes_with(BAND) == (*GDAL, ".las", ".laz", ".zip", ".gz") and suffixes_with(CELL) == (".las", ".laz")
     assert suffixes_with(ENCODING) == (".tif", ".tiff", ".png", ".jp2", ".webp", ".zip", ".gz")
     assert [suffix for suffix, form in FORMATS.items() if form.is_raw_alone] == [".bil", ".bip", ".bsq", ".flt"]
     assert [suffix for suffix, form in FORMATS.items() if form.has_header] == GDAL[6:11]
@@ -38,7 +39,7 @@ def test_every_format_has_a_function_that_opens_it(suffix):
     form = FORMATS[suffix]
     module, name = form.opener.split(":")
     assert name.startswith("open_") and (form.library or form.load().__name__ == name)
-    assert module in ("gdal_source", "exr_source", "sources", "archives")
+    assert module in ("gdal_source", "exr_source", "sources", "archives", "point_cloud")
 
 
 def test_a_new_format_needs_an_entry_only(tmp_path, monkeypatch):

@@ -14,6 +14,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.field import store as stores
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.importing.source_formats import BAND
 from adaptive_terrain.operators.importing import import_terrain
 from adaptive_terrain.operators.importing.imported import Imported, changed_settings, imported_of, lines_of, tag_object
 from adaptive_terrain.operators.importing.panel import ImportedPanel, is_stale
@@ -80,7 +81,9 @@ def test_raw_settings_are_for_files_without_a_header(tmp_path):
     (tmp_path / "a.bil").touch()
     assert import_terrain.is_raw(str(tmp_path / "a.bil")) and import_terrain.is_raw("a.r16")
     (tmp_path / "a.hdr").touch()
-    assert not import_terrain.is_raw(str(tmp_path / "a.bil")) and import_terrain.placed(str(tmp_path / "a.bil"))
+    assert not import_terrain.is_raw(str(tmp_path / "a.bil")) and import_terrain.has_option(
+        str(tmp_path / "a.bil"), BAND
+    )
 
 
 def test_the_object_has_the_properties_of_blendergis(scene, add_terrain, utm, tmp_path):
@@ -150,3 +153,20 @@ def test_impossible_figures_of_a_store_are_no_error(terrain, pair):
     lines = lines_of(imported_of(terrain.adaptive_terrain))
     assert len(lines) == 7 and all(figure.isprintable() and len(figure) < 40 for _, figure in lines)
     tag_object(terrain)
+
+
+@pytest.mark.parametrize(
+    "file,encoding,cell,wanted",
+    [
+        ("a.png", "AUTO", 2.0, ("", None)),
+        ("a.png", "mapbox", 2.0, ("mapbox", None)),
+        ("a.hgt", "mapbox", 2.0, ("", None)),
+        ("a.laz", "mapbox", 2.0, ("", 2.0)),
+        ("a.laz", "AUTO", 0.0, ("", None)),
+    ],
+)
+def test_encoding_and_cell_count_for_their_formats_alone(terrain, file, encoding, cell, wanted):
+    obj, settings = terrain, terrain.adaptive_terrain
+    settings.source, settings.source_path, settings.encoding, settings.cell = "FILE", f"/tmp/{file}", encoding, cell
+    found = import_terrain.settings_of(obj)
+    assert (found.encoding, found.cell) == wanted

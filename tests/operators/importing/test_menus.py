@@ -5,6 +5,8 @@ import re
 
 import bpy
 import pytest
+from adaptive_terrain.cbt_terrain.importing.source_formats import FORMATS
+from adaptive_terrain.operators.farm.outside_files import HEIGHT_MAP_SUFFIXES
 from adaptive_terrain.operators.importing import menus
 from adaptive_terrain.operators.importing.imported import imported_of
 from adaptive_terrain.operators.ui.object_menu import OPERATORS
@@ -40,7 +42,10 @@ def test_a_missing_file_leaves_no_object(scene, path):
 
 def test_every_format_can_be_dropped(scene):
     assert bpy.types.FileHandler.bl_rna_get_subclass_py("ADAPTIVE_TERRAIN_FH_height_map") is menus.HeightMapDropped
-    assert {".tif", ".png", ".hgt", ".r16", ".exr"} <= set(menus.SUFFIXES.split(";"))
+    assert menus.HeightMapDropped.bl_file_extensions.split(";") == list(FORMATS)
+    assert {".tif", ".r16", ".nc", ".laz", ".zip"} <= set(FORMATS) <= HEIGHT_MAP_SUFFIXES
+    offered = bpy.ops.mesh.adaptive_terrain_from_file.get_rna_type().properties["filter_glob"].default
+    assert offered.split(";") == [f"*{suffix}" for suffix in FORMATS]
 
 
 def test_the_object_menu_has_every_operator(scene):

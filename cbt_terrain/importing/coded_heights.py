@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Heights in the colours of an image: Terrarium's and Mapbox's encodings, and the position of web map tiles.
+
+Codes are decoded before anything is resampled: a mean of two coded colours is no height.
+"""
+
+import math
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import TerrainError, shown
+from .raster import ImportSettings
+
+PLAIN = "plain"  # the encoding of an image without codes, even if it looks like one
+HALF_WORLD = math.pi * 6378137.0  # metres of web mercator, EPSG:3857
+MAX_ZOOM, MAX_TILE = 30, 1024  # of tiles that are recognised
+MAX_SAMPLES = 1 << 28  # decoded in memory, 4 bytes each
+BLOCK_SAMPLES = 1 << 20
+CERTAIN_M = -9000.0, 9000.0  # heights of a tile that is recognised
+MISSING = 0  # code of a sample without data: -32,768 or -10,000 m
+_TILE = re.compile(r"(\d{1,2})/(\d{1,10})/(\d{1,10})(?:@\dx)?")
+
+
+class HeightCoding(NamedTuple):
+    """A height is `scale` * (65536 red + 256 green + blue) + `offset` metres."""
+
+    scale: float
+    offset: float
+
+
+CODINGS = {"terrarium": HeightCoding(1 / 256, -32768.0), "mapbox": HeightCoding(0.1, -10000.0)}
+
+
+def tile_of(path: Path) -> tuple[int, int, int] | None:
+    """Return the zoom, column and row of a web map tile whose path ends with z/x/y.png; None for other names."""
+    found = _TILE.fullmatch("/".join((*path.parts[-3:-1], path.stem)))
+    if not found:
+        return None
+    zoom, column, row = map(int, found.groups())
+    return (zoom, column, row) if zoom <= MAX_ZOOM and max(column, row) < 1 << zoom else None
+
+
+def may_be_coded(path: Path, encoding: str) -> bool:
+    """Return whether a file may hold coded heights, by the setting and its name."""
+    return encoding in CODINGS or (not encoding and tile_of(path) is not None)
+
+
+def codes_of(bands: np.ndarray) -> np.ndarray:
+    """Return the codes, uint32 [rows, columns], of uint8 bands [3 or 4, rows, columns]; MISSING where alpha is 0."""
+    red, green, blue = bands[:3].astype(np.uint32)
+    codes = (red << np.uint32(16)) | (green << np.uint32(8)) | blue
+    if len(bands) > 3:
+        codes[bands[3] == 0] = MISSING
+    return codes
+
+
+def decoded(path: Path, dataset, settings: ImportSettings):
+    """Return a rasterio dataset of heights: `dataset`, or its decoded copy in memory if it holds coded ones.
+
+    The copy has one band of codes with their scale, offset, unit and no-data value, and the position of a web map tile.
+    Raises TerrainError for an image that cannot hold codes.
+    """
+    if not may_be_coded(path, settings.encoding):
+        return dataset
+    is_image = dataset.count in (3, 4) and all(kind == "uint8" for kind in dataset.dtypes)
+    name = settings.encoding or (_recognised(path, dataset) if is_image else "")
+    if not name:
+        return dataset
+    if not is_image:
+        raise TerrainError(
+            f"{shown(path)} holds {dataset.count} band(s) of {dataset.dtypes[0]}, so no heights coded as {name}",
+            expected="red, green and blue of 8 bits",
+            fix="leave the encoding out",
+        )
+    if dataset.tags(ns="IMAGE_STRUCTURE").get("COMPRESSION_REVERSIBILITY", "").startswith("LOSSY"):
+        what = f"{shown(path)} was compressed with loss, which destroys heights coded in colours"
+        raise TerrainError(what, expected="a PNG or another image without loss", fix="get the tile as a PNG")
+    if dataset.width * dataset.height > MAX_SAMPLES:
+        what = f"{shown(path)} has {dataset.width} x {dataset.height} coded samples"
+        raise TerrainError(what, expected=f"{MAX_SAMPLES:,} at most", fix="cut it into tiles")
+    return _decode(path, dataset, CODINGS[name])
+
+
+def _decode(path: Path, dataset, coding: HeightCoding):
+    """Copy a dataset of coded heights into memory, decoded, and close it."""
+    import rasterio
+    from rasterio.windows import Window
+
+    shape = {"width": dataset.width, "height": dataset.height, "count": 1, "dtype": "uint32"}
+    place = {"crs": dataset.crs, "transform": dataset.transform}
+    tile = tile_of(path)
+    if tile is not None and dataset.transform.is_identity and dataset.width == dataset.height:
+        place = _tile_place(tile, dataset.width)
+    memory = rasterio.MemoryFile(ext=".tif")
+    with memory.open(driver="GTiff", nodata=MISSING, **shape, **place) as copy:
+        copy.scales, copy.offsets, copy.units = (coding.scale,), (coding.offset,), ("m",)
+        rows = max(1, BLOCK_SAMPLES // dataset.width)
+        for first in range(0, dataset.height, rows):
+            window = Window(0, first, dataset.width, min(rows, dataset.height - first))
+            copy.write(codes_of(dataset.read(window=window)), 1, window=window)
+    dataset.close()
+    return memory.open(driver="GTiff")
+
+
+def _tile_place(tile: tuple[int, int, int], side: int) -> dict:
+    """Return the coordinate system and the geotransform of a web map tile of `side` samples."""
+    from rasterio.transform import Affine
+
+    zoom, column, row = tile
+    size = 2.0 * HALF_WORLD / (1 << zoom)
+    corner = column * size - HALF_WORLD, HALF_WORLD - row * size
+    return {"crs": "EPSG:3857", "transform": Affine(size / side, 0.0, corner[0], 0.0, -size / side, corner[1])}
+
+
+def _recognised(path: Path, dataset) -> str:
+    """Return the encoding of a web map tile if only one gives heights on Earth without cliffs; "" otherwise."""
+    if max(dataset.width, dataset.height) > MAX_TILE or dataset.width != dataset.height:
+        return ""
+    codes = codes_of(dataset.read())
+    valid = codes != MISSING
+    pixel = 2.0 * HALF_WORLD / (1 << tile_of(path)[0]) / dataset.width
+    found = []
+    for name, coding in CODINGS.items():
+        heights = np.where(valid, codes * coding.scale + coding.offset, np.nan)
+        steps = np.abs(np.concatenate([np.diff(heights, axis=0).ravel(), np.diff(heights, axis=1).ravel()]))
+        steps = steps[np.isfinite(steps)]
+        low, high = CERTAIN_M
+        if steps.size and low < np.nanmin(heights) and np.nanmax(heights) < high and steps.mean() < pixel:
+            found.append(name)
+    return found[0] if len(found) == 1 else ""

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from ..errors import TerrainError
+from ..field.cell_ranges import rectangle_ranges
 from ..field.heightfield import HeightField
 from ..view.linear import lengths, min_stretch, product
 from ..view.local_view import eye_of, frustum_planes
@@ -23,25 +24,21 @@ MEGABYTE = 1_000_000
 
 
 def boxes(tiling: Tiling, field: HeightField, vertical_scale: float, vertical_offset: float) -> np.ndarray:
-    """Return the bounding box of each tile's displaced ground, float64 [tiles, 2, 3] metres. Reads every sample."""
+    """Return a box around each tile's displaced ground, float64 [tiles, 2, 3] metres, from the stored ranges."""
     lattice = field.lattice
-    found = np.empty((len(tiling), 2, 3))
-    for tile in range(len(tiling)):
-        west, south, east, north = tiling.box(tile)
-        columns = _samples((west, east), tiling.west, lattice.step_x, lattice.width)
-        rows = _samples((south, north), tiling.south, lattice.step_y, lattice.height)
-        # Reads whole rows in the order of the file.
-        parts = [field.heights(row, columns) for row in range(rows.start, rows.stop)]
-        heights = np.array([min(p.min() for p in parts), max(p.max() for p in parts)]) * vertical_scale
-        heights += vertical_offset
-        found[tile] = (west, south, heights.min()), (east, north, heights.max())
-    return found
-
-
-def _samples(ends: tuple[float, float], first: float, step: float, count: int) -> slice:
-    """Return the samples from one end to the other."""
-    low, high = math.floor((ends[0] - first) / step + 1e-6), math.ceil((ends[1] - first) / step - 1e-6)
-    return slice(max(low, 0), min(high + 1, count))
+    found = np.empty((tiling.rows, tiling.columns, 2, 3))
+    sides = []
+    for axis, first, size, count, step in (
+        (0, tiling.west, tiling.width, tiling.columns, lattice.step_x),
+        (1, tiling.south, tiling.height, tiling.rows, lattice.step_y),
+    ):
+        low = first + np.arange(count) * size
+        ends = np.stack([low, low + size], axis=1)
+        found[..., axis] = ends if axis == 0 else ends[:, None]
+        sides.append((ends - first) / step)
+    heights = rectangle_ranges(field, *sides) * vertical_scale + vertical_offset
+    found[..., 2] = np.sort(heights, axis=-1)
+    return found.reshape(-1, 2, 3)
 
 
 def footprints(boxes: np.ndarray, views: Sequence[View], placement: np.ndarray, only_seen: bool = False) -> np.ndarray:

@@ -149,7 +149,7 @@ def tiles_seen(
     """Return the visible tiles of each level where a pixel is as fine as the level, with allowed errors in metres.
 
     The error is `pixel_error` pixels at the tile, rounded down to a quarter of an octave, so that a slow camera does
-    not change the request in every frame. placement: 4 x 4 matrix of the terrain in the world. Reads every sample.
+    not change the request in every frame. placement: 4 x 4 matrix of the terrain in the world.
     """
     levels = levels_of(field.lattice)
     placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)

@@ -22,7 +22,7 @@ def read(path):
         guard.guard(Path(path), None)
         raster = sources.open_source(ImportSettings(path))
         if raster.width * raster.height > 1 << 22:
-            return ["error", "too large"]
+            return ["error", "too large to read here."]
         rows = raster.read(0, raster.height) * raster.scale + raster.offset
         return ["read", [raster.width, raster.height, float(numpy.nansum(rows)), int(numpy.isnan(rows).sum())]]
     except TerrainError as error:

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Ranges of heights over rectangles of the raster, from the stored ranges: no sample is read."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .heightfield import HeightField
+from .hierarchy import ranges_at
+
+# The stored ranges that are read are of cells of at most this fraction of the smallest rectangle's side.
+FRACTION = 1 / 16
+FINEST_BITS = 2  # the finest ranges are those of 4 x 4 cells
+
+
+def rectangle_ranges(
+    field: HeightField, columns: Sequence[tuple[float, float]], rows: Sequence[tuple[float, float]]
+) -> np.ndarray:
+    """Return a range of heights for each pair of a row and a column of rectangles, float64 [rows, columns, 2] metres.
+
+    A range encloses the ground of its rectangle, without the detail, and no more than that within a sixteenth of the
+    smallest rectangle's side around it, apart from rounding.
+
+    Args:
+        columns: west and east side of each column, in samples from the raster's western border.
+        rows: south and north side of each row.
+    """
+    lattice = field.lattice
+    smallest = min(high - low for low, high in (*columns, *rows))
+    bits = max(int(np.floor(np.log2(max(smallest * FRACTION, 1.0)))), FINEST_BITS)
+    if bits > lattice.levels:
+        return np.broadcast_to((field.min_height, field.max_height), (len(rows), len(columns), 2)).copy()
+    found = _cells(field, bits).astype(np.float64)
+    for axis, sides in ((0, rows), (1, columns)):
+        limits = np.array(sides) / 2.0**bits
+        first = np.clip(np.floor(limits[:, 0] + 1e-9).astype(int), 0, found.shape[axis] - 1)
+        last = np.clip(np.ceil(limits[:, 1] - 1e-9).astype(int), first + 1, found.shape[axis])
+        pairs = np.stack([first, last], axis=1).ravel()
+        padded = np.concatenate([found, np.take(found, [-1], axis=axis)], axis=axis)  # an end may be the last cell's
+        low = np.minimum.reduceat(padded[..., 0], pairs, axis=axis).take(range(0, len(pairs), 2), axis=axis)
+        high = np.maximum.reduceat(padded[..., 1], pairs, axis=axis).take(range(0, len(pairs), 2), axis=axis)
+        found = np.stack([low, high], axis=-1)
+    return field.range_base + found * field.range_step
+
+
+def _cells(field: HeightField, bits: int) -> np.ndarray:
+    """Return the stored ranges, uint16 [rows, columns, 2], of the cells of 2^bits samples a side in the raster."""
+    lattice = field.lattice
+    depth = ranges_at(lattice, 2 * (lattice.levels - bits) + 1)
+    x = depth.first + np.arange(-(-lattice.cells_x >> bits), dtype=np.int64) * depth.step
+    y = (depth.first + np.arange(-(-lattice.cells_y >> bits), dtype=np.int64) * depth.step)[:, None]
+    page = (y >> 5) * depth.pages + (x >> 5)  # as `tile_index` in kernels/field/layout.py
+    inside = (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | x & 3
+    return field.ranges[depth.base + (page << 10 | inside)]

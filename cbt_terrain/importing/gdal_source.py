@@ -24,6 +24,7 @@ from .file_grid import FileGrid, grid_of, has_shear, unit_of
 from .format_choice import format_of
 from .header_files import check_header, check_length
 from .length_scale import length_warnings, mirror_warnings
+from .netcdf_header import netcdf_damage
 from .png_file import png_damage
 from .raster import ImportSettings, Raster, blank, cause
 from .rounding import SourceRounding, band_rounding
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from rasterio import DatasetReader
 
 MOSAIC_SUFFIXES = {suffix for suffix, form in FORMATS.items() if form.in_mosaic}  # of files that a VRT may name
+DAMAGE = {"PNG": png_damage, "netCDF": netcdf_damage}  # checks before a driver reads a file
 MAX_BANDS = 1024  # more than any height map has; interleaved bands are all read
 # Bytes of the smallest piece of a file that can be read: a tile or strip, with all its bands if they are interleaved.
 LARGEST_BLOCK = 256 << 20
@@ -237,8 +239,8 @@ def _open_file(path: Path, form: SourceFormat) -> "DatasetReader":
             expected=f"{form.max_bytes / 1e6:,.0f} MB at most in a file of {form.title}",
             fix="convert it to a GeoTIFF (gdal_translate)",
         )
-    if form.driver == "PNG":
-        _check_png(path)
+    if form.driver in DAMAGE:
+        _check_damage(path, form)
     header = check_header(path) if form.has_header else None
     dataset = rasterio.open(path, driver=form.driver, sharing=False)
     _check_files(path, dataset)
@@ -260,12 +262,13 @@ def _check_files(path: Path, dataset) -> None:
             )
 
 
-def _check_png(path: Path) -> None:
-    """Refuse a truncated PNG, which GDAL reads without an error. Raises TerrainError."""
+def _check_damage(path: Path, form: SourceFormat) -> None:
+    """Refuse damage that GDAL does not notice, or not soon. Raises TerrainError."""
     with open_regular(path, links=True) as file:
-        damage = png_damage(file)
+        damage = DAMAGE[form.driver](file)
     if damage:
-        raise TerrainError(f"{shown(path)} is damaged ({damage})", expected="a whole PNG", fix="get the file again")
+        expected = f"a whole {form.title}"
+        raise TerrainError(f"{shown(path)} is damaged ({damage})", expected=expected, fix="get the file again")
 
 
 def _open_vrt(path: Path) -> OpenedVrt:

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError, shown
+from ..run.named_file import open_regular
+from .las_header import las_damage
 from .raster import ImportSettings, Raster, cause
 from .rounding import SourceRounding
 
@@ -57,6 +59,10 @@ def _open(path: Path, settings: ImportSettings) -> Raster:
     from .file_grid import FileGrid, unit_of
     from .gdal_source import raster_of
 
+    with open_regular(path, links=True) as file:
+        damage = las_damage(file)
+    if damage:
+        raise TerrainError(f"{shown(path)} is damaged ({damage})", expected="a whole LAS or LAZ", fix="get it again")
     crs, z_step = _header(path)
     unit = unit_of(crs)
     if "degrees" in unit:

@@ -186,8 +186,16 @@ def test_large_parsers_need_a_complete_sandbox(tmp_path, monkeypatch):
     guard.guard(tmp_path / "a.grd", None)  # Surfer's parser is small
 
 
-def test_a_cube_of_variables_names_the_fault(tmp_path):
-    """A netCDF file without a grid is one error."""
-    (tmp_path / "a.nc").write_bytes(b"CDF\1" + bytes(24))
-    with pytest.raises(TerrainError, match="a.nc"):
-        open_source(ImportSettings(str(tmp_path / "a.nc")))
+def test_a_damaged_netcdf_header_is_found_at_once(tmp_path):
+    """A file without a grid is one error, and so is a header that the library would read for minutes."""
+    (tmp_path / "a.nc").write_bytes(b"CDF\1" + bytes(28))
+    content = write_netcdf(tmp_path / "b.nc", heights(), *METRES).read_bytes()
+    (tmp_path / "b.nc").write_bytes(content[:0x70] + bytes(1000) + content[0x70:])
+    (tmp_path / "c.nc").write_bytes(content[:200])
+    for name, said in (
+        ("a.nc", "a.nc has 0 bands|a.nc cannot be read"),
+        ("b.nc", "is damaged"),
+        ("c.nc", "is damaged"),
+    ):
+        with pytest.raises(TerrainError, match=said):
+            open_source(ImportSettings(str(tmp_path / name)))

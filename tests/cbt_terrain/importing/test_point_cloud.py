@@ -131,12 +131,19 @@ def test_bad_point_clouds_are_one_error(tmp_path):
     content = (tmp_path / "fine.las").read_bytes()
     (tmp_path / "cut.laz").write_bytes(write_laz(tmp_path / "b.laz", x, y, z, classes).read_bytes()[:-2000])
     (tmp_path / "noise.las").write_bytes(bytes(100) + content[100:])
+    (tmp_path / "short.las").write_bytes(content[:-20])
+    packed = bytearray((tmp_path / "b.laz").read_bytes())
+    table = struct.unpack_from("<q", packed, struct.unpack_from("<I", packed, 96)[0])[0]
+    packed[table + 4 : table + 8] = b"\xff" * 4  # the library would reserve 64 GB
+    (tmp_path / "chunks.laz").write_bytes(packed)
     wanted = {
         "class.las": ({}, "has no points of class 2"),
         "degrees.las": ({}, "points in degrees|no points of class"),
         "fine.las": ({"cell": 1e-3}, "cells of 0.001 units"),
-        "cut.laz": ({}, "cannot be read as LAS"),
-        "noise.las": ({}, "cannot be read as LAS"),
+        "cut.laz": ({}, "is damaged|cannot be read as LAS"),
+        "noise.las": ({}, "is damaged .it cannot hold 0 records|is damaged"),
+        "short.las": ({}, "is damaged .it cannot hold 1,000 points of 20 bytes"),
+        "chunks.laz": ({}, "is damaged .it cannot hold 4,294,967,295 pieces"),
     }
     for name, (options, said) in wanted.items():
         with pytest.raises(TerrainError, match=said) as caught:

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Check of the header of classic netCDF files, because the library loops for minutes over a damaged one."""
+
+import os
+import struct
+from typing import BinaryIO
+
+SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 4, 6: 8, 7: 1, 8: 2, 9: 4, 10: 8, 11: 8}  # bytes of a value by its type
+DIMENSIONS, VARIABLES, ATTRIBUTES = 10, 11, 12
+MAX_AXES = 1024  # of a variable, as in the library
+
+
+def netcdf_damage(file: BinaryIO) -> str:
+    """Return the damage of a classic netCDF header as a clause, "" for a whole one and for any other file."""
+    head = file.read(4)
+    if head[:3] != b"CDF" or head[3:] not in (b"\1", b"\2", b"\5"):
+        return ""
+    try:
+        _Header(file, head[3]).check()
+    except (ValueError, struct.error):
+        return f"its header is no header of netCDF from byte {file.tell():,} on"
+    return ""
+
+
+class _Header:
+    """A header that is read from its start; `check` raises ValueError or struct.error at damage."""
+
+    def __init__(self, file: BinaryIO, version: int) -> None:
+        self.file, self.size = file, os.fstat(file.fileno()).st_size
+        self.count_code = ">Q" if version == 5 else ">I"
+        self.offset_bytes = 4 if version == 1 else 8
+
+    def check(self) -> None:
+        """Read all dimensions, attributes and variables."""
+        self.number(self.count_code)  # of records
+        for tag, item in ((DIMENSIONS, self.dimension), (ATTRIBUTES, self.attribute), (VARIABLES, self.variable)):
+            self.items(tag, item)
+
+    def number(self, code: str = ">I") -> int:
+        """Return the next number."""
+        return struct.unpack(code, self.file.read(struct.calcsize(code)))[0]
+
+    def count(self) -> int:
+        """Return the next count of things of at least one byte, which cannot be more than the file has."""
+        found = self.number(self.count_code)
+        if found > self.size - self.file.tell():
+            raise ValueError
+        return found
+
+    def skip(self, num_bytes: int) -> None:
+        """Pass over bytes and their padding to a multiple of 4."""
+        padded = -(-num_bytes // 4) * 4
+        if padded > self.size - self.file.tell():
+            raise ValueError
+        self.file.seek(padded, os.SEEK_CUR)
+
+    def items(self, tag: int, read_item) -> None:
+        """Read a list: its tag, its length and its items. An absent list has the tag 0."""
+        found, length = self.number(), self.count()
+        if found != (tag if length else found) or found not in (0, tag):
+            raise ValueError
+        for _ in range(length):
+            read_item()
+
+    def dimension(self) -> None:
+        self.skip(self.count())
+        self.number(self.count_code)
+
+    def attribute(self) -> None:
+        self.skip(self.count())
+        size = SIZES.get(self.number())
+        if size is None:
+            raise ValueError
+        self.skip(size * self.count())
+
+    def variable(self) -> None:
+        """Read a name, the axes, the attributes, the type, the size and the offset of a variable."""
+        self.skip(self.count())
+        axes = self.count()
+        if axes > MAX_AXES:
+            raise ValueError
+        self.skip(struct.calcsize(self.count_code) * axes)
+        self.items(ATTRIBUTES, self.attribute)
+        if self.number() not in SIZES:
+            raise ValueError
+        self.number(self.count_code)
+        self.skip(self.offset_bytes)

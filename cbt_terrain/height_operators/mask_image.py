@@ -44,7 +44,7 @@ def child_main() -> None:
 def _read(request: dict, *_: object) -> list[int]:
     """Convert a mask image to a float32 array file, values 0 to 1, in a child process; return its rows and columns."""
     path, cached = Path(request["file"]), Path(request["folder"]) / f"{request['key']}.npy"
-    guard(path, cached.parent)
+    guard([path], cached.parent)
     child.end_with_parent()
     raster = open_source(ImportSettings(str(path), encoding=PLAIN))
     try:

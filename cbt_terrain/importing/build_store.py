@@ -25,13 +25,16 @@ from .plausibility import ValueCheck, relief_warning
 from .raster import ImportSettings, Raster
 from .rounding import half_step, rounding_warnings
 from .sidecars import sidecars
-from .sources import check_file, open_source
+from .source_list import file_stat, files_of, names_several
+from .sources import check_file, check_named, open_source
 from .store_job import Tell
 
 READING = "Reading"  # message while files from outside are read
 BLOCK_SAMPLES = 1 << 20  # read and written at a time, about
 METHOD = 2  # increased when the same source gives a different store
 DOUBT = ", or check that the file's header has its true size"
+# Settings that older versions lack. A digest has only their other values, so that it is that of an older version.
+ADDED_SETTINGS = ("more_sources", "priority", "step", "encoding", "cell")
 
 
 def run_import(
@@ -39,6 +42,7 @@ def run_import(
     path: str | os.PathLike,
     on_progress: Callable[[float, str], None] = lambda _fraction, _message: None,
     folder: str | None = None,
+    open_raster: Callable[[ImportSettings], Raster] = open_source,
 ) -> dict:
     """Import in this process and return the report; the store at `path` changes at the very end or not at all.
 
@@ -46,6 +50,7 @@ def run_import(
 
     Args:
         folder: name of the folder for the new arrays; None for a random one.
+        open_raster: opens the source of the settings.
 
     Raises TerrainError.
     """
@@ -55,14 +60,21 @@ def run_import(
     if is_archive(source):
         check_file(source)
     with unpacked(source, path / store_folder.scratch_name(folder)) as file:
-        return _import_file(settings, file, path, folder, on_progress)
+        return _import_file(settings, file, path, folder, on_progress, open_raster)
 
 
-def _import_file(given: ImportSettings, file: Path, path: Path, folder: str, on_progress) -> dict:
+def _import_file(
+    given: ImportSettings,
+    file: Path,
+    path: Path,
+    folder: str,
+    on_progress: Callable[[float, str], None],
+    open_raster: Callable[[ImportSettings], Raster],
+) -> dict:
     """Import a file, which may be unpacked from the source that the settings name."""
     started = time.monotonic()
     settings = dataclasses.replace(given, source=str(file)) if is_archive(Path(given.source)) else given
-    raster = open_source(settings)
+    raster = open_raster(settings)
     try:
         digest = source_digest(given, raster.sources)
         # The sources of a mosaic are known only now. For all other files the caller has checked this already.
@@ -82,6 +94,7 @@ def _import_file(given: ImportSettings, file: Path, path: Path, folder: str, on_
                 report["warnings"] += _implausible(raster, settings, place, report, check)
             report["warnings"] = [text.replace(str(file), given.source) for text in report["warnings"]]
             report["seconds"] = round(time.monotonic() - started, 3)
+            raster.finish(draft.folder)
             draft.publish(field, digest, report)
         return report
     finally:
@@ -134,14 +147,23 @@ def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = ()) -> s
     sources: files that the source names. Raises TerrainError for a missing source.
     """
     settings.check()
-    parts = [METHOD, store.VERSION, dataclasses.asdict(settings)]
+    values = dataclasses.asdict(settings)
+    for field in dataclasses.fields(settings):
+        if field.name in ADDED_SETTINGS and values[field.name] == field.default:
+            del values[field.name]
+    parts = [METHOD, store.VERSION, values]
+    if names_several(settings):
+        for file in [*files_of(settings), *sources]:
+            check_named(file)
+            parts.append(file_stat(file))
+        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+    settings.check_file()
     if settings.source not in LANDS:
         source = Path(settings.source)
         check_file(source)
         for file in [source, *sidecars(source), *sources]:
             if os.path.isfile(file):  # Path.is_file raises if the suffix makes a name too long
-                stat = file.stat()
-                parts.append((str(file.resolve()), stat.st_size, stat.st_mtime_ns))
+                parts.append(file_stat(file.resolve()))
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
@@ -261,7 +283,8 @@ def _read_heights(
         in_file_order[first : first + len(rows)] = rows
         first += len(rows)
         on_progress(share)
-    source_max = 0.0 if settings.source in LANDS else _source_step(raster, settings, largest) + converted
+    moved = raster.moved * abs(scale)
+    source_max = 0.0 if settings.source in LANDS else _source_step(raster, settings, largest) + converted + moved
     return missing, source_max
 
 
@@ -298,5 +321,6 @@ def _report(field: HeightField, raster: Raster, place: Georeference) -> dict:
         **common_report_entries(field),
         "rotation_deg": place.rotation_deg,
         "bounds_against": against,
+        **raster.details,
         "warnings": warnings,
     }

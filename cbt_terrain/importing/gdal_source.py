@@ -171,10 +171,13 @@ def raster_of(
     flags, no_data = dataset.mask_flag_enums[band - 1], settings.no_data
     masked = no_data is None and MaskFlags.all_valid not in flags
     alpha = float_alpha(dataset, band) if no_data is None else 0
+    window = _window_reader(path, dataset, band, masked, no_data, alpha)
     raster = Raster(
         width=dataset.width,
         height=dataset.height,
-        read=_reader(path, dataset, band, masked, no_data, alpha),
+        read=lambda first, count: window(first, count, 0, dataset.width),
+        window=window,
+        grid=grid,
         block_rows=dataset.block_shapes[band - 1][0],
         stored=str(stored),
         format=driver,
@@ -219,11 +222,14 @@ def _close(*files: "DatasetReader") -> None:
 
 def _resampled(path: Path, original: Raster, view: "DatasetReader", band: int) -> Raster:
     """Return the raster of a resampled view of `original`, in which missing samples are NaN."""
+    window = _window_reader(path, view, band, masked=False, no_data=None, alpha=0)
     return dataclasses.replace(
         original,
         width=view.width,
         height=view.height,
-        read=_reader(path, view, band, masked=False, no_data=None, alpha=0),
+        read=lambda first, count: window(first, count, 0, view.width),
+        window=None,
+        grid=None,
         block_rows=view.block_shapes[band - 1][0],
         original=original,
     )
@@ -307,18 +313,18 @@ def _open_vrt(path: Path) -> OpenedVrt:
     return OpenedVrt(dataset, texts, mosaic, roundings, scales)
 
 
-def _reader(
+def _window_reader(
     path: Path, dataset: "DatasetReader", band: int, masked: bool, no_data: float | None, alpha: int
-) -> Callable[[int, int], np.ndarray]:
-    """Return the function `read` of a Raster. alpha: number of a band that is 0 at missing samples; 0 for none."""
+) -> Callable[[int, int, int, int], np.ndarray]:
+    """Return the function `window` of a Raster. alpha: number of a band that is 0 at missing samples; 0 for none."""
     from rasterio.windows import Window
 
-    def read(first: int, count: int) -> np.ndarray:
-        """Return `count` rows from row `first` on; missing samples are NaN.
+    def read(first: int, count: int, column: int, columns: int) -> np.ndarray:
+        """Return `columns` samples from `column` on of `count` rows from row `first` on; missing samples are NaN.
 
         Integers of more than 16 bits and float64 stay float64 in a masked raster. Raises TerrainError for damaged rows.
         """
-        window = Window(0, first, dataset.width, count)
+        window = Window(column, first, columns, count)
         try:
             rows = dataset.read(band, window=window)
             mask = dataset.read_masks(band, window=window) if masked else None

@@ -5,7 +5,7 @@ Loading comes first, because Warp writes kernels and Python writes compiled modu
 """
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -25,24 +25,33 @@ from .source_formats import SourceFormat, drivers_of
 VARIABLES = {"PROJ_NETWORK": "OFF", "GDAL_DRIVER_PATH": "disable", "OPENBLAS_NUM_THREADS": "1"}
 
 
-def guard(path: Path, folder: Path | None, encoding: str = PLAIN) -> dict[str, str]:
-    """Drop this process's rights before a file is opened, and return the report of `sandbox.enter`.
+def guard(paths: Iterable[Path], folder: Path | None, encoding: str = PLAIN) -> dict[str, str]:
+    """Drop this process's rights before files are opened, and return the report of `sandbox.enter`.
 
     folder: where this process may still write. encoding: see ImportSettings.
 
-    Raises TerrainError if GDAL keeps drivers that the file does not need,
-    and for a format with a large parser if a right remains.
+    Raises TerrainError if GDAL keeps drivers that the files do not need, and for a format with a large parser if a
+    right remains.
     """
-    form = inner_format(path)
-    if form is not None:
+    forms: dict[str, tuple[SourceFormat, Path]] = {}
+    drivers: set[str] = set()
+    for path in paths:
+        form = inner_format(path)
+        if form is None:
+            continue
+        forms[form.title] = form, path
+        if form.driver and may_be_coded(path, encoding):
+            drivers.add("GTiff")  # for decoded heights
+    for form, _path in forms.values():
         form.load()
-        if form.driver:
-            in_memory = {"GTiff"} if may_be_coded(path, encoding) else set()  # for decoded heights
-            keep_only_drivers(drivers_of(form) | in_memory)
+        drivers |= drivers_of(form) if form.driver else set()
+    if drivers:
+        keep_only_drivers(drivers)
     remove_temporary_cache()  # not possible later
     rights = sandbox.enter(folder)
-    if form is not None and form.is_large:
-        _check_rights(path, form, rights)
+    for form, path in forms.values():
+        if form.is_large:
+            _check_rights(path, form, rights)
     return {**rights, "memory": sandbox.limit_memory(physical_memory() // 2)}
 
 
@@ -58,15 +67,20 @@ def _check_rights(path: Path, form: SourceFormat, rights: dict[str, str]) -> Non
         )
 
 
-def guard_import(settings: ImportSettings, path: Path) -> None:
-    """Load kernels, make the folder of the store `path`, and drop rights before an import. Raises TerrainError."""
+def guard_import(settings: ImportSettings, path: Path, files: Sequence[Path] = (), more_kernels: tuple = ()) -> None:
+    """Load kernels, make the folder of the store `path`, and drop rights before an import. Raises TerrainError.
+
+    Args:
+        files: the files of a mosaic; by default that of the settings.
+        more_kernels: further modules of kernels to load.
+    """
     from ...kernels.field import codes, expand, fill, hierarchy, holes, ranges
     from ..field.lands import LANDS
     from ..run import launch
     from ..run.warmup import load
 
     with _removed_scratch():
-        for module in (codes, expand, fill, hierarchy, ranges, *([holes] if settings.holes else [])):
+        for module in (codes, expand, fill, hierarchy, ranges, *([holes] if settings.holes else []), *more_kernels):
             load(module)
         if settings.source in LANDS:
             launch.slices(LANDS[settings.source].kernel, [], step="load")  # loads the kernel and launches nothing
@@ -76,7 +90,7 @@ def guard_import(settings: ImportSettings, path: Path) -> None:
             pass
     except OSError as reason:
         raise unwritable(f"The store {path}", reason) from reason
-    guard(Path(settings.source), path, settings.encoding)
+    guard(files or [Path(settings.source)], path, settings.encoding)
 
 
 @contextmanager

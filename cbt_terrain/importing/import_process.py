@@ -7,14 +7,17 @@
 
 import dataclasses
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ..field import store_folder
 from .build_store import READING, finished_before, run_import, source_digest
 from .guard import VARIABLES, guard_import
 from .raster import ImportSettings
+from .source_list import files_of, names_several
 from .store_job import CHECK_FILE, JobProgress, StoreJob, Tell, serve, wait_for
+
+MOSAIC = "cbt_terrain.mosaic.import_child"  # the child's module for several files
 
 __all__ = ["ImportJob", "child_main", "import_source"]
 
@@ -29,21 +32,28 @@ class ImportJob(StoreJob):
         """
         store_folder.check_target(store)
         store_folder.remove_abandoned(Path(store))
+        settings.check()
+        several = names_several(settings)
+        if several:
+            files_of(settings)  # raises TerrainError for a missing one before a process starts
         super().__init__(
-            "cbt_terrain.importing.import_process",
+            MOSAIC if several else "cbt_terrain.importing.import_process",
             store,
             {"settings": dataclasses.asdict(settings)},
-            what=_what(settings.source),
+            what=what_of(settings.sources),
             fix=CHECK_FILE,
             reading=settings.source,
             watched=(JobProgress.message, READING),
             variables=VARIABLES,
-            report=finished_before(store, source_digest(settings)),
+            # The files that a tile index names are known to the child alone.
+            report=None if several else finished_before(store, source_digest(settings)),
         )
 
 
-def _what(source: str) -> str:
-    return f"The import of {source}"
+def what_of(sources: Sequence[str]) -> str:
+    """Return the import of some sources as a noun, for errors."""
+    more = f" and {len(sources) - 1:,} more" if len(sources) > 1 else ""
+    return f"The import of {sources[0]}{more}"
 
 
 def import_source(
@@ -65,7 +75,7 @@ def import_source(
 
 def child_main() -> None:
     """Import the source in the request on stdin, and report on stdout."""
-    serve(_import, lambda request: _what(request["settings"]["source"]))
+    serve(_import, lambda request: what_of([request["settings"]["source"]]))
 
 
 def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:

@@ -14,12 +14,15 @@ from ..field import island
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.lands import LANDS
 from ..plain_numbers import keep_plain_numbers
+from .file_grid import FileGrid
 from .rounding import SourceRounding
 from .source_formats import BAND, suffixes_with
 
 ISLAND = "island"
 _PROJECT = re.compile(r"(utm|epsg:\d{1,7})?", re.IGNORECASE)
 ENCODINGS = ("", "terrarium", "mapbox", "plain")  # coded_heights.py
+ORDER, RESOLUTION, NEWEST = "order", "resolution", "newest"
+PRIORITIES = (ORDER, RESOLUTION, NEWEST)
 RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float16", "float32", "float64")
 
 
@@ -28,7 +31,11 @@ class ImportSettings:
     """Source of an import, and the properties that its file does not define.
 
     Attributes:
-        source: path of a file, or name of a built-in terrain.
+        source: path of a file, or name of a built-in terrain. A folder, a pattern or a tile index names several files.
+        more_sources: further sources, which form one terrain with the first.
+        priority: which of several files is used where they overlap: the last in order (ORDER), the finest (RESOLUTION)
+            or the one that was changed last (NEWEST).
+        step: metres between samples of a terrain of several files; None for those of the finest file.
         raw_size: columns and rows of a RAW file; None for a square.
         raw_dtype: type of its samples, one of RAW_TYPES.
         raw_little_endian: order of their bytes.
@@ -45,7 +52,8 @@ class ImportSettings:
         band: number of the band, from 1.
         channel: name of an EXR channel; "" for the likeliest one.
         first_row_south: row order of files that do not define it; pictures begin in the north.
-        project: coordinate system to reproject to, "utm" or "EPSG:n"; "" for none.
+        project: coordinate system to reproject to, "utm" or "EPSG:n"; "" for none, and for the first projected one of
+            several files.
         cell: side of the cells of gridded points in metres; None for four points in the mean.
         encoding: of heights in an image's colours, one of ENCODINGS; "" recognises those of web map tiles.
     """
@@ -69,9 +77,18 @@ class ImportSettings:
     project: str = ""
     encoding: str = ""
     cell: float | None = None
+    more_sources: tuple[str, ...] = ()
+    priority: str = ORDER
+    step: float | None = None
 
     def __post_init__(self) -> None:
         keep_plain_numbers(self, "The import's")
+        object.__setattr__(self, "more_sources", tuple(self.more_sources))
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Return all sources in order."""
+        return self.source, *self.more_sources
 
     def check(self) -> None:
         """Raise TerrainError for settings that cannot be used."""
@@ -112,6 +129,20 @@ class ImportSettings:
             raise TerrainError(
                 f"The raster cannot be reprojected to {shown(self.project)!r}", expected="utm or EPSG:n, as EPSG:32632"
             )
+        if self.priority not in PRIORITIES:
+            what = f"The priority {shown(self.priority)!r} is not known"
+            raise TerrainError(what, fix=f"choose one of {', '.join(PRIORITIES)}")
+        if self.step is not None and not SMALLEST_EXTENT < self.step < LARGEST_EXTENT:
+            raise TerrainError(f"The step is {self.step:g} m", expected="a length above 0")
+
+    def check_file(self) -> None:
+        """Raise TerrainError for settings that the one file of the import cannot have."""
+        if self.step is not None or self.priority != ORDER:
+            raise TerrainError(
+                "A step and a priority are of several files",
+                where=shown(self.source),
+                fix="leave them out for one file",
+            )
         if self.project and (self.source in LANDS or Path(self.source).suffix.lower() not in suffixes_with(BAND)):
             raise TerrainError(
                 f"{shown(self.source)} has no coordinate system, so it cannot be reprojected", fix="import it as it is"
@@ -126,6 +157,9 @@ class Raster:
         width: columns.
         height: rows.
         read: read(first, count) returns `count` rows from row `first` on, NaN for missing samples.
+        window: window(first, count, column, columns) returns a part of these rows; None for a raster that is read by
+            whole rows only.
+        grid: coordinate system and geotransform of the samples, if the file places them.
         stored: name of the samples' type in the file.
         format: name of the file's format.
         georeference: size, position and orientation; None if the file does not define them.
@@ -139,6 +173,9 @@ class Raster:
         roundings: of the files that hold the samples, before scale and offset; by default that of `stored`.
         warnings: sentences for the report.
         sources: other files that hold the samples.
+        moved: largest difference that interpolated positions have made to a sample that was read, before scale.
+        details: further entries of the report.
+        finish: writes what the store keeps of the files into its folder; raises TerrainError if one has changed.
         close: closes the files.
     """
 
@@ -147,6 +184,8 @@ class Raster:
     read: Callable[[int, int], np.ndarray]
     stored: str
     format: str
+    window: Callable[[int, int, int, int], np.ndarray] | None = None
+    grid: FileGrid | None = None
     georeference: Georeference | None = None
     is_sized: bool = False
     has_unit: bool = False
@@ -158,6 +197,9 @@ class Raster:
     roundings: tuple[SourceRounding, ...] = ()
     warnings: list[str] = field(default_factory=list)
     sources: tuple[Path, ...] = ()
+    moved: float = 0.0
+    details: dict = field(default_factory=dict)
+    finish: Callable[[Path], None] = lambda _folder: None
     close: Callable[[], None] = lambda: None
 
     def __post_init__(self) -> None:

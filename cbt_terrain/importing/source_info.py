@@ -20,6 +20,7 @@ from .store_job import ask, serve
 def describe_source(settings: ImportSettings) -> dict:
     """Return a flat dict of a height map's header. Raises TerrainError for a file that cannot be imported."""
     settings.check()
+    settings.check_file()
     if settings.source not in LANDS:
         check_file(Path(settings.source))
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:  # the child cannot remove it
@@ -65,7 +66,7 @@ def _describe(settings: ImportSettings, scratch: Path) -> dict:
     of `scratch`.
     """
     source = Path(settings.source)
-    guard(source, scratch if is_archive(source) else None, settings.encoding)
+    guard([source], scratch if is_archive(source) else None, settings.encoding)
     child.end_with_parent()
     with unpacked(source, scratch / store_folder.new_data_name()) as file:
         return _fields(settings, open_source(dataclasses.replace(settings, source=str(file))))
@@ -91,7 +92,7 @@ def _gdal_versions() -> dict:
     import rasterio
     from rasterio import _env
 
-    rights = guard(Path("any.vrt"), None)
+    rights = guard([Path("any.vrt")], None)
     with rasterio.Env() as env:
         drivers = sorted(env.drivers())
     return {"GDAL": _env.gdal_version(), "GDAL drivers": drivers, "reading height maps": rights}

@@ -23,6 +23,7 @@ SMOOTHER = 4.0  # ratio of roughness beyond which the other byte order is likeli
 def open_source(settings: ImportSettings) -> Raster:
     """Open the source that the settings name, in the import's child process. Raises TerrainError."""
     settings.check()
+    settings.check_file()
     if settings.source in LANDS:
         return _open_land(settings)
     path = Path(settings.source)
@@ -44,6 +45,12 @@ def open_source(settings: ImportSettings) -> Raster:
 
 def check_file(path: Path, kind: str = "height map") -> None:
     """Raise TerrainError unless `path` is a readable, non-empty file. kind: purpose of the file, in errors."""
+    check_named(path, kind)
+    check_neighbours(path)
+
+
+def check_named(path: Path, kind: str = "height map") -> None:
+    """Check a file as `check_file` does, but not the files beside it."""
     expected = f"the file of a {kind}"
     try:
         what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
@@ -57,7 +64,6 @@ def check_file(path: Path, kind: str = "height map") -> None:
         raise TerrainError(f"{path} may not be read by this user", fix="change its permissions")
     if path.stat().st_size == 0:
         raise TerrainError(f"{path} is empty", expected=expected)
-    check_neighbours(path)
 
 
 def check_neighbours(path: Path) -> None:

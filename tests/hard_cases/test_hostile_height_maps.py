@@ -84,7 +84,7 @@ from pathlib import Path
 from adaptive_terrain.cbt_terrain.importing.guard import guard
 folder, attacked = Path(sys.argv[1]), sys.argv[2:]
 (folder / "store").mkdir()
-said = guard(folder / "a.vrt", folder / "store")
+said = guard([folder / "a.vrt"], folder / "store")
 import rasterio
 
 def outcome(do):

@@ -19,7 +19,7 @@ def read(path):
     for descriptor in (1, 2):  # some drivers print
         os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
     try:
-        guard.guard(Path(path), None)
+        guard.guard([Path(path)], None)
         raster = sources.open_source(ImportSettings(path))
         if raster.width * raster.height > 1 << 22:
             return ["error", "too large to read here."]

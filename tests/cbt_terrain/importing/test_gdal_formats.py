@@ -180,10 +180,10 @@ def test_large_parsers_need_a_complete_sandbox(tmp_path, monkeypatch):
     monkeypatch.setattr(guard.sandbox, "limit_memory", lambda size: "")
     for suffix in large:
         with pytest.raises(TerrainError, match="runs only in a process without any rights .writes kept: no Landlock"):
-            guard.guard(tmp_path / f"a{suffix}", None)
-    guard.guard(tmp_path / "a.img", None)
+            guard.guard([tmp_path / f"a{suffix}"], None)
+    guard.guard([tmp_path / "a.img"], None)
     write_surfer6(tmp_path / "a.grd", heights(), *METRES)
-    guard.guard(tmp_path / "a.grd", None)  # Surfer's parser is small
+    guard.guard([tmp_path / "a.grd"], None)  # Surfer's parser is small
 
 
 def test_a_damaged_netcdf_header_is_found_at_once(tmp_path):

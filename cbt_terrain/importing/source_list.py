@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The files that the sources of an import name: files, folders, patterns and tile indexes."""
+
+import glob
+import os
+from pathlib import Path
+
+from ..errors import TerrainError, check_path, shown
+from ..field.lands import LANDS
+from .raster import ImportSettings
+from .source_formats import FORMATS
+
+# Tile indexes of GDAL: XML or a database that names files.
+INDEX_SUFFIXES = (".gti", ".gpkg", ".shp")
+# A picture in a folder of tiles is a height map only if one of these files places it.
+PICTURE, WORLD_FILES = ".png", (".pgw", ".pngw", ".wld", ".png.aux.xml")
+# In a folder these would name the same heights again.
+NOT_IN_FOLDERS = (".vrt",)
+MAX_FILES = 1_000_000
+
+
+def names_several(settings: ImportSettings) -> bool:
+    """Return whether an import has several files: further sources, a folder, a pattern or a tile index."""
+    source = settings.source
+    if settings.more_sources:
+        return True
+    return source not in LANDS and (_is_folder(source) or _is_pattern(source) or _is_index(source))
+
+
+def files_of(settings: ImportSettings) -> list[Path]:
+    """Return the absolute paths of all files and tile indexes that the sources name, in order and once each.
+
+    A file that is named twice has its last position. Files of a folder or a pattern are sorted by name. Nothing is
+    opened. Raises TerrainError for a source without a file.
+    """
+    found: dict[Path, None] = {}
+    for source in settings.sources:
+        if source in LANDS:
+            what = f"The built-in terrain {source} cannot be one of several sources"
+            raise TerrainError(what, fix="import it by itself")
+        check_path("The source", source)
+        for path in _files_of_one(source):
+            found.pop(path, None)
+            found[path] = None
+    if len(found) > MAX_FILES:
+        what = f"The sources name {len(found):,} files"
+        raise TerrainError(what, expected=f"{MAX_FILES:,} at most", fix="import a part of them")
+    return list(found)
+
+
+def file_stat(path: str | os.PathLike) -> tuple[str, int, int]:
+    """Return a file's path, size and modification time (ns). Raises OSError."""
+    stat = os.stat(path)
+    return str(path), stat.st_size, stat.st_mtime_ns
+
+
+def _files_of_one(source: str) -> list[Path]:
+    """Return the files of one source."""
+    if _is_folder(source):
+        found = _files_in(Path(source).absolute())
+        if not found:
+            raise TerrainError(
+                f"The folder {shown(source)} holds no height map with a position",
+                expected="files such as .tif, .hgt or .asc",
+                fix='name other files, or those of inner folders by a pattern ("DIR/**/*.tif")',
+            )
+        return found
+    if _is_pattern(source):
+        names = sorted(glob.glob(source, recursive=True))
+        found = [Path(name).absolute() for name in names if os.path.isfile(name) and _suffix(name) in FORMATS]
+        if not found:
+            what = f"No height map matches the pattern {shown(source)}"
+            raise TerrainError(what, fix="check the folder and the suffix")
+        return found
+    return [Path(source).absolute()]
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """Return the height maps of a folder that may have a position, sorted by name; inner folders are not searched.
+
+    A link counts as the file that it leads to.
+    """
+    try:
+        with os.scandir(folder) as entries:
+            names = {entry.name for entry in entries if _suffix(entry.name) and entry.is_file()}
+    except OSError as reason:
+        what = f"The folder {shown(folder)} cannot be read ({reason.strerror or reason})"
+        raise TerrainError(what, fix="change its permissions") from reason
+    lower = {name.lower() for name in names}
+    return [folder / name for name in sorted(names) if _is_tile(name, lower)]
+
+
+def _is_tile(name: str, lower: set[str]) -> bool:
+    """Return whether a file of a folder may hold a part of the terrain. lower: names of all files in small letters."""
+    suffix = _suffix(name)
+    if suffix not in FORMATS or not FORMATS[suffix].driver or suffix in NOT_IN_FOLDERS:
+        return False
+    stem = name.lower().removesuffix(suffix)
+    return suffix != PICTURE or any(stem + world in lower for world in WORLD_FILES)
+
+
+def _suffix(name: str) -> str:
+    return os.path.splitext(name)[1].lower()
+
+
+def _is_folder(source: str) -> bool:
+    try:
+        return os.path.isdir(source)
+    except ValueError:  # a NUL in the name
+        return False
+
+
+def _is_pattern(source: str) -> bool:
+    """Return whether a source is a pattern; a file whose name holds such characters is none."""
+    return glob.has_magic(source) and not os.path.lexists(source)
+
+
+def _is_index(source: str) -> bool:
+    return _suffix(source) in INDEX_SUFFIXES

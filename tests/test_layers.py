@@ -29,6 +29,7 @@ ROOMS = {
     "kernels": [
         "unchecked",
         "field",
+        "mosaic",
         "tree",
         "leb",
         "refine",
@@ -46,7 +47,7 @@ ROOMS = {
     ],
     "cbt_terrain": [
         *("errors", "plain_numbers", "run", "view", "field", "tree", "leb", "history", "refine", "mesh", "terrain"),
-        *("query", "attributes", "scatter", "importing", "height_operators", "fit", "exporting", "accuracy"),
+        *("query", "attributes", "scatter", "importing", "mosaic", "height_operators", "fit", "exporting", "accuracy"),
     ],
     "operators": [
         *("text", "bridge", FEATURES, "handlers", "registration"),

@@ -159,7 +159,8 @@ def _add_import(subparsers) -> None:
     verb = _verb(subparsers, "import", "turn a height map into a store", verbs.run_import)
     kinds = ", ".join(dict.fromkeys(form.title for form in FORMATS.values()))
     source = f"height map ({kinds}), or a built-in land: {', '.join(LANDS)}"
-    verb.add_argument("source", type=path_text, help=source)
+    source += "; several files, folders and tile indexes (.gti) become one terrain"
+    verb.add_argument("sources", type=path_text, nargs="+", metavar="SOURCE", help=source)
     verb.add_argument("--store", type=path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument(
         "--extent",
@@ -185,6 +186,7 @@ def _add_import(subparsers) -> None:
     verb.add_argument("--cell", type=float, metavar="METRES", help="side of the cells of gridded points (from density)")
     verb.add_argument("--first-row-south", action="store_true", help="for files that do not say where north is")
     verb.add_argument("--project", **PROJECT)
+    _add_mosaic(verb)
     _add_raw(verb)
     verb.add_argument("--size", type=int, metavar="N", help=f"built-in land: samples a side ({DEFAULT_SIZE})")
     verb.add_argument("--seed", type=int, metavar="N", help=f"built-in land: its shape ({DEFAULT_SEED})")
@@ -380,6 +382,18 @@ def _add_views(verb: argparse.ArgumentParser, store: str, frames_required: bool 
     camera_path = "camera path for --store (docs/reference/camera-path.md)"
     verb.add_argument("--path", type=path, metavar="FILE.json", help=camera_path)
     verb.add_argument("--resolution", type=SIZE, metavar="WxH", help="pixels (the scene's, or 1920x1080)")
+
+
+def _add_mosaic(verb: argparse.ArgumentParser) -> None:
+    """Add the options of several files."""
+    from ...cbt_terrain.importing.raster import PRIORITIES
+
+    priority = "which of several files is used where they overlap: the last, the finest or the newest (order)"
+    verb.add_argument("--priority", choices=PRIORITIES, help=priority)
+    step = positive(MAX_ERROR_M)
+    verb.add_argument(
+        "--step", type=step, metavar="METRES", help="between samples of several files (the finest file's)"
+    )
 
 
 def _add_raw(verb: argparse.ArgumentParser) -> None:

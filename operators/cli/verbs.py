@@ -23,13 +23,17 @@ def run_import(arguments) -> None:
     from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.importing.import_process import import_source
     from ...cbt_terrain.importing.source_formats import BAND, CELL, CHANNEL, ENCODING, suffixes_with
+    from ...cbt_terrain.importing.source_list import names_several
 
-    if arguments.source not in LANDS and (arguments.size, arguments.seed) != (None, None):
-        raise UsageError(f"--size and --seed are of built-in lands; {arguments.source} is taken as it is")
+    source = arguments.sources[0]
+    if source not in LANDS and (arguments.size, arguments.seed) != (None, None):
+        raise UsageError(f"--size and --seed are of built-in lands; {source} is taken as it is")
+    settings = _import_settings(arguments, source=source, more_sources=arguments.sources[1:])
+    several = names_several(settings)
     for option, suffixes in ((option, suffixes_with(option)) for option in (BAND, CHANNEL, ENCODING, CELL)):
-        if getattr(arguments, option) is not None and Path(arguments.source).suffix.lower() not in suffixes:
-            raise UsageError(f"--{option} is of {', '.join(suffixes)}; {arguments.source} is taken as it is")
-    settings = _import_settings(arguments)
+        wrong = Path(source).suffix.lower() not in suffixes and not (several and option in (BAND, ENCODING))
+        if getattr(arguments, option) is not None and wrong:
+            raise UsageError(f"--{option} is of {', '.join(suffixes)}; {source} is taken as it is")
     start = time.monotonic()
     bar = Progress(1.0, "import", arguments.progress)
     try:

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The catalogue of a mosaic: what its files' headers say. Each header is read once, and the store keeps the result.
+
+It runs in the import's child process. A kept entry is used again if the size and the modification time of its files are
+the same. A damaged catalogue is built again.
+"""
+
+import dataclasses
+import hashlib
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import TerrainError, shown
+from ..field.georeference import Transform
+from ..field.store_folder import named_folder
+from ..importing.raster import ImportSettings, Raster
+from ..importing.rounding import SourceRounding
+from ..importing.sidecars import sidecars
+from ..importing.source_list import INDEX_SUFFIXES, file_stat, files_of
+from ..importing.sources import check_named, open_source
+from ..run.named_file import read_regular
+from .index_files import paths_in
+from .systems import names_of
+
+FILE_NAME = "catalogue.json"
+VERSION = 1
+MAX_BYTES = 1 << 30
+MAX_SIDE = 1 << 30  # samples
+
+
+@dataclass(frozen=True)
+class SourceTile:
+    """The header of one file of a mosaic.
+
+    Attributes:
+        path: absolute path.
+        files: path, size and modification time (ns) of the file and of those that belong to it.
+        width: columns.
+        height: rows.
+        transform: from columns and rows of cells' corners to x and y of the CRS.
+        crs: name of the horizontal coordinate system; "" if the file names none.
+        whole_crs: name of the whole system.
+        datum: name of the vertical datum; "" if the file names none.
+        stored: type of the samples.
+        format: GDAL's driver.
+        scale: a height is value * scale + offset metres.
+        offset: see scale.
+        block_rows: number of rows that are best read together.
+        roundings: of the stored values, before scale and offset.
+        warnings: sentences for the report.
+    """
+
+    path: str
+    files: tuple[tuple[str, int, int], ...]
+    width: int
+    height: int
+    transform: Transform
+    crs: str
+    whole_crs: str
+    datum: str
+    stored: str
+    format: str
+    scale: float
+    offset: float
+    block_rows: int
+    roundings: tuple[SourceRounding, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def is_straight(self) -> bool:
+        """Return whether columns run along x and rows along y."""
+        return self.transform[1] == self.transform[3] == 0.0
+
+    @property
+    def changed_ns(self) -> int:
+        """Return the modification time of the file itself, ns."""
+        return self.files[0][2]
+
+    def position(self, column: float, row: float) -> tuple[float, float]:
+        """Return x and y of a sample; its column and row may be fractions."""
+        a, b, c, d, e, f = self.transform
+        column, row = column + 0.5, row + 0.5
+        return a * column + b * row + c, d * column + e * row + f
+
+    def check_unchanged(self) -> None:
+        """Raise TerrainError if one of the files is another than when its header was read."""
+        for entry in self.files:
+            if _stat(entry[0]) != entry:
+                raise TerrainError(
+                    f"{shown(entry[0])} has changed while it was imported",
+                    expected="the file as it was at the beginning",
+                    fix="import again when it is complete",
+                    code="source.changed",
+                )
+
+    def check_header(self, raster: Raster) -> None:
+        """Raise TerrainError if the opened file has another size than the catalogue says."""
+        if (raster.width, raster.height) != (self.width, self.height):
+            raise TerrainError(
+                f"{shown(self.path)} has {raster.width} x {raster.height} samples",
+                expected=f"{self.width} x {self.height} as before",
+                fix="import again when it is complete",
+                code="source.changed",
+            )
+
+
+def build_catalogue(
+    settings: ImportSettings,
+    store: Path | None,
+    on_progress: Callable[[float], None] = lambda _fraction: None,
+) -> list[SourceTile]:
+    """Return the tiles of all files that the settings' sources name, in their order.
+
+    store: its kept catalogue is used where files have not changed; None for none. Raises TerrainError for a file that
+    cannot be a part of a mosaic.
+    """
+    paths: dict[Path, None] = {}
+    for path in files_of(settings):
+        for file in paths_in(path) if path.suffix.lower() in INDEX_SUFFIXES else [path]:
+            paths.pop(file, None)
+            paths[file] = None
+    kept = _kept_tiles(store, settings) if store is not None else {}
+    tiles = []
+    for number, path in enumerate(paths):
+        tile = kept.get(str(path))
+        unchanged = tile is not None and tuple(map(_stat, _belonging(path))) == tile.files[: len(_belonging(path))]
+        if tile is None or not unchanged or any(_stat(entry[0]) != entry for entry in tile.files):
+            tile = _read_tile(path, settings)
+        tiles.append(tile)
+        on_progress((number + 1) / len(paths))
+    return tiles
+
+
+def open_tile(path: str, settings: ImportSettings) -> Raster:
+    """Open one file of a mosaic. Its samples are as the file stores them. Raises TerrainError."""
+    from rasterio.env import setenv
+
+    raster = open_source(ImportSettings(source=path, band=settings.band, no_data=settings.no_data))
+    setenv(GDAL_PAM_ENABLED="NO", GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")  # of what a VRT opens while it is read
+    return raster
+
+
+def keep_catalogue(tiles: Sequence[SourceTile], settings: ImportSettings, folder: Path) -> None:
+    """Write a catalogue into a store's folder of arrays."""
+    entries = [dataclasses.asdict(tile) for tile in tiles]
+    content = {"version": VERSION, "settings": _own_settings(settings), "tiles": entries}
+    text = json.dumps(content)
+    (folder / FILE_NAME).write_text(json.dumps({"sum": _sum(text), "content": text}), encoding="utf-8")
+
+
+def _belonging(path: Path) -> list[Path]:
+    """Return a file and those beside it that belong to it."""
+    return [path, *sidecars(path)]
+
+
+def _stat(path: str | Path) -> tuple[str, int, int] | None:
+    try:
+        return file_stat(path)
+    except OSError:
+        return None
+
+
+def _read_tile(path: Path, settings: ImportSettings) -> SourceTile:
+    """Read the header of one file. Raises TerrainError for a file that cannot be a part of a mosaic."""
+    check_named(path)
+    files = tuple(map(file_stat, _belonging(path)))
+    raster = open_tile(str(path), settings)
+    try:
+        grid = raster.grid
+        if grid is None or raster.window is None or grid.transform is None:
+            problem = "its rows and columns are not perpendicular" if raster.projected_from else "it has no position"
+            problem = grid.problem if grid is not None and grid.problem else problem
+            raise TerrainError(
+                f"{shown(path)} cannot be a part of a mosaic ({problem})",
+                expected="a coordinate system and the position of its samples",
+                fix="place it first (gdal_translate -a_ullr, gdalwarp), or import it by itself",
+            )
+        crs, whole, datum = names_of(grid.crs) if grid.crs is not None else ("", "", "")
+        return SourceTile(
+            path=str(path),
+            files=(*files, *map(file_stat, raster.sources)),
+            width=raster.width,
+            height=raster.height,
+            transform=tuple(map(float, grid.transform)),
+            crs=crs,
+            whole_crs=whole,
+            datum=datum,
+            stored=raster.stored,
+            format=raster.format,
+            scale=float(raster.scale),
+            offset=float(raster.offset),
+            block_rows=int(raster.block_rows),
+            roundings=tuple(raster.roundings),
+            warnings=tuple(raster.warnings),
+        )
+    finally:
+        raster.close()
+
+
+def _own_settings(settings: ImportSettings) -> list:
+    """Return the settings that headers are read with; no-data as a text, which NaN is too."""
+    return [settings.band, str(settings.no_data)]
+
+
+def _sum(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _kept_tiles(store: Path, settings: ImportSettings) -> dict[str, SourceTile]:
+    """Return the tiles of a store's catalogue by path, {} without one that can be used."""
+    folder = named_folder(store)
+    if folder is None:
+        return {}
+    try:
+        kept = json.loads(read_regular(folder / FILE_NAME, MAX_BYTES, links=False).decode("utf-8"))
+        content = json.loads(kept["content"])
+        if kept["sum"] != _sum(kept["content"]) or content["version"] != VERSION:
+            return {}
+        if content["settings"] != _own_settings(settings):
+            return {}
+        tiles = [_tile_of(entry) for entry in content["tiles"]]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError, TerrainError):
+        return {}
+    return {tile.path: tile for tile in tiles}
+
+
+def _tile_of(entry: dict) -> SourceTile:
+    """Return the tile of a catalogue's entry. Raises ValueError, TypeError or KeyError for an invalid one."""
+    values = {field.name: entry[field.name] for field in dataclasses.fields(SourceTile)}
+    values["files"] = tuple((str(path), int(size), int(changed)) for path, size, changed in entry["files"])
+    values["transform"] = tuple(map(float, entry["transform"]))
+    values["roundings"] = tuple(_rounding_of(rounding) for rounding in entry["roundings"])
+    values["warnings"] = tuple(map(shown, entry["warnings"]))
+    tile = SourceTile(**values)
+    numbers = (*tile.transform, float(tile.scale), float(tile.offset))
+    counts = tile.width, tile.height, tile.block_rows
+    if len(tile.transform) != 6 or not all(map(math.isfinite, numbers)) or not tile.files or not tile.roundings:
+        raise ValueError("numbers of a tile are not finite")
+    if not all(type(count) is int and 0 < count <= MAX_SIDE for count in counts):
+        raise ValueError("a tile has an impossible size")
+    np.dtype(tile.stored)
+    return tile
+
+
+def _rounding_of(entry: dict) -> SourceRounding:
+    """Return a rounding of a catalogue's entry."""
+    before = _rounding_of(entry["before"]) if entry["before"] is not None else None
+    return SourceRounding(**{**entry, "before": before})

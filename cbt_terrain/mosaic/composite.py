@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The composite of a mosaic: heights of any window of its grid, a pure function of the tiles, the grid and the window.
+
+A sample is interpolated in the lattice of its sources. Where several lattices have a value, the tile of the highest
+rank decides. Samples in the cell between two tiles without a common lattice are interpolated between their borders.
+"""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+
+import numpy as np
+import warp as wp
+
+from ...kernels.mosaic import resample
+from ..importing.raster import NEWEST, RESOLUTION, ImportSettings, Raster
+from ..run import launch
+from ..run.buffers import flat
+from .bridges import bridge
+from .catalogue import SourceTile, open_tile
+from .lattices import Lattice, find_lattices
+from .positions import BLOCK, BlockNodes, is_congruent, nodes_of
+from .target_grid import Footprints, TargetGrid
+from .windows import NO_DATA, UNCOVERED, LatticeWindow, Piece, pieces_of
+
+MAX_OPEN = 64  # files
+MAX_BLOCKS = 4096  # whose nodes are kept, 17 KB each
+MAX_BUFFER = 1 << 22  # source samples of a piece; a larger one is divided
+EDGE = 3  # source samples around those that a piece is interpolated from
+
+
+def ranked(tiles: Sequence[SourceTile], found: Footprints, settings: ImportSettings) -> np.ndarray:
+    """Return the numbers of tiles in ascending order of their priority; of equal ones the later is higher."""
+    if settings.priority == RESOLUTION:
+        return np.argsort(-(found.steps[:, 0] * found.steps[:, 1]), kind="stable")
+    if settings.priority == NEWEST:
+        return np.argsort([tile.changed_ns for tile in tiles], kind="stable")
+    return np.arange(len(tiles))
+
+
+class Composite:
+    """Tiles on a grid, read by windows.
+
+    Attributes:
+        grid: the target grid.
+        tiles: in ascending order of priority; a tile's position is its rank.
+        lattices: their lattices.
+        stored: type of the samples; float64 if any are interpolated or converted.
+        scale, offset: a height is value * scale + offset metres.
+    """
+
+    def __init__(
+        self, tiles: Sequence[SourceTile], grid: TargetGrid, found: Footprints, settings: ImportSettings
+    ) -> None:
+        """Prepare the tiles; `found`: their footprints in the grid's system. No file is opened."""
+        order = ranked(tiles, found, settings)
+        self.grid, self._settings = grid, settings
+        self.tiles = [tiles[n] for n in order]
+        self.lattices = find_lattices(self.tiles)
+        boxes, steps = found.boxes[order], found.steps[order]
+        low_u, high_v = grid.indices(boxes[:, 0], boxes[:, 1])
+        high_u, low_v = grid.indices(boxes[:, 2], boxes[:, 3])
+        near = 2.0 * steps / (grid.step_x, grid.step_y) + 1.0
+        self._boxes = np.stack(
+            [low_u - near[:, 0], low_v - near[:, 1], high_u + near[:, 0], high_v + near[:, 1]], axis=1
+        )
+        scales = {(tile.scale, tile.offset) for tile in self.tiles}
+        kinds = {tile.stored for tile in self.tiles}
+        is_copied = all(lattice.crs == grid.crs and is_congruent(lattice, grid) for lattice in self.lattices)
+        self._converts = len(scales) > 1
+        self.scale, self.offset = (1.0, 0.0) if self._converts else next(iter(scales))
+        self.stored = next(iter(kinds)) if len(kinds) == 1 and is_copied and not self._converts else "float64"
+        self._open: OrderedDict[int, Raster] = OrderedDict()
+        self._nodes: OrderedDict[tuple, BlockNodes] = OrderedDict()
+
+    def read(self, row: int, rows: int, column: int = 0, columns: int | None = None) -> tuple[np.ndarray, float]:
+        """Return a window, float64 [rows, columns] with NaN for gaps, and the largest difference made by positions.
+
+        row, column: first sample, counted from the grid's corner in the north-west.
+        """
+        columns = self.grid.width - column if columns is None else columns
+        values = np.full((rows, columns), np.nan)
+        moved = 0.0
+        for piece in pieces_of(self.grid.column + column, self.grid.row + row, columns, rows):
+            top, left = piece.row - self.grid.row - row, piece.column - self.grid.column - column
+            part = values[top : top + piece.rows, left : left + piece.columns]
+            moved = max(moved, self._fill(piece, part))
+        return values, moved
+
+    def rounded(self) -> tuple:
+        """Return the different roundings of the files, in units of a value."""
+        return tuple(
+            dict.fromkeys(
+                rounding.scaled(tile.scale, tile.offset) if self._converts else rounding
+                for tile in self.tiles
+                for rounding in tile.roundings
+            )
+        )
+
+    def close(self) -> None:
+        """Close all files."""
+        while self._open:
+            self._open.popitem()[1].close()
+
+    def _fill(self, piece: Piece, values: np.ndarray) -> float:
+        """Fill the values of a piece, and return the largest difference made by positions."""
+        column, row = piece.column, piece.row
+        meets = (self._boxes[:, 0] < column + piece.columns) & (self._boxes[:, 2] >= column)
+        meets &= (self._boxes[:, 1] < row + piece.rows) & (self._boxes[:, 3] >= row)
+        if not meets.any():
+            return 0.0
+        found = []
+        for number, lattice in enumerate(self.lattices):
+            near = np.flatnonzero(meets[lattice.tiles])
+            if not len(near):
+                continue
+            nodes = self._nodes_of(number, *piece.block)
+            box = _source_box(lattice, near, nodes, piece)
+            if box is None:
+                continue
+            if (box[2] - box[0]) * (box[3] - box[1]) > MAX_BUFFER and piece.columns * piece.rows > 1:
+                return self._fill_halves(piece, values)
+            found.append((nodes, self._window(lattice, near, box)))
+        out, ranks = np.full(values.shape, np.nan), np.full(values.shape, UNCOVERED, np.int32)
+        moved = np.zeros(values.shape)
+        for nodes, window in found:
+            _resample(piece, nodes, window, out, ranks, moved)
+        if (ranks == UNCOVERED).any():
+            bridge(piece, found, out, ranks, moved)
+        values[:] = out
+        return float(moved.max())
+
+    def _fill_halves(self, piece: Piece, values: np.ndarray) -> float:
+        """Fill the two halves of a piece that needs too many source samples at once."""
+        first, second = piece.halves()
+        if first.rows == piece.rows:
+            parts = values[:, : first.columns], values[:, first.columns :]
+        else:
+            parts = values[: first.rows], values[first.rows :]
+        return max(self._fill(first, parts[0]), self._fill(second, parts[1]))
+
+    def _nodes_of(self, number: int, column: int, row: int) -> BlockNodes:
+        """Return the nodes of a block for the lattice `number`."""
+        key = number, column, row
+        if key not in self._nodes:
+            self._nodes[key] = nodes_of(self.lattices[number], self.grid, column, row)
+            if len(self._nodes) > MAX_BLOCKS:
+                self._nodes.popitem(last=False)
+        self._nodes.move_to_end(key)
+        return self._nodes[key]
+
+    def _window(self, lattice: Lattice, near: np.ndarray, box: tuple[int, int, int, int]) -> LatticeWindow:
+        """Read a box of a lattice (first column and row, ends) from the tiles `near`, in the order of their ranks."""
+        left, top, right, bottom = box
+        values = np.full((bottom - top, right - left), np.nan)
+        ranks = np.full(values.shape, UNCOVERED, np.int32)
+        used, used_ranks = [], []
+        for shift in (-lattice.period, 0, lattice.period) if lattice.period else (0,):
+            for n in near:
+                rectangle = lattice.rectangles[n] + (shift, 0, shift, 0)
+                x0, y0 = max(rectangle[0], left), max(rectangle[1], top)
+                x1, y1 = min(rectangle[2] + 1, right), min(rectangle[3] + 1, bottom)
+                used.append(rectangle)
+                used_ranks.append(lattice.tiles[n])
+                if x0 >= x1 or y0 >= y1:
+                    continue
+                rank = int(lattice.tiles[n])
+                window = y0 - rectangle[1], y1 - y0, x0 - rectangle[0], x1 - x0
+                heights = self._read(rank, *map(int, window))
+                inside = slice(y0 - top, y1 - top), slice(x0 - left, x1 - left)
+                known, before = np.isfinite(heights), ranks[inside]
+                is_higher = known & (rank > before)
+                values[inside][is_higher] = heights[is_higher]
+                ranks[inside] = np.where(is_higher, rank, np.where(known | (before >= 0), before, NO_DATA))
+        return LatticeWindow(values, ranks, left, top, np.array(used), np.array(used_ranks))
+
+    def _read(self, rank: int, *window: int) -> np.ndarray:
+        """Return a window of a tile as float64 values of the composite, NaN where missing."""
+        raster, tile = self._raster(rank), self.tiles[rank]
+        heights = raster.window(*window).astype(np.float64)
+        return heights * tile.scale + tile.offset if self._converts else heights
+
+    def _raster(self, rank: int) -> Raster:
+        """Return the raster of a tile, opened. Raises TerrainError if its file has changed."""
+        if rank not in self._open:
+            tile = self.tiles[rank]
+            tile.check_unchanged()
+            raster = self._open[rank] = open_tile(tile.path, self._settings)
+            tile.check_header(raster)
+            if len(self._open) > MAX_OPEN:
+                self._open.popitem(last=False)[1].close()
+        self._open.move_to_end(rank)
+        return self._open[rank]
+
+
+def _source_box(
+    lattice: Lattice, near: np.ndarray, nodes: BlockNodes, piece: Piece
+) -> tuple[int, int, int, int] | None:
+    """Return the columns and rows of a lattice that a piece needs, with EDGE more; None for none.
+
+    They are those of the nodes around the piece, within the rectangles of the tiles near it.
+    """
+    x, y = piece.column % BLOCK, piece.row % BLOCK
+    cells = slice(y // nodes.spacing, (y + piece.rows - 1) // nodes.spacing + 2)
+    cells = cells, slice(x // nodes.spacing, (x + piece.columns - 1) // nodes.spacing + 2)
+    box = []
+    for values, ends, period in ((nodes.u, (0, 2), lattice.period), (nodes.v, (1, 3), 0)):
+        part = _inner(values, nodes, (y, x), piece) if nodes.spacing == BLOCK else values[cells]
+        part = part[np.isfinite(part)]
+        if not len(part):
+            return None
+        rectangles = lattice.rectangles[near]
+        low, high = rectangles[:, ends[0]].min() - period, rectangles[:, ends[1]].max() + period
+        first, last = max(np.floor(part.min()), low), min(np.ceil(part.max()), high)
+        if first > last + 1:
+            return None
+        box.append((int(first) - EDGE, int(last) + EDGE + 1))
+    return box[0][0], box[1][0], box[0][1], box[1][1]
+
+
+def _inner(values: np.ndarray, nodes: BlockNodes, first: tuple[int, int], piece: Piece) -> np.ndarray:
+    """Return the values at a piece's corners where the nodes are the corners of the whole block."""
+    corners = []
+    for y in (first[0], first[0] + piece.rows - 1):
+        for x in (first[1], first[1] + piece.columns - 1):
+            s, t = x / nodes.spacing, y / nodes.spacing
+            low = values[0, 0] * (1 - s) + values[0, 1] * s
+            corners.append(low * (1 - t) + (values[1, 0] * (1 - s) + values[1, 1] * s) * t)
+    return np.array(corners)
+
+
+def _resample(
+    piece: Piece, nodes: BlockNodes, window: LatticeWindow, out: np.ndarray, ranks: np.ndarray, moved: np.ndarray
+) -> None:
+    """Write the samples of a piece that a lattice has with the highest rank so far."""
+    height, width = window.values.shape
+    inputs = [
+        piece.columns,
+        piece.column % BLOCK,
+        piece.row % BLOCK,
+        nodes.spacing,
+        flat(nodes.u, wp.float64),
+        flat(nodes.v, wp.float64),
+        wp.zeros(0, dtype=wp.float64, device=launch.DEVICE),
+        nodes.u.shape[1],
+        nodes.error_u,
+        nodes.error_v,
+        0.0,
+        flat(window.values, wp.float64),
+        flat(window.ranks, wp.int32),
+        width,
+        height,
+        window.left,
+        window.top,
+        flat(out, wp.float64),
+        flat(ranks, wp.int32),
+        flat(moved, wp.float64),
+    ]
+    launch.spread(resample.resample_rows, piece.rows, inputs, step="resample", threads=None, cost=2.0 * piece.columns)

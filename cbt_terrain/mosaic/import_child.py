@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Import of a mosaic in a child process, sandboxed before it opens a file."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from ...kernels.mosaic import resample
+from ..importing.build_store import READING, run_import
+from ..importing.guard import guard_import
+from ..importing.import_process import what_of
+from ..importing.raster import ImportSettings, Raster
+from ..importing.source_formats import FORMATS
+from ..importing.source_list import INDEX_SUFFIXES, files_of
+from ..importing.store_job import Tell, serve
+from .mosaic_source import mosaic_raster, open_composite
+
+SCANNED = 0.05  # of the progress: headers are read
+
+
+def child_main() -> None:
+    """Import the sources in the request on stdin, and report on stdout."""
+    serve(_import, lambda request: what_of(ImportSettings(**request["settings"]).sources))
+
+
+def suffixes_of(settings: ImportSettings) -> list[str]:
+    """Return the suffixes of files that the import may open; a tile index may name files of every kind."""
+    suffixes = {path.suffix.lower() for path in files_of(settings)}
+    if suffixes & set(INDEX_SUFFIXES):
+        suffixes |= {suffix for suffix, form in FORMATS.items() if form.in_mosaic}
+    return sorted(suffixes)
+
+
+def run_mosaic_import(
+    settings: ImportSettings, path: Path, on_progress: Tell = lambda *_: None, folder: str | None = None
+) -> dict:
+    """Import a mosaic in this process and return the report; as `run_import` for one file. Raises TerrainError."""
+
+    def open_mosaic(settings: ImportSettings) -> Raster:
+        composite = open_composite(settings, path, lambda done: on_progress(SCANNED * done, READING))
+        return mosaic_raster(composite, settings)
+
+    return run_import(
+        settings,
+        path,
+        lambda done, message, *more: on_progress(SCANNED + (1.0 - SCANNED) * done, message, *more),
+        folder,
+        open_mosaic,
+    )
+
+
+def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
+    """Import in the child process, and return the report."""
+    settings, path = ImportSettings(**request["settings"]), Path(request["store"])
+    guard_import(settings, path, suffixes_of(settings), (resample,))
+    begin()  # after the guard: threads started before it could still write elsewhere
+    return run_mosaic_import(settings, path, on_progress, request["folder"])

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Paths in a tile index (GTI): a GeoPackage or SQLite database, a shapefile, or XML that names one of these.
+
+GDAL would open whatever an index names, so it never gets one. Only the column of paths is read, and each must lead to a
+regular file of a known kind, as in a VRT.
+"""
+
+import sqlite3
+import struct
+from pathlib import Path
+from xml.etree import ElementTree
+
+from ..errors import TerrainError, shown
+from ..importing.source_formats import FORMATS
+from ..importing.source_list import MAX_FILES
+from ..run.named_file import open_regular, read_regular
+
+MAX_XML_BYTES = 1 << 20
+SQLITE, XML = b"SQLite format 3\0", b"<"
+COLUMNS = ("location", "path", "file", "filename")  # names of the column of paths, the usual one first
+MAX_FIELDS, FIELD_BYTES = 2048, 32
+
+
+def paths_in(path: Path) -> list[Path]:
+    """Return the files that a tile index names, in its order and once each. Raises TerrainError."""
+    try:
+        names, base, column = _names_in(path, "")
+    except (OSError, ValueError, sqlite3.Error, struct.error, ElementTree.ParseError) as reason:
+        what = f"{shown(path)} cannot be read as a tile index ({shown(reason)})"
+        raise TerrainError(what, expected="a GeoPackage, a shapefile or XML of GDAL's gti format") from reason
+    found = dict.fromkeys(base.parent / name for name in names if name)
+    for source in found:
+        _check(path, source)
+    if not found:
+        what = f"{shown(path)} names no file"
+        raise TerrainError(what, expected=f"paths in the column {column or COLUMNS[0]!r}")
+    return list(found)
+
+
+def _names_in(path: Path, column: str) -> tuple[list[str], Path, str]:
+    """Return the paths in an index as texts, the file that they are relative to, and the name of their column."""
+    with open_regular(path, links=True) as file:
+        start = file.read(len(SQLITE))
+    if start == SQLITE:
+        return _names_in_database(path, column), path, column
+    if start.lstrip().startswith(XML):
+        root = ElementTree.fromstring(_plain_xml(path))
+        inner = path.parent / (root.findtext("IndexDataset") or "").strip()
+        if inner == path or not inner.is_file() or inner.suffix.lower() == ".gti":
+            raise ValueError(f"its IndexDataset {shown(inner)} is no index beside it")
+        return _names_in(inner, (root.findtext("LocationField") or "").strip())
+    table = path.with_suffix(".dbf") if path.suffix.lower() == ".shp" else path
+    return _names_in_table(table, column), path, column
+
+
+def _plain_xml(path: Path) -> bytes:
+    """Return the XML of a file. Raises ValueError for a document type, which may define entities."""
+    content = read_regular(path, MAX_XML_BYTES)
+    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
+        raise ValueError("it has a document type")
+    return content
+
+
+def _names_in_database(path: Path, column: str) -> list[str]:
+    """Return the paths in the first table of a database that has a column of them."""
+    uri = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
+    base = sqlite3.connect(uri, uri=True)
+    try:
+        tables = [row[0] for row in base.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name")]
+        for table in map(_quoted, tables):
+            names = [row[1] for row in base.execute(f"PRAGMA table_info({table})")]
+            found = _column(names, column)
+            if found is not None:
+                query = f"SELECT {_quoted(names[found])} FROM {table} ORDER BY rowid LIMIT {MAX_FILES + 1}"
+                return _few([row[0] for row in base.execute(query) if isinstance(row[0], str)])
+    finally:
+        base.close()
+    raise ValueError(f"no table has a column {column or COLUMNS[0]!r}")
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"'
+
+
+def _column(names: list[str], column: str) -> int | None:
+    """Return the position of the column of paths, None if there is none."""
+    lower = [name.lower() for name in names]
+    wanted = [column.lower()] if column else COLUMNS
+    return next((lower.index(name) for name in wanted if name in lower), None)
+
+
+def _names_in_table(path: Path, column: str) -> list[str]:
+    """Return the paths in a dBASE table, the attributes of a shapefile."""
+    with open_regular(path, links=True) as file:
+        head = file.read(FIELD_BYTES)
+        count, head_bytes, row_bytes = struct.unpack("<4xIHH20x", head)
+        fields = file.read(max(0, head_bytes - FIELD_BYTES))
+        names, sizes = [], []
+        for at in range(0, min(len(fields), MAX_FIELDS * FIELD_BYTES) - FIELD_BYTES + 1, FIELD_BYTES):
+            if fields[at] == 0x0D:
+                break
+            names.append(fields[at : at + 11].split(b"\0")[0].decode("latin-1"))
+            sizes.append(fields[at + 16])
+        found = _column(names, column)
+        if found is None or row_bytes != 1 + sum(sizes):
+            raise ValueError(f"it has no column {column or COLUMNS[0]!r}")
+        first = 1 + sum(sizes[:found])
+        rows = [file.read(row_bytes) for _ in range(min(count, MAX_FILES + 1))]
+    texts = [row[first : first + sizes[found]] for row in rows if len(row) == row_bytes and row[:1] != b"*"]
+    return _few([text.decode("utf-8", "replace").strip(" \0") for text in texts])
+
+
+def _few(names: list[str]) -> list[str]:
+    if len(names) > MAX_FILES:
+        raise ValueError(f"it names more than {MAX_FILES:,} files")
+    return names
+
+
+def _check(index: Path, source: Path) -> None:
+    """Raise TerrainError unless a path of an index leads to a regular file of a known kind."""
+    what = f"{shown(index)} names the source {shown(source)!r}"
+    try:
+        regular = "\0" not in str(source) and not str(source).startswith(("/vsi", "\\\\", "//")) and source.is_file()
+    except (OSError, ValueError):
+        regular = False
+    if not regular:
+        raise TerrainError(f"{what}, which is no regular file here", expected="the file of a height map")
+    form = FORMATS.get(source.suffix.lower())
+    if form is None or not form.driver:
+        raise TerrainError(what, expected=f"one of {', '.join(s for s, form in FORMATS.items() if form.driver)}")

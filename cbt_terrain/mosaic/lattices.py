@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Lattices: tiles whose samples are on one grid of one coordinate system form one raster, interpolated across borders.
+
+So neighbouring tiles have no gap between them, with or without a shared row of samples.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .catalogue import SourceTile
+from .systems import period_of
+
+# Largest distance, samples, of a tile's samples from the lattice that it joins.
+MAX_OFF_GRID = 1e-3
+# Largest relative difference of steps in a lattice, times the columns or rows of a tile.
+ROUNDING = 1e-7  # samples; less is the rounding of coordinates
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Tiles on one grid.
+
+    Attributes:
+        crs: name of the coordinate system.
+        origin: x and y of sample (0, 0).
+        steps: (a, b, d, e): a column adds (a, d) to (x, y), a row (b, e).
+        tiles: numbers of the tiles in the order of priority, ascending.
+        rectangles: int64 [tiles, 4], first column and row and the last ones, of each tile.
+        off_grid: largest distance of a tile's samples from the lattice's, samples.
+        period: columns in 360 degrees, 0 if there are none.
+        datum: name of the vertical datum, and the whole system that has it.
+    """
+
+    crs: str
+    origin: tuple[float, float]
+    steps: tuple[float, float, float, float]
+    tiles: np.ndarray
+    rectangles: np.ndarray
+    off_grid: float
+    period: int
+    datum: str
+    whole_crs: str
+
+    def indices(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return columns and rows, float64, of positions in the lattice's system."""
+        return _indices(self.origin, self.steps, x, y)
+
+    def positions(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return x and y of columns and rows."""
+        a, b, d, e = self.steps
+        return self.origin[0] + a * u + b * v, self.origin[1] + d * u + e * v
+
+
+def _indices(origin: tuple, steps: tuple, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return columns and rows of positions, by the inverse of the steps."""
+    (a, b, d, e), dx, dy = steps, x - origin[0], y - origin[1]
+    if b == d == 0.0:
+        return dx / a, dy / e
+    area = a * e - b * d
+    return (e * dx - b * dy) / area, (a * dy - d * dx) / area
+
+
+def find_lattices(tiles: Sequence[SourceTile]) -> list[Lattice]:
+    """Return the lattices of tiles, which are in the order of priority, ascending."""
+    groups: dict[tuple, list[int]] = {}
+    for number, tile in enumerate(tiles):
+        groups.setdefault(_key(tile), []).append(number)
+    found = []
+    for numbers in groups.values():
+        while numbers:
+            first = tiles[numbers[0]]
+            places = {n: _place(first, tiles[n]) for n in numbers}
+            joined = [n for n in numbers if places[n] is not None]
+            found.append(_lattice(tiles, joined, [places[n] for n in joined]))
+            numbers = [n for n in numbers if places[n] is None]
+    return found
+
+
+def _key(tile: SourceTile) -> tuple:
+    """Return what tiles of one lattice have in common; fractions of a sample may be close to both 0 and 1."""
+    a, b, c, d, e, f = tile.transform
+    x, y = tile.position(0, 0)
+    if b == d == 0.0:
+        fractions = (round(math.cos(2 * math.pi * (x / a)), 2), round(math.cos(2 * math.pi * (y / e)), 2))
+    else:
+        fractions = (0.0, 0.0)
+    return tile.crs, tile.whole_crs, *(float(f"{step:.6g}") for step in (a, b, d, e)), *fractions
+
+
+def _place(first: SourceTile, tile: SourceTile) -> tuple[int, int, float] | None:
+    """Return column and row of a tile's first sample in the lattice of another, and how far its samples are off.
+
+    Return None if they are off by more than MAX_OFF_GRID.
+    """
+    a, b, _, d, e, _ = first.transform
+    (x0, y0), corners = first.position(0, 0), ((0, 0), (tile.width - 1, 0), (0, tile.height - 1))
+    x, y = np.array([tile.position(*corner) for corner in corners]).T
+    u, v = _indices((x0, y0), (a, b, d, e), x, y)
+    if not (np.isfinite(u).all() and np.isfinite(v).all()) or max(abs(u[0]), abs(v[0])) > 2.0**30:
+        return None
+    column, row = round(float(u[0])), round(float(v[0]))
+    off = max(float(max(abs(u[k] - column - i), abs(v[k] - row - j))) for k, (i, j) in enumerate(corners))
+    return (column, row, off) if off <= MAX_OFF_GRID else None
+
+
+def _lattice(tiles: Sequence[SourceTile], numbers: list[int], places: list[tuple]) -> Lattice:
+    """Return the lattice of tiles whose places on it are known."""
+    first = tiles[numbers[0]]
+    a, b, _, d, e, _ = first.transform
+    rectangles = [
+        (column, row, column + tiles[n].width - 1, row + tiles[n].height - 1)
+        for n, (column, row, _) in zip(numbers, places, strict=True)
+    ]
+    off = max(place[2] for place in places)
+    period = period_of(first.crs) / a if d == 0.0 else 0.0
+    return Lattice(
+        crs=first.crs,
+        origin=first.position(0, 0),
+        steps=(a, b, d, e),
+        tiles=np.array(numbers),
+        rectangles=np.array(rectangles, np.int64),
+        off_grid=off if off > ROUNDING else 0.0,
+        period=abs(round(period)) if abs(period - round(period)) < MAX_OFF_GRID else 0,
+        datum=first.datum,
+        whole_crs=first.whole_crs,
+    )

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A mosaic as one raster for an import, opened from headers alone."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from ..errors import TerrainError, shown
+from ..field.georeference import from_transform
+from ..importing.file_grid import FileGrid, unit_of
+from ..importing.length_scale import length_warnings, mirror_warnings
+from ..importing.raster import ImportSettings, Raster
+from .catalogue import SourceTile, build_catalogue, keep_catalogue
+from .composite import Composite
+from .systems import crs_of
+from .target_grid import choose_grid, footprints
+
+BLOCK_ROWS = 128  # read together; a quarter of most files' tiles, which GDAL's cache keeps meanwhile
+MAX_WARNINGS = 3  # of files
+
+
+def open_composite(
+    settings: ImportSettings, store: Path | None, on_progress: Callable[[float], None] = lambda _fraction: None
+) -> Composite:
+    """Open the mosaic of the settings' sources. store: its kept catalogue is used. Raises TerrainError."""
+    check_settings(settings)
+    tiles = build_catalogue(settings, store, on_progress)
+    grid = choose_grid(tiles, settings)
+    return Composite(tiles, grid, footprints(tiles, grid.crs), settings)
+
+
+def check_settings(settings: ImportSettings) -> None:
+    """Raise TerrainError for settings that several files cannot have."""
+    settings.check()
+    if settings.extent is not None:
+        raise TerrainError(
+            "An extent in metres is of one file", expected="files with a position", fix="leave the extent out"
+        )
+
+
+def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
+    """Return a composite as the raster of an import."""
+    grid = composite.grid
+    crs = crs_of(grid.crs) if grid.crs else None
+    place = FileGrid(crs, grid.transform)
+    georeference = from_transform(grid.transform, grid.width, grid.height, crs=grid.crs, **unit_of(crs))
+    notes = length_warnings(place, grid.width, grid.height, georeference)
+    georeference = replace(georeference, size_warnings=(*georeference.size_warnings, *notes))
+    raster = Raster(
+        width=grid.width,
+        height=grid.height,
+        read=lambda first, count: window(first, count, 0, grid.width),
+        stored=composite.stored,
+        format="mosaic",
+        grid=place,
+        georeference=georeference,
+        is_sized=True,
+        has_unit=True,
+        block_rows=BLOCK_ROWS,
+        scale=composite.scale,
+        offset=composite.offset,
+        roundings=composite.rounded(),
+        warnings=[*file_warnings(composite.tiles), *mirror_warnings(place, grid.width, grid.height)],
+        sources=tuple(Path(entry[0]) for tile in composite.tiles for entry in tile.files),
+        close=composite.close,
+    )
+
+    def window(first: int, count: int, column: int, columns: int):
+        """Read a window, and keep the largest difference that positions have made so far."""
+        values, moved = composite.read(first, count, column, columns)
+        raster.moved = max(raster.moved, moved)
+        return values
+
+    def finish(folder: Path) -> None:
+        """Check that no file has changed, and keep the catalogue in the store."""
+        for tile in composite.tiles:
+            tile.check_unchanged()
+        keep_catalogue(composite.tiles, settings, folder)
+
+    raster.window, raster.finish = window, finish
+    return raster
+
+
+def file_warnings(tiles: Sequence[SourceTile]) -> list[str]:
+    """Return the warnings of files, each text once with the number of files that have it."""
+    counts: dict[str, list[str]] = {}
+    for tile in tiles:
+        for text in tile.warnings:
+            counts.setdefault(text, []).append(tile.path)
+    notes = []
+    for text, paths in list(counts.items())[:MAX_WARNINGS]:
+        name = shown(Path(paths[0]).name)
+        notes.append(f"{name if len(paths) == 1 else f'{len(paths):,} files, such as {name}'}: {text}")
+    if len(counts) > MAX_WARNINGS:
+        notes.append(f"{len(counts) - MAX_WARNINGS:,} more warnings about single files: `info FILE` shows them.")
+    return notes

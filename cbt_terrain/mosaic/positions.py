@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Positions of a target grid's samples in the lattice of its sources.
+
+PROJ computes them at nodes of the grid, and between nodes they are interpolated. Nodes belong to blocks at fixed
+places, and each block is computed as a whole, so a position does not depend on the window that is read.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .lattices import Lattice
+from .systems import period_of, projected
+from .target_grid import TargetGrid
+
+BLOCK = 1024  # samples of a side
+SPACINGS = (32, 16, 8, 4, 2, 1)  # samples between nodes, the first whose error is small enough
+# Largest error of an interpolated position, source samples, for which wider nodes are used.
+MAX_ERROR = 0.01
+# Bilinear interpolation is off by at most the sum of the errors in the middles of a cell's sides, plus the change of
+# curvature inside it.
+MARGIN = 1.25
+SNAPPED = 1e-6  # see SNAP in kernels/mosaic/resample.py
+
+
+class BlockNodes(NamedTuple):
+    """Nodes of one block of the grid.
+
+    Attributes:
+        u, v: float64 [nodes, nodes], columns and rows of the lattice; not finite where there are none.
+        spacing: samples between nodes.
+        error_u, error_v: largest errors of interpolated columns and rows, source samples.
+    """
+
+    u: np.ndarray
+    v: np.ndarray
+    spacing: int
+    error_u: float
+    error_v: float
+
+
+def nodes_of(lattice: Lattice, grid: TargetGrid, column: int, row: int) -> BlockNodes:
+    """Return the nodes of the block with these numbers: its first sample is (column, row) * BLOCK."""
+    if lattice.crs == grid.crs:
+        error = lattice.off_grid + (0.0 if is_congruent(lattice, grid) else SNAPPED)
+        return BlockNodes(*_exact(lattice, grid, column, row, BLOCK), BLOCK, error, error)
+    for spacing in SPACINGS:
+        half = max(spacing // 2, 1)
+        u, v = _exact(lattice, grid, column, row, half)
+        if spacing == 1:
+            error_u = error_v = 0.0
+            break
+        error_u, error_v = _error(u), _error(v)
+        u, v = u[::2, ::2], v[::2, ::2]
+        if max(error_u, error_v) <= MAX_ERROR:
+            break
+    more = lattice.off_grid + SNAPPED
+    u, v = np.ascontiguousarray(u), np.ascontiguousarray(v)
+    return BlockNodes(u, v, spacing, MARGIN * error_u + more, MARGIN * error_v + more)
+
+
+def is_congruent(lattice: Lattice, grid: TargetGrid) -> bool:
+    """Return whether all samples of a grid in the lattice's system are samples of the lattice."""
+    a, b, d, e = lattice.steps
+    ratios = grid.step_x / abs(a), grid.step_y / abs(e) if e else 0.0
+    corners = np.array([grid.column, grid.column + grid.width]), np.array([grid.row, grid.row + grid.height])
+    off = [np.abs(w - np.round(w)).max() for w in lattice.indices(*grid.positions(*corners))]
+    whole = all(ratio > 0.5 and abs(ratio - round(ratio)) < SNAPPED for ratio in ratios)
+    return b == d == 0.0 and whole and max(off) < SNAPPED / 2
+
+
+def _exact(lattice: Lattice, grid: TargetGrid, column: int, row: int, step: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return exact columns and rows of the lattice at every `step` samples of a block, [rows, columns].
+
+    Longitudes are continuous in the block, and its middle is within 180 degrees of the middle of the lattice.
+    """
+    offsets = np.arange(0, BLOCK + 1, step, dtype=np.float64)
+    columns, rows = np.meshgrid(column * BLOCK + offsets, row * BLOCK + offsets)
+    x, y = projected(grid.crs, lattice.crs, *(p.ravel() for p in grid.positions(columns, rows)))
+    circle = period_of(lattice.crs)
+    if circle:
+        middle_of_tiles = lattice.rectangles[:, [0, 2]].mean(), lattice.rectangles[:, [1, 3]].mean()
+        centre, middle = float(lattice.positions(*middle_of_tiles)[0]), float(x[len(x) // 2])
+        middle = middle if np.isfinite(middle) else centre
+        if lattice.crs != grid.crs:
+            x = x - circle * np.round((x - middle) / circle)
+        x = x - circle * np.round((middle - centre) / circle)
+    u, v = lattice.indices(x, y)
+    return u.reshape(columns.shape), v.reshape(columns.shape)
+
+
+def _error(exact: np.ndarray) -> float:
+    """Return the largest difference of interpolated from exact values at the odd rows and columns, as a sum by axis.
+
+    exact: [2 n + 1, 2 n + 1], of which the even rows and columns are nodes.
+    """
+    total = 0.0
+    with np.errstate(invalid="ignore"):
+        for values in (exact, exact.T):
+            nodes = values[::2]
+            off = np.abs(values[1::2, ::2] - (nodes[:-1, ::2] + nodes[1:, ::2]) / 2)
+            off = off[np.isfinite(off)]
+            total += float(off.max()) if off.size else 0.0
+    return total

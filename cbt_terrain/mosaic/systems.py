@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Coordinate systems of a mosaic's files: their horizontal part, their vertical datum, and positions in another system.
+
+Functions import rasterio, so they run in a child process.
+"""
+
+import json
+from functools import lru_cache
+
+import numpy as np
+
+from ..errors import TerrainError, shown
+
+# Names of vertical datums by EPSG code; others have the name of their system.
+DATUMS = {5773: "EGM96", 5171: "EGM84", 5798: "EGM84", 3855: "EGM2008", 5703: "NAVD88", 6360: "NAVD88", 8228: "NAVD88"}
+ELLIPSOID = "the ellipsoid"
+
+
+@lru_cache(maxsize=256)
+def crs_of(name: str):
+    """Return the rasterio CRS of a name from `horizontal_name`. Raises TerrainError."""
+    from rasterio.crs import CRS
+    from rasterio.errors import CRSError
+
+    try:
+        return CRS.from_string(name)
+    except CRSError as reason:
+        what = f"{shown(name, 80)} is no coordinate system that PROJ knows"
+        raise TerrainError(what, fix="give another, as EPSG:32632") from reason
+
+
+def names_of(crs) -> tuple[str, str, str]:
+    """Return the names of a CRS's horizontal part, of the whole system and of its vertical datum, "" for none.
+
+    crs: a rasterio CRS.
+    """
+    return _names_of(crs.to_wkt())
+
+
+@lru_cache(maxsize=256)
+def _names_of(wkt: str) -> tuple[str, str, str]:
+    """Return the names for the CRS of a WKT; files of a mosaic share a few."""
+    from rasterio.crs import CRS
+
+    crs = CRS.from_wkt(wkt)
+    content = crs.to_dict(projjson=True)
+    content = content.get("source_crs", content) if content.get("type") == "BoundCRS" else content
+    if content.get("type") == "CompoundCRS":
+        plane, vertical = content["components"][:2]
+        return CRS.from_user_input(json.dumps(plane)).to_string(), crs.to_string(), _datum_name(vertical)
+    axes = content.get("coordinate_system", {}).get("axis", ())
+    return crs.to_string(), crs.to_string(), ELLIPSOID if len(axes) == 3 else ""
+
+
+def _datum_name(vertical: dict) -> str:
+    """Return the name of a vertical system as PROJ's JSON has it."""
+    code = vertical.get("id", {}).get("code")
+    if code in DATUMS:
+        return DATUMS[code]
+    datum = vertical.get("datum", vertical.get("datum_ensemble", {}))
+    return str(datum.get("name") or vertical.get("name", ""))
+
+
+def projected(source: str, target: str, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions in another system, float64 [n] each, not finite where there are none.
+
+    GDAL chooses the operation between two datums by all points of a call, so results depend on the whole set.
+    Raises TerrainError for systems without a common one.
+    """
+    from rasterio.warp import transform
+
+    if source == target:
+        return x, y
+    try:
+        moved = transform(crs_of(source), crs_of(target), x, y)
+    except Exception as reason:  # PROJ raises many kinds
+        raise TerrainError(
+            f"{shown(source, 80)} and {shown(target, 80)} have no common coordinate system ({shown(reason)})",
+            fix="give another target (--project), or import the files apart",
+        ) from reason
+    return np.array(moved[0]), np.array(moved[1])
+
+
+def period_of(crs: str) -> float:
+    """Return 360 degrees in units of a geographic system, 0 for others: positions that differ by it are equal."""
+    if not crs or not crs_of(crs).is_geographic:
+        return 0.0
+    return 2.0 * np.pi / float(crs_of(crs).units_factor[1])

@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The grid of a mosaic: its coordinate system, its step and its extent. It follows from headers alone."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import TerrainError, shown
+from ..field.georeference import degree_lengths
+from ..field.lattice import fit
+from ..importing.file_grid import unit_of
+from ..importing.raster import ImportSettings
+from ..view.linear import length
+from .catalogue import SourceTile
+from .systems import crs_of, period_of, projected
+
+SIDE_POINTS = 33  # of each side of a tile, whose positions define the extent
+MAX_INDEX = 2.0**40  # samples from a system's origin
+MAX_RETURN = 1.0  # samples by which the way to the target system and back may miss
+ALIGNED = 1e-6  # samples
+
+
+class TargetGrid(NamedTuple):
+    """A straight grid with the north up.
+
+    Samples have whole numbers: column k is at x0 + k * step_x, row k at y0 - k * step_y. So a sample keeps its number
+    and its value when the extent grows.
+
+    Attributes:
+        crs: name of the coordinate system; "" for none.
+        column: number of the first column.
+        row: number of the first row, in the north.
+    """
+
+    crs: str
+    x0: float
+    y0: float
+    step_x: float
+    step_y: float
+    column: int
+    row: int
+    width: int
+    height: int
+
+    def positions(self, columns: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return x and y of numbers of columns and rows."""
+        return self.x0 + columns * self.step_x, self.y0 - rows * self.step_y
+
+    def indices(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the numbers, float64, of the column and the row of positions."""
+        return (x - self.x0) / self.step_x, (self.y0 - y) / self.step_y
+
+    @property
+    def transform(self) -> tuple[float, float, float, float, float, float]:
+        """Return the geotransform of the raster."""
+        west = self.x0 + (self.column - 0.5) * self.step_x
+        north = self.y0 - (self.row - 0.5) * self.step_y
+        return self.step_x, 0.0, west, 0.0, -self.step_y, north
+
+
+class Footprints(NamedTuple):
+    """Boxes of tiles in a system: float64 [tiles, 4], lowest x and y, highest x and y of their outer samples."""
+
+    boxes: np.ndarray
+    steps: np.ndarray  # float64 [tiles, 2]: steps along x and y at a tile's middle
+
+
+def choose_grid(tiles: Sequence[SourceTile], settings: ImportSettings) -> TargetGrid:
+    """Return the grid of a mosaic of tiles, given in the order of the sources. Raises TerrainError."""
+    crs = _target_crs(tiles, settings)
+    found = footprints(tiles, crs)
+    finest = min(range(len(tiles)), key=lambda n: (found.steps[n, 0] * found.steps[n, 1], tiles[n].crs != crs, n))
+    reference = tiles[finest] if tiles[finest].crs == crs and tiles[finest].is_straight else None
+    low, high = found.boxes[:, :2].min(axis=0), found.boxes[:, 2:].max(axis=0)
+    step_x, step_y = map(float, found.steps[finest])
+    if settings.step is not None:
+        metres_x, metres_y = _unit_lengths(crs, (low + high) / 2)
+        step_x, step_y = settings.step / metres_x, settings.step / metres_y
+    x0, y0 = (0.0, 0.0)
+    if reference is not None and (settings.step is None or _divides(reference, step_x, step_y)):
+        x0, y0 = reference.position(0, 0)
+        if settings.step is None:
+            step_x, step_y = abs(reference.transform[0]), abs(reference.transform[4])
+    numbers = np.array(
+        [(low[0] - x0) / step_x, (y0 - high[1]) / step_y, (high[0] - x0) / step_x, (y0 - low[1]) / step_y]
+    )
+    if not np.abs(numbers).max() < MAX_INDEX:
+        what = f"Steps of {step_x:g} x {step_y:g} are too small for coordinates in {shown(crs, 80)}"
+        raise TerrainError(what, fix="give a larger --step")
+    column, row = (math.ceil(number - ALIGNED) for number in numbers[:2].tolist())
+    end_column, end_row = (math.floor(number + ALIGNED) for number in numbers[2:].tolist())
+    width, height = max(end_column - column, 0) + 1, max(end_row - row, 0) + 1
+    _check_size(crs, width, height, step_x, step_y, (low + high) / 2)
+    return TargetGrid(crs, x0, y0, step_x, step_y, column, row, width, height)
+
+
+def footprints(tiles: Sequence[SourceTile], crs: str) -> Footprints:
+    """Return the boxes and steps of tiles in a system. Raises TerrainError for a tile that has no place there.
+
+    Longitudes are within 180 degrees of the first tile's, so tiles on both sides of the date line are neighbours.
+    """
+    boxes, steps = np.empty((len(tiles), 4)), np.empty((len(tiles), 2))
+    period, anchor = period_of(crs), None
+    for name in dict.fromkeys(tile.crs for tile in tiles):
+        numbers = [n for n, tile in enumerate(tiles) if tile.crs == name]
+        points = np.stack([_outline(tiles[n]) for n in numbers])  # [tiles, 2, points]
+        x, y = projected(name, crs, points[:, 0].ravel(), points[:, 1].ravel())
+        back_x, back_y = projected(crs, name, x, y)
+        x, y = x.reshape(points[:, 0].shape), y.reshape(points[:, 0].shape)
+        back = np.stack([back_x.reshape(x.shape), back_y.reshape(x.shape)], axis=1)
+        for at, n in enumerate(numbers):
+            _check_return(tiles[n], crs, back[at] - points[at])
+            if period:
+                anchor = float(x[at, 0]) if anchor is None else anchor
+                x[at] -= period * np.round((x[at] - anchor) / period)
+            boxes[n] = x[at].min(), y[at].min(), x[at].max(), y[at].max()
+            steps[n] = _steps(x[at, -3:], y[at, -3:])
+    return Footprints(boxes, steps)
+
+
+def _outline(tile: SourceTile) -> np.ndarray:
+    """Return points of a tile's border, and its middle and the next ones along a row and a column: float64 [2, n]."""
+    right, bottom = tile.width - 1.0, tile.height - 1.0
+    t = np.linspace(0.0, 1.0, SIDE_POINTS)
+    zero, middle = np.zeros_like(t), (right / 2, bottom / 2)
+    columns = np.concatenate([t * right, t * right, zero, zero + right, middle[0] + np.array([0.0, 1.0, 0.0])])
+    rows = np.concatenate([zero, zero + bottom, t * bottom, t * bottom, middle[1] + np.array([0.0, 0.0, 1.0])])
+    return np.stack(tile.position(columns, rows))
+
+
+def _steps(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Return steps along x and y of a straight grid as dense as a tile, from its middle and the next samples."""
+    column, row = (x[1] - x[0], y[1] - y[0]), (x[2] - x[0], y[2] - y[0])
+    area = abs(column[0] * row[1] - column[1] * row[0])
+    if abs(column[1]) < 0.1 * length(column):
+        return length(column), area / length(column)
+    if abs(column[0]) < 0.1 * length(column):
+        return area / length(column), length(column)
+    return math.sqrt(area), math.sqrt(area)
+
+
+def _check_return(tile: SourceTile, crs: str, missed: np.ndarray) -> None:
+    """Refuse a tile whose positions do not survive the way to the target system and back."""
+    a, b, _, d, e, _ = tile.transform
+    cell, period = max(length((a, d)), length((b, e))), period_of(tile.crs)
+    if period:
+        missed[0] -= period * np.round(missed[0] / period)
+    if not np.abs(missed).max() <= MAX_RETURN * cell:
+        raise TerrainError(
+            f"{shown(tile.path)} in {shown(tile.crs, 80)} has no place in {shown(crs, 80)}",
+            expected="files that one coordinate system covers",
+            fix="give another target (--project utm or EPSG:n), or leave the file out",
+        )
+
+
+def _target_crs(tiles: Sequence[SourceTile], settings: ImportSettings) -> str:
+    """Return the name of the mosaic's system: the requested one, the first projected one, or the first one."""
+    without = [tile for tile in tiles if not tile.crs]
+    if without and (settings.project or len(without) < len(tiles)):
+        raise TerrainError(
+            f"{shown(without[0].path)} names no coordinate system"
+            + (f", and {len(without) - 1:,} more files name none" if len(without) > 1 else ""),
+            expected="one in every file of a mosaic",
+            fix="give it one (gdal_edit.py -a_srs, or a .prj file beside it), or leave it out",
+        )
+    if settings.project.upper() == "UTM":
+        return _utm_zone(tiles)
+    if settings.project:
+        name = f"EPSG:{int(settings.project.partition(':')[2])}"
+        if not crs_of(name).is_projected:
+            raise TerrainError(
+                f"{name} does not measure in metres or feet", expected="a projected system, as EPSG:32632"
+            )
+        return name
+    names = list(dict.fromkeys(tile.crs for tile in tiles))
+    return next((name for name in names if name and crs_of(name).is_projected), names[0])
+
+
+def _utm_zone(tiles: Sequence[SourceTile]) -> str:
+    """Return the WGS 84 UTM zone of the middle of all tiles, as EPSG:n."""
+    boxes = footprints(tiles, "EPSG:4326").boxes
+    longitude, latitude = (float(boxes[:, k].min() + boxes[:, k + 2].max()) / 2 for k in (0, 1))
+    if not -80.0 <= latitude <= 84.0:
+        raise TerrainError(
+            f"The mosaic has its middle at latitude {latitude:.4g} degrees, and UTM ends at -80 and 84",
+            fix="give a polar system, as EPSG:3413 or EPSG:3031",
+        )
+    zone = int((longitude + 180.0) // 6.0) % 60 + 1
+    return f"EPSG:{(32600 if latitude >= 0.0 else 32700) + zone}"
+
+
+def _unit_lengths(crs: str, middle: np.ndarray) -> tuple[float, float]:
+    """Return the metres in a unit of x and y at a position."""
+    unit = unit_of(crs_of(crs)) if crs else {}
+    if "degrees" not in unit:
+        return (unit.get("metres", 1.0),) * 2
+    x, y = degree_lengths(float(middle[1]) * unit["degrees"], unit["ellipsoid"])
+    return x * unit["degrees"], y * unit["degrees"]
+
+
+def _divides(tile: SourceTile, step_x: float, step_y: float) -> bool:
+    """Return whether a step is a whole number of a tile's samples, so that some are copied exactly."""
+    ratios = step_x / abs(tile.transform[0]), step_y / abs(tile.transform[4])
+    return all(ratio > 0.5 and abs(ratio - round(ratio)) < ALIGNED for ratio in ratios)
+
+
+def _check_size(crs: str, width: int, height: int, step_x: float, step_y: float, middle: np.ndarray) -> None:
+    """Refuse a grid with more samples than a store can hold, and name the step that fits."""
+    if min(width, height) < 2 or fit(width, height).can_be_numbered:
+        return
+    low, high = 1.0, float(max(width, height))
+    while high > 1.01 * low:
+        factor = math.sqrt(low * high)
+        size = max(math.ceil(width / factor), 2), max(math.ceil(height / factor), 2)
+        low, high = (low, factor) if fit(*size).can_be_numbered else (factor, high)
+    step = max(a * b for a, b in zip((step_x, step_y), _unit_lengths(crs, middle), strict=True)) * high
+    shown_step = float(f"{step:.2g}")
+    shown_step = shown_step if shown_step >= step else float(f"{step * 1.05:.2g}")
+    raise TerrainError(
+        f"The mosaic would have {width:,} x {height:,} samples, more than an index of 31 bits can number",
+        expected="about 31,000 x 31,000 at most",
+        fix=f"give a coarser step (--step {shown_step:g}), or fewer files",
+    )

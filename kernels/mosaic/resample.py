@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Kernel that resamples the tiles of one lattice onto rows of the target grid.
+
+A sample's result depends on its position alone: nodes have fixed positions, and the fraction inside a source cell is
+computed before the origin of the buffer is subtracted. So windows of any size have the same bits.
+"""
+
+import warp as wp
+
+# Fractions of a source cell that count as a sample itself, so that a raster on the grid is copied exactly.
+SNAP = wp.constant(wp.float64(1e-6))
+# Source samples; a column or row beyond has no int32.
+FAR = wp.constant(wp.float64(2.0**30))
+# Ranks of a sample without a value: no tile covers it, or a tile does and has no data there.
+UNCOVERED = wp.constant(wp.int32(-1))
+NO_DATA = wp.constant(wp.int32(-2))
+
+
+@wp.func
+def between(a: wp.float64, b: wp.float64, t: wp.float64) -> wp.float64:
+    """Interpolate from a to b. At t = 0 the result is a, even if b is NaN."""
+    if t == wp.float64(0.0):
+        return a
+    return a * (wp.float64(1.0) - t) + b * t
+
+
+@wp.func
+def at_node(
+    nodes: wp.array(dtype=wp.float64), stride: int, column: int, row: int, s: wp.float64, t: wp.float64
+) -> wp.float64:
+    """Interpolate the values at four nodes, bilinearly."""
+    k = row * stride + column
+    low = nodes[k] * (wp.float64(1.0) - s) + nodes[k + 1] * s
+    high = nodes[k + stride] * (wp.float64(1.0) - s) + nodes[k + stride + 1] * s
+    return low * (wp.float64(1.0) - t) + high * t
+
+
+@wp.func
+def steepest(values: wp.array(dtype=wp.float64), at: int, along: int, across: int) -> wp.float64:
+    """Return the largest step between neighbours along one axis in the 4 x 4 samples around a cell; NaN is ignored."""
+    largest = wp.float64(0.0)
+    for j in range(-1, 3):
+        for i in range(-1, 2):
+            k = at + j * across + i * along
+            step = wp.abs(values[k + along] - values[k])
+            if step > largest:
+                largest = step
+    return largest
+
+
+@wp.kernel
+def resample_rows(
+    offset: int,
+    columns: int,
+    first_column: int,
+    first_row: int,
+    spacing: int,
+    nodes_u: wp.array(dtype=wp.float64),
+    nodes_v: wp.array(dtype=wp.float64),
+    nodes_shift: wp.array(dtype=wp.float64),
+    stride: int,
+    error_u: wp.float64,
+    error_v: wp.float64,
+    error_shift: wp.float64,
+    values: wp.array(dtype=wp.float64),
+    ranks: wp.array(dtype=wp.int32),
+    width: int,
+    height: int,
+    left: int,
+    top: int,
+    out: wp.array(dtype=wp.float64),
+    out_ranks: wp.array(dtype=wp.int32),
+    moved: wp.array(dtype=wp.float64),
+):
+    """Write samples of row `offset + tid` of a window where this lattice has a source of higher rank than `out_ranks`.
+
+    Args:
+        columns: columns of the window.
+        first_column, first_row: first sample of the window, counted from the block's corner.
+        spacing: samples between nodes.
+        nodes_u, nodes_v: columns and rows of the lattice at the block's nodes.
+        nodes_shift: heights to add, at the nodes; empty for none.
+        stride: nodes a row.
+        error_u, error_v: largest errors of interpolated columns and rows, source samples.
+        error_shift: largest error of interpolated shifts.
+        values: samples of the lattice, NaN where missing, with a margin of 3 around those that the window needs.
+        ranks: number of each sample's tile in the order of priority, UNCOVERED or NO_DATA.
+        width, height: shape of `values`.
+        left, top: column and row of the lattice of its first sample.
+        out, out_ranks: results. A value's rank is the lowest of those of the samples that it is interpolated from.
+        moved: per sample, the largest difference that errors of the position make.
+    """
+    y = offset + wp.tid()
+    row = (first_row + y) / spacing
+    t = wp.float64((first_row + y) % spacing) / wp.float64(spacing)
+    for x in range(columns):
+        column = (first_column + x) / spacing
+        s = wp.float64((first_column + x) % spacing) / wp.float64(spacing)
+        u = at_node(nodes_u, stride, column, row, s, t)
+        v = at_node(nodes_v, stride, column, row, s, t)
+        if not (wp.abs(u) < FAR and wp.abs(v) < FAR):  # nor NaN, where a system has no such position
+            continue
+        floor_u = wp.floor(u)
+        floor_v = wp.floor(v)
+        f = u - floor_u
+        g = v - floor_v
+        if f < SNAP:
+            f = wp.float64(0.0)
+        if f > wp.float64(1.0) - SNAP:
+            f = wp.float64(0.0)
+            floor_u += wp.float64(1.0)
+        if g < SNAP:
+            g = wp.float64(0.0)
+        if g > wp.float64(1.0) - SNAP:
+            g = wp.float64(0.0)
+            floor_v += wp.float64(1.0)
+        p = wp.int32(floor_u) - left
+        q = wp.int32(floor_v) - top
+        if p < 1 or q < 1 or p + 2 >= width or q + 2 >= height:
+            continue
+        k = q * width + p
+        right = wp.int32(0)
+        if f > wp.float64(0.0):
+            right = wp.int32(1)
+        down = wp.int32(0)
+        if g > wp.float64(0.0):
+            down = width
+        rank = wp.min(wp.min(ranks[k], ranks[k + right]), wp.min(ranks[k + down], ranks[k + down + right]))
+        n = y * columns + x
+        if rank < 0:
+            if rank == NO_DATA and out_ranks[n] == UNCOVERED:
+                out_ranks[n] = NO_DATA
+            continue
+        if rank <= out_ranks[n]:
+            continue
+        z = between(between(values[k], values[k + right], f), between(values[k + down], values[k + down + right], f), g)
+        error = error_shift
+        if error_u > wp.float64(0.0) or error_v > wp.float64(0.0):
+            error += error_u * steepest(values, k, 1, width) + error_v * steepest(values, k, width, 1)
+        if nodes_shift.shape[0] > 0:
+            z += at_node(nodes_shift, stride, column, row, s, t)
+        out[n] = z
+        out_ranks[n] = rank
+        moved[n] = error

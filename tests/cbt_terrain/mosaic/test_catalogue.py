@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The catalogue of a mosaic's headers: what it takes, what it refuses, and what a store keeps of it."""
+
+import json
+import os
+import sqlite3
+import struct
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.field.store_folder import named_folder
+from adaptive_terrain.cbt_terrain.importing.import_process import import_source
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.importing.source_list import files_of
+from adaptive_terrain.cbt_terrain.mosaic import catalogue
+from adaptive_terrain.cbt_terrain.mosaic.catalogue import build_catalogue, keep_catalogue
+from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
+from adaptive_terrain.cbt_terrain.mosaic.index_files import paths_in
+from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
+from mosaic_files import DEGREES, EAST, NORTH, UTM32, sheet
+from rasters import hills, write_raster
+
+
+def tiles(folder, count=3, crs=UTM32):
+    """Write tiles from west to east."""
+    whole = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 20 * count, 20)
+    return [whole.write(folder / f"t{n}.tif", first_column=20 * n, columns=20, crs=crs) for n in range(count)]
+
+
+def settings_of(*sources, **more):
+    return ImportSettings(str(sources[0]), more_sources=tuple(map(str, sources[1:])), **more)
+
+
+def test_a_folder_gives_its_height_maps_by_name(tmp_path):
+    tiles(tmp_path)
+    hidden = tmp_path / "inner"
+    hidden.mkdir()
+    os.link(tmp_path / "t0.tif", hidden / "other.tif")
+    os.symlink(tmp_path / "t0.tif", tmp_path / "link.tif")
+    os.symlink(tmp_path / "missing.tif", tmp_path / "broken.tif")
+    os.mkfifo(tmp_path / "pipe.tif")
+    write_raster(tmp_path / "preview.png", np.zeros((4, 4), np.uint8))
+    (tmp_path / "all.vrt").write_text("<VRTDataset/>")
+    (tmp_path / "t0.tif.aux.xml").write_text("<PAMDataset/>")
+    names = [path.name for path in files_of(settings_of(tmp_path))]
+    assert names == ["link.tif", "t0.tif", "t1.tif", "t2.tif"]
+    assert [path.name for path in files_of(settings_of(tmp_path / "**" / "*.tif"))][0] == "other.tif"
+    # Named again later, a file has its last position.
+    assert [p.name for p in files_of(settings_of(tmp_path, tmp_path / "t0.tif"))][-1] == "t0.tif"
+
+
+def geopackage(path, names, column="location"):
+    with sqlite3.connect(path) as base:
+        base.execute(f'CREATE TABLE tiles (fid INTEGER PRIMARY KEY, geom BLOB, "{column}" TEXT)')
+        base.executemany("INSERT INTO tiles VALUES (NULL, NULL, ?)", [(name,) for name in names])
+    base.close()
+
+
+def shapefile(path, names):
+    """Write the table of a shapefile with one column of texts."""
+    field = b"location".ljust(11, b"\0") + b"C" + bytes(4) + bytes([80, 0]) + bytes(14)
+    head = struct.pack("<4BIHH20x", 3, 126, 1, 1, len(names), 32 + 32 + 1, 81)
+    rows = b"".join(b" " + name.encode().ljust(80) for name in names)
+    path.with_suffix(".dbf").write_bytes(head + field + b"\r" + rows)
+    path.write_bytes(bytes(100))
+
+
+@pytest.mark.parametrize("kind", ["gti.gpkg", "shp", "gti"])
+def test_tile_indexes_give_paths_only(tmp_path, kind):
+    files = tiles(tmp_path / "tiles")
+    names = [f"tiles/{file.name}" for file in files[::-1]]
+    index = tmp_path / f"index.{kind}"
+    if kind == "shp":
+        shapefile(index, names)
+    elif kind == "gti":
+        geopackage(tmp_path / "base.sqlite", names, "where")
+        index.write_text(
+            "<GDALTileIndexDataset><IndexDataset>base.sqlite</IndexDataset>"
+            "<LocationField>where</LocationField></GDALTileIndexDataset>"
+        )
+    else:
+        geopackage(index, names)
+    assert paths_in(index) == files[::-1]
+    report = import_source(ImportSettings(str(index)), tmp_path / "store")
+    assert report["raster"] == [60, 20] and report["filled"] == 0
+
+
+@pytest.mark.parametrize("name", ["/vsicurl/http://a/b.tif", "missing.tif", "secret.txt", ".", "https://a/b.tif"])
+def test_an_index_may_name_files_of_known_kinds_only(tmp_path, name):
+    (tmp_path / "secret.txt").write_text("secret")
+    geopackage(tmp_path / "index.gpkg", [name])
+    with pytest.raises(TerrainError, match="index.gpkg names the source"):
+        paths_in(tmp_path / "index.gpkg")
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\0" * 100, b"SQLite format 3\0" + b"\1" * 4000, b"<a>", b"<!DOCTYPE a><a/>"]
+)
+def test_a_damaged_index_is_refused(tmp_path, content):
+    (tmp_path / "index.gti").write_bytes(content)
+    with pytest.raises(TerrainError, match="cannot be read as a tile index"):
+        paths_in(tmp_path / "index.gti")
+
+
+def test_impossible_sources_are_refused_from_headers(tmp_path, monkeypatch):
+    monkeypatch.setattr("adaptive_terrain.cbt_terrain.mosaic.composite.Composite.read", None)
+    files = tiles(tmp_path)
+    nameless = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 20, 20).write(tmp_path / "nameless.tif", crs=None)
+    with pytest.raises(TerrainError, match=r"nameless.tif names no coordinate system; expected one in every file"):
+        open_composite(settings_of(*files, nameless), None)
+    far = sheet(DEGREES, 170.0, -40.0, 0.001, 0.001, 20, 20).write(tmp_path / "far.tif")
+    with pytest.raises(TerrainError, match=r"far.tif in EPSG:4326 has no place in EPSG:32632|would have"):
+        open_composite(settings_of(*files, far), None)
+    with pytest.raises(TerrainError) as refusal:
+        open_composite(settings_of(*files, step=0.001), None)
+    assert refusal.value.what.startswith("The mosaic would have 590,001 x 190,001 samples")
+    step = float(refusal.value.fix.partition("--step ")[2].partition(")")[0])
+    assert open_composite(settings_of(*files, step=step), None).grid.width < 590_001
+    flat = write_raster(tmp_path / "flat.tif", hills(9, 9))
+    with pytest.raises(TerrainError, match=r"flat.tif cannot be a part of a mosaic \(it has no position\)"):
+        open_composite(settings_of(*files, flat), None)
+    with pytest.raises(TerrainError, match="An extent in metres is of one file"):
+        open_composite(settings_of(*files, extent=(10.0, 10.0)), None)
+
+
+def test_files_without_any_system_form_a_mosaic(tmp_path):
+    files = tiles(tmp_path, crs=None)
+    grid = open_composite(settings_of(*files), None).grid
+    assert (grid.crs, grid.width, grid.height) == ("", 60, 20)
+
+
+def test_a_kept_catalogue_spares_reading_headers(tmp_path, monkeypatch):
+    files = tiles(tmp_path / "tiles")
+    settings, store = settings_of(tmp_path / "tiles"), tmp_path / "store"
+    run_mosaic_import(settings, store)
+    read = []
+    real = catalogue._read_tile
+    monkeypatch.setattr(catalogue, "_read_tile", lambda path, settings: read.append(path.name) or real(path, settings))
+    before = build_catalogue(settings, store)
+    assert read == [] and before == build_catalogue(settings, None) and read == ["t0.tif", "t1.tif", "t2.tif"]
+    read.clear()
+    os.utime(files[1], ns=(1, 1))
+    build_catalogue(settings, store)
+    assert read == ["t1.tif"]
+    read.clear()
+    files[0].with_suffix(".tfw").write_text("1\n0\n0\n-1\n0\n0\n")  # a file that belongs to the first
+    build_catalogue(settings, store)
+    assert read == ["t0.tif", "t1.tif"]
+    read.clear()
+    build_catalogue(settings_of(tmp_path / "tiles", no_data=5.0), store)
+    assert len(read) == 3
+
+
+def test_a_damaged_catalogue_is_built_again(tmp_path):
+    tiles(tmp_path / "tiles")
+    settings, store = settings_of(tmp_path / "tiles"), tmp_path / "store"
+    run_mosaic_import(settings, store)
+    wanted, file = build_catalogue(settings, store), named_folder(store) / catalogue.FILE_NAME
+    content, random = file.read_bytes(), np.random.default_rng(1)
+    for _ in range(60):
+        damaged = bytearray(content)
+        for at in random.integers(0, len(content), 3):
+            damaged[at] = random.integers(0, 256)
+        file.write_bytes(bytes(damaged[: random.integers(1, len(content) + 1)]))
+        assert build_catalogue(settings, store) == wanted
+    # Whole, with its checksum, but with impossible numbers.
+    for name, value in (("width", -1), ("transform", [1, 2]), ("scale", None), ("roundings", []), ("stored", "x")):
+        entries = json.loads(json.loads(content)["content"])
+        entries["tiles"][1][name] = value
+        text = json.dumps(entries)
+        file.write_text(json.dumps({"sum": catalogue._sum(text), "content": text}))
+        assert build_catalogue(settings, store) == wanted
+    keep_catalogue(wanted, settings, file.parent)
+    assert file.read_bytes() == content
+
+
+def test_a_file_that_changes_during_the_import_is_one_error(tmp_path):
+    files = tiles(tmp_path / "tiles")
+    changed = []
+
+    def change(done, _message, *_more):
+        if done > 0.2 and not changed:
+            changed.append(files[0])
+            tiles(tmp_path / "other", 1)[0].replace(files[0])
+
+    with pytest.raises(TerrainError, match="t0.tif has changed while it was imported") as error:
+        run_mosaic_import(settings_of(tmp_path / "tiles"), tmp_path / "store", change)
+    assert error.value.code == "source.changed" and not (tmp_path / "store" / "store.json").exists()
+
+
+def test_units_differ_by_file(tmp_path):
+    feet = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 20, 20, unit=0.3048)
+    metres = sheet(UTM32, EAST + 200, NORTH, 10.0, 10.0, 20, 20)
+    file = feet.write(tmp_path / "a.tif", unit=0.3048)
+    import rasterio
+
+    with rasterio.open(file, "r+") as opened:
+        opened.units = ("ft",)
+    composite = open_composite(settings_of(file, metres.write(tmp_path / "b.tif")), None)
+    heights, _ = composite.read(0, 20)
+    assert np.abs(heights[:, :20] - feet.heights).max() < 1e-9
+    assert np.array_equal(heights[:, 20:], metres.heights)
+
+
+def test_the_sandboxed_process_imports_a_folder(tmp_path):
+    tiles(tmp_path / "tiles")
+    report = import_source(ImportSettings(str(tmp_path / "tiles")), tmp_path / "store")
+    again = import_source(ImportSettings(str(tmp_path / "tiles")), tmp_path / "store")
+    assert report["raster"] == [60, 20] and "unchanged" not in report and again["unchanged"]
+    assert open_store(tmp_path / "store").samples.shape == (20, 60)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The grid of a GDAL dataset: its coordinate system and its geotransform, if the file has them."""
 
+import functools
 import json
 import math
 from typing import TYPE_CHECKING, NamedTuple
@@ -106,9 +107,15 @@ def has_shear(grid: FileGrid, width: int, height: int) -> bool:
 
 def base_crs(crs: "CRS") -> "CRS | None":
     """Return the geographic system below a projected one, None if it has none."""
+    return _base_of(crs.to_wkt())
+
+
+@functools.lru_cache(maxsize=64)
+def _base_of(wkt: str):
+    """Return the geographic system below that of a WKT; the files of a mosaic share a few."""
     from rasterio.crs import CRS
 
-    parts = [crs.to_dict(projjson=True)]
+    parts = [CRS.from_wkt(wkt).to_dict(projjson=True)]
     while parts:  # compound and bound systems have others inside
         part = parts.pop()
         if "base_crs" in part:

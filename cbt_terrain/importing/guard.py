@@ -67,10 +67,13 @@ def _check_rights(path: Path, form: SourceFormat, rights: dict[str, str]) -> Non
         )
 
 
-def guard_import(settings: ImportSettings, path: Path, files: Sequence[Path] = (), more_kernels: tuple = ()) -> None:
+def guard_import(
+    settings: ImportSettings, path: Path | None, files: Sequence[Path] = (), more_kernels: tuple = ()
+) -> None:
     """Load kernels, make the folder of the store `path`, and drop rights before an import. Raises TerrainError.
 
     Args:
+        path: None for a process that writes nothing.
         files: the files of a mosaic; by default that of the settings.
         more_kernels: further modules of kernels to load.
     """
@@ -84,12 +87,13 @@ def guard_import(settings: ImportSettings, path: Path, files: Sequence[Path] = (
             load(module)
         if settings.source in LANDS:
             launch.slices(LANDS[settings.source].kernel, [], step="load")  # loads the kernel and launches nothing
-    store_folder.check_target(path)
-    try:
-        with open_folder(path, make=True):
-            pass
-    except OSError as reason:
-        raise unwritable(f"The store {path}", reason) from reason
+    if path is not None:
+        store_folder.check_target(path)
+        try:
+            with open_folder(path, make=True):
+                pass
+        except OSError as reason:
+            raise unwritable(f"The store {path}", reason) from reason
     guard(files or [Path(settings.source)], path, settings.encoding)
 
 

@@ -60,17 +60,19 @@ def import_source(
     source: ImportSettings | str | os.PathLike,
     store: str | os.PathLike,
     on_progress: Tell = lambda _fraction, _message: None,
+    on_preview: Callable[[dict], None] = lambda _preview: None,
 ) -> dict:
     """Import in a child process, wait, and return the report, with "unchanged" if the store held this source already.
 
     Args:
         source: settings, or a path or the name of a built-in terrain ("island") to import with default settings.
         on_progress: is called repeatedly with a fraction and a message; an exception from it stops the import.
+        on_preview: is called with the report on several files before the long work.
 
     Raises TerrainError. The store is then as it was before.
     """
     settings = source if isinstance(source, ImportSettings) else ImportSettings(os.fspath(source))
-    return wait_for(lambda: ImportJob(settings, store), on_progress)
+    return wait_for(lambda: ImportJob(settings, store), on_progress, on_preview)
 
 
 def child_main() -> None:

@@ -5,6 +5,7 @@ This module checks an .aux.xml before GDAL parses it. GDAL may read it only if i
 """
 
 import contextlib
+import functools
 import os
 import re
 from pathlib import Path
@@ -32,10 +33,20 @@ def sidecars(path: Path) -> list[Path]:
     stem, name = path.stem.lower(), path.name.lower()
     wanted = {start + suffix for start in (stem, name) for suffix in SUFFIXES} - {name}
     try:
-        found = [path.with_name(other) for other in sorted(os.listdir(path.parent)) if other.lower() in wanted]
+        names = _names_in(str(path.parent), os.stat(path.parent).st_mtime_ns)
+        found = [path.with_name(other) for other in sorted(other for w in wanted for other in names.get(w, ()))]
     except OSError:  # a folder that may be entered but not listed
         found = [path.with_name(other) for other in sorted(wanted) if os.path.exists(path.with_name(other))]
     return [file for file in found if file.is_file()]
+
+
+@functools.lru_cache(maxsize=4)
+def _names_in(folder: str, _changed_ns: int) -> dict[str, list[str]]:
+    """Return the names in a folder by their small letters; a mosaic of n tiles would list its folder n times."""
+    found: dict[str, list[str]] = {}
+    for name in os.listdir(folder):
+        found.setdefault(name.lower(), []).append(name)
+    return found
 
 
 def aux_file(path: Path) -> Path | None:

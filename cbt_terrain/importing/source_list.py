@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..errors import TerrainError, check_path, shown
 from ..field.lands import LANDS
+from ..field.store_folder import JSON_NAME
 from .raster import ImportSettings
 from .source_formats import FORMATS
 
@@ -46,6 +47,11 @@ def files_of(settings: ImportSettings) -> list[Path]:
         what = f"The sources name {len(found):,} files"
         raise TerrainError(what, expected=f"{MAX_FILES:,} at most", fix="import a part of them")
     return list(found)
+
+
+def holds_height_maps(folder: str) -> bool:
+    """Return whether a folder is no store and holds height maps with a position."""
+    return not os.path.lexists(os.path.join(folder, JSON_NAME)) and bool(_files_in(Path(folder).absolute()))
 
 
 def file_stat(path: str | os.PathLike) -> tuple[str, int, int]:

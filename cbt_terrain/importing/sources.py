@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Sources of heights, files and built-in terrains, opened as rasters."""
 
+import functools
 import math
 import os
 from pathlib import Path
@@ -71,19 +72,26 @@ def check_neighbours(path: Path) -> None:
 
     GDAL would open it as a part of the file (.tfw, .aux.xml, .msk, ...) and wait.
     """
-    stem = path.stem.casefold()
+    stem, folder = path.stem.casefold(), path.absolute().parent
     parts = f"{stem}.", f"{stem}_"
     try:
-        with os.scandir(path.absolute().parent) as entries:
-            found = next((e for e in entries if e.name.casefold().startswith(parts) and blocks_reader(e.path)), None)
+        blocking = _blocking_in(str(folder), folder.stat().st_mtime_ns)
     except OSError:
         return
+    found = next((other for other in blocking if os.path.basename(other).casefold().startswith(parts)), None)
     if found is not None:
         raise TerrainError(
-            f"{shown(found.path)}, beside {shown(path.name)}, is a pipe, a socket or a device",
+            f"{shown(found)}, beside {shown(path.name)}, is a pipe, a socket or a device",
             expected="a file",
             fix="remove or rename it",
         )
+
+
+@functools.lru_cache(maxsize=4)
+def _blocking_in(folder: str, _changed_ns: int) -> list[str]:
+    """Return the pipes, sockets and devices in a folder; a mosaic of n tiles would search its folder n times."""
+    with os.scandir(folder) as entries:
+        return [e.path for e in entries if not e.is_dir() and blocks_reader(e.path)]
 
 
 def _open_land(settings: ImportSettings) -> Raster:

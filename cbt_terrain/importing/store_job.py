@@ -40,13 +40,17 @@ Tell = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class JobProgress:
-    """Progress of a job: `fraction` is 0 .. 1; when `done`, either `error` or `report` is set."""
+    """Progress of a job: `fraction` is 0 .. 1; when `done`, either `error` or `report` is set.
+
+    preview: a report on the input that the job has made before its long work, None if there is none.
+    """
 
     fraction: float = 0.0
     message: str = "Starting"
     done: bool = False
     error: TerrainError | None = None
     report: dict | None = None
+    preview: dict | None = None
 
 
 class ChildJob:
@@ -126,7 +130,7 @@ class ChildJob:
         if ended:
             self._reader.join()
         if "progress" in self._messages:
-            self._progress = JobProgress(*self._messages["progress"])
+            self._progress = JobProgress(*self._messages["progress"], preview=self._messages.get("preview"))
         if ended:
             self._finish()
         return self._progress
@@ -218,6 +222,8 @@ def _parse_line(line: bytes) -> dict:
             return {"progress": (fraction, shown(content["message"]))} if 0.0 <= fraction <= 1.0 else {}
         if "error" in content:
             return {"error": _parse_error(content["error"])}
+        if "preview" in content:
+            return {"preview": content["preview"]} if isinstance(content["preview"], dict) else {}
         return {"report": content["report"]} if isinstance(content["report"], dict | list) else {}
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return {}
@@ -231,17 +237,25 @@ def _parse_error(fields: dict) -> TerrainError:
     return TerrainError(**{name: shown(text, MAX_ERROR_CHARS) for name, text in fields.items()})
 
 
-def wait_for(start: Callable[[], ChildJob], on_progress: Tell = lambda _fraction, _message: None) -> dict:
+def wait_for(
+    start: Callable[[], ChildJob],
+    on_progress: Tell = lambda _fraction, _message: None,
+    on_preview: Callable[[dict], None] = lambda _preview: None,
+) -> dict:
     """Start a job, wait for it and return its report.
 
-    on_progress(fraction, message) is called repeatedly; an exception from it stops the job. Raises TerrainError. The
-    store is then as it was before.
+    on_progress(fraction, message) is called repeatedly; an exception from it stops the job. on_preview(preview) is
+    called once if the job makes a preview. Raises TerrainError. The store is then as it was before.
     """
+    previewed = False
     with stopping.listening():  # an exception in the middle of a wait for a process may leave its lock taken
         job = start()
         try:
             while not (progress := job.poll()).done:
                 stopping.check()
+                if progress.preview is not None and not previewed:
+                    previewed = True
+                    on_preview(progress.preview)
                 on_progress(progress.fraction, progress.message)
                 time.sleep(POLL_SECONDS)
         finally:
@@ -278,10 +292,12 @@ def serve(work: ChildWork, what: Callable[[dict], str], heard: Callable[[], None
         channel.write(json.dumps(content) + "\n")
         channel.flush()
 
-    def on_progress(fraction: float, message: str) -> None:
+    def on_progress(fraction: float, message: str, preview: dict | None = None) -> None:
         """Send the progress, at most once in PROGRESS_SECONDS. Raises if the work was cancelled."""
         nonlocal sent
         stopping.check()
+        if preview is not None:
+            send({"preview": preview})
         if time.monotonic() - sent > PROGRESS_SECONDS:
             sent = time.monotonic()
             send({"fraction": fraction, "message": message})

@@ -140,7 +140,7 @@ def open_tile(path: str, settings: ImportSettings) -> Raster:
     """Open one file of a mosaic. Its samples are as the file stores them. Raises TerrainError."""
     from rasterio.env import setenv
 
-    raster = open_source(ImportSettings(source=path, band=settings.band, no_data=settings.no_data))
+    raster = open_source(ImportSettings(path, band=settings.band, no_data=settings.no_data, encoding=settings.encoding))
     setenv(GDAL_PAM_ENABLED="NO", GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")  # of what a VRT opens while it is read
     return raster
 

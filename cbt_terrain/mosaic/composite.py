@@ -46,6 +46,9 @@ class Composite:
         lattices: their lattices.
         stored: type of the samples; float64 if any are interpolated or converted.
         scale, offset: a height is value * scale + offset metres.
+        resamples: whether samples of some files are interpolated.
+        boxes: float64 [tiles, 4], lowest column and row of the grid and highest ones of each tile's outer samples.
+        reach: float64 [tiles, 2], columns and rows of the grid beyond its box that a tile may have a part in.
     """
 
     def __init__(
@@ -59,13 +62,14 @@ class Composite:
         boxes, steps = found.boxes[order], found.steps[order]
         low_u, high_v = grid.indices(boxes[:, 0], boxes[:, 1])
         high_u, low_v = grid.indices(boxes[:, 2], boxes[:, 3])
-        near = 2.0 * steps / (grid.step_x, grid.step_y) + 1.0
-        self._boxes = np.stack(
-            [low_u - near[:, 0], low_v - near[:, 1], high_u + near[:, 0], high_v + near[:, 1]], axis=1
-        )
+        self.boxes = np.stack([low_u, low_v, high_u, high_v], axis=1)
+        self.reach = 2.0 * steps / (grid.step_x, grid.step_y) + 1.0
+        near = np.concatenate([-self.reach, self.reach], axis=1)
+        self._near = self.boxes + near
         scales = {(tile.scale, tile.offset) for tile in self.tiles}
         kinds = {tile.stored for tile in self.tiles}
         is_copied = all(lattice.crs == grid.crs and is_congruent(lattice, grid) for lattice in self.lattices)
+        self.resamples = not is_copied
         self._converts = len(scales) > 1
         self.scale, self.offset = (1.0, 0.0) if self._converts else next(iter(scales))
         self.stored = next(iter(kinds)) if len(kinds) == 1 and is_copied and not self._converts else "float64"
@@ -104,8 +108,8 @@ class Composite:
     def _fill(self, piece: Piece, values: np.ndarray) -> float:
         """Fill the values of a piece, and return the largest difference made by positions."""
         column, row = piece.column, piece.row
-        meets = (self._boxes[:, 0] < column + piece.columns) & (self._boxes[:, 2] >= column)
-        meets &= (self._boxes[:, 1] < row + piece.rows) & (self._boxes[:, 3] >= row)
+        meets = (self._near[:, 0] < column + piece.columns) & (self._near[:, 2] >= column)
+        meets &= (self._near[:, 1] < row + piece.rows) & (self._near[:, 3] >= row)
         if not meets.any():
             return 0.0
         found = []
@@ -165,7 +169,7 @@ class Composite:
                     continue
                 rank = int(lattice.tiles[n])
                 window = y0 - rectangle[1], y1 - y0, x0 - rectangle[0], x1 - x0
-                heights = self._read(rank, *map(int, window))
+                heights = self.tile_window(rank, *map(int, window))
                 inside = slice(y0 - top, y1 - top), slice(x0 - left, x1 - left)
                 known, before = np.isfinite(heights), ranks[inside]
                 is_higher = known & (rank > before)
@@ -173,10 +177,10 @@ class Composite:
                 ranks[inside] = np.where(is_higher, rank, np.where(known | (before >= 0), before, NO_DATA))
         return LatticeWindow(values, ranks, left, top, np.array(used), np.array(used_ranks))
 
-    def _read(self, rank: int, *window: int) -> np.ndarray:
+    def tile_window(self, rank: int, row: int, rows: int, column: int, columns: int) -> np.ndarray:
         """Return a window of a tile as float64 values of the composite, NaN where missing."""
         raster, tile = self._raster(rank), self.tiles[rank]
-        heights = raster.window(*window).astype(np.float64)
+        heights = raster.window(row, rows, column, columns).astype(np.float64)
         return heights * tile.scale + tile.offset if self._converts else heights
 
     def _raster(self, rank: int) -> Raster:

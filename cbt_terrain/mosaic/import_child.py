@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ...kernels.mosaic import resample
-from ..importing.build_store import READING, run_import
+from ..importing.build_store import READING, finished_before, run_import, source_digest
 from ..importing.guard import guard_import
 from ..importing.import_process import what_of
 from ..importing.raster import ImportSettings, Raster
@@ -13,6 +13,7 @@ from ..importing.source_formats import FORMATS
 from ..importing.source_list import INDEX_SUFFIXES, files_of
 from ..importing.store_job import Tell, serve
 from .mosaic_source import mosaic_raster, open_composite
+from .report import KEPT, describe_mosaic
 
 SCANNED = 0.05  # of the progress: headers are read
 
@@ -22,12 +23,12 @@ def child_main() -> None:
     serve(_import, lambda request: what_of(ImportSettings(**request["settings"]).sources))
 
 
-def suffixes_of(settings: ImportSettings) -> list[str]:
-    """Return the suffixes of files that the import may open; a tile index may name files of every kind."""
-    suffixes = {path.suffix.lower() for path in files_of(settings)}
-    if suffixes & set(INDEX_SUFFIXES):
-        suffixes |= {suffix for suffix, form in FORMATS.items() if form.in_mosaic}
-    return sorted(suffixes)
+def paths_of(settings: ImportSettings) -> list[Path]:
+    """Return the files that the import may open, and for a tile index a name of each kind that it may name."""
+    paths = files_of(settings)
+    if any(path.suffix.lower() in INDEX_SUFFIXES for path in paths):
+        paths += [Path(f"any{suffix}") for suffix, form in FORMATS.items() if form.in_mosaic]
+    return paths
 
 
 def run_mosaic_import(
@@ -37,7 +38,13 @@ def run_mosaic_import(
 
     def open_mosaic(settings: ImportSettings) -> Raster:
         composite = open_composite(settings, path, lambda done: on_progress(SCANNED * done, READING))
-        return mosaic_raster(composite, settings)
+        raster = mosaic_raster(composite, settings)
+        if finished_before(path, source_digest(settings, raster.sources)) is None:
+            details = describe_mosaic(composite, raster, settings)
+            on_progress(SCANNED, READING, details)
+            raster.warnings += details["warnings"]
+            raster.details |= {name: details[name] for name in KEPT if name in details}
+        return raster
 
     return run_import(
         settings,
@@ -51,6 +58,6 @@ def run_mosaic_import(
 def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
     """Import in the child process, and return the report."""
     settings, path = ImportSettings(**request["settings"]), Path(request["store"])
-    guard_import(settings, path, suffixes_of(settings), (resample,))
+    guard_import(settings, path, paths_of(settings), (resample,))
     begin()  # after the guard: threads started before it could still write elsewhere
     return run_mosaic_import(settings, path, on_progress, request["folder"])

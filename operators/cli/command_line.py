@@ -194,10 +194,13 @@ def _add_import(subparsers) -> None:
 
 def _add_info(subparsers) -> None:
     verb = _verb(subparsers, "info", "describe a store, a height map or an exported .npz", verbs.run_info)
-    verb.add_argument("path", type=path, nargs="?")
+    about = "a store, a height map or an .npz; several height maps or a folder of them are described as one terrain"
+    verb.add_argument("paths", type=path_text, nargs="*", metavar="PATH", help=about)
     verb.add_argument("--versions", action="store_true", help="of all that is used, and what reading a file gives up")
     verb.add_argument("--verify", action="store_true", help="of a store, check every block of every array")
+    verb.add_argument("--json", dest="as_json", action="store_true", help="print one line of JSON")
     verb.add_argument("--project", **PROJECT)
+    _add_mosaic(verb)
     _add_raw(verb)
 
 

@@ -2,6 +2,7 @@
 """The verbs of the command line: arguments in, work done, lines on stdout."""
 
 import dataclasses
+import json
 import os
 import sys
 import time
@@ -36,38 +37,64 @@ def run_import(arguments) -> None:
             raise UsageError(f"--{option} is of {', '.join(suffixes)}; {source} is taken as it is")
     start = time.monotonic()
     bar = Progress(1.0, "import", arguments.progress)
+    previews: list[dict] = []
+
+    def on_preview(preview: dict) -> None:
+        previews.append(preview)
+        print_fields(preview)
+
     try:
-        report = import_source(settings, arguments.store, on_progress=lambda fraction, message: bar.to(fraction))
+        report = import_source(settings, arguments.store, lambda fraction, _message: bar.to(fraction), on_preview)
     finally:
         bar.close()
-    print_fields(report)
+    before = previews[0] if previews else {}
+    print_fields({name: value for name, value in report.items() if before.get(name) != value})
     print_line(f"{arguments.store} is ready after {duration(time.monotonic() - start)}")
 
 
 def run_info(arguments) -> None:
-    if arguments.versions == (arguments.path is not None):
+    if arguments.versions == bool(arguments.paths):
         raise UsageError("expected the path of a store, a height map or an exported .npz, or --versions")
-    if arguments.versions:
-        print_fields(_versions())
-        return
-    is_store = os.path.isdir(arguments.path)
+    is_store = len(arguments.paths) == 1 and _is_store(arguments.paths[0])
     if arguments.verify:
         if not is_store:
-            raise UsageError(f"--verify checks a store, and {arguments.path} is no folder")
-        _verify(arguments.path)
-    elif arguments.path.suffix == ".npz":
-        from ...cbt_terrain.mesh.archive import read_npz
+            raise UsageError(f"--verify checks a store, and {', '.join(arguments.paths)} is none")
+        _verify(arguments.paths[0])
+    fields = _versions() if arguments.versions else _described(arguments, is_store)
+    if arguments.as_json:
+        print_line(json.dumps(fields))
+    else:
+        print_fields(fields)
 
-        print_fields(read_npz(arguments.path)["info"])
-        return
+
+def _is_store(path: str) -> bool:
+    """Return whether a path is a folder, but not one of height maps: a store that is missing or damaged is reported."""
+    from ...cbt_terrain.importing.source_list import holds_height_maps
+
+    return os.path.isdir(path) and not holds_height_maps(path)
+
+
+def _described(arguments, is_store: bool) -> dict:
+    """Return the description of a store, an exported mesh, a height map or a mosaic of several."""
+    from ...cbt_terrain.importing.source_list import names_several
+
+    paths = arguments.paths
     if is_store:
         from ...cbt_terrain.importing.build_store import describe
 
-        print_fields(describe(arguments.path))
-        return
+        return describe(Path(paths[0]))
+    if len(paths) == 1 and Path(paths[0]).suffix == ".npz":
+        from ...cbt_terrain.mesh.archive import read_npz
+
+        return read_npz(Path(paths[0]))["info"]
+    settings = _import_settings(arguments, source=paths[0], more_sources=paths[1:])
+    if names_several(settings):
+        from ...cbt_terrain.mosaic.mosaic_info import describe_sources
+
+        return describe_sources(settings)
     from ...cbt_terrain.importing.source_info import describe_source
 
-    print_fields(describe_source(_import_settings(arguments, source=str(arguments.path))))
+    return describe_source(settings)
 
 
 def _verify(path) -> None:

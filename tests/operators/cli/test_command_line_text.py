@@ -19,7 +19,7 @@ def test_a_text_from_outside_cannot_command_the_terminal(capsys):
     [
         ([], 2, "required: VERB"),
         (["fly"], 2, "invalid choice: 'fly'"),
-        (["import"], 2, "required: source, --store"),
+        (["import"], 2, "required: SOURCE, --store"),
         (["import", "no.tif", "--store", "x"], 1, "no.tif does not exist"),
         (["info", "nothing"], 1, "nothing does not exist"),
         (["bake", "--store", "x", "--max-error", "0", "--out", "a.ply"], 2, "0 is not more than 0"),

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The report on a mosaic before it is imported: grid, coverage, seams, vertical datums, time and disk space."""
+
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import shown
+from ..field.build import from_array
+from ..field.lattice import fit
+from ..importing.drafts import room_for
+from ..importing.file_grid import unit_of
+from ..importing.raster import ImportSettings, Raster
+from .composite import Composite
+from .seams import SeamReport, find_seams
+from .systems import crs_of, period_of, projected
+
+COVERAGE_POINTS = 256  # along each axis
+MEASURED_SIDE = 513  # samples whose reading and building is timed
+MAX_KINDS = 12
+# Entries that the report of an import has, too; it has its own sizes.
+KEPT = ("files", "kinds", "overlap_percent", "gap_percent")
+KEPT += tuple(
+    f"seam{name}" for name in ("s", "s_compared", "_samples", "_median_m", "_max_m", "_max_at", "_max_between")
+)
+
+
+def describe_mosaic(composite: Composite, raster: Raster, settings: ImportSettings) -> dict:
+    """Return the report on a mosaic as JSON. Lengths are metres, coordinates those of its system."""
+    grid, place = composite.grid, raster.georeference
+    west, north = grid.positions(np.array([grid.column]), np.array([grid.row]))
+    last = grid.positions(np.array([grid.column + grid.width - 1]), np.array([grid.row + grid.height - 1]))
+    overlap, gap = coverage(composite)
+    scale = 1.0 if settings.height_scale is None else abs(settings.height_scale)
+    return {
+        "files": len(composite.tiles),
+        "kinds": _kinds(composite),
+        "crs": grid.crs,
+        "raster": [grid.width, grid.height],
+        "step_m": [place.step_x, place.step_y],
+        "extent_m": [place.step_x * (grid.width - 1), place.step_y * (grid.height - 1)],
+        "west_south_east_north": [float(west[0]), float(last[1][0]), float(last[0][0]), float(north[0])],
+        "overlap_percent": round(100.0 * overlap, 2),
+        "gap_percent": round(100.0 * gap, 2),
+        "gaps_become": "holes" if settings.holes else "filled from the nearest sample",
+        **_seams(find_seams(composite), scale),
+        "expected_seconds": _expected_seconds(composite),
+        "expected_disk_mb": round(room_for(fit(max(grid.width, 2), max(grid.height, 2)), 0) / 1e6, 1),
+        "warnings": datum_warnings(composite),
+    }
+
+
+def coverage(composite: Composite) -> tuple[float, float]:
+    """Return the fractions of the extent that several files cover, and that none covers, by their headers.
+
+    A file covers half a cell beyond its outer samples. Points are spread evenly over the extent.
+    """
+    grid = composite.grid
+    columns = np.linspace(grid.column, grid.column + grid.width - 1, COVERAGE_POINTS)
+    rows = np.linspace(grid.row, grid.row + grid.height - 1, COVERAGE_POINTS)
+    x, y = grid.positions(*np.meshgrid(columns, rows))
+    counts = np.zeros(x.shape, np.int32)
+    for lattice in composite.lattices:
+        found = projected(grid.crs, lattice.crs, x.ravel(), y.ravel())
+        for rank, (first_u, first_v, last_u, last_v) in zip(lattice.tiles, lattice.rectangles, strict=True):
+            box = composite.boxes[rank]
+            across = slice(
+                *np.searchsorted(columns, [box[0] - composite.reach[rank, 0], box[2] + composite.reach[rank, 0]])
+            )
+            down = slice(*np.searchsorted(rows, [box[1] - composite.reach[rank, 1], box[3] + composite.reach[rank, 1]]))
+            part_x, part_y = (values.reshape(x.shape)[down, across] for values in found)
+            period = period_of(lattice.crs)
+            if period:
+                middle = lattice.positions((first_u + last_u) / 2, (first_v + last_v) / 2)[0]
+                part_x = part_x - period * np.round((part_x - middle) / period)
+            with np.errstate(invalid="ignore"):
+                u, v = lattice.indices(part_x, part_y)
+                inside = (u >= first_u - 0.5) & (u < last_u + 0.5) & (v >= first_v - 0.5) & (v < last_v + 0.5)
+            counts[down, across] += inside
+    return float(np.mean(counts > 1)), float(np.mean(counts == 0))
+
+
+def datum_warnings(composite: Composite) -> list[str]:
+    """Return a warning if files name different vertical datums, or only some name one."""
+    counts = Counter(tile.datum for tile in composite.tiles)
+    known = {datum: count for datum, count in counts.items() if datum}
+    if len(known) < 2:
+        return []
+    names = ", ".join(f"{shown(datum, 60)} in {count:,}" for datum, count in known.items())
+    more = f", and {counts['']:,} name none" if counts[""] else ""
+    return [
+        f"The files' heights refer to different surfaces ({names}{more}), which may be tens of metres apart. They were "
+        "not converted: convert them to one first (gdalwarp with -s_srs and -t_srs and PROJ's grids)."
+    ]
+
+
+def _kinds(composite: Composite) -> list[str]:
+    """Return a line for each kind of file: system, step and type."""
+    counts: Counter = Counter()
+    for tile in composite.tiles:
+        unit = unit_of(crs_of(tile.crs)) if tile.crs else {}
+        step = " x ".join(f"{abs(s):.6g}" for s in tile.position(1, 1) - np.array(tile.position(0, 0)))
+        counts[f"{tile.crs or 'no system'}, steps of {step}{'°' if 'degrees' in unit else ''}, {tile.stored}"] += 1
+    lines = [f"{count:,} of {shown(kind)}" for kind, count in counts.most_common(MAX_KINDS)]
+    return lines + ([f"{len(counts) - MAX_KINDS:,} more kinds"] if len(counts) > MAX_KINDS else [])
+
+
+def _seams(seams: SeamReport, scale: float) -> dict:
+    """Return the entries about seams. scale: of the heights, by the settings."""
+    entries = {"seams": seams.pairs, "seams_compared": seams.compared, "seam_samples": len(seams.steps)}
+    if not len(seams.steps):
+        return entries
+    sizes = np.abs(seams.steps) * scale
+    worst = int(np.argmax(sizes))
+    return entries | {
+        "seam_median_m": float(np.median(sizes)),
+        "seam_max_m": float(sizes[worst]),
+        "seam_max_at": [float(c) for c in seams.places[worst]],
+        "seam_max_between": [Path(path).name for path in seams.names[seams.numbers[worst]]],
+    }
+
+
+def _expected_seconds(composite: Composite) -> float:
+    """Return the expected time of an import: that of a part in the middle, read and built, times the samples."""
+    grid = composite.grid
+    width, height = min(grid.width, MEASURED_SIDE), min(grid.height, MEASURED_SIDE)
+    window = (grid.height - height) // 2, height, (grid.width - width) // 2, width
+    for _ in range(2):  # the first time files are opened and threads are started
+        started = time.perf_counter()
+        heights, _ = composite.read(*window)
+        from_array(np.nan_to_num(heights, posinf=0.0, neginf=0.0).astype(np.float32))
+    seconds = (time.perf_counter() - started) * grid.width * grid.height / (width * height)
+    return float(f"{seconds:.2g}")

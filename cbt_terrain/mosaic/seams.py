@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Seams of a mosaic: how far the heights of two overlapping files are apart where one of them ends."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .catalogue import SourceTile
+from .composite import Composite
+from .systems import period_of, projected
+
+MAX_PAIRS = 400  # of files that are compared; of more, some are chosen evenly
+MAX_SAMPLES = 512  # of one side of a file
+INSIDE = 1e-6  # samples
+
+
+class SeamReport(NamedTuple):
+    """Seams of a mosaic.
+
+    Attributes:
+        pairs: pairs of files with an overlap.
+        compared: pairs whose heights were compared.
+        steps: float64 [n], metres by which the higher-ranked file is above the other, at samples of its border.
+        places: float64 [n, 2], x and y of these samples in the grid's system.
+        numbers: int32 [n], pairs of these samples.
+        names: paths of the two files of each compared pair.
+    """
+
+    pairs: int
+    compared: int
+    steps: np.ndarray
+    places: np.ndarray
+    numbers: np.ndarray
+    names: list[tuple[str, str]]
+
+
+def find_seams(composite: Composite) -> SeamReport:
+    """Compare the heights of overlapping files at the samples of the higher-ranked one's border.
+
+    If none of these are known in both files, samples of the whole overlap are compared.
+    """
+    pairs = overlapping_pairs(composite)
+    chosen = [pairs[len(pairs) * n // MAX_PAIRS] for n in range(MAX_PAIRS)] if len(pairs) > MAX_PAIRS else pairs
+    steps, places, numbers, names = [], [], [], []
+    for lower, upper in chosen:
+        found, place = _seam_of(composite, lower, upper)
+        if len(found):
+            steps.append(found)
+            places.append(place)
+            numbers.append(np.full(len(found), len(names), np.int32))
+            names.append((composite.tiles[lower].path, composite.tiles[upper].path))
+    return SeamReport(
+        len(pairs),
+        len(chosen),
+        np.concatenate([np.zeros(0), *steps]),
+        np.concatenate([np.zeros((0, 2)), *places]),
+        np.concatenate([np.zeros(0, np.int32), *numbers]),
+        names,
+    )
+
+
+def overlapping_pairs(composite: Composite) -> list[tuple[int, int]]:
+    """Return the ranks of tiles whose boxes overlap, the lower one first."""
+    boxes = composite.boxes
+    order = np.argsort(boxes[:, 0], kind="stable")
+    starts, pairs = boxes[order, 0], []
+    for position, rank in enumerate(order):
+        end = int(np.searchsorted(starts, boxes[rank, 2] + INSIDE, side="right"))
+        others = order[position + 1 : end]
+        meets = (boxes[others, 1] <= boxes[rank, 3] + INSIDE) & (boxes[others, 3] >= boxes[rank, 1] - INSIDE)
+        pairs += [(min(rank, other), max(rank, other)) for other in others[meets]]
+    return sorted((int(lower), int(upper)) for lower, upper in pairs)
+
+
+def _seam_of(composite: Composite, lower: int, upper: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return steps in metres and places at samples of the upper tile's border inside the lower tile."""
+    tile, scale = composite.tiles[upper], abs(composite.scale)
+    right, bottom = tile.width - 1, tile.height - 1
+    along, down = _spread(0, right), _spread(0, bottom)
+    sides = [(along, np.array([0])), (along, np.array([bottom])), (np.array([0]), down), (np.array([right]), down)]
+    parts = [_compare(composite, lower, upper, *side) for side in sides]
+    if not any(len(part[0]) for part in parts):
+        parts = [_compare(composite, lower, upper, _spread(0, right, 65), _spread(0, bottom, 65))]
+    steps, columns, rows = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    x, y = projected(tile.crs, composite.grid.crs, *tile.position(columns, rows))
+    return steps * scale, np.stack([x, y], axis=1)
+
+
+def _spread(first: int, last: int, most: int = MAX_SAMPLES) -> np.ndarray:
+    """Return whole numbers from `first` to `last`, all or `most` of them."""
+    return np.unique(np.linspace(first, last, min(last - first + 1, most)).astype(np.int64))
+
+
+def _compare(
+    composite: Composite, lower: int, upper: int, columns: np.ndarray, rows: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return differences, columns and rows of samples of the upper tile that both tiles know."""
+    below, above = composite.tiles[lower], composite.tiles[upper]
+    columns, rows = (values.ravel() for values in np.meshgrid(columns, rows))
+    u, v = _indices(below, above, columns, rows)
+    inside = (u >= -INSIDE) & (u <= below.width - 1 + INSIDE) & (v >= -INSIDE) & (v <= below.height - 1 + INSIDE)
+    columns, rows, u, v = columns[inside], rows[inside], u[inside], v[inside]
+    if not len(u):
+        return np.zeros(0), columns, rows
+    left, top = columns.min(), rows.min()
+    window = composite.tile_window(upper, int(top), int(np.ptp(rows)) + 1, int(left), int(np.ptp(columns)) + 1)
+    steps = window[rows - top, columns - left] - _bilinear(composite, lower, u, v)
+    known = np.isfinite(steps)
+    return steps[known], columns[known], rows[known]
+
+
+def _indices(below: SourceTile, above: SourceTile, columns: np.ndarray, rows: np.ndarray) -> tuple:
+    """Return columns and rows, float64, in the lower tile of samples of the upper one."""
+    x, y = projected(above.crs, below.crs, *above.position(columns, rows))
+    a, b, _, d, e, _ = below.transform
+    x0, y0 = below.position(0, 0)
+    period = period_of(below.crs)
+    if period:
+        middle = below.position(below.width / 2, below.height / 2)[0]
+        x = x - period * np.round((x - middle) / period)
+    area = a * e - b * d
+    with np.errstate(invalid="ignore"):
+        return (e * (x - x0) - b * (y - y0)) / area, (a * (y - y0) - d * (x - x0)) / area
+
+
+def _bilinear(composite: Composite, rank: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Return heights of a tile at fractional columns and rows, NaN where a needed sample is missing."""
+    tile = composite.tiles[rank]
+    u, v = np.clip(u, 0.0, tile.width - 1.0), np.clip(v, 0.0, tile.height - 1.0)
+    u, v = (np.where(np.abs(w - np.round(w)) < INSIDE, np.round(w), w) for w in (u, v))
+    p, q = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
+    left, top = int(p.min()), int(q.min())
+    rows, columns = int(min(q.max() + 2, tile.height)) - top, int(min(p.max() + 2, tile.width)) - left
+    z, s, t = composite.tile_window(rank, top, rows, left, columns), u - p, v - q
+    p, q = p - left, q - top
+    right, down = np.minimum(p + (s > 0), columns - 1), np.minimum(q + (t > 0), rows - 1)
+    return (z[q, p] * (1 - s) + z[q, right] * s) * (1 - t) + (z[down, p] * (1 - s) + z[down, right] * s) * t

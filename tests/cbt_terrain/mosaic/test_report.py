@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The report on a mosaic: by `info` and before an import, as text and as JSON."""
+
+import json
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
+from adaptive_terrain.cbt_terrain.mosaic.report import coverage, datum_warnings
+from adaptive_terrain.cbt_terrain.mosaic.seams import find_seams
+from adaptive_terrain.operators.cli import command_line
+from mosaic_files import EAST, NORTH, UTM32, UTM33, moved, sheet
+
+
+def opened(*files, **more):
+    return open_composite(ImportSettings(str(files[0]), more_sources=tuple(map(str, files[1:])), **more), None)
+
+
+@pytest.fixture
+def pair(tmp_path):
+    """Two tiles that share one row of samples, the second 2 m higher."""
+    first = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 40, 30)
+    second = sheet(UTM32, EAST, NORTH - 290, 10.0, 10.0, 40, 30, shift=2.0)
+    return first.write(tmp_path / "tiles" / "a.tif"), second.write(tmp_path / "tiles" / "b.tif")
+
+
+def test_a_shared_row_is_a_seam(pair):
+    seams = find_seams(opened(*pair))
+    assert (seams.pairs, len(seams.steps)) == (1, 42)  # the row, and its ends as samples of two more sides
+    assert np.abs(seams.steps - 2.0).max() < 1e-3
+    assert np.abs(seams.places[:, 1] - (NORTH - 295)).max() < 1e-6
+
+
+def test_seams_inside_of_missing_borders_are_found(tmp_path):
+    """A file with a rim without data has its seam inside."""
+    first = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 40, 40)
+    second = sheet(UTM32, EAST + 50, NORTH - 50, 10.0, 10.0, 30, 30, shift=-1.5)
+    second.heights[:3] = second.heights[-3:] = second.heights[:, :3] = second.heights[:, -3:] = np.nan
+    seams = find_seams(opened(first.write(tmp_path / "a.tif"), second.write(tmp_path / "b.tif")))
+    assert len(seams.steps) == 24 * 24 and np.abs(seams.steps + 1.5).max() < 1e-3
+
+
+def test_coverage_counts_cells(tmp_path, pair):
+    assert coverage(opened(*pair)) == (pytest.approx(10 / 580, abs=0.01), 0.0)
+    far = sheet(UTM32, EAST + 800, NORTH, 10.0, 10.0, 40, 59).write(tmp_path / "far.tif")
+    assert coverage(opened(*pair, far))[1] == pytest.approx(400 / 1190, abs=0.01)
+
+
+def test_differing_vertical_datums_are_warned_about(tmp_path):
+    files = []
+    for name, crs in (("a", "EPSG:32632+5773"), ("b", "EPSG:32632+3855"), ("c", "EPSG:32632")):
+        one = sheet(UTM32, EAST + 100 * len(files), NORTH, 10.0, 10.0, 10, 10)
+        files.append(one.write(tmp_path / f"{name}.tif", crs=crs))
+    [warning] = datum_warnings(opened(*files))
+    assert "EGM96 in 1, EGM2008 in 1, and 1 name none" in warning
+    assert datum_warnings(opened(files[0], files[2])) == []
+    assert opened(*files).grid.crs == UTM32
+
+
+def test_info_describes_several_files_as_one_terrain(pair, tmp_path, capsys):
+    folder = str(pair[0].parent)
+    assert command_line.main(["info", folder, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert (
+        report["files"] == 2 and report["raster"] == [40, 59] and report["seam_max_m"] == pytest.approx(2.0, abs=1e-3)
+    )
+    west, south, east, north = report["west_south_east_north"]
+    assert (west, east) == (EAST + 5, EAST + 395) and (south, north) == (NORTH - 585, NORTH - 5)
+    x, y = moved(UTM32, UTM33, EAST, NORTH)
+    other = sheet(UTM33, float(x), float(y), 10.0, 10.0, 10, 10).write(tmp_path / "other.tif")
+    assert command_line.main(["info", folder, str(other), "--project", "EPSG:32633", "--step", "20"]) == 0
+    lines = capsys.readouterr().out
+    assert "files: 3\n" in lines and "crs: EPSG:32633\n" in lines and "step_m: 20.0, 20.0\n" in lines
+
+
+def test_an_import_prints_the_report_before_it_works(pair, tmp_path, capsys):
+    store = str(tmp_path / "store")
+    assert command_line.main(["import", *map(str, pair), "--store", store]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    names = [line.partition(":")[0] for line in lines]
+    assert names.index("seam_median_m") < names.index("expected_disk_mb") < names.index("lowest_m")
+    assert names.count("files") == 1 and lines[-1].startswith(store)
+    assert command_line.main(["info", store]) == 0
+    assert "seam_max_m: " in capsys.readouterr().out
+
+
+def test_options_of_several_files_are_refused_for_one(pair, tmp_path, capsys):
+    arguments = ["import", str(pair[0]), "--step", "5", "--store", str(tmp_path / "store")]
+    assert command_line.main(arguments) == 1
+    assert "A step and a priority are of several files" in capsys.readouterr().err
+    assert command_line.main(["import", "island", str(pair[0]), "--store", str(tmp_path / "store")]) == 1
+    assert "The built-in terrain island cannot be one of several sources" in capsys.readouterr().err

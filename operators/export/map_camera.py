@@ -186,7 +186,8 @@ def _check_no_source(scene, files: set[Path]) -> None:
     """Raise TerrainError if a map would replace the height map of a terrain."""
     for settings in (obj.adaptive_terrain for obj in session.terrains_of(scene)):
         imported = imported_of(settings)
-        sources = settings.source_path, imported.settings.get("source", "") if imported else ""
+        sources = [settings.source_path, *(item.path for item in settings.more_sources)]
+        sources.append(imported.settings.get("source", "") if imported else "")
         for source in (Path(absolute_path(name)) for name in sources if name):
             if any(file.exists() and source.exists() and file.samefile(source) for file in files):
                 raise TerrainError(f"The map would replace the height map {source}", fix="choose another name")

@@ -11,6 +11,7 @@ import bpy
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.height_operators.land_folder import folder_beside
 from ...cbt_terrain.importing.sidecars import sidecars
+from ...cbt_terrain.importing.source_list import INDEX_SUFFIXES, files_of, names_several
 from ...cbt_terrain.run.owned_files import check_folder, real_path
 from ...cbt_terrain.run.partial_files import written_beside
 from ..export.exporting import make_folder
@@ -106,13 +107,7 @@ def _add_terrain(obj, height_maps: list[Path], folders: list[Path], outputs: lis
     if is_missing(store):
         outputs.append(store)
         if land_of(obj.adaptive_terrain) is None:
-            source = Path(settings_of(obj).source)
-            if not source.is_file():
-                raise TerrainError(
-                    f"The terrain {obj.name!r} has neither its store {store} nor its height map {source}",
-                    fix="import it again, or choose their paths",
-                )
-            height_maps += [real_path(path) for path in (source, *sidecars(source))]
+            height_maps += _height_maps(obj, store)
     else:
         folders.append(store)
     derived = [folder_beside(str(store))] if any(entry.on for entry in obj.adaptive_terrain.land.entries) else []
@@ -121,6 +116,22 @@ def _add_terrain(obj, height_maps: list[Path], folders: list[Path], outputs: lis
         check_folder(folder)
     outputs += derived
     folders += [folder for folder in derived if folder.is_dir()]
+
+
+def _height_maps(obj, store: Path) -> list[Path]:
+    """Return the files that the import of a terrain reads. Raises TerrainError if one is missing or not known."""
+    settings = settings_of(obj)
+    sources = files_of(settings) if names_several(settings) else [Path(settings.source)]
+    missing = next((source for source in sources if not source.is_file()), None)
+    if missing is not None:
+        raise TerrainError(
+            f"The terrain {obj.name!r} has neither its store {store} nor its height map {missing}",
+            fix="import it again, or choose their paths",
+        )
+    if any(source.suffix.lower() in INDEX_SUFFIXES for source in sources):
+        what = f"The terrain {obj.name!r} has no store {store}, and a tile index names its height maps"
+        raise TerrainError(what, fix="import it before you submit")
+    return [real_path(path) for source in sources for path in (source, *sidecars(source))]
 
 
 def _platforms(zip_path: Path) -> list[str]:

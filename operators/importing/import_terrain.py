@@ -12,6 +12,7 @@ from ...cbt_terrain.importing.header_files import is_plain_raw
 from ...cbt_terrain.importing.import_process import ImportJob
 from ...cbt_terrain.importing.raster import ImportSettings
 from ...cbt_terrain.importing.source_formats import BAND, CELL, ENCODING, RAW, suffixes_with
+from ...cbt_terrain.importing.source_list import names_several
 from .. import jobs
 from ..bridge.scene_paths import absolute_path
 from ..job_operator import JobOperator
@@ -41,6 +42,9 @@ def settings_of(obj) -> ImportSettings:
         raise TerrainError("No file is chosen to import", fix="choose a height map on the terrain's panel")
     if settings.use_heights:
         heights = {"lowest": settings.lowest, "highest": settings.highest}
+    files = _files_of(settings)
+    several = names_several(files)
+    mosaic = {"priority": settings.priority, "step": settings.sample_step or None} if several else {}
     raw = {}
     if is_raw(settings.source_path):
         raw = {
@@ -49,7 +53,8 @@ def settings_of(obj) -> ImportSettings:
             "raw_little_endian": settings.raw_little_endian,
         }
     return ImportSettings(
-        source=absolute_path(settings.source_path),
+        source=files.source,
+        more_sources=files.more_sources,
         extent=extent,
         no_data=settings.no_data if settings.use_no_data else None,
         holes=settings.holes,
@@ -60,10 +65,22 @@ def settings_of(obj) -> ImportSettings:
         else settings.encoding,
         cell=settings.cell if settings.cell and has_option(settings.source_path, CELL) else None,
         first_row_south=settings.first_row_south,
-        project=settings.project.strip() if has_option(settings.source_path, BAND) else "",
+        project=settings.project.strip() if several or has_option(settings.source_path, BAND) else "",
         **raw,
         **heights,
+        **mosaic,
     )
+
+
+def has_several_files(settings) -> bool:
+    """Return whether a terrain's source is several files, a folder, a pattern or a tile index."""
+    return bool(settings.source_path) and names_several(_files_of(settings))
+
+
+def _files_of(settings) -> ImportSettings:
+    """Return import settings with the absolute paths of a terrain's sources alone."""
+    more = tuple(absolute_path(item.path) for item in settings.more_sources if item.path)
+    return ImportSettings(absolute_path(settings.source_path), more_sources=more)
 
 
 def is_raw(path: str) -> bool:

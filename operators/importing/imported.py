@@ -85,9 +85,10 @@ def lines_of(imported: Imported | None) -> list[tuple[str, str]]:
     """Return names and figures, always the same number: nothing below them moves when a store is written."""
     if imported is None:
         return [(name, "-") for name in LINES]
-    source = imported.settings.get("source", "")
+    source, more = imported.settings.get("source", ""), imported.settings.get("more_sources")
+    others = f" + {len(more):,}" if isinstance(more, list) and more else ""
     figures = (
-        LANDS[source].label if source in LANDS else shown(Path(source).name) or phrase("unknown"),
+        LANDS[source].label if source in LANDS else (shown(Path(source).name) or phrase("unknown")) + others,
         _crs_name(imported.crs),
         ", ".join(map(_coordinate, imported.origin)) if imported.crs else phrase("none"),
         f"{imported.raster[0]:,} x {imported.raster[1]:,}",
@@ -126,6 +127,9 @@ def changed_settings(settings: ImportSettings, imported: Imported | None) -> lis
         before = imported.settings.get(name, defaults[name])
         if name == "source":
             same = _same_file(value, before)
+        elif name == "more_sources":
+            before = before if isinstance(before, list | tuple) else ()
+            same = len(value) == len(before) and all(map(_same_file, value, before))
         elif name == "height_scale":  # None and 1 give the same heights but for an image, which older stores took as 1
             same = (1.0 if value is None else value) == (1.0 if before is None else before)
         elif name == "no_data":  # kept as a text, which NaN is too

@@ -1,26 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Terrain from File: in File > Import, Add > Mesh, and by a file dropped into a viewport."""
 
-from pathlib import Path
-
 import bpy
 
 from ...cbt_terrain.importing.source_formats import FORMATS
 from ..layers.properties import add_default_layers
+from .add_tiles import ChosenFiles, name_of
 
 SUFFIXES = ";".join(FORMATS)
 LABEL = "Terrain from File"
 
 
-class AddTerrainFromFile(bpy.types.Operator):
-    """Add a terrain from a height map: GeoTIFF, HGT, ASCII grid, PNG, EXR, RAW and others"""
+class AddTerrainFromFile(ChosenFiles, bpy.types.Operator):
+    """Add a terrain, and import a height map, several files or a folder of them into it"""
 
     bl_idname = "mesh.adaptive_terrain_from_file"
     bl_label = LABEL
     bl_options = {"REGISTER", "UNDO"}
 
-    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
-    filter_glob: bpy.props.StringProperty(default=";".join(f"*{suffix}" for suffix in FORMATS), options={"HIDDEN"})
     use_heights: bpy.props.BoolProperty(
         name="Set Heights",
         description="Enter the heights of the lowest and the highest value. Otherwise an 8 or 16-bit image without a "
@@ -38,12 +35,6 @@ class AddTerrainFromFile(bpy.types.Operator):
         cls.poll_message_set("Switch to Object Mode")
         return context.mode == "OBJECT"
 
-    def invoke(self, context, _event):
-        if self.filepath:  # dropped
-            return self.execute(context)
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
     def draw(self, _context):
         self.layout.use_property_split = True
         self.layout.prop(self, "use_heights")
@@ -53,10 +44,11 @@ class AddTerrainFromFile(bpy.types.Operator):
         column.prop(self, "highest")
 
     def execute(self, context):
-        if not self.filepath:
+        paths = self.chosen()
+        if not paths[0]:
             self.report({"ERROR"}, "No file is chosen: choose a height map")
             return {"CANCELLED"}
-        name = Path(self.filepath).stem
+        name = name_of(paths)
         obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
         context.collection.objects.link(obj)
         for other in context.selected_objects:
@@ -64,7 +56,9 @@ class AddTerrainFromFile(bpy.types.Operator):
         context.view_layer.objects.active = obj
         obj.select_set(True)
         settings = obj.adaptive_terrain
-        settings.enabled, settings.source, settings.source_path = True, "FILE", self.filepath
+        settings.enabled, settings.source, settings.source_path = True, "FILE", paths[0]
+        for path in paths[1:]:
+            settings.more_sources.add().path = path
         add_default_layers(settings)
         if self.use_heights:
             settings.use_heights, settings.lowest, settings.highest = True, self.lowest, self.highest

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The panels of the height map: the import's options, the imported store, and its surface in the scene."""
 
+import bpy
+
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.importing.source_formats import BAND, CELL, CHANNEL, ENCODING
 from ..session import session
@@ -11,15 +13,28 @@ from .import_terrain import has_option
 from .imported import changed_settings, imported_of, lines_of
 from .placement_notes import picture_note
 
+SHOWN_FILES = 4
+
 
 def draw_source(column, obj) -> None:
     """Draw three rows: the source, its file or its seed, and the button that imports it."""
     settings = obj.adaptive_terrain
     column.prop(settings, "source")
     column.prop(settings, "source_path" if settings.source == FILE else "seed")
+    if settings.source == FILE and len(settings.more_sources):
+        _draw_more(column, settings)
     again = is_stale(obj)
     text = "Import Again: settings changed" if again else "Import"
     column.operator("adaptive_terrain.import_source", text=text, icon="FILE_REFRESH" if again else "IMPORT")
+
+
+def _draw_more(column, settings) -> None:
+    """Draw the further files, the last ones of many."""
+    count = len(settings.more_sources)
+    if count > SHOWN_FILES:
+        column.label(text=bpy.app.translations.pgettext_iface("{} more files").format(count - SHOWN_FILES))
+    for item in settings.more_sources[max(0, count - SHOWN_FILES) :]:
+        column.prop(item, "path")
 
 
 class SourcePanel(TerrainSubpanel):
@@ -31,7 +46,11 @@ class SourcePanel(TerrainSubpanel):
         column = self._columns()
         settings = session.shown_terrain(context).adaptive_terrain
         if settings.source == FILE:
-            _draw_file(column, settings)
+            column.operator("adaptive_terrain.add_tiles", icon="ADD")
+            if import_terrain.has_several_files(settings):
+                _draw_mosaic(column, settings)
+            else:
+                _draw_file(column, settings)
         else:
             column.prop(settings, "island_size")
         switched(column, settings, "use_extent", "extent")
@@ -68,6 +87,13 @@ def _draw_file(column, settings) -> None:
     column.prop(settings, "first_row_south")
     if has_option(settings.source_path, BAND):
         column.prop(settings, "project")
+    switched(column, settings, "use_no_data", "no_data")
+    column.prop(settings, "holes")
+
+
+def _draw_mosaic(column, settings) -> None:
+    for name in ("priority", "sample_step", "band", "project"):
+        column.prop(settings, name)
     switched(column, settings, "use_no_data", "no_data")
     column.prop(settings, "holes")
 

@@ -79,6 +79,15 @@ class CleanupSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
 
 
+class SourceFile(bpy.types.PropertyGroup):
+    """One of several files that form a terrain."""
+
+    path: StringProperty(
+        name="File", description="Height map, or folder of height maps, that forms one terrain with those above it",
+        subtype="FILE_PATH", options=PATH_OPTIONS,
+    )  # fmt: skip
+
+
 class TerrainSettings(bpy.types.PropertyGroup):
     """Everything that a terrain is made from."""
 
@@ -98,6 +107,19 @@ class TerrainSettings(bpy.types.PropertyGroup):
     source_path: StringProperty(
         name="File", description="Height map to import", subtype="FILE_PATH", options=PATH_OPTIONS
     )
+    more_sources: CollectionProperty(type=SourceFile)
+    priority: EnumProperty(
+        name="Overlaps",
+        description="Which file is used where several overlap",
+        items=[("order", "Last File", "The last file in the list"),
+               ("resolution", "Finest File", "The file with the smallest step"),
+               ("newest", "Newest File", "The file that was changed last")],
+    )  # fmt: skip
+    sample_step: FloatProperty(
+        name="Sample Step",
+        description="Metres between samples of a terrain of several files; 0 for the step of the finest file",
+        min=0.0, unit="LENGTH",
+    )  # fmt: skip
     raw_size: IntVectorProperty(
         name="Samples", description="Width and height of the RAW file, in values", size=2, default=(0, 0), min=0
     )

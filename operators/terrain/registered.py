@@ -4,11 +4,11 @@
 from .detail_properties import RenderDetail, ViewportDetail
 from .frame_terrain import FrameTerrain
 from .freeze_detail import FreezeDetail
-from .properties import CleanupSettings, SceneSettings, TerrainSettings
+from .properties import CleanupSettings, SceneSettings, SourceFile, TerrainSettings
 from .update_terrain import LockInterface, UpdateTerrain
 
 CLASSES = (
-    *(ViewportDetail, RenderDetail, CleanupSettings, TerrainSettings, SceneSettings),
+    *(ViewportDetail, RenderDetail, CleanupSettings, SourceFile, TerrainSettings, SceneSettings),
     *(FrameTerrain, UpdateTerrain, LockInterface, FreezeDetail),
 )
 HANDLERS = ()

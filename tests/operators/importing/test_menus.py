@@ -8,8 +8,10 @@ import pytest
 from adaptive_terrain.cbt_terrain.importing.source_formats import FORMATS
 from adaptive_terrain.operators.farm.outside_files import HEIGHT_MAP_SUFFIXES
 from adaptive_terrain.operators.importing import menus
-from adaptive_terrain.operators.importing.imported import imported_of
+from adaptive_terrain.operators.importing.import_terrain import settings_of
+from adaptive_terrain.operators.importing.imported import changed_settings, imported_of, lines_of
 from adaptive_terrain.operators.ui.object_menu import OPERATORS
+from rasterio.transform import from_origin
 from rasters import hills, write_raster
 
 # A row of a list, an internal step, or the answer to a click.
@@ -52,3 +54,65 @@ def test_the_object_menu_has_every_operator(scene):
     listed = {name for names in OPERATORS for name in names}
     every = {name for name in dir(bpy.ops.adaptive_terrain) if not NOT_IN_MENU.fullmatch(name)}
     assert listed == every
+
+
+def write_tiles(folder):
+    """Write three tiles from west to east."""
+    folder.mkdir()
+    heights = hills(60, 20)
+    return [
+        write_raster(
+            folder / f"t{n}.tif",
+            heights[:, 20 * n : 20 * n + 20],
+            crs="EPSG:32632",
+            transform=from_origin(5e5 + 200 * n, 5e6, 10, 10),
+        )
+        for n in range(3)
+    ]
+
+
+def test_several_files_become_one_terrain(scene, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    files = write_tiles(tmp_path / "tiles")
+    chosen = {"directory": str(tmp_path / "tiles"), "files": [{"name": file.name} for file in files]}
+    assert bpy.ops.mesh.adaptive_terrain_from_file(**chosen) == {"FINISHED"}
+    terrain = bpy.context.object
+    settings = terrain.adaptive_terrain
+    assert terrain.name == "tiles" and [item.path for item in settings.more_sources] == list(map(str, files[1:]))
+    assert imported_of(settings).raster == (60, 20)
+    assert dict(lines_of(imported_of(settings)))["From"] == "t0.tif + 2"
+    assert changed_settings(settings_of(terrain), imported_of(settings)) == []
+    settings.priority = "newest"
+    assert changed_settings(settings_of(terrain), imported_of(settings)) == ["priority"]
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    saved = bpy.data.objects["tiles"].adaptive_terrain
+    assert [bpy.path.abspath(item.path) for item in saved.more_sources] == list(map(str, files[1:]))
+
+
+def test_a_folder_becomes_one_terrain(scene, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    write_tiles(tmp_path / "tiles")
+    assert bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(tmp_path / "tiles") + "/") == {"FINISHED"}
+    assert bpy.context.object.name == "tiles"
+    assert imported_of(bpy.context.object.adaptive_terrain).raster == (60, 20)
+
+
+def test_tiles_are_added_to_a_terrain(scene, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    files = write_tiles(tmp_path / "tiles")
+    bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(files[0]))
+    terrain = bpy.context.object
+    settings = terrain.adaptive_terrain
+    settings.holes = True
+    chosen = {"directory": str(tmp_path / "tiles"), "files": [{"name": file.name} for file in files]}
+    assert bpy.ops.adaptive_terrain.add_tiles(**chosen) == {"FINISHED"}
+    assert bpy.context.object == terrain and settings.holes and imported_of(settings).raster == (60, 20)
+    assert [item.path for item in settings.more_sources] == list(map(str, files[1:]))
+    with pytest.raises(RuntimeError, match="No new file is chosen"):
+        bpy.ops.adaptive_terrain.add_tiles(**chosen)
+    with pytest.raises(RuntimeError, match="missing.tif"):
+        bpy.ops.adaptive_terrain.add_tiles(filepath=str(tmp_path / "missing.tif"))
+    assert len(settings.more_sources) == 2 and imported_of(settings).raster == (60, 20)
+    settings.source = "ISLAND"
+    assert not bpy.ops.adaptive_terrain.add_tiles.poll()

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Add Tiles: further files for a terrain that was imported from files. The object and its settings stay."""
+
+import os
+from pathlib import Path
+
+import bpy
+
+from ...cbt_terrain.importing.source_formats import FORMATS
+from ...cbt_terrain.importing.source_list import INDEX_SUFFIXES
+from ..bridge.scene_paths import absolute_path
+from ..terrain.properties import FILE
+
+FILTER = ";".join(f"*{suffix}" for suffix in (*FORMATS, *INDEX_SUFFIXES))
+
+
+class ChosenFiles:
+    """Properties of an operator for which a user chooses files or a folder, in the dialog or by dropping them."""
+
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
+    files: bpy.props.CollectionProperty(type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE", "HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default=FILTER, options={"HIDDEN"})
+
+    def chosen(self) -> list[str]:
+        """Return the paths of the chosen files; of the folder that the dialog shows if none is chosen."""
+        names = [item.name for item in self.files if item.name]
+        return [os.path.join(self.directory, name) for name in names] if names else [self.filepath or self.directory]
+
+    def invoke(self, context, _event):
+        if self.filepath or len(self.files):  # dropped
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+
+class AddTiles(ChosenFiles, bpy.types.Operator):
+    """Add height maps to this terrain, and import all of them as one. Later files lie on top"""
+
+    bl_idname = "adaptive_terrain.add_tiles"
+    bl_label = "Add Tiles"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        obj = context.object
+        settings = getattr(obj, "adaptive_terrain", None)
+        cls.poll_message_set("Select a terrain whose source is a file")
+        return settings is not None and settings.enabled and settings.source == FILE and bool(settings.source_path)
+
+    def execute(self, context):
+        settings = context.object.adaptive_terrain
+        before = len(settings.more_sources)
+        known = {absolute_path(path) for path in (settings.source_path, *(item.path for item in settings.more_sources))}
+        for path in self.chosen():
+            if path and absolute_path(path) not in known:
+                known.add(absolute_path(path))
+                settings.more_sources.add().path = path
+        if len(settings.more_sources) == before:
+            self.report({"ERROR"}, "No new file is chosen: choose height maps that the terrain does not have")
+            return {"CANCELLED"}
+        try:  # beside the window if there is one
+            bpy.ops.adaptive_terrain.import_source("EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT")
+        except RuntimeError as error:  # reported by the nested operator
+            while len(settings.more_sources) > before:
+                settings.more_sources.remove(before)
+            self.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+def name_of(paths: list[str]) -> str:
+    """Return a name for a terrain of these files: that of the only one, else of their folder."""
+    return Path(paths[0]).stem if len(paths) == 1 else Path(paths[0]).parent.name or Path(paths[0]).stem

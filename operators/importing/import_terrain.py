@@ -17,7 +17,7 @@ from .. import jobs
 from ..bridge.scene_paths import absolute_path
 from ..job_operator import JobOperator
 from ..session import live, session
-from ..terrain import frame_terrain
+from ..terrain import frame_terrain, sidebar
 from ..terrain.properties import land_of
 from ..text.numbers import SMALLEST, plain
 from . import imported
@@ -183,6 +183,8 @@ class ImportAdded(_Import, bpy.types.Operator):
     def finish(self, context, obj, result: tuple[dict, str]) -> None:
         _, _added[obj.session_uid] = result
         _Import.finish(self, context, obj, result)
+        if session.terrains_of(context.scene) == [obj]:  # the next steps are in the tab
+            sidebar.open_tab(frame_terrain.shown_viewports(context.window_manager, context.scene))
 
 
 def begin_again() -> None:

@@ -15,6 +15,7 @@ from ...cbt_terrain.run import launch
 from ..bridge.demand.trees import tree_of_new
 from ..bridge.scene_paths import store_path
 from ..bridge.writer import write_mesh
+from ..scatter.dry_ground import follow_sea
 from ..scene.haze import join_haze
 from ..session import session
 from ..session.polls import TerrainObjectOperator, cancelled_by_errors
@@ -22,9 +23,8 @@ from ..text.numbers import length_text
 from ..text.translations import phrase
 from .request import land_of
 from .shape_land import check_is_shaped
+from .water_object import LEVEL, MARK, SEA, existing_water, shown_sea
 
-MARK = "adaptive_terrain_water"  # a property of the object, by which it is found again under any name
-LEVEL = "adaptive_terrain_sea_level"  # a property of the object: the level that the user has chosen, metres
 MATERIAL = "Terrain Water"
 SHALLOW, DEEP = (0.10, 0.22, 0.22, 1.0), (0.004, 0.025, 0.05, 1.0)
 CLEAR, OPAQUE = 0.25, 0.96  # alpha at the shore, and of deep water
@@ -57,15 +57,21 @@ class AddWaterSurface(TerrainObjectOperator, bpy.types.Operator):
     @cancelled_by_errors
     def execute(self, context):
         terrain = context.object
-        water = _existing_water(terrain)
+        water = existing_water(terrain)
         level = self.level if self.properties.is_property_set("level") else water and water.get(LEVEL)
         surface, sea = _surface(terrain, level)
         water = water or _add_water(terrain)
         write_mesh(water.data, _placed(surface, terrain.adaptive_terrain))
+        before, is_new = shown_sea(terrain), SEA not in water
         if level is not None:
             water[LEVEL] = level
         elif sea is not None:
             self.level = sea  # the box at the lower left shows it
+        if sea is None:
+            water.pop(SEA, None)
+        else:
+            water[SEA] = sea
+            follow_sea(terrain, before, is_new)
         at = "" if sea is None else f", its sea at {length_text(sea)}"
         self.report({"INFO"}, f"{water.name} has {len(surface.triangles):,} triangles{at}")
         return {"FINISHED"}
@@ -98,12 +104,7 @@ def _placed(surface: Surface, settings) -> Surface:
 
 def button_text(terrain) -> str:
     """Return the text of the button."""
-    return phrase("Add Water") if _existing_water(terrain) is None else phrase("Update Water")
-
-
-def _existing_water(terrain):
-    """Return the water that a terrain already has."""
-    return next((child for child in terrain.children if child.type == "MESH" and child.get(MARK)), None)
+    return phrase("Add Water") if existing_water(terrain) is None else phrase("Update Water")
 
 
 def _add_water(terrain):

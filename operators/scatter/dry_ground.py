@@ -3,26 +3,50 @@
 
 from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
 from ..importing.imported import imported_of
+from ..land.water_object import shown_sea
 from ..text.numbers import length_text
+from .request import scatters_of
 
 FILM_M = 0.05  # depth of rain that runs off a slope
+SAME_LEVEL_M = 0.01  # two levels of the sea that differ by less are the same
 SEA = "sea"  # parameter of height operators: all ground up to this height is sea
 
 
-def keep_dry(settings, terrain_settings) -> str:
+def keep_dry(settings, terrain) -> str:
     """Keep a scatter out of a terrain's water; return a sentence about the result.
 
     Water Depth is on in any case: it acts once the stack has *Water* or *Flood* and the land is shaped. Above the Sea
-    is on for land that reaches down to the level of the sea.
+    is on for land that reaches down to the level of the sea: that of *Add Water* if there is one.
     """
+    terrain_settings = terrain.adaptive_terrain
     depth, entries = settings.where.water_depth, terrain_settings.land.entries
     depth.use, depth.low, depth.high, depth.edge = True, 0.0, FILM_M, FILM_M
     notes = ["none in the water of the stack"] if _has_water(entries) else []
-    found, sea = imported_of(terrain_settings), _sea_level(entries)
-    settings.sea_level = sea * terrain_settings.vertical_scale + terrain_settings.vertical_offset
+    found, sea = imported_of(terrain_settings), shown_sea(terrain)
+    sea = _sea_level(entries) if sea is None else sea
+    settings.sea_level = _in_terrain(sea, terrain_settings)
     settings.use_sea = found is not None and found.heights_m[0] <= sea < found.heights_m[1]
     notes += [f"none below the sea at {length_text(settings.sea_level)}"] if settings.use_sea else []
     return ", ".join(notes) or "the terrain has no water"
+
+
+def follow_sea(terrain, before: float | None, is_new: bool) -> None:
+    """Keep the scatters of a terrain out of the sea that *Add Water* shows now.
+
+    before: the level that it showed before. New water switches Above the Sea on; later its level is changed only where
+    it was that of the water.
+    """
+    settings, sea = terrain.adaptive_terrain, shown_sea(terrain)
+    for scatter in (obj.adaptive_scatter for obj in scatters_of(terrain)):
+        followed = before is not None and abs(scatter.sea_level - _in_terrain(before, settings)) <= SAME_LEVEL_M
+        if is_new or followed:
+            scatter.sea_level = _in_terrain(sea, settings)
+            scatter.use_sea |= is_new
+
+
+def _in_terrain(height: float, terrain_settings) -> float:
+    """Return a height of the height map in the terrain's own space."""
+    return height * terrain_settings.vertical_scale + terrain_settings.vertical_offset
 
 
 def _has_water(entries) -> bool:

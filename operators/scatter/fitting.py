@@ -7,6 +7,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..importing.imported import imported_of
+from .habitats import has_habitat
 
 # Spacings in a terrain's longer side before a collection is chosen: 40,000 points on a square one, twice as many at
 # most, as spacings have one digit.
@@ -16,6 +17,8 @@ MAX_ON_LAND = 1_000_000
 # In spacings: distance up to which density is full, for cones and for a collection. 100 are 12,800 conifers in a view
 # of the island from its coast.
 FULL_OF_CONES, FULL_OF_OBJECTS = 200, 100
+# Part of the ground that rules leave, about: with rules, objects stand twice as close at no greater number.
+SHARE_BY_RULES = 0.25
 REACH_HEIGHTS = 2  # what stands there, and its shadow
 WITHOUT_EXTENT = ("EMPTY", "LIGHT", "CAMERA", "SPEAKER", "LIGHT_PROBE")
 NAMES = ("spacing", "full_until", "size", "margin_m")  # in the order of `fitted`
@@ -74,9 +77,10 @@ def fit(obj) -> None:
     if width <= 0.0 or terrain is None:
         return
     scale, found = scale_of(terrain), imported_of(terrain.adaptive_terrain)
+    closer = math.sqrt(SHARE_BY_RULES if has_habitat(settings.where) else 1.0)
     smallest = 0.0 if found is None else scale * math.sqrt(math.prod(found.extent_m) / MAX_ON_LAND)
-    spacing = rounded(max(width, smallest), 2, math.ceil)
-    put_numbers(settings, spacing / scale, FULL_OF_OBJECTS * spacing, REACH_HEIGHTS * max(width, height))
+    spacing = rounded(max(width, closer * smallest), 2, math.ceil)
+    put_numbers(settings, spacing / scale, FULL_OF_OBJECTS / closer * spacing, REACH_HEIGHTS * max(width, height))
 
 
 def put_numbers(settings, spacing: float, full_until: float, reach: float, first: bool = False) -> None:

@@ -8,10 +8,13 @@ from ...cbt_terrain.errors import TerrainError
 from ..bridge.scene_paths import store_path
 from ..session import session
 from ..session.polls import TerrainObjectOperator
+from . import starter
 from .dry_ground import keep_dry
 from .fitting import FULL_OF_CONES, PER_SIDE, REACH_HEIGHTS, put_numbers, rounded, scale_of
 from .instancing import add_modifier, collection_of
 from .request import is_scatter, scatters_of
+
+CONES = "CONES"
 
 
 class AddScatter(TerrainObjectOperator, bpy.types.Operator):
@@ -22,6 +25,13 @@ class AddScatter(TerrainObjectOperator, bpy.types.Operator):
     bl_label = "Add Scatter"
     bl_options = {"REGISTER", "UNDO"}
 
+    kind: bpy.props.EnumProperty(
+        name="Kind",
+        description="Objects of the starter collection to scatter",
+        items=[*starter.KIND_ITEMS, (CONES, "Cones", "Until you choose a collection of your own")],
+        default=CONES, options={"SKIP_SAVE"},
+    )  # fmt: skip
+
     def invoke(self, context, _event):
         """Add the scatter without waiting for kernels; the live update makes the points."""
         return self._add(context, waits=not context.object.adaptive_terrain.live)
@@ -31,7 +41,6 @@ class AddScatter(TerrainObjectOperator, bpy.types.Operator):
 
     def _add(self, context, waits: bool):
         terrain = context.object
-        settings = terrain.adaptive_terrain
         try:
             west, south, east, north = session.open_field(store_path(terrain)).lattice.rectangle()
         except TerrainError as error:
@@ -39,7 +48,9 @@ class AddScatter(TerrainObjectOperator, bpy.types.Operator):
             return {"CANCELLED"}
         spacing = rounded(max(east - west, north - south) / PER_SIDE)
         obj = new_scatter(terrain, spacing)
-        note = keep_dry(obj.adaptive_scatter, settings)
+        note = keep_dry(obj.adaptive_scatter, terrain)
+        if self.kind != CONES:
+            starter.put_kind(context, obj, self.kind)
         _select_alone(context, obj)
         if waits:
             try:

@@ -33,7 +33,7 @@ class ScattersPanel(TerrainSubpanel):
             row.label(text=obj.name, icon="OUTLINER_OB_POINTCLOUD")
             row.prop(obj, "hide_viewport", text="", emboss=False)
             column.label(text=phrase("{} points, {}", points, took), icon="BLANK1")
-        self.layout.operator("adaptive_terrain.scatter_add", icon="ADD")
+        self.layout.operator_menu_enum("adaptive_terrain.scatter_add", "kind", icon="ADD")
 
 
 class ScatterPanel:
@@ -54,14 +54,14 @@ class ScatterPanel:
             return
         settings, record = obj.adaptive_scatter, session.record_of(terrain)
         self.layout.use_property_split, self.layout.use_property_decorate = True, False
-        box = self.layout.box().column(align=True)
-        figures(box, scatter_lines(settings, record.scatters.get(obj.session_uid), record.status))
-        if not draw_failure(box, terrain):
-            box.label(text=phrase("On {}", terrain.name), icon="CHECKMARK")
         column = self.layout.column()
         column.prop(settings, "collection")
         if settings.collection is None:
             column.operator_menu_enum("adaptive_terrain.starter_add", "kind", icon="ADD")
+        box = column.box().column(align=True)
+        figures(box, scatter_lines(settings, record.scatters.get(obj.session_uid), record.status))
+        if not draw_failure(box, terrain):
+            box.label(text=phrase("On {}", terrain.name), icon="CHECKMARK")
         for line in size_lines(settings, terrain):
             column.label(text=line, icon="BLANK1")
         for name in ("spacing", "full_until", "size", "variation", "align", "roots", "margin_deg", "margin_m"):

@@ -7,6 +7,7 @@ from ..bridge.demand.trees import tree_of_new
 from ..bridge.nodes import Nodes
 from ..scene.haze import join_haze
 from . import starter_forms
+from .habitats import set_habitat
 from .request import is_scatter
 
 ROOT = "Starter Collection"
@@ -19,6 +20,7 @@ KINDS = {
     "GRASS": ("Grass", "Grass", starter_forms.grass, (1.0, 0.85, 0.7)),
     "ROCKS": ("Rocks", "Rock", starter_forms.rock, (2.0, 1.2, 0.7, 0.3)),
 }
+KIND_ITEMS = [(kind, KINDS[kind][0], "") for kind in KINDS]
 # Linear RGB inside and at the tips, and roughness.
 MATERIALS = {
     "Bark": ((0.03, 0.022, 0.016), (0.075, 0.055, 0.04), 0.9),
@@ -38,9 +40,7 @@ class AddStarterCollection(bpy.types.Operator):
     bl_label = "Add Starter Collection"
     bl_options = {"REGISTER", "UNDO"}
 
-    kind: bpy.props.EnumProperty(
-        name="Kind", description="Objects to scatter", items=[(kind, KINDS[kind][0], "") for kind in KINDS]
-    )
+    kind: bpy.props.EnumProperty(name="Kind", description="Objects to scatter", items=KIND_ITEMS)
 
     @classmethod
     def poll(cls, context):
@@ -48,12 +48,19 @@ class AddStarterCollection(bpy.types.Operator):
         return context.mode == "OBJECT"
 
     def execute(self, context):
-        found = add_starter(context)[self.kind]
         obj = context.object
-        if obj is not None and is_scatter(obj):
-            obj.adaptive_scatter.collection = found
+        is_on_scatter = obj is not None and is_scatter(obj)
+        found = put_kind(context, obj, self.kind) if is_on_scatter else add_starter(context)[self.kind]
         self.report({"INFO"}, f"{found.name} has {len(found.objects)} objects")
         return {"FINISHED"}
+
+
+def put_kind(context, scatter, kind: str) -> bpy.types.Collection:
+    """Put a kind on a scatter, with rules for the ground where it grows; return its collection."""
+    found = add_starter(context)[kind]
+    set_habitat(scatter, kind)
+    scatter.adaptive_scatter.collection = found
+    return found
 
 
 def add_starter(context) -> dict[str, bpy.types.Collection]:

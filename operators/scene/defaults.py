@@ -9,6 +9,7 @@ CUBE, LAMP, CAMERA, WORLD = "Cube", "Light", "Camera", "World"
 PLACES = {CUBE: (0.0, 0.0, 0.0), LAMP: (4.076245, 1.005454, 5.903862), CAMERA: (7.358891, -6.925791, 4.958309)}
 LAMP_WATTS, WORLD_GREY = 1000.0, 0.050876
 CAMERA_TURN, CAMERA_LENS = (1.109319, 0.0, 0.814928), {"type": "PERSP", "lens": 50.0, "shift_x": 0.0, "shift_y": 0.0}
+VIEW_TURN = 0.712376, 0.441062, 0.287358, 0.464123  # of the viewport
 CORNERS = sorted(product((-1.0, 1.0), repeat=3))
 
 
@@ -29,6 +30,11 @@ def is_default_camera(camera) -> bool:
     if not np.allclose(camera.rotation_euler, CAMERA_TURN, atol=1e-4) or camera.data.animation_data is not None:
         return False
     return _stands_alone(camera) and all(getattr(camera.data, name) == value for name, value in CAMERA_LENS.items())
+
+
+def is_default_view(region_3d) -> bool:
+    """Return whether a viewport looks in the direction of the start-up file."""
+    return region_3d.view_perspective == "PERSP" and np.allclose(region_3d.view_rotation, VIEW_TURN, atol=1e-4)
 
 
 def is_default_world(world) -> bool:

@@ -37,6 +37,7 @@ class SetUpScene(bpy.types.Operator):
         name="Camera", description="Where the camera is put",
         items=[(CURRENT, "Current View", "Put the camera where the viewport looks from"),
                (ACROSS, "Across the Terrain", "Put the camera at the low side of the terrain, towards the high side")],
+        options={"SKIP_SAVE"},
     )  # fmt: skip
     elevation: bpy.props.FloatProperty(
         name="Sun Elevation",
@@ -63,6 +64,17 @@ class SetUpScene(bpy.types.Operator):
             return False
         cls.poll_message_set("Import a height map first")
         return bool(context.object.adaptive_terrain.store)
+
+    def invoke(self, context, _event):
+        """Choose the view across the terrain while the viewport has not been turned since Blender's start."""
+        viewport = viewpoint.viewport_of(context)
+        if (
+            not self.properties.is_property_set("view")
+            and viewport is not None
+            and defaults.is_default_view(viewport[1])
+        ):
+            self.view = ACROSS
+        return self.execute(context)
 
     @cancelled_by_errors
     def execute(self, context):

@@ -6,15 +6,26 @@ import math
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ...cbt_terrain.view.linear import length
 from ..land import shaped_land
 from ..session import session
 from ..terrain import frame_terrain, sight
 
-SAMPLES = 65  # a side, of the heights that decide the view across
-EYE, NEAR = 0.42, 0.06  # of the shorter side: the eye's distance from the middle, the radius of the ground below it
-ABOVE_SIDE, ABOVE_RELIEF = 0.02, 0.3  # parts of the shorter side and of the relief by which the eye is above that
+SAMPLES = 129  # a side, of the heights that decide the view across
+# Eyes of the view across that are compared: a side, and the part of the sides on which they stand. At each, views.
+EYES, SPREAD, VIEWS = 15, 0.84, 24
+# Rays of a view: their angles from its middle, and the distances of their samples in parts of the shorter side.
+RAYS, DISTANCES = np.radians(np.linspace(-30.0, 30.0, 9)), np.geomspace(0.015, 1.0, 28)
+NEAR = 0.03  # of the shorter side: radius of the ground above which an eye is
+ABOVE_SIDE, ABOVE_RELIEF = 0.012, 0.08  # parts of the shorter side and of the relief by which an eye is above that
 PITCH = math.radians(-7.0)
+BOTTOM = math.tan(PITCH - math.radians(19.0))  # of the frame: rise over distance
+GENTLE = math.tan(math.radians(24.0))  # ground that is no scree
+# What a view should show, each in parts of the frame's height that are enough: water or lowest ground, gentle ground
+# in the lower half of the relief, and the skyline's variation.
+ENOUGH_LOW, ENOUGH_GENTLE, ENOUGH_SKYLINE = 0.05, 0.2, 0.04
+SKYLINE, ENOUGH_OFF = 0.03, 0.1  # rise over distance of the best skyline, and a bad difference from it
+EDGE = 2.5  # weight of the terrain's border where it stands before the sky
+MIN_SEA, INLAND = 0.01, 0.05  # as of Add Water: parts of the ground that are a sea, and that it floods inland
 LENS_MM, SENSOR_MM = 28.0, 36.0
 FACTORY_CLIP = 0.1, 100.0  # metres, of a new camera
 
@@ -43,35 +54,79 @@ def look_from(region_3d, place: Matrix, distance: float) -> None:
 
 
 def across(obj) -> Matrix:
-    """Return the place of a camera at the low side of a terrain that looks across it, towards the high side."""
-    x, y, z = _heights(obj)
-    side, low, high = min(np.ptp(x), np.ptp(y)), float(z.min()), float(z.max())
-    rise = [float(((z - z.mean()) * axis).sum() / (axis * axis).sum()) for axis in (x, y)]
-    slope = length(rise)
-    uphill = np.array(rise) / slope if slope > 1e-9 else np.array([0.0, 1.0])
-    eye = -EYE * side * uphill
-    near = (x - eye[0]) ** 2 + (y - eye[1]) ** 2 <= (NEAR * side) ** 2
-    ground = float(z[near].max()) if near.any() else high
-    height = ground + ABOVE_SIDE * side + ABOVE_RELIEF * (high - low)
-    ahead = Vector((*uphill, math.tan(PITCH)))
+    """Return the place of a camera on low ground that looks across a terrain, towards high ground."""
+    settings = obj.adaptive_terrain
+    x, y, z, lowest = _heights(obj)
+    scale, offset = settings.vertical_scale, settings.vertical_offset
+    z, lowest = z * scale + offset, lowest * scale + offset
+    eye, azimuth = _best_view(x, y, z, lowest)
+    ahead = Vector((math.sin(azimuth), math.cos(azimuth), math.tan(PITCH)))
     placed = obj.matrix_world
     turn = (placed.to_3x3() @ -ahead).to_track_quat("Z", "Y").to_matrix().to_4x4()
-    return Matrix.Translation(placed @ Vector((*eye, height))) @ turn
+    return Matrix.Translation(placed @ Vector(eye)) @ turn
 
 
-def _heights(obj) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return some samples of a terrain in its own space: x, y and height, float64 [n] metres."""
-    settings = obj.adaptive_terrain
+def _heights(obj) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Return samples of a terrain in its own space, x [n], y [m] and height [m, n], and the level of its low ground.
+
+    Metres of the height map. Holes have the lowest height.
+    """
     field = session.open_field(shaped_land.store_of(obj))
     lattice = field.lattice
     columns = np.unique(np.linspace(0, lattice.width - 1, SAMPLES).round().astype(int))
     rows = np.unique(np.linspace(0, lattice.height - 1, SAMPLES).round().astype(int))
-    heights = field.heights(*np.ix_(rows, columns)) * settings.vertical_scale + settings.vertical_offset
+    heights = field.heights(*np.ix_(rows, columns)).astype(np.float64)
+    known = heights[np.isfinite(heights)]
+    is_coast = (known <= 0.0).mean() >= MIN_SEA
+    low = 0.0 if is_coast else float(np.quantile(known, INLAND))
+    heights = np.where(np.isfinite(heights), heights, known.min())
     x = (columns - (lattice.width - 1) / 2) * lattice.step_x
     y = (rows - (lattice.height - 1) / 2) * lattice.step_y
-    x, y = np.meshgrid(x, y)
-    known = np.isfinite(heights)
-    return x[known], y[known], heights[known]
+    return x, y, np.maximum(heights, low) if is_coast else heights, low
+
+
+def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, low: float) -> tuple[tuple, float]:
+    """Return the eye and the azimuth, clockwise from +Y in radians, of the view that shows most kinds of ground.
+
+    x [n], y [m]: places of the heights z [m, n], metres. low: level up to which ground counts as water.
+    """
+    side, bottom, relief = min(np.ptp(x), np.ptp(y)), float(z.min()), float(np.ptp(z)) or 1.0
+    slope = np.hypot(*np.gradient(z, y, x))
+    is_gentle = (slope < GENTLE) & (z < bottom + relief / 2) & (z > low)
+
+    def nearest(places: np.ndarray, along: np.ndarray) -> np.ndarray:
+        return np.rint((places - along[0]) / (along[-1] - along[0]) * (len(along) - 1)).astype(int)
+
+    spread = np.linspace(-SPREAD / 2, SPREAD / 2, EYES)
+    eye_x, eye_y = (part.ravel() for part in np.meshgrid(spread * np.ptp(x), spread * np.ptp(y)))
+    around = [(i, j) for i in (-NEAR, 0.0, NEAR) for j in (-NEAR, 0.0, NEAR)]
+    ground = np.max([z[nearest(eye_y + j * side, y), nearest(eye_x + i * side, x)] for i, j in around], axis=0)
+    eye_z = ground + ABOVE_SIDE * side + ABOVE_RELIEF * relief
+    best, found = -1.0, None
+    for azimuth in np.arange(VIEWS) * (math.tau / VIEWS):
+        angles = azimuth + RAYS
+        away = side * DISTANCES
+        at_x = eye_x[:, None, None] + np.sin(angles)[:, None] * away
+        at_y = eye_y[:, None, None] + np.cos(angles)[:, None] * away
+        inside = (abs(at_x) <= x[-1]) & (abs(at_y) <= y[-1])
+        row, column = nearest(np.clip(at_y, y[0], y[-1]), y), nearest(np.clip(at_x, x[0], x[-1]), x)
+        rise = np.where(inside, (z[row, column] - eye_z[:, None, None]) / away, -np.inf)
+        horizon = np.maximum.accumulate(np.maximum(rise, BOTTOM), axis=-1)
+        shown = np.diff(horizon, axis=-1, prepend=BOTTOM)  # part of the frame that each sample fills
+        flat, gentle = z[row, column] <= low, is_gentle[row, column]
+        low_seen, gentle_seen = ((shown * kind).sum(axis=-1).mean(axis=-1) for kind in (flat, gentle))
+        skyline = horizon[..., -1].std(axis=-1)
+        last = np.maximum(inside.sum(axis=-1) - 1, 0)[..., None]
+        edge = np.take_along_axis(rise, last, axis=-1)[..., 0]
+        is_edge_seen = (edge < 0.0) & (np.take_along_axis(shown, last, axis=-1)[..., 0] > 0.0)
+        cut_off = (is_edge_seen * (1.0 - DISTANCES[last[..., 0]])).mean(axis=-1)
+        off = abs(horizon[..., -1].mean(axis=-1) - SKYLINE) / ENOUGH_OFF
+        score = np.minimum(low_seen / ENOUGH_LOW, 1.0) + np.minimum(gentle_seen / ENOUGH_GENTLE, 1.0)
+        score = score + np.minimum(skyline / ENOUGH_SKYLINE, 1.0) - off - EDGE * cut_off
+        if score.max() > best:
+            best, number = float(score.max()), int(score.argmax())
+            found = (float(eye_x[number]), float(eye_y[number]), float(eye_z[number])), float(azimuth)
+    return found
 
 
 def clip_range(obj, eye: Vector) -> tuple[float, float]:

@@ -53,7 +53,7 @@ class TerrainPanel:
         buttons.operator("adaptive_terrain.set_up_scene", icon="LIGHT_SUN")
         buttons.operator("adaptive_terrain.terrain_material", icon="MATERIAL")
         buttons.operator("adaptive_terrain.water_surface", text=water_surface.button_text(obj), icon="MOD_OCEAN")
-        buttons.operator("adaptive_terrain.scatter_add", icon="OUTLINER_OB_POINTCLOUD")
+        buttons.operator_menu_enum("adaptive_terrain.scatter_add", "kind", icon="OUTLINER_OB_POINTCLOUD")
 
 
 def _draw_without_terrain(layout, obj) -> None:

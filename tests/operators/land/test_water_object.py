@@ -4,7 +4,7 @@
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.operators.land.water_surface import LEVEL
+from adaptive_terrain.operators.land.water_object import LEVEL
 
 
 def levels(water) -> np.ndarray:

@@ -96,3 +96,22 @@ def test_no_point_is_in_a_lake_of_the_stack(terrain, tmp_path):
     lake = (depth > 1.0).mean()
     assert 0.02 < lake < 0.5, "there is a lake"
     assert nearest.max() < 0.2 and len(nearest) < (1 - lake / 2) * before and len(nearest) > 500
+
+
+def test_trees_stand_above_the_sea_of_add_water(terrain, tmp_path):
+    """The sea of land without a coast is that of its water, whichever of the two is added first."""
+    y, x = np.mgrid[0:65, 0:65]
+    put_heights(terrain, tmp_path / "land", 10.0 + x + 0.0 * y)
+    first = add_scatter(terrain)
+    assert not first.adaptive_scatter.use_sea
+    bpy.context.view_layer.objects.active = terrain
+    assert bpy.ops.adaptive_terrain.water_surface(level=30.0) == {"FINISHED"}
+    assert bpy.ops.adaptive_terrain.scatter_add() == {"FINISHED"}
+    second = bpy.context.object
+    session.update_object(terrain)
+    for scatter in (first, second):
+        assert scatter.adaptive_scatter.use_sea and positions(scatter)[:, 2].min() > 30.0 - 1e-3
+    second.adaptive_scatter.sea_level = 40.0
+    bpy.context.view_layer.objects.active = terrain
+    bpy.ops.adaptive_terrain.water_surface(level=25.0)
+    assert [child.adaptive_scatter.sea_level for child in (first, second)] == pytest.approx([25.0, 40.0])

@@ -107,3 +107,32 @@ def test_the_panel_offers_the_starter_until_one_is_chosen(scene, add_terrain, ki
     bpy.context.view_layer.objects.active = scatter
     add(kind)
     assert offered() == [] and scatter.adaptive_scatter.collection.name == KINDS[kind][0]
+
+
+def test_add_scatter_puts_a_kind_on_its_ground(scene, add_terrain):
+    """Trees keep off steep slopes and make woods; with rules they stand closer at no greater number."""
+    terrain = add_terrain()
+    bpy.context.view_layer.objects.active = terrain
+    assert bpy.ops.adaptive_terrain.scatter_add(kind="CONIFERS") == {"FINISHED"}
+    scatter = bpy.context.object
+    where = scatter.adaptive_scatter.where
+    assert scatter.adaptive_scatter.collection == bpy.data.collections["Conifers"]
+    assert where.slope.use and where.noise.use and not where.relief.use, "low land has no tree line"
+    assert scatter.adaptive_scatter.full_until == pytest.approx(200 * scatter.adaptive_scatter.spacing)
+    points = len(scatter.data.vertices)
+    where.slope.use = where.noise.use = False
+    bpy.context.view_layer.update()
+    session.update_object(terrain)
+    assert 0.1 < points / len(scatter.data.vertices) < 0.7
+    bpy.context.view_layer.objects.active = terrain
+    bpy.ops.adaptive_terrain.scatter_add(kind="ROCKS")
+    assert not bpy.context.object.adaptive_scatter.where.slope.use
+
+
+def test_rules_of_the_user_stay(scene, add_terrain):
+    scatter = new_scatter(add_terrain(), 12.0)
+    height = scatter.adaptive_scatter.where.height
+    height.use, height.high = True, 50.0
+    bpy.context.view_layer.objects.active = scatter
+    add("BROADLEAVES")
+    assert not scatter.adaptive_scatter.where.slope.use and height.high == 50.0

@@ -2,11 +2,14 @@
 """Set Up Scene: its parts, a second click, and everything of the user's that stays."""
 
 import math
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.operators.bridge.camera import view_from_camera
+from adaptive_terrain.operators.layers.properties import add_default_layers
+from adaptive_terrain.operators.scene import defaults, viewpoint
 from adaptive_terrain.operators.scene.built import CAMERA, SKY, SUN, find_built
 from adaptive_terrain.operators.scene.daylight import SKY_TYPES
 from adaptive_terrain.operators.terrain import sight
@@ -243,3 +246,43 @@ def test_default_layers_give_way_to_those_that_suit_the_land(factory, changed):
         settings.layers[1].slope.low += 0.01
     SET_UP.set_up_scene()
     assert ("Sand" in [layer.name for layer in settings.layers]) != changed
+
+
+def test_low_land_gets_layers_without_snow(factory, add_terrain):
+    """Default layers that the user has changed stay."""
+    terrain = add_terrain()
+    settings = terrain.adaptive_terrain
+    add_default_layers(settings)
+    settings.layers["Snow"].color = (1.0, 0.0, 0.0)
+    SET_UP.set_up_scene()
+    assert settings.layers.keys() == ["Grass", "Scree", "Rock", "Snow"]
+    settings.layers.clear()
+    add_default_layers(settings)
+    for material in bpy.data.materials[:]:
+        bpy.data.materials.remove(material)
+    terrain.data.materials.clear()
+    SET_UP.set_up_scene()
+    assert "Snow" not in settings.layers and len(settings.layers) > 3
+
+
+def test_the_view_across_shows_water_and_hides_the_border():
+    """A lake lies in a bowl of mountains that is open to the south."""
+    x = np.linspace(-5000.0, 5000.0, 129)
+    east_m, north_m = np.meshgrid(x, x)
+    rim = np.minimum(np.hypot(east_m, np.maximum(north_m, 0.0)) / 5000.0, 1.0) ** 3
+    z = np.where(np.hypot(east_m - 800.0, north_m) < 1200.0, 90.0, 100.0 + 1500.0 * rim)
+    (east, north, height), azimuth = viewpoint._best_view(x, x, z, 90.0)
+    ahead = np.array([math.sin(azimuth), math.cos(azimuth)])
+
+    to_lake = np.array([800.0 - east, -north])
+    assert ahead @ to_lake / np.linalg.norm(to_lake) > math.cos(math.radians(30.0))
+    assert ahead[1] > -0.5, "it does not look out of the open side"
+    assert 90.0 < height < 1200.0
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_only_an_unturned_viewport_is_replaced(turned):
+    region_3d = SimpleNamespace(view_perspective="PERSP", view_rotation=[0.712376, 0.441062, 0.287358, 0.464123])
+    if turned:
+        region_3d.view_rotation = [0.7071, 0.4410, 0.2873, 0.4723]
+    assert defaults.is_default_view(region_3d) != turned

@@ -14,9 +14,9 @@ from .habitats import has_habitat
 PER_SIDE = 200
 # Points on a whole land at full density, at most: 1.5 GB of instances where no camera limits them.
 MAX_ON_LAND = 1_000_000
-# In spacings: distance up to which density is full, for cones and for a collection. 100 are 12,800 conifers in a view
-# of the island from its coast.
-FULL_OF_CONES, FULL_OF_OBJECTS = 200, 100
+# In spacings: distance up to which density is full, for cones, a collection, and one with rules. 100 are 12,800 conifers
+# in a view of the island from its coast.
+FULL_OF_CONES, FULL_OF_OBJECTS, FULL_WITH_RULES = 200, 100, 140
 # Part of the ground that rules leave, about: with rules, objects stand twice as close at no greater number.
 SHARE_BY_RULES = 0.25
 REACH_HEIGHTS = 2  # what stands there, and its shadow
@@ -77,10 +77,11 @@ def fit(obj) -> None:
     if width <= 0.0 or terrain is None:
         return
     scale, found = scale_of(terrain), imported_of(terrain.adaptive_terrain)
-    closer = math.sqrt(SHARE_BY_RULES if has_habitat(settings.where) else 1.0)
+    is_ruled = has_habitat(settings.where)
+    closer, full = (math.sqrt(SHARE_BY_RULES), FULL_WITH_RULES) if is_ruled else (1.0, FULL_OF_OBJECTS)
     smallest = 0.0 if found is None else scale * math.sqrt(math.prod(found.extent_m) / MAX_ON_LAND)
     spacing = rounded(max(width, closer * smallest), 2, math.ceil)
-    put_numbers(settings, spacing / scale, FULL_OF_OBJECTS / closer * spacing, REACH_HEIGHTS * max(width, height))
+    put_numbers(settings, spacing / scale, full * spacing, REACH_HEIGHTS * max(width, height))
 
 
 def put_numbers(settings, spacing: float, full_until: float, reach: float, first: bool = False) -> None:

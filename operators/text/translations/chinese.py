@@ -70,6 +70,7 @@ LABELS = {
     "Collection": "集合",
     "Collider Error": "碰撞体误差",
     "Computed": "已计算",
+    "Cones": "圆锥",
     "Conifers": "针叶树",
     "Cost": "开销",
     "Creep (m²/year)": "蠕移 (m²/年)",

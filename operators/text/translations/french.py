@@ -70,6 +70,7 @@ LABELS = {
     "Collection": "Collection",
     "Collider Error": "Erreur vert. (collision)",
     "Computed": "Calculé",
+    "Cones": "Cônes",
     "Conifers": "Conifères",
     "Cost": "Coût",
     "Creep (m²/year)": "Reptation (m²/an)",

@@ -70,6 +70,7 @@ LABELS = {
     "Collection": "Sammlung",
     "Collider Error": "Höhenfehler (Kollision)",
     "Computed": "Berechnet",
+    "Cones": "Kegel",
     "Conifers": "Nadelbäume",
     "Cost": "Kosten",
     "Creep (m²/year)": "Kriechen (m²/Jahr)",

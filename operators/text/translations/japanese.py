@@ -70,6 +70,7 @@ LABELS = {
     "Collection": "コレクション",
     "Collider Error": "コライダー誤差",
     "Computed": "計算済み",
+    "Cones": "円錐",
     "Conifers": "針葉樹",
     "Cost": "コスト",
     "Creep (m²/year)": "クリープ (m²/年)",

@@ -70,6 +70,7 @@ LABELS = {
     "Collection": "Colección",
     "Collider Error": "Error de colisión",
     "Computed": "Calculado",
+    "Cones": "Conos",
     "Conifers": "Coníferas",
     "Cost": "Coste",
     "Creep (m²/year)": "Reptación (m²/año)",

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Drop a file into the viewport of a factory scene, set up the scene, select the camera: FOLDER, with dem.png."""
 
+import importlib
 import sys
 from pathlib import Path
 
 import bpy
+from mathutils import Quaternion
 
 sys.path.append(str(Path(__file__).parent))  # Blender does not do so for scripts
 from window_steps import folder, parts, picture, run, take_steps, terrain, until  # noqa: E402
 
+PACKAGE = bpy.types.Object.adaptive_terrain.keywords["type"].__module__.partition(".operators")[0]
+is_default_view = importlib.import_module(f"{PACKAGE}.operators.scene.defaults").is_default_view
 result = {}
 
 
@@ -18,13 +22,16 @@ def names():
 
 def steps():
     yield 2.0
-    parts()[1].spaces.active.show_region_ui = True
     run(bpy.ops.mesh.adaptive_terrain_from_file, "INVOKE_DEFAULT", filepath=str(folder / "dem.png"))
     yield from until(lambda: terrain() is not None and len(terrain().data.polygons) > 0)
-    parts()[2].active_panel_category = "Terrain"
+    yield from until(lambda: parts()[2].active_panel_category == "Terrain")
     yield 2.0
     result["before"] = names()
-    view = parts()[1].spaces.active.region_3d.view_matrix.inverted()
+    region_3d = parts()[1].spaces.active.region_3d
+    result["unturned"] = is_default_view(region_3d)
+    region_3d.view_rotation = region_3d.view_rotation @ Quaternion((0.0, 0.0, 1.0), 0.1)
+    yield 1.0
+    view = region_3d.view_matrix.inverted()
     # Operators that a script runs leave no step for Undo.
     run(bpy.ops.ed.undo_push, message="Terrain from File")
     run(bpy.ops.adaptive_terrain.set_up_scene, "INVOKE_DEFAULT")

@@ -118,7 +118,7 @@ def test_add_scatter_puts_a_kind_on_its_ground(scene, add_terrain):
     where = scatter.adaptive_scatter.where
     assert scatter.adaptive_scatter.collection == bpy.data.collections["Conifers"]
     assert where.slope.use and where.noise.use and not where.relief.use, "low land has no tree line"
-    assert scatter.adaptive_scatter.full_until == pytest.approx(200 * scatter.adaptive_scatter.spacing)
+    assert scatter.adaptive_scatter.full_until == pytest.approx(140 * scatter.adaptive_scatter.spacing)
     points = len(scatter.data.vertices)
     where.slope.use = where.noise.use = False
     bpy.context.view_layer.update()

@@ -14,8 +14,8 @@ from .habitats import has_habitat
 PER_SIDE = 200
 # Points on a whole land at full density, at most: 1.5 GB of instances where no camera limits them.
 MAX_ON_LAND = 1_000_000
-# In spacings: distance up to which density is full, for cones, a collection, and one with rules. 100 are 12,800 conifers
-# in a view of the island from its coast.
+# In spacings: distance up to which density is full, for cones, a collection, and one with rules. 100 are 12,800
+# conifers in a view of the island from its coast.
 FULL_OF_CONES, FULL_OF_OBJECTS, FULL_WITH_RULES = 200, 100, 140
 # Part of the ground that rules leave, about: with rules, objects stand twice as close at no greater number.
 SHARE_BY_RULES = 0.25

@@ -102,7 +102,7 @@ def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, low: float) -> tuple
     around = [(i, j) for i in (-NEAR, 0.0, NEAR) for j in (-NEAR, 0.0, NEAR)]
     ground = np.max([z[nearest(eye_y + j * side, y), nearest(eye_x + i * side, x)] for i, j in around], axis=0)
     eye_z = ground + ABOVE_SIDE * side + ABOVE_RELIEF * relief
-    best, found = -1.0, None
+    best, found = -math.inf, None
     for azimuth in np.arange(VIEWS) * (math.tau / VIEWS):
         angles = azimuth + RAYS
         away = side * DISTANCES

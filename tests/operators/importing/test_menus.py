@@ -2,15 +2,18 @@
 """Terrain from File, and the menu with every operator."""
 
 import re
+from types import SimpleNamespace
 
 import bpy
 import pytest
 from adaptive_terrain.cbt_terrain.importing.source_formats import FORMATS
 from adaptive_terrain.operators.farm.outside_files import HEIGHT_MAP_SUFFIXES
 from adaptive_terrain.operators.importing import menus
+from adaptive_terrain.operators.importing.add_terrain import AddTerrain
 from adaptive_terrain.operators.importing.import_terrain import settings_of
 from adaptive_terrain.operators.importing.imported import changed_settings, imported_of, lines_of
 from adaptive_terrain.operators.ui.object_menu import OPERATORS
+from drawn_panels import DrawnLayout
 from rasterio.transform import from_origin
 from rasters import hills, write_raster
 
@@ -116,3 +119,12 @@ def test_tiles_are_added_to_a_terrain(scene, tmp_path):
     assert len(settings.more_sources) == 2 and imported_of(settings).raster == (60, 20)
     settings.source = "ISLAND"
     assert not bpy.ops.adaptive_terrain.add_tiles.poll()
+
+
+def test_the_box_of_add_terrain_draws_properties_that_exist(scene):
+    layout = DrawnLayout()
+    settings = SimpleNamespace(layout=layout, land="MOUNTAINS", shape=False, natural_size=True)
+    settings._is_shaped = lambda land: AddTerrain._is_shaped(settings, land)
+    AddTerrain.draw(settings, None)
+    drawn = {text.strip("<>") for text in layout.texts}
+    assert "natural_size" in drawn and drawn <= set(bpy.ops.mesh.adaptive_terrain_add.get_rna_type().properties.keys())

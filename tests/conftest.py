@@ -8,7 +8,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # numpy's threads would compete with o
 
 import pytest
 from hypothesis import settings
-from real_program import bare_program, dem, extension_zip, program, scene  # noqa: F401
+from real_program import bare_program, dem, extension_zip, program, release, scene  # noqa: F401
 
 # Every run has the same examples; `make fuzz` has thirty times as many.
 EXAMPLES = max(30, int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) // 10)

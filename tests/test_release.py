@@ -3,7 +3,6 @@
 
 import re
 import subprocess
-import sys
 import tomllib
 import zipfile
 from importlib import metadata
@@ -20,15 +19,6 @@ LICENCES = {
 }
 # Texts of packages whose metadata does not name the SPDX identifier.
 FREE_TEXT = {"BSD": "BSD-3-Clause", "New BSD": "BSD-3-Clause"}
-
-
-@pytest.fixture
-def release(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "tools"))
-    import release
-
-    yield release
-    del sys.modules["release"], sys.modules["build_extension"]
 
 
 def git(folder, *arguments) -> None:

@@ -4,26 +4,16 @@
 import functools
 import json
 import re
-import sys
 import threading
 import zipfile
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
-from real_program import ROOT, Program
+from real_program import Program
 
 REPOSITORY = "terrain_releases"
 SHOW = "import bpy, json; print('RESULT ' + json.dumps([list(bpy.context.preferences.addons.keys()), "
 SHOW += "hasattr(bpy.types.Object, 'adaptive_terrain')]))"
-
-
-@pytest.fixture
-def release(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "tools"))
-    import release
-
-    yield release
-    del sys.modules["release"], sys.modules["build_extension"]
 
 
 @pytest.fixture

@@ -2,12 +2,14 @@
 """Height fields, views and measurements that the tests share."""
 
 import math
+from pathlib import Path
 
 import numpy as np
-from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.build import build, from_array
 from adaptive_terrain.cbt_terrain.field.codes import decode
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField, with_detail
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
+from adaptive_terrain.cbt_terrain.field.store import Draft
 from adaptive_terrain.cbt_terrain.mesh.surface import Surface
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
@@ -234,3 +236,17 @@ def scattered(field: HeightField, count: int, seed: int = 0) -> np.ndarray:
     j, i = np.divmod(index, lattice.width)
     steps = np.array([lattice.step_x, lattice.step_y])
     return np.concatenate([free, (np.stack([i, j], 1) - np.array([lattice.width - 1, lattice.height - 1]) / 2) * steps])
+
+
+def write_store(path: Path, seed: int) -> Path:
+    """Write a store of 17 x 17 random samples."""
+    draft = Draft(path)
+    samples = draft.allocate("samples", (17, 17), np.float32)
+    samples[:] = np.random.default_rng(seed).random((17, 17))
+    draft.publish(build(samples, 1.0, 1.0, missing=0, allocate=draft.allocate), str(seed), {})
+    return path
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    """Return all files below a folder."""
+    return {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}

@@ -170,3 +170,13 @@ def scene(program, dem, tmp_path_factory):
     """Save a .blend with the GeoTIFF as terrain and an animated camera by the real program; return both."""
     path = tmp_path_factory.mktemp("scene") / "scene.blend"
     return path, program.script("import_dem.py", path, dem["tif"])
+
+
+@pytest.fixture
+def release(monkeypatch):
+    """Import tools/release.py, for one test."""
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    import release
+
+    yield release
+    del sys.modules["release"], sys.modules["build_extension"]

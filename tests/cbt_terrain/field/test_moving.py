@@ -5,37 +5,24 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field import moving
-from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.moving import find_moved, move_stores
-from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
+from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.run import partial_files
-
-
-def make(path: Path, seed: int) -> Path:
-    draft = Draft(path)
-    samples = draft.allocate("samples", (17, 17), np.float32)
-    samples[:] = np.random.default_rng(seed).random((17, 17))
-    draft.publish(build(samples, 1.0, 1.0, missing=0, allocate=draft.allocate), str(seed), {})
-    return path
-
-
-def contents(path: Path) -> dict[str, bytes]:
-    return {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}
+from fields import contents, write_store
 
 
 @pytest.fixture
 def old(tmp_path):
     """Write two stores, one of them with land and maps, and a file of the user."""
     folder = tmp_path / "old" / "adaptive_terrain" / "stores"
-    make(folder / "hills", 1)
-    make(folder / "hills_land" / "0123456789abcdef", 2)
+    write_store(folder / "hills", 1)
+    write_store(folder / "hills_land" / "0123456789abcdef", 2)
     (folder / "hills_land" / "0123456789abcdef.json").write_text("tiles")
     (folder / "hills_maps" / "mark").mkdir(parents=True)
     (folder / "hills_maps" / "mark" / "snow.png").write_bytes(b"png")
-    make(folder / "sea", 3)
+    write_store(folder / "sea", 3)
     (folder / "notes.txt").write_text("mine")
     return folder
 
@@ -107,14 +94,14 @@ def test_a_killed_copy_is_no_hindrance_and_goes(old, new, systems):
     half = new / f".partial-{partial_files.new_token()}"
     half.parent.mkdir(parents=True)
     os.close(partial_files.make_folder(half))
-    make(half / "hills", 1)
+    write_store(half / "hills", 1)
     before = contents(old)
     move_stores(old, new)
     assert contents(new) == before and not half.exists()
 
 
 def test_a_store_of_the_same_name_stays_and_both_are_found(old, new):
-    other = make(new / "hills", 7)
+    other = write_store(new / "hills", 7)
     (new / "hills_land").mkdir()
     before, there = contents(old), contents(other)
     assert move_stores(old, new).stores == ["hills_moved", "sea"]
@@ -168,7 +155,7 @@ def test_a_full_disk_is_named_and_costs_no_store(old, new, systems, monkeypatch)
 )
 def test_a_path_of_any_old_folder_leads_to_the_new_one(new, path):
     assert find_moved(path, new) == ""
-    make(new / "sea", 1)
+    write_store(new / "sea", 1)
     assert find_moved(path, new) == str(new / "sea")
 
 
@@ -176,7 +163,7 @@ def test_a_path_of_any_old_folder_leads_to_the_new_one(new, path):
     "path", ["", "/a/stores/sea", "/adaptive_terrain/stores/..", "/adaptive_terrain/stores/sea/../x"]
 )
 def test_other_paths_lead_nowhere(new, path):
-    make(new / "sea", 1)
+    write_store(new / "sea", 1)
     assert find_moved(path, new) == ""
 
 
@@ -187,7 +174,7 @@ def test_links_are_not_followed(old, new, tmp_path, linked):
     (precious / "thesis").mkdir(parents=True)
     (precious / "mine.txt").write_text("mine")
     if linked == "source":
-        make(new / "hills_land" / "0123456789abcdef", 2)
+        write_store(new / "hills_land" / "0123456789abcdef", 2)
         (old / "hills_land").rename(tmp_path / "away")
         (old / "hills_land").symlink_to(precious)
     elif linked == "target":

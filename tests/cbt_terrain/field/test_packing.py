@@ -2,29 +2,15 @@
 """A copy of a store is whole or is not there, and the store that it was made from stays."""
 
 import os
-from pathlib import Path
 
-import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import packing
-from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.packing import copy_store
-from adaptive_terrain.cbt_terrain.field.store import Draft, open_store
+from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.field.store_folder import new_data_name
 from adaptive_terrain.cbt_terrain.run import partial_files
-
-
-def make(path: Path, seed: int) -> Path:
-    draft = Draft(path)
-    samples = draft.allocate("samples", (33, 33), np.float32)
-    samples[:] = np.random.default_rng(seed).random((33, 33))
-    draft.publish(build(samples, 1.0, 1.0, missing=0, allocate=draft.allocate), str(seed), {})
-    return path
-
-
-def contents(path: Path) -> dict[str, bytes]:
-    return {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}
+from fields import contents, write_store
 
 
 @pytest.fixture
@@ -39,7 +25,7 @@ def no_links(monkeypatch):
 def test_a_copy_has_the_same_bytes_and_the_source_stays(tmp_path, linked, request):
     if not linked:
         request.getfixturevalue("no_links")
-    source, told = make(tmp_path / "source", 1), []
+    source, told = write_store(tmp_path / "source", 1), []
     before = contents(source)
     copy_store(source, tmp_path / "new" / "copy", told.append)
     assert contents(tmp_path / "new" / "copy") == before == contents(source)
@@ -50,15 +36,15 @@ def test_a_copy_has_the_same_bytes_and_the_source_stays(tmp_path, linked, reques
 
 
 def test_a_copy_is_not_touched_by_another_import_into_its_source(tmp_path):
-    source = make(tmp_path / "source", 1)
+    source = write_store(tmp_path / "source", 1)
     copy_store(source, tmp_path / "copy")
     before = contents(tmp_path / "copy")
-    make(source, 2)
+    write_store(source, 2)
     assert contents(tmp_path / "copy") == before and open_store(source).key != open_store(tmp_path / "copy").key
 
 
 def test_another_terrains_store_is_never_overwritten(tmp_path):
-    source, other = make(tmp_path / "source", 1), make(tmp_path / "other", 2)
+    source, other = write_store(tmp_path / "source", 1), write_store(tmp_path / "other", 2)
     before = contents(other)
     with pytest.raises(TerrainError, match="holds the store of another terrain"):
         copy_store(source, other)
@@ -70,7 +56,7 @@ def test_another_terrains_store_is_never_overwritten(tmp_path):
 
 
 def test_a_copy_that_ends_early_leaves_nothing(tmp_path, no_links, monkeypatch):
-    source = make(tmp_path / "source", 1)
+    source = write_store(tmp_path / "source", 1)
     before = contents(source)
 
     def stop(_fraction):
@@ -94,7 +80,7 @@ def test_a_copy_that_ends_early_leaves_nothing(tmp_path, no_links, monkeypatch):
 
 def test_a_copy_that_cannot_be_opened_is_no_store(tmp_path, no_links, monkeypatch):
     """The arrays change after the copy was compared, as on a failing disk."""
-    source = make(tmp_path / "source", 1)
+    source = write_store(tmp_path / "source", 1)
     compared = packing._copy_arrays
 
     def damage(source, target, on_progress):
@@ -108,7 +94,7 @@ def test_a_copy_that_cannot_be_opened_is_no_store(tmp_path, no_links, monkeypatc
 
 
 def test_what_a_killed_copy_has_left_is_no_hindrance(tmp_path):
-    source = make(tmp_path / "source", 1)
+    source = write_store(tmp_path / "source", 1)
     [data] = [path.name for path in source.iterdir() if path.is_dir()]
     (tmp_path / "copy" / data).mkdir(parents=True)
     (tmp_path / "copy" / data / "samples.npy").write_bytes(b"half")

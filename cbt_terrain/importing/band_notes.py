@@ -2,12 +2,9 @@
 """Warnings about a band that may not hold heights, and a guess at a file that GDAL refuses."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..run.named_file import open_regular
-
-if TYPE_CHECKING:
-    from rasterio import DatasetReader
+from .rasterio_types import DatasetReader
 
 # First bytes of files, and their kinds.
 CONTENTS = (
@@ -28,7 +25,7 @@ DRIVER_KINDS = {
 WHOLE_FILE = "a whole file of that kind"
 
 
-def band_notes(dataset: "DatasetReader", band: int, driver: str) -> list[str]:
+def band_notes(dataset: DatasetReader, band: int, driver: str) -> list[str]:
     """Return warnings about one band of a rasterio dataset. driver: GDAL's name of the format."""
     from rasterio.enums import ColorInterp
 
@@ -46,7 +43,7 @@ def band_notes(dataset: "DatasetReader", band: int, driver: str) -> list[str]:
     return notes
 
 
-def float_alpha(dataset: "DatasetReader", band: int) -> int:
+def float_alpha(dataset: DatasetReader, band: int) -> int:
     """Return the number of an alpha band that GDAL ignores because its type is neither uint8 nor uint16; 0 if none."""
     from rasterio.enums import ColorInterp
 

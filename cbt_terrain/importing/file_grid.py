@@ -4,18 +4,15 @@
 import functools
 import json
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..field.georeference import Transform, degree_lengths, ellipsoid_of, is_sheared, without_dust
 from ..view.linear import lengths, product
+from .rasterio_types import CRS, DatasetReader
 from .units import plane_metres
-
-if TYPE_CHECKING:
-    from rasterio import DatasetReader
-    from rasterio.crs import CRS
 
 # Largest distance, cells, of ground control points from the straight grid that replaces them.
 MAX_GCP_CELLS = 0.05
@@ -31,7 +28,7 @@ class FileGrid(NamedTuple):
         tool: GDAL command that places the raster.
     """
 
-    crs: "CRS | None" = None
+    crs: CRS | None = None
     transform: Transform | None = None
     problem: str = ""
     tool: str = ""
@@ -53,7 +50,7 @@ class FileGrid(NamedTuple):
         return a * columns + b * rows + c, d * columns + e * rows + f
 
 
-def grid_of(dataset: "DatasetReader") -> FileGrid:
+def grid_of(dataset: DatasetReader) -> FileGrid:
     """Return the grid of a rasterio dataset. Raises TerrainError for a geotransform without an area.
 
     GDAL returns the identity for a file without a geotransform.
@@ -71,7 +68,7 @@ def grid_of(dataset: "DatasetReader") -> FileGrid:
     return FileGrid()
 
 
-def _from_control_points(points: list, crs: "CRS") -> FileGrid:
+def _from_control_points(points: list, crs: CRS) -> FileGrid:
     """Return the straight grid through ground control points, if there is one."""
     pixels = np.array([(point.col, point.row, 1.0) for point in points], np.float64)
     ground = np.array([(point.x, point.y) for point in points], np.float64)
@@ -88,7 +85,7 @@ def _from_control_points(points: list, crs: "CRS") -> FileGrid:
     return FileGrid(crs, None, problem, "gdalwarp -tps")
 
 
-def unit_of(crs: "CRS | None") -> dict:
+def unit_of(crs: CRS | None) -> dict:
     """Return the arguments of `from_transform` for a coordinate system: its unit, and the ellipsoid of degrees."""
     if crs is not None and crs.is_geographic:
         return {"degrees": math.degrees(crs.units_factor[1]), "ellipsoid": ellipsoid_of(crs.to_wkt())}
@@ -105,7 +102,7 @@ def has_shear(grid: FileGrid, width: int, height: int) -> bool:
     return is_sheared(grid.placed, along_x, along_y)
 
 
-def base_crs(crs: "CRS") -> "CRS | None":
+def base_crs(crs: CRS) -> CRS | None:
     """Return the geographic system below a projected one, None if it has none."""
     return _base_of(crs.to_wkt())
 

@@ -10,7 +10,7 @@ import os
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from .length_scale import length_warnings, mirror_warnings
 from .netcdf_header import netcdf_damage
 from .png_file import png_damage
 from .raster import ImportSettings, Raster, blank, cause
+from .rasterio_types import DatasetReader
 from .rounding import SourceRounding, band_rounding
 from .sidecars import allow_aux_file, named_crs
 from .source_formats import FORMATS, SourceFormat
@@ -35,9 +36,6 @@ from .units import height_unit
 from .vrt_rounding import mosaic_roundings
 from .vrt_source import Mosaic, read_mosaic
 from .vrt_units import HeightScale, dataset_scales, mosaic_notes
-
-if TYPE_CHECKING:
-    from rasterio import DatasetReader
 
 MOSAIC_SUFFIXES = {suffix for suffix, form in FORMATS.items() if form.in_mosaic}  # of files that a VRT may name
 DAMAGE = {"PNG": png_damage, "netCDF": netcdf_damage}  # checks before a driver reads a file
@@ -67,7 +65,7 @@ class OpenedVrt(NamedTuple):
         scales: conversion to heights, by the same.
     """
 
-    dataset: "DatasetReader"
+    dataset: DatasetReader
     texts: list
     mosaic: Mosaic
     roundings: dict
@@ -215,12 +213,12 @@ def raster_of(
     )
 
 
-def _close(*files: "DatasetReader") -> None:
+def _close(*files: DatasetReader) -> None:
     for file in files:
         file.close()
 
 
-def _resampled(path: Path, original: Raster, view: "DatasetReader", band: int) -> Raster:
+def _resampled(path: Path, original: Raster, view: DatasetReader, band: int) -> Raster:
     """Return the raster of a resampled view of `original`, in which missing samples are NaN."""
     window = _window_reader(path, view, band, masked=False, no_data=None, alpha=0)
     return dataclasses.replace(
@@ -235,7 +233,7 @@ def _resampled(path: Path, original: Raster, view: "DatasetReader", band: int) -
     )
 
 
-def _open_file(path: Path, form: SourceFormat) -> "DatasetReader":
+def _open_file(path: Path, form: SourceFormat) -> DatasetReader:
     """Open the dataset of one file. Raises TerrainError if it, or its smallest readable piece, is too large."""
     import rasterio
 
@@ -314,7 +312,7 @@ def _open_vrt(path: Path) -> OpenedVrt:
 
 
 def _window_reader(
-    path: Path, dataset: "DatasetReader", band: int, masked: bool, no_data: float | None, alpha: int
+    path: Path, dataset: DatasetReader, band: int, masked: bool, no_data: float | None, alpha: int
 ) -> Callable[[int, int, int, int], np.ndarray]:
     """Return the function `window` of a Raster. alpha: number of a band that is 0 at missing samples; 0 for none."""
     from rasterio.windows import Window
@@ -343,7 +341,7 @@ def _window_reader(
     return read
 
 
-def _grid_of(dataset: "DatasetReader", settings: ImportSettings) -> FileGrid:
+def _grid_of(dataset: DatasetReader, settings: ImportSettings) -> FileGrid:
     """Return the grid of a dataset, an empty one for an invalid geotransform if the user gives an extent."""
     try:
         return grid_of(dataset)
@@ -370,7 +368,7 @@ def _georeference(grid: FileGrid, width: int, height: int, settings: ImportSetti
     )
 
 
-def _check_blocks(path: Path, dataset: "DatasetReader") -> None:
+def _check_blocks(path: Path, dataset: DatasetReader) -> None:
     """Refuse a dataset with too many bands or with too large pieces, and let GDAL's cache hold two pieces."""
     from rasterio.enums import Interleaving
     from rasterio.env import setenv

@@ -3,16 +3,13 @@
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import TerrainError, shown
 from ..run.named_file import open_regular
+from .rasterio_types import DatasetReader
 from .source_formats import FORMATS
-
-if TYPE_CHECKING:
-    from rasterio import DatasetReader
 
 MAX_HEADER_BYTES = 1 << 20
 
@@ -59,7 +56,7 @@ def check_header(path: Path) -> Path:
     return header
 
 
-def check_length(path: Path, header: Path, dataset: "DatasetReader") -> None:
+def check_length(path: Path, header: Path, dataset: DatasetReader) -> None:
     """Refuse a file that is shorter than its header requires, since GDAL would read zeros. Raises TerrainError."""
     with open_regular(header, links=True) as file:
         text = file.read(MAX_HEADER_BYTES).decode("latin-1")

@@ -2,16 +2,13 @@
 """Warnings about projected coordinate systems with wrong lengths, such as Web Mercator, or mirrored axes."""
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..field.georeference import Georeference, degree_lengths, ellipsoid_of
 from ..view.linear import length, lengths
 from .file_grid import FileGrid, base_crs
-
-if TYPE_CHECKING:
-    from rasterio.crs import CRS
+from .rasterio_types import CRS
 
 MAX_SCALE_ERROR = 0.01  # fraction of a length
 MIN_STEP = 1e-4  # metres; coordinates on Earth have too few digits to measure shorter steps
@@ -131,7 +128,7 @@ def _factors(grid: FileGrid, width: int, height: int, place: Georeference) -> tu
     return ratios[np.isfinite(ratios).all(axis=1)], float(latitude[:, 0].mean())
 
 
-def _degrees(crs: "CRS", x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, tuple[float, float]] | None:
+def _degrees(crs: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, tuple[float, float]] | None:
     """Return longitudes and latitudes of positions, degrees [2, n], and the ellipsoid of a projected system's base.
 
     Return None if there is no geographic base or PROJ cannot transform to it.

@@ -9,7 +9,6 @@ cliffs and would increase rounding errors by half.
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,10 +16,7 @@ from ..errors import TerrainError, shown
 from ..view.linear import length, lengths
 from .file_grid import FileGrid
 from .raster import ImportSettings, stands_for_missing
-
-if TYPE_CHECKING:
-    from rasterio import DatasetReader
-    from rasterio.crs import CRS
+from .rasterio_types import CRS, DatasetReader
 
 # Largest error, samples, of positions that GDAL interpolates: 3 cm in a raster of 30 m.
 TOLERANCE = 0.001
@@ -33,8 +29,8 @@ _CODE = re.compile(r',AUTHORITY\["[^"]*","[^"]*"\]\]$')
 
 
 def reprojected(
-    path: Path, dataset: "DatasetReader", grid: FileGrid, stored: np.dtype, settings: ImportSettings
-) -> tuple["DatasetReader", FileGrid]:
+    path: Path, dataset: DatasetReader, grid: FileGrid, stored: np.dtype, settings: ImportSettings
+) -> tuple[DatasetReader, FileGrid]:
     """Return a resampled view of a rasterio dataset, and its grid.
 
     The view is float64 with NaN for missing samples, north up, and about as dense along each axis as the dataset.
@@ -88,7 +84,7 @@ def reprojected(
     return view, FileGrid(crs if settings.project else grid.crs, transform)
 
 
-def _centred(grid: FileGrid, dataset: "DatasetReader") -> FileGrid:
+def _centred(grid: FileGrid, dataset: DatasetReader) -> FileGrid:
     """Return a grid with its prime meridian moved to its middle if its longitudes pass 180 degrees.
 
     PROJ returns longitudes within 180 degrees of the prime meridian, so it would miss samples beyond.
@@ -111,7 +107,7 @@ def _centred(grid: FileGrid, dataset: "DatasetReader") -> FileGrid:
     return FileGrid(CRS.from_wkt(_CODE.sub("]", wkt)), (a, b, c - middle, d, e, f))
 
 
-def _target(path: Path, dataset: "DatasetReader", source: FileGrid, name: str) -> "CRS":
+def _target(path: Path, dataset: DatasetReader, source: FileGrid, name: str) -> CRS:
     """Return the coordinate system of a name in ImportSettings.project. Raises TerrainError."""
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
@@ -129,7 +125,7 @@ def _target(path: Path, dataset: "DatasetReader", source: FileGrid, name: str) -
     return crs
 
 
-def _utm_zone(path: Path, dataset: "DatasetReader", source: FileGrid) -> str:
+def _utm_zone(path: Path, dataset: DatasetReader, source: FileGrid) -> str:
     """Return the WGS 84 UTM zone of a raster's middle, as EPSG:n."""
     from rasterio.crs import CRS
 
@@ -145,7 +141,7 @@ def _utm_zone(path: Path, dataset: "DatasetReader", source: FileGrid) -> str:
     return f"EPSG:{(32600 if latitude >= 0.0 else 32700) + zone}"
 
 
-def _grid(path: Path, dataset: "DatasetReader", source: FileGrid, crs: "CRS") -> tuple:
+def _grid(path: Path, dataset: DatasetReader, source: FileGrid, crs: CRS) -> tuple:
     """Return the new raster's transform, width and height: it covers the old samples and is as dense at its middle."""
     right, bottom = dataset.width - 0.5, dataset.height - 0.5  # samples are in the middle of cells
     sides = np.linspace([0.5, 0.5], [right, bottom], BORDER_SAMPLES)
@@ -181,7 +177,7 @@ def _steps(column_x: float, row_x: float, column_y: float, row_y: float) -> tupl
     return step, step
 
 
-def _check_way_back(path: Path, dataset: "DatasetReader", source: FileGrid, crs: "CRS") -> None:
+def _check_way_back(path: Path, dataset: DatasetReader, source: FileGrid, crs: CRS) -> None:
     """Refuse a raster whose points do not survive the way to the new system and back.
 
     A projected raster may pass the edge of its system, for example 180 degrees in Web Mercator.
@@ -199,9 +195,7 @@ def _check_way_back(path: Path, dataset: "DatasetReader", source: FileGrid, crs:
         )
 
 
-def _transformed(
-    path: Path, source: "CRS", target: "CRS", x: np.ndarray, y: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _transformed(path: Path, source: CRS, target: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return positions in another coordinate system, float64 [n] each. Raises TerrainError."""
     from rasterio.warp import transform
 

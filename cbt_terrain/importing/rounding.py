@@ -3,12 +3,10 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from rasterio import DatasetReader
+from .rasterio_types import DatasetReader
 
 # Significant bits of GDAL's float32, by the bits that a TIFF stores.
 HALF_BITS, FLOAT32_BITS = 11, 24
@@ -71,7 +69,7 @@ def half_step(roundings: tuple[SourceRounding, ...], largest: float) -> float:
     return max(rounding.half_step(largest) for rounding in roundings)
 
 
-def band_rounding(dataset: "DatasetReader", band: int) -> SourceRounding:
+def band_rounding(dataset: DatasetReader, band: int) -> SourceRounding:
     """Return the rounding of a band of a rasterio dataset of one file."""
     of_file, of_band = dataset.tags(ns="IMAGE_STRUCTURE"), dataset.tags(band, ns="IMAGE_STRUCTURE")
     stored = dataset.dtypes[band - 1]

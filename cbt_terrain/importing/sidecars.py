@@ -9,14 +9,11 @@ import functools
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 from xml.parsers import expat
 
 from ..errors import TerrainError, shown
 from ..run.named_file import open_regular
-
-if TYPE_CHECKING:
-    from rasterio.crs import CRS
+from .rasterio_types import CRS
 
 AUX = ".aux.xml"
 SUFFIXES = (
@@ -112,7 +109,7 @@ def allow_aux_file(path: Path) -> list[str]:
     return []
 
 
-def named_crs(path: Path, notes: list[str]) -> "CRS | None":
+def named_crs(path: Path, notes: list[str]) -> CRS | None:
     """Return the coordinate system in the files beside a raster that names none itself; None if there is none.
 
     GDAL reads a .prj only beside ASCII grids, and the system in an .aux.xml only beside other rasters.

@@ -2,12 +2,9 @@
 """Units of length: their names in GDAL, EPSG and PROJ, and the units of a coordinate system."""
 
 import re
-from typing import TYPE_CHECKING
 
 from ..errors import shown
-
-if TYPE_CHECKING:
-    from rasterio.crs import CRS
+from .rasterio_types import CRS
 
 METRES = {
     "metre": 1.0, "meter": 1.0, "m": 1.0, "mtr": 1.0,
@@ -73,12 +70,12 @@ def metres_of(name: str) -> float | None:
     return None
 
 
-def plane_metres(crs: "CRS") -> float:
+def plane_metres(crs: CRS) -> float:
     """Return the metres in the unit of a coordinate system (a rasterio CRS) that is not in degrees."""
     return _plane_unit(crs)[1]
 
 
-def _plane_unit(crs: "CRS") -> tuple[str, float]:
+def _plane_unit(crs: CRS) -> tuple[str, float]:
     """Return the name and the metres of a system's horizontal unit; PROJ returns it for projected systems only."""
     if crs.is_projected:
         return crs.linear_units_factor
@@ -86,7 +83,7 @@ def _plane_unit(crs: "CRS") -> tuple[str, float]:
     return (found[2], float(found[3])) if found else ("metre", 1.0)
 
 
-def vertical_unit(crs: "CRS | None") -> tuple[str, float, bool] | None:
+def vertical_unit(crs: CRS | None) -> tuple[str, float, bool] | None:
     """Return the name and the metres of the unit of a system's vertical axis, and whether the axis points down.
 
     Return None if there is none. crs: a rasterio CRS or None.
@@ -95,7 +92,7 @@ def vertical_unit(crs: "CRS | None") -> tuple[str, float, bool] | None:
     return (found[2], float(found[3]), found[1] == "down") if found else None
 
 
-def height_unit(band_unit: str, crs: "CRS | None") -> tuple[float, list[str]]:
+def height_unit(band_unit: str, crs: CRS | None) -> tuple[float, list[str]]:
     """Return the metres in a unit of a band's values, and warnings.
 
     Args:
@@ -136,7 +133,7 @@ def height_unit(band_unit: str, crs: "CRS | None") -> tuple[float, list[str]]:
     return metres, warnings
 
 
-def _wkt(crs: "CRS") -> str:
+def _wkt(crs: CRS) -> str:
     """Return the WKT 2 of a rasterio CRS, which names each axis with its unit; "" if it has none."""
     from rasterio.errors import CRSError
 

@@ -3,17 +3,14 @@
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 from ..errors import shown
+from .rasterio_types import CRS, DatasetReader
 from .units import SAME_UNIT, metres_of, vertical_unit
 from .vrt_rounding import band_element, sources_of
 from .vrt_source import Mosaic
-
-if TYPE_CHECKING:
-    from rasterio import DatasetReader
-    from rasterio.crs import CRS
 
 _DEFAULTS = (("UnitType", ""), ("Scale", "1"), ("Offset", "0"))
 
@@ -55,7 +52,7 @@ class HeightScale(NamedTuple):
 ScaleOf = Callable[[Path, int], HeightScale | None]
 
 
-def height_scale(band_unit: str, crs: "CRS | None", scale: float, offset: float) -> HeightScale:
+def height_scale(band_unit: str, crs: CRS | None, scale: float, offset: float) -> HeightScale:
     """Return the conversion of a band's values to heights.
 
     Args:
@@ -69,7 +66,7 @@ def height_scale(band_unit: str, crs: "CRS | None", scale: float, offset: float)
     return HeightScale(band_unit, known if band_unit else 1.0, scale, offset)
 
 
-def dataset_scales(dataset: "DatasetReader") -> list[HeightScale]:
+def dataset_scales(dataset: DatasetReader) -> list[HeightScale]:
     """Return the conversion to heights of each band of a rasterio dataset."""
     crs = dataset.crs or dataset.gcps[1]
     return [
@@ -125,7 +122,7 @@ def _vrt_scale(mosaic: Mosaic, number: int, band: int) -> HeightScale:
     return height_scale(unit.strip(), _crs(mosaic.texts[number]), float(scale), float(offset))
 
 
-def _crs(text: str) -> "CRS | None":
+def _crs(text: str) -> CRS | None:
     """Return the coordinate system of a VRT, None if PROJ knows none of its name."""
     from rasterio.crs import CRS
     from rasterio.errors import CRSError

@@ -40,7 +40,7 @@ class GroundExtent:
 
 def open_points(path: Path, settings: ImportSettings) -> Raster:
     """Grid the ground points of a file. Raises TerrainError if it has none or cannot be read."""
-    from .gdal_source import start_gdal
+    from .gdal_files import start_gdal
 
     start_gdal()
     try:

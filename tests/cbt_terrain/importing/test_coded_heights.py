@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Heights in the colours of images, and web map tiles."""
 
+import dataclasses
+import hashlib
+import json
 import math
 from pathlib import Path
 
@@ -9,6 +12,7 @@ import pytest
 import rasterio
 import rasterio.shutil
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.importing import build_store
 from adaptive_terrain.cbt_terrain.importing.coded_heights import codes_of, may_be_coded, tile_of
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
@@ -132,3 +136,14 @@ def test_names_of_tiles(tmp_path):
     assert {name: tile_of(Path(name)) for name in names} == names
     assert may_be_coded(Path("a.png"), "mapbox") and not may_be_coded(Path("a.png"), "")
     assert codes_of(np.array([[[1]], [[2]], [[3]]], np.uint8)).tolist() == [[66051]]
+
+
+def test_an_older_stores_digest_stays_the_same(tmp_path):
+    """Settings that older versions lack change the digest of a source only if they are given."""
+    source = write_image(tmp_path / "a.png", np.zeros((3, 4, 4), np.uint8))
+    stat, values = source.stat(), dataclasses.asdict(ImportSettings(str(source)))
+    older = {name: value for name, value in values.items() if name not in ("encoding", "cell")}
+    parts = [2, 6, older, (str(source.resolve()), stat.st_size, stat.st_mtime_ns)]
+    wanted = hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+    assert build_store.source_digest(ImportSettings(str(source))) == wanted
+    assert build_store.source_digest(ImportSettings(str(source), encoding="mapbox")) != wanted

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.importing.gdal_source import MOSAIC_SUFFIXES
+from adaptive_terrain.cbt_terrain.importing.gdal_files import MOSAIC_SUFFIXES
 from adaptive_terrain.cbt_terrain.importing.vrt_source import _is_local, read_mosaic
 from hostile_files import PART, source, vrt
 from rasters import hills, write_raster

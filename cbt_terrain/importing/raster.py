@@ -175,7 +175,7 @@ class Raster:
         sources: other files that hold the samples.
         moved: largest difference that interpolated positions have made to a sample that was read, before scale.
         details: further entries of the report.
-        finish: writes what the store keeps of the files into its folder; raises TerrainError if one has changed.
+        finish: writes further files into the store's new folder; raises TerrainError if a source has changed.
         close: closes the files.
     """
 

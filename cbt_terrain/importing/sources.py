@@ -51,7 +51,7 @@ def check_file(path: Path, kind: str = "height map") -> None:
 
 
 def check_named(path: Path, kind: str = "height map") -> None:
-    """Check a file as `check_file` does, but not the files beside it."""
+    """Check a file as `check_file` does, without its neighbours."""
     expected = f"the file of a {kind}"
     try:
         what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"

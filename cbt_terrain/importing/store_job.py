@@ -35,7 +35,7 @@ MAX_LINE_BYTES, MAX_ERROR_CHARS = 1 << 26, 4_000
 FREE_MEMORY = "free some memory and try again"
 CHECK_FILE = f"check that the file is whole, or {FREE_MEMORY}"
 
-Tell = Callable[[float, str], None]
+Tell = Callable[..., None]  # of a fraction and a message; a child's also of a preview
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,14 @@ such tiles is linear between two borders one cell apart, so tiles without a shar
 import numpy as np
 
 from .positions import BLOCK, SNAPPED, BlockNodes
-from .windows import UNCOVERED, LatticeWindow, Piece
+from .windows import UNCOVERED, GridPiece, LatticeWindow
 
 # Sum of weights from which on a sample has a height: the outer cells of a single tile are half a cell wide.
 MIN_WEIGHT = 0.5 - 1e-9
 
 
 def bridge(
-    piece: Piece,
+    piece: GridPiece,
     found: list[tuple[BlockNodes, LatticeWindow]],
     out: np.ndarray,
     ranks: np.ndarray,
@@ -57,7 +57,7 @@ def bridge(
     moved[at] = errors[good] + 2.0 * off[good] * (high[good] - low[good])
 
 
-def _at(nodes: np.ndarray, spacing: int, piece: Piece, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def _at(nodes: np.ndarray, spacing: int, piece: GridPiece, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return interpolated values of nodes at samples of a piece."""
     x, y = piece.column % BLOCK + columns, piece.row % BLOCK + rows
     i, j, s, t = x // spacing, y // spacing, (x % spacing) / spacing, (y % spacing) / spacing

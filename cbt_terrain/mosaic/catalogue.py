@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -81,8 +82,8 @@ class SourceTile:
         """Return the modification time of the file itself, ns."""
         return self.files[0][2]
 
-    def position(self, column: float, row: float) -> tuple[float, float]:
-        """Return x and y of a sample; its column and row may be fractions."""
+    def position(self, column: Any, row: Any) -> tuple[Any, Any]:
+        """Return x and y of a sample, or of arrays of them; columns and rows may be fractions."""
         a, b, c, d, e, f = self.transform
         column, row = column + 0.5, row + 0.5
         return a * column + b * row + c, d * column + e * row + f
@@ -124,10 +125,10 @@ def build_catalogue(
         for file in paths_in(path) if path.suffix.lower() in INDEX_SUFFIXES else [path]:
             paths.pop(file, None)
             paths[file] = None
-    kept = _kept_tiles(store, settings) if store is not None else {}
+    stored = _stored_tiles(store, settings) if store is not None else {}
     tiles = []
     for number, path in enumerate(paths):
-        tile = kept.get(str(path))
+        tile = stored.get(str(path))
         unchanged = tile is not None and tuple(map(_stat, _belonging(path))) == tile.files[: len(_belonging(path))]
         if tile is None or not unchanged or any(_stat(entry[0]) != entry for entry in tile.files):
             tile = _read_tile(path, settings)
@@ -141,20 +142,21 @@ def open_tile(path: str, settings: ImportSettings) -> Raster:
     from rasterio.env import setenv
 
     raster = open_source(ImportSettings(path, band=settings.band, no_data=settings.no_data, encoding=settings.encoding))
-    setenv(GDAL_PAM_ENABLED="NO", GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")  # of what a VRT opens while it is read
+    # For sources that a VRT opens while it is read.
+    setenv(GDAL_PAM_ENABLED="NO", GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")
     return raster
 
 
 def keep_catalogue(tiles: Sequence[SourceTile], settings: ImportSettings, folder: Path) -> None:
     """Write a catalogue into a store's folder of arrays."""
     entries = [dataclasses.asdict(tile) for tile in tiles]
-    content = {"version": VERSION, "settings": _own_settings(settings), "tiles": entries}
+    content = {"version": VERSION, "settings": _header_settings(settings), "tiles": entries}
     text = json.dumps(content)
     (folder / FILE_NAME).write_text(json.dumps({"sum": _sum(text), "content": text}), encoding="utf-8")
 
 
 def _belonging(path: Path) -> list[Path]:
-    """Return a file and those beside it that belong to it."""
+    """Return a file and its sidecars."""
     return [path, *sidecars(path)]
 
 
@@ -186,7 +188,7 @@ def _read_tile(path: Path, settings: ImportSettings) -> SourceTile:
             files=(*files, *map(file_stat, raster.sources)),
             width=raster.width,
             height=raster.height,
-            transform=tuple(map(float, grid.transform)),
+            transform=_transform_of(grid.transform),
             crs=crs,
             whole_crs=whole,
             datum=datum,
@@ -202,7 +204,13 @@ def _read_tile(path: Path, settings: ImportSettings) -> SourceTile:
         raster.close()
 
 
-def _own_settings(settings: ImportSettings) -> list:
+def _transform_of(numbers: Sequence[float]) -> Transform:
+    """Return six numbers as floats. Raises ValueError for another count."""
+    a, b, c, d, e, f = map(float, numbers)
+    return a, b, c, d, e, f
+
+
+def _header_settings(settings: ImportSettings) -> list:
     """Return the settings that headers are read with; no-data as a text, which NaN is too."""
     return [settings.band, str(settings.no_data)]
 
@@ -211,17 +219,17 @@ def _sum(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _kept_tiles(store: Path, settings: ImportSettings) -> dict[str, SourceTile]:
+def _stored_tiles(store: Path, settings: ImportSettings) -> dict[str, SourceTile]:
     """Return the tiles of a store's catalogue by path, {} without one that can be used."""
     folder = named_folder(store)
     if folder is None:
         return {}
     try:
-        kept = json.loads(read_regular(folder / FILE_NAME, MAX_BYTES, links=False).decode("utf-8"))
-        content = json.loads(kept["content"])
-        if kept["sum"] != _sum(kept["content"]) or content["version"] != VERSION:
+        outer = json.loads(read_regular(folder / FILE_NAME, MAX_BYTES, links=False).decode("utf-8"))
+        content = json.loads(outer["content"])
+        if outer["sum"] != _sum(outer["content"]) or content["version"] != VERSION:
             return {}
-        if content["settings"] != _own_settings(settings):
+        if content["settings"] != _header_settings(settings):
             return {}
         tiles = [_tile_of(entry) for entry in content["tiles"]]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError, TerrainError):
@@ -233,13 +241,13 @@ def _tile_of(entry: dict) -> SourceTile:
     """Return the tile of a catalogue's entry. Raises ValueError, TypeError or KeyError for an invalid one."""
     values = {field.name: entry[field.name] for field in dataclasses.fields(SourceTile)}
     values["files"] = tuple((str(path), int(size), int(changed)) for path, size, changed in entry["files"])
-    values["transform"] = tuple(map(float, entry["transform"]))
+    values["transform"] = _transform_of(entry["transform"])
     values["roundings"] = tuple(_rounding_of(rounding) for rounding in entry["roundings"])
     values["warnings"] = tuple(map(shown, entry["warnings"]))
     tile = SourceTile(**values)
     numbers = (*tile.transform, float(tile.scale), float(tile.offset))
     counts = tile.width, tile.height, tile.block_rows
-    if len(tile.transform) != 6 or not all(map(math.isfinite, numbers)) or not tile.files or not tile.roundings:
+    if not all(map(math.isfinite, numbers)) or not tile.files or not tile.roundings:
         raise ValueError("numbers of a tile are not finite")
     if not all(type(count) is int and 0 < count <= MAX_SIDE for count in counts):
         raise ValueError("a tile has an impossible size")

@@ -17,12 +17,12 @@ from ..run import launch
 from ..run.buffers import flat
 from .bridges import bridge
 from .catalogue import SourceTile, open_tile
-from .lattices import Lattice, find_lattices
+from .lattices import TileLattice, find_lattices
 from .positions import BLOCK, BlockNodes, is_congruent, nodes_of
 from .target_grid import Footprints, TargetGrid
-from .windows import NO_DATA, UNCOVERED, LatticeWindow, Piece, pieces_of
+from .windows import NO_DATA, UNCOVERED, GridPiece, LatticeWindow, pieces_of
 
-MAX_OPEN = 64  # files
+MAX_OPEN = 256  # files
 MAX_BLOCKS = 4096  # whose nodes are kept, 17 KB each
 MAX_BUFFER = 1 << 22  # source samples of a piece; a larger one is divided
 EDGE = 3  # source samples around those that a piece is interpolated from
@@ -71,6 +71,8 @@ class Composite:
         is_copied = all(lattice.crs == grid.crs and is_congruent(lattice, grid) for lattice in self.lattices)
         self.resamples = not is_copied
         self._converts = len(scales) > 1
+        self.scale: float
+        self.offset: float
         self.scale, self.offset = (1.0, 0.0) if self._converts else next(iter(scales))
         self.stored = next(iter(kinds)) if len(kinds) == 1 and is_copied and not self._converts else "float64"
         self._open: OrderedDict[int, Raster] = OrderedDict()
@@ -105,7 +107,7 @@ class Composite:
         while self._open:
             self._open.popitem()[1].close()
 
-    def _fill(self, piece: Piece, values: np.ndarray) -> float:
+    def _fill(self, piece: GridPiece, values: np.ndarray) -> float:
         """Fill the values of a piece, and return the largest difference made by positions."""
         column, row = piece.column, piece.row
         meets = (self._near[:, 0] < column + piece.columns) & (self._near[:, 2] >= column)
@@ -133,7 +135,7 @@ class Composite:
         values[:] = out
         return float(moved.max())
 
-    def _fill_halves(self, piece: Piece, values: np.ndarray) -> float:
+    def _fill_halves(self, piece: GridPiece, values: np.ndarray) -> float:
         """Fill the two halves of a piece that needs too many source samples at once."""
         first, second = piece.halves()
         if first.rows == piece.rows:
@@ -152,7 +154,7 @@ class Composite:
         self._nodes.move_to_end(key)
         return self._nodes[key]
 
-    def _window(self, lattice: Lattice, near: np.ndarray, box: tuple[int, int, int, int]) -> LatticeWindow:
+    def _window(self, lattice: TileLattice, near: np.ndarray, box: tuple[int, int, int, int]) -> LatticeWindow:
         """Read a box of a lattice (first column and row, ends) from the tiles `near`, in the order of their ranks."""
         left, top, right, bottom = box
         values = np.full((bottom - top, right - left), np.nan)
@@ -180,6 +182,7 @@ class Composite:
     def tile_window(self, rank: int, row: int, rows: int, column: int, columns: int) -> np.ndarray:
         """Return a window of a tile as float64 values of the composite, NaN where missing."""
         raster, tile = self._raster(rank), self.tiles[rank]
+        assert raster.window is not None, "the catalogue has only tiles that are read by windows"
         heights = raster.window(row, rows, column, columns).astype(np.float64)
         return heights * tile.scale + tile.offset if self._converts else heights
 
@@ -197,18 +200,18 @@ class Composite:
 
 
 def _source_box(
-    lattice: Lattice, near: np.ndarray, nodes: BlockNodes, piece: Piece
+    lattice: TileLattice, near: np.ndarray, nodes: BlockNodes, piece: GridPiece
 ) -> tuple[int, int, int, int] | None:
     """Return the columns and rows of a lattice that a piece needs, with EDGE more; None for none.
 
     They are those of the nodes around the piece, within the rectangles of the tiles near it.
     """
     x, y = piece.column % BLOCK, piece.row % BLOCK
-    cells = slice(y // nodes.spacing, (y + piece.rows - 1) // nodes.spacing + 2)
-    cells = cells, slice(x // nodes.spacing, (x + piece.columns - 1) // nodes.spacing + 2)
+    down = slice(y // nodes.spacing, (y + piece.rows - 1) // nodes.spacing + 2)
+    across = slice(x // nodes.spacing, (x + piece.columns - 1) // nodes.spacing + 2)
     box = []
     for values, ends, period in ((nodes.u, (0, 2), lattice.period), (nodes.v, (1, 3), 0)):
-        part = _inner(values, nodes, (y, x), piece) if nodes.spacing == BLOCK else values[cells]
+        part = _inner(values, nodes, (y, x), piece) if nodes.spacing == BLOCK else values[down, across]
         part = part[np.isfinite(part)]
         if not len(part):
             return None
@@ -221,7 +224,7 @@ def _source_box(
     return box[0][0], box[1][0], box[0][1], box[1][1]
 
 
-def _inner(values: np.ndarray, nodes: BlockNodes, first: tuple[int, int], piece: Piece) -> np.ndarray:
+def _inner(values: np.ndarray, nodes: BlockNodes, first: tuple[int, int], piece: GridPiece) -> np.ndarray:
     """Return the values at a piece's corners where the nodes are the corners of the whole block."""
     corners = []
     for y in (first[0], first[0] + piece.rows - 1):
@@ -233,7 +236,7 @@ def _inner(values: np.ndarray, nodes: BlockNodes, first: tuple[int, int], piece:
 
 
 def _resample(
-    piece: Piece, nodes: BlockNodes, window: LatticeWindow, out: np.ndarray, ranks: np.ndarray, moved: np.ndarray
+    piece: GridPiece, nodes: BlockNodes, window: LatticeWindow, out: np.ndarray, ranks: np.ndarray, moved: np.ndarray
 ) -> None:
     """Write the samples of a piece that a lattice has with the highest rank so far."""
     height, width = window.values.shape

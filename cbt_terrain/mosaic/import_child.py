@@ -13,7 +13,7 @@ from ..importing.source_formats import FORMATS
 from ..importing.source_list import INDEX_SUFFIXES, files_of
 from ..importing.store_job import Tell, serve
 from .mosaic_source import mosaic_raster, open_composite
-from .report import KEPT, describe_mosaic
+from .report import IMPORT_ENTRIES, describe_mosaic
 
 SCANNED = 0.05  # of the progress: headers are read
 
@@ -40,10 +40,10 @@ def run_mosaic_import(
         composite = open_composite(settings, path, lambda done: on_progress(SCANNED * done, READING))
         raster = mosaic_raster(composite, settings)
         if finished_before(path, source_digest(settings, raster.sources)) is None:
-            details = describe_mosaic(composite, raster, settings)
+            details = describe_mosaic(composite, settings)
             on_progress(SCANNED, READING, details)
             raster.warnings += details["warnings"]
-            raster.details |= {name: details[name] for name in KEPT if name in details}
+            raster.details |= {name: details[name] for name in IMPORT_ENTRIES if name in details}
         return raster
 
     return run_import(

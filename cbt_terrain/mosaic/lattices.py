@@ -20,7 +20,7 @@ ROUNDING = 1e-7  # samples; less is the rounding of coordinates
 
 
 @dataclass(frozen=True)
-class Lattice:
+class TileLattice:
     """Tiles on one grid.
 
     Attributes:
@@ -63,7 +63,7 @@ def _indices(origin: tuple, steps: tuple, x: np.ndarray, y: np.ndarray) -> tuple
     return (e * dx - b * dy) / area, (a * dy - d * dx) / area
 
 
-def find_lattices(tiles: Sequence[SourceTile]) -> list[Lattice]:
+def find_lattices(tiles: Sequence[SourceTile]) -> list[TileLattice]:
     """Return the lattices of tiles, which are in the order of priority, ascending."""
     groups: dict[tuple, list[int]] = {}
     for number, tile in enumerate(tiles):
@@ -72,10 +72,9 @@ def find_lattices(tiles: Sequence[SourceTile]) -> list[Lattice]:
     for numbers in groups.values():
         while numbers:
             first = tiles[numbers[0]]
-            places = {n: _place(first, tiles[n]) for n in numbers}
-            joined = [n for n in numbers if places[n] is not None]
-            found.append(_lattice(tiles, joined, [places[n] for n in joined]))
-            numbers = [n for n in numbers if places[n] is None]
+            places = {n: place for n in numbers if (place := _place(first, tiles[n])) is not None}
+            found.append(_lattice(tiles, list(places), list(places.values())))
+            numbers = [n for n in numbers if n not in places]
     return found
 
 
@@ -106,7 +105,7 @@ def _place(first: SourceTile, tile: SourceTile) -> tuple[int, int, float] | None
     return (column, row, off) if off <= MAX_OFF_GRID else None
 
 
-def _lattice(tiles: Sequence[SourceTile], numbers: list[int], places: list[tuple]) -> Lattice:
+def _lattice(tiles: Sequence[SourceTile], numbers: list[int], places: list[tuple]) -> TileLattice:
     """Return the lattice of tiles whose places on it are known."""
     first = tiles[numbers[0]]
     a, b, _, d, e, _ = first.transform
@@ -116,7 +115,7 @@ def _lattice(tiles: Sequence[SourceTile], numbers: list[int], places: list[tuple
     ]
     off = max(place[2] for place in places)
     period = period_of(first.crs) / a if d == 0.0 else 0.0
-    return Lattice(
+    return TileLattice(
         crs=first.crs,
         origin=first.position(0, 0),
         steps=(a, b, d, e),

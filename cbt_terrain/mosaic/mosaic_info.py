@@ -2,6 +2,7 @@
 """The report on a mosaic that is not imported; a sandboxed child process reads the files."""
 
 import dataclasses
+from typing import Any
 
 from ...kernels.mosaic import resample
 from ..importing.guard import guard_import
@@ -11,7 +12,7 @@ from ..importing.source_list import files_of
 from ..importing.store_job import ask, serve
 from ..run import child
 from .import_child import paths_of
-from .mosaic_source import check_settings, mosaic_raster, open_composite
+from .mosaic_source import check_settings, georeference_of, mosaic_raster, open_composite
 from .report import describe_mosaic
 
 
@@ -28,7 +29,7 @@ def child_main() -> None:
     serve(_describe, lambda request: f"Reading {request['settings']['source']}")
 
 
-def _describe(request: dict, *_) -> dict:
+def _describe(request: dict, *_: Any) -> dict:
     """Return the report, in a child process that first gives up its rights."""
     settings = ImportSettings(**request["settings"])
     guard_import(settings, None, paths_of(settings), (resample,))
@@ -36,8 +37,8 @@ def _describe(request: dict, *_) -> dict:
     composite = open_composite(settings, None)
     try:
         raster = mosaic_raster(composite, settings)
-        report = describe_mosaic(composite, raster, settings)
-        place = raster.georeference
+        report = describe_mosaic(composite, settings)
+        place = georeference_of(composite.grid)
         report["warnings"] = [*report["warnings"], *raster.warnings, *place.warnings, *place.size_warnings]
         return report
     finally:

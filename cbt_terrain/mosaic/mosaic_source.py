@@ -5,15 +5,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import TerrainError, shown
-from ..field.georeference import from_transform
+from ..field.georeference import Georeference, from_transform
 from ..importing.file_grid import FileGrid, unit_of
 from ..importing.length_scale import length_warnings, mirror_warnings
 from ..importing.raster import ImportSettings, Raster
 from .catalogue import SourceTile, build_catalogue, keep_catalogue
 from .composite import Composite
 from .systems import crs_of
-from .target_grid import choose_grid, footprints
+from .target_grid import TargetGrid, choose_grid, footprints
 
 BLOCK_ROWS = 128  # read together; a quarter of most files' tiles, which GDAL's cache keeps meanwhile
 MAX_WARNINGS = 3  # of files
@@ -38,14 +40,19 @@ def check_settings(settings: ImportSettings) -> None:
         )
 
 
-def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
-    """Return a composite as the raster of an import."""
-    grid = composite.grid
+def georeference_of(grid: TargetGrid) -> Georeference:
+    """Return the georeference of a grid, with a warning about wrong lengths."""
     crs = crs_of(grid.crs) if grid.crs else None
     place = FileGrid(crs, grid.transform)
     georeference = from_transform(grid.transform, grid.width, grid.height, crs=grid.crs, **unit_of(crs))
     notes = length_warnings(place, grid.width, grid.height, georeference)
-    georeference = replace(georeference, size_warnings=(*georeference.size_warnings, *notes))
+    return replace(georeference, size_warnings=(*georeference.size_warnings, *notes))
+
+
+def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
+    """Return a composite as the raster of an import."""
+    grid = composite.grid
+    place = FileGrid(crs_of(grid.crs) if grid.crs else None, grid.transform)
     raster = Raster(
         width=grid.width,
         height=grid.height,
@@ -53,7 +60,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         stored=composite.stored,
         format="mosaic",
         grid=place,
-        georeference=georeference,
+        georeference=georeference_of(grid),
         is_sized=True,
         has_unit=True,
         block_rows=BLOCK_ROWS,
@@ -66,7 +73,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         close=composite.close,
     )
 
-    def window(first: int, count: int, column: int, columns: int):
+    def window(first: int, count: int, column: int, columns: int) -> np.ndarray:
         """Read a window, and keep the largest difference that positions have made so far."""
         values, moved = composite.read(first, count, column, columns)
         raster.moved = max(raster.moved, moved)

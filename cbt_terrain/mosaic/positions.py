@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .lattices import Lattice
+from .lattices import TileLattice
 from .systems import period_of, projected
 from .target_grid import TargetGrid
 
@@ -39,7 +39,7 @@ class BlockNodes(NamedTuple):
     error_v: float
 
 
-def nodes_of(lattice: Lattice, grid: TargetGrid, column: int, row: int) -> BlockNodes:
+def nodes_of(lattice: TileLattice, grid: TargetGrid, column: int, row: int) -> BlockNodes:
     """Return the nodes of the block with these numbers: its first sample is (column, row) * BLOCK."""
     if lattice.crs == grid.crs:
         error = lattice.off_grid + (0.0 if is_congruent(lattice, grid) else SNAPPED)
@@ -59,7 +59,7 @@ def nodes_of(lattice: Lattice, grid: TargetGrid, column: int, row: int) -> Block
     return BlockNodes(u, v, spacing, MARGIN * error_u + more, MARGIN * error_v + more)
 
 
-def is_congruent(lattice: Lattice, grid: TargetGrid) -> bool:
+def is_congruent(lattice: TileLattice, grid: TargetGrid) -> bool:
     """Return whether all samples of a grid in the lattice's system are samples of the lattice."""
     a, b, d, e = lattice.steps
     ratios = grid.step_x / abs(a), grid.step_y / abs(e) if e else 0.0
@@ -69,7 +69,7 @@ def is_congruent(lattice: Lattice, grid: TargetGrid) -> bool:
     return b == d == 0.0 and whole and max(off) < SNAPPED / 2
 
 
-def _exact(lattice: Lattice, grid: TargetGrid, column: int, row: int, step: int) -> tuple[np.ndarray, np.ndarray]:
+def _exact(lattice: TileLattice, grid: TargetGrid, column: int, row: int, step: int) -> tuple[np.ndarray, np.ndarray]:
     """Return exact columns and rows of the lattice at every `step` samples of a block, [rows, columns].
 
     Longitudes are continuous in the block, and its middle is within 180 degrees of the middle of the lattice.

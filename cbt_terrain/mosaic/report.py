@@ -12,8 +12,9 @@ from ..field.build import from_array
 from ..field.lattice import fit
 from ..importing.drafts import room_for
 from ..importing.file_grid import unit_of
-from ..importing.raster import ImportSettings, Raster
+from ..importing.raster import ImportSettings
 from .composite import Composite
+from .mosaic_source import georeference_of
 from .seams import SeamReport, find_seams
 from .systems import crs_of, period_of, projected
 
@@ -21,15 +22,13 @@ COVERAGE_POINTS = 256  # along each axis
 MEASURED_SIDE = 513  # samples whose reading and building is timed
 MAX_KINDS = 12
 # Entries that the report of an import has, too; it has its own sizes.
-KEPT = ("files", "kinds", "overlap_percent", "gap_percent")
-KEPT += tuple(
-    f"seam{name}" for name in ("s", "s_compared", "_samples", "_median_m", "_max_m", "_max_at", "_max_between")
-)
+SEAM_NAMES = ("s", "s_compared", "_samples", "_median_m", "_max_m", "_max_at", "_max_between")
+IMPORT_ENTRIES = (*("files", "kinds", "overlap_percent", "gap_percent"), *(f"seam{name}" for name in SEAM_NAMES))
 
 
-def describe_mosaic(composite: Composite, raster: Raster, settings: ImportSettings) -> dict:
+def describe_mosaic(composite: Composite, settings: ImportSettings) -> dict:
     """Return the report on a mosaic as JSON. Lengths are metres, coordinates those of its system."""
-    grid, place = composite.grid, raster.georeference
+    grid, place = composite.grid, georeference_of(composite.grid)
     west, north = grid.positions(np.array([grid.column]), np.array([grid.row]))
     last = grid.positions(np.array([grid.column + grid.width - 1]), np.array([grid.row + grid.height - 1]))
     overlap, gap = coverage(composite)

@@ -41,7 +41,8 @@ def find_seams(composite: Composite) -> SeamReport:
     """
     pairs = overlapping_pairs(composite)
     chosen = [pairs[len(pairs) * n // MAX_PAIRS] for n in range(MAX_PAIRS)] if len(pairs) > MAX_PAIRS else pairs
-    steps, places, numbers, names = [], [], [], []
+    steps, places, numbers = [], [], []
+    names: list[tuple[str, str]] = []
     for lower, upper in chosen:
         found, place = _seam_of(composite, lower, upper)
         if len(found):
@@ -86,9 +87,9 @@ def _seam_of(composite: Composite, lower: int, upper: int) -> tuple[np.ndarray, 
     return steps * scale, np.stack([x, y], axis=1)
 
 
-def _spread(first: int, last: int, most: int = MAX_SAMPLES) -> np.ndarray:
-    """Return whole numbers from `first` to `last`, all or `most` of them."""
-    return np.unique(np.linspace(first, last, min(last - first + 1, most)).astype(np.int64))
+def _spread(first: int, last: int, max_count: int = MAX_SAMPLES) -> np.ndarray:
+    """Return whole numbers from `first` to `last`, all or `max_count` of them."""
+    return np.unique(np.linspace(first, last, min(last - first + 1, max_count)).astype(np.int64))
 
 
 def _compare(

@@ -6,6 +6,7 @@ Functions import rasterio, so they run in a child process.
 
 import json
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ ELLIPSOID = "the ellipsoid"
 
 
 @lru_cache(maxsize=256)
-def crs_of(name: str):
+def crs_of(name: str) -> Any:
     """Return the rasterio CRS of a name from `horizontal_name`. Raises TerrainError."""
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
@@ -29,7 +30,7 @@ def crs_of(name: str):
         raise TerrainError(what, fix="give another, as EPSG:32632") from reason
 
 
-def names_of(crs) -> tuple[str, str, str]:
+def names_of(crs: Any) -> tuple[str, str, str]:
     """Return the names of a CRS's horizontal part, of the whole system and of its vertical datum, "" for none.
 
     crs: a rasterio CRS.

@@ -11,7 +11,7 @@ from .positions import BLOCK
 UNCOVERED, NO_DATA = -1, -2  # ranks, as in kernels/mosaic/resample.py
 
 
-class Piece(NamedTuple):
+class GridPiece(NamedTuple):
     """A part of one block of the grid: its first column and row, as numbers of the grid, and its size."""
 
     column: int
@@ -24,7 +24,7 @@ class Piece(NamedTuple):
         """Return the numbers of the block."""
         return self.column // BLOCK, self.row // BLOCK
 
-    def halves(self) -> tuple["Piece", "Piece"]:
+    def halves(self) -> tuple["GridPiece", "GridPiece"]:
         """Divide the longer side."""
         if self.columns >= self.rows:
             left = self.columns // 2
@@ -52,10 +52,10 @@ class LatticeWindow(NamedTuple):
     tile_ranks: np.ndarray
 
 
-def pieces_of(column: int, row: int, columns: int, rows: int) -> Iterator[Piece]:
+def pieces_of(column: int, row: int, columns: int, rows: int) -> Iterator[GridPiece]:
     """Divide a window into its parts of blocks."""
     for y in range(row // BLOCK, (row + rows - 1) // BLOCK + 1):
         y0, y1 = max(row, y * BLOCK), min(row + rows, (y + 1) * BLOCK)
         for x in range(column // BLOCK, (column + columns - 1) // BLOCK + 1):
             x0, x1 = max(column, x * BLOCK), min(column + columns, (x + 1) * BLOCK)
-            yield Piece(x0, y0, x1 - x0, y1 - y0)
+            yield GridPiece(x0, y0, x1 - x0, y1 - y0)

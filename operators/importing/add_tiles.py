@@ -35,7 +35,7 @@ class ChosenFiles:
 
 
 class AddTiles(ChosenFiles, bpy.types.Operator):
-    """Add height maps to this terrain, and import all of them as one. Later files lie on top"""
+    """Add height maps to this terrain, and import all of them as one. Later files cover earlier ones"""
 
     bl_idname = "adaptive_terrain.add_tiles"
     bl_label = "Add Tiles"

@@ -44,7 +44,8 @@ def neighbour_notes(obj, others) -> list[str]:
                 else f"{both} share a line of samples, where their meshes may be apart by up to the sum of both errors"
             )
             notes.append(
-                f"{problem}: merge the files (gdalbuildvrt merged.vrt {files}) and import merged.vrt as one terrain."
+                f"{problem}: import both as one terrain (press Add Tiles on one of them, or adaptive-terrain import "
+                f"{files})."
             )
     return notes
 

@@ -16,12 +16,12 @@ EAST, NORTH = 572_000.0, 5_540_500.0  # a place at 50 degrees north in UTM zone 
 
 
 def land(x, y):
-    """Heights in metres at coordinates of UTM zone 32."""
+    """Return heights in metres at coordinates of UTM zone 32."""
     return 800.0 + 90.0 * np.sin(x / 310.0) * np.cos(y / 270.0) + 12.0 * np.sin(x / 41.0 + y / 57.0)
 
 
 def moved(source, target, x, y):
-    """Coordinates in another system, exact, in the shape of the given ones."""
+    """Return coordinates in another system, exact, in the shape of the given ones."""
     x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
     found = transform(source, target, x.ravel(), y.ravel())
     return np.array(found[0]).reshape(x.shape), np.array(found[1]).reshape(x.shape)
@@ -39,12 +39,12 @@ class Sheet:
     heights: np.ndarray
 
     def indices(self, crs, x, y):
-        """Columns and rows of positions."""
+        """Return columns and rows of positions."""
         x, y = moved(crs, self.crs, x, y)
         return (x - self.west) / self.step_x - 0.5, (self.north - y) / self.step_y - 0.5
 
     def at(self, crs, x, y):
-        """Bilinear heights at positions, NaN outside of the samples and beside missing ones."""
+        """Return bilinear heights at positions, NaN outside of the samples and beside missing ones."""
         u, v = self.indices(crs, x, y)
         rows, columns = self.heights.shape
         inside = (u > -1e-7) & (u < columns - 1 + 1e-7) & (v > -1e-7) & (v < rows - 1 + 1e-7)
@@ -69,7 +69,7 @@ class Sheet:
 
 
 def sheet(crs, west, north, step_x, step_y, columns, rows, shift=0.0, unit=1.0):
-    """The land in a system, rounded as a float32 of a unit stores it. shift: metres added."""
+    """Return the land in a system, rounded as a float32 of a unit stores it. shift: metres added."""
     i, j = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
     x, y = moved(crs, UTM32, west + i * step_x, north - j * step_y)
     stored = ((land(x, y) + shift) / unit).astype(np.float32)
@@ -77,7 +77,7 @@ def sheet(crs, west, north, step_x, step_y, columns, rows, shift=0.0, unit=1.0):
 
 
 def top(sheets, crs, x, y):
-    """Heights of the last sheet that has one at each position."""
+    """Return heights of the last sheet that has one at each position."""
     heights = np.full(np.shape(x), np.nan)
     for one in sheets:
         found = one.at(crs, x, y)

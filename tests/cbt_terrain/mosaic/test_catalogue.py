@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The catalogue of a mosaic's headers: what it takes, what it refuses, and what a store keeps of it."""
+"""The catalogue of a mosaic's headers: accepted sources, refused sources, and the part that a store keeps."""
 
 import json
 import os

@@ -16,7 +16,7 @@ from rasters import hills, write_raster
 
 @pytest.fixture(scope="module")
 def three(tmp_path_factory):
-    """Files in degrees, UTM 33 and UTM 32, and their sheets, the last on top."""
+    """Write files in degrees, UTM 33 and UTM 32, and return them with their sheets, the last on top."""
     folder = tmp_path_factory.mktemp("three")
     west, north = (float(v) for v in moved(UTM32, DEGREES, EAST, NORTH))
     base = sheet(DEGREES, west, north, 1 / 3600, 1 / 3600, 150, 100, shift=3.0)

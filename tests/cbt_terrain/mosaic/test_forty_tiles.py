@@ -17,7 +17,7 @@ MISSING = slice(24, 48), slice(54, 72)  # of the southern band, a tile that is n
 
 @pytest.fixture(scope="module")
 def mosaic(tmp_path_factory):
-    """The store of forty tiles, its report, the sheets, and a sheet for each tile in the order of the files."""
+    """Return the store of forty tiles, its report, the sheets, and a sheet for each tile in the order of the files."""
     folder = tmp_path_factory.mktemp("forty")
     x, y = (float(v) for v in moved(DEGREES, UTM32, WEST, LATITUDE))
     x3, y3 = (float(v) for v in moved(UTM32, UTM33, x + 250, y + 500))
@@ -30,7 +30,7 @@ def mosaic(tmp_path_factory):
     tiles = []
 
     def cut(name, one, rows, columns, shared=0, **options):
-        """Write a sheet as tiles of so many rows and columns."""
+        """Write a sheet as tiles of `rows` x `columns` samples."""
         for row in range(0, one.heights.shape[0] - shared, rows):
             for column in range(0, one.heights.shape[1] - shared, columns):
                 if one is south and row == MISSING[0].start and column == MISSING[1].start:
@@ -60,7 +60,7 @@ def mosaic(tmp_path_factory):
 
 
 def positions(field, every=1):
-    """Coordinates of every so many samples, row 0 south."""
+    """Return the coordinates of every n-th sample, row 0 south."""
     rows, columns = field.samples.shape
     lattice = field.lattice
     x = field.origin[0] + (np.arange(columns) - (columns - 1) / 2) * lattice.step_x

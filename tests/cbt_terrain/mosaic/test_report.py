@@ -19,7 +19,7 @@ def opened(*files, **more):
 
 @pytest.fixture
 def pair(tmp_path):
-    """Two tiles that share one row of samples, the second 2 m higher."""
+    """Write two tiles that share one row of samples, the second 2 m higher."""
     first = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 40, 30)
     second = sheet(UTM32, EAST, NORTH - 290, 10.0, 10.0, 40, 30, shift=2.0)
     return first.write(tmp_path / "tiles" / "a.tif"), second.write(tmp_path / "tiles" / "b.tif")

@@ -4,12 +4,14 @@
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.query.ground import ground_at
 from adaptive_terrain.operators.importing.imported import tag_object
 from adaptive_terrain.operators.importing.placement_notes import neighbour_notes
-from rasters import hills, imported, write_raster
+from rasters import hills, write_raster
 
 
 def placed(name: str, crs: str, x: float, y: float):
@@ -52,7 +54,7 @@ def tile(folder, name: str, columns: int, rows: int, x: float, y: float, cell=10
 
 def seams(*objects):
     """Return the notes of the last of the objects about the seam to the first."""
-    return [note for note in neighbour_notes(objects[-1], objects) if "gdalbuildvrt" in note]
+    return [note for note in neighbour_notes(objects[-1], objects) if "Add Tiles" in note]
 
 
 OPEN, SHARED = "one cell between them stays open", "apart by up to the sum of both errors"
@@ -79,26 +81,19 @@ def test_tiles_that_touch_along_a_side_warn(scene, tmp_path, crs, cell, corner, 
     first = tile(tmp_path, "first", 40, 30, *corner, cell, crs)
     notes = seams(first, tile(tmp_path, "second", columns, rows, x, y, other_cell, crs))
     assert len(notes) == (seam is not None)
-    assert not notes or (seam in notes[0] and "gdalbuildvrt merged.vrt first.tif second.tif" in notes[0])
+    assert not notes or (seam in notes[0] and "adaptive-terrain import first.tif second.tif" in notes[0])
 
 
-def test_a_merged_raster_has_the_ground_between_its_tiles(scene, tmp_path):
+def test_tiles_imported_together_have_the_ground_between_them(scene, tmp_path):
     """What the warning says to do leaves nothing open."""
-    heights = hills(80, 30)
-    merge = tmp_path / "merged.vrt"
-    sources = ""
+    heights, files = hills(80, 30), []
     for name, first in (("w", 0), ("e", 40)):
         transform = (10.0, 0.0, 6e5 + 10.0 * first, 0.0, -10.0, 5.2e6)
-        write_raster(tmp_path / f"{name}.tif", heights[:, first : first + 40], crs="EPSG:32632", transform=transform)
-        sources += (
-            f'<SimpleSource><SourceFilename relativeToVRT="1">{name}.tif</SourceFilename><SourceBand>1</SourceBand>'
-            f'<SrcRect xOff="0" yOff="0" xSize="40" ySize="30"/><DstRect xOff="{first}" yOff="0" xSize="40" '
-            'ySize="30"/></SimpleSource>'
+        file = write_raster(
+            tmp_path / f"{name}.tif", heights[:, first : first + 40], crs="EPSG:32632", transform=transform
         )
-    merge.write_text(
-        '<VRTDataset rasterXSize="80" rasterYSize="30"><SRS>EPSG:32632</SRS><GeoTransform>600000, 10, 0, 5200000, 0, '
-        f'-10</GeoTransform><VRTRasterBand dataType="Float32" band="1">{sources}</VRTRasterBand></VRTDataset>'
-    )
-    field, _ = imported(tmp_path, merge)
+        files.append(str(file))
+    run_mosaic_import(ImportSettings(files[0], more_sources=files[1:]), tmp_path / "store")
+    field = open_store(tmp_path / "store")
     between = np.array([[600400.0 - field.origin[0], 5199855.0 - field.origin[1]]])  # in row 14, between the tiles
     assert ground_at(field, between).heights[0] == pytest.approx(heights[14, 39:41].mean(), abs=1e-3)

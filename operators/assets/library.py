@@ -12,11 +12,14 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.run import child
+from ...cbt_terrain.run.named_file import read_regular
 from ...cbt_terrain.run.owned_files import real_path
+from ..text.console import print_line
 from .build import AUTHOR, BLEND, STAMP
 
 ASSETS = 1  # raise it when the assets change within a version
 DELAY_S, POLL_S = 3.0, 0.5  # after the start of Blender, when its window is drawn; between looks at the child
+MAX_STAMP = 200  # bytes
 PACKAGE = __package__.rsplit(".", 2)[0]
 _process: subprocess.Popen | None = None
 
@@ -31,7 +34,7 @@ def library_folder(create: bool = False) -> Path | None:
 def is_current(folder: Path) -> bool:
     """Return whether a folder has the library of this version."""
     try:
-        return (folder / BLEND).is_file() and (folder / STAMP).read_text(encoding="utf-8") == _stamp()
+        return (folder / BLEND).is_file() and read_regular(folder / STAMP, MAX_STAMP) == _stamp().encode()
     except (OSError, ValueError):
         return False
 
@@ -78,13 +81,13 @@ def _turn() -> float | None:
         try:
             _process = start_writing(folder)
         except OSError as reason:
-            print(f"Adaptive Terrain: the asset library cannot be written ({reason})")
+            print_line(f"Adaptive Terrain: the asset library cannot be written ({reason})")
             return None
         return POLL_S
     if _process is not None and (code := child.poll(_process)) is None:
         return POLL_S
     if _process is not None and code:
-        print(f"Adaptive Terrain: the asset library cannot be written (exit code {code})")
+        print_line(f"Adaptive Terrain: the asset library cannot be written (exit code {code})")
     _process = None
     if is_current(folder):
         add_entry(folder)

@@ -57,7 +57,7 @@ MENU_ENTRIES = (
     (bpy.types.VIEW3D_MT_object, object_menu.draw_entry),
 )
 PRESETS = str(Path(__file__).parent)  # the folder that holds "presets"
-# Modules with timers, threads, keys and drawing of their own; they stop before the operators go.
+# Modules with timers, threads, keys and drawing; they stop before the operators go.
 SERVICES = (translations, store_paths, asset_library, render_wait, shape_land, overlay_panel, live, status_bar)
 
 

@@ -13,13 +13,14 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO, NamedTuple
+from typing import IO, NamedTuple
 
 from ..errors import TerrainError, shown
 from ..field import store_folder
 from ..run import owned_files, partial_files
 from ..run.named_file import open_regular
 from ..run.owned_files import NotOursError
+from .raster import ImportSettings
 from .sidecars import SUFFIXES
 from .source_formats import FORMATS, SourceFormat
 
@@ -69,7 +70,7 @@ def read_head(path: Path, count: int) -> bytes:
         raise _damaged(path, reason) from reason
 
 
-def open_archive(path: Path, _settings) -> None:
+def open_archive(path: Path, _settings: ImportSettings) -> None:
     """Refuse an archive that was not unpacked, such as one inside an archive. Raises TerrainError."""
     raise TerrainError(f"{shown(path)} is an archive", expected="a height map here", fix="unpack it first")
 
@@ -119,7 +120,7 @@ def _unpack(path: Path, folder: Path) -> Path:
     return target
 
 
-def _copy(path: Path, source: BinaryIO, target: Path, max_bytes: int) -> None:
+def _copy(path: Path, source: IO[bytes] | gzip.GzipFile, target: Path, max_bytes: int) -> None:
     """Copy at most `max_bytes` into a new file. Raises TerrainError for more, or for too little room."""
     free, size = shutil.disk_usage(target.parent).free, 0
     with target.open("xb") as file:

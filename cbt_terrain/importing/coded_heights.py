@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import TerrainError, shown
 from .raster import ImportSettings
+from .rasterio_types import DatasetReader
 
 PLAIN = "plain"  # the encoding of an image without codes, even if it looks like one
 HALF_WORLD = math.pi * 6378137.0  # metres of web mercator, EPSG:3857
@@ -57,7 +58,7 @@ def codes_of(bands: np.ndarray) -> np.ndarray:
     return codes
 
 
-def decoded(path: Path, dataset, settings: ImportSettings):
+def decoded(path: Path, dataset: DatasetReader, settings: ImportSettings) -> DatasetReader:
     """Return a rasterio dataset of heights: `dataset`, or its decoded copy in memory if it holds coded ones.
 
     The copy has one band of codes with their scale, offset, unit and no-data value, and the position of a web map tile.
@@ -84,7 +85,7 @@ def decoded(path: Path, dataset, settings: ImportSettings):
     return _decode(path, dataset, CODINGS[name])
 
 
-def _decode(path: Path, dataset, coding: HeightCoding):
+def _decode(path: Path, dataset: DatasetReader, coding: HeightCoding) -> DatasetReader:
     """Copy a dataset of coded heights into memory, decoded, and close it."""
     import rasterio
     from rasterio.windows import Window
@@ -115,13 +116,15 @@ def _tile_place(tile: tuple[int, int, int], side: int) -> dict:
     return {"crs": "EPSG:3857", "transform": Affine(size / side, 0.0, corner[0], 0.0, -size / side, corner[1])}
 
 
-def _recognised(path: Path, dataset) -> str:
+def _recognised(path: Path, dataset: DatasetReader) -> str:
     """Return the encoding of a web map tile if only one gives heights on Earth without cliffs; "" otherwise."""
     if max(dataset.width, dataset.height) > MAX_TILE or dataset.width != dataset.height:
         return ""
     codes = codes_of(dataset.read())
     valid = codes != MISSING
-    pixel = 2.0 * HALF_WORLD / (1 << tile_of(path)[0]) / dataset.width
+    tile = tile_of(path)
+    assert tile is not None, "its path is that of a tile"
+    pixel = 2.0 * HALF_WORLD / (1 << tile[0]) / dataset.width
     found = []
     for name, coding in CODINGS.items():
         heights = np.where(valid, codes * coding.scale + coding.offset, np.nan)

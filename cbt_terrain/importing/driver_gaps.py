@@ -11,6 +11,7 @@ import numpy as np
 
 from ..run.named_file import open_regular
 from .file_grid import FileGrid
+from .rasterio_types import DatasetReader
 
 GRAVITY = 9.80665  # m/s^2: a geopotential divided by it is a height
 BT_SCALE_AT, BT_SCALES = 62, (0.0, 1.0)
@@ -36,14 +37,14 @@ class BandFacts(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-def band_facts(path: Path, dataset, band: int, grid: FileGrid) -> BandFacts:
+def band_facts(path: Path, dataset: DatasetReader, band: int, grid: FileGrid) -> BandFacts:
     """Return a band's grid and unit, corrected by facts that the driver leaves out. grid: as GDAL reports it."""
     facts = BandFacts(grid, (dataset.units[band - 1] or "").strip())
     correct = _CORRECTIONS.get(dataset.driver)
     return facts if correct is None else correct(path, dataset, band, facts)
 
 
-def _correct_bt(path: Path, _dataset, _band: int, facts: BandFacts) -> BandFacts:
+def _correct_bt(path: Path, _dataset: DatasetReader, _band: int, facts: BandFacts) -> BandFacts:
     """Read the metres in a unit of heights. GDAL reports only the scales of metres and feet."""
     with open_regular(path, links=True) as file:
         (scale,) = struct.unpack_from("<f", file.read(256), BT_SCALE_AT)
@@ -52,7 +53,7 @@ def _correct_bt(path: Path, _dataset, _band: int, facts: BandFacts) -> BandFacts
     return facts._replace(unit="m", factor=float(f"{scale:.7g}"))
 
 
-def _correct_saga(path: Path, _dataset, _band: int, facts: BandFacts) -> BandFacts:
+def _correct_saga(path: Path, _dataset: DatasetReader, _band: int, facts: BandFacts) -> BandFacts:
     """Read the unit and the factor of heights in a SAGA grid's header, which GDAL ignores."""
     header = path.with_suffix(".sgrd")
     with open_regular(header, links=True) as file:
@@ -66,7 +67,7 @@ def _correct_saga(path: Path, _dataset, _band: int, facts: BandFacts) -> BandFac
     return facts._replace(unit=entries.get("UNIT", ""), factor=factor)
 
 
-def _correct_grib(_path: Path, dataset, band: int, facts: BandFacts) -> BandFacts:
+def _correct_grib(_path: Path, dataset: DatasetReader, band: int, facts: BandFacts) -> BandFacts:
     """Read the unit of a GRIB message; geopotentials become heights."""
     unit = dataset.tags(band).get("GRIB_UNIT", "").strip("[] ")
     if unit in ("m^2/s^2", "(m^2)/(s^2)", "m**2/s**2", "m2/s2"):
@@ -74,17 +75,18 @@ def _correct_grib(_path: Path, dataset, band: int, facts: BandFacts) -> BandFact
     return facts._replace(unit={"gpm": "m", "-": ""}.get(unit, unit))
 
 
-def _correct_terragen(_path: Path, _dataset, _band: int, facts: BandFacts) -> BandFacts:
+def _correct_terragen(_path: Path, _dataset: DatasetReader, _band: int, facts: BandFacts) -> BandFacts:
     """Drop the name of a system that is not on Earth. GDAL returns the north first, and places it in the south."""
+    assert facts.grid.transform is not None, "the format always has one"
     a, b, c, d, e, f = facts.grid.transform
     return facts._replace(grid=FileGrid(None, (a, b, c, d, -abs(e), f)))
 
 
-def _correct_netcdf(path: Path, dataset, band: int, facts: BandFacts) -> BandFacts:
+def _correct_netcdf(path: Path, dataset: DatasetReader, band: int, facts: BandFacts) -> BandFacts:
     """Find coordinates without a known name, assume WGS 84 for degrees, and warn about depths."""
     from rasterio.crs import CRS
 
-    grid, notes = facts.grid, []
+    grid, notes = facts.grid, list(facts.notes)
     names, values = next(((pair, found) for pair in AXES if (found := _axes(path, dataset, pair))), ((), ()))
     if grid.transform is None and not grid.problem and values:
         grid = grid._replace(transform=_transform(*values))
@@ -98,7 +100,7 @@ def _correct_netcdf(path: Path, dataset, band: int, facts: BandFacts) -> BandFac
     return facts._replace(grid=grid, notes=tuple(notes))
 
 
-def _axes(path: Path, dataset, names: tuple[str, str]) -> tuple[np.ndarray, np.ndarray] | None:
+def _axes(path: Path, dataset: DatasetReader, names: tuple[str, str]) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the coordinates of columns and rows in two variables of a netCDF file; None if they do not fit."""
     import rasterio
 

@@ -108,7 +108,7 @@ def base_crs(crs: CRS) -> CRS | None:
 
 
 @functools.lru_cache(maxsize=64)
-def _base_of(wkt: str):
+def _base_of(wkt: str) -> CRS | None:
     """Return the geographic system below that of a WKT; the files of a mosaic share a few."""
     from rasterio.crs import CRS
 

@@ -60,6 +60,7 @@ def keep_only_drivers(wanted: set[str]) -> list[str]:
 def open_raster(path: Path, settings: ImportSettings) -> Raster:
     """Open a raster file. Raises TerrainError if GDAL cannot."""
     form = format_of(path)
+    assert form is not None, "the file has the suffix of a format"
     driver = form.driver
     try:
         return _open_raster(path.absolute(), form, settings)
@@ -88,7 +89,12 @@ def _open_raster(path: Path, form: SourceFormat, settings: ImportSettings) -> Ra
 
 
 def raster_of(
-    path: Path, dataset, settings: ImportSettings, driver: str, notes: Sequence[str] = (), vrt: OpenedVrt | None = None
+    path: Path,
+    dataset: DatasetReader,
+    settings: ImportSettings,
+    driver: str,
+    notes: Sequence[str] = (),
+    vrt: OpenedVrt | None = None,
 ) -> Raster:
     """Return the band `settings.band` of an open rasterio dataset as a raster.
 

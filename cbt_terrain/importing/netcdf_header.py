@@ -3,6 +3,7 @@
 
 import os
 import struct
+from collections.abc import Callable
 from typing import BinaryIO
 
 SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 4, 6: 8, 7: 1, 8: 2, 9: 4, 10: 8, 11: 8}  # bytes of a value by its type
@@ -54,7 +55,7 @@ class _Header:
             raise ValueError
         self.file.seek(padded, os.SEEK_CUR)
 
-    def items(self, tag: int, read_item) -> None:
+    def items(self, tag: int, read_item: Callable[[], None]) -> None:
         """Read a list: its tag, its length and its items. An absent list has the tag 0."""
         found, length = self.number(), self.count()
         if found != (tag if length else found) or found not in (0, tag):

@@ -15,8 +15,10 @@ import numpy as np
 
 from ..errors import TerrainError, shown
 from ..run.named_file import open_regular
+from .file_grid import FileGrid
 from .las_header import las_damage
 from .raster import ImportSettings, Raster, cause
+from .rasterio_types import DatasetReader
 from .rounding import SourceRounding
 
 GROUND = 2  # class of points, by the ASPRS
@@ -220,7 +222,7 @@ def _sum_around(values: np.ndarray) -> np.ndarray:
     return found
 
 
-def _in_memory(heights: np.ndarray, grid):
+def _in_memory(heights: np.ndarray, grid: FileGrid) -> DatasetReader:
     """Return a rasterio dataset of heights in memory."""
     import rasterio
     from rasterio.transform import Affine
@@ -228,6 +230,7 @@ def _in_memory(heights: np.ndarray, grid):
     rows, columns = heights.shape
     shape = {"width": columns, "height": rows, "count": 1, "dtype": "float32", "nodata": NO_DATA}
     memory = rasterio.MemoryFile(ext=".tif")
+    assert grid.transform is not None
     with memory.open(driver="GTiff", crs=grid.crs, transform=Affine(*grid.transform), **shape) as copy:
         copy.write(np.where(np.isnan(heights), NO_DATA, heights).astype(np.float32), 1)
     return memory.open(driver="GTiff")

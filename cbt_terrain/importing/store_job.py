@@ -130,7 +130,8 @@ class ChildJob:
         if ended:
             self._reader.join()
         if "progress" in self._messages:
-            self._progress = JobProgress(*self._messages["progress"], preview=self._messages.get("preview"))
+            fraction, message = self._messages["progress"]
+            self._progress = JobProgress(fraction, message, preview=self._messages.get("preview"))
         if ended:
             self._finish()
         return self._progress

@@ -91,7 +91,7 @@ def a_key_shapes_before_the_render():
 
 
 def a_render_that_waits_is_cancelled(scene):
-    """A render from the menu waits in its thread. While the interface is locked no key reaches Python."""
+    """Cancel a render from the menu, which waits in its thread. While the interface is locked no key reaches Python."""
     scene.render.use_lock_interface = False
     run(bpy.ops.render.render, "INVOKE_DEFAULT")
     yield from until(lambda: render_wait.waiting is not None and render_wait.waiting.is_watched)

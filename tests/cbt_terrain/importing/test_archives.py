@@ -55,7 +55,7 @@ def test_a_gzipped_tiff_and_its_summary_agree_with_the_file(tmp_path):
 
 
 def test_files_beside_the_height_map_come_with_it(tmp_path):
-    """A header and a .prj in a folder of the archive count; a Surfer grid is told from GMT's by its first bytes."""
+    """A header and a .prj in a folder of the archive count. Surfer's first bytes differ from GMT's."""
     values = np.rint(hills(9, 7)).astype("<i2")
     header = "nrows 7\nncols 9\nnbits 16\nbyteorder I\npixeltype SIGNEDINT\n"
     header += "ulxmap 500015\nulymap 4000000\nxdim 30\nydim 30\n"

@@ -31,7 +31,7 @@ def mountain():
 
 
 def colours(heights, encoding):
-    """Return the three bytes of each height, by arithmetic of its own."""
+    """Return the three bytes of each height, by separate arithmetic."""
     step, base = STEPS[encoding]
     code = np.rint((heights - base) / step).astype(int)
     return np.stack([code // 65536, code // 256 % 256, code % 256]).astype(np.uint8)

@@ -12,7 +12,7 @@ MAX_SENTENCES, MAX_LENGTH = 3, 260
 WITHOUT = re.compile(
     r"\.(active|active_layer|align|location|rotation|filepath)$|^CancelJob\.|^AddStarterCollection\.kind\."
 )
-# Words of papers, of the code, and of nobody else.
+# Words that only papers and the code use.
 PRIVATE = re.compile(
     r"\b(splat|lattice|bisect\w*|diamond|stack|halo|digest|meshlets?|effects on heights|samples a side|thereof|whereto|"
     r"nowhere|none the less|no longer|what (is|lies|stays|of)|so far|so many|laid down|lay down)\b",

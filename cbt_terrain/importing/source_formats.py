@@ -79,7 +79,7 @@ _SURFER = (
 )
 _USGS_DEM = SourceFormat("USGS DEM", driver="USGSDEM")
 _POINTS = SourceFormat(
-    "LAS point cloud", "point_cloud:open_points", driver="GTiff", options=(BAND, CELL), library="laspy lazrs"
+    "LAS or LAZ", "point_cloud:open_points", driver="GTiff", options=(BAND, CELL), library="laspy lazrs"
 )
 _ARCHIVE = SourceFormat("archive of one", "archives:open_archive", options=_IMAGE, is_archive=True)
 FORMATS = {

@@ -31,7 +31,9 @@ def versions() -> dict:
     """Return the versions of all libraries, and the rights that the process reading height maps drops here."""
     from ... import __version__
 
-    installed = {name: _version(name) for name in ("numpy", "warp-lang", "rasterio", "OpenEXR", "bpy")}
+    installed = {
+        name: _version(name) for name in ("numpy", "warp-lang", "rasterio", "OpenEXR", "laspy", "lazrs", "bpy")
+    }
     system = f"{platform.system()} {platform.release()} {platform.machine()}"
     program = {"adaptive-terrain": __version__, "Python": platform.python_version(), "system": system}
     return program | installed | _ask({"settings": None}, "the versions of GDAL and PROJ")

@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Formats read through GDAL, compared with files that independent code wrote."""
 
+import os
+
 import numpy as np
 import pytest
+import rasterio
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.importing import driver_gaps, format_choice, guard, source_formats
+from adaptive_terrain.cbt_terrain.importing.build_store import source_digest
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.importing.sources import open_source
@@ -24,7 +28,7 @@ from height_files import (
     write_usgs_dem,
     write_xyz,
 )
-from rasters import imported
+from rasters import imported, write_raster
 from sandboxed_reads import read_in_sandbox
 
 
@@ -199,3 +203,22 @@ def test_a_damaged_netcdf_header_is_found_at_once(tmp_path):
     ):
         with pytest.raises(TerrainError, match=said):
             open_source(ImportSettings(str(tmp_path / name)))
+
+
+@pytest.mark.parametrize("name,write", [("a.xyz", write_xyz), ("a.sdat", write_saga), ("a.grd", write_surfer6)])
+def test_a_prj_beside_a_grid_names_its_system(tmp_path, name, write):
+    place = write_raster(tmp_path / "place.tif", heights(), crs="EPSG:32632", transform=(30, 0, 5e5, 0, -30, 4e6))
+    with rasterio.open(place) as dataset:
+        (tmp_path / "a.prj").write_text(dataset.crs.to_wkt())
+    raster, _ = raster_of(write(tmp_path / name, heights(), *METRES))
+    assert raster.georeference.crs == "EPSG:32632"
+
+
+def test_a_changed_header_of_a_saga_grid_is_imported_again(tmp_path):
+    source = write_saga(tmp_path / "a.sdat", heights(), *METRES)
+    before = source_digest(ImportSettings(str(source)))
+    write_saga(tmp_path / "a.sdat", heights(), *METRES, factor=0.25)
+    os.utime(source, ns=(1, 1))
+    changed = source_digest(ImportSettings(str(source)))
+    (tmp_path / "a.sgrd").write_text((tmp_path / "a.sgrd").read_text().replace("0.25", "0.5"))
+    assert len({before, changed, source_digest(ImportSettings(str(source)))}) == 3

@@ -9,6 +9,7 @@ import dataclasses
 import hashlib
 import json
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +33,7 @@ FILE_NAME = "catalogue.json"
 VERSION = 1
 MAX_BYTES = 1 << 30
 MAX_SIDE = 1 << 30  # samples
+_SYSTEM = re.compile(r"([A-Z]+:\w{1,16}|[A-Z_]+\[.*)?", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,6 @@ class SourceTile:
         height: rows.
         transform: from columns and rows of cells' corners to x and y of the CRS.
         crs: name of the horizontal coordinate system; "" if the file names none.
-        whole_crs: name of the whole system.
         datum: name of the vertical datum; "" if the file names none.
         stored: type of the samples.
         format: GDAL's driver.
@@ -62,7 +63,6 @@ class SourceTile:
     height: int
     transform: Transform
     crs: str
-    whole_crs: str
     datum: str
     stored: str
     format: str
@@ -182,7 +182,7 @@ def _read_tile(path: Path, settings: ImportSettings) -> SourceTile:
                 expected="a coordinate system and the position of its samples",
                 fix="place it first (gdal_translate -a_ullr, gdalwarp), or import it by itself",
             )
-        crs, whole, datum = names_of(grid.crs) if grid.crs is not None else ("", "", "")
+        crs, datum = names_of(grid.crs) if grid.crs is not None else ("", "")
         return SourceTile(
             path=str(path),
             files=(*files, *map(file_stat, raster.sources)),
@@ -190,7 +190,6 @@ def _read_tile(path: Path, settings: ImportSettings) -> SourceTile:
             height=raster.height,
             transform=_transform_of(grid.transform),
             crs=crs,
-            whole_crs=whole,
             datum=datum,
             stored=raster.stored,
             format=raster.format,
@@ -251,6 +250,9 @@ def _tile_of(entry: dict) -> SourceTile:
         raise ValueError("numbers of a tile are not finite")
     if not all(type(count) is int and 0 < count <= MAX_SIDE for count in counts):
         raise ValueError("a tile has an impossible size")
+    # GDAL's other notations for a coordinate system may name a file.
+    if not _SYSTEM.fullmatch(tile.crs):
+        raise ValueError("a coordinate system is neither a code nor WKT")
     np.dtype(tile.stored)
     return tile
 

@@ -31,7 +31,6 @@ class TileLattice:
         rectangles: int64 [tiles, 4], first column and row and the last ones, of each tile.
         off_grid: largest distance of a tile's samples from the lattice's, samples.
         period: columns in 360 degrees, 0 if there are none.
-        datum: name of the vertical datum, and the whole system that has it.
     """
 
     crs: str
@@ -41,8 +40,6 @@ class TileLattice:
     rectangles: np.ndarray
     off_grid: float
     period: int
-    datum: str
-    whole_crs: str
 
     def indices(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return columns and rows, float64, of positions in the lattice's system."""
@@ -86,7 +83,7 @@ def _key(tile: SourceTile) -> tuple:
         fractions = (round(math.cos(2 * math.pi * (x / a)), 2), round(math.cos(2 * math.pi * (y / e)), 2))
     else:
         fractions = (0.0, 0.0)
-    return tile.crs, tile.whole_crs, *(float(f"{step:.6g}") for step in (a, b, d, e)), *fractions
+    return tile.crs, *(float(f"{step:.6g}") for step in (a, b, d, e)), *fractions
 
 
 def _place(first: SourceTile, tile: SourceTile) -> tuple[int, int, float] | None:
@@ -123,6 +120,4 @@ def _lattice(tiles: Sequence[SourceTile], numbers: list[int], places: list[tuple
         rectangles=np.array(rectangles, np.int64),
         off_grid=off if off > ROUNDING else 0.0,
         period=abs(round(period)) if abs(period - round(period)) < MAX_OFF_GRID else 0,
-        datum=first.datum,
-        whole_crs=first.whole_crs,
     )

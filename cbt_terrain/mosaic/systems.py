@@ -19,7 +19,7 @@ ELLIPSOID = "the ellipsoid"
 
 @lru_cache(maxsize=256)
 def crs_of(name: str) -> Any:
-    """Return the rasterio CRS of a name from `horizontal_name`. Raises TerrainError."""
+    """Return the rasterio CRS of a name from `names_of`. Raises TerrainError."""
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
 
@@ -30,8 +30,8 @@ def crs_of(name: str) -> Any:
         raise TerrainError(what, fix="give another, as EPSG:32632") from reason
 
 
-def names_of(crs: Any) -> tuple[str, str, str]:
-    """Return the names of a CRS's horizontal part, of the whole system and of its vertical datum, "" for none.
+def names_of(crs: Any) -> tuple[str, str]:
+    """Return the names of a CRS's horizontal part and of its vertical datum, "" for none.
 
     crs: a rasterio CRS.
     """
@@ -39,7 +39,7 @@ def names_of(crs: Any) -> tuple[str, str, str]:
 
 
 @lru_cache(maxsize=256)
-def _names_of(wkt: str) -> tuple[str, str, str]:
+def _names_of(wkt: str) -> tuple[str, str]:
     """Return the names for the CRS of a WKT; files of a mosaic share a few."""
     from rasterio.crs import CRS
 
@@ -48,9 +48,9 @@ def _names_of(wkt: str) -> tuple[str, str, str]:
     content = content.get("source_crs", content) if content.get("type") == "BoundCRS" else content
     if content.get("type") == "CompoundCRS":
         plane, vertical = content["components"][:2]
-        return CRS.from_user_input(json.dumps(plane)).to_string(), crs.to_string(), _datum_name(vertical)
+        return CRS.from_user_input(json.dumps(plane)).to_string(), _datum_name(vertical)
     axes = content.get("coordinate_system", {}).get("axis", ())
-    return crs.to_string(), crs.to_string(), ELLIPSOID if len(axes) == 3 else ""
+    return crs.to_string(), ELLIPSOID if len(axes) == 3 else ""
 
 
 def _datum_name(vertical: dict) -> str:

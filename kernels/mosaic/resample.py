@@ -57,11 +57,9 @@ def resample_rows(
     spacing: int,
     nodes_u: wp.array(dtype=wp.float64),
     nodes_v: wp.array(dtype=wp.float64),
-    nodes_shift: wp.array(dtype=wp.float64),
     stride: int,
     error_u: wp.float64,
     error_v: wp.float64,
-    error_shift: wp.float64,
     values: wp.array(dtype=wp.float64),
     ranks: wp.array(dtype=wp.int32),
     width: int,
@@ -79,10 +77,8 @@ def resample_rows(
         first_column, first_row: first sample of the window, counted from the block's corner.
         spacing: samples between nodes.
         nodes_u, nodes_v: columns and rows of the lattice at the block's nodes.
-        nodes_shift: heights to add, at the nodes; empty for none.
         stride: nodes a row.
         error_u, error_v: largest errors of interpolated columns and rows, source samples.
-        error_shift: largest error of interpolated shifts.
         values: samples of the lattice, NaN where missing, with a margin of 3 around those that the window needs.
         ranks: number of each sample's tile in the order of priority, UNCOVERED or NO_DATA.
         width, height: shape of `values`.
@@ -134,11 +130,9 @@ def resample_rows(
         if rank <= out_ranks[n]:
             continue
         z = between(between(values[k], values[k + right], f), between(values[k + down], values[k + down + right], f), g)
-        error = error_shift
+        error = wp.float64(0.0)
         if error_u > wp.float64(0.0) or error_v > wp.float64(0.0):
-            error += error_u * steepest(values, k, 1, width) + error_v * steepest(values, k, width, 1)
-        if nodes_shift.shape[0] > 0:
-            z += at_node(nodes_shift, stride, column, row, s, t)
+            error = error_u * steepest(values, k, 1, width) + error_v * steepest(values, k, width, 1)
         out[n] = z
         out_ranks[n] = rank
         moved[n] = error

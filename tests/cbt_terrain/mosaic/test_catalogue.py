@@ -166,7 +166,7 @@ def test_a_damaged_catalogue_is_built_again(tmp_path):
         file.write_bytes(bytes(damaged[: random.integers(1, len(content) + 1)]))
         assert build_catalogue(settings, store) == wanted
     # Whole, with its checksum, but with impossible numbers.
-    for name, value in (("width", -1), ("transform", [1, 2]), ("scale", None), ("roundings", []), ("stored", "x")):
+    for name, value in (("width", -1), ("transform", [1, 2]), ("scale", None), ("crs", "/etc/hosts"), ("stored", "x")):
         entries = json.loads(json.loads(content)["content"])
         entries["tiles"][1][name] = value
         text = json.dumps(entries)

@@ -10,7 +10,7 @@ from adaptive_terrain.cbt_terrain.mosaic import mosaic_source, positions
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
 from mosaic_files import DEGREES, EAST, NORTH, UTM32, UTM33, land, moved, sheet, top
-from rasterio.transform import from_origin
+from rasterio.transform import Affine, from_origin
 from rasters import hills, write_raster
 
 
@@ -210,3 +210,39 @@ def test_a_missing_sample_is_taken_from_the_next_source(tmp_path):
     heights, _ = composite.read(0, composite.grid.height)
     wanted = np.where(np.isnan(above.heights), below.heights, above.heights)
     assert np.array_equal(heights, wanted, equal_nan=True) and np.isnan(heights).sum() == 1
+
+
+def test_turned_and_mirrored_files_keep_their_ground(tmp_path):
+    """A file turned by 30 degrees, one with the south first and a VRT, against their own positions."""
+    whole = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 60, 50)
+    south_first = write_raster(
+        tmp_path / "south.tif",
+        whole.heights[::-1].astype(np.float32),
+        crs=UTM32,
+        transform=Affine(10.0, 0.0, EAST, 0.0, 10.0, NORTH - 500.0),
+    )
+    turn = Affine.translation(EAST + 1000, NORTH) @ Affine.rotation(-30.0) @ Affine.scale(10.0, -10.0)
+    i, j = np.meshgrid(np.arange(40) + 0.5, np.arange(40) + 0.5)
+    x, y = turn.a * i + turn.b * j + turn.c, turn.d * i + turn.e * j + turn.f
+    turned = write_raster(tmp_path / "turned.tif", land(x, y).astype(np.float32), crs=UTM32, transform=turn)
+    whole.write(tmp_path / "part.tif", rows=25)
+    vrt = tmp_path / "part.vrt"
+    vrt.write_text(
+        f'<VRTDataset rasterXSize="60" rasterYSize="25"><SRS>{UTM32}</SRS><GeoTransform>{EAST + 2000}, 10, 0, '
+        f'{NORTH}, 0, -10</GeoTransform><VRTRasterBand dataType="Float32" band="1"><SimpleSource><SourceFilename '
+        'relativeToVRT="1">part.tif</SourceFilename><SourceBand>1</SourceBand><SrcRect xOff="0" yOff="0" xSize="60" '
+        'ySize="25"/><DstRect xOff="0" yOff="0" xSize="60" ySize="25"/></SimpleSource></VRTRasterBand></VRTDataset>'
+    )
+    composite = open_composite(settings_of([str(south_first), str(turned), str(vrt)]), None)
+    heights, _ = composite.read(0, composite.grid.height)
+    grid = composite.grid
+    x, y = grid.positions(*np.meshgrid(grid.column + np.arange(grid.width), grid.row + np.arange(grid.height)))
+    inverse = ~turn
+    u, v = inverse.a * x + inverse.b * y + inverse.c - 0.5, inverse.d * x + inverse.e * y + inverse.f - 0.5
+    inside = (u >= 0) & (u <= 39) & (v >= 0) & (v <= 39)
+    assert inside.sum() > 1000 and np.abs(heights - land(x, y))[inside].max() < 0.5
+    assert np.array_equal(heights[:50, :60], whole.heights) and np.isnan(heights[51:, :60]).all()
+    vrt_part = whole.heights[:25]
+    column = round((EAST + 2005 - grid.x0) / 10) - grid.column
+    row = round((grid.y0 - (NORTH - 5)) / 10) - grid.row
+    assert np.array_equal(heights[row : row + 25, column : column + 60], vrt_part)

@@ -3,6 +3,7 @@
 
 from collections.abc import Iterable
 from contextlib import suppress
+from math import inf
 from pathlib import Path
 
 from ..errors import TerrainError
@@ -10,6 +11,7 @@ from ..field import store as stores
 from ..field import store_folder
 from ..field.lattice import Lattice, fit
 from ..view.linear import add_up
+from . import requested_tiles
 from .land_folder import folder_beside, is_land_name
 from .level_plan import MAX_WHOLE, LevelPlan
 from .preview import Preview
@@ -28,10 +30,24 @@ BUILD_NS, PLANNED_NS = 240.0, 1.3
 
 def costs_less_whole(lattice: Lattice, stack: Stack) -> bool:
     """Return whether the whole land in one piece costs less than the tiles of a shot with their margins."""
+    return _costs_less_whole(lattice, stack, all_tiles(lattice), SHOT)
+
+
+def costs_less_whole_than(lattice: Lattice, stack: Stack, folder: str, wanted: Wanted) -> bool:
+    """Return whether the whole land in one piece costs less than those of some tiles that its folder lacks."""
+    before = requested_tiles.known(folder) or [{} for _ in wanted]
+    pairs = zip(before, wanted, strict=True)
+    new = [
+        {tile: error for tile, error in level.items() if not known.get(tile, inf) <= error} for known, level in pairs
+    ]
+    return _costs_less_whole(lattice, stack, new)
+
+
+def _costs_less_whole(lattice: Lattice, stack: Stack, tiles: Wanted, part: float = 1.0) -> bool:
+    """Return whether the whole land costs less than a part of the tiles with their margins."""
     if max(lattice.width, lattice.height) > MAX_WHOLE:
         return False
-    whole, tiles = (_plan(lattice, stack, wanted).total for wanted in (whole_land(lattice), all_tiles(lattice)))
-    return whole < SHOT * tiles
+    return _plan(lattice, stack, whole_land(lattice)).total < part * _plan(lattice, stack, tiles).total
 
 
 def lattice_of(source: str) -> Lattice:

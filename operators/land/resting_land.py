@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finer land in view while nothing changes: a child process makes the tiles that a preview leaves out.
 
-This refines the land of terrains with Live Update, at a low priority and only for the tiles that their views need. A
-change of the land's settings ends it at once; another view gets its tiles when it rests in turn. *Shape Now* and
-renders reuse these tiles.
+This refines the land of terrains with Live Update, at a low priority and only for the tiles that their views need, or
+all of the land where that costs less. A change of the land's settings ends it at once; another view gets its tiles when
+it rests in turn. *Shape Now* and renders reuse what was made.
 """
 
 import time
@@ -14,13 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.height_operators import derived_store, requested_tiles
+from ...cbt_terrain.height_operators import derived_store, requested_tiles, shaping_cost
 from ...cbt_terrain.height_operators.derived_store import Land
 from ...cbt_terrain.height_operators.land_folder import is_of_views
 from ...cbt_terrain.height_operators.shape_process import ShapeJob
 from .. import jobs
 from ..session import session
 from ..terrain.request import Request
+from .properties import SEEN
 from .request import land_of
 
 REST_S = 2.0  # without a change before it begins
@@ -84,8 +85,8 @@ def turn(shown: Iterable[tuple], idle: bool) -> bool:
         return _look_after(terrains.get(_making.uid))
     for uid, (depsgraph, obj) in terrains.items() if idle else ():
         if jobs.find(jobs.SHAPE, obj) is None and _rests_long(obj) and (land := _land(obj, depsgraph)) is not None:
-            begun = _pool().submit(_begin, land)
-            job = jobs.BackgroundJob(jobs.SHAPE, uid, lambda job, land=land, begun=begun: _steps(job, land, begun))
+            begun = _pool().submit(_begin, land, obj.adaptive_terrain.land.where == SEEN)
+            job = jobs.BackgroundJob(jobs.SHAPE, uid, lambda job, begun=begun: _steps(job, begun))
             job.message = CHOOSING
             _making = _Making(uid, _rests[uid].key, land, job, begun)
             break
@@ -147,21 +148,27 @@ def _seen(request: Request) -> requested_tiles.SeenTiles:
     )
 
 
-def _begin(land: Land) -> tuple[ShapeJob, requested_tiles.Tiles] | None:
-    """Return a new job and its tiles, None if all tiles exist. Slow: call it on another thread."""
+def _begin(land: Land, tiles_alone: bool) -> tuple[ShapeJob, requested_tiles.Tiles | None, Land] | None:
+    """Return a new job, its tiles and its land, None if all tiles exist. Slow: call it on another thread.
+
+    The job makes the whole land where that costs less than the tiles, unless renders need `tiles_alone`.
+    """
     wanted = derived_store.wanted_tiles(land, session.open_field)
     if derived_store.is_whole(land, session.open_field) and requested_tiles.has(land.folder, wanted):
         return None
-    return derived_store.begin_shaping(land, session.open_field, gentle=True)
+    lattice = shaping_cost.lattice_of(land.source)
+    if not tiles_alone and shaping_cost.costs_less_whole_than(lattice, land.stack, land.folder, wanted):
+        land = replace(land, of_views=False, seen=None)
+    return *derived_store.begin_shaping(land, session.open_field, gentle=True), land
 
 
-def _steps(job: jobs.BackgroundJob, land: Land, begun: Future) -> jobs.Steps:
+def _steps(job: jobs.BackgroundJob, begun: Future) -> jobs.Steps:
     """Return whether there was land to make."""
     while not begun.done():
         yield
     if begun.result() is None:
         return False
-    child, wanted = begun.result()
+    child, wanted, land = begun.result()
     yield from jobs.run_in_child(job, child)
     derived_store.finish(land, wanted)
     return True

@@ -79,6 +79,36 @@ def test_land_in_view_gets_finer_and_a_render_has_the_rest(terrain):
     assert seen < 0.2 * unseen
 
 
+def test_the_whole_land_is_made_where_it_costs_less_than_tiles(terrain):
+    """A view of all the land needs all tiles, whose margins overlap; renders and Shape Now then find the land."""
+    resting_land.stop()
+    bpy.context.scene.camera.location = (0.0, 0.0, 9000.0)
+    terrain.adaptive_terrain.viewport.error_px = 0.1
+    bpy.context.view_layer.update()
+    live.mark_dirty()
+    turns(
+        lambda: (
+            (shown := shaped_land.store_of(terrain))
+            and is_finished(terrain)
+            and land_folder.is_land_name(Path(shown).name)
+        )
+    )
+    state = shaped_land.state_of(terrain)
+    assert state.shown == "Shaped" and state.tiles[0] == state.tiles[1] and not state.wanted
+    assert not land_folder.is_of_views(shaped_land.store_of(terrain)), "tiles with margins cost more"
+
+
+def test_a_shot_keeps_to_the_tiles_that_its_renders_need(terrain):
+    """Tiles of some operators differ from land in one piece."""
+    terrain.adaptive_terrain.land.where = "SEEN"
+    test = shaped_land.store_of
+    bpy.context.view_layer.update()
+    live.mark_dirty()
+    until(terrain, "Shaped")
+    turns(lambda: is_finished(terrain))
+    assert land_folder.is_of_views(test(terrain))
+
+
 def test_another_view_gets_its_own_tiles_when_it_rests(terrain):
     until(terrain, "Shaped")
     built = shaped_land.state_of(terrain).tiles[0]

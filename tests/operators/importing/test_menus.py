@@ -19,7 +19,7 @@ from rasters import hills, write_raster
 
 # A row of a list, an internal step, or the answer to a click.
 NOT_IN_MENU = re.compile(
-    "cancel_job|import_added|land_(add|duplicate|move|preset|preset_add|remove|rule_add)|layer_.*|offer_pack|pick_ground|"
+    "cancel_(job|waiting)|import_added|land_(add|duplicate|move|preset|preset_add|remove|rule_add)|layer_.*|offer_pack|pick_ground|"
     "shape_finish|show_(effect|message)"
 )
 

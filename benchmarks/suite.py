@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..cbt_terrain.errors import TerrainError
 from ..operators.blender import need_bpy
-from ..operators.text.machine import machine
+from ..operators.text.machine import describe_machine
 from .pages import goals, performance_page, report
 from .rig import scenes
 from .rig.baselines import RoamRebuild, build_roam_rebuild
@@ -59,7 +59,7 @@ def run(quick: bool, with_cycles: bool, blender: list[str] | None, json_file: Pa
         notes.append(text)
         print(f"note: {text}", flush=True)
 
-    description = machine()
+    description = describe_machine()
     if blender:
         description["Program"] = in_program.program_version(blender)
     for name, value in description.items():

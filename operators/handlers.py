@@ -33,19 +33,24 @@ _joined_frames: dict[int, tuple[int, float]] = {}  # the same of other scenes th
 
 
 def _unless_paused(handler):
+    """Decorate a handler: do nothing during a pause (pauses.py), and let Ctrl-C wait until the handler ends.
+
+    A change of the scene is noted in a pause, too, because Blender does not report it again.
+    """
+
     @persistent
     @wraps(handler)
     def unless_paused(scene, depsgraph=None):
-        _note_update(depsgraph)
-        if not pauses.paused_now():
+        _note_scene_change(depsgraph)
+        if not pauses.is_paused():
             with stopping.held():
                 handler(scene, depsgraph)
 
     return unless_paused
 
 
-def _note_update(depsgraph) -> None:
-    """Note a change of the scene, also in a pause: Blender does not report it again."""
+def _note_scene_change(depsgraph) -> None:
+    """Record which objects of the scene changed, for updates that read them later; call it in a pause, too."""
     if depsgraph is not None and depsgraph.mode == VIEWPORT:
         kept.note_update(depsgraph)
 
@@ -72,12 +77,16 @@ def update_all(scene, depsgraph, mode: str) -> list[TerrainError]:
 
 
 def _update_viewport(scene, depsgraph) -> None:
+    """Update the scene's terrains for the viewport at once, and print the errors: no operator is there to show them."""
     for error in update_all(scene, depsgraph, VIEWPORT):
         print_line(f"Adaptive Terrain: {error}")
 
 
 def _mesh_is_needed_now() -> bool:
-    """Without a window a script reads the mesh next; an animation that is rendered from the viewport draws it next."""
+    """Return whether the mesh has to be ready when the handler returns, rather than at the next turn of the timer.
+
+    Without a window a script reads it next; an animation that is rendered from the viewport draws it next.
+    """
     if bpy.app.background:
         return True
     windows = bpy.context.window_manager.windows
@@ -85,10 +94,10 @@ def _mesh_is_needed_now() -> bool:
 
 
 def _rendered_frame(scene) -> tuple[int, float] | None:
-    """Frame and subframe that a scene is rendered at.
+    """Return the frame and subframe that a scene is rendered at, None outside a render.
 
-    Blender calls `render_pre` for the scene that was asked for; of others that its compositor takes in, theirs is the
-    first that they are set to.
+    Blender calls `render_pre` for the scene that the user renders. Other scenes that its compositor reads are
+    rendered at the first frame that they are set to, which is recorded here.
     """
     if not _rendered_frames:
         return None
@@ -98,6 +107,7 @@ def _rendered_frame(scene) -> tuple[int, float] | None:
 
 @persistent
 def on_before_frame(scene, _unused=None) -> None:
+    """Undo the moves of objects that were kept on the ground, so that their animation of the new frame applies."""
     keep_ground.release(scene)
 
 
@@ -107,16 +117,19 @@ def on_frame_change(scene, depsgraph) -> None:
 
     Objects come first, also in a pause, because a terrain may be refined for a camera among them.
     """
-    _note_update(depsgraph)  # before another evaluation puts its own in place
+    _note_scene_change(depsgraph)  # before another evaluation puts its own in place
     with stopping.held():
-        failed = _settle(scene, depsgraph)
-        if not pauses.paused_now():
+        failed = _settle_objects(scene, depsgraph)
+        if not pauses.is_paused():
             _update_terrains(scene, depsgraph, failed)
 
 
-def _settle(scene, depsgraph) -> list[TerrainError]:
-    """Move objects to the ground; return the errors that kept those that a render needs from it."""
-    waits = depsgraph.mode == RENDER or pauses.paused_now() or _mesh_is_needed_now()
+def _settle_objects(scene, depsgraph) -> list[TerrainError]:
+    """Move objects that are kept on the ground to it (keep_ground.py).
+
+    Return the errors: an object that a render needs could not be placed.
+    """
+    waits = depsgraph.mode == RENDER or pauses.is_paused() or _mesh_is_needed_now()
     try:
         for note in keep_ground.settle(scene, depsgraph, depsgraph.mode, waits=waits, frame_changes=True):
             print_line(f"Adaptive Terrain: {note}")
@@ -128,10 +141,15 @@ def _settle(scene, depsgraph) -> list[TerrainError]:
 
 
 def _update_terrains(scene, depsgraph, failed: list[TerrainError]) -> None:
+    """Update the terrains after a change of frame: for a render at its frame, for the viewport now or at the
+    timer's next turn.
+
+    `failed`: errors of `_settle_objects`. An error cancels a render rather than letting it show an old mesh.
+    """
     if depsgraph.mode == RENDER:
         if _rendered_frame(scene) == (scene.frame_current, scene.frame_subframe):
             if failed := failed + update_all(scene, depsgraph, RENDER):
-                stale_renders.meet(scene, failed)
+                stale_renders.handle_stale_frame(scene, failed)
     elif _mesh_is_needed_now():
         _update_viewport(scene, depsgraph)
     else:
@@ -140,6 +158,7 @@ def _update_terrains(scene, depsgraph, failed: list[TerrainError]) -> None:
 
 @_unless_paused
 def on_render_pre(scene, _unused=None) -> None:
+    """Record the frame that is to be rendered, and return freed memory to the system for the renderer."""
     freed_memory.give_back()  # a render needs the memory, and takes longer than fresh pages do
     _rendered_frames[scene.session_uid] = scene.frame_current, scene.frame_subframe
     _joined_frames.clear()
@@ -147,16 +166,20 @@ def on_render_pre(scene, _unused=None) -> None:
 
 @_unless_paused
 def on_render_post(scene, _unused=None) -> None:
-    stale_renders.leave()
+    """Forget the frame after its render, so that later frame changes are those of the viewport."""
+    stale_renders.exit_if_stopped()
     _rendered_frames.pop(scene.session_uid, None)
     _joined_frames.clear()
 
 
 @_unless_paused
 def on_render_end(scene, _unused=None) -> None:
-    """Restore the detail of the viewport; with a window on the main thread, where no drawing can interfere."""
-    stale_renders.leave()
-    stale_renders.report()
+    """Restore the viewport's level of detail after a render or its cancellation.
+
+    With a window the timer does it on the main thread, where no drawing can interfere.
+    """
+    stale_renders.exit_if_stopped()
+    stale_renders.report_stale_frames()
     render_wait.forget_cancelling()
     _rendered_frames.clear()
     _joined_frames.clear()
@@ -168,6 +191,7 @@ def on_render_end(scene, _unused=None) -> None:
 
 @_unless_paused
 def on_depsgraph_update(scene, depsgraph) -> None:
+    """Mark the terrains for an update if an object, a camera or another type changed that they may depend on."""
     if any(isinstance(update.id, SEEN_TYPES) for update in depsgraph.updates):
         live.mark_dirty()
 
@@ -181,21 +205,26 @@ def on_save_pre(_path, _unused=None) -> None:
 
 @_unless_paused
 def on_load_pre(_path, _unused=None) -> None:
+    """Stop background work and forget all terrains of the file that is about to be closed."""
     resting_land.stop()
     session.clear()
 
 
 @_unless_paused
 def on_load_post(_path, _unused=None) -> None:
+    """Mark the terrains of the new file for an update."""
     live.mark_dirty()
 
 
 @_unless_paused
 def on_undo(_scene, _unused=None) -> None:
+    """Forget all that may refer to the state before Undo or Redo, which replaces Blender's data, and update the
+    terrains.
+    """
     session.forget_shown()
-    measuring.stop()
-    accuracy_report.ingest_end()
-    import_terrain.begin_again()
+    measuring.stop_measurement()
+    accuracy_report.remove_scratch_meshes()
+    import_terrain.resume_after_undo()
     live.mark_dirty()
 
 

@@ -26,15 +26,17 @@ class JobOperator:
         return jobs.find(cls.kind, context.object) is None
 
     def invoke(self, context, event):
-        self._begin(context)
+        """Start the job, and continue it with a timer while the user works, unless its first step ends it."""
+        self._start_job(context)
         if self.job.advance():
-            return self._end(context)
+            return self._report_end(context)
         self.shown, self.looked = None, 0.0
         self.job.timer = context.window_manager.event_timer_add(self.poll_s, window=context.window)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
+        """Advance the job at each tick of the timer, redraw progress bars, and report the result at the end."""
         if event.type == "ESC" and event.value == "PRESS" and self.stops_on_escape():
             self.job.stop()
             return {"RUNNING_MODAL"}
@@ -42,15 +44,16 @@ class JobOperator:
             return {"PASS_THROUGH"}
         if time.monotonic() - self.looked >= jobs.POLL_S / 2:
             self.looked = time.monotonic()
-            self._look_for_terrain()
+            self._stop_if_terrain_is_gone()
         ended = self.job.advance()
         if self.shown != (shown := jobs.progress_shown()):
             self.shown = shown
             jobs.redraw_panels()
-        return self._end(context) if ended else {"PASS_THROUGH"}
+        return self._report_end(context) if ended else {"PASS_THROUGH"}
 
     def execute(self, context):
-        self._begin(context)
+        """Run the job to its end before returning: a script calls it, and Ctrl-C stops it."""
+        self._start_job(context)
         with stopping.listening():
             try:
                 while not self.job.advance():
@@ -58,19 +61,19 @@ class JobOperator:
                     time.sleep(jobs.CALL_S)
             finally:
                 self.job.close()
-        return self._end(context)
+        return self._report_end(context)
 
     def cancel(self, context):
         """End the job because another file is opened or Blender quits."""
         self.job.close()
-        self._leave(context)
+        self._remove_timer(context)
 
     def stops_on_escape(self) -> bool:
         """Return whether Escape cancels the job now."""
         return False
 
     def abandon(self) -> None:
-        """Leave a job whose terrain is gone."""
+        """React to the removal of the job's terrain from the file. A subclass overrides it if needed."""
 
     def subject(self, context):
         """Return the job's terrain, None for a job of the whole file."""
@@ -83,27 +86,33 @@ class JobOperator:
         self.report({"ERROR"}, message)
         return {"CANCELLED"}
 
-    def _begin(self, context) -> None:
+    def _start_job(self, context) -> None:
+        """Clear the terrain's last error and create the job, of which no step has run yet."""
         obj = self.subject(context)
         if obj is not None:
             session.record_of(obj).status.error = ""
         uid = None if obj is None else obj.session_uid
         self.job = jobs.BackgroundJob(self.kind, uid, lambda job: self.steps(context, job))
 
-    def _look_for_terrain(self) -> None:
+    def _stop_if_terrain_is_gone(self) -> None:
+        """Stop the job once its terrain is no longer in the file."""
         job = self.job
         if job.uid is not None and not job.is_orphan and job.terrain() is None:
             job.is_orphan = True
             job.stop()
 
-    def _leave(self, context) -> None:
+    def _remove_timer(self, context) -> None:
+        """Remove the timer that advances the job, and redraw the panels without its progress bar."""
         if self.job.timer is not None:
             context.window_manager.event_timer_remove(self.job.timer)
             self.job.timer = None
         jobs.redraw_panels()
 
-    def _end(self, context):
-        self._leave(context)
+    def _report_end(self, context):
+        """Pass the result of an ended job to `finish`, or report its error or cancellation; return Blender's
+        result set.
+        """
+        self._remove_timer(context)
         job = self.job
         obj = job.terrain()
         if job.uid is not None and obj is None:

@@ -95,19 +95,25 @@ class BackgroundJob:
         return next((obj for obj in session.all_terrains() if obj.session_uid == self.uid), None)
 
     def stop(self, error: str = "") -> None:
-        """End the job soon, without a result; `error`: why, if the user did not cancel it."""
+        """Ask the job to end at its next check, without a result.
+
+        `error`: the reason that is shown, "" if the user cancelled it.
+        """
         self.stopped, self.error = True, self.error or error
         if self.child is not None:
             self.child.cancel()
 
     def close(self) -> None:
-        """End the job before this returns."""
+        """End the job at once, before this returns: its steps run their `finally` clauses."""
         self.stop()
         self._steps.close()
-        self._forget()
+        self._remove_from_running()
 
     def advance(self) -> bool:
-        """Take one step; return whether the job has ended."""
+        """Run the job up to its next pause; return whether it has ended.
+
+        Then `result` or `error` is set; neither is after a cancellation.
+        """
         try:
             next(self._steps)
             return False
@@ -121,21 +127,22 @@ class BackgroundJob:
             traceback.print_exc()
             reason = f"{type(error).__name__}: {error}"
             self.error = f"{self.kind.title} failed unexpectedly ({reason}); {self.kind.stays}."
-        self._forget()
+        self._remove_from_running()
         return True
 
-    def _forget(self) -> None:
+    def _remove_from_running(self) -> None:
+        """Remove the job from the list of running jobs, which the panels and `find` read."""
         if self in running:
             running.remove(self)
 
-    def check(self) -> None:
-        """Raise JobStopped once the job is to end."""
+    def raise_if_stopped(self) -> None:
+        """Raise JobStopped if the job was cancelled."""
         if self.stopped:
             raise JobStopped
 
     def progress(self, fraction: float, message: str = "") -> None:
         """Set the progress (0 .. 1), on any thread. Raises JobStopped once the job is to end."""
-        self.check()
+        self.raise_if_stopped()
         self.fraction, self.message = fraction, message
 
     def call_on_main(self, function: Callable):
@@ -149,7 +156,7 @@ class BackgroundJob:
         return answer.result()
 
     def answer_calls(self) -> None:
-        """Carry out what `call_on_main` waits for."""
+        """Call the functions that the job's thread passed to `call_on_main`, on this thread, the main one."""
         while not (self.stopped or self._calls.empty()):
             answer, function = self._calls.get()
             if answer.set_running_or_notify_cancel():
@@ -163,13 +170,17 @@ running: list[BackgroundJob] = []
 
 
 def find(kind: JobKind, obj=None) -> BackgroundJob | None:
-    """Return the running job of a kind: that of `obj`, or any if the kind runs alone or `obj` is None."""
+    """Return the running job of a kind, None if none runs.
+
+    `obj`: the terrain whose job it has to be; ignored if the kind runs only one job at a time, None for any
+    terrain.
+    """
     anyone = kind.alone or obj is None
     return next((job for job in running if job.kind is kind and (anyone or job.uid == obj.session_uid)), None)
 
 
 def progress_shown() -> list[tuple[int, str]]:
-    """Return what progress bars show of all running jobs."""
+    """Return progress and text of all running jobs as the panels show them: they are redrawn only if this changes."""
     return [(round(job.fraction * SHOWN_STEPS), job.text) for job in running]
 
 
@@ -192,7 +203,10 @@ def redraw_panels() -> None:
 
 
 def run_on_thread(job: BackgroundJob, work: Callable[[], object]) -> Steps:
-    """Wait step by step until `work()` has returned on a thread; return its result."""
+    """Run `work()` on a thread; yield until it has returned, and return its result or raise its exception.
+
+    The main thread stays free for the window between the yields.
+    """
     outcome = Future()
 
     def run() -> None:
@@ -215,7 +229,10 @@ def run_on_thread(job: BackgroundJob, work: Callable[[], object]) -> Steps:
 
 
 def run_in_child(job: BackgroundJob, child: ChildJob) -> Steps:
-    """Wait step by step until a child process has ended; return its report."""
+    """Yield until a child process has ended, and show its progress; return its report.
+
+    Raises JobStopped if it was cancelled, and the child's TerrainError.
+    """
     job.child = child
     try:
         while not (progress := child.poll()).done:
@@ -232,7 +249,10 @@ def run_in_child(job: BackgroundJob, child: ChildJob) -> Steps:
 
 
 def visit_frames(job: BackgroundJob, visits: Iterator) -> Steps:
-    """Return the last item of `visits`, its result; the others are the fraction done after each frame."""
+    """Advance a generator that visits the frames of the scene, a few at a time so that the window responds.
+
+    `visits` yields the fraction done after each frame and the result as its last item, which this returns.
+    """
     with closing(visits):  # the scene is at its frame again
         turn_ends = time.monotonic() + TURN_S
         try:
@@ -242,14 +262,14 @@ def visit_frames(job: BackgroundJob, visits: Iterator) -> Steps:
                 job.progress(found, LOOKING)
                 if time.monotonic() >= turn_ends:
                     yield
-                    job.check()
+                    job.raise_if_stopped()
                     turn_ends = time.monotonic() + TURN_S
         except ReferenceError:  # undo has replaced the scene, or the terrain is gone
             raise JobStopped from None
 
 
 def wait_for_kernels(job: BackgroundJob) -> Steps:
-    """Wait step by step until the kernels of a frame are ready, unless the job's terrain is gone."""
+    """Yield until the kernels that an update needs are compiled. Raises JobStopped if the job's terrain is gone."""
     while warmup.preparing():
         if job.is_orphan:
             raise JobStopped

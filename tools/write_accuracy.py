@@ -25,7 +25,7 @@ from adaptive_terrain.operators.cli import accuracy_command
 from adaptive_terrain.operators.demo.demo import FLIGHT
 from adaptive_terrain.operators.export.exporting import write_files, write_text
 from adaptive_terrain.operators.text.console import Progress
-from adaptive_terrain.operators.text.machine import machine
+from adaptive_terrain.operators.text.machine import describe_machine
 from adaptive_terrain.operators.text.page_blocks import Heading, Text, as_markdown
 from matplotlib.cbook import get_sample_data
 
@@ -101,9 +101,9 @@ def write(subjects: list[AccuracySubject]) -> None:
     """Write the page without its tables, its plots and its pictures."""
     blocks: list = [Text(INTRODUCTION)]
     for subject in subjects:
-        blocks += [Heading(subject.title), *accuracy_page.front(subject, PLOTS)]
+        blocks += [Heading(subject.title), *accuracy_page.front_blocks(subject, PLOTS)]
         blocks += transitions_section(subject.rows, f" of {subject.title}", f"{PLOTS}{subject.name}_popping.svg")
-    blocks.append(accuracy_page.measured_on(machine()))
+    blocks.append(accuracy_page.measured_on(describe_machine()))
     write_files(DOCS, accuracy_page.pictures(blocks))
     write_text(DOCS / "accuracy.md", as_markdown(accuracy_page.TITLE, blocks))
     accuracy_report.check_bounds(subjects)

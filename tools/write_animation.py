@@ -11,7 +11,7 @@ from pathlib import Path
 
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators.export.exporting import write_text
-from adaptive_terrain.operators.text.machine import machine
+from adaptive_terrain.operators.text.machine import describe_machine
 from adaptive_terrain.operators.text.page_blocks import Heading, Plot, Text, as_markdown
 from animation_hidden import hidden_section
 from animation_popping import popping_section
@@ -36,7 +36,10 @@ def main() -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     blocks += farm_section(DOCS / "fly_over.json")
-    blocks += [Heading("The machine"), Text(", ".join(f"{name}: {value}" for name, value in machine().items()) + ".")]
+    blocks += [
+        Heading("The machine"),
+        Text(", ".join(f"{name}: {value}" for name, value in describe_machine().items()) + "."),
+    ]
     for block in blocks:
         if isinstance(block, Plot):
             write_text(DOCS / block.name, block.svg)

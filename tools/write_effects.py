@@ -37,7 +37,7 @@ from adaptive_terrain.operators.blender import need_bpy
 from adaptive_terrain.operators.demo.demo import FLIGHT
 from adaptive_terrain.operators.demo.stack import ISLAND_SEED, STACK
 from adaptive_terrain.operators.export.exporting import write_files
-from adaptive_terrain.operators.text.machine import machine
+from adaptive_terrain.operators.text.machine import describe_machine
 from adaptive_terrain.operators.text.numbers import plain
 from land_effects import land_section
 from PIL import Image, ImageDraw, ImageFont
@@ -148,11 +148,12 @@ def saving(demo: Demo) -> list[str]:
     """Return the time of the demo's frame for its material and for all effects."""
     rows = [("nothing reads any", 0, 0.0, 0), ("**the material**", *demo.read)]
     rows.append(("everything", *demo.everything))
+    machine = describe_machine()
     return [
         "## What it saves\n",
         f"Frame {FRAME} of the demo: the island, {SIZE:,} x {SIZE:,} samples, at 1 pixel of {RESOLUTION[0]} x "
         f"{RESOLUTION[1]}; {demo.vertices:,} vertices, none of them known from the frame before. Measured on "
-        f"{machine()['Processor']}, {machine()['System']}, {machine()['Threads']} threads.\n",
+        f"{machine['Processor']}, {machine['System']}, {machine['Threads']} threads.\n",
         "| | effects | ms | MB |\n| --- | ---: | ---: | ---: |",
         *(f"| {what} | {count} | {plain(ms)} | {plain(size / 1e6)} |" for what, count, ms, size in rows),
         "",
@@ -187,7 +188,7 @@ def of_demo(folder: Path) -> Demo:
     """Measure the demo's frame."""
     need_bpy("The demo")
     from adaptive_terrain.operators.demo import scene as demo_scene
-    from adaptive_terrain.operators.layers.properties import color_given
+    from adaptive_terrain.operators.layers.properties import color_parameters
     from adaptive_terrain.operators.session import session
 
     (folder / "flight.json").write_text(json.dumps(FLIGHT), encoding="utf-8")
@@ -210,7 +211,7 @@ def of_demo(folder: Path) -> Demo:
     worn |= {name for name, status in statuses.items() if not status.skipped}
     for name in ATTRIBUTES:
         getattr(obj.adaptive_terrain.effects, name).when = "PINNED"
-    return Demo(read, measure(), len(obj.data.vertices), worn, color_given(obj.adaptive_terrain))
+    return Demo(read, measure(), len(obj.data.vertices), worn, color_parameters(obj.adaptive_terrain))
 
 
 def alone(name: str, field, surface, view: View) -> float:

@@ -14,7 +14,7 @@ def demand_row(rough: HeightField) -> BenchmarkRow:
     """Measure the search through the demo's sky, its sea and one material, against the update of a flight."""
     import bpy
 
-    from ...operators.bridge.demand.demand import demand
+    from ...operators.bridge.demand.demand import find_demand
     from ...operators.demo.materials import water_material
     from ...operators.demo.scene import add_sky, sun_direction
     from ...operators.demo.water import add_sea
@@ -27,7 +27,7 @@ def demand_row(rough: HeightField) -> BenchmarkRow:
     obj.data.materials.append(material(NODES))
     depsgraph = bpy.context.evaluated_depsgraph_get()
     flight = scenes.TimedFlight(rough, scenes.over, scenes.errors(engine.error_px(rough, MILLION)))
-    timed = alternate(lambda: {"total": time_ms(lambda: demand(obj, depsgraph))}, lambda: flight()["total"])
+    timed = alternate(lambda: {"total": time_ms(lambda: find_demand(obj, depsgraph))}, lambda: flight()["total"])
     baseline = "the engine's update of a flight"
     return BenchmarkRow("demand", MILLION, timed.ms["total"], baseline, timed.baseline_ms, figures={"nodes": NODES})
 

@@ -11,9 +11,9 @@ HEAD = ["effect", "samples apart, m", "added, m rms", "m at most", "ms"]
 
 
 def land_section(heights: HeightField, of: str) -> list:
-    """Return blocks of the page: the height operators level by level; [] for land that no stack has shaped.
+    """Return blocks of the accuracy page about shaped land, level by level; [] for land that no stack has shaped.
 
-    `of`: the terrain's name in headings if there are others.
+    of: " of NAME" for headings if the page has several terrains, else "".
     """
     added = sorted(heights.provenance.get("shaped", {}).get("added", []), key=lambda one: (one["entry"], one["level"]))
     if not added:
@@ -31,15 +31,18 @@ def land_section(heights: HeightField, of: str) -> list:
         Text(
             "Effects are applied to samples far apart first. Each finer level adds what it sees, and takes its time; "
             "what is added shrinks from level to level. This page's errors are measured against this land: they do not "
-            "include the additions of finer levels. " + _half(added)
+            "include the additions of finer levels. " + _finest_level_text(added)
         ),
         Table(HEAD, lines),
     ]
 
 
-def _half(added: list[dict]) -> str:
-    """Describe the savings and the change if the finest level were left out."""
-    by_level = [list(group) for _, group in groupby(sorted(added, key=_level), key=_level)]
+def _finest_level_text(added: list[dict]) -> str:
+    """Return a sentence about what would be saved and lost without the finest level; "" if not all times are known.
+
+    added: entries of a shaped store's provenance, one a level and operator.
+    """
+    by_level = [list(group) for _, group in groupby(sorted(added, key=_level_of), key=_level_of)]
     if len(by_level) < 2 or not all(one["computed"] for one in added):
         return ""
     finest, time = by_level[0], sum(one["ms"] for one in added)
@@ -51,5 +54,6 @@ def _half(added: list[dict]) -> str:
     )
 
 
-def _level(one: dict) -> int:
+def _level_of(one: dict) -> int:
+    """Return the level of an entry, for sorting."""
     return one["level"]

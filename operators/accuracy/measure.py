@@ -43,7 +43,7 @@ class Result:
 
 
 def read_measured(detail) -> dict:
-    """Read what `Result.store` wrote: accuracy.Measurement as a dict, and "digest"; {} if it is missing or damaged."""
+    """Return what `Result.store` wrote: the fields of a Measurement and "digest"; {} if it is missing or damaged."""
     try:
         measured = json.loads(detail.measured)
     except (ValueError, RecursionError):
@@ -59,7 +59,10 @@ def errors_text(measured: Measurement) -> str:
 
 
 def measure_requests(requests: dict[str, Request], on_progress) -> dict[str, Result]:
-    """Measure each mode's request, without touching Blender; `on_progress`: see `measure_request`."""
+    """Measure the requests of both modes, without touching Blender; return a Result by mode.
+
+    on_progress: called with the fraction done and a message; may raise to stop.
+    """
     results = {}
     for i, (mode, request) in enumerate(requests.items()):
         with session.engine_lock:
@@ -73,9 +76,10 @@ def measure_requests(requests: dict[str, Request], on_progress) -> dict[str, Res
 
 
 def measure_request(field, request: Request, on_progress) -> Result:
-    """Measure the cost of errors with everything else as in `request`, and the errors of its mesh.
+    """Measure what different errors cost on a terrain, and the true errors of the mesh of `request`.
 
-    `on_progress` gets the finished fraction and a message; its exceptions end the measurement.
+    field: the height field. on_progress: called with the fraction done and a message; may raise to stop. Raises
+    TerrainError if no two errors can be measured.
     """
     request = replace(request, frozen="")  # what errors cost is of a mesh that follows its camera
     unit = requested_unit(request.criterion)
@@ -127,8 +131,11 @@ def measure_request(field, request: Request, on_progress) -> Result:
     return Result(curve, worst(found), request.digest(field.key), no_curve)
 
 
-def _requests(obj, depsgraph) -> tuple[dict[str, Request], list[TerrainError]]:
-    """Return the requests that can be measured, and errors of the others. Raises TerrainError if none can."""
+def _measurable_requests(obj, depsgraph) -> tuple[dict[str, Request], list[TerrainError]]:
+    """Return the requests that can be measured, by mode, and the errors of the others.
+
+    Raises TerrainError if none can.
+    """
     requests, problems = {}, []
     for mode in DETAIL:
         try:
@@ -156,12 +163,14 @@ class MeasureAccuracy(MeasuringOperator, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     def prepare(self, context):
-        requests, problems = _requests(context.object, context.evaluated_depsgraph_get())
+        """Return the function that measures on the job's thread; report modes that cannot be measured."""
+        requests, problems = _measurable_requests(context.object, context.evaluated_depsgraph_get())
         for problem in problems:
             self.report({"WARNING"}, str(problem))
         return lambda job: measure_requests(requests, job.progress)
 
     def finish(self, _context, obj, results: dict[str, Result]) -> None:
+        """Store the results in the terrain's settings, and report the errors."""
         for mode, result in results.items():
             result.store(getattr(obj.adaptive_terrain, DETAIL[mode]))
             if result.no_curve:

@@ -8,19 +8,19 @@ from .. import jobs
 from ..job_operator import JobOperator
 
 
-def rendering_error() -> TerrainError:
+def error_while_rendering() -> TerrainError:
     """Return the error for a measurement during a render."""
     fix = "measure again when it has finished"
     return TerrainError("Blender is rendering, which would disturb the measured times", fix=fix)
 
 
-def rendering() -> bool:
+def is_rendering() -> bool:
     """Return whether Blender renders."""
     return bpy.app.is_job_running("RENDER")
 
 
-def stop() -> None:
-    """End a measurement, because an undo may have changed its terrain."""
+def stop_measurement() -> None:
+    """Stop the measurement that runs, if any, because an undo may have changed its terrain."""
     if job := jobs.find(jobs.MEASURE):
         job.stop()
 
@@ -36,8 +36,11 @@ class MeasuringOperator(JobOperator):
     poll_s = jobs.CALL_S
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
-        if rendering():
-            raise rendering_error()
+        """Prepare the measurement, wait for kernels, and measure on a thread; return what the measuring
+        function returns.
+        """
+        if is_rendering():
+            raise error_while_rendering()
         measure = self.prepare(context)
         try:
             yield from jobs.wait_for_kernels(job)
@@ -46,12 +49,14 @@ class MeasuringOperator(JobOperator):
             self.clean_up()
 
     def modal(self, context, event):
-        if rendering() and not self.job.stopped:
-            self.job.stop(str(rendering_error()))
+        """Continue the job, but stop it with an error once a render starts."""
+        if is_rendering() and not self.job.stopped:
+            self.job.stop(str(error_while_rendering()))
         return JobOperator.modal(self, context, event)
 
     def clean_up(self) -> None:
-        """Remove the measurement's data from the file."""
+        """Remove the measurement's data from the file; called however it ends. A subclass overrides it if needed."""
 
     def abandon(self) -> None:
+        """Report that the measurement was dropped because its terrain was removed."""
         self.report({"INFO"}, "The terrain is gone; its measurement was dropped")

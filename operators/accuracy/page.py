@@ -27,7 +27,7 @@ from ..text.page_blocks import (
 from ..text.png import png
 from ..text.shown_bounds import bound_text, limit_text
 from .land_section import land_section
-from .plots import label, pareto_rows, plots
+from .plots import error_plots, pareto_rows, setting_label
 from .transitions_section import transitions_section
 
 TITLE = "What accuracy costs"
@@ -99,9 +99,12 @@ WORDS = [
 ]
 
 
-def files(subjects, machine: dict[str, str]) -> dict[str, str | bytes]:
-    """Return every file of a report by its name. `subjects`: measured accuracy_subject.Subject."""
-    title, blocks = title_of(subjects), page(subjects, machine)
+def report_files(subjects, machine: dict[str, str]) -> dict[str, str | bytes]:
+    """Return the content of every file of a report by its name.
+
+    subjects: measured AccuracySubjects. machine: result of `describe_machine`.
+    """
+    title, blocks = title_of(subjects), build_page(subjects, machine)
     return pictures(blocks) | {
         "accuracy.csv": as_csv(subjects),
         "accuracy.json": as_json(subjects, machine),
@@ -111,17 +114,18 @@ def files(subjects, machine: dict[str, str]) -> dict[str, str | bytes]:
 
 
 def pictures(blocks: list) -> dict[str, str | bytes]:
-    """Return the files that a page's Markdown shows, by name."""
+    """Return the files that a page's Markdown links to, by name: plots as SVG text, pictures as PNG bytes."""
     drawn = {block.name: block.svg for block in blocks if isinstance(block, Plot)}
     return drawn | {p.name: p.png for block in blocks if isinstance(block, PictureStrip) for p in block.pictures}
 
 
 def title_of(subjects) -> str:
+    """Return the title of a report: the names of its terrains."""
     return " and ".join(subject.title for subject in subjects)
 
 
 def as_csv(subjects) -> str:
-    """Return a table with a line for each row; a field is empty where nothing was measured."""
+    """Return a CSV with a line for each measured row; a field is empty if it was not measured."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     lines = [{"terrain": subject.name} | row.figures() for subject in subjects for row in subject.rows]
@@ -131,15 +135,16 @@ def as_csv(subjects) -> str:
 
 
 def as_json(subjects, machine: dict[str, str]) -> str:
+    """Return the report as JSON, with the cost curves and all figures of each row."""
     terrains = [
         {
             "name": s.name,
             "height_field": str(s.heights.key),
             "seen": s.seen,
             "frames": s.numbers,
-            "current": None if s.current is None else label(s.current),
+            "current": None if s.current is None else setting_label(s.current),
             "notes": s.notes + timing_notes(s),
-            "curves": [json.loads(curve.to_json()) for curve in curves(s)],
+            "curves": [json.loads(curve.to_json()) for curve in cost_curves(s)],
             "rows": [row.figures() for row in s.rows],
         }
         for s in subjects
@@ -148,14 +153,14 @@ def as_json(subjects, machine: dict[str, str]) -> str:
     return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
-def page(subjects, machine: dict[str, str]) -> list:
-    """Return the page as blocks: first the figures for artists, then tables, definitions last."""
+def build_page(subjects, machine: dict[str, str]) -> list:
+    """Return the page as blocks: main figures first, then tables, definitions last."""
     several, blocks = len(subjects) > 1, []
     for subject in subjects:
         blocks += [Heading(subject.title)] if several else []
-        blocks += front(subject, "")
+        blocks += front_blocks(subject, "")
     for subject in subjects:
-        blocks += tables(subject, f" of {subject.title}" if several else "")
+        blocks += table_blocks(subject, f" of {subject.title}" if several else "")
     return [*blocks, Heading("What the words mean"), Words(WORDS), measured_on(machine)]
 
 
@@ -164,8 +169,11 @@ def measured_on(machine: dict[str, str]) -> Text:
     return Text("Measured on: " + ", ".join(f"{name} {value}" for name, value in machine.items()) + ".")
 
 
-def front(subject, prefix: str) -> list:
-    """Return five figures, plots and pictures of errors and costs, whose files begin with `prefix`."""
+def front_blocks(subject, prefix: str) -> list:
+    """Return the first part of one terrain's page: five figures, pictures, plots and notes.
+
+    prefix: start of the names of its picture files.
+    """
     rows = subject.rows
     current = next((row for row in rows if row.setting == subject.current), None)
     shown = current or next((row for row in rows if row.setting.plain), rows[0])
@@ -177,29 +185,32 @@ def front(subject, prefix: str) -> list:
             f"{across:,.0f} x {up:,.0f} m of ground from {lattice.width:,} x {lattice.height:,} samples, seen "
             f"{subject.seen}{frames if subject.numbers else ''}."
         ),
-        Figures(figures(shown)),
-        *strip(subject, prefix),
-        *(Text(sentence) for sentence in sentences(subject)),
+        Figures(main_figures(shown)),
+        *picture_strip(subject, prefix),
+        *(Text(sentence) for sentence in cost_sentences(subject)),
     ]
     for unit in dict.fromkeys(row.setting.unit for row in rows):
-        blocks += plots(subject, unit, current, prefix)
+        blocks += error_plots(subject, unit, current, prefix)
     return blocks + [Text(note) for note in subject.notes + timing_notes(subject)]
 
 
-def figures(row: Row) -> list[tuple[str, str]]:
-    """Return the five main figures of one setting."""
+def main_figures(row: Row) -> list[tuple[str, str]]:
+    """Return (value, meaning) of the five main figures of one setting."""
     unit = row.setting.unit
     return [
         (f"{row.triangles:,}", "triangles"),
         (f"{row.whole_ms:.3g} ms", "a frame, from the camera to the finished mesh"),
-        (bound_text(row.bound, unit), f"the bound, for {label(row.setting)} asked"),
+        (bound_text(row.bound, unit), f"the bound, for {setting_label(row.setting)} asked"),
         (f"{row.error:.3g} {unit}", "the largest error that was measured"),
         (f"{row.surface_mb:.3g} MB", "the mesh in memory"),
     ]
 
 
-def strip(subject, prefix: str) -> list[PictureStrip]:
-    """Return the same part of the picture at several errors, with the cost of each; [] if nothing was drawn."""
+def picture_strip(subject, prefix: str) -> list[PictureStrip]:
+    """Return pictures of the same part of the view at several errors, with the cost of each; [] if none were drawn.
+
+    prefix: start of the names of the picture files.
+    """
     costs = {row.setting.error: row for row in strip_rows(subject)}
     shown = [
         PagePicture(
@@ -219,14 +230,17 @@ def strip(subject, prefix: str) -> list[PictureStrip]:
 
 
 def strip_rows(subject) -> list[Row]:
-    """Return the rows that the strip has pictures of, the coarsest first."""
+    """Return the rows that the strip shows in pictures, the coarsest first."""
     plain = {row.setting: row for row in subject.rows if row.setting.plain}
     settings = [Setting("px", error, interpolation=subject.heights.interpolation) for error in STRIP_PX]
     return [plain[setting] for setting in settings if setting in plain]
 
 
-def tables(subject, of: str) -> list:
-    """Return every figure of one terrain. `of`: its name in headings if there are others."""
+def table_blocks(subject, of: str) -> list:
+    """Return the second part of one terrain's page: all figures as tables.
+
+    of: " of NAME" for headings if the page has several terrains, else "".
+    """
     heights, rows = subject.heights, subject.rows
     relief = heights.max_height - heights.min_height
     origin = heights.provenance
@@ -243,7 +257,7 @@ def tables(subject, of: str) -> list:
             f"{other_interpolation(heights)} against that one; between samples the two are up to {between.max:.3g} m "
             f"apart (95 % of places within {between.p95:.3g} m)." + imported_text(heights)
         ),
-        overview(rows, subject.current),
+        overview_table(rows, subject.current),
         Heading(f"What the errors{of} are made of"),
         *error_tables(rows),
         Heading(f"Where the time{of} goes"),
@@ -254,7 +268,7 @@ def tables(subject, of: str) -> list:
 
 
 def other_interpolation(heights) -> str:
-    """Return the interpolation that only some rows have."""
+    """Return the interpolation that only some rows of a sweep use: the one that the terrain does not."""
     return next(name for name in INTERPOLATIONS if name != heights.interpolation)
 
 
@@ -265,52 +279,54 @@ def imported_text(heights) -> str:
     return f" The source's own rounding may have moved the surface by up to {heights.source_max:.2g} m."
 
 
-def curves(subject) -> list:
-    """Return the cost curve of each unit with at least two errors within all limits, if its runs agree."""
+def cost_curves(subject) -> list:
+    """Return the cost curve of each unit that has two errors or more within all limits, and steady times."""
     of_unit = [rows for rows in by_unit(subject.rows).values() if unsteady_row(rows) is None]
     return [curve_of(rows) for rows in of_unit if len({row.setting.error for row in curve_rows(rows)}) > 1]
 
 
 def by_unit(rows: list[Row]) -> dict[str, list[Row]]:
+    """Return the rows of a sweep by the unit of their error, "px" or "m"."""
     units = dict.fromkeys(row.setting.unit for row in rows)
     return {unit: [row for row in rows if row.setting.unit == unit] for unit in units}
 
 
 def timing_notes(subject) -> list[str]:
-    """Return why a cost curve is left out, a sentence for each unit where its runs disagree."""
+    """Return a sentence for each unit whose cost curve is left out because its times were not steady."""
     notes = []
     for unit, rows in by_unit(subject.rows).items():
         if (row := unsteady_row(rows)) is not None:
-            reason = unsteady_text(label(row.setting), row.spread_ms)
+            reason = unsteady_text(setting_label(row.setting), row.spread_ms)
             notes.append(f"The curve of errors in {unit} against time is left out: {reason}")
     return notes
 
 
-def sentences(subject) -> list[str]:
-    """Describe the cost of half and twice the error, at the current setting or in the middle of the sweep."""
+def cost_sentences(subject) -> list[str]:
+    """Return sentences on the cost of half and twice the error, at the current setting or amid the sweep."""
     text = []
-    for curve in curves(subject):
+    for curve in cost_curves(subject):
         unit, error = curve.unit, curve.error[len(curve.error) // 2]
         if subject.current is not None and subject.current.unit == unit:
             error = subject.current.error
         (less, faster), (triangles, ms), (more, slower) = (curve.at(error * factor) for factor in (2, 1, 0.5))
         text.append(
             f"Halving the error from {error:g} {unit} to {error / 2:g} {unit} costs "
-            f"{time_text(slower - ms, ms)} of CPU and {more - triangles:,.0f} triangles; doubling it "
-            f"to {error * 2:g} {unit} saves {time_text(ms - faster, ms)} of CPU and {triangles - less:,.0f} triangles."
+            f"{difference_text(slower - ms, ms)} of CPU and {more - triangles:,.0f} triangles; doubling it "
+            f"to {error * 2:g} {unit} saves {difference_text(ms - faster, ms)} of CPU and "
+            f"{triangles - less:,.0f} triangles."
         )
         if not curve.error[-1] <= error / 2 < error * 2 <= curve.error[0]:
             text[-1] += " Part of that is extrapolated: it lies beyond what was measured."
     return text
 
 
-def time_text(difference_ms: float, whole_ms: float) -> str:
-    """Describe a difference of times; one within the noise of a measurement gets no figure."""
+def difference_text(difference_ms: float, whole_ms: float) -> str:
+    """Describe a difference of times; one within the noise of a measurement gets no number."""
     return f"{difference_ms:.3g} ms" if difference_ms > NOISE * whole_ms else "no time that could be measured"
 
 
-def overview(rows: list[Row], current: Setting | None) -> Table:
-    """Asked, bound, measured, cost; and which rows are on the Pareto fronts of their unit."""
+def overview_table(rows: list[Row], current: Setting | None) -> Table:
+    """Return the table of all settings: bound, measured error, cost, and which Pareto fronts each is on."""
     fronts = {}
     for unit in dict.fromkeys(row.setting.unit for row in rows):
         for cost in ("triangles",) if unsteady_row(by_unit(rows)[unit]) else ("ms", "triangles"):
@@ -319,7 +335,7 @@ def overview(rows: list[Row], current: Setting | None) -> Table:
     head = ["setting", "bound", "measured", "measured / asked", "triangles", "ms", "mesh, MB", "buffers, MB"]
     lines = []
     for row in rows:
-        unit, name = row.setting.unit, label(row.setting) + (" (current)" if row.setting == current else "")
+        unit, name = row.setting.unit, setting_label(row.setting) + (" (current)" if row.setting == current else "")
         fronts_text = ", ".join(cost for cost, settings in fronts.items() if row.setting in settings)
         numbers = [bound_text(row.bound, unit), f"{number(row.error)} {unit}", f"{row.error / row.setting.error:.2f}"]
         numbers += [f"{row.triangles:,}", number(row.whole_ms), number(row.surface_mb), number(row.buffers_mb)]
@@ -328,7 +344,10 @@ def overview(rows: list[Row], current: Setting | None) -> Table:
 
 
 def error_tables(rows: list[Row]) -> list[Table]:
-    """Return the terms of the bound, then all measurements: height, screen, silhouette, popping, normals, rounding."""
+    """Return tables of the terms of the bound and of all measured errors.
+
+    These are height, screen, silhouette, popping, normals and rounding.
+    """
     blocks = [bound_table(rows)]
     on_screen = [row for row in rows if row.measured.screen_px is not None]
     if on_screen:
@@ -339,7 +358,7 @@ def error_tables(rows: list[Row]) -> list[Table]:
             seen, hidden, outline, popped = (getattr(row if n == "popping_px" else row.measured, n) for n in names)
             cells = [seen.max, seen.p95, seen.mean, *(part and part.max for part in (hidden, outline))]
             cells += [outline and outline.p95, popped and popped.max, popped and popped.p95]
-            lines.append([label(row.setting), *map(number, cells)])
+            lines.append([setting_label(row.setting), *map(number, cells)])
         blocks.append(Table(head, lines))
     head = ["metres, degrees", "height: max", "p95", "rms", "rounding: max", "faces: p95", "max", "shading: p95", "max"]
     lines = []
@@ -347,35 +366,36 @@ def error_tables(rows: list[Row]) -> list[Table]:
         m = row.measured
         cells = [m.vertical_max_m, m.vertical_m.p95, m.vertical_m.rms, m.rounding_m]
         cells += [m.facet_deg.p95, m.facet_deg.max, m.shading_deg.p95, m.shading_deg.max]
-        lines.append([label(row.setting), *map(number, cells)])
+        lines.append([setting_label(row.setting), *map(number, cells)])
     return [*blocks, Table(head, lines)]
 
 
 def bound_table(rows: list[Row]) -> Table:
-    """Return the terms of the bound at the leaf that decides it."""
+    """Return the table of the terms of each bound, at the leaf with the largest one."""
     head = ["parts of the bound", "in all", *TERMS, "measured, of the bound"]
     lines = []
     for row in rows:
         bounded = row.bound < LARGEST
         parts = [getattr(row.terms, part, None) if bounded else None for part in TERMS]
         used = f"{row.error / row.bound:.0%}" if row.bound and bounded else ""
-        lines.append([label(row.setting), bound_text(row.bound, row.setting.unit), *map(number, parts), used])
+        lines.append([setting_label(row.setting), bound_text(row.bound, row.setting.unit), *map(number, parts), used])
     return Table(head, lines)
 
 
 def steps_table(rows: list[Row]) -> Table:
+    """Return the table of milliseconds by step of an update."""
     steps = [step for step in STEPS if any(row.ms.get(step) for row in rows)]
     lines = []
     for row in rows:
         times = [row.cpu_ms, row.whole_ms, row.ms["total"], *(row.ms.get(step) for step in steps)]
-        lines.append([label(row.setting), *map(number, times)])
+        lines.append([setting_label(row.setting), *map(number, times)])
     return Table(["ms", "CPU", "finished mesh", "engine", *steps], lines)
 
 
 def row_line(row: Row) -> str:
-    """Return one row as a line for the terminal."""
+    """Describe one row in a line for the terminal."""
     unit = row.setting.unit
     return (
-        f"{label(row.setting)}: bound {bound_text(row.bound, unit)}, measured {row.error:.3g} {unit}, "
+        f"{setting_label(row.setting)}: bound {bound_text(row.bound, unit)}, measured {row.error:.3g} {unit}, "
         f"{row.triangles:,} triangles, {row.whole_ms:.3g} ms"
     )

@@ -12,7 +12,7 @@ from ..session import session
 from ..text.numbers import SMALLEST, plain
 from ..text.shown_bounds import NO_BOUND, bound_text, limit_text
 from ..text.translations import phrase
-from ..ui.panel_parts import TerrainSubpanel, error_lines, figures, message
+from ..ui.panel_parts import TerrainSubpanel, draw_figures, draw_message, error_lines
 from . import measure as measure_accuracy
 from . import sweep as sweep_accuracy
 from .report import PAGE
@@ -33,32 +33,37 @@ class StatisticsPanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
 
     def draw(self, context):
+        """Draw errors and figures of the last update, measured errors and predicted costs."""
         column = self._columns()
         obj = session.shown_terrain(context)
         status = session.record_of(obj).status
         for text, icon in error_lines(status):
-            message(column, text, icon)
+            draw_message(column, text, icon)
         if status.mode and status.request.note:
-            message(column, status.request.note, "INFO")
-        figures(column, statistics_lines(status))
+            draw_message(column, status.request.note, "INFO")
+        draw_figures(column, statistics_lines(status))
         if status.mode:
             detail = getattr(obj.adaptive_terrain, measure_accuracy.DETAIL[status.mode])
             self._draw_measured(column, status, detail)
         _draw_measuring(column, "adaptive_terrain.measure_accuracy", "DRIVER_DISTANCE")
 
     def _draw_measured(self, column, status, detail):
+        """Draw the measured errors if they belong to this mesh, and what other errors would cost.
+
+        detail: DetailSettings with the results.
+        """
         measured = measure_accuracy.read_measured(detail)
         lines = measured_lines(measured) if measured.get("digest") == status.digest else []
         if lines:
             column.separator()
-            figures(column, lines)
+            draw_figures(column, lines)
         try:
             curve = CostCurve.from_json(detail.curve) if detail.curve else None
         except TerrainError as damaged:
-            message(column, str(damaged), "INFO")
+            draw_message(column, str(damaged), "INFO")
             return
         if detail.no_curve:
-            message(column, shown(detail.no_curve, 400), "INFO")
+            draw_message(column, shown(detail.no_curve, 400), "INFO")
         predicted = prediction_lines(status, curve, exact=bool(lines)) if curve else []
         if predicted:
             column.separator()
@@ -72,6 +77,7 @@ class AccuracyReportPanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_statistics"
 
     def draw(self, context):
+        """Draw the folder of reports, the button that writes one, and one that opens it."""
         column = self._columns()
         obj = session.shown_terrain(context)
         column.prop(obj.adaptive_terrain, "reports")
@@ -79,7 +85,7 @@ class AccuracyReportPanel(TerrainSubpanel):
         try:
             page = sweep_accuracy.report_folder(obj) / PAGE
         except TerrainError as error:
-            message(column, str(error), "INFO")
+            draw_message(column, str(error), "INFO")
             return
         if os.path.isfile(page):  # which raises for no folder
             column.operator("wm.path_open", text="Open Report", icon="URL").filepath = str(page)
@@ -94,7 +100,7 @@ def _draw_measuring(column, operator: str, icon: str) -> None:
         jobs.draw_progress(column, job)
 
 
-def _bounds(status) -> list[tuple[str, float, str, object]]:
+def _list_bounds(status) -> list[tuple[str, float, str, object]]:
     """Return label, value, unit and terms of every bound of the last update, the most important first."""
     bounds = []
     for name, (label, unit) in BOUNDS.items():
@@ -104,8 +110,8 @@ def _bounds(status) -> list[tuple[str, float, str, object]]:
     return bounds
 
 
-def _bound(value: float, unit: str, digits: int) -> str:
-    """Return the text of a bound, rounded up; 0 if nothing is in view."""
+def _bound_label(value: float, unit: str, digits: int) -> str:
+    """Return a bound as text, rounded up; 0 if nothing is in view."""
     shown = max(value, SMALLEST) if value else 0.0
     return f"≤ {bound_text(shown, unit, digits)}" if value < LARGEST else NO_BOUND
 
@@ -117,8 +123,8 @@ def summary_lines(status, sees_nothing: bool = False) -> list[tuple[str, str]]:
     """
     if not status.mode:
         return [("Triangles", "-"), ("Error bound", "-"), ("Update", "-")]
-    name, value, unit, _ = (_bounds(status) or [("Error bound", None, "", None)])[0]
-    bound = "-" if value is None else _bound(value, unit, 3)
+    name, value, unit, _ = (_list_bounds(status) or [("Error bound", None, "", None)])[0]
+    bound = "-" if value is None else _bound_label(value, unit, 3)
     if sees_nothing and unit.startswith("px") and value == 0.0:
         bound = "no view"
     ms = sum(status.ms.get(step, 0.0) for step in ("total", "overlay", "mesh"))
@@ -131,8 +137,8 @@ def statistics_lines(status) -> list[tuple[str, str]]:
         return [("No update yet", "")]
     unit = requested_unit(status.request.criterion)
     lines = [("Asked", f"{plain(getattr(status.request.criterion, f'error_{unit}'), 4)} {unit}")] if unit else []
-    for name, value, unit, terms in _bounds(status):
-        lines.append((name, _bound(value, unit, 4)))
+    for name, value, unit, terms in _list_bounds(status):
+        lines.append((name, _bound_label(value, unit, 4)))
         parts = {label: getattr(terms, term) for term, label in TERMS.items()} if terms and value < LARGEST else {}
         lines += [(f"    {phrase(label)}", f"{plain(part)} {unit}") for label, part in parts.items() if part]
     if status.bounds.limited:
@@ -165,9 +171,9 @@ def measured_lines(measured: dict) -> list[tuple[str, str, str]]:
 
 
 def prediction_lines(status, curve: CostCurve, exact: bool) -> list[str]:
-    """Return what half and twice the error of the last update would cost, by the measured curve: a line each.
+    """Return lines on what half and twice the error of the last update would cost, by the measured curve.
 
-    exact: the update is the measured one. Any other scales the curve to go through its own point.
+    exact: the update is the measured one. Otherwise the curve is scaled to go through the update's own cost.
     """
     error = getattr(status.request.criterion, f"error_{curve.unit}") * status.bounds.relaxed
     if not error:
@@ -181,13 +187,13 @@ def prediction_lines(status, curve: CostCurve, exact: bool) -> list[str]:
     lines = []
     for other in (error / 2, error * 2):
         triangles, ms = curve.at(other)
-        cost = phrase("~{} triangles, ~{} ms", _rounded(triangles * more), _rounded(ms * longer))
+        cost = phrase("~{} triangles, ~{} ms", _two_digits(triangles * more), _two_digits(ms * longer))
         lines.append(f"{plain(other)} {curve.unit}: {cost}")
     return lines
 
 
-def _rounded(value: float) -> str:
-    """Return a number with two digits: a prediction is no better."""
+def _two_digits(value: float) -> str:
+    """Format a number with two digits: a prediction is no better."""
     return plain(float(f"{value:.2g}"))
 
 

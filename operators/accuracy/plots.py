@@ -15,8 +15,12 @@ SPREAD = " Processor time of all threads. Pale bars: from the fastest to the slo
 UNIT_NAMES = {"px": "pixels on screen", "m": "metres of height"}
 
 
-def plots(subject, unit: str, current: Row | None, prefix: str) -> list[Plot]:
-    """Draw error against time, where runs agree, and against triangles; a fit is made once and is in no time plot."""
+def error_plots(subject, unit: str, current: Row | None, prefix: str) -> list[Plot]:
+    """Return plots of error against time, unless times are not steady, and against triangles.
+
+    unit: "px" or "m". current: row of the scene's own setting. prefix: start of the files' names. A fit is made
+    once, so it is in no plot of times.
+    """
     rows = [row for row in subject.rows if row.setting.unit == unit]
     found = []
     for cost, axis in (("ms", "ms of CPU to the finished mesh"), ("triangles", "triangles")):
@@ -37,13 +41,16 @@ def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
     """
 
     def points(candidates: list[Row], error) -> list[tuple[float, float]]:
+        """Return (cost, error) of rows for a curve, the coarsest first. error: function of a row."""
         coarse_first = sorted(candidates, key=lambda row: -row.setting.error)
         return [(cost_of(row, cost), error(row)) for row in coarse_first]
 
     def measured(row: Row) -> float:
+        """Return the measured error of a row."""
         return row.error
 
     def bound(row: Row) -> float:
+        """Return the bound of a row, infinity if it has none."""
         return row.bound if row.bound < LARGEST else math.inf  # which has no place in the plot
 
     interpolation = rows[0].setting.interpolation
@@ -55,7 +62,7 @@ def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
     found = [
         Curve("asked", SOFT, points(plain, lambda row: row.setting.error), dash="2 4"),
         Curve("bound", TEAL, points(plain, bound)),
-        Curve("measured", RED, points(plain, measured), spans=spreads(plain, cost)),
+        Curve("measured", RED, points(plain, measured), spans=time_spreads(plain, cost)),
         Curve(f"{other_name}, measured", PURPLE, points(other, measured)),
         Curve("fitted, bound", BLUE, points(fitted, bound), dash="7 4"),
         Curve("fitted, measured", GREEN, points(fitted, measured)),
@@ -64,21 +71,24 @@ def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
         Curve("Pareto front", INK, [(cost_of(r, cost), r.error) for r in front], "", False, RING),
     ]
     if current in rows:
-        found.append(Curve(f"current, {label(current.setting)}", INK, points([current], measured), "", False, CROSS))
+        found.append(
+            Curve(f"current, {setting_label(current.setting)}", INK, points([current], measured), "", False, CROSS)
+        )
     return found
 
 
-def spreads(rows: list[Row], cost: str) -> list[tuple[float, float]]:
-    """Return the fastest and the slowest time of each row, in the order of its curve; [] for triangles."""
+def time_spreads(rows: list[Row], cost: str) -> list[tuple[float, float]]:
+    """Return the fastest and the slowest time of each row in the order of its curve; [] for triangles."""
     coarse_first = sorted(rows, key=lambda row: -row.setting.error)
     return [row.spread_ms or (row.cost_ms, row.cost_ms) for row in coarse_first] if cost == "ms" else []
 
 
 def pareto_rows(rows: list[Row], cost: str) -> list[Row]:
-    """Return the rows of one unit that no other row of their interpolation beats in error and cost.
+    """Return the rows that no other row of the same interpolation beats in both error and cost.
 
-    Each interpolation is another surface, whose errors do not compare. A fit is made once, so its time is no cost of a
-    frame. Rows with the other transitions are left out: their purpose is no smaller error.
+    rows: of one unit. cost: "ms" or "triangles". Interpolations are different surfaces, whose errors do not
+    compare. A fit is made once, so it has no time per frame. Rows with the other setting of geomorph are left out:
+    its purpose is no smaller error.
     """
     found, rows = [], [row for row in rows if row.setting.morph is None]
     for name in dict.fromkeys(row.setting.interpolation for row in rows):
@@ -89,11 +99,12 @@ def pareto_rows(rows: list[Row], cost: str) -> list[Row]:
 
 
 def cost_of(row: Row, cost: str) -> float:
+    """Return the cost of a row. cost: "ms" or "triangles"."""
     return row.cost_ms if cost == "ms" else float(row.triangles)
 
 
-def label(setting: Setting) -> str:
-    """Return `1 px, depth 15` or `4 m, fitted`."""
+def setting_label(setting: Setting) -> str:
+    """Return a setting as text, such as `1 px, depth 15` or `4 m, fitted`."""
     parts = [f"{setting.error:g} {setting.unit}"]
     parts += [f"depth {setting.max_depth}"] if setting.max_depth else []
     parts += [f"meshlet {setting.meshlet}"] if setting.meshlet else []

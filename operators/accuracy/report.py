@@ -10,9 +10,9 @@ from ...cbt_terrain.accuracy.crops import crops
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.terrain import Terrain
 from ..export.exporting import check_room, check_target, make_folder, write_files
-from ..text.machine import machine
+from ..text.machine import describe_machine
 from . import page as accuracy_page
-from .plots import label
+from .plots import setting_label
 from .subject import AccuracySubject
 
 PAGE = "index.html"
@@ -21,42 +21,42 @@ REPORT_BYTES = 1 << 21  # more than it is
 SCRATCH = "adaptive_terrain_scratch"  # property of the mesh that is written into
 
 
-def prepare(out: Path) -> None:
-    """Make the folder; raises TerrainError where a report cannot be written: better now than after measuring."""
+def prepare_folder(out: Path) -> None:
+    """Create the folder of a report. Raises TerrainError if it cannot be written, before the long measurement."""
     make_folder(out)
     for name in FILES:
         check_target(out / name)
     check_room(out / PAGE, REPORT_BYTES)
 
 
-def write(subjects: Sequence[AccuracySubject], out: Path) -> None:
-    """Write FILES and the plots of measured subjects into the folder `out`, all or none; raises TerrainError."""
-    make_folder(out)  # which may be gone since `prepare`
-    write_files(out, accuracy_page.files(subjects, machine()))
+def write_report(subjects: Sequence[AccuracySubject], out: Path) -> None:
+    """Write all files of a report into the folder `out`, all or none. Raises TerrainError."""
+    make_folder(out)  # which may be gone since `prepare_folder`
+    write_files(out, accuracy_page.report_files(subjects, describe_machine()))
 
 
-def draw(subject: AccuracySubject) -> None:
-    """Draw the pictures of errors that a page shows side by side."""
+def draw_crops(subject: AccuracySubject) -> None:
+    """Draw the pictures of one part of the view at several errors, which the page shows side by side."""
     errors = [row.setting.error for row in accuracy_page.strip_rows(subject)]
     subject.crops = crops(Terrain(subject.heights), subject.frames[0], errors, subject.base)
 
 
 def check_bounds(subjects: Sequence[AccuracySubject]) -> None:
-    """Raise TerrainError where a measured error passes its bound."""
+    """Raise TerrainError if a measured error exceeds its bound."""
     if broken := [(subject, row) for subject in subjects for row in subject.rows if not row.error <= row.bound]:
         subject, row = broken[0]
         raise TerrainError(
             f"The bound does not hold in {len(broken)} row{'s' * (len(broken) > 1)}, first of {subject.name} at "
-            f"{label(row.setting)}: bounded by {row.bound:.9g} {row.setting.unit}, measured {row.error:.9g}",
+            f"{setting_label(row.setting)}: bounded by {row.bound:.9g} {row.setting.unit}, measured {row.error:.9g}",
             fix="report it with accuracy.json",
         )
 
 
-def ingest_ms(surface) -> float:
-    """Measure the milliseconds that writing a surface into a Blender mesh takes.
+def time_mesh_writing(surface) -> float:
+    """Write a surface into a Blender mesh and return the milliseconds that it took.
 
-    The same mesh is written until `ingest_end`, so it has memory already, as a terrain's mesh has. A million triangles
-    take twice as long in a new mesh.
+    The same mesh is used until `remove_scratch_meshes`, so that it has memory already, as a terrain's mesh has. A
+    million triangles take twice as long in a new mesh.
     """
     import bpy
 
@@ -71,8 +71,8 @@ def ingest_ms(surface) -> float:
     return (time.perf_counter() - start) * 1e3
 
 
-def ingest_end() -> None:
-    """Remove the meshes that were written, also those that an undo has restored."""
+def remove_scratch_meshes() -> None:
+    """Remove the meshes that `time_mesh_writing` wrote, also those that an undo has restored."""
     bpy = sys.modules.get("bpy")
     if bpy is not None:
         for mesh in list(_scratch_meshes()):
@@ -80,7 +80,7 @@ def ingest_end() -> None:
 
 
 def _scratch_meshes():
-    """Yield the meshes that this module made. They are looked up each time, as an undo replaces them."""
+    """Yield the meshes that `time_mesh_writing` wrote. An undo replaces them, so they are looked up each time."""
     import bpy
 
     return (mesh for mesh in bpy.data.meshes if mesh.users == 0 and SCRATCH in mesh)

@@ -60,7 +60,11 @@ class AccuracySubject:
     def title(self) -> str:
         """The name of the source file, and that of the object if it differs."""
         file = Path(self.heights.provenance.get("settings", {}).get("source", "")).name or self.name
-        return file if slug(self.called or Path(file).stem) == slug(Path(file).stem) else f"{file}: {self.called}"
+        return (
+            file
+            if file_slug(self.called or Path(file).stem) == file_slug(Path(file).stem)
+            else f"{file}: {self.called}"
+        )
 
     @property
     def settings(self) -> list[Setting]:
@@ -72,39 +76,44 @@ class AccuracySubject:
 def store_subject(
     store: Path, path: Path | None, frames: Sequence[int] | None, resolution: tuple[int, int]
 ) -> AccuracySubject:
-    """Return a store seen along a camera path, or from a position that shows all of it."""
+    """Return the subject of a store, seen along a camera path, or from a position that shows all of it (no path).
+
+    frames: of the path, by default a few that are evenly spaced.
+    """
     heights = open_store(store)
-    name, current = slug(Path(store).stem), Setting("px", Criterion().error_px)
+    name, current = file_slug(Path(store).stem), Setting("px", Criterion().error_px)
     size = f"{resolution[0]} x {resolution[1]} pixels"
     if path is None:
-        view = overview(heights, resolution)
+        view = whole_view(heights, resolution)
         return AccuracySubject(
             name, heights, [TimedFrame([view])], [], f"as a whole from the south-west, {size}", current
         )
     flight = read_camera_path(path)
     last = math.floor(flight.frames[-1])
-    numbers = list(frames or spread(math.ceil(flight.frames[0]), last))
+    numbers = list(frames or spread_frames(math.ceil(flight.frames[0]), last))
 
-    def at(frame: int) -> TimedFrame:
+    def frame_at(frame: int) -> TimedFrame:
+        """Return one frame of the path to be measured."""
         return TimedFrame([flight.view(frame, resolution)])
 
-    shown = [TimedFrame(at(n).views, after=at(n + 1) if n + 1 <= last else None) for n in numbers]
+    shown = [TimedFrame(frame_at(n).views, after=frame_at(n + 1) if n + 1 <= last else None) for n in numbers]
     return AccuracySubject(name, heights, shown, numbers, f"along {Path(path).name}, {size}", current)
 
 
 def scene_subjects(
     blend: Path, camera: str | None, frames: Sequence[int] | None, resolution: tuple[int, int] | None
 ) -> list[AccuracySubject]:
-    """Return the terrains of a .blend file at the detail of the render; without `frames`, at the file's current frame.
+    """Return a subject for each terrain of a .blend file, with the settings of its render.
 
-    Triangles that a clean-up cuts away are measured too: they change no error of the others.
+    frames: by default the file's current frame. Triangles that a clean-up cuts away are measured, too: they change
+    no error of the others.
     """
     source = SceneFrames(blend, camera, resolution)
     import bpy
 
     numbers = list(frames or [source.scene.frame_current])
     look = {"camera": source.camera, "resolution": resolution}
-    found = look_at(source.scene, bpy.context.view_layer, source.objects, numbers, **look)
+    found = gather_views(source.scene, bpy.context.view_layer, source.objects, numbers, **look)
     return [shown.subject(f"the camera of {Path(blend).name}") for shown in found]
 
 
@@ -118,7 +127,12 @@ class Look:
     numbers: list[int]
 
     def subject(self, through: str) -> AccuracySubject:
-        """Open the terrain, seen `through` a camera (in words), without touching Blender."""
+        """Return the terrain as a subject to be measured.
+
+        Uses nothing of Blender, so any thread may call it.
+
+        through: the camera in words.
+        """
         from ..session import session
 
         size = " x ".join(f"{pixels:g}" for pixels in self.frames[0].views[0].resolution)
@@ -126,14 +140,15 @@ class Look:
         heights, current = session.field_of(request), current_setting(request)
         found = AccuracySubject(self.name, heights, self.frames, self.numbers, seen, current, request.criterion)
         found.called, found.effects = self.name, plan(request.effects.requests)
-        found.notes += notes_on(request.criterion)
+        found.notes += omission_notes(request.criterion)
         return found
 
 
-def look_at(scene, view_layer, objects, numbers: Sequence[int], **look) -> list[Look]:
-    """Return the view of the terrains `objects` at the frames `numbers` of `scene`, which are visited.
+def gather_views(scene, view_layer, objects, numbers: Sequence[int], **look) -> list[Look]:
+    """Visit the frames `numbers` of a scene and return a Look for each terrain of `objects`.
 
-    `look`: further arguments of `request.gather`. Each frame is followed by the next one, if the scene has one.
+    Each frame has the next one with it, if the scene has one, for measuring popping. look: further arguments of
+    `request.gather`.
     """
     from ..terrain.request import RENDER, gather
 
@@ -161,7 +176,7 @@ def look_at(scene, view_layer, objects, numbers: Sequence[int], **look) -> list[
 
 
 def current_setting(request) -> Setting | None:
-    """Return the part of a request that a sweep varies: its error in pixels or metres, limits, interpolation."""
+    """Return the part of a request that a sweep varies: its error, limits and interpolation; None without an error."""
     criterion = request.criterion
     unit = requested_unit(criterion)
     if not unit:
@@ -170,8 +185,8 @@ def current_setting(request) -> Setting | None:
     return Setting(unit, getattr(criterion, f"error_{unit}"), *limits, interpolation=request.interpolation)
 
 
-def notes_on(criterion: Criterion) -> list[str]:
-    """Describe the parts of a criterion that a sweep leaves out."""
+def omission_notes(criterion: Criterion) -> list[str]:
+    """Return sentences about the parts of a criterion that a sweep leaves out."""
     notes = []
     if not requested_unit(criterion):
         notes.append("The terrain asks for no error, so no setting is marked as the current one.")
@@ -182,7 +197,7 @@ def notes_on(criterion: Criterion) -> list[str]:
     return notes
 
 
-def overview(heights: HeightField, resolution: tuple[int, int]) -> View:
+def whole_view(heights: HeightField, resolution: tuple[int, int]) -> View:
     """Return a view from three quarters above that shows the whole terrain."""
     lattice = heights.lattice
     x, y = (lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y
@@ -194,12 +209,12 @@ def overview(heights: HeightField, resolution: tuple[int, int]) -> View:
     return View.look(eye, middle, fov_deg=FOV_DEG, resolution=resolution, clip=(1e-3 * distance, 10 * distance))
 
 
-def spread(first: int, last: int) -> list[int]:
+def spread_frames(first: int, last: int) -> list[int]:
     """Return at most SPREAD whole frames from first to last, evenly spaced."""
     count = min(SPREAD, max(last, first) - first + 1)
     return sorted({round(n) for n in np.linspace(first, max(last, first), count)})
 
 
-def slug(name: str) -> str:
-    """Return the name in a form that a file's name can hold."""
+def file_slug(name: str) -> str:
+    """Return a name in lower case with only characters that a file name may have."""
     return re.sub(r"[^A-Za-z0-9_-]+", "_", name).strip("_").lower() or "terrain"

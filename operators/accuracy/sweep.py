@@ -18,8 +18,8 @@ from ..session.pauses import paused
 from ..terrain.request import RENDER, gather
 from . import report as accuracy_report
 from .measuring import MeasuringOperator
-from .plots import label
-from .subject import AccuracySubject, Look, look_at
+from .plots import setting_label
+from .subject import AccuracySubject, Look, gather_views
 
 BESIDE = "//accuracy/"
 NOT_FOLLOWED = (
@@ -29,7 +29,7 @@ NOT_FOLLOWED = (
 
 
 def report_folder(obj) -> Path:
-    """Return the terrain's folder for reports, in the folder that its settings name. Raises TerrainError."""
+    """Return the folder of a terrain's report, inside the one of its settings. Raises TerrainError."""
     folder = obj.adaptive_terrain.reports
     if folder.startswith("//") and not bpy.data.filepath:
         raise TerrainError(
@@ -45,7 +45,7 @@ def report_folder(obj) -> Path:
 
 
 def check_report_name(obj) -> None:
-    """Raise TerrainError where another terrain's report would be written over this one's."""
+    """Raise TerrainError if another terrain has the same report folder."""
     place = obj.adaptive_terrain.reports, file_name(obj).casefold()
     for other in session.all_terrains():
         if other != obj and (other.adaptive_terrain.reports, file_name(other).casefold()) == place:
@@ -56,8 +56,8 @@ def check_report_name(obj) -> None:
 
 
 @contextmanager
-def beside(scene, view_layer):
-    """Yield a copy of the scene, and its view layer, that may go to other frames.
+def copied_scene(scene, view_layer):
+    """Give the `with` block a copy of the scene, and its view layer, that may go to other frames.
 
     The scene itself stays at its frame, with changes that have no keyframe.
     """
@@ -71,23 +71,26 @@ def beside(scene, view_layer):
 
 
 def readers_of(scene) -> list[str]:
-    """Return the names of data that reads the scene itself, as some drivers do.
+    """Return the names of data-blocks that read the scene itself, as some drivers do.
 
-    In a copy they see the original's frame.
+    In a copy of the scene they see the original's frame, which the report has to mention.
     """
     users = bpy.data.user_map(subset=[scene])[scene]
     return sorted(user.name for user in users if user.id_type not in ("WINDOWMANAGER", "SCREEN", "WORKSPACE"))
 
 
-def measured(look: Look, through: str, job: BackgroundJob) -> AccuracySubject:
-    """Return the terrain with every row of a whole sweep; only meshes are written on the main thread."""
+def measure_look(look: Look, through: str, job: BackgroundJob) -> AccuracySubject:
+    """Measure every setting of a sweep on the job's thread; return the subject with its rows.
+
+    Only writing meshes is done on the main thread. through: the camera in words.
+    """
     with session.engine_lock:
         subject = look.subject(through)
     settings = subject.settings
 
     def on_progress(fraction: float) -> None:
         at = min(int(fraction * len(settings)), len(settings) - 1)
-        job.progress(fraction, f"Report: {label(settings[at])}")
+        job.progress(fraction, f"Report: {setting_label(settings[at])}")
 
     subject.rows = sweep(
         subject.heights,
@@ -95,10 +98,10 @@ def measured(look: Look, through: str, job: BackgroundJob) -> AccuracySubject:
         subject.frames,
         base=subject.base,
         effects=subject.effects,
-        write=lambda surface: job.call_on_main(lambda: accuracy_report.ingest_ms(surface)),
+        write=lambda surface: job.call_on_main(lambda: accuracy_report.time_mesh_writing(surface)),
         on_progress=on_progress,
     )
-    accuracy_report.draw(subject)
+    accuracy_report.draw_crops(subject)
     return subject
 
 
@@ -111,31 +114,35 @@ class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
     bl_options = {"REGISTER"}
 
     def prepare(self, context):
+        """Check the folder, visit the frames, and return the function that measures and writes the report."""
         obj, scene = context.object, context.scene
         folder = report_folder(obj)
         check_report_name(obj)
         # Raises errors that name this scene, not its copy.
         gather(obj, context.evaluated_depsgraph_get(), RENDER, criterion=Criterion())
-        with beside(scene, context.view_layer) as (copy, view_layer):
-            [look] = look_at(copy, view_layer, [obj], [scene.frame_current])
-        accuracy_report.prepare(folder)
+        with copied_scene(scene, context.view_layer) as (copy, view_layer):
+            [look] = gather_views(copy, view_layer, [obj], [scene.frame_current])
+        accuracy_report.prepare_folder(folder)
         readers = readers_of(scene)
         through = f"the camera of {Path(bpy.data.filepath).name or 'the scene'}"
 
-        def carry_out(job: BackgroundJob) -> tuple[Path, AccuracySubject]:
-            subject = measured(look, through, job)
+        def measure_and_write(job: BackgroundJob) -> tuple[Path, AccuracySubject]:
+            """Measure and write the report; return its folder and the subject."""
+            subject = measure_look(look, through, job)
             if readers:
                 subject.notes.append(f"{' and '.join(readers)} may follow {NOT_FOLLOWED}")
             job.progress(1.0, "Report: writing")
-            accuracy_report.write([subject], folder)
+            accuracy_report.write_report([subject], folder)
             accuracy_report.check_bounds([subject])
             return folder, subject
 
-        return carry_out
+        return measure_and_write
 
     def clean_up(self):
-        accuracy_report.ingest_end()
+        """Remove the meshes that were written to time Blender."""
+        accuracy_report.remove_scratch_meshes()
 
     def finish(self, _context, _obj, result: tuple[Path, AccuracySubject]) -> None:
+        """Report where the report is."""
         folder, subject = result
         self.report({"INFO"}, f"{folder / accuracy_report.PAGE}: {len(subject.rows)} settings measured")

@@ -24,11 +24,11 @@ HEAD = [
 
 
 def transitions_section(rows: list[Row], of: str, plot: str) -> list:
-    """Return blocks of the page; [] if no frame follows another.
+    """Return blocks of the page that compare popping with and without geomorph; [] if no frame follows another.
 
-    `of`: the terrain's name in headings if there are others. `plot`: the name of the plot's file.
+    of: " of NAME" for headings if the page has several terrains, else "". plot: name of the plot's file.
     """
-    pairs = both_ways(rows)
+    pairs = paired_rows(rows)
     if not pairs:
         return []
     lines = [
@@ -53,11 +53,11 @@ def transitions_section(rows: list[Row], of: str, plot: str) -> list:
             "does: half the way a frame, half the jump."
         ),
         Table(HEAD, lines),
-        Plot(plot, "Jumps of points against the tolerance, both logarithmic.", _drawing(pairs)),
+        Plot(plot, "Jumps of points against the tolerance, both logarithmic.", _draw_jumps(pairs)),
     ]
 
 
-def both_ways(rows: list[Row]) -> list[tuple[Row, Row]]:
+def paired_rows(rows: list[Row]) -> list[tuple[Row, Row]]:
     """Return pairs of rows of the same error, without geomorph and with it, where popping was measured."""
     by_setting = {row.setting: row for row in rows if row.popping_px is not None}
     pairs = []
@@ -68,7 +68,8 @@ def both_ways(rows: list[Row]) -> list[tuple[Row, Row]]:
     return pairs
 
 
-def _drawing(pairs: list[tuple[Row, Row]]) -> str:
+def _draw_jumps(pairs: list[tuple[Row, Row]]) -> str:
+    """Return the plot of the largest jump and of the 99.9th percentile, with and without geomorph."""
     curves = []
     for i, (name, colour) in enumerate((("without", RED), ("smooth", BLUE))):
         for part, label, dash in (("max", "largest", ""), ("p999", "99.9 %", "7 4")):

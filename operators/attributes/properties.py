@@ -18,12 +18,12 @@ WHEN = [
 
 
 def is_number(parameter: Parameter) -> bool:
-    """Tell whether a parameter is a setting; others are gathered from the scene."""
+    """Return whether a parameter is a number, which gets a setting; others are gathered from the scene."""
     return isinstance(parameter.default, int | float)
 
 
-def numbers_of(settings, name: str) -> tuple[tuple[str, float], ...]:
-    """Return the parameters of an effect that differ from their defaults in a terrain's evaluated settings."""
+def changed_numbers(settings, name: str) -> tuple[tuple[str, float], ...]:
+    """Return (name, value) of an attribute's parameters that differ from their defaults in a terrain's settings."""
     group, found = getattr(settings.effects, name), []
     for parameter in filter(is_number, ATTRIBUTES[name].parameters):
         value = getattr(group, parameter.name)
@@ -32,7 +32,8 @@ def numbers_of(settings, name: str) -> tuple[tuple[str, float], ...]:
     return tuple(found)
 
 
-def _property(parameter: Parameter):
+def _make_property(parameter: Parameter):
+    """Return the Blender property for a declared parameter."""
     about = f"{parameter.about} ({parameter.unit})" if parameter.unit else parameter.about
     label = parameter.name.replace("_", " ").title()
     words = {"name": label, "description": about, "default": parameter.default, "update": changed}
@@ -41,15 +42,15 @@ def _property(parameter: Parameter):
     return FloatProperty(**words, min=parameter.min, max=parameter.max, precision=3)
 
 
-def _settings_of(effect: AttributeDeclaration) -> type:
-    """Return a property group with when the effect is computed, and its numbers."""
+def _make_group(effect: AttributeDeclaration) -> type:
+    """Return a PropertyGroup class for an attribute: when it is computed, and its numbers."""
     when = EnumProperty(name=effect.name, description=effect.about, items=WHEN, update=changed)
-    numbers = {parameter.name: _property(parameter) for parameter in filter(is_number, effect.parameters)}
+    numbers = {parameter.name: _make_property(parameter) for parameter in filter(is_number, effect.parameters)}
     members = {"__annotations__": {"when": when} | numbers, "__doc__": effect.about}
     return type(f"AdaptiveTerrainEffect_{effect.name}", (bpy.types.PropertyGroup,), members)
 
 
-GROUPS = {name: _settings_of(effect) for name, effect in ATTRIBUTES.items()}
+GROUPS = {name: _make_group(effect) for name, effect in ATTRIBUTES.items()}
 _scale = FloatProperty(
     name="Geometry Scale",
     description="Size of the smallest forms that modifiers and geometry nodes see in attributes: larger is smoother. 0 "

@@ -16,9 +16,9 @@ from ...cbt_terrain.attributes.splat import NAMES
 from ...cbt_terrain.field.heightfield import HeightField
 from ..bridge.demand import kept
 from ..bridge.demand.found import ACTIVE_COLOR, ALL, Demand, Reader
-from ..layers.decals import decals_given
-from ..layers.properties import barren, color_given, layers_given
-from .properties import GROUPS, OFF, PINNED, numbers_of
+from ..layers.decals import decal_parameters
+from ..layers.properties import color_parameters, empty_layers_note, layer_parameters
+from .properties import GROUPS, OFF, PINNED, changed_numbers
 from .sun_lamps import suns_over
 
 PIN = Reader("a pin", PICTURE)
@@ -58,21 +58,27 @@ class EffectStatus:
 # graph) if the effect is computed.
 Given = Callable[[object, np.ndarray, object], Mapping[str, object]]
 GIVEN: dict[str, Given] = {"sun": lambda _terrain, placement, depsgraph: {"suns": suns_over(placement, depsgraph)}}
-GIVEN |= dict.fromkeys(NAMES, lambda terrain, _placement, _depsgraph: layers_given(terrain.adaptive_terrain))
+GIVEN |= dict.fromkeys(NAMES, lambda terrain, _placement, _depsgraph: layer_parameters(terrain.adaptive_terrain))
 
-GIVEN["detail_normal"] = partial(decals_given, tilts=True)
+GIVEN["detail_normal"] = partial(decal_parameters, tilts=True)
 GIVEN["color"] = lambda terrain, placement, depsgraph: (
-    color_given(terrain.adaptive_terrain) | decals_given(terrain, placement, depsgraph, tilts=False)
+    color_parameters(terrain.adaptive_terrain) | decal_parameters(terrain, placement, depsgraph, tilts=False)
 )
 
 
 def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, names: Iterable[str] | None) -> Effects:
-    """Return the effects of the terrain `obj`.
+    """Return the attributes to compute for a terrain, with their readers and parameters.
 
-    `names`: effects of an export, in place of those that the scene reads.
+    Args:
+        evaluated: the object's evaluated copy.
+        placement: matrix from the terrain's space to the world, float64 [4, 4].
+        mode: VIEWPORT or RENDER.
+        names: attributes of an export, in place of those that the scene reads; None otherwise.
     """
     settings = evaluated.adaptive_terrain
-    found = _read(obj, depsgraph, mode) if names is None else {n: [Reader("the export", GEOMETRY)] for n in names}
+    found = (
+        _find_readers(obj, depsgraph, mode) if names is None else {n: [Reader("the export", GEOMETRY)] for n in names}
+    )
     requests, off = [], []
     for name in GROUPS:
         readers, when = found.get(name, []), getattr(settings.effects, name).when
@@ -84,7 +90,7 @@ def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, 
         elif readers:
             family = GEOMETRY if any(reader.family == GEOMETRY for reader in readers) else PICTURE
             given = GIVEN[name](evaluated, placement, depsgraph) if name in GIVEN else {}
-            parameters = tuple(sorted((*numbers_of(settings, name), *given.items())))
+            parameters = tuple(sorted((*changed_numbers(settings, name), *given.items())))
             requests.append(AttributeRequest(name, words, family, parameters))
     return Effects(tuple(requests), tuple(off), settings.effects.geometry_metres)
 
@@ -92,34 +98,38 @@ def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, 
 def statuses(
     effects: Effects, plan: AttributePlan, ran: Mapping[str, Ran], heights: HeightField
 ) -> dict[str, EffectStatus]:
-    """Return the status of each effect on a terrain by its name."""
+    """Return an EffectStatus for every attribute by its name, computed or not.
+
+    plan: the attributes of the update. ran: cost of those that were computed.
+    """
     found = {}
     for step in plan.steps:
         took = ran.get(step.name, Ran(0.0, 0, 0))
         found[step.name] = EffectStatus(step.readers, step.family, took.ms, took.nbytes, took.computed)
-        found[step.name] = replace(found[step.name], note=_note(step, heights))
+        found[step.name] = replace(found[step.name], note=_note_on(step, heights))
     off = dict(effects.off)
     for name, why in plan.skipped.items():
-        found[name] = EffectStatus(off.get(name, ()), skipped=_switched_off(off[name]) if name in off else why)
+        found[name] = EffectStatus(off.get(name, ()), skipped=_switched_off_text(off[name]) if name in off else why)
     return {name: found[name] for name in ATTRIBUTES}
 
 
-def _note(step: AttributeRequest, heights: HeightField) -> str:
-    """Why an effect is nothing where one may not expect it, or ""."""
+def _note_on(step: AttributeRequest, heights: HeightField) -> str:
+    """Return why an attribute is 0 where one may not expect it, or ""."""
     if why := lacks(heights, step.name):
         return f"0, since {why}"
     given = dict(step.parameters)
     if given.get("suns") == ():
         return "0, since no sun lamp shines in the scene"
-    return barren(given.get("layers", ()))
+    return empty_layers_note(given.get("layers", ()))
 
 
-def _switched_off(readers: tuple[str, ...]) -> str:
+def _switched_off_text(readers: tuple[str, ...]) -> str:
+    """Return the reason for skipping an attribute that is switched off, with its would-be readers."""
     return f"switched off, read by {' and '.join(readers)}" if readers else "switched off"
 
 
-def _read(obj, depsgraph, mode: str) -> dict[str, list[Reader]]:
-    """Return the readers in the scene by the name of the effect, with "everything" and the active colours resolved."""
+def _find_readers(obj, depsgraph, mode: str) -> dict[str, list[Reader]]:
+    """Return the readers in the scene by attribute; "everything" and the active colours are resolved."""
     demand = kept.demand_of(obj, depsgraph, mode)
     found = Demand({name: list(readers) for name, readers in demand.items()})
     everything = {name: demand.get(ALL, []) for name in ATTRIBUTES}

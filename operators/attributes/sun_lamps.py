@@ -22,9 +22,9 @@ class Sun(NamedTuple):
 
 
 def sun_lamps(depsgraph) -> list[Sun]:
-    """Return every sun lamp that is visible in the evaluated view layer of a dependency graph."""
+    """Return every sun lamp that the evaluated view layer of a dependency graph shows."""
     found = []
-    for lamp in _lamps(depsgraph):
+    for lamp in _evaluated_suns(depsgraph):
         axis = np.array(lamp.matrix_world.col[2][:3], np.float64)  # it shines along its own -Z
         length = float(np.sqrt((axis * axis).sum()))
         if lamp.data.energy > 0.0 and np.isfinite(length) and length > 0.0:
@@ -34,10 +34,10 @@ def sun_lamps(depsgraph) -> list[Sun]:
 
 
 def suns_over(placement: np.ndarray, depsgraph) -> tuple[tuple[float, ...], ...]:
-    """Return a row for each sun: x, y, z towards it in the terrain's own space, its angle and its strength.
+    """Return a row for each sun lamp of the scene: x, y, z towards it in the terrain's space, its angle and strength.
 
-    Shadows are the same in that space. The angle is the world's: a scale that differs by axis would make an ellipse of
-    the disc.
+    placement: matrix from the terrain's space to the world. Shadows are the same in that space. The angle is that
+    in the world: a scale that differs by axis would make an ellipse of the disc.
     """
     to_local = inverse(placement)[:3, :3]
     rows = []
@@ -47,8 +47,8 @@ def suns_over(placement: np.ndarray, depsgraph) -> tuple[tuple[float, ...], ...]
     return tuple(sorted(rows))
 
 
-def _lamps(depsgraph) -> Iterator:
-    """Evaluated, each until the next one: Blender keeps one object for all instances.
+def _evaluated_suns(depsgraph) -> Iterator:
+    """Yield evaluated sun lamps, each valid until the next one: Blender reuses one object for all instances.
 
     A render's graph lists all visible objects and instances; in a viewport those may be many.
     """
@@ -61,4 +61,5 @@ def _lamps(depsgraph) -> Iterator:
 
 
 def _is_sun(obj) -> bool:
+    """Return whether an object is a sun lamp."""
     return obj.type == "LIGHT" and obj.data.type == "SUN"

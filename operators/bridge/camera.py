@@ -8,7 +8,7 @@ import numpy as np
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.view.linear import determinant, inverse, lengths, product
 from ...cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
-from .evaluated import found_in
+from .evaluated import evaluated_or_still
 
 KINDS = {"PERSP": PERSPECTIVE, "ORTHO": ORTHOGRAPHIC, "PANO": PANORAMIC, "CUSTOM": PANORAMIC}
 
@@ -36,9 +36,10 @@ def active_camera(scene):
 
 
 def views_from_scene(scene, camera, depsgraph, resolution: tuple[int, int] | None = None) -> list[View]:
-    """Return the views of a render of `scene` through `camera`: one, or one for each eye or camera of a stereo render.
+    """Return the views of a render through `camera`: one, or one for each eye or camera of a stereo render.
 
-    `camera` is an object or None; its evaluated copy is looked up, because the original is stale during a render.
+    camera: object or None; its evaluated copy is looked up, because the original is stale during a render.
+    resolution: pixels, None for the scene's. Raises TerrainError.
     """
     if camera is None:
         raise TerrainError(
@@ -54,16 +55,18 @@ def views_from_scene(scene, camera, depsgraph, resolution: tuple[int, int] | Non
     resolution = resolution or render_resolution(scene)
     several = scene.render.use_multiview and scene.render.views_format == "MULTIVIEW"
     eyes = _multiview_cameras(scene, camera) if several else [camera]
-    views = [view_from_camera(scene, *found_in(depsgraph, eye, "camera"), resolution) for eye in eyes]
+    views = [view_from_camera(scene, *evaluated_or_still(depsgraph, eye, "camera"), resolution) for eye in eyes]
     if several or not scene.render.use_multiview:
         return views
-    return _stereo(views[0], camera.evaluated_get(depsgraph).data.stereo)
+    return _stereo_views(views[0], camera.evaluated_get(depsgraph).data.stereo)
 
 
 def view_from_camera(scene, camera, matrix, resolution: tuple[int, int]) -> View:
-    """Return the view of an evaluated camera object, at `resolution` pixels across and up.
+    """Return the view of an evaluated camera object.
 
-    `matrix`: to the world.
+    Raises TerrainError for a camera that makes no picture.
+
+    matrix: from the camera to the world. resolution: pixels across and up.
     """
     data = camera.data
     kind = KINDS.get(data.type, PANORAMIC)
@@ -86,12 +89,13 @@ def view_from_camera(scene, camera, matrix, resolution: tuple[int, int]) -> View
 
 
 def _projection(data, resolution: tuple[int, int], aspect: tuple[float, float]) -> np.ndarray:
-    """float64 [4, 4]: as `Object.calc_matrix_camera`, which gives zeros for some clip ranges, depending on the version.
+    """Return the projection matrix of a camera, float64 [4, 4], as `Object.calc_matrix_camera` does.
 
-    `aspect`: width and height of a pixel. Depth is scaled for 0 to infinity: only the frame is of interest here.
+    That gives zeros for some clip ranges, depending on the version. Depth is scaled for 0 to infinity: only the
+    frame is of interest here. aspect: width and height of a pixel.
     """
     width, height = resolution[0] * aspect[0], resolution[1] * aspect[1]
-    sensor, fitted = _fit(data, width, height)
+    sensor, fitted = _fit_sensor(data, width, height)
     perspective = data.type == "PERSP"
     with np.errstate(all="ignore"):
         zoom = 2.0 * fitted * (np.float64(data.lens) / sensor if perspective else 1.0 / np.float64(data.ortho_scale))
@@ -149,7 +153,12 @@ def _clip(data) -> tuple[float, float]:
 
 
 def _world_to_camera(name: str, matrix) -> np.ndarray:
-    """float64 [4, 4]. As in a render, the camera's scale has no effect; a shear has."""
+    """Return the matrix from the world to a camera, float64 [4, 4].
+
+    Raises TerrainError if the camera's is singular.
+
+    matrix: from the camera to the world. As in a render, the camera's scale has no effect; a shear has.
+    """
     matrix = np.array(matrix, np.float64)
     if not np.isfinite(matrix).all():
         raise TerrainError(
@@ -164,8 +173,11 @@ def _world_to_camera(name: str, matrix) -> np.ndarray:
     return inverse(matrix)
 
 
-def _fit(data, width: float, height: float) -> tuple[float, float]:
-    """Return the sensor size in millimetres, or the orthographic scale, and the side of the picture that it spans."""
+def _fit_sensor(data, width: float, height: float) -> tuple[float, float]:
+    """Return the sensor size that spans the picture, and which of its sides, `width` or `height`, it spans.
+
+    The size is millimetres, or the orthographic scale.
+    """
     horizontal = data.sensor_fit == "HORIZONTAL" or (data.sensor_fit == "AUTO" and width >= height)
     return data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width, width if horizontal else height
 
@@ -195,7 +207,7 @@ def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, f
         return min(abs(across) / width / math.sqrt(steepest), abs(high - low) / height / steepest)
     if panorama == "FISHEYE_EQUIDISTANT":
         return lens.fisheye_fov / max(width, height)
-    sensor, fitted = _fit(data, width * aspect[0], height * aspect[1])
+    sensor, fitted = _fit_sensor(data, width * aspect[0], height * aspect[1])
     millimetres = sensor / fitted * min(aspect)  # on the sensor, of a pixel's shorter side
     if panorama == "FISHEYE_EQUISOLID":
         return millimetres / lens.fisheye_lens
@@ -220,8 +232,11 @@ def _multiview_cameras(scene, camera) -> list:
     return [item for item in found if item is not None and item.type == "CAMERA"] or [camera]
 
 
-def _stereo(view: View, stereo) -> list[View]:
-    """Return the left and the right eye, moved along the camera's x by the interocular distance about the pivot."""
+def _stereo_views(view: View, stereo) -> list[View]:
+    """Return the views of the left and the right eye, moved along the camera's x about the pivot.
+
+    stereo: Blender's stereo settings of the camera.
+    """
     distance, convergence = stereo.interocular_distance, stereo.convergence_distance
     places = {"LEFT": (0.0, distance), "RIGHT": (-distance, 0.0)}.get(stereo.pivot, (-distance / 2, distance / 2))
     eyes = []

@@ -27,14 +27,18 @@ class Cleanup:
 
     @property
     def active(self) -> bool:
+        """Return whether anything is cut away."""
         return self.below is not None or self.boundary is not None
 
     def key(self) -> tuple:
+        """Return a key that is equal for equal clean-ups."""
         return self.below, None if self.boundary is None else self.boundary.tobytes()
 
 
 def clean_up(surface: Surface, cleanup: Cleanup) -> Surface:
-    """Return the rest of a surface in new arrays, or the surface itself if nothing is cut away."""
+    """Return a surface without the parts that the clean-up cuts away, in new arrays; the surface itself if it cuts
+    nothing.
+    """
     threads = launch.default_threads()
     if cleanup.below is not None:
         surface, _ = cut(surface, [above(2, cleanup.below)], threads=threads)
@@ -62,7 +66,7 @@ def plan_triangles(obj, matrix, terrain_from_world, what: str) -> np.ndarray:
     mesh.vertices.foreach_get("co", vertices)
     indices = np.empty(3 * len(mesh.loop_triangles), np.int32)
     mesh.loop_triangles.foreach_get("vertices", indices)
-    placed = _moved(_moved(vertices.reshape(-1, 3), matrix), terrain_from_world)
+    placed = _transform(_transform(vertices.reshape(-1, 3), matrix), terrain_from_world)
     triangles = placed[indices].reshape(-1, 3, 3)[:, :, :2]
     if not np.isfinite(triangles).all():
         raise TerrainError(
@@ -71,7 +75,7 @@ def plan_triangles(obj, matrix, terrain_from_world, what: str) -> np.ndarray:
     return triangles
 
 
-def _moved(points: np.ndarray, matrix) -> np.ndarray:
+def _transform(points: np.ndarray, matrix) -> np.ndarray:
     """Transform points [n, 3] by a 4 x 4 matrix term by term, since BLAS rounds differently on other processors."""
     matrix = np.array(matrix, np.float64)
     x, y, z = points[:, None].transpose(2, 0, 1)

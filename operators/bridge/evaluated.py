@@ -14,51 +14,62 @@ from ...cbt_terrain.view.linear import determinant
 RENDER = "RENDER"
 
 
-def found_in(depsgraph, obj, what: str) -> tuple:
+def evaluated_or_still(depsgraph, obj, what: str) -> tuple:
     """Return the object `obj` with its data as `depsgraph` evaluated them, and its matrix to the world.
 
-    what: noun for errors. An object that Blender has not evaluated is returned as it was made, if nothing can have
-    moved or changed it since. Raises TerrainError if something can.
+    An object that Blender has not evaluated, because it is hidden, is returned as it was made if nothing can have
+    moved or changed it since. Raises TerrainError if something can. what: noun for the error.
     """
     obj = obj.original
-    if _is_in(obj, depsgraph):
+    if _is_evaluated(obj, depsgraph):
         found = obj.evaluated_get(depsgraph)
         return found, found.matrix_world
-    if _is_composed(obj.data) or any(_acts(modifier, depsgraph.mode) for modifier in obj.modifiers):
-        raise _not_there(obj, depsgraph, what, obj)
+    if _may_have_changed(obj.data) or any(_is_enabled(modifier, depsgraph.mode) for modifier in obj.modifiers):
+        raise _hidden_error(obj, depsgraph, what, obj)
     return obj, _still_matrix(obj, depsgraph, what, obj)
 
 
-def _is_in(obj, depsgraph) -> bool:
+def _is_evaluated(obj, depsgraph) -> bool:
+    """Return whether a dependency graph has evaluated an object."""
     named = depsgraph.ids.get(obj.name)  # 0.7 ms among 20,000, where a loop takes 12; another may have the name
     return (named and named.original == obj) or any(found.original == obj for found in depsgraph.ids)
 
 
 def _still_matrix(obj, depsgraph, what: str, named) -> Matrix:
-    if _is_in(obj, depsgraph):
+    """Return the matrix to the world of an object without animation or constraints, also of its parents.
+
+    named: object to name in the error. Raises TerrainError if something may have moved it.
+    """
+    if _is_evaluated(obj, depsgraph):
         return obj.evaluated_get(depsgraph).matrix_world
     moving = _is_animated(obj) or obj.rigid_body or any(not constraint.mute for constraint in obj.constraints)
     if moving or (obj.parent and obj.parent_type != "OBJECT"):
-        raise _not_there(obj, depsgraph, what, named)
+        raise _hidden_error(obj, depsgraph, what, named)
     if obj.parent is None:
         return obj.matrix_basis
     return _still_matrix(obj.parent, depsgraph, what, named) @ obj.matrix_parent_inverse @ obj.matrix_basis
 
 
 def _is_animated(block) -> bool:
+    """Return whether a data-block has an action, drivers or tracks."""
     animation = getattr(block, "animation_data", None)  # images have none
     return animation is not None and bool(animation.action or animation.drivers or animation.nla_tracks)
 
 
-def _is_composed(data) -> bool:
+def _may_have_changed(data) -> bool:
+    """Return whether the data of an object may differ from the stored ones: animation or shape keys."""
     return data is not None and (_is_animated(data) or getattr(data, "shape_keys", None) is not None)
 
 
-def _acts(modifier, mode: str) -> bool:
+def _is_enabled(modifier, mode: str) -> bool:
+    """Return whether a modifier is on in a render or in viewports."""
     return modifier.show_render if mode == RENDER else modifier.show_viewport
 
 
-def _not_there(obj, depsgraph, what: str, named) -> TerrainError:
+def _hidden_error(obj, depsgraph, what: str, named) -> TerrainError:
+    """Return the error for a hidden object `named` that has animation, modifiers or constraints; `obj` is it or a
+    parent.
+    """
     owner = "it" if obj == named else f"its parent {obj.name!r}"
     where = "renders" if depsgraph.mode == RENDER else "viewports"
     return TerrainError(

@@ -30,21 +30,21 @@ _glibc_holds = False
 _last = 0.0
 
 
-def hold() -> None:
-    """Hold freed memory until `IDLE_S` after the last call, or to the end in the background, which has no timers.
+def hold_freed_memory() -> None:
+    """Keep freed memory in the process until IDLE_S seconds after the last call; in the background to the end.
 
-    Call it on the main thread.
+    Call it on the main thread, before a large mesh is written.
     """
     global _last
     _last = time.monotonic()
     with _lock:
         holds = _hold_jemalloc() or _hold_glibc()
-    if holds and not bpy.app.background and not bpy.app.timers.is_registered(_tick):
-        bpy.app.timers.register(_tick, first_interval=IDLE_S, persistent=True)
+    if holds and not bpy.app.background and not bpy.app.timers.is_registered(_give_back_when_idle):
+        bpy.app.timers.register(_give_back_when_idle, first_interval=IDLE_S, persistent=True)
 
 
 def give_back() -> None:
-    """Return held memory. jemalloc gets its old settings, glibc the largest thresholds that it would choose itself."""
+    """Return held memory to the system. jemalloc gets its old settings, glibc its largest default thresholds."""
     with _lock:
         for name, decay_ms in _decays.items():
             _set_decay(name, decay_ms)
@@ -52,8 +52,8 @@ def give_back() -> None:
         _release_glibc()
 
 
-def _tick() -> float | None:
-    """Give back idle memory; return the seconds until the next call, or None to stop the timer."""
+def _give_back_when_idle() -> float | None:
+    """Give back memory that was held long enough; return the seconds until the next call, None to stop the timer."""
     left = _last + IDLE_S - time.monotonic()
     if left <= 0:
         give_back()
@@ -61,20 +61,20 @@ def _tick() -> float | None:
 
 
 def unregister() -> None:
-    if bpy.app.timers.is_registered(_tick):
-        bpy.app.timers.unregister(_tick)
+    if bpy.app.timers.is_registered(_give_back_when_idle):
+        bpy.app.timers.unregister(_give_back_when_idle)
     give_back()
 
 
 @cache
-def _function(name: str):
+def _c_function(name: str):
     """Return a function of this process's C libraries, None if there is none or the system is not Linux."""
     return getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None
 
 
 def _hold_jemalloc() -> bool:
-    """Make every arena, also new ones, keep its dirty pages; return False without jemalloc."""
-    control, arenas = _function("mallctl"), ctypes.c_uint()
+    """Make jemalloc keep freed pages, in every arena; return False if the process has another allocator."""
+    control, arenas = _c_function("mallctl"), ctypes.c_uint()
     size = ctypes.c_size_t(ctypes.sizeof(arenas))
     if control is None or control(b"arenas.narenas", ctypes.byref(arenas), ctypes.byref(size), None, ctypes.c_size_t()):
         return False
@@ -87,18 +87,21 @@ def _hold_jemalloc() -> bool:
 
 
 def _set_decay(name: bytes, decay_ms: int) -> int | None:
-    """Set a decay time of jemalloc; return the old one, or None for an arena that no thread has used."""
+    """Set how long a jemalloc arena keeps freed pages; return the old time, None for an arena that no thread has used.
+
+    name: setting of the arena. decay_ms: milliseconds, -1 for ever.
+    """
     was, now = ctypes.c_ssize_t(), ctypes.c_ssize_t(decay_ms)
     size = ctypes.c_size_t(ctypes.sizeof(now))
-    refused = _function("mallctl")(name, ctypes.byref(was), ctypes.byref(size), ctypes.byref(now), size)
+    refused = _c_function("mallctl")(name, ctypes.byref(was), ctypes.byref(size), ctypes.byref(now), size)
     return None if refused else was.value
 
 
 def _hold_glibc() -> bool:
-    """Keep all freed memory in the heap; return False without glibc."""
+    """Make glibc keep all freed memory in the heap; return False if the process has another allocator."""
     global _glibc_holds
-    option = _function("mallopt")
-    if option is None or _function("malloc_trim") is None:
+    option = _c_function("mallopt")
+    if option is None or _c_function("malloc_trim") is None:
         return False
     if not _glibc_holds:
         _glibc_holds = True
@@ -109,9 +112,10 @@ def _hold_glibc() -> bool:
 
 
 def _release_glibc() -> None:
+    """Set glibc's thresholds back and return its free memory to the system."""
     global _glibc_holds
     if _glibc_holds:
         _glibc_holds = False
-        _function("mallopt")(_MMAP, _MMAP_LIMIT)
-        _function("mallopt")(_TRIM, _TRIM_LIMIT)
-        _function("malloc_trim")(ctypes.c_size_t(0))
+        _c_function("mallopt")(_MMAP, _MMAP_LIMIT)
+        _c_function("mallopt")(_TRIM, _TRIM_LIMIT)
+        _c_function("malloc_trim")(ctypes.c_size_t(0))

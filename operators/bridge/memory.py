@@ -20,13 +20,15 @@ CORNERS = np.arange(12, dtype=np.float32).reshape(6, 2) / 16
 
 
 def face_offsets(mesh) -> wp.array | None:
-    """Return the face offsets, int32 [faces], of a mesh with new corners and faces; None to use `foreach_set`."""
-    return _array(mesh.polygons, wp.int32) if writable_in_place() else None
+    """Return a Warp array over the face offsets of a new mesh, int32 [faces], to write in place; None to use
+    `foreach_set`.
+    """
+    return _array_over(mesh.polygons, wp.int32) if writable_in_place() else None
 
 
 def vectors_2d(data) -> wp.array | None:
-    """Return the memory, vec2f [items], of a new float2 attribute; None to use `foreach_set`."""
-    return _array(data, wp.vec2f) if writable_in_place() else None
+    """Return a Warp array over a new float2 attribute, vec2f [items], to write in place; None to use `foreach_set`."""
+    return _array_over(data, wp.vec2f) if writable_in_place() else None
 
 
 @cache
@@ -49,7 +51,7 @@ def writable_in_place() -> bool:
             (data, "vector", wp.vec2f, CORNERS),
         ):
             items.foreach_set(name, values.ravel())
-            array = _array(items, dtype)
+            array = _array_over(items, dtype)
             if array is None or not (array.numpy() == values).all():
                 return False
             for written in (values[::-1], values):
@@ -64,8 +66,8 @@ def writable_in_place() -> bool:
         bpy.data.meshes.remove(mesh)
 
 
-def _array(items, dtype) -> wp.array | None:
-    """Return a Warp array over the memory of a Blender collection whose items have no gaps, else None."""
+def _array_over(items, dtype) -> wp.array | None:
+    """Return a Warp array over the memory of a Blender collection; None if its items are not contiguous."""
     count = len(items)
     if not count:
         return None

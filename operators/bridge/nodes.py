@@ -23,18 +23,20 @@ class Nodes:
         return node
 
     def math(self, operation: str, *values):
+        """Add a math node with sockets or numbers as inputs; return its output."""
         return self.add("ShaderNodeMath", dict(enumerate(values)), operation=operation).outputs[0]
 
     def vector(self, operation: str, *values):
-        """Add an operation on vectors and return its result, a number where the operation gives one."""
+        """Add a vector math node; return its output, a number if the operation gives one."""
         node = self.add("ShaderNodeVectorMath", dict(enumerate(values)), operation=operation)
         return node.outputs["Value" if operation in ("DOT_PRODUCT", "LENGTH", "DISTANCE") else "Vector"]
 
     def scaled(self, vector, factor):
+        """Add a node that multiplies a vector by a number; return its output."""
         return self.add("ShaderNodeVectorMath", {0: vector, "Scale": factor}, operation="SCALE").outputs[0]
 
     def mix(self, factor, a, b):
-        """Mix two colours."""
+        """Add a node that mixes two colours, `a` at factor 0 and `b` at 1; return its output."""
         node = self.add("ShaderNodeMix", data_type="RGBA", clamp_factor=True)
         for socket, value in zip((node.inputs[0], node.inputs[6], node.inputs[7]), (factor, a, b), strict=True):
             if isinstance(value, bpy.types.NodeSocket):

@@ -17,7 +17,7 @@ ATTRIBUTES = (
 
 
 def write_points(mesh, points: ScatterPoints) -> None:
-    """Replace all of `mesh` by points. Raises TerrainError if it cannot be written."""
+    """Replace the content of a mesh by the points of a scatter, with their attributes. Raises TerrainError."""
     check_writable(mesh)
     mesh.clear_geometry()
     mesh.vertices.add(len(points))

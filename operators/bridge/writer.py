@@ -26,15 +26,15 @@ FREE_NORMALS = bpy.app.version >= (4, 5, 0)
 
 
 def write_mesh(mesh, surface: Surface, *, smooth: bool = True, exact: bool = True) -> bool:
-    """Replace the geometry and the attributes of `mesh` by those of `surface`.
+    """Replace the geometry and the attributes of a Blender mesh by those of `surface`.
 
-    Its `uv` become the UV map, its `normals` the custom normals, and all others keep their names. Returns whether the
-    mesh lacks its normals: without `exact`, Blender before 4.5 shades with its own until `write_normals` is called.
+    Its `uv` become the UV map, its `normals` the custom normals; other attributes keep their names. Returns whether
+    normals are missing: without `exact`, Blender before 4.5 shades with its own until `write_normals` is called.
     Raises TerrainError if the mesh cannot be written (edit mode, shape keys).
     """
     check_writable(mesh)
     _write_geometry(mesh, surface)
-    _write_flatness(mesh, smooth)
+    _set_shading(mesh, smooth)
     is_postponed = smooth and not exact and not FREE_NORMALS
     if smooth and not is_postponed:
         write_normals(mesh, surface.normals)
@@ -71,7 +71,7 @@ def add_attribute(mesh, name: str, kind: str, domain: str) -> None:
 
 
 def _write_geometry(mesh, surface: Surface) -> None:
-    """Write everything but the shading."""
+    """Write vertices, edges, faces, UV map and attributes of a surface, but no normals."""
     triangles = len(surface.triangles)
     named = {name: item for name, item in surface.attributes.items() if name not in (NORMALS, UV)}
     mesh.clear_geometry()
@@ -93,12 +93,14 @@ def _write_geometry(mesh, surface: Surface) -> None:
         corner_uv = shared(copied, wp.vec2f)
 
     def copy() -> None:
+        """Copy all arrays except the UV map into Blender's memory."""
         _write_offsets(mesh, triangles, offsets)
         _copy_arrays(mesh.attributes, surface)
         for name, attribute in named.items():
             mesh.attributes[name].data.foreach_set(TYPES[attribute.kind][1], attribute.array.ravel())
 
     def gather() -> None:
+        """Write the UV of each face corner from the UV of its vertex."""
         inputs = [shared(surface.uv, wp.vec2f), shared(surface.corner_verts, wp.int32), corner_uv]
         launch.spread(ingest.corner_uv, 3 * triangles, inputs, step="mesh", threads=max(1, threads - 1))
 
@@ -115,7 +117,10 @@ def _write_geometry(mesh, surface: Surface) -> None:
 
 
 def _write_offsets(mesh, triangles: int, offsets) -> None:
-    """Write the offsets of the faces, three corners apart."""
+    """Write the number of the first corner of each face: three corners apart.
+
+    offsets: Warp array over Blender's memory, None to use `foreach_set`.
+    """
     if offsets is None:
         mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * triangles, 3, dtype=np.int32))
     else:
@@ -137,8 +142,8 @@ def _show_colours(mesh) -> None:
         mesh.color_attributes.active_color_index = mesh.color_attributes.render_color_index = index
 
 
-def _write_flatness(mesh, smooth: bool) -> None:
-    """Shade all faces smooth or flat."""
+def _set_shading(mesh, smooth: bool) -> None:
+    """Set all faces to smooth or flat shading."""
     sharp = mesh.attributes.get("sharp_face")
     if smooth and sharp is not None:
         mesh.attributes.remove(sharp)

@@ -14,19 +14,19 @@ from ..text.console import Progress, print_line
 
 
 def run(subjects: list[AccuracySubject], out: Path, show_progress: bool | None = None) -> None:
-    """Measure every subject and write the report into the folder `out`, all at the end.
+    """Measure the accuracy of every subject, then write the report into the folder `out`.
 
-    Raises TerrainError where something cannot be written, and at the very end where a measured error passes its bound.
+    Raises TerrainError if something cannot be written, and after writing if a measured error exceeds its bound.
     """
-    accuracy_report.prepare(out)
+    accuracy_report.prepare_folder(out)
     measure(subjects, show_progress)
-    accuracy_report.write(subjects, out)
+    accuracy_report.write_report(subjects, out)
     print_line(f"{out / accuracy_report.PAGE} shows it")
     accuracy_report.check_bounds(subjects)
 
 
 def measure(subjects: list[AccuracySubject], show_progress: bool | None = None) -> None:
-    """Fill in the rows of every subject, a line each on stdout and a bar on stderr."""
+    """Fill in the rows of every subject; print a line per row on stdout and a progress bar on stderr."""
     bar = Progress(len(subjects), "accuracy", show_progress)
     write, note = mesh_writer()
     try:
@@ -42,16 +42,19 @@ def measure(subjects: list[AccuracySubject], show_progress: bool | None = None) 
                 on_row=lambda row, name=subject.name: bar.say(f"{name}, {accuracy_page.row_line(row)}"),
                 on_progress=lambda fraction, done=done: bar.to(done + fraction),
             )
-            accuracy_report.draw(subject)
+            accuracy_report.draw_crops(subject)
     finally:
         bar.close()
-        accuracy_report.ingest_end()
+        accuracy_report.remove_scratch_meshes()
 
 
 def mesh_writer() -> tuple[Callable | None, str]:
-    """Return a function that writes a surface into a Blender mesh, and ""; without Blender None, and why."""
+    """Return a function that times writing a surface into a Blender mesh, and "".
+
+    Without Blender, return None and the reason, for the report's notes.
+    """
     try:
         need_bpy("Writing a mesh")
     except TerrainError as reason:
         return None, f"Writing the mesh into Blender was not measured. {reason}"
-    return accuracy_report.ingest_ms, ""
+    return accuracy_report.time_mesh_writing, ""

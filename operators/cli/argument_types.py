@@ -13,7 +13,9 @@ METAVARS = {"px": "PX", "px²": "PX2", "m": "METRES", "°": "DEG"}  # by unit
 
 
 def argument(parse):
-    """Let argparse show the text of a parser's ValueError or TerrainError."""
+    """Wrap a parser for argparse, which shows the text of an ArgumentTypeError only: convert ValueError and
+    TerrainError.
+    """
 
     def checked(text: str):
         try:
@@ -25,7 +27,7 @@ def argument(parse):
 
 
 def positive(max_value: float):
-    """Return a parser of numbers above 0, at max_value `max_value`."""
+    """Return a parser of numbers above 0 and up to `max_value`, for argparse."""
 
     def number(text: str) -> float:
         try:
@@ -52,8 +54,8 @@ def count(text: str) -> int:
     return value
 
 
-def some(text: str) -> int:
-    """Parse a whole number, 1 or more."""
+def count_from_one(text: str) -> int:
+    """Parse a whole number, 1 or more, for argparse."""
     value = count(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text} is not 1 or more")
@@ -76,7 +78,10 @@ def path_text(text: str) -> str:
 
 
 def pair(separator: str, kind, max_value: float):
-    """Return a parser of two finite numbers of `kind` above 0, at max_value `max_value`, with `separator` between."""
+    """Return a parser for argparse of two finite numbers above 0, such as 1920x1080.
+
+    `separator`: text between the numbers. `kind`: int or float. `max_value`: upper limit of both.
+    """
 
     def checked(text: str):
         try:
@@ -93,21 +98,24 @@ def pair(separator: str, kind, max_value: float):
 
 
 def parse_effects(text: str) -> tuple[str, ...] | None:
-    """Return names of effects, each once; () for `none`, None for `auto`."""
+    """Parse names of attributes, with commas between; return each once.
+
+    Returns () for `none`, and None for `auto`: the attributes that the scene reads.
+    """
     from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
-    from ..text.effect_lines import unknown
+    from ..text.effect_lines import unknown_attribute
 
     if text in ("auto", "none"):
         return None if text == "auto" else ()
     names = tuple(dict.fromkeys(part.strip() for part in text.split(",")))
     for name in names:
         if name not in ATTRIBUTES:
-            raise ValueError(unknown(name))
+            raise ValueError(unknown_attribute(name))
     return names
 
 
 def add_settings(verb: argparse.ArgumentParser) -> None:
-    """Add an option for each setting of a criterion that has one."""
+    """Add an option to a verb's parser for each criterion setting that declares one, with help text from SETTINGS."""
     for setting in SETTINGS:
         if not setting.option:
             continue
@@ -122,7 +130,7 @@ def add_settings(verb: argparse.ArgumentParser) -> None:
 
 
 def setting_value(setting: CriterionSetting):
-    """Return a parser of numbers that a criterion's setting accepts."""
+    """Return a parser for argparse of the numbers that a criterion's setting accepts."""
 
     def number(text: str) -> float:
         try:
@@ -137,7 +145,7 @@ def setting_value(setting: CriterionSetting):
 
 
 def given_settings(arguments: argparse.Namespace) -> dict[str, float]:
-    """Return the values of a criterion's settings that the command line gives, by the names of the settings."""
+    """Return the criterion's settings that were given on the command line, by the names of the settings."""
     given = {setting.name: (setting, getattr(arguments, setting.name)) for setting in SETTINGS if setting.option}
     return {
         name: value if not setting.is_flag else setting.usual if value else setting.default

@@ -12,6 +12,7 @@ _commands = []
 
 
 def register() -> None:
+    """Register the command `blender --command adaptive_terrain`, if this Blender has such commands."""
     if hasattr(bpy.utils, "register_cli_command"):  # since 4.2
         _commands.append(bpy.utils.register_cli_command(COMMAND, command_line.main))
     if not bpy.app.binary_path:

@@ -25,12 +25,12 @@ from .argument_types import (
     add_settings,
     argument,
     count,
+    count_from_one,
     pair,
     parse_effects,
     path,
     path_text,
     positive,
-    some,
 )
 
 PROGRAM = "adaptive-terrain"
@@ -79,8 +79,11 @@ def program() -> NoReturn:
 
 
 def _run(argv: list[str] | None) -> int:
+    """Parse the arguments and run their verb; print errors as one line on stderr. Returns the exit code."""
     try:
-        arguments = _parser().parse_args(_with_negatives_joined(sys.argv[1:] if argv is None else argv))
+        arguments = _build_parser_without_gc().parse_args(
+            _with_negatives_joined(sys.argv[1:] if argv is None else argv)
+        )
         arguments.run(arguments)
         print(end="", flush=True)
     except SystemExit as exit_:  # argparse has printed its message
@@ -89,7 +92,7 @@ def _run(argv: list[str] | None) -> int:
         print_line(f"{PROGRAM} {arguments.verb}: error: {shown(error, LONGEST_LINE)}", file=sys.stderr)
         return 2
     except (TerrainError, OSError) as error:
-        message = unwritten(error) or shown(_sentence(error), LONGEST_LINE)
+        message = unwritten(error) or shown(_error_text(error), LONGEST_LINE)
         fields = error.to_json() if isinstance(error, TerrainError) else {"what": str(message)}
         print_line(json.dumps(fields) if arguments.json_errors else f"{PROGRAM}: error: {message}", file=sys.stderr)
         if arguments.progress == OPENJD:
@@ -98,15 +101,15 @@ def _run(argv: list[str] | None) -> int:
     return 0
 
 
-def _sentence(error: TerrainError | OSError) -> object:
-    """Return the error; for one of the system, the file and the reason."""
+def _error_text(error: TerrainError | OSError) -> object:
+    """Return an error that prints as one sentence: a system's error is given its file and reason."""
     if isinstance(error, TerrainError) or error.filename is None:
         return error
     return f"{error.filename} cannot be read or written ({error.strerror}); check the disk, or choose another place."
 
 
-def _parser() -> argparse.ArgumentParser:
-    """Build the parser without garbage collection: its imports stay, and searching them takes 0.1 s."""
+def _build_parser_without_gc() -> argparse.ArgumentParser:
+    """Build the parser without garbage collection, which would search all imported modules for 0.1 s."""
     gc.disable()
     try:
         return build_parser()
@@ -126,6 +129,7 @@ def _with_negatives_joined(argv: list[str]) -> list[str]:
 
 
 def build_parser() -> argparse.ArgumentParser:
+    """Build the parser of all verbs. Each verb sets `run`, the function that carries it out."""
     parser = argparse.ArgumentParser(
         prog=PROGRAM, description="A terrain at exactly the detail that the camera can see."
     )
@@ -135,9 +139,9 @@ def build_parser() -> argparse.ArgumentParser:
     _add_info(subparsers)
     _add_bake(subparsers)
     _add_export(subparsers)
-    tile_verbs.add_tiles(_verb, subparsers)
-    tile_verbs.add_tileset(_verb, subparsers)
-    tile_verbs.add_map(_verb, subparsers)
+    tile_verbs.add_tiles(_add_verb, subparsers)
+    tile_verbs.add_tileset(_add_verb, subparsers)
+    tile_verbs.add_map(_add_verb, subparsers)
     _add_maps(subparsers)
     _add_accuracy(subparsers)
     _add_effects(subparsers)
@@ -156,7 +160,7 @@ def _add_import(subparsers) -> None:
     from ...cbt_terrain.importing.raster import ENCODINGS
     from ...cbt_terrain.importing.source_formats import FORMATS
 
-    verb = _verb(subparsers, "import", "turn a height map into a store", verbs.run_import)
+    verb = _add_verb(subparsers, "import", "turn a height map into a store", verbs.run_import)
     kinds = ", ".join(dict.fromkeys(form.title for form in FORMATS.values()))
     source = f"height map ({kinds}), or a built-in land: {', '.join(LANDS)}"
     source += "; several files, folders and tile indexes (.gti) become one terrain"
@@ -187,13 +191,13 @@ def _add_import(subparsers) -> None:
     verb.add_argument("--first-row-south", action="store_true", help="for files that do not say where north is")
     verb.add_argument("--project", **PROJECT)
     _add_mosaic(verb)
-    _add_raw(verb)
+    _add_raw_options(verb)
     verb.add_argument("--size", type=int, metavar="N", help=f"built-in land: samples a side ({DEFAULT_SIZE})")
     verb.add_argument("--seed", type=int, metavar="N", help=f"built-in land: its shape ({DEFAULT_SEED})")
 
 
 def _add_info(subparsers) -> None:
-    verb = _verb(subparsers, "info", "describe a store, a height map or an exported .npz", verbs.run_info)
+    verb = _add_verb(subparsers, "info", "describe a store, a height map or an exported .npz", verbs.run_info)
     about = "a store, a height map or an .npz; several height maps or a folder of them are described as one terrain"
     verb.add_argument("paths", type=path_text, nargs="*", metavar="PATH", help=about)
     verb.add_argument("--versions", action="store_true", help="of all that is used, and what reading a file gives up")
@@ -201,14 +205,14 @@ def _add_info(subparsers) -> None:
     verb.add_argument("--json", dest="as_json", action="store_true", help="print one line of JSON")
     verb.add_argument("--project", **PROJECT)
     _add_mosaic(verb)
-    _add_raw(verb)
+    _add_raw_options(verb)
 
 
 def _add_bake(subparsers) -> None:
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
     from ..export.formats import FORMATS
 
-    verb = _verb(subparsers, "bake", "write one static mesh with a given largest vertical error", verbs.run_bake)
+    verb = _add_verb(subparsers, "bake", "write one static mesh with a given largest vertical error", verbs.run_bake)
     verb.add_argument("--store", type=path, required=True, metavar="DIR")
     metres = positive(MAX_ERROR_M)
     verb.add_argument("--max-error", type=metres, required=True, metavar="METRES", help="largest vertical error")
@@ -223,8 +227,8 @@ def _add_export(subparsers) -> None:
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
     from ..export.formats import FORMATS, parse_formats
 
-    verb = _verb(subparsers, "export", "write the terrain's mesh for each frame", verbs.run_export)
-    _add_views(verb, "a store, seen along --path; npz needs no Blender", frames_required=True)
+    verb = _add_verb(subparsers, "export", "write the terrain's mesh for each frame", verbs.run_export)
+    _add_view_options(verb, "a store, seen along --path; npz needs no Blender", frames_required=True)
     verb.add_argument("--format", type=argument(parse_formats), required=True, metavar="F,F", help=", ".join(FORMATS))
     verb.add_argument("--out", type=path, required=True, metavar="DIR")
     add_settings(verb)
@@ -243,8 +247,10 @@ def _add_export(subparsers) -> None:
 def _add_maps(subparsers) -> None:
     from ...cbt_terrain.attributes.coding import FORMS as MAP_FORMS
 
-    verb = _verb(subparsers, "maps", "bake effects into images, as fine as what looks at them needs", verbs.run_maps)
-    _add_views(verb, "a store, seen along --path, or as a whole")
+    verb = _add_verb(
+        subparsers, "maps", "bake effects into images, as fine as what looks at them needs", verbs.run_maps
+    )
+    _add_view_options(verb, "a store, seen along --path, or as a whole")
     verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder for the images and maps.json")
     verb.add_argument(
         "--maps", metavar="NAME,NAME", help=f"names (those of the scene's settings, or {verbs.DEFAULT_MAP})"
@@ -254,13 +260,15 @@ def _add_maps(subparsers) -> None:
 
 
 def _add_accuracy(subparsers) -> None:
-    verb = _verb(subparsers, "accuracy", "measure errors, and what they cost in time and triangles", verbs.run_accuracy)
-    _add_views(verb, "a store, seen along --path, or as a whole")
+    verb = _add_verb(
+        subparsers, "accuracy", "measure errors, and what they cost in time and triangles", verbs.run_accuracy
+    )
+    _add_view_options(verb, "a store, seen along --path, or as a whole")
     verb.add_argument("--out", type=path, required=True, metavar="DIR", help="folder for the page, plots, CSV and JSON")
 
 
 def _add_effects(subparsers) -> None:
-    verb = _verb(
+    verb = _add_verb(
         subparsers, "effects", "list the effects; what they take on a store, which a scene reads", verbs.run_effects
     )
     source = verb.add_mutually_exclusive_group()
@@ -272,7 +280,9 @@ def _add_effects(subparsers) -> None:
 def _add_shape(subparsers) -> None:
     from ..export.formats import parse_frames
 
-    verb = _verb(subparsers, "shape", "apply a stack of effects on heights to a store, into another", verbs.run_shape)
+    verb = _add_verb(
+        subparsers, "shape", "apply a stack of effects on heights to a store, into another", verbs.run_shape
+    )
     verb.epilog = SHAPE_EXAMPLE
     verb.formatter_class = argparse.RawDescriptionHelpFormatter
     verb.add_argument("--store", type=path, required=True, metavar="DIR", help="the store to be shaped")
@@ -294,7 +304,7 @@ def _add_shape(subparsers) -> None:
 
 
 def _add_query(subparsers) -> None:
-    verb = _verb(subparsers, "query", "heights, slopes and normals of a store at points, as CSV", verbs.run_query)
+    verb = _add_verb(subparsers, "query", "heights, slopes and normals of a store at points, as CSV", verbs.run_query)
     verb.add_argument("--store", type=path, required=True, metavar="DIR")
     columns = "with columns x and y: in the store's coordinate system, or metres from the terrain's middle"
     verb.add_argument("--points", type=path, required=True, metavar="FILE.csv", help=columns)
@@ -305,7 +315,7 @@ def _add_query(subparsers) -> None:
 
 
 def _add_demo(subparsers) -> None:
-    verb = _verb(subparsers, "demo", "the built-in island: 24 frames, pictures and a page", verbs.run_demo)
+    verb = _add_verb(subparsers, "demo", "the built-in island: 24 frames, pictures and a page", verbs.run_demo)
     verb.add_argument("--out", type=path, default=Path("demo"), metavar="DIR", help="folder to write (demo)")
 
 
@@ -314,13 +324,13 @@ def _add_farm(subparsers) -> None:
 
     formats, frames = argument(parse_formats), argument(parse_frames)
     scene = {"type": path, "metavar": "X.blend", "required": True}
-    verb = _verb(subparsers, "submit", "write a job that a render farm runs", farm_verbs.run_submit)
+    verb = _add_verb(subparsers, "submit", "write a job that a render farm runs", farm_verbs.run_submit)
     verb.add_argument("--scene", **scene, help="the .blend file, as it is on disk")
     verb.add_argument("--frames", type=frames, metavar=FRAMES, help="the scene's, without")
     verb.add_argument(
         "--out", type=path, required=True, metavar="DIR", help="folder for the job; frames go to DIR/frames"
     )
-    verb.add_argument("--chunk", type=some, default=CHUNK, metavar="N", help=f"frames of one task ({CHUNK})")
+    verb.add_argument("--chunk", type=count_from_one, default=CHUNK, metavar="N", help=f"frames of one task ({CHUNK})")
     what = verb.add_mutually_exclusive_group()
     what.add_argument("--render", action="store_true", help="pictures, instead of meshes")
     what.add_argument("--format", type=formats, default=("npz",), metavar="F,F", help="of the meshes (npz)")
@@ -335,24 +345,30 @@ def _add_farm(subparsers) -> None:
     outside = "also bring files from outside the scene's folder that are no images, height maps or stores"
     verb.add_argument("--allow-outside", action="store_true", help=outside)
 
-    verb = _verb(subparsers, "prepare", "make what all frames of a scene need, ahead of them", farm_verbs.run_prepare)
+    verb = _add_verb(
+        subparsers, "prepare", "make what all frames of a scene need, ahead of them", farm_verbs.run_prepare
+    )
     verb.add_argument("--scene", **scene)
     verb.add_argument("--frames", type=frames, metavar=FRAMES, help="that are to come (the scene's)")
     verb.add_argument("--only", choices=("stores", "land"), help="import stores, or shape land and bake maps")
 
-    verb = _verb(subparsers, "render", "render frames of a scene, each refined or not rendered", farm_verbs.run_render)
+    verb = _add_verb(
+        subparsers, "render", "render frames of a scene, each refined or not rendered", farm_verbs.run_render
+    )
     verb.add_argument("--scene", **scene)
     verb.add_argument("--frames", type=frames, required=True, metavar=FRAMES)
     verb.add_argument("--out", type=path, required=True, metavar="DIR")
     verb.add_argument("--resume", action="store_true", help="leave frames that are complete as they are")
 
-    verb = _verb(subparsers, "verify", "check that frames are there, whole and of one scene", farm_verbs.run_verify)
+    verb = _add_verb(subparsers, "verify", "check that frames are there, whole and of one scene", farm_verbs.run_verify)
     verb.add_argument("folder", type=path, help="where export or render has written them")
     verb.add_argument("--frames", type=frames, required=True, metavar=FRAMES)
 
 
 def _add_bench(subparsers) -> None:
-    verb = _verb(subparsers, "bench", "what everything costs on this machine, beside two baselines", verbs.run_bench)
+    verb = _add_verb(
+        subparsers, "bench", "what everything costs on this machine, beside two baselines", verbs.run_bench
+    )
     verb.add_argument("--quick", action="store_true", help="fewer rows; fails if one is much slower than its goal")
     verb.add_argument("--with-cycles", action="store_true", help="also whole renders in Cycles (minutes more)")
     verb.add_argument("--blender", nargs="+", metavar="COMMAND", help="also frames inside the program that this starts")
@@ -360,7 +376,11 @@ def _add_bench(subparsers) -> None:
     verb.add_argument("--docs", type=path, metavar="DIR", help="write performance.md and its chart into this folder")
 
 
-def _verb(subparsers, name: str, summary: str, run) -> argparse.ArgumentParser:
+def _add_verb(subparsers, name: str, summary: str, run) -> argparse.ArgumentParser:
+    """Add a verb with its help and the option --progress; return its parser.
+
+    `run`: function that carries the verb out, called with the parsed arguments.
+    """
     verb = subparsers.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
     how = {"nargs": "?", "choices": (BAR, OPENJD), "const": BAR}
     verb.add_argument(
@@ -372,8 +392,11 @@ def _verb(subparsers, name: str, summary: str, run) -> argparse.ArgumentParser:
     return verb
 
 
-def _add_views(verb: argparse.ArgumentParser, store: str, frames_required: bool = False) -> None:
-    """Add the options of a scene or a store, and of the views of it. `store`: help of the second."""
+def _add_view_options(verb: argparse.ArgumentParser, store: str, frames_required: bool = False) -> None:
+    """Add the options for a scene or a store and for the views of it.
+
+    `store`: help of --store. `frames_required`: whether --frames must be given.
+    """
     from ..export.formats import parse_frames
 
     source = verb.add_mutually_exclusive_group(required=True)
@@ -399,8 +422,8 @@ def _add_mosaic(verb: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_raw(verb: argparse.ArgumentParser) -> None:
-    """Add the options that describe a RAW file."""
+def _add_raw_options(verb: argparse.ArgumentParser) -> None:
+    """Add the options that describe the layout of a RAW file, which has no header."""
     from ...cbt_terrain.importing.raster import RAW_TYPES
 
     verb.add_argument(

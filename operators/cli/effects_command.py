@@ -18,26 +18,26 @@ MEASURED_TRIANGLES = 200_000
 FINE_M = 1e-3  # an error that the limit above holds back
 
 
-def catalogue() -> dict:
-    """Return every effect and its description."""
+def describe_attributes() -> dict:
+    """Return the description of every attribute by its name."""
     return {name: effect_lines.about(effect) for name, effect in ATTRIBUTES.items()}
 
 
-def of_store(store: Path) -> list[str]:
-    """Return a line for each effect: its cost, evaluated alone on a mesh of the whole store, and that of its inputs."""
+def list_costs(store: Path) -> list[str]:
+    """Return a line of text for each attribute: the time and memory that it takes on a mesh of the whole store."""
     field = open_store(store)
     surface = Terrain(field).update(Criterion(error_px=0, error_m=FINE_M, max_triangles=MEASURED_TRIANGLES), []).surface
     lines = [f"a mesh of {len(surface.triangles):,} triangles, {len(surface.positions):,} vertices"]
     for name in ATTRIBUTES:
         stopping.check()
-        lines.append(f"{name}: {effect_lines.figures(_alone(name, field, surface))}")
+        lines.append(f"{name}: {effect_lines.cost_figures(_measure_attribute(name, field, surface))}")
     return lines
 
 
-def _alone(name: str, field, surface):
-    """Return the cost of an effect with its inputs.
+def _measure_attribute(name: str, field, surface):
+    """Return time and memory of one attribute and the attributes that it reads.
 
-    Kernels are compiled and the caches of the field are filled.
+    It is evaluated twice: the second run, which is reported, finds compiled kernels and filled caches.
     """
     planned = plan([AttributeRequest(name, ("this command",), GEOMETRY)])
     for _ in range(2):
@@ -45,10 +45,11 @@ def _alone(name: str, field, surface):
     return Ran(sum(r.ms for r in ran.values()), sum(r.nbytes for r in ran.values()), ran[name].computed)
 
 
-def of_scene(blend: Path, camera: str | None = None) -> list[str]:
-    """Return lines for each terrain of a .blend file, at its frame and the render's detail.
+def list_readers(blend: Path, camera: str | None = None) -> list[str]:
+    """Return lines of text for each terrain of a .blend file: which attributes are read, by whom, or why they are
+    skipped.
 
-    They list the effects that are read, and others.
+    The terrains are refined as a render of the scene's current frame needs them.
     """
     from ..export.frame_sources import SceneFrames
     from ..session import session

@@ -9,6 +9,7 @@ from .verbs import frame_reporter, largest_bound
 
 
 def run_prepare(arguments) -> None:
+    """Run the verb `prepare`: import stores, shape land and bake maps that all frames need, before the farm's tasks."""
     from ..blender import need_bpy
 
     need_bpy("A .blend file")
@@ -26,6 +27,7 @@ def run_prepare(arguments) -> None:
 
 
 def run_render(arguments) -> None:
+    """Run the verb `render`: render frames of a scene, and warn about File Output nodes that write elsewhere."""
     from ..blender import need_bpy
 
     need_bpy("A .blend file")
@@ -41,6 +43,7 @@ def run_render(arguments) -> None:
 
 
 def run_verify(arguments) -> None:
+    """Run the verb `verify`: check the frames of a job, and print their number and largest bound."""
     from ..export.verifying import verify_frames
 
     summaries, missing = verify_frames(arguments.folder, arguments.frames)
@@ -55,6 +58,7 @@ def run_verify(arguments) -> None:
 
 
 def run_submit(arguments) -> None:
+    """Run the verb `submit`: write a farm job for a scene, and print its files and notes."""
     from ..blender import need_bpy
 
     need_bpy("A .blend file")

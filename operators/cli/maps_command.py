@@ -13,7 +13,7 @@ from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.view.camera_path import read_camera_path
 from ...cbt_terrain.view.view import View
 from ..export.frame_sources import SceneFrames, StoreFrames, file_name
-from ..maps.baking import MapRequest, carry_out, known, summary
+from ..maps.baking import MapRequest, bake_maps, check_names, summary
 from ..text.console import Progress
 
 READER = "this command"
@@ -35,21 +35,24 @@ def run(
     form: str | None = None,
     show_progress: bool | None = None,
 ) -> None:
-    """Bake every subject's maps, a line each on stdout; the budget is shared evenly."""
+    """Bake the maps of every subject and print a line for each.
+
+    `budget_mb`: megabytes, shared evenly by the subjects; `form`: png or exr; None keeps the values of the requests.
+    """
     bar = Progress(len(subjects), "maps", show_progress)
     try:
         for done, subject in enumerate(subjects):
             changes = {} if form is None else {"form": form}
             changes |= {} if budget_mb is None else {"budget_mb": budget_mb / len(subjects)}
             request = replace(subject.request, **changes)
-            baked = carry_out(request, subject.field, lambda fraction, done=done: bar.to(done + fraction))
+            baked = bake_maps(request, subject.field, lambda fraction, done=done: bar.to(done + fraction))
             bar.say(summary(baked, subject.name))
             bar.say(f"{request.folder / JSON_NAME} says what they are")
     finally:
         bar.close()
 
 
-def store_subjects(
+def subjects_of_store(
     store: Path,
     out: Path,
     names: Sequence[str],
@@ -57,15 +60,18 @@ def store_subjects(
     frames: Sequence[int] | None,
     resolution: tuple[int, int],
 ) -> list[MapSubject]:
-    """Return the terrain of a store, seen along a camera path at `frames` (None: all whole frames), or as a whole."""
-    views = () if path is None else views_of(path, frames, resolution)
-    requests = tuple(AttributeRequest(name, (READER,)) for name in known(names))
+    """Return the terrain of a store as the only subject, with the views that decide how fine its maps are.
+
+    `path`: camera path; None bakes the whole terrain. `frames`: of the path, None for all whole frames.
+    """
+    views = () if path is None else views_along(path, frames, resolution)
+    requests = tuple(AttributeRequest(name, (READER,)) for name in check_names(names))
     request = MapRequest(requests, out, views, only_seen=bool(views))
     return [MapSubject(StoreFrames.name, open_store(store), request)]
 
 
-def views_of(path: Path, frames: Sequence[int] | None, resolution: tuple[int, int]) -> tuple[View, ...]:
-    """Return the views of a camera path at `frames`; None for all of its whole frames."""
+def views_along(path: Path, frames: Sequence[int] | None, resolution: tuple[int, int]) -> tuple[View, ...]:
+    """Return the views along a camera path at `frames`; None or () for all its whole frames."""
     flight = read_camera_path(path)
     if not frames:
         first, last = math.ceil(flight.frames[0]), math.floor(flight.frames[-1])
@@ -75,7 +81,7 @@ def views_of(path: Path, frames: Sequence[int] | None, resolution: tuple[int, in
     return tuple(flight.view(frame, resolution) for frame in frames)
 
 
-def scene_subjects(
+def subjects_of_scene(
     blend: Path,
     out: Path,
     names: Sequence[str] | None,
@@ -83,17 +89,20 @@ def scene_subjects(
     resolution: tuple[int, int] | None,
     frames: Sequence[int] | None,
 ) -> list[MapSubject]:
-    """Return the terrains of a .blend file, each with its settings and a folder."""
+    """Return the terrains of a .blend file, each with its map settings and a folder inside `out`.
+
+    `names`: maps to bake, None for those of the scene's settings.
+    """
     source = SceneFrames(blend, camera, resolution)
 
     from ...cbt_terrain.height_operators.derived_store import raster_of
-    from ..maps.request import gathered
+    from ..maps.request import visit_for_request
     from ..session import session
 
     look = {"camera": source.camera, "resolution": resolution}
     subjects = []
     for obj in source.objects:
-        *_, request = gathered(obj, source.scene, names, frames, **look)
+        *_, request = visit_for_request(obj, source.scene, names, frames, **look)
         request = replace(request, folder=out / file_name(obj))
         field = raster_of(request.store, request.land, session.open_field, verified=True)
         subjects.append(MapSubject(obj.name, field, request))

@@ -44,13 +44,13 @@ def parse_points(content: bytes, name: str, added: Sequence[str], crs: str, is_d
     Raises:
         TerrainError: the content is no such table; the message names the line.
     """
-    text = _decoded(content)
+    text = _decode(content)
     first, _, rest = text.partition("\n")
     if first.strip().casefold().startswith("sep=") and len(first.strip()) <= 5:  # a line of Excel's
         text = rest
-    lines, delimiter = _lines(text, name)
+    lines, delimiter = _split_into_cells(text, name)
     names = [cell.strip() for cell in lines[0][1]] if lines else []
-    columns = _columns(names, name, crs, is_degrees)
+    columns = _find_coordinates(names, name, crs, is_degrees)
     doubled = [column for column in added if column in names]
     if doubled:
         raise TerrainError(
@@ -61,7 +61,7 @@ def parse_points(content: bytes, name: str, added: Sequence[str], crs: str, is_d
     shift = text is rest
     rows, coordinates = [], np.empty((max(len(lines) - 1, 0), 2))
     for n, (line, row) in enumerate(lines[1:]):
-        values = [_number(row[column], delimiter) if column < len(row) else math.nan for column in columns]
+        values = [_parse_number(row[column], delimiter) if column < len(row) else math.nan for column in columns]
         if len(row) != len(names) or not all(map(math.isfinite, values)):
             numeric = f"{shown(names[columns[0]])} and {shown(names[columns[1]])}"
             raise TerrainError(
@@ -78,8 +78,8 @@ def parse_points(content: bytes, name: str, added: Sequence[str], crs: str, is_d
     return PointTable(names, rows, coordinates)
 
 
-def _decoded(content: bytes) -> str:
-    """Return the text of UTF-8, UTF-16 or Windows-1252."""
+def _decode(content: bytes) -> str:
+    """Decode UTF-8, UTF-16 or Windows-1252, with or without a byte order mark."""
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return content.decode("utf-16", "replace")
     for zero, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):  # without a mark: every other byte is 0
@@ -91,10 +91,11 @@ def _decoded(content: bytes) -> str:
         return content.decode("cp1252", "replace")
 
 
-def _lines(text: str, name: str) -> tuple[list[tuple[int, list[str]]], str]:
-    """Return numbers and cells of the lines that are not empty, and the delimiter.
+def _split_into_cells(text: str, name: str) -> tuple[list[tuple[int, list[str]]], str]:
+    """Split a text into lines of cells; return line numbers with cells, without empty lines, and the delimiter.
 
-    It is the delimiter that finds most names of coordinates in the first line. Raises TerrainError.
+    The delimiter is the one with which the header has most names of coordinates. Raises TerrainError for broken
+    quotes.
     """
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     known = {column for pair in (ANY, LENGTHS, DEGREES) for axis in pair for column in axis}
@@ -112,8 +113,11 @@ def _lines(text: str, name: str) -> tuple[list[tuple[int, list[str]]], str]:
         raise TerrainError(f"Line {reader.line_num} of {name} cannot be read ({reason})", expected="CSV") from None
 
 
-def _columns(names: list[str], name: str, crs: str, is_degrees: bool) -> tuple[int, int]:
-    """Return the numbers of the columns of x and y. Raises TerrainError."""
+def _find_coordinates(names: list[str], name: str, crs: str, is_degrees: bool) -> tuple[int, int]:
+    """Return the positions of the x and the y column by their names.
+
+    Raises TerrainError unless there is one of each.
+    """
     folded = [column.casefold() for column in names]
     for pair in (ANY, LENGTHS, DEGREES):
         found = [[n for n, column in enumerate(folded) if column in axis] for axis in pair]
@@ -140,8 +144,11 @@ def _columns(names: list[str], name: str, crs: str, is_degrees: bool) -> tuple[i
     raise TerrainError(f"The first line of {name} is {shown(', '.join(names)) or 'empty'}", expected=EXPECTED)
 
 
-def _number(text: str, delimiter: str) -> float:
-    """Return the number in a cell, NaN if there is none; with a decimal comma where commas do not part cells."""
+def _parse_number(text: str, delimiter: str) -> float:
+    """Return the number in a cell, NaN if there is none.
+
+    A decimal comma is accepted unless commas separate the cells.
+    """
     text = text.strip()
     if delimiter != "," and "." not in text:
         text = text.replace(",", ".")

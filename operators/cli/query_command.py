@@ -25,7 +25,11 @@ LONGEST_UNIT = 10_000.0  # metres; a coordinate system with a longer one counts 
 
 
 def run(store: Path, points: Path, out: Path | None, as_line: bool) -> None:
-    """Write what there is at the points as CSV, into `out` or on stdout; a line about it goes where that does not."""
+    """Write heights, slopes and normals at the points of a CSV file as CSV, into `out` or on stdout (None).
+
+    `as_line`: write a profile along the line through the points instead. A summary is printed; on stderr if the
+    table is on stdout.
+    """
     if out is not None:
         check_target(out)
     content = read_named(points, "The points file", "a table as CSV", MAX_BYTES, descriptors=True)
@@ -36,25 +40,25 @@ def run(store: Path, points: Path, out: Path | None, as_line: bool) -> None:
     if as_line:
         found = profile(field, places)
         table = np.column_stack([found.along, placing.from_terrain(found.places), found.heights])
-        names, lines, inside = list(ALONG), [numbers(row) for row in table], ~np.isnan(found.heights)
+        names, lines, inside = list(ALONG), [number_texts(row) for row in table], ~np.isnan(found.heights)
     else:
         ground = ground_at(field, places)
         table = np.column_stack([ground.heights, np.degrees(ground.slopes), ground.normals])
-        lines, inside = [row + numbers(values) for row, values in zip(rows, table, strict=True)], ground.inside
+        lines, inside = [row + number_texts(values) for row, values in zip(rows, table, strict=True)], ground.inside
         names = [*names, *FOUND]
-    write(names, lines, out)
+    write_csv(names, lines, out)
     where = f"in {placing.crs}" if placing.crs else "in metres from the terrain's middle"
     line = f"{len(lines):,} places, x and y {shown(where)}; {int((~inside).sum()):,} have no ground"
     print_line(line, file=sys.stderr if out is None else sys.stdout)
 
 
-def numbers(values: np.ndarray) -> list[str]:
-    """Return the shortest text of each float64; "" for NaN."""
+def number_texts(values: np.ndarray) -> list[str]:
+    """Return each number as the shortest text that parses to the same float64; "" for NaN."""
     return ["" if math.isnan(value) else repr(value) for value in values.tolist()]
 
 
-def write(names: list[str], lines: list[list[str]], out: Path | None) -> None:
-    """Write CSV into a file, or to stdout."""
+def write_csv(names: list[str], lines: list[list[str]], out: Path | None) -> None:
+    """Write a table as CSV into a file, or to stdout if `out` is None. Raises TerrainError."""
     if out is None:
         csv.writer(sys.stdout, lineterminator="\n").writerows([names, *lines])
         return

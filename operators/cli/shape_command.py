@@ -12,7 +12,7 @@ from ...cbt_terrain.height_operators.stack import read_stack
 from ...cbt_terrain.height_operators.tiles import tiles_seen
 from ...cbt_terrain.importing.store_job import wait_for
 from ..text.console import Progress
-from .maps_command import views_of
+from .maps_command import views_along
 
 __all__ = ["check_export", "export", "run"]
 
@@ -33,11 +33,18 @@ def run(
     finish_early_s: float | None = None,
     show_progress: bool | None = None,
 ) -> dict:
-    """Shape and wait; return the report. path, frames: of the camera whose tiles are shaped, None for all tiles."""
+    """Shape a store into the store `out`, wait for the end, and return the report.
+
+    Args:
+        stack: JSON file of height operators.
+        path, frames, resolution, pixel_error: camera path whose visible tiles are shaped; None for all tiles.
+        whole: allow shaping all tiles of a large raster.
+        finish_early_s: seconds after which the levels that are done suffice.
+    """
     wanted, given = None, read_stack(stack)
     field = open_store(store)
     if path is not None:
-        wanted = tiles_seen(field, views_of(path, frames, resolution), pixel_error=pixel_error)
+        wanted = tiles_seen(field, views_along(path, frames, resolution), pixel_error=pixel_error)
     elif not whole and field.samples.size > WHOLE_SAMPLES:
         raise TerrainError(
             f"The store {store} has {field.lattice.width} x {field.lattice.height} samples",
@@ -47,7 +54,8 @@ def run(
     bar = Progress(1.0, "shape", show_progress)
     job = None
 
-    def start() -> ShapeJob:
+    def start_job() -> ShapeJob:
+        """Start the child process and keep its handle for `on_progress`."""
         nonlocal job
         job = ShapeJob(store, given, out, wanted)
         return job
@@ -60,11 +68,11 @@ def run(
             finish_early_s = None
 
     try:
-        return wait_for(start, on_progress)
+        return wait_for(start_job, on_progress)
     finally:
         bar.close()
 
 
 def export(out: Path, file: Path) -> list[Path]:
-    """Write heights and layers of the shaped store as rasters; return their paths."""
+    """Write the heights and layers of the shaped store `out` as rasters named after `file`; return their paths."""
     return export_raster(out, file)

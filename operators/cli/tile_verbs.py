@@ -4,13 +4,13 @@
 from pathlib import Path
 
 from ..text.console import Progress, print_line
-from .argument_types import MAX_INT, argument, count, pair, parse_effects, path, positive, some
+from .argument_types import MAX_INT, argument, count, count_from_one, pair, parse_effects, path, positive
 
 MAX_ERROR_M = 1e9
 
 
 def add_tiles(make_verb, subparsers) -> None:
-    """Add the verb `tiles`. `make_verb`: makes a verb's parser."""
+    """Add the verb `tiles`. `make_verb`: function that adds a verb and returns its parser."""
     from ...cbt_terrain.exporting.height_tiles import PATTERN
     from ...cbt_terrain.exporting.tile_grid import UNREAL_SIZES
     from ...cbt_terrain.height_operators.export import FORMATS
@@ -33,7 +33,7 @@ def add_tiles(make_verb, subparsers) -> None:
 
 
 def run_tiles(arguments) -> None:
-    """Write the tiles and print a line about them."""
+    """Run the verb `tiles`: write height tiles and masks, and print a summary."""
     from ...cbt_terrain.attributes.attribute import AttributeRequest
     from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
     from ...cbt_terrain.exporting.height_tiles import HeightTiles, export_height_tiles
@@ -56,14 +56,14 @@ def run_tiles(arguments) -> None:
         pattern=arguments.pattern,
     )
     masks = [AttributeRequest(name, ("this command",)) for name in names]
-    index = _with_progress(
+    index = _run_with_bar(
         arguments, "tiles", lambda bar: export_height_tiles(field, arguments.out, settings, masks, bar)
     )
     print_line(height_tiles_line(str(Path(arguments.out) / settings.name), index))
 
 
 def add_tileset(make_verb, subparsers) -> None:
-    """Add the verb `tileset`. `make_verb`: makes a verb's parser."""
+    """Add the verb `tileset`. `make_verb`: function that adds a verb and returns its parser."""
     from ...cbt_terrain.exporting.tileset import TRIANGLES
 
     verb = make_verb(subparsers, "tileset", "write 3D Tiles with levels of detail and stated errors", run_tileset)
@@ -72,11 +72,11 @@ def add_tileset(make_verb, subparsers) -> None:
     verb.add_argument("--max-error", type=positive(MAX_ERROR_M), required=True, metavar="METRES", help=error)
     verb.add_argument("--out", type=path, required=True, metavar="FILE.json", help="tiles are written beside it")
     triangles = f"mean number in a tile of the finest level ({TRIANGLES:,})"
-    verb.add_argument("--triangles", type=some, default=TRIANGLES, metavar="N", help=triangles)
+    verb.add_argument("--triangles", type=count_from_one, default=TRIANGLES, metavar="N", help=triangles)
 
 
 def run_tileset(arguments) -> None:
-    """Write the tileset and print a line about it."""
+    """Run the verb `tileset`: write 3D Tiles, and print a summary."""
     from ...cbt_terrain.exporting.tileset import export_tileset
     from ...cbt_terrain.field.store import open_store
     from ..export.exporting import check_target
@@ -84,25 +84,25 @@ def run_tileset(arguments) -> None:
 
     check_target(arguments.out)
     field, settings = open_store(arguments.store), (arguments.max_error, arguments.triangles)
-    report = _with_progress(arguments, "tileset", lambda bar: export_tileset(field, arguments.out, *settings, bar))
+    report = _run_with_bar(arguments, "tileset", lambda bar: export_tileset(field, arguments.out, *settings, bar))
     print_line(tileset_line(str(arguments.out), report))
 
 
 def add_map(make_verb, subparsers) -> None:
-    """Add the verb `map`. `make_verb`: makes a verb's parser."""
+    """Add the verb `map`. `make_verb`: function that adds a verb and returns its parser."""
     verb = make_verb(subparsers, "map", "render a terrain from straight above, with its position on Earth", run_map)
     verb.add_argument("--scene", type=path, required=True, metavar="X.blend")
     verb.add_argument("--out", type=path, required=True, metavar="FILE", help=".png, .jpg or .tif")
     verb.add_argument("--terrain", metavar="NAME", help="the object (the first terrain of the scene)")
     size = verb.add_mutually_exclusive_group()
-    size.add_argument("--pixels", type=some, default=1, metavar="N", help="along each side of a cell (1)")
+    size.add_argument("--pixels", type=count_from_one, default=1, metavar="N", help="along each side of a cell (1)")
     size.add_argument("--metres", type=positive(MAX_ERROR_M), metavar="M", help="side of a pixel")
     verb.add_argument("--tiles", type=pair("x", int, MAX_INT), default=(1, 1), metavar="NxM", help="across and down")
     verb.add_argument("--no-geotiff", dest="geotiff", action="store_false", help="write world files alone")
 
 
 def run_map(arguments) -> None:
-    """Render the map and print its files."""
+    """Run the verb `map`: render the terrain from above and print the files."""
     from ...cbt_terrain.errors import TerrainError
     from ..blender import need_bpy
 
@@ -122,8 +122,8 @@ def run_map(arguments) -> None:
         print_line(f"{file} is written")
 
 
-def _with_progress(arguments, label: str, work):
-    """Return the result of work(function for progress)."""
+def _run_with_bar(arguments, label: str, work):
+    """Return `work(report)` with a progress bar; `report` takes the fraction done."""
     bar = Progress(1.0, label, arguments.progress)
     try:
         return work(bar.to)

@@ -21,6 +21,7 @@ class UsageError(Exception):
 
 
 def run_import(arguments) -> None:
+    """Run the verb `import`: turn a height map or a built-in land into a store, and print the report."""
     from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.importing.import_process import import_source
     from ...cbt_terrain.importing.source_formats import BAND, CELL, CHANNEL, ENCODING, suffixes_with
@@ -53,14 +54,15 @@ def run_import(arguments) -> None:
 
 
 def run_info(arguments) -> None:
+    """Run the verb `info`: print the versions, or describe or check a store, a height map or an exported .npz."""
     if arguments.versions == bool(arguments.paths):
         raise UsageError("expected the path of a store, a height map or an exported .npz, or --versions")
     is_store = len(arguments.paths) == 1 and _is_store(arguments.paths[0])
     if arguments.verify:
         if not is_store:
             raise UsageError(f"--verify checks a store, and {', '.join(arguments.paths)} is none")
-        _verify(arguments.paths[0])
-    fields = _versions() if arguments.versions else _described(arguments, is_store)
+        _verify_store(arguments.paths[0])
+    fields = _all_versions() if arguments.versions else _described(arguments, is_store)
     if arguments.as_json:
         print_line(json.dumps(fields))
     else:
@@ -97,14 +99,16 @@ def _described(arguments, is_store: bool) -> dict:
     return describe_source(settings)
 
 
-def _verify(path) -> None:
+def _verify_store(path) -> None:
+    """Check every block of a store against its checksum, and print the number of blocks of each array."""
     from ...cbt_terrain.field.store import verify
 
     blocks = verify(path)
     print_line(f"every checksum holds: {', '.join(f'{name} {count}' for name, count in blocks.items())} blocks")
 
 
-def _versions() -> dict:
+def _all_versions() -> dict:
+    """Return the versions of the program's parts by name, with Blender's if it is loaded."""
     from ...cbt_terrain.importing.source_info import versions
 
     bpy = sys.modules.get("bpy")
@@ -112,7 +116,7 @@ def _versions() -> dict:
 
 
 def _import_settings(arguments, **more):
-    """Return the ImportSettings that the arguments give; those of `more` have no argument."""
+    """Return ImportSettings from the arguments of the same names; `more` gives settings that are no arguments."""
     from ...cbt_terrain.importing.raster import ImportSettings
 
     names = {field.name for field in dataclasses.fields(ImportSettings)}
@@ -121,6 +125,7 @@ def _import_settings(arguments, **more):
 
 
 def run_bake(arguments) -> None:
+    """Run the verb `bake`: write one static mesh of a store with a given largest vertical error."""
     from ...cbt_terrain.run.partial_files import remove_abandoned
     from ..export.exporting import check_target, figures, write_piece
     from ..export.formats import format_of
@@ -153,13 +158,14 @@ def run_bake(arguments) -> None:
 
 
 def _displacement(arguments):
-    """Return the displacement of --displacement, None without the option."""
+    """Return the Detail that --displacement describes, None without the option."""
     from ...cbt_terrain.field.detail import Detail
 
     return Detail(*arguments.displacement) if arguments.displacement else None
 
 
 def run_export(arguments) -> None:
+    """Run the verb `export`: write the terrain's mesh for each frame."""
     from ..export.exporting import export_frames
 
     source = _export_source(arguments)
@@ -171,7 +177,10 @@ def run_export(arguments) -> None:
 
 @contextmanager
 def frame_reporter(arguments, label: str):
-    """Return a function to call after each frame, with its summary and whether it was complete before."""
+    """Give the `with` block a function to call after each frame: it prints a line and advances the bar.
+
+    The function takes the frame, its summary, and whether the frame was complete before.
+    """
     bar = Progress(len(arguments.frames), label, arguments.progress)
     counter = iter(range(1, len(arguments.frames) + 1))
 
@@ -187,6 +196,7 @@ def frame_reporter(arguments, label: str):
 
 
 def _export_source(arguments):
+    """Return the frames to export, of a scene or of a store seen along a camera path. Raises UsageError."""
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
     from ...cbt_terrain.view.criterion import Criterion
     from ..blender import need_bpy
@@ -218,6 +228,9 @@ def _export_source(arguments):
 
 
 def run_effects(arguments) -> None:
+    """Run the verb `effects`: describe the attributes, and print what they take on a store or who reads them in a
+    scene.
+    """
     from ..blender import need_bpy
     from . import effects_command
 
@@ -225,16 +238,17 @@ def run_effects(arguments) -> None:
         raise UsageError("--camera belongs to --scene")
     if arguments.scene:
         need_bpy("A .blend file")
-        for line in effects_command.of_scene(arguments.scene, arguments.camera):
+        for line in effects_command.list_readers(arguments.scene, arguments.camera):
             print_line(line)
         return
-    print_fields(effects_command.catalogue())
+    print_fields(effects_command.describe_attributes())
     if arguments.store:
-        for line in effects_command.of_store(arguments.store):
+        for line in effects_command.list_costs(arguments.store):
             print_line(line)
 
 
 def run_maps(arguments) -> None:
+    """Run the verb `maps`: bake attributes of a store or a scene's terrains into images."""
     from ..blender import need_bpy
     from . import maps_command
 
@@ -248,16 +262,17 @@ def run_maps(arguments) -> None:
     names = arguments.maps.split(",") if arguments.maps else None
     if arguments.scene:
         look = {"camera": arguments.camera, "resolution": arguments.resolution, "frames": arguments.frames}
-        subjects = maps_command.scene_subjects(arguments.scene, arguments.out, names, **look)
+        subjects = maps_command.subjects_of_scene(arguments.scene, arguments.out, names, **look)
     else:
         names, size = names or [DEFAULT_MAP], arguments.resolution or DEFAULT_RESOLUTION
-        subjects = maps_command.store_subjects(
+        subjects = maps_command.subjects_of_store(
             arguments.store, arguments.out, names, arguments.path, arguments.frames, size
         )
     maps_command.run(subjects, arguments.budget, arguments.format, arguments.progress)
 
 
 def run_shape(arguments) -> None:
+    """Run the verb `shape`: apply height operators to a store, and write the result as a store and as rasters."""
     from . import shape_command
 
     for option in () if arguments.path else ("frames", "resolution", "pixel_error"):
@@ -290,12 +305,14 @@ def run_shape(arguments) -> None:
 
 
 def run_query(arguments) -> None:
+    """Run the verb `query`: write heights, slopes and normals at points."""
     from . import query_command
 
     query_command.run(arguments.store, arguments.points, arguments.out, arguments.profile)
 
 
 def run_accuracy(arguments) -> None:
+    """Run the verb `accuracy`: measure errors and their costs, and write a report."""
     from ..accuracy import subject as accuracy_subject
     from ..blender import need_bpy
     from . import accuracy_command
@@ -315,7 +332,7 @@ def run_accuracy(arguments) -> None:
 
 
 def _check_source(arguments) -> None:
-    """Raise UsageError for --path with a scene, and for --camera with a store."""
+    """Raise UsageError if --path is given with a scene, or --camera with a store."""
     if arguments.scene and arguments.path:
         raise UsageError("--path belongs to --store; a scene has its own cameras (--camera NAME)")
     if arguments.store and arguments.camera:
@@ -323,12 +340,14 @@ def _check_source(arguments) -> None:
 
 
 def run_demo(arguments) -> None:
+    """Run the verb `demo`: write pictures and a page of the built-in island."""
     from ..demo.demo import run
 
     run(arguments.out, arguments.progress)
 
 
 def run_bench(arguments) -> None:
+    """Run the verb `bench`: measure costs on this machine. Only a checkout has it, not the extension."""
     if arguments.quick and (arguments.docs or arguments.with_cycles):
         raise UsageError("--quick leaves rows out; --docs and --with-cycles belong to a whole run")
     from ...benchmarks import suite
@@ -337,9 +356,9 @@ def run_bench(arguments) -> None:
 
 
 def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = None) -> str:
-    """Return `frame 12: 184,302 triangles, bound 0.98 px, update 31 ms`.
+    """Return a line such as `frame 12: 184,302 triangles, bound 0.98 px, update 31 ms`.
 
-    For several terrains it has the sum and the largest bound.
+    `what`: its first words. `terrains`: summaries of figures(); triangles are added up, the largest bound counts.
     """
     from ..text.shown_bounds import limit_text
 
@@ -355,7 +374,9 @@ def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = Non
 
 
 def largest_bound(terrains: list[dict]) -> str:
-    """Return the largest bound of the first kind in BOUNDS that there is, with its unit."""
+    """Return the largest bound of the terrains with its unit: of the first kind in BOUNDS that one of them has,
+    else "none".
+    """
     from ...cbt_terrain.view.settings import BOUNDS
     from ..text.shown_bounds import bound_text
 
@@ -367,9 +388,9 @@ def largest_bound(terrains: list[dict]) -> str:
 
 
 def print_fields(fields: dict, indent: str = "") -> None:
-    """Print one line for each field, and a dict below its name.
+    """Print a line for each field that is not empty, and a dict as indented lines below its name.
 
-    Empty fields are omitted. The texts may come from outside.
+    Control characters are escaped (`shown`), because texts may come from a file.
     """
     for name, value in fields.items():
         if isinstance(value, dict):

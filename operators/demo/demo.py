@@ -54,7 +54,8 @@ def run(out: Path, show_progress: bool | None = None) -> None:
     steps: dict[str, float] = {}
     bar = Progress(sum(WEIGHT.values()) + WEIGHT["picture"] * (len(PICTURE_FRAMES) - 1), "demo", show_progress)
 
-    def done(step: str, line: str, weight: float) -> None:
+    def end_step(step: str, line: str, weight: float) -> None:
+        """Record the seconds of a step, print a line about it and advance the bar by its weight."""
         steps[step] = time.perf_counter() - started - sum(steps.values())
         bar.say(f"{line} ({steps[step]:.1f} s)")
         bar.to(bar.done + weight)
@@ -65,33 +66,33 @@ def run(out: Path, show_progress: bool | None = None) -> None:
         store = out / "store"
         import_source(ImportSettings(source="island", size=SIZE, seed=ISLAND_SEED), out / "source")
         warmup.wait()
-        done("Import", f"source: the island, {SIZE} x {SIZE} samples", WEIGHT["import"])
+        end_step("Import", f"source: the island, {SIZE} x {SIZE} samples", WEIGHT["import"])
         # Pixels of the flight cover at least 3 m. The finest level, 2 m, would change 1 m and take most of the time.
         coarse = whole_land(open_store(out / "source").lattice, 1)
         report = shape_store(out / "source", STACK, store, coarse)
         tiles = f"{report['tiles_built']} of {report['tiles_there_are']} tiles"
-        done("Land", f"store: {', '.join(entry.name.lower() for entry in STACK.entries)}, {tiles}", WEIGHT["land"])
-        summaries, criterion = _export(out, store)
+        end_step("Land", f"store: {', '.join(entry.name.lower() for entry in STACK.entries)}, {tiles}", WEIGHT["land"])
+        summaries, criterion = _export_flight(out, store)
         triangles = [summary["terrains"][0]["triangles"] for summary in summaries]
         line = f"meshes: {len(FRAMES)} frames, {min(triangles):,} to {max(triangles):,} triangles"
-        done(f"{len(FRAMES)} meshes", line, WEIGHT["meshes"])
+        end_step(f"{len(FRAMES)} meshes", line, WEIGHT["meshes"])
         flight = read_camera_path(out / "flight.json")
         shown = crops(Terrain(open_store(store)), TimedFrame([flight.view(LEVELS_FRAME, RESOLUTION)]), CROPS_PX)
-        done("Pictures of four errors", f"crops: {', '.join(f'{px:g}' for px in CROPS_PX)} px", WEIGHT["crops"])
+        end_step("Pictures of four errors", f"crops: {', '.join(f'{px:g}' for px in CROPS_PX)} px", WEIGHT["crops"])
         from ..session import session
         from . import scene as demo_scene
 
         scene, obj = demo_scene.build(out, store, flight, FRAMES, RESOLUTION, criterion)
-        done("Maps and material", f"maps: {', '.join(demo_scene.MAPS)}", WEIGHT["maps"])
+        end_step("Maps and material", f"maps: {', '.join(demo_scene.MAPS)}", WEIGHT["maps"])
         pictures = [(frame, f"frame_{frame:02d}.png") for frame in PICTURE_FRAMES]
         effects = {}
         for frame, name in pictures:
             scene.frame_set(frame)
             effects[frame] = session.record_of(obj).status.effects
             demo_scene.render(scene, out / name)
-            done(f"Picture of frame {frame}", name, WEIGHT["picture"])
+            end_step(f"Picture of frame {frame}", name, WEIGHT["picture"])
         levels = demo_scene.draw_levels(out, scene, obj, LEVELS_FRAME, LEVELS_ERROR_PX, PLAN_RESOLUTION)
-        done("Pictures of the levels", "levels.png, plan.png", WEIGHT["levels"])
+        end_step("Pictures of the levels", "levels.png, plan.png", WEIGHT["levels"])
     finally:
         bar.close()
     write_page(
@@ -110,8 +111,8 @@ def run(out: Path, show_progress: bool | None = None) -> None:
     print(f"{out / 'index.html'} shows it, made in {sum(steps.values()):.0f} s")
 
 
-def _export(out: Path, store: Path) -> tuple[list[dict], Criterion]:
-    """Export the flight's meshes as .npz and return the frames' summaries and the criterion."""
+def _export_flight(out: Path, store: Path) -> tuple[list[dict], Criterion]:
+    """Export the flight's meshes as .npz into `out`; return the frames' summaries and the criterion."""
     flight = out / "flight.json"
     write_text(flight, json.dumps(FLIGHT, indent=1) + "\n")
     criterion = Criterion(error_px=ERROR_PX)

@@ -29,6 +29,7 @@ class LandNodes(Nodes):
     """Node helpers for the demo's materials."""
 
     def ramp(self, value, colours):
+        """Add a colour ramp of evenly spaced colours for a value 0 .. 1; return the colour."""
         node = self.add("ShaderNodeValToRGB", {"Fac": value})
         elements = node.color_ramp.elements
         while len(elements) < len(colours):
@@ -38,6 +39,7 @@ class LandNodes(Nodes):
         return node.outputs["Color"]
 
     def emission(self, colour, strength: float = 1.0):
+        """Add a shader of one colour that ignores light; return it."""
         return self.add("ShaderNodeEmission", {"Color": colour, "Strength": strength}).outputs[0]
 
     def smooth(self, value, low: float, high: float):
@@ -46,12 +48,12 @@ class LandNodes(Nodes):
         return self.add("ShaderNodeMapRange", limits, interpolation_type="SMOOTHSTEP").outputs["Result"]
 
     def horizon(self, direction, sun):
-        """Return the colour of the air in a direction, warm towards the sun (both unit vectors)."""
+        """Return the colour of the air in a direction, warmer towards the sun (both unit vectors)."""
         towards = self.vector("DOT_PRODUCT", direction, tuple(sun))
         return self.mix(self.math("POWER", self.smooth(towards, -0.4, 1.0), 2.5), AWAY, SUNWARD)
 
-    def hazy(self, surface, sun):
-        """Add aerial perspective to a surface: air absorbs its light and adds light of the sky."""
+    def with_haze(self, surface, sun):
+        """Return a surface shader with aerial perspective: air absorbs its light and adds light of the sky."""
         distance = self.add("ShaderNodeCameraData").outputs["View Distance"]
         absorbed = [
             self.math("SUBTRACT", 1.0, self.math("POWER", math.e, self.math("DIVIDE", distance, -length)))
@@ -65,17 +67,19 @@ class LandNodes(Nodes):
         return self.add("ShaderNodeMixShader", {0: absorbed[1], 1: surface, 2: air}).outputs[0]
 
     def finish(self, surface) -> None:
+        """Link a shader to the material's output."""
         self.add("ShaderNodeOutputMaterial", {"Surface": surface})
 
 
 def plain_material(name: str, colour: tuple[float, float, float, float]) -> bpy.types.Material:
     """Return a material of one colour that ignores light."""
-    material, n = _material(name)
+    material, n = _new_material(name)
     n.finish(n.emission(colour))
     return material
 
 
-def _material(name: str) -> tuple[bpy.types.Material, LandNodes]:
+def _new_material(name: str) -> tuple[bpy.types.Material, LandNodes]:
+    """Create a material without nodes; return it and helpers that add nodes to it."""
     material = bpy.data.materials.new(name)
     tree = tree_of_new(material)
     tree.nodes.clear()
@@ -105,17 +109,18 @@ def put_haze(material: bpy.types.Material, sun) -> None:
     n = LandNodes(material.node_tree)
     output = next(node for node in n.tree.nodes if node.type == "OUTPUT_MATERIAL")
     [link] = output.inputs["Surface"].links
-    n.tree.links.new(n.hazy(link.from_socket, sun), output.inputs["Surface"])
+    n.tree.links.new(n.with_haze(link.from_socket, sun), output.inputs["Surface"])
     n.arrange()
 
 
 def water_material(sun) -> bpy.types.Material:
     """Return a water material: darker with the attribute WATER_DEPTH, with foam, gusts and aerial perspective."""
-    material, n = _material("Water")
+    material, n = _new_material("Water")
     depth = n.add("ShaderNodeAttribute", attribute_name=WATER_DEPTH).outputs["Fac"]
     place = n.add("ShaderNodeNewGeometry").outputs["Position"]
 
     def noise(metres: float, detail: float):
+        """Add noise with features of a size in metres; return its value."""
         inputs = {"Vector": n.scaled(place, 1.0 / metres), "Scale": 1.0, "Detail": detail}
         return n.add("ShaderNodeTexNoise", inputs).outputs[0]
 
@@ -127,13 +132,13 @@ def water_material(sun) -> bpy.types.Material:
     rough = n.math("MULTIPLY_ADD", n.smooth(noise(900.0, 4.0), 0.4, 0.65), 0.10, SEA_ROUGHNESS)
     over = n.add("ShaderNodeBsdfGlossy", {"Color": (1.0, 1.0, 1.0, 1.0), "Roughness": rough}).outputs[0]
     mirrored = n.math("MULTIPLY", n.add("ShaderNodeFresnel", {"IOR": 1.33}).outputs[0], 0.75)
-    n.finish(n.hazy(n.add("ShaderNodeMixShader", {0: mirrored, 1: under, 2: over}).outputs[0], sun))
+    n.finish(n.with_haze(n.add("ShaderNodeMixShader", {0: mirrored, 1: under, 2: over}).outputs[0], sun))
     return material
 
 
 def level_material(coarsest: float, finest: float, sun) -> bpy.types.Material:
     """Return a material that colours triangles by level, with edges and some shading by the `sun` (unit vector)."""
-    material, n = _material("Levels")
+    material, n = _new_material("Levels")
     level = n.add("ShaderNodeAttribute", attribute_name=LEVEL).outputs["Fac"]
     inputs = {"Value": level, "From Min": coarsest - 0.5, "From Max": finest + 0.5}
     colour = n.ramp(n.add("ShaderNodeMapRange", inputs).outputs["Result"], LEVEL_COLOURS)

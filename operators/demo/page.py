@@ -72,7 +72,7 @@ def write_page(
         PagePicture(first_name, _frame_text(by_frame[first], resolution)),
         Figures(_figures(frames, size, error_px)),
         Heading("Four error bounds in comparison"),
-        PictureStrip([_crop(crop, size) for crop in crops]),
+        PictureStrip([_crop_picture(crop, size) for crop in crops]),
         Text(
             f"The part of frame {levels['frame']} in which these errors differ most, pixel by pixel. Its lower left "
             "half shows the edges of the triangles."
@@ -106,7 +106,7 @@ def write_page(
             "the same in any order and on any machine.",
             _chart(frames),
         ),
-        _table(frames),
+        _frames_table(frames),
         Heading("The files"),
         Text(
             "island.blend is the scene: open it with the extension installed and play it. meshes/ holds the arrays of "
@@ -125,6 +125,7 @@ def write_page(
 
 
 def _figures(frames: list[dict], size: int, error_px: float) -> list[tuple[str, str]]:
+    """Return (value, meaning) of the main figures of all frames. size: samples along a side."""
     triangles = [frame["triangles"] for frame in frames]
     worst = bound_text(max(frame["bound_px"] for frame in frames), "px")
     return [
@@ -132,20 +133,23 @@ def _figures(frames: list[dict], size: int, error_px: float) -> list[tuple[str, 
         (f"{statistics.median(frame['ms']['total'] for frame in frames):.0f} ms", "an update, the median"),
         (worst, f"the largest bound, for a criterion of {error_px:g} px"),
         (f"{size * size / 1e6:.1f} M", f"samples, {size:,} x {size:,}"),
-        (f"{_share(statistics.median(triangles), size)}", "of the triangles of the whole grid"),
+        (f"{_share_of_grid(statistics.median(triangles), size)}", "of the triangles of the whole grid"),
     ]
 
 
-def _share(triangles: float, size: int) -> str:
+def _share_of_grid(triangles: float, size: int) -> str:
+    """Return triangles as per cent of those of the whole grid of `size` x `size` samples."""
     return f"{100 * triangles / (2 * (size - 1) ** 2):.2g} %"
 
 
-def _crop(crop: Crop, size: int) -> PagePicture:
-    cost = f"{crop.triangles:,} triangles, {_share(crop.triangles, size)} of the grid's"
+def _crop_picture(crop: Crop, size: int) -> PagePicture:
+    """Return the picture of one error in the comparison, with its triangles as the caption."""
+    cost = f"{crop.triangles:,} triangles, {_share_of_grid(crop.triangles, size)} of the grid's"
     return PagePicture("", cost, f"{crop.error_px:g} px", png(crop.pixels))
 
 
 def _frame_text(frame: dict, resolution: tuple[int, int]) -> str:
+    """Describe a frame: its triangles, bound and time of the update."""
     return (
         f"Frame {frame['frame']}: {frame['triangles']:,} triangles, error at most "
         f"{bound_text(frame['bound_px'], 'px')} in a picture of {resolution[0]} x {resolution[1]}, updated in "
@@ -159,6 +163,7 @@ def _skipped(effects: dict[int, dict]) -> list[str]:
 
 
 def _effects_table(effects: dict[int, dict]) -> Table:
+    """Return the table of computed attributes: their readers, and their cost in each pictured frame."""
     skipped, rows = _skipped(effects), []
     for name, first in next(iter(effects.values())).items():
         if name not in skipped:
@@ -167,7 +172,8 @@ def _effects_table(effects: dict[int, dict]) -> Table:
     return Table(["Effect", "Read by", *(f"Frame {number}: time, vertices" for number in effects)], rows)
 
 
-def _table(frames: list[dict]) -> Table:
+def _frames_table(frames: list[dict]) -> Table:
+    """Return the table with a row for each frame."""
     rows = [
         [
             str(frame["frame"]),

@@ -80,7 +80,7 @@ def build(out: Path, store: Path, path, frames: range, resolution: tuple[int, in
 
 
 def bake_island_maps(obj) -> None:
-    """Bake maps of normals, colours and sky visibility with the resolution of the shot."""
+    """Bake maps of normals, colours and sky visibility, as fine as the shot's frames show them."""
     bpy.context.view_layer.objects.active = obj
     maps = obj.adaptive_terrain.maps
     maps.frames, maps.chosen = SHOT, set(MAPS)
@@ -165,7 +165,7 @@ def set_up_render(scene, resolution: tuple[int, int]) -> None:
 
 
 def render(scene, path: Path) -> None:
-    """Render the current frame to a PNG file; the frame handler updates the terrain, as in any render."""
+    """Render the current frame to a PNG file; the handlers update the terrain, as in any render."""
     settings = scene.render.image_settings
     settings.file_format, settings.color_mode = "PNG", "RGB"
     with written_beside(path.resolve()) as partial, quiet():
@@ -201,7 +201,10 @@ def draw_levels(out: Path, scene, obj, frame: int, error_px: float, plan_resolut
 
 
 def _look_from_above(scene, obj, camera, resolution: tuple[int, int]) -> None:
-    """Add an orthographic camera over the whole terrain, and a wedge that shows the view of `camera`."""
+    """Add an orthographic camera over the whole terrain and make it the scene's.
+
+    A wedge over the terrain shows the view of `camera`.
+    """
     side, top = max(obj.dimensions.x, obj.dimensions.y), obj.dimensions.z + 5000.0
     above = bpy.data.objects.new("Above", bpy.data.cameras.new("Above"))
     above.data.type, above.data.ortho_scale, above.data.clip_end = "ORTHO", 1.02 * side, 2 * top

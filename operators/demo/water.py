@@ -32,7 +32,7 @@ def add_sea(scene, field: HeightField, material: bpy.types.Material):
     mesh.from_pydata(np.pad(places, ((0, 0), (0, 1))).tolist(), [], [*cells.tolist(), *sides])
     depth = np.append(sea_depth(heights, 0.0), np.full(4, OPEN_DEPTH_M)).astype(np.float32)
     mesh.attributes.new("water_depth", "FLOAT", "POINT").data.foreach_set("value", depth)
-    return _linked(scene, mesh, material)
+    return _add_object(scene, mesh, material)
 
 
 def add_rivers(scene, field: HeightField, material: bpy.types.Material):
@@ -45,17 +45,18 @@ def add_rivers(scene, field: HeightField, material: bpy.types.Material):
         return None
     mesh = bpy.data.meshes.new("Water")
     write_mesh(mesh, surface)
-    return _linked(scene, mesh, material)
+    return _add_object(scene, mesh, material)
 
 
 def _thinned(samples: np.ndarray, lattice: Lattice, max_side: int) -> tuple[np.ndarray, Lattice]:
-    """Return every n-th sample, at most `max_side` along a side, and their lattice."""
+    """Return every n-th sample, at most `max_side` along a side, and the lattice of these samples."""
     every = -(-(max(lattice.width, lattice.height) - 1) // (max_side - 1))
     found = np.ascontiguousarray(samples[::every, ::every])
     return found, fit(found.shape[1], found.shape[0], lattice.step_x * every, lattice.step_y * every)
 
 
-def _linked(scene, mesh: bpy.types.Mesh, material: bpy.types.Material):
+def _add_object(scene, mesh: bpy.types.Mesh, material: bpy.types.Material):
+    """Add an object with this mesh and material to the scene; return it."""
     mesh.materials.append(material)
     obj = bpy.data.objects.new(mesh.name, mesh)
     scene.collection.objects.link(obj)

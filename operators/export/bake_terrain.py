@@ -15,11 +15,14 @@ from ..terrain.request import gather
 from ..text.shown_bounds import bound_text, limit_text
 
 
-def bake(obj, depsgraph, error_m: float, fitted: bool = False):
+def bake_object(obj, depsgraph, error_m: float, fitted: bool = False):
     """Add an ordinary object beside the terrain `obj`, whose mesh is at most `error_m` metres off in height.
 
-    Return it with the engine's Update. The triangle limit is that of the render settings, and so is the meshlet level
-    unless the mesh is `fitted`: then its vertices leave the surface to save triangles, and each leaf is one triangle.
+    Return it and the engine's Update. Raises TerrainError.
+
+    Args:
+        fitted: move vertices off the surface to save triangles; each leaf is then one triangle. Otherwise the
+            meshlet level of the render settings applies.
     """
     detail = obj.adaptive_terrain.render
     criterion = Criterion(
@@ -63,9 +66,10 @@ class BakeTerrain(TerrainObjectOperator, bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
+        """Bake the active terrain with the error of its settings, and report triangles and bound."""
         obj = context.object
         settings = obj.adaptive_terrain
-        baked, update = bake(obj, context.evaluated_depsgraph_get(), settings.bake_error_m, settings.bake_fit)
+        baked, update = bake_object(obj, context.evaluated_depsgraph_get(), settings.bake_error_m, settings.bake_fit)
         message = f"{len(baked.data.polygons):,} triangles, at most {bound_text(update.bound_m, 'm')} off"
         if update.limited:
             self.report({"WARNING"}, f"{message}: held back by {limit_text(update.limited)}")

@@ -58,7 +58,10 @@ def need_no_shear(obj) -> None:
 
 
 def turn_faces_over(path: Path, faces: int) -> None:
-    """Reverse the winding of all `faces` of a .ply, which come last in the file."""
+    """Reverse the order of the corners of all faces in a .ply file.
+
+    `faces`: their number; they come last in the file.
+    """
     face = np.dtype([("count", np.uint8), ("corners", "<u4", 3)])
     with path.open("r+b") as file:
         file.seek(-faces * face.itemsize, os.SEEK_END)
@@ -76,7 +79,7 @@ def export_ply(_obj, name: str) -> None:
 
 
 def face_outwards(piece, path: Path) -> None:
-    """Turn the faces of a mirrored object's .ply over; Blender's other exporters do so themselves."""
+    """Turn the faces of a mirrored object's .ply over, which Blender's exporter leaves facing inwards."""
     if piece.obj.matrix_world.determinant() < 0:
         turn_faces_over(path, len(piece.surface.triangles))
 
@@ -126,7 +129,7 @@ def export_glb(obj, name: str) -> None:
 
     need_no_shear(obj)
     _enable_gltf()
-    with _gltf_names([obj.data]):
+    with _underscored_names([obj.data]):
         bpy.ops.export_scene.gltf(
             filepath=name,
             export_format="GLB",
@@ -139,8 +142,8 @@ def export_glb(obj, name: str) -> None:
 
 
 @contextmanager
-def _gltf_names(meshes):
-    """Prefix the names of point attributes with an underscore while glTF is written: it exports no others."""
+def _underscored_names(meshes):
+    """Prefix the names of point attributes with an underscore in the `with` block: Blender's glTF exports no others."""
     renamed = []
     try:
         for mesh in meshes:

@@ -27,6 +27,7 @@ class ExportTerrain(TerrainObjectOperator, bpy.types.Operator, ExportHelper):
     filter_glob: bpy.props.StringProperty(default=GLOB, options={"HIDDEN"})
 
     def execute(self, context):
+        """Write the terrain to the chosen file, and restore the viewport's detail even after an error."""
         try:
             self._write(context, Path(self.filepath))
         except (TerrainError, OSError) as error:
@@ -37,6 +38,10 @@ class ExportTerrain(TerrainObjectOperator, bpy.types.Operator, ExportHelper):
         return {"FINISHED"}
 
     def _write(self, context, path: Path):
+        """Refine the terrain for a render of this frame and write it; the suffix of `path` is the format.
+
+        Raises TerrainError.
+        """
         from ...cbt_terrain.run.partial_files import remove_abandoned
         from .exporting import check_target, figures, write_piece
         from .frame_sources import scene_piece

@@ -29,7 +29,7 @@ SIZES = (
 
 
 def mask_requests(obj, depsgraph, field) -> tuple:
-    """Return requests for the by-products that a terrain's store has, and for its splat layers."""
+    """Return requests for the attributes that tiles get as masks: the layers of the store, and the splat layers."""
     num_splats = -(-len(obj.adaptive_terrain.layers) // 4)
     names = [*(name for name in ATTRIBUTES if name in field.layers), *SPLATS[:num_splats]]
     evaluated = obj.evaluated_get(depsgraph)
@@ -82,6 +82,7 @@ class ExportHeightTiles(LandOperator, bpy.types.Operator, ExportHelper):
     )
 
     def draw(self, _context):
+        """Draw the options of the tiles; the fixed size and the fit apply unless the whole raster is one tile."""
         column = self.layout.column()
         column.use_property_split = True
         column.prop(self, "size")
@@ -96,6 +97,7 @@ class ExportHeightTiles(LandOperator, bpy.types.Operator, ExportHelper):
             column.prop(self, name)
 
     def _carry_out(self, obj, depsgraph):
+        """Write the height tiles, the masks and their JSON beside the chosen file."""
         path, sizes = Path(self.filepath), {FREE: self.free_size, WHOLE: 0}
         settings = HeightTiles(
             form=path.suffix[1:].lower(),
@@ -138,6 +140,7 @@ class ExportTileset(LandOperator, bpy.types.Operator, ExportHelper):
     )
 
     def _carry_out(self, obj, depsgraph):
+        """Write the 3D Tiles beside the chosen file."""
         path = Path(self.filepath)
         check_target(path)
         field = shaped_field(obj, depsgraph)

@@ -28,7 +28,7 @@ from .formats import FORMATS, format_of
 from .frame_sources import Piece, bounds_of
 from .read_back import count_triangles
 from .summaries import (
-    closed_summary,
+    close_summary,
     complete_summary,
     content_digest,
     file_sizes,
@@ -79,12 +79,16 @@ def write_frames(
     resume: bool,
     on_frame: Callable[[int, dict, bool], None],
 ) -> None:
-    """Have `write` write each frame's files into `out`, and close the frame with its result.
+    """Write each frame with `write`, and close it with a summary that is written last.
 
-    The result is a dict: "files" (sizes in bytes by name), "terrains" (their figures) and "elapsed_ms".
-
-    `settings`: what all frames have in common, as JSON. `inputs`: the files that a frame is made of. They are read
-    once, before the first frame that needs them: Blender keeps them, too, and a later change is none of these frames'.
+    Args:
+        write: writes a frame's files into `out` and returns "files" (sizes in bytes by name), "terrains" (their
+            figures) and "elapsed_ms".
+        settings: what all frames have in common, as JSON.
+        inputs: returns the files that a frame is made of. They are read once, before the first frame that needs
+            them: Blender keeps them, too, and a later change is none of these frames'.
+        resume: leave frames that are complete with the same settings, inputs and formats.
+        on_frame: called after each frame with its number, its summary, and whether it was complete before.
     """
     make_folder(out)
     settings, contents = settings_digest(settings), cache(content_digest)
@@ -99,7 +103,7 @@ def write_frames(
         if complete is None:  # it would describe the old files
             _remove_summary(summary_path)
         summary = {"frame": frame, "settings": settings, "inputs": digests, **write(frame)}
-        summary = closed_summary(summary, out)
+        summary = close_summary(summary, out)
         write_text(summary_path, finite_json(summary, str(summary_path), indent=1) + "\n")
         on_frame(frame, summary, False)
 
@@ -118,7 +122,7 @@ def _remove_summary(path: Path) -> None:
 
 
 def _replace_special(path: Path) -> None:
-    """Put an empty file in the place of a link, a pipe or a socket, whatever a link leads to."""
+    """Put an empty file in the place of a link, a pipe or a socket; a link's target stays as it is."""
     if path.is_symlink() or path.is_fifo() or path.is_socket():
         with private_folder(path.parent) as folder:
             (folder / path.name).touch()
@@ -140,7 +144,9 @@ def make_folder(path: Path) -> None:
 
 
 def check_target(path: Path) -> None:
-    """Raise TerrainError where a file cannot be written to `path` because of what stands, or does not stand, there."""
+    """Raise TerrainError if a file cannot be written to `path`: its folder is missing, or a folder or device has
+    its name.
+    """
     if path.parent.is_file():
         raise TerrainError(
             f"{path.parent} is a file", expected=f"a folder to write {path.name} into", fix="choose another"
@@ -158,7 +164,7 @@ def check_target(path: Path) -> None:
 
 @contextmanager
 def named_failures(path: Path):
-    """Turn failures of the block to write `path` into one sentence that names it."""
+    """Turn errors of the `with` block, which writes `path`, into a TerrainError that names the file and the reason."""
     check_target(path)
     try:
         yield
@@ -175,18 +181,21 @@ def named_failures(path: Path):
 
 
 def check_room(path: Path, size: int) -> None:
-    """Raise TerrainError where `size` bytes cannot be written beside `path`."""
+    """Raise TerrainError if the disk has no room for `size` bytes beside `path`."""
     with named_failures(path), private_folder(path.parent) as folder:
         (folder / path.name).write_bytes(bytes(size))
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, atomically; raises TerrainError where that cannot be."""
+    """Write a text file, whole or not at all. Raises TerrainError."""
     write_files(path.parent, {path.name: text})
 
 
 def write_files(folder: Path, contents: dict[str, str | bytes]) -> None:
-    """Write files, by name, into a folder: old ones are replaced once all are written, else none."""
+    """Write files by their names into a folder: all replace the old ones at the end, or none does.
+
+    Raises TerrainError.
+    """
     with ExitStack() as stack:
         for path, content in ((folder / name, content) for name, content in contents.items()):
             stack.enter_context(named_failures(path))
@@ -195,7 +204,7 @@ def write_files(folder: Path, contents: dict[str, str | bytes]) -> None:
 
 
 def _export_frame(source, frame: int, formats: Sequence[str], out: Path) -> dict:
-    """Write one frame's files; returns sizes in bytes by file name, and each terrain's figures."""
+    """Write the files of one frame in all formats; return their sizes in bytes, the terrains' figures and the time."""
     start = time.perf_counter()
     files, pieces = [], []
     for piece in source.pieces(frame):
@@ -219,7 +228,7 @@ def _export_frame(source, frame: int, formats: Sequence[str], out: Path) -> dict
 
 
 def _write_scatters(piece: Piece, frame: int, out: Path) -> list[Path]:
-    """Write the scatters of a piece; returns the files."""
+    """Write the scatters of a terrain as CSV files into `out`; return the files."""
     from .scatter_files import write_points_csv
 
     files = []
@@ -231,7 +240,7 @@ def _write_scatters(piece: Piece, frame: int, out: Path) -> list[Path]:
 
 
 def figures(piece: Piece) -> dict:
-    """Return the figures of one terrain for the summary, with times, which nothing else of an export has."""
+    """Return the figures of one terrain for the summary of its frame: counts, bounds and times."""
     update = piece.update
     return {
         "name": piece.name,
@@ -256,9 +265,11 @@ def write_arrays(pieces: Sequence[Piece], path: Path) -> None:
 
 @contextmanager
 def _written_by_blender(path: Path, written=written_beside):
-    """Write a file by Blender's exporters, which print tracebacks: find out first whether it can be written at all.
+    """Give the `with` block a partial file for Blender's exporters, which becomes `path` at the end.
 
-    No handler of this extension runs meanwhile: an exporter may change the frame while it reads the mesh.
+    written: context manager for partial files. The file is created first, because the exporters print tracebacks if
+    they cannot. No handler of this extension runs meanwhile: an exporter may change the frame while it reads the
+    mesh.
     """
     with written(path) as partial, paused():
         partial.touch()
@@ -266,8 +277,8 @@ def _written_by_blender(path: Path, written=written_beside):
         yield partial
 
 
-def _need_all_written(path: Path) -> None:
-    """Raise OSError if a file cannot grow, RuntimeError if there is none.
+def _check_fully_written(path: Path) -> None:
+    """Raise OSError if the disk is full, RuntimeError if Blender wrote no file.
 
     Blender's PLY, OBJ and STL writers do not report that a full disk, a quota or a limit has cut their files short.
     """
@@ -290,10 +301,10 @@ def write_blend(pieces: Sequence[Piece], path: Path) -> None:
 
     path = real_path(path)
     for piece in pieces:
-        _need_count(piece, path, len(piece.obj.data.polygons))
+        _check_count(piece, path, len(piece.obj.data.polygons))
     with named_failures(path), _written_by_blender(path, written_among) as partial, quiet():
         bpy.ops.wm.save_as_mainfile(filepath=str(partial), copy=True, check_existing=False, compress=True)
-        _need_all_written(partial)
+        _check_fully_written(partial)
 
 
 def write_with_blender(pieces: Sequence[Piece], path: Path) -> None:
@@ -307,18 +318,18 @@ def write_with_blender(pieces: Sequence[Piece], path: Path) -> None:
     with named_failures(path), _written_by_blender(path) as partial:
         with only_selected(piece.obj), quiet(1, 2):  # the OBJ exporter prints on stderr; errors are raised too
             form.call("export", piece.obj, str(real_path(partial)))
-        _need_all_written(partial)
+        _check_fully_written(partial)
         try:
             found = count_triangles(partial)
         except ValueError as reason:
             raise RuntimeError(str(reason)) from None
-        _need_count(piece, path, found)
+        _check_count(piece, path, found)
         if form.finish:
             form.call("finish", piece, partial)
 
 
-def _need_count(piece: Piece, path: Path, found: int) -> None:
-    """Raise TerrainError where a file would hold another mesh than its summary says."""
+def _check_count(piece: Piece, path: Path, found: int) -> None:
+    """Raise TerrainError if a file would hold another number of triangles, `found`, than the terrain has."""
     expected = len(piece.surface.triangles)
     if found != expected:
         raise TerrainError(

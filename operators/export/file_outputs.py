@@ -25,38 +25,44 @@ FRAME_NUMBER = "####"  # which Blender replaces
 
 @contextmanager
 def redirected_outputs(scene, folder: Path) -> Iterator[None]:
-    """Let the File Output nodes of a scene write below `folder` during the block: each to its whole path, from there.
+    """Let the File Output nodes of a scene write below `folder` in the `with` block.
 
-    Blender still fills in the names in braces of a node's path. From 5.0 on it leaves the frame's
-    number out of the names while it renders one frame; here they get it, as in a render of all frames.
+    Each writes to its usual absolute path, moved below `folder`; `publish_outputs` moves the files to their places.
+    Blender still fills in the names in braces of a node's path. From 5.0 on it leaves the frame's number out of the
+    names while it renders one frame; here they get it, as in a render of all frames.
     """
     nodes = output_nodes(scene)
     for node in nodes:
-        _need_names_below(node)
+        _check_names_stay_below(node)
     before = [node_folder(node) for node in nodes]
-    names = [(node, _names_of(node)) for node in nodes if hasattr(node, "file_name")]
+    names = [(node, _node_names(node)) for node in nodes if hasattr(node, "file_name")]
     try:
         for node, path in zip(nodes, before, strict=True):
-            drive, tail = os.path.splitdrive(_whole(path))
-            below = os.path.join(literal(folder / _drive_name(drive)), tail.lstrip("/\\"))
-            _set_folder(node, below)
-            _check_whole(node, below, node_folder(node))
+            drive, tail = os.path.splitdrive(_absolute_node_path(path))
+            below = os.path.join(escape_braces(folder / _drive_name(drive)), tail.lstrip("/\\"))
+            _set_node_folder(node, below)
+            _check_not_cut(node, below, node_folder(node))
         for node, (name, items) in names:
             numbered = _numbered_names(node, name, items)
-            _set_names(node, *numbered)
-            _check_whole(node, numbered, _names_of(node))
+            _set_node_names(node, *numbered)
+            _check_not_cut(node, numbered, _node_names(node))
         yield
     finally:
         for node, path in zip(nodes, before, strict=True):
-            _set_folder(node, path)
+            _set_node_folder(node, path)
         for node, (name, items) in names:
-            _set_names(node, name, items)
+            _set_node_names(node, name, items)
 
 
 def publish_outputs(scene, folder: Path) -> list[Path]:
-    """Move the files that nodes have written below `folder` to their places; returns these. Raises TerrainError."""
+    """Move the files that nodes wrote below `folder` to the nodes' own paths; return the final paths.
+
+    Raises TerrainError.
+    """
     moves = []
-    for drive in sorted({os.path.splitdrive(_whole(node_folder(node)))[0] for node in output_nodes(scene)}):
+    for drive in sorted(
+        {os.path.splitdrive(_absolute_node_path(node_folder(node)))[0] for node in output_nodes(scene)}
+    ):
         below = folder / _drive_name(drive)
         files = sorted(Path(inner) / name for inner, _, names in os.walk(below) for name in names)
         moves += [(file, Path(drive + os.sep) / file.relative_to(below)) for file in files]
@@ -107,17 +113,21 @@ def node_folder(node) -> str:
     return next(getattr(node, name) for name in FOLDER_PROPERTIES if hasattr(node, name))
 
 
-def literal(path: Path) -> str:
-    """Return a path for Blender to write to: from 4.5 on it puts values in the place of names in braces."""
+def escape_braces(path: Path) -> str:
+    """Return a path for Blender with doubled braces: from 4.5 on it replaces names in braces by values."""
     return str(path) if bpy.app.version < (4, 5, 0) else str(path).replace("{", "{{").replace("}", "}}")
 
 
-def _set_folder(node, path: str) -> None:
+def _set_node_folder(node, path: str) -> None:
+    """Set the path that a File Output node writes to."""
     setattr(node, next(name for name in FOLDER_PROPERTIES if hasattr(node, name)), path)
 
 
-def _check_whole(node, wanted, actual) -> None:
-    """Raise TerrainError where Blender has cut a name short, as it does without a word."""
+def _check_not_cut(node, wanted, actual) -> None:
+    """Raise TerrainError if Blender has cut a path or name short, as it does silently.
+
+    wanted: the text that was set. actual: the node's present text.
+    """
     if actual != wanted:
         raise TerrainError(
             f"The path or a name of the File Output node {shown(node.name)!r} is too long for Blender with the frame's "
@@ -126,12 +136,12 @@ def _check_whole(node, wanted, actual) -> None:
         )
 
 
-def _need_names_below(node) -> None:
-    """Raise TerrainError for a name of a file that leads out of the node's folder: nothing would find that file."""
+def _check_names_stay_below(node) -> None:
+    """Raise TerrainError for a file name that leads out of the node's folder: nothing would find that file."""
     if hasattr(node, "base_path"):  # before Blender 5.0
         names = [slot.path for slot in node.file_slots]
     else:
-        name, items = _names_of(node)
+        name, items = _node_names(node)
         names = [name, *items]
     wrong = next((name for name in names if ".." in name.replace("\\", "/").split("/")), None)
     if wrong is not None:
@@ -142,11 +152,13 @@ def _need_names_below(node) -> None:
         )
 
 
-def _names_of(node) -> tuple[str, list[str]]:
+def _node_names(node) -> tuple[str, list[str]]:
+    """Return the file name of a node and the names of its items, from Blender 5.0 on."""
     return node.file_name, [item.name for item in node.file_output_items]
 
 
-def _set_names(node, name: str, items: list[str]) -> None:
+def _set_node_names(node, name: str, items: list[str]) -> None:
+    """Set the file name of a node and the names of its items."""
     node.file_name = name
     for item, item_name in zip(node.file_output_items, items, strict=True):
         if item.name != item_name:  # which would make new sockets
@@ -154,23 +166,28 @@ def _set_names(node, name: str, items: list[str]) -> None:
 
 
 def _numbered_names(node, name: str, items: list[str]) -> tuple[str, list[str]]:
-    """Return the names of a node's file and items with a place for the frame's number, which may have one already."""
+    """Return the names of a node's file and items with a placeholder for the frame's number, unless they have one."""
     if node.format.media_type == "MULTI_LAYER_IMAGE":  # items are layers of one file
-        return _numbered(name), items
-    return name, [_numbered(name + item)[len(name) :] for item in items]
+        return _with_frame_number(name), items
+    return name, [_with_frame_number(name + item)[len(name) :] for item in items]
 
 
-def _numbered(name: str) -> str:
+def _with_frame_number(name: str) -> str:
+    """Return a name with the frame's placeholder at its end, unless it has one."""
     return name if "#" in name.rsplit("/", 1)[-1] else name + FRAME_NUMBER
 
 
-def _whole(path: str) -> str:
-    """Return an absolute path; a separator at its end, after which Blender puts a file's name, stays."""
+def _absolute_node_path(path: str) -> str:
+    """Return a node's path as an absolute one.
+
+    A separator at its end, after which Blender puts a file's name, stays.
+    """
     if path.startswith("//"):
-        path = os.path.join(literal(Path(bpy.data.filepath).parent), path[2:])
+        path = os.path.join(escape_braces(Path(bpy.data.filepath).parent), path[2:])
     end = os.sep if path.endswith(("/", "\\")) else ""
     return os.path.abspath(path) + end
 
 
 def _drive_name(drive: str) -> str:
+    """Return the name of the folder for files of a drive (Windows), below the redirected folder."""
     return "files_" + "".join(c if c.isalnum() else "_" for c in drive)

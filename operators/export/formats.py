@@ -33,7 +33,7 @@ class ExportFormat:
     is_whole_scene: bool = False
 
     def call(self, name: str, *arguments):
-        """Call the function of one attribute."""
+        """Call the function that an attribute such as "write" names, which is imported at the first call."""
         return resolve_name(f"{__package__}.{getattr(self, name)}")(*arguments)
 
 
@@ -59,7 +59,7 @@ def parse_frames(text: str) -> tuple[int, ...]:
     """
     parts = [_frame_range(part.strip()) for part in text.split(",")]
     if sum(map(len, parts)) > MAX_FRAMES:
-        raise TerrainError(f"The frames {_short(text)} are too many", expected=f"{MAX_FRAMES:,} at most")
+        raise TerrainError(f"The frames {_quote(text)} are too many", expected=f"{MAX_FRAMES:,} at most")
     return tuple(dict.fromkeys(frame for part in parts for frame in part))
 
 
@@ -67,20 +67,21 @@ def _frame_range(part: str) -> range:
     """Parse one part of a list of frames."""
     match = re.fullmatch(r"(-?\d{1,9})(?:-(-?\d{1,9})(?::(\d{1,9}))?)?", part)
     if not match:
-        raise TerrainError(f"The frames {_short(part)} cannot be read", expected="A, A-B or A-B:S")
+        raise TerrainError(f"The frames {_quote(part)} cannot be read", expected="A, A-B or A-B:S")
     first, last, step = int(match[1]), int(match[2] or match[1]), int(match[3] or 1)
     if last < first or step < 1:
         raise TerrainError(
-            f"The frames {_short(part)} go backwards or stand still", expected="A-B:S with A up to B, and S from 1"
+            f"The frames {_quote(part)} go backwards or stand still", expected="A-B:S with A up to B, and S from 1"
         )
     if max(abs(first), abs(last)) > MAX_FRAME:
         raise TerrainError(
-            f"The frames {_short(part)} are not within Blender's range", expected=f"-{MAX_FRAME:,} .. {MAX_FRAME:,}"
+            f"The frames {_quote(part)} are not within Blender's range", expected=f"-{MAX_FRAME:,} .. {MAX_FRAME:,}"
         )
     return range(first, last + 1, step)
 
 
-def _short(text: str) -> str:
+def _quote(text: str) -> str:
+    """Return a text in quotes, cut to 60 characters, for an error."""
     return repr(text if len(text) <= 60 else f"{text[:60]}...")
 
 

@@ -92,7 +92,7 @@ class StoreFrames:
         }
 
     def inputs(self, frame: int) -> list[Path]:
-        """List the files, and the folder of the store, that a frame is made of."""
+        """Return the files, and the folder of the store, that a frame is made of."""
         return self.files
 
     def pieces(self, frame: int) -> Iterator[Piece]:
@@ -133,9 +133,9 @@ class SceneFrames:
 
         self.name, self.with_scatters = Path(blend).stem, with_scatters
         self.resolution, self.overrides = resolution, overrides
-        _need_distinct_names(self.objects)
+        _check_distinct_names(self.objects)
         if with_scatters:
-            _need_distinct_names([scatter for obj in self.objects for scatter in scatters_of(obj)])
+            _check_distinct_names([scatter for obj in self.objects for scatter in scatters_of(obj)])
         self.camera = None
         if camera is not None:
             local = (obj for obj in self.scene.objects if obj.name == camera and obj.library is None)
@@ -152,7 +152,7 @@ class SceneFrames:
         self.files = [Path(blend), *(Path(absolute_path(path)) for path in stores.values() if path)]
 
     def inputs(self, frame: int) -> list[Path]:
-        """List the files, and the folders of stores, that a frame is made of."""
+        """Return the files, and the folders of stores, that a frame is made of."""
         from .scene_files import color_config, scene_files
 
         return [*self.files, *color_config(), *scene_files([frame])]
@@ -170,7 +170,10 @@ class SceneFrames:
 
 
 def scene_piece(obj, depsgraph, frame: int, **options) -> Piece:
-    """Write the mesh of the terrain `obj` at the render's detail. `options`: arguments of `request.gather`."""
+    """Update the terrain `obj` at the detail of a render, write its mesh, and return it as a Piece.
+
+    options: further arguments of `request.gather`. Raises TerrainError.
+    """
     from ...cbt_terrain.view.linear import determinant
     from ..bridge.cleanup import clean_up
     from ..scatter.instancing import follows_scale
@@ -230,7 +233,7 @@ def baked_piece(
 
 
 def describe(update: Update, criterion: Criterion, views: list[View], field, placement=None) -> dict:
-    """Return the info of a piece for JSON: a function of the frame alone, so without times."""
+    """Return the info of a piece for JSON. It depends on the frame alone, so it has no times."""
     return {
         "generator": "Adaptive Terrain",
         "units": {"positions": "m", "origin": "those of crs", "error_px": "px", "error_m": "m"},
@@ -238,7 +241,7 @@ def describe(update: Update, criterion: Criterion, views: list[View], field, pla
         **bounds_of(update),
         "leaves": update.leaves,
         **counts(update.surface),
-        "views": [_view(view) for view in views],
+        "views": [_view_to_json(view) for view in views],
         "placement": np.eye(4).tolist() if placement is None else placement.tolist(),
         "crs": field.crs,
         "height_field": str(field.key),
@@ -263,7 +266,8 @@ def bounds_of(bounds: ReportedBounds) -> dict:
     }
 
 
-def _view(view: View) -> dict:
+def _view_to_json(view: View) -> dict:
+    """Return a view as JSON values."""
     return {
         "kind": view.kind,
         "world_to_camera": view.world_to_camera.tolist(),
@@ -299,7 +303,7 @@ def open_scene(blend: Path) -> tuple:
 
 
 def check_named_files(blend: Path) -> None:
-    """Raise TerrainError where the open scene names a pipe, a socket or a device: Blender would wait for it."""
+    """Raise TerrainError if the open scene names a pipe, a socket or a device as a file: Blender would wait for it."""
     import bpy
 
     from ..layers.images import numbered_files
@@ -316,7 +320,12 @@ def check_named_files(blend: Path) -> None:
 
 
 def import_bpy(what: str):
-    """Return the bpy module. Raises TerrainError if it is missing; `what`: names what needs it."""
+    """Return the bpy module.
+
+    Raises TerrainError if it is missing.
+
+    what: what needs it, for the error.
+    """
     try:
         with quiet():
             import bpy
@@ -330,7 +339,7 @@ def import_bpy(what: str):
 
 
 def new_object(name: str):
-    """Add a mesh object to an otherwise empty Blender file."""
+    """Open an empty Blender file and add a mesh object to it; return the object."""
     bpy = import_bpy("This format")
     open_empty_file()
     obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
@@ -349,19 +358,19 @@ def open_empty_file() -> None:
 
 
 def field_identity(field) -> list:
-    """Return the properties of a height field that an export depends on; the key covers heights and spacing."""
+    """Return the properties of a height field that an export depends on, for the summaries' digests."""
     return [str(field.key), field.origin.tolist(), field.crs]
 
 
 def file_name(obj) -> str:
-    """Return the object's name, shortened and without characters that a file name cannot hold."""
+    """Return an object's name as the start of a file name: shortened, without characters that files cannot have."""
     import bpy
 
     return bpy.path.clean_name(obj.name).encode()[:MAX_NAME_BYTES].decode(errors="ignore")
 
 
-def _need_distinct_names(objects) -> None:
-    """Some file systems take upper and lower case for the same."""
+def _check_distinct_names(objects) -> None:
+    """Raise TerrainError if two objects would get the same file name, upper and lower case being equal."""
     seen = {}
     for obj in objects:
         other = seen.setdefault(file_name(obj).casefold(), obj)

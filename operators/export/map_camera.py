@@ -29,11 +29,11 @@ from ..terrain import sight
 from ..terrain.properties import SCENE_CAMERA
 from .blender_exporters import need_no_shear
 from .exporting import check_target
-from .file_outputs import literal
+from .file_outputs import escape_braces
 
 NAME, SUN_NAME = "Map Camera", "Map Sun"
 EXTENT = "adaptive_terrain_map"  # property of the camera with the JSON of a MapExtent
-FRAME = "adaptive_terrain_map_frame"  # property with the numbers of `_frame_of` that belong to this extent
+FRAME = "adaptive_terrain_map_frame"  # property with the numbers of `_camera_state` that belong to this extent
 MAX_SIDE, MAX_ASPECT = 65_536, 200.0  # of Blender's renders
 FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF"}
 MARGIN = 0.1  # of the terrain's height, above and below
@@ -52,7 +52,10 @@ class MapExtent:
     crs: str
 
     def transform(self, size: tuple[int, int], column: int = 0, row: int = 0) -> tuple[float, ...]:
-        """Return the transform of the part from a pixel on, in a picture of `size` pixels."""
+        """Return the affine transform of a part of a map, as rasterio's six numbers.
+
+        size: pixels of the whole map. column, row: the part's first pixel.
+        """
         x, y = (self.east - self.west) / size[0], (self.south - self.north) / size[1]
         return x, 0.0, self.west + column * x, 0.0, y, self.north + row * y
 
@@ -95,7 +98,7 @@ def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float |
     spare = max(1.0, MARGIN * float(np.ptp(heights)))
     top = float(heights.max()) + spare
 
-    camera = _object_named(scene, NAME, lambda: bpy.data.cameras.new(NAME), "CAMERA")
+    camera = _find_or_add(scene, NAME, lambda: bpy.data.cameras.new(NAME), "CAMERA")
     data = camera.data
     data.type, data.sensor_fit, data.ortho_scale = "ORTHO", "HORIZONTAL", lengths[0] * scale[0]
     data.shift_x = data.shift_y = 0.0
@@ -107,16 +110,19 @@ def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float |
     scene.camera, render = camera, scene.render
     render.resolution_x, render.resolution_y, render.resolution_percentage = *size, 100
     render.pixel_aspect_x, render.pixel_aspect_y = (side / min(pixel) for side in pixel)
-    camera[FRAME] = _frame_of(scene)
+    camera[FRAME] = _camera_state(scene)
     if with_sun and not any(other.type == "LIGHT" and other.data.type == "SUN" for other in scene.objects):
-        sun = _object_named(scene, SUN_NAME, lambda: bpy.data.lights.new(SUN_NAME, "SUN"), "LIGHT")
+        sun = _find_or_add(scene, SUN_NAME, lambda: bpy.data.lights.new(SUN_NAME, "SUN"), "LIGHT")
         sun.data.energy = 3.0
         sun.matrix_world = Matrix(place[:3, :3].tolist()).to_4x4() @ _sun_rotation()
     return camera
 
 
-def _frame_of(scene) -> list[float]:
-    """Return the numbers that determine the map: the lens, the picture's aspect and the camera's place."""
+def _camera_state(scene) -> list[float]:
+    """Return the numbers that determine the map: the lens, the picture's aspect and the camera's matrix.
+
+    If they change, the map's coordinates no longer hold.
+    """
     data, render = scene.camera.data, scene.render
     aspect = render.resolution_x * render.pixel_aspect_x / (render.resolution_y * render.pixel_aspect_y)
     rows = scene.camera.matrix_world[:3]
@@ -124,13 +130,16 @@ def _frame_of(scene) -> list[float]:
 
 
 def _sun_rotation() -> Matrix:
-    """Return the rotation of the sun of shaded relief, which shines along its -z axis."""
+    """Return the rotation of a sun lamp for shaded relief, from the north-west and half way up."""
     turned = Matrix.Rotation(math.radians(SUN_WEST), 4, "Z")
     return turned @ Matrix.Rotation(math.radians(SUN_HEIGHT - 90.0), 4, "X")
 
 
-def _object_named(scene, name: str, make: Callable, kind: str):
-    """Return the scene's object with this name and type, or a new one."""
+def _find_or_add(scene, name: str, make: Callable, kind: str):
+    """Return the scene's object with this name and type, or a new one.
+
+    make: creates its data.
+    """
     found = scene.objects.get(name)
     if found is not None and found.type == kind and found.library is None:
         return found
@@ -154,7 +163,7 @@ def render_map(scene, path: Path, tiles: tuple[int, int] = (1, 1), with_geotiff:
     whole map, so they fit together.
     """
     extent, size = extent_of(scene.camera), render_resolution(scene)
-    frame = _frame_of(scene)
+    frame = _camera_state(scene)
     if not np.allclose(frame, list(scene.camera.get(FRAME, frame)), rtol=1e-5, atol=1e-6 * frame[0]):
         raise TerrainError("The map's camera or the picture's aspect was changed", fix="use Map Camera again")
     form = FORMATS.get(path.suffix.lower())
@@ -171,7 +180,7 @@ def render_map(scene, path: Path, tiles: tuple[int, int] = (1, 1), with_geotiff:
         picture = path.with_name(name)
         check_target(picture)
         geotiff = picture if form == "TIFF" else picture.with_suffix(".tif")
-        _check_no_source(scene, {picture, geotiff} if with_geotiff else {picture})
+        _check_keeps_sources(scene, {picture, geotiff} if with_geotiff else {picture})
         _render_part(scene, picture, size, x, y)
         transform = extent.transform(size, x[0], y[0])
         written += [picture, write_world_file(picture, transform)]
@@ -182,8 +191,8 @@ def render_map(scene, path: Path, tiles: tuple[int, int] = (1, 1), with_geotiff:
     return written
 
 
-def _check_no_source(scene, files: set[Path]) -> None:
-    """Raise TerrainError if a map would replace the height map of a terrain."""
+def _check_keeps_sources(scene, files: set[Path]) -> None:
+    """Raise TerrainError if one of the files to write is the height map of a terrain."""
     for settings in (obj.adaptive_terrain for obj in session.terrains_of(scene)):
         imported = imported_of(settings)
         sources = [settings.source_path, *(item.path for item in settings.more_sources)]
@@ -200,9 +209,9 @@ def _render_part(scene, picture: Path, size: tuple[int, int], x: list[int], y: l
     # Blender truncates float32 fractions to pixels: a quarter of a pixel keeps them on the right side.
     parts |= {"border_min_x": (x[0] + 0.25) / width, "border_max_x": (x[1] + 0.25) / width}
     parts |= {"border_min_y": (height - y[1] + 0.25) / height, "border_max_y": (height - y[0] + 0.25) / height}
-    with private_folder(picture.parent) as folder, _changed(render, parts | {"use_file_extension": False}):
-        render.filepath = literal(folder / picture.name)
-        with _changed(render.image_settings, _image_settings(picture)), stale_renders.raising():
+    with private_folder(picture.parent) as folder, _temporarily_set(render, parts | {"use_file_extension": False}):
+        render.filepath = escape_braces(folder / picture.name)
+        with _temporarily_set(render.image_settings, _image_settings(picture)), stale_renders.raise_for_stale_frames():
             try:
                 bpy.ops.render.render(write_still=True, scene=scene.name)
             except RuntimeError as error:
@@ -213,13 +222,14 @@ def _render_part(scene, picture: Path, size: tuple[int, int], x: list[int], y: l
 
 
 def _image_settings(picture: Path) -> dict:
+    """Return the values of Blender's image settings for the format of a file."""
     form = {"file_format": FORMATS[picture.suffix.lower()]}
     return form if bpy.app.version < (5, 0) else {"media_type": "IMAGE"} | form
 
 
 @contextmanager
-def _changed(owner, values: dict):
-    """Set properties for the time of the block; the path of a render is restored, too."""
+def _temporarily_set(owner, values: dict):
+    """Set properties of `owner` for the `with` block; the path of a render is restored, too."""
     before = {name: getattr(owner, name) for name in (*values, *(["filepath"] if hasattr(owner, "filepath") else []))}
     try:
         for name, value in values.items():
@@ -258,6 +268,7 @@ class MapCamera(TerrainObjectOperator, bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
+        """Add or update the camera over the active terrain and set the scene's resolution."""
         obj, metres = context.object, self.metres if self.use_metres else None
         add_map_camera(obj, context.evaluated_depsgraph_get(), self.pixels, metres, self.sun)
         size = "{:,} x {:,} pixels".format(*render_resolution(context.scene))
@@ -297,6 +308,7 @@ class RenderMap(bpy.types.Operator, ExportHelper):
 
     @cancelled_by_errors
     def execute(self, context):
+        """Render the map into the chosen file, or into tiles with its name."""
         files = render_map(context.scene, Path(self.filepath), tuple(self.tiles), self.geotiff)
         self.report({"INFO"}, f"Written: {files[0].name} and {len(files) - 1} more")
         return {"FINISHED"}

@@ -15,29 +15,33 @@ from ..importing.import_terrain import settings_of
 from ..importing.import_terrain import summary as import_summary
 from ..land.request import land_of
 from ..land.shape_land import wanted_land
-from ..maps.baking import carry_out
+from ..maps.baking import bake_maps
 from ..maps.baking import summary as maps_summary
 from ..maps.properties import SHOT
-from ..maps.request import gathered, read_as_images
+from ..maps.request import maps_shown_by_materials, visit_for_request
 from ..session import session
-from ..session.shot import look_through
+from ..session.shot import visit_views
 
 Say = Callable[[str], None]
 To = Callable[[float], None]  # part of a terrain that is done, 0 .. 1
 
 
-def store_of(obj) -> Path:
-    """Return the folder that a terrain's settings name. Raises TerrainError if they name none."""
+def store_folder_of(obj) -> Path:
+    """Return the store folder that a terrain's settings name. Raises TerrainError if they name none."""
     return Path(store_path(obj))
 
 
 def is_missing(store: Path) -> bool:
+    """Return whether a folder has no store yet."""
     return not (store / JSON_NAME).exists()
 
 
 def import_store(obj, _frames: Sequence[int], say: Say, to: To) -> None:
-    """Import a terrain's height map into the store that its settings name, where there is none."""
-    store = store_of(obj)
+    """Import a terrain's height map into the store that its settings name, unless the store exists.
+
+    say: prints a line. to: takes the fraction done.
+    """
+    store = store_folder_of(obj)
     if is_missing(store):
         report = import_source(settings_of(obj), store, on_progress=lambda fraction, _message: to(fraction))
         say(f"{obj.name}: imported, {import_summary(report)}")
@@ -47,10 +51,10 @@ def import_store(obj, _frames: Sequence[int], say: Say, to: To) -> None:
 
 
 def shape_land(obj, frames: Sequence[int], say: Say, to: To) -> None:
-    """Shape a terrain's land, and bake the maps that its materials show.
+    """Shape a terrain's land, and bake the maps that its materials show; existing ones are reused.
 
-    This is done for the whole terrain, or for the ground that the camera sees in `frames`, as its settings choose.
-    Existing land and maps are kept.
+    Depending on its settings this is done for the whole terrain, or for the ground that the camera sees in `frames`.
+    say: prints a line. to: takes the fraction done.
     """
     scene, depsgraph = bpy.context.scene, bpy.context.evaluated_depsgraph_get()
     if obj.hide_render:
@@ -59,23 +63,23 @@ def shape_land(obj, frames: Sequence[int], say: Say, to: To) -> None:
     if land is not None:
         views = []
         if land.of_views:
-            *_, views = look_through(obj, scene, frames, np.array(obj.matrix_world, np.float64))
+            *_, views = visit_views(obj, scene, frames, np.array(obj.matrix_world, np.float64))
         raster_of("", wanted_land(obj, bpy.context.evaluated_depsgraph_get(), views), session.open_field, verified=True)
         say(f"{obj.name}: its land is shaped")
-    if names := read_as_images(obj):
+    if names := maps_shown_by_materials(obj):
         shot = frames if obj.adaptive_terrain.maps.frames == SHOT else None
-        *_, request = gathered(obj, scene, names, shot)
+        *_, request = visit_for_request(obj, scene, names, shot)
         field = raster_of(request.store, request.land, session.open_field, verified=True)
-        say(maps_summary(carry_out(request, field, to), obj.name))
+        say(maps_summary(bake_maps(request, field, to), obj.name))
 
 
 PARTS = {"stores": import_store, "land": shape_land}
 
 
 def prepare(objects: Sequence, frames: Sequence[int], parts: Sequence[str], say: Say, to: To) -> None:
-    """Make the `parts` of the terrains `objects` of the open file, for `frames`.
+    """Make the `parts` ("stores", "land") that frames of the open file need, for the terrains `objects`.
 
-    `to` is called with the number of terrains that are finished. Raises TerrainError.
+    say: prints a line. to: takes the number of finished terrains, with fractions. Raises TerrainError.
     """
     work = [(PARTS[part], obj) for part in parts for obj in objects]
     for done, (make, obj) in enumerate(work):

@@ -25,13 +25,14 @@ def count_triangles(path: Path) -> int:
         raise ValueError(f"its head cannot be read back: {error!r}") from None
 
 
-def _need_size(size: int, expected: int) -> None:
+def _check_size(size: int, expected: int) -> None:
+    """Raise ValueError if a file has another size in bytes than its header says."""
     if size != expected:
         raise ValueError(f"it has {size:,} bytes where its own head says {expected:,}")
 
 
 def count_in_ply(file, size: int) -> int:
-    """Return the header's count; all faces are triangles if the size agrees."""
+    """Return the number of triangles by a .ply header; all faces are triangles if the file's size agrees with it."""
     stride, counts, element = 0, {}, ""
     for line in iter(lambda: file.readline(256).split(), [b"end_header"]):
         if not line:
@@ -40,12 +41,12 @@ def count_in_ply(file, size: int) -> int:
             element, counts[line[1].decode()] = line[1].decode(), int(line[2])
         elif line[0] == b"property" and element == "vertex":
             stride += PLY_BYTES[line[1].decode()]
-    _need_size(size, file.tell() + counts["vertex"] * stride + counts.get("face", 0) * (1 + 3 * 4))
+    _check_size(size, file.tell() + counts["vertex"] * stride + counts.get("face", 0) * (1 + 3 * 4))
     return counts.get("face", 0)
 
 
 def count_in_obj(file, size: int) -> int:
-    """Count the lines of faces: every exported face is a triangle."""
+    """Count the lines of faces in an .obj: every exported face is a triangle."""
     count, last = 0, b"\n"
     while block := file.read(BLOCK):
         block = last + block
@@ -55,18 +56,18 @@ def count_in_obj(file, size: int) -> int:
 
 
 def count_in_stl(file, size: int) -> int:
-    """Return the header's count if the size agrees."""
+    """Return the number of triangles by an .stl header, if the file's size agrees with it."""
     [count] = struct.unpack("<I", file.read(STL_HEAD)[-4:])
-    _need_size(size, STL_HEAD + count * STL_TRIANGLE)
+    _check_size(size, STL_HEAD + count * STL_TRIANGLE)
     return count
 
 
 def count_in_glb(file, size: int) -> int:
-    """Count by the JSON header: the indices of each mesh once for every node that shows it."""
+    """Count triangles by the JSON header of a .glb: those of a mesh once for every node that shows it."""
     magic, _version, length, json_length, _kind = struct.unpack("<4s4I", file.read(GLB_HEAD))
     if magic != b"glTF":
         raise ValueError("it does not begin with glTF")
-    _need_size(size, length)
+    _check_size(size, length)
     scene = json.loads(file.read(json_length))
     meshes = [scene["meshes"][node["mesh"]] for node in scene.get("nodes", []) if "mesh" in node]
     accessors = [scene["accessors"][part["indices"]] for mesh in meshes for part in mesh["primitives"]]
@@ -74,7 +75,10 @@ def count_in_glb(file, size: int) -> int:
 
 
 def count_in_usda(file, size: int) -> int:
-    """Count the numbers in the lists of face sizes; all are 3. The file ends with its outermost block."""
+    """Count triangles by the lists of face sizes in a .usda, which must all be 3.
+
+    Raises ValueError if its end is missing.
+    """
     count = 0
     for line in file:
         name, _, value = line.partition(b"=")

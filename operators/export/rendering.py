@@ -22,7 +22,7 @@ from ..session import session, stale_renders
 from ..session.pauses import paused
 from ..terrain.request import RENDER
 from .exporting import check_room, check_target, write_frames
-from .file_outputs import literal, publish_outputs, redirected_outputs
+from .file_outputs import escape_braces, publish_outputs, redirected_outputs
 from .frame_sources import SceneFrames, bounds_of
 from .summaries import file_sizes
 
@@ -39,9 +39,9 @@ def render_frames(
     resume: bool = False,
     on_frame: Callable[[int, dict, bool], None] = lambda frame, summary, skipped: None,
 ) -> None:
-    """Render every frame of the scene that is open into `out`: `frame_FRAME` with the suffix of the scene's format.
+    """Render every frame of the open scene into `out`: `frame_FRAME` with the suffix of the scene's format.
 
-    `resume` and `on_frame` as for `export_frames`. Raises TerrainError where a frame's mesh would be stale.
+    resume, on_frame: as for `export_frames`. Raises TerrainError if a frame would show a stale mesh.
     """
     render = source.scene.render
     if render.is_movie_format:
@@ -51,12 +51,16 @@ def render_frames(
             fix="choose an image format under Output",
         )
     settings = source.settings | {"picture": [bpy.app.version_string, render.engine]}
-    write = partial(_render, source, out)
+    write = partial(_render_frame, source, out)
     write_frames(write, settings, source.inputs, frames, out, resume=resume, on_frame=on_frame)
 
 
-def _render(source: SceneFrames, out: Path, frame: int) -> dict:
-    """Render one frame: a picture for each of its views, and those of the compositor's File Output nodes."""
+def _render_frame(source: SceneFrames, out: Path, frame: int) -> dict:
+    """Render one frame: a picture for each of its views, and those of the compositor's File Output nodes.
+
+    Returns the sizes in bytes of its files, the terrains' figures and the time. Pictures get their final names only
+    when all are complete.
+    """
     start = time.perf_counter()
     scene, terrains = source.scene, []
     with paused():  # the render sets it again, and then updates each terrain once
@@ -64,9 +68,13 @@ def _render(source: SceneFrames, out: Path, frame: int) -> dict:
     _check_land(source.objects, frame)
     with private_folder(out) as folder:
         single, others = folder / "pictures", folder / "outputs"
-        scene.render.filepath = literal(single / f"frame_{frame:04d}")
+        scene.render.filepath = escape_braces(single / f"frame_{frame:04d}")
         scene.render.use_file_extension = True
-        with _noted(terrains, source.objects), redirected_outputs(scene, others), stale_renders.raising():
+        with (
+            _collect_figures(terrains, source.objects),
+            redirected_outputs(scene, others),
+            stale_renders.raise_for_stale_frames(),
+        ):
             try:
                 bpy.ops.render.render(write_still=True)
             except RuntimeError as error:
@@ -92,7 +100,7 @@ def _render(source: SceneFrames, out: Path, frame: int) -> dict:
 
 
 def _check_land(objects: list, frame: int) -> None:
-    """Raise TerrainError if a link replaces a terrain's land: before a picture is begun, which may take long."""
+    """Raise TerrainError if a link replaces a terrain's land, before the render starts, which may take long."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     for obj in objects:
         try:
@@ -105,8 +113,11 @@ def _check_land(objects: list, frame: int) -> None:
 
 
 @contextmanager
-def _noted(terrains: list[dict], objects: list):
-    """Put the figures of the meshes that are rendered into `terrains`, before the viewport gets its own back."""
+def _collect_figures(terrains: list[dict], objects: list):
+    """Put the figures of the rendered meshes into `terrains` while the `with` block renders.
+
+    A handler does it after the render, before the viewport restores its own detail.
+    """
 
     def note(_scene, _unused=None) -> None:
         shown = {obj.name: session.record_of(obj).status for obj in objects}
@@ -120,6 +131,6 @@ def _noted(terrains: list[dict], objects: list):
 
 
 def _figures(name: str, status: session.Status) -> dict:
-    """Return the same figures as `exporting.figures`, of the mesh that was rendered."""
+    """Return the figures of the terrain that was rendered, as `exporting.figures` does for an export."""
     ms = {step: round(ms, 3) for step, ms in status.ms.items()}
     return {"name": name, "triangles": status.left, **bounds_of(status.bounds), "ms": ms}

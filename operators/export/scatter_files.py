@@ -16,11 +16,10 @@ SAME = 1e-5  # float32 matrices are no better
 
 
 def write_points_csv(path, points: ScatterPoints, placement: np.ndarray) -> None:
-    """Write points placed by `placement` (float64 [4, 4], their space to the world), atomically.
+    """Write the points of a scatter as CSV in the world: metres, z up, a quaternion, and the scale of an instance.
 
-    A row has metres, z up, a quaternion and the scale of an instance, which is its point's size.
-
-    Raises TerrainError where the placement does not scale all axes alike: no rotation and scale say that.
+    placement: matrix from the points' space to the world, float64 [4, 4]. Raises TerrainError if it does not scale
+    all axes alike.
     """
     linear = placement[:3, :3]
     scale = np.cbrt(determinant(linear))
@@ -32,7 +31,10 @@ def write_points_csv(path, points: ScatterPoints, placement: np.ndarray) -> None
             fix="apply its scale",
         )
     positions = product(points.positions, linear.T) + placement[:3, 3]
-    normals, rotation = product(points.normals, turn.T), _turned(tuple(Matrix(turn).to_quaternion()), points.rotation)
+    normals, rotation = (
+        product(points.normals, turn.T),
+        _multiply_quaternions(tuple(Matrix(turn).to_quaternion()), points.rotation),
+    )
     with written_beside(path) as partial, partial.open("w", encoding="ascii", newline="") as file:
         file.write(COLUMNS)
         for first in range(0, len(points), ROWS):
@@ -42,8 +44,8 @@ def write_points_csv(path, points: ScatterPoints, placement: np.ndarray) -> None
             file.writelines(ROW % (number, *values, variant) for number, values, variant in rows)
 
 
-def _turned(by: tuple[float, float, float, float], rotation: np.ndarray) -> np.ndarray:
-    """float64 [n, 4]: quaternions (w, x, y, z) followed by another."""
+def _multiply_quaternions(by: tuple[float, float, float, float], rotation: np.ndarray) -> np.ndarray:
+    """Return quaternions (w, x, y, z), float64 [n, 4], that turn by `rotation` first and then by `by`."""
     a, b, c, d = by
     w, x, y, z = rotation.astype(np.float64).T
     turned = a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y

@@ -53,6 +53,7 @@ def _listed_paths() -> Iterator[str]:
 
 
 def _files_in(folder: str) -> list[str]:
+    """Return all files in a cache folder. Raises TerrainError if there are more than caches have."""
     walked = (os.path.join(inner, name) for inner, _, names in os.walk(folder) for name in names)
     files = list(islice(walked, MAX_CACHE_FILES + 1))
     if len(files) > MAX_CACHE_FILES:
@@ -74,25 +75,27 @@ def _numbered_files(frames: Sequence[int]) -> dict[str, list[str]]:
         parts = _NUMBER.fullmatch(os.path.splitext(os.path.basename(path))[0])
         first = int(parts["number"]) if parts else 0
         numbers = {first + frame - clip.frame_start + clip.frame_offset for frame in frames}
-        found.setdefault(path, []).extend(_sequence(path, numbers) if clip.source == "SEQUENCE" else [path])
+        found.setdefault(path, []).extend(_sequence_files(path, numbers) if clip.source == "SEQUENCE" else [path])
     for volume in bpy.data.volumes:
         path = _path_of(volume)
         numbers = {number for frame in frames if (number := _volume_number(volume, frame)) is not None}
-        found.setdefault(path, []).extend(_sequence(path, numbers) if volume.is_sequence else [path])
+        found.setdefault(path, []).extend(_sequence_files(path, numbers) if volume.is_sequence else [path])
     for cache in bpy.data.cache_files:  # motion blur and overridden frames read neighbours: all files
         path = _path_of(cache)
-        found.setdefault(path, []).extend(_sequence(path, None) if cache.is_sequence else [path])
+        found.setdefault(path, []).extend(_sequence_files(path, None) if cache.is_sequence else [path])
     return found
 
 
 def _path_of(block) -> str:
+    """Return the absolute path of a data-block's file, "" without one."""
     return os.path.normpath(absolute_path(block.filepath, library=block.library)) if block.filepath else ""
 
 
 def _image_files(image, frames: Sequence[int]) -> list[str]:
+    """Return the files of an image that `frames` read: of its sequence, its tiles, or the one file."""
     path = _path_of(image)
     if image.source == "SEQUENCE":
-        return _sequence(path, _image_numbers(image, frames))
+        return _sequence_files(path, _image_numbers(image, frames))
     for mark, digits in TILE_MARKS.items() if image.source == "TILED" else ():
         if mark in path:
             return sorted(glob.glob(glob.escape(path).replace(mark, digits))) or [path]
@@ -100,7 +103,7 @@ def _image_files(image, frames: Sequence[int]) -> list[str]:
 
 
 def _image_numbers(image, frames: Sequence[int]) -> set[int] | None:
-    """Return the numbers of an image sequence that nodes show at `frames`; None where any file may be shown."""
+    """Return the file numbers of an image sequence that nodes show at `frames`; None if any file may be shown."""
     numbers, readers = set(), set()
     for block, user in _image_users(image):
         if animated_paths(user.id_data):
@@ -129,7 +132,10 @@ def _image_users(image) -> Iterator[tuple]:
 
 
 def _image_number(user, frame: int) -> int:
-    """Return the number of the file that Blender shows at a frame (BKE_image_user_frame_get)."""
+    """Return the number of the file that Blender shows at a frame (BKE_image_user_frame_get).
+
+    user: the ImageUser with start, length and offset of the sequence.
+    """
     length = user.frame_duration
     if not length:
         return 0
@@ -151,8 +157,8 @@ def _volume_number(volume, frame: int) -> int | None:
     return min(max(at, 1), length) + volume.frame_offset
 
 
-def _sequence(path: str, numbers: Iterable[int] | None) -> list[str]:
-    """List the files of the sequence that `path` is one of: those with these numbers, or all that are there."""
+def _sequence_files(path: str, numbers: Iterable[int] | None) -> list[str]:
+    """Return the files of the numbered sequence that `path` is in: those with `numbers`, or all that exist (None)."""
     folder, name = os.path.split(path)
     stem, suffix = os.path.splitext(name)
     parts = _NUMBER.fullmatch(stem)
@@ -172,33 +178,34 @@ def _cache_folders() -> Iterator[str]:
         points = [system.point_cache for system in obj.particle_systems]
         for modifier in obj.modifiers:
             if modifier.type == "NODES":
-                yield _absolute(modifier.bake_directory, obj)
-                yield from (_absolute(bake.directory, obj) for bake in modifier.bakes if bake.use_custom_path)
+                yield _absolute_path(modifier.bake_directory, obj)
+                yield from (_absolute_path(bake.directory, obj) for bake in modifier.bakes if bake.use_custom_path)
             elif modifier.type == "OCEAN" and modifier.is_cached:
-                yield _absolute(modifier.filepath, obj)
+                yield _absolute_path(modifier.filepath, obj)
             elif modifier.type == "FLUID" and modifier.fluid_type == "DOMAIN":
                 if modifier.domain_settings.has_cache_baked_any:
-                    yield _absolute(modifier.domain_settings.cache_directory, obj)
+                    yield _absolute_path(modifier.domain_settings.cache_directory, obj)
             elif modifier.type == "DYNAMIC_PAINT" and modifier.canvas_settings:
                 points += [surface.point_cache for surface in modifier.canvas_settings.canvas_surfaces]
             elif hasattr(modifier, "point_cache"):
                 points.append(modifier.point_cache)
-        yield from (_point_folder(cache, obj) for cache in points)
+        yield from (_point_cache_folder(cache, obj) for cache in points)
     for scene in bpy.data.scenes:
         if scene.rigidbody_world:
-            yield _point_folder(scene.rigidbody_world.point_cache, scene)
+            yield _point_cache_folder(scene.rigidbody_world.point_cache, scene)
 
 
-def _point_folder(cache, block) -> str:
-    """Return the folder of a cache of points that is read from files; "" for any other."""
+def _point_cache_folder(cache, block) -> str:
+    """Return the folder of a point cache that is read from files; "" if it is in memory."""
     if cache.use_external:
-        return _absolute(cache.filepath, block)
+        return _absolute_path(cache.filepath, block)
     if not (cache.use_disk_cache and cache.is_baked):
         return ""
-    file = _absolute(block.library.filepath, None) if block.library else bpy.data.filepath
+    file = _absolute_path(block.library.filepath, None) if block.library else bpy.data.filepath
     folder, name = os.path.split(file)
     return os.path.join(folder, f"blendcache_{os.path.splitext(name)[0]}")
 
 
-def _absolute(path: str, block) -> str:
+def _absolute_path(path: str, block) -> str:
+    """Return a path of a data-block as an absolute one, "" for none."""
     return absolute_path(path, library=block.library if block else None) if path else ""

@@ -29,6 +29,7 @@ DAMAGE = (ArithmeticError, ValueError, LookupError, TypeError, AttributeError, R
 
 
 def summary_name(frame: int) -> str:
+    """Return the file name of a frame's summary."""
     return f"frame_{frame:04d}.json"
 
 
@@ -53,7 +54,7 @@ def content_digest(path: str | Path) -> str | None:
 
 
 def input_name(path: Path, out: Path) -> str:
-    """Return the name of an input in a summary in `out`: the way from there, so that both may move together."""
+    """Return the name of a file in a summary in `out`: its relative path, so that both may move together."""
     try:
         return os.path.relpath(path, os.path.abspath(out)).replace(os.sep, "/")
     except ValueError:  # another drive of Windows
@@ -61,7 +62,7 @@ def input_name(path: Path, out: Path) -> str:
 
 
 def file_named(name: str, out: Path) -> str:
-    """Return the path of a file that a summary in `out` names."""
+    """Return the absolute path of a file that a summary in `out` names."""
     return os.path.normpath(os.path.join(os.path.abspath(out), name))
 
 
@@ -70,8 +71,8 @@ def file_sizes(files: Iterable[Path], out: Path) -> dict[str, int]:
     return {input_name(file, out): file.stat().st_size for file in files}
 
 
-def closed_summary(summary: dict, out: Path) -> dict:
-    """Return a summary with the digests of its files and its own checksum."""
+def close_summary(summary: dict, out: Path) -> dict:
+    """Return a summary completed with the digests of its files and its own checksum."""
     digests = {name: content_digest(file_named(name, out)) for name in summary["files"]}
     summary = summary | {"digests": digests}
     return summary | {"checksum": summary_checksum(summary)}
@@ -98,14 +99,14 @@ def complete_summary(
 ) -> dict | None:
     """Return the summary of a frame that need not be made again, None for any other frame.
 
-    It was made with these settings, of inputs with these digests, in all of these formats, and its files have their
-    contents.
+    Such a frame was made with `settings` (a digest), from `inputs` (digests by name), in all `formats`, and its
+    files are unchanged.
     """
     try:
         summary = read_summary(out, frame)
     except (FileNotFoundError, ValueError):
         return None
-    if summary["settings"] != settings or _contents(summary["inputs"]) != _contents(inputs):
+    if summary["settings"] != settings or _without_folders(summary["inputs"]) != _without_folders(inputs):
         return None
     if not {Path(name).suffix[1:] for name in summary["files"]} >= set(formats):
         return None
@@ -124,8 +125,8 @@ def file_fault(summary: dict, name: str, out: Path) -> str | None:
     return None if content_digest(path) == summary["digests"][name] else "has another content"
 
 
-def _contents(inputs: dict[str, str | None]) -> list[tuple]:
-    """Return inputs without their folders: in another place, or on another machine, they are the same."""
+def _without_folders(inputs: dict[str, str | None]) -> list[tuple]:
+    """Return inputs as (file name, digest): in another folder, or on another machine, they are the same."""
     return [(name.rsplit("/", 1)[-1], digest) for name, digest in inputs.items()]
 
 
@@ -135,7 +136,7 @@ def summary_checksum(summary: dict) -> str:
 
 
 def _is_valid(summary, frame: int) -> bool:
-    """Tell whether a summary is that of the frame, with values of the right types. Damage may also raise."""
+    """Return whether a summary belongs to the frame and has values of the right types. Damaged ones may also raise."""
     files, digests, inputs = summary["files"], summary["digests"], summary["inputs"]
     return (
         summary["checksum"] == summary_checksum(summary)
@@ -154,6 +155,7 @@ def _is_valid(summary, frame: int) -> bool:
 
 
 def _is_figures(terrain) -> bool:
+    """Return whether a value is valid as the figures of a terrain."""
     return (
         isinstance(terrain["name"], str)
         and _is_count(terrain["triangles"])
@@ -164,8 +166,10 @@ def _is_figures(terrain) -> bool:
 
 
 def _is_count(value) -> bool:
+    """Return whether a value is a whole number, 0 or more."""
     return type(value) is int and 0 <= value < MAX_COUNT
 
 
 def _is_number(value) -> bool:
+    """Return whether a value is a number of a usual size."""
     return type(value) is float or (type(value) is int and abs(value) < MAX_COUNT)

@@ -17,9 +17,10 @@ MAX_NAMED_FAULTS = 10
 
 
 def verify_frames(out: Path, frames: Sequence[int]) -> tuple[list[dict], int]:
-    """Return the summaries of `frames` and the number of inputs that are not here, which cannot be compared.
+    """Check that `frames` in the folder `out` are complete, current and of one scene.
 
-    Raises TerrainError that names the first frames that are missing, damaged or stale, and why.
+    Returns their summaries, and the number of inputs that are missing here and were not compared. Raises
+    TerrainError that names the first bad frames and why.
     """
     summaries, faults = [], []
     for frame in frames:
@@ -34,7 +35,7 @@ def verify_frames(out: Path, frames: Sequence[int]) -> tuple[list[dict], int]:
             named = ((name, file_fault(summary, name, out)) for name in summary["files"])
             faults += [f"frame {frame}: {shown(name)} {fault}" for name, fault in named if fault]
             summaries.append(summary)
-    faults += _stale_frames(summaries, out) + ([] if faults else _frames_of_another_scene(summaries))
+    faults += _describe_stale_frames(summaries, out) + ([] if faults else _describe_odd_frames(summaries))
     if faults:
         more = f"; {len(faults) - MAX_NAMED_FAULTS:,} more" if len(faults) > MAX_NAMED_FAULTS else ""
         raise TerrainError(
@@ -44,10 +45,10 @@ def verify_frames(out: Path, frames: Sequence[int]) -> tuple[list[dict], int]:
     return summaries, sum(not Path(file_named(name, out)).exists() for name in names)
 
 
-def _stale_frames(summaries: list[dict], out: Path) -> list[str]:
-    """Describe the inputs that have changed since a frame was made of them.
+def _describe_stale_frames(summaries: list[dict], out: Path) -> list[str]:
+    """Return a text for each input that has changed since a frame was made from it.
 
-    A missing file is compared with nothing: a folder of frames may be checked without their scene.
+    A missing file is not compared: a folder of frames may be checked without their scene.
     """
     contents, faults = cache(content_digest), []
     for summary in summaries:
@@ -58,8 +59,8 @@ def _stale_frames(summaries: list[dict], out: Path) -> list[str]:
     return faults
 
 
-def _frames_of_another_scene(summaries: list[dict]) -> list[str]:
-    """Describe the frames with any settings but the most frequent ones."""
+def _describe_odd_frames(summaries: list[dict]) -> list[str]:
+    """Return a text for each frame with other settings than most frames have."""
     counts = Counter(summary["settings"] for summary in summaries)
     if len(counts) < 2:
         return []

@@ -63,35 +63,40 @@ class FarmJob:
 
 
 def write_bundle(job: FarmJob, folder: Path) -> None:
-    """Write the bundle's files, or raise TerrainError."""
+    """Write the files of a job into `folder`, for Open Job Description and Flamenco. Raises TerrainError."""
     if len(range_text(job.frames)) > MAX_TEXT:
         raise TerrainError(
             "The frames have too many gaps for one job", expected="ranges", fix="make a job of each part"
         )
-    guard = _text("guard.py").replace('VERSION = ""', f'VERSION = "{job.version}"')
-    flamenco = _text("flamenco.js").replace('"@GUARD@"', json.dumps(guard))
-    values = _values(job)
+    guard = _read_template("guard.py").replace('VERSION = ""', f'VERSION = "{job.version}"')
+    flamenco = _read_template("flamenco.js").replace('"@GUARD@"', json.dumps(guard))
+    values = _parameter_values(job)
     listed = {"parameterValues": [{"name": name, "value": value} for name, value in values.items()]}
-    files = {TEMPLATE: template(job, guard), VALUES: _json(listed), OPENJD_VALUES: _json(values), ASSETS: _assets(job)}
+    files = {
+        TEMPLATE: job_template(job, guard),
+        VALUES: _to_yaml_json(listed),
+        OPENJD_VALUES: _to_yaml_json(values),
+        ASSETS: _asset_references(job),
+    }
     try:
-        write_files(folder, files | {GUARD: guard, FLAMENCO: flamenco, CONTAINER: _text(CONTAINER)})
+        write_files(folder, files | {GUARD: guard, FLAMENCO: flamenco, CONTAINER: _read_template(CONTAINER)})
     except UnicodeEncodeError as reason:
         path = shown(reason.object[max(0, reason.start - 60) : reason.end])
         raise TerrainError("A path of the job is not UTF-8", path, fix="rename the file or its folder") from None
 
 
-def template(job: FarmJob, guard: str) -> str:
-    """Return the job's template: its head, and the steps of meshes or of pictures."""
-    steps = _text("meshes.yaml" if job.formats else "render.yaml")
+def job_template(job: FarmJob, guard: str) -> str:
+    """Return the template of a job as YAML. `guard`: source of guard.py, which runs before the frames."""
+    steps = _read_template("meshes.yaml" if job.formats else "render.yaml")
     indent = " " * 8
-    text = _text("job.yaml").replace("@GUARD@", guard.strip().replace("\n", f"\n{indent}")) + steps
+    text = _read_template("job.yaml").replace("@GUARD@", guard.strip().replace("\n", f"\n{indent}")) + steps
     return text.replace("  @HOST_REQUIREMENTS@\n", host_requirements(job))
 
 
 def host_requirements(job: FarmJob) -> str:
-    """Return the line of each step that limits its workers, or "" for any worker.
+    """Return the line of YAML that limits the workers of each step, "" for any worker.
 
-    A zip holds libraries of its platforms only, so a worker of another platform cannot install it.
+    A zip has libraries of its platforms only, so a worker of another platform cannot install it.
     """
     known = [PLATFORMS[name] for name in job.platforms if name in PLATFORMS]
     names = ("attr.worker.os.family", "attr.worker.cpu.arch")
@@ -127,7 +132,7 @@ def range_text(frames: Sequence[int]) -> str:
     return ",".join(parts)
 
 
-def _values(job: FarmJob) -> dict[str, str]:
+def _parameter_values(job: FarmJob) -> dict[str, str]:
     """Return the values of the template's parameters by their names."""
     return {
         "JobName": shown(job.name)[:MAX_NAME],  # a name must not have line breaks
@@ -140,21 +145,24 @@ def _values(job: FarmJob) -> dict[str, str]:
     }
 
 
-def _assets(job: FarmJob) -> str:
-    """List the files to copy to a worker and back; farms cannot find stores in a .blend file."""
-    inputs = {"filenames": _names([job.blend, *job.files]), "directories": _names(job.folders)}
-    outputs = {"directories": _names([job.out, *job.output_folders])}
-    return _json({"assetReferences": {"inputs": inputs, "outputs": outputs, "referencedPaths": []}})
+def _asset_references(job: FarmJob) -> str:
+    """Return JSON that lists the files to copy to a worker and back; farms cannot find stores in a .blend file."""
+    inputs = {"filenames": _path_names([job.blend, *job.files]), "directories": _path_names(job.folders)}
+    outputs = {"directories": _path_names([job.out, *job.output_folders])}
+    return _to_yaml_json({"assetReferences": {"inputs": inputs, "outputs": outputs, "referencedPaths": []}})
 
 
-def _names(paths: Sequence[Path]) -> list[str]:
+def _path_names(paths: Sequence[Path]) -> list[str]:
+    """Return paths as sorted texts, each once."""
     return sorted({str(path) for path in paths})
 
 
-def _json(content: dict) -> str:
+def _to_yaml_json(content: dict) -> str:
+    """Return JSON that is valid YAML, too: characters that YAML refuses are escaped."""
     text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
     return re.sub(NO_YAML, lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
-def _text(name: str) -> str:
+def _read_template(name: str) -> str:
+    """Return the text of a file in this folder."""
     return (HERE / name).read_text(encoding="utf-8")

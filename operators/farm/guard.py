@@ -26,6 +26,7 @@ def one_line(text):
 
 
 def fail(message):
+    """Print a message that a farm shows as the reason of the failure, and exit with code 1."""
     print(f"openjd_fail: {one_line(message)}", flush=True)
     sys.exit(1)
 
@@ -56,6 +57,7 @@ def install(zip_path, folder):
 
 
 def check_extension():
+    """Fail if the extension is not enabled or has another version."""
     if not hasattr(bpy.types.Object, "adaptive_terrain"):
         fail("the extension Adaptive Terrain is not enabled in this Blender, terrains would be stale")
     there = [m for name, m in sys.modules.items() if name.split(".")[-1] == "adaptive_terrain"]
@@ -63,6 +65,7 @@ def check_extension():
 
 
 def check_version(found):
+    """Fail unless a version of the extension is the one that wrote the job, and print it."""
     if VERSION and found != VERSION:
         fail(f"Adaptive Terrain {found} is here, the job was made with {VERSION}")
     print(f"Adaptive Terrain {one_line(found)}, Blender {bpy.app.version_string}", flush=True)
@@ -75,6 +78,7 @@ def absolute(path):
 
 
 def check_file():
+    """Make stale renders stop Blender, and fail if the store of a terrain is missing."""
     for scene in bpy.data.scenes:
         scene.adaptive_terrain.stop_stale_renders = True
     for obj in bpy.context.scene.objects:

@@ -24,7 +24,8 @@ def check_outside(
     """Return the files and folders of a job that are outside `home`, the scene's folder, with links resolved.
 
     Images, height maps, stores, shaped land and baked maps may be outside. Raises TerrainError for anything else,
-    unless all is `allowed`. The suffix of a link's target counts, not that of the link.
+    unless `allowed`: an untrusted scene may name any file. The suffix of a link's target counts, not that of the
+    link.
     """
     home = real_path(home)
     known = [real_path(folder) for folder in folders if _is_terrain_folder(folder)]
@@ -50,7 +51,7 @@ def check_outside(
 
 
 def named_some(paths: Sequence[Path]) -> str:
-    """Name some paths and count the others."""
+    """Return the first paths as text, with the number of the others."""
     more = f" and {len(paths) - MAX_NAMED:,} more" if len(paths) > MAX_NAMED else ""
     return ", ".join(shown(path) for path in paths[:MAX_NAMED]) + more
 
@@ -62,5 +63,6 @@ def _is_terrain_folder(folder: Path) -> bool:
 
 
 def _links_in(folder: Path) -> list[Path]:
+    """Return the links in a folder and its subfolders."""
     walked = (os.path.join(inner, name) for inner, dirs, names in os.walk(folder) for name in (*dirs, *names))
     return [Path(path) for path in walked if os.path.islink(path)]

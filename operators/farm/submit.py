@@ -16,13 +16,13 @@ from ...cbt_terrain.run.owned_files import check_folder, real_path
 from ...cbt_terrain.run.partial_files import written_beside
 from ..export.exporting import make_folder
 from ..export.file_outputs import output_folders
-from ..export.preparing import is_missing, store_of
+from ..export.preparing import is_missing, store_folder_of
 from ..export.scene_files import scene_files
 from ..importing.import_terrain import settings_of
 from ..maps.properties import map_folder
-from ..maps.request import read_as_images
+from ..maps.request import maps_shown_by_materials
 from ..session.shot import frames_of
-from ..terrain.properties import land_of
+from ..terrain.properties import built_in_land
 from .bundle import FarmJob, openjd_command, write_bundle
 from .outside_files import check_outside, named_some
 
@@ -64,8 +64,8 @@ def submit(
     height_maps, folders, outputs, notes = [], [], [], []
     for obj in objects:
         _add_terrain(obj, height_maps, folders, outputs)
-        if not real_path(store_of(obj)).is_relative_to(blend.parent):
-            notes.append(f"the store of {obj.name} is not beside the file: workers need it at {store_of(obj)}")
+        if not real_path(store_folder_of(obj)).is_relative_to(blend.parent):
+            notes.append(f"the store of {obj.name} is not beside the file: workers need it at {store_folder_of(obj)}")
     if outside := check_outside(blend.parent, [*files, *height_maps], height_maps, folders, allow_outside):
         notes.append(f"{len(outside):,} from outside the scene's folder go with the job: {named_some(outside)}")
     for folder in [] if formats else output_folders(scene):
@@ -102,16 +102,20 @@ def submit(
 
 
 def _add_terrain(obj, height_maps: list[Path], folders: list[Path], outputs: list[Path]) -> None:
-    """Add the files and folders of one terrain, and the folders that earlier steps of the job write."""
-    store = store_of(obj)
+    """Add the files of one terrain to those of a job.
+
+    height_maps: files to import. folders: existing stores, land and maps. outputs: folders that earlier steps of
+    the job write.
+    """
+    store = store_folder_of(obj)
     if is_missing(store):
         outputs.append(store)
-        if land_of(obj.adaptive_terrain) is None:
+        if built_in_land(obj.adaptive_terrain) is None:
             height_maps += _height_maps(obj, store)
     else:
         folders.append(store)
     derived = [folder_beside(str(store))] if any(entry.on for entry in obj.adaptive_terrain.land.entries) else []
-    derived += [map_folder(obj)] if read_as_images(obj) else []
+    derived += [map_folder(obj)] if maps_shown_by_materials(obj) else []
     for folder in derived:
         check_folder(folder)
     outputs += derived

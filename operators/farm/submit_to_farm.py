@@ -63,6 +63,7 @@ class SubmitToFarm(bpy.types.Operator):
         return bool(session.terrains_of(context.scene))
 
     def invoke(self, context, event):
+        """Refuse unsaved changes, and show the options in a dialog."""
         try:
             _check_is_saved()
         except TerrainError as error:
@@ -75,6 +76,7 @@ class SubmitToFarm(bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
+        """Write the job of the saved file into the chosen folder, and report its commands and notes."""
         _check_is_saved()
         if not self.folder.strip():
             raise TerrainError("The job has no folder", expected="one, such as //farm/")
@@ -94,9 +96,11 @@ class SubmitToFarm(bpy.types.Operator):
         return {"FINISHED"}
 
     def _frames(self) -> tuple[int, ...] | None:
+        """Return the frames of the option, None for those of the scene."""
         return parse_frames(self.frames) if self.frames.strip() else None
 
 
 def _check_is_saved() -> None:
+    """Raise TerrainError for unsaved changes: a farm renders the file on disk."""
     if bpy.data.is_dirty and not bpy.app.background:  # `is_dirty` is always set in the background
         raise TerrainError("The file has unsaved changes, and a farm renders the saved file", fix="save it first")

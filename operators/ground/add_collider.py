@@ -30,8 +30,9 @@ class AddCollider(TerrainObjectOperator, bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
+        """Create or update the collider of the active terrain, and report its triangles and bound."""
         terrain = context.object
-        update, bound = _baked(terrain, context.evaluated_depsgraph_get())
+        update, bound = _bake_collider(terrain, context.evaluated_depsgraph_get())
         collider = collider_of(terrain) or _add_collider(terrain)
         write_mesh(collider.data, update.surface, smooth=False)
         collider[MARK] = bound
@@ -50,8 +51,8 @@ def collider_of(terrain):
     return next((child for child in terrain.children if child.type == "MESH" and child.get(MARK) is not None), None)
 
 
-def _baked(terrain, depsgraph):
-    """Bake the collider; return the engine's Update and its bound in metres of the world."""
+def _bake_collider(terrain, depsgraph):
+    """Bake the mesh of a collider; return the engine's Update and its bound in metres of the world."""
     ground = world_ground.ground_of(terrain, depsgraph)
     metres = float(lengths(ground.placement[:3, :3])[2])  # of the world per metre of height
     warmup.wait()
@@ -61,6 +62,7 @@ def _baked(terrain, depsgraph):
 
 
 def _add_collider(terrain):
+    """Create the object of a collider, parented to the terrain and hidden in renders."""
     name = f"{terrain.name} Collider"
     collider = bpy.data.objects.new(name, bpy.data.meshes.new(name))
     collider.parent, collider.hide_render, collider.display_type = terrain, True, "WIRE"

@@ -23,17 +23,19 @@ def corners_of(obj, depsgraph) -> np.ndarray:
 
 
 def _object_corners(evaluated) -> np.ndarray:
+    """Return the corners of the box of one evaluated object, and of its instanced collection, float64 [n, 3]."""
     found = [NOTHING]
     if evaluated.type in GEOMETRY:
-        found.append(_of_box(evaluated, evaluated.matrix_world))
+        found.append(_box_corners(evaluated, evaluated.matrix_world))
     collection = evaluated.instance_collection if evaluated.instance_type == "COLLECTION" else None
     if collection is not None:
         place = evaluated.matrix_world @ Matrix.Translation(-collection.instance_offset)
         for item in collection.all_objects:
             if item.type in GEOMETRY:
-                found.append(_of_box(item, place @ item.matrix_world))
+                found.append(_box_corners(item, place @ item.matrix_world))
     return np.concatenate(found)
 
 
-def _of_box(obj, matrix: Matrix) -> np.ndarray:
+def _box_corners(obj, matrix: Matrix) -> np.ndarray:
+    """Return the corners of an object's bounding box, transformed by `matrix`, float64 [8, 3]."""
     return np.array([matrix @ Vector(corner) for corner in obj.bound_box], np.float64)

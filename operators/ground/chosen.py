@@ -12,7 +12,7 @@ NO_TERRAIN = "The scene has no terrain; add one"
 
 
 def has_ground(cls, context) -> bool:
-    """Poll whether the scene has a terrain and is in Object Mode."""
+    """Return whether the scene has a terrain and is in Object Mode, for `poll`; if not, set the reason."""
     if context.mode != "OBJECT":
         cls.poll_message_set(IN_A_MODE)
         return False
@@ -28,8 +28,11 @@ def active_terrain(context):
     return obj if obj is not None and session.is_terrain(obj) and obj.select_get() else None
 
 
-def grounds(context, depsgraph) -> list[world_ground.WorldGround]:
-    """Return the active terrain if it is selected, else all of the scene. Raises TerrainError if there is none."""
+def chosen_grounds(context, depsgraph) -> list[world_ground.WorldGround]:
+    """Return the ground to act on: the active terrain if it is selected, else all terrains of the scene.
+
+    Raises TerrainError if there is none.
+    """
     terrain = active_terrain(context)
     if terrain is not None:
         return [world_ground.ground_of(terrain, depsgraph)]
@@ -40,15 +43,16 @@ def grounds(context, depsgraph) -> list[world_ground.WorldGround]:
 
 
 def terrain_at(context, points: np.ndarray, what: str, depsgraph):
-    """Return the active terrain if it is selected, else the one at most points of the world [n, 3], and its ground.
+    """Return the terrain that an operator acts on, and its ground.
 
-    Raises TerrainError if no terrain is above or below the points of `what`.
+    It is the active terrain if that is selected, else the one below or above most points of the world, [n, 3].
+    what: name of the points for the error. Raises TerrainError if no terrain is there.
     """
     terrain = active_terrain(context)
     if terrain is not None:
         return terrain, world_ground.ground_of(terrain, depsgraph)
     found = world_ground.grounds_of(context.scene, depsgraph)
-    which = world_ground.below(found, points).which
+    which = world_ground.find_below(found, points).which
     if not (which >= 0).any():
         fix = "move it over one, or select the terrain as well"
         raise TerrainError(f"There is no terrain above or below {what}", fix=fix)
@@ -56,13 +60,13 @@ def terrain_at(context, points: np.ndarray, what: str, depsgraph):
     return next(obj for obj in session.terrains_of(context.scene) if obj.session_uid == ground.uid), ground
 
 
-def selected(context) -> list:
+def selected_objects(context) -> list:
     """Return the selected objects that are not terrains."""
     return [obj for obj in context.selected_objects if not obj.adaptive_terrain.enabled]
 
 
-def movers(objects) -> list:
-    """Return the objects to move: the armature of a mesh that has one, and nothing whose parent moves, too."""
+def objects_to_move(objects) -> list:
+    """Return the objects to move in place of `objects`: the armature of a mesh, and no child of one that moves."""
     tops = []
     for obj in objects:
         up = obj

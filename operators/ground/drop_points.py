@@ -10,9 +10,14 @@ from .vertical_moves import is_linked
 
 
 def drop_points(obj, world: Matrix, ground, offset: float) -> None:
-    """Move the control points, with their handles, of the curve object `obj` with the matrix `world`.
+    """Move each control point of a curve object, with its handles, to the ground along the world's Z axis.
 
     Points without ground stay. Raises TerrainError if none can be moved.
+
+    Args:
+        world: the object's matrix to the world.
+        ground: list of WorldGround.
+        offset: metres above the ground.
     """
     curve, name = obj.data, f"The object {obj.name!r}"
     if is_linked(curve):
@@ -29,17 +34,18 @@ def drop_points(obj, world: Matrix, ground, offset: float) -> None:
     if world.determinant() == 0.0:
         raise TerrainError(f"{name} has a scale of 0", fix="give it another")
     places = np.array([world @ point.co.to_3d() for point in points])
-    heights = world_ground.below(ground, places).heights
+    heights = world_ground.find_below(ground, places).heights
     if not np.isfinite(heights).any():
         raise TerrainError(f"{name} has no ground above or below its points", fix="move it over the terrain")
     up = world.to_3x3().inverted() @ Vector((0.0, 0.0, 1.0))
     for point, place, height in zip(points, places, heights.tolist(), strict=True):
         if np.isfinite(height):
-            _shift(point, up * (height + offset - place[2]))
+            _move_point(point, up * (height + offset - place[2]))
     curve.update_tag()
 
 
-def _shift(point, by: Vector) -> None:
+def _move_point(point, by: Vector) -> None:
+    """Move a control point and its handles by a vector of the curve's space."""
     if hasattr(point, "handle_left"):
         handles = point.handle_left + by, point.handle_right + by
         point.co, point.handle_left, point.handle_right = point.co + by, *handles

@@ -13,7 +13,7 @@ from ..session.polls import cancelled_by_errors
 from . import keep_ground, world_ground
 from . import vertical_moves as moves
 from .bounds import corners_of
-from .chosen import active_terrain, grounds, has_ground, movers, selected
+from .chosen import active_terrain, chosen_grounds, has_ground, objects_to_move, selected_objects
 from .drop_points import drop_points
 from .properties import ON
 
@@ -61,17 +61,18 @@ class DropToGround(bpy.types.Operator):
         if not has_ground(cls, context):
             return False
         cls.poll_message_set("Select what is to be dropped: objects that are no terrains")
-        return bool(selected(context))
+        return bool(selected_objects(context))
 
     @cancelled_by_errors
     def execute(self, context):
+        """Drop the selected objects, and report those that cannot be moved with the reason."""
         depsgraph, objects, keeping, left = context.evaluated_depsgraph_get(), [], [], {}
         if not math.isfinite(self.offset):
             raise TerrainError(f"The offset from the ground is {self.offset}", expected="a number of metres")
-        ground = grounds(context, depsgraph)
-        for obj in movers(selected(context)):
+        ground = chosen_grounds(context, depsgraph)
+        for obj in objects_to_move(selected_objects(context)):
             try:
-                self._check(obj)
+                self._check_movable(obj)
             except TerrainError as error:
                 left[obj] = error
                 continue
@@ -87,7 +88,7 @@ class DropToGround(bpy.types.Operator):
                 left[obj] = error
                 obj.adaptive_terrain_keep.keep = obj in keeping
         depsgraph.update()
-        left |= self._held([obj for obj in objects if obj not in left], ground, depsgraph)
+        left |= self._find_held([obj for obj in objects if obj not in left], ground, depsgraph)
         if self.keep or keeping:
             keep_ground.settle_now(context.scene, depsgraph)
         for error in left.values():
@@ -96,8 +97,11 @@ class DropToGround(bpy.types.Operator):
         self.report({"INFO"}, f"On the ground: {len(done)} of {len(done) + len(left)}")
         return {"FINISHED"} if done else {"CANCELLED"}
 
-    def _check(self, obj) -> None:
-        """Raise TerrainError for an object that must not move."""
+    def _check_movable(self, obj) -> None:
+        """Raise TerrainError for an object that must not move: locked, animated or linked.
+
+        With *Keep Every Frame* it must be keepable instead.
+        """
         if self.keep:
             keep_ground.check_keepable(obj, self.align)
             return
@@ -110,7 +114,12 @@ class DropToGround(bpy.types.Operator):
         moves.check_local(obj)
 
     def _drop(self, obj, ground, depsgraph, terrain) -> None:
-        """Move an object or start keeping it. Raises TerrainError if it cannot be moved."""
+        """Move an object to the ground, or start keeping it there.
+
+        Raises TerrainError if it cannot be moved.
+
+        ground: list of WorldGround. terrain: the only terrain to keep it on, None for any.
+        """
         evaluated, name = obj.evaluated_get(depsgraph), f"The object {obj.name!r}"
         if not evaluated.is_evaluated:
             raise TerrainError(f"{name} is hidden", fix="show it first")
@@ -128,15 +137,15 @@ class DropToGround(bpy.types.Operator):
             settings.terrain, settings.align, settings.how, settings.keep = terrain, self.align, ON, True
             settings.offset = pose.height - pose.ground + self.offset
             return
-        frame = moves.frame_of(evaluated)
+        frame = moves.channels_to_world(evaluated)
         if self.align:
             location, rotation, scale = obj.matrix_basis.decompose()
             obj.matrix_basis = Matrix.LocRotScale(location, moves.channel_turn(frame, pose.turn) @ rotation, scale)
         rise = pose.height + self.offset - evaluated.matrix_world.translation.z
         obj.location = obj.location + moves.channel_rise(frame, rise)
 
-    def _held(self, objects, ground, depsgraph) -> dict:
-        """Return the objects that a constraint holds away from their new location, each with an error."""
+    def _find_held(self, objects, ground, depsgraph) -> dict:
+        """Return the objects that a constraint has kept from reaching the ground, each with an error."""
         held = {}
         for obj in objects if not self.keep else ():
             if obj.type != "CURVE" and obj.constraints:
@@ -151,24 +160,24 @@ class DropToGround(bpy.types.Operator):
 
 
 def rest_pose(evaluated, corners, ground, align: bool) -> RestPose | None:
-    """Return the pose that puts an evaluated object's lowest corner on the ground below the corners' middle.
+    """Return the pose that puts an evaluated object on the ground, None without ground.
+
+    Its lowest corner touches the ground below the corners' middle.
 
     Args:
         corners: float64 [n, 3], metres of the world; None to put the origin on the ground.
+        ground: list of WorldGround.
         align: turn the object's Z axis to the ground's normal.
-
-    Returns:
-        None without ground.
     """
     origin, turn = np.array(evaluated.matrix_world.translation, np.float64), Quaternion()
     place = origin if corners is None else _middle(corners)
-    under = world_ground.below(ground, place[None])
+    under = world_ground.find_below(ground, place[None])
     if align and np.isfinite(under.heights[0]):
-        turn = moves.turn_to(evaluated, world_ground.normals(ground, place[None], under)[0])
+        turn = moves.turn_to(evaluated, world_ground.normals_at(ground, place[None], under)[0])
         if corners is not None:
             corners = np.array([turn @ Vector(corner) for corner in corners - origin]) + origin
             place = _middle(corners)
-    heights = world_ground.below(ground, np.array([place, origin])).heights.tolist()
+    heights = world_ground.find_below(ground, np.array([place, origin])).heights.tolist()
     if not np.isfinite(heights[0]):
         return None
     height = heights[0] if corners is None else origin[2] + heights[0] - corners[:, 2].min()
@@ -176,4 +185,5 @@ def rest_pose(evaluated, corners, ground, align: bool) -> RestPose | None:
 
 
 def _middle(corners: np.ndarray) -> np.ndarray:
+    """Return the middle of the box around corners, float64 [3]."""
     return (corners.min(axis=0) + corners.max(axis=0)) / 2

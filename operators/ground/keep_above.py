@@ -10,7 +10,7 @@ from ..bridge import camera as cameras
 from ..session.polls import cancelled_by_errors
 from . import keep_ground
 from . import vertical_moves as moves
-from .chosen import active_terrain, has_ground, movers, selected
+from .chosen import active_terrain, has_ground, objects_to_move, selected_objects
 from .properties import ABOVE
 
 
@@ -33,13 +33,14 @@ class KeepAboveGround(bpy.types.Operator):
         if not has_ground(cls, context):
             return False
         cls.poll_message_set("Select an object that is no terrain, or give the scene a camera")
-        return bool(_chosen(context))
+        return bool(_chosen_objects(context))
 
     @cancelled_by_errors
     def execute(self, context):
+        """Keep the selected objects, or the scene's camera, above the ground from now on."""
         if not math.isfinite(self.clearance):
             raise TerrainError(f"The clearance is {self.clearance}", expected="a number of metres")
-        objects = movers(_chosen(context))
+        objects = objects_to_move(_chosen_objects(context))
         refused = []
         for obj in objects:
             try:
@@ -59,9 +60,10 @@ class KeepAboveGround(bpy.types.Operator):
         return {"FINISHED"} if count else {"CANCELLED"}
 
 
-def _chosen(context) -> list:
+def _chosen_objects(context) -> list:
+    """Return the selected objects that are no terrains, else the active camera of the scene."""
     camera = cameras.active_camera(context.scene)
-    return selected(context) or [camera] * (camera is not None)
+    return selected_objects(context) or [camera] * (camera is not None)
 
 
 class LetGo(bpy.types.Operator):
@@ -75,19 +77,22 @@ class LetGo(bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         cls.poll_message_set("Select an object that is kept on the ground or above it")
-        return any(_can_let_go(obj) for obj in _held(context))
+        return any(_can_let_go(obj) for obj in _selected_or_active(context))
 
     def execute(self, context):
-        objects = [obj for obj in _held(context) if _can_let_go(obj)]
+        """Stop keeping the selected objects on or above the ground."""
+        objects = [obj for obj in _selected_or_active(context) if _can_let_go(obj)]
         for obj in objects:
             keep_ground.let_go(obj)
         self.report({"INFO"}, f"Let go: {', '.join(obj.name for obj in objects)}")
         return {"FINISHED"}
 
 
-def _held(context) -> list:
-    return list({*selected(context), *filter(None, [context.object])})
+def _selected_or_active(context) -> list:
+    """Return the selected objects that are no terrains, and the active object."""
+    return list({*selected_objects(context), *filter(None, [context.object])})
 
 
 def _can_let_go(obj) -> bool:
+    """Return whether an object is kept on or above the ground and may be written."""
     return obj.adaptive_terrain_keep.keep and not moves.is_linked(obj)

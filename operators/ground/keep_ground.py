@@ -30,12 +30,16 @@ def note_of(obj) -> str:
     return _notes.get(obj.session_uid, "")
 
 
-def _note(obj, error: TerrainError) -> None:
+def _set_note(obj, error: TerrainError) -> None:
+    """Record why an object is not on the ground, for the panel."""
     _notes[obj.session_uid] = str(error)
 
 
 def check_keepable(obj, align: bool = False) -> None:
-    """Raise TerrainError for an object that cannot be kept on the ground."""
+    """Raise TerrainError for an object that cannot be kept on the ground: linked, locked, or with delta transforms.
+
+    align: whether it is also to be turned.
+    """
     moves.check_local(obj)
     moves.check_unlocked(obj, align)
     if align and obj.rotation_mode == "AXIS_ANGLE":
@@ -49,38 +53,35 @@ def check_keepable(obj, align: bool = False) -> None:
 
 
 def objects_on_ground(scene) -> list:
-    """Return the movable kept objects of a scene."""
+    """Return the objects of a scene that are kept on or above the ground and may be written."""
     if not is_any_on_ground():
         return []
     return [obj for obj in scene.objects if obj.adaptive_terrain_keep.keep and not moves.is_linked(obj)]
 
 
 def let_go(obj) -> None:
-    """Stop keeping an object, which returns to the location of its channels."""
+    """Stop keeping an object; it returns to where its channels, parents and constraints place it."""
     obj.adaptive_terrain_keep.keep = False
-    _set_free(obj)
+    _reset_deltas(obj)
     _notes.pop(obj.session_uid, None)
 
 
 def release(scene) -> None:
-    """Reset the deltas of kept objects for the next evaluation."""
+    """Set the deltas of kept objects to 0, so that the next evaluation places them without the ground."""
     for obj in objects_on_ground(scene):
-        _set_free(obj)
+        _reset_deltas(obj)
 
 
 def settle(scene, depsgraph, mode: str, *, waits: bool, frame_changes: bool) -> list[str]:
     """Move the released objects of a scene to the ground and evaluate `depsgraph` again.
 
+    Returns why some objects are not moved. Raises TerrainError if the ground cannot be computed.
+
     Args:
-        waits: see `grounds_of`.
-        frame_changes: the frame was just set. Animated channels are then evaluated again, since the dependency graph
-            of a render forgets animated values of written objects.
-
-    Returns:
-        Why some objects are not moved.
-
-    Raises:
-        TerrainError: the ground cannot be computed.
+        mode: VIEWPORT or RENDER.
+        waits: whether missing ground is computed, see `grounds_of`.
+        frame_changes: the frame was just set. Animated channels are then evaluated again, since the dependency
+            graph of a render forgets animated values of written objects.
     """
     objects = objects_on_ground(scene)
     if not objects:
@@ -93,24 +94,27 @@ def settle(scene, depsgraph, mode: str, *, waits: bool, frame_changes: bool) -> 
         _evaluate(objects, depsgraph, frame_changes)
         _move_all(objects, grounds, depsgraph, frame_changes)
     if mode == VIEWPORT:
-        _settled[scene.session_uid] = _key(objects, grounds, depsgraph)
+        _settled[scene.session_uid] = _state_key(objects, grounds, depsgraph)
     return [_notes[obj.session_uid] for obj in objects if obj.session_uid in _notes]
 
 
 def _move_all(objects: list, grounds: list, depsgraph, frame_changes: bool) -> None:
-    """Move released objects to the ground, followers after their leaders."""
+    """Move released objects to the ground, those that follow others after these.
+
+    grounds: list of WorldGround.
+    """
     for obj in objects:
         _notes.pop(obj.session_uid, None)
     everyone = set(objects)
     followed, moved, todo = {obj: _leaders(obj) & everyone for obj in objects}, {}, objects
-    while off := _moves_of(todo, grounds, depsgraph, moved):
+    while off := _find_moves(todo, grounds, depsgraph, moved):
         held = [obj for obj in off if obj in moved and abs(off[obj][0]) > 0.5 * abs(moved[obj][0]) > 0.0]
         for obj in held:
-            _set_free(obj)
-            _note(obj, TerrainError(f"{obj.name!r} is not moved, because a constraint holds it", fix="mute it"))
+            _reset_deltas(obj)
+            _set_note(obj, TerrainError(f"{obj.name!r} is not moved, because a constraint holds it", fix="mute it"))
         now = [obj for obj in off if obj not in held and not followed[obj] & off.keys()]
         for obj in now:
-            _apply(obj, depsgraph, *off[obj])
+            _apply_move(obj, depsgraph, *off[obj])
             moved.setdefault(obj, []).append(off[obj][0])
         todo = [obj for obj in todo if obj not in held and len(moved.get(obj, ())) < MAX_MOVES]
         _evaluate([*now, *held], depsgraph, frame_changes)
@@ -119,29 +123,32 @@ def _move_all(objects: list, grounds: list, depsgraph, frame_changes: bool) -> N
 
 
 def _evaluate(written: list, depsgraph, frame_changes: bool) -> None:
+    """Evaluate the scene after objects were written, with their animation if the frame has just changed."""
     for obj in written if frame_changes else ():
         obj.update_tag(refresh={"TIME"})
     depsgraph.update()
 
 
-def _moves_of(objects: list, grounds: list, depsgraph, moved) -> dict:
-    """Return, by misplaced object, the metres to rise and the normal to turn to, or None for no turn.
+def _find_moves(objects: list, grounds: list, depsgraph, moved) -> dict:
+    """Return by object the metres to rise and the normal to turn to (None for no turn), for those not in place.
 
-    Objects that have been `moved` are not turned again.
+    moved: objects that were moved before, which are not turned again.
     """
     shown = {obj: obj.evaluated_get(depsgraph) for obj in objects}
-    shown = {obj: item for obj, item in shown.items() if item.is_evaluated and all(map(math.isfinite, _place(item)))}
+    shown = {
+        obj: item for obj, item in shown.items() if item.is_evaluated and all(map(math.isfinite, _origin_of(item)))
+    }
     found = {}
     for only in {obj.adaptive_terrain_keep.terrain for obj in shown}:
         chosen = [obj for obj in shown if obj.adaptive_terrain_keep.terrain == only]
         allowed = [item for item in grounds if only is None or item.uid == only.session_uid]
         for obj in () if allowed or only is None else chosen:
             what = f"{obj.name!r} is not moved, because its terrain {only.name!r} is not in the scene"
-            _note(obj, TerrainError(what, fix="choose another terrain"))
-        places = np.array([_place(shown[obj]) for obj in chosen], np.float64)
-        under = world_ground.below(allowed, places)
-        turning = [_turns(obj) and obj not in moved for obj in chosen]
-        normals = world_ground.normals(allowed, places, under) if any(turning) else places
+            _set_note(obj, TerrainError(what, fix="choose another terrain"))
+        places = np.array([_origin_of(shown[obj]) for obj in chosen], np.float64)
+        under = world_ground.find_below(allowed, places)
+        turning = [_is_aligned(obj) and obj not in moved for obj in chosen]
+        normals = world_ground.normals_at(allowed, places, under) if any(turning) else places
         for obj, height, normal, turns in zip(chosen, under.heights.tolist(), normals, turning, strict=True):
             rise = _rise_of(obj, shown[obj], height)
             if rise or (turns and math.isfinite(height)):
@@ -149,17 +156,22 @@ def _moves_of(objects: list, grounds: list, depsgraph, moved) -> dict:
     return {obj: found[obj] for obj in objects if obj in found}
 
 
-def _place(evaluated):
+def _origin_of(evaluated):
+    """Return the origin of an evaluated object in the world."""
     return evaluated.matrix_world.translation
 
 
-def _turns(obj) -> bool:
+def _is_aligned(obj) -> bool:
+    """Return whether an object is to be turned to the ground's normal."""
     return obj.adaptive_terrain_keep.how == ON and obj.adaptive_terrain_keep.align
 
 
 def _rise_of(obj, evaluated, height: float) -> float:
-    """Return the metres by which an object must rise over ground of a height; 0 if it is right or has no ground."""
-    settings, z = obj.adaptive_terrain_keep, _place(evaluated).z
+    """Return the metres by which an object must rise; 0 if it is in place or has no ground.
+
+    height: of the ground below or above it.
+    """
+    settings, z = obj.adaptive_terrain_keep, _origin_of(evaluated).z
     if settings.how == ON:
         rise = height + settings.offset - z
     else:
@@ -167,12 +179,16 @@ def _rise_of(obj, evaluated, height: float) -> float:
     return rise if math.isfinite(rise) and abs(rise) > moves.rounding(evaluated, height) else 0.0
 
 
-def _apply(obj, depsgraph, rise: float, normal) -> None:
+def _apply_move(obj, depsgraph, rise: float, normal) -> None:
+    """Move and turn an object by its delta transforms.
+
+    rise: metres in the world. normal: direction for its Z axis, None for no turn.
+    """
     evaluated = obj.evaluated_get(depsgraph)
     try:
-        frame = moves.frame_of(evaluated)
+        frame = moves.channels_to_world(evaluated)
     except TerrainError as error:
-        _note(obj, error)
+        _set_note(obj, error)
         return
     if normal is not None:
         turn = moves.channel_turn(frame, moves.turn_to(evaluated, normal))
@@ -184,7 +200,7 @@ def _apply(obj, depsgraph, rise: float, normal) -> None:
 
 
 def _leaders(obj) -> set:
-    """Return the objects that an object's location follows: parents and constraint targets, recursively."""
+    """Return the objects whose moves also move an object: parents and constraint targets, recursively."""
     found, ahead = set(), [obj]
     while ahead:
         item = ahead.pop()
@@ -197,16 +213,20 @@ def _leaders(obj) -> set:
 
 
 def settle_now(scene, depsgraph, waits: bool = True) -> list[str]:
-    """Settle a scene's objects in the viewport at its frame. Returns and raises as `settle`."""
+    """Place a scene's kept objects on the ground in the viewport at the present frame.
+
+    Returns and raises as `settle`.
+    """
     release(scene)
     depsgraph.update()
     return settle(scene, depsgraph, VIEWPORT, waits=waits, frame_changes=False)
 
 
 def settle_shown(scene, depsgraph) -> bool:
-    """Settle changed objects on existing ground, for the live update, which never waits.
+    """Place kept objects again if they or the ground changed, for the live update, which never waits for missing
+    ground.
 
-    Returns False while kernels are being prepared: call it again.
+    Returns False while kernels are being compiled: call it again.
     """
     objects = objects_on_ground(scene)
     if not objects or depsgraph is None:
@@ -215,15 +235,15 @@ def settle_shown(scene, depsgraph) -> bool:
         return False
     try:
         grounds = world_ground.grounds_of(scene, depsgraph, waits=False)
-        if _settled.get(scene.session_uid) != _key(objects, grounds, depsgraph):
+        if _settled.get(scene.session_uid) != _state_key(objects, grounds, depsgraph):
             settle_now(scene, depsgraph, waits=False)
     except TerrainError:
         pass  # the terrain's update reports it
     return True
 
 
-def _key(objects: list, grounds: list, depsgraph) -> tuple:
-    """Return a key that changes when an object or the ground moves."""
+def _state_key(objects: list, grounds: list, depsgraph) -> tuple:
+    """Return a key that changes when a kept object, its settings or the ground change."""
     keys = []
     for obj in objects:
         settings = obj.adaptive_terrain_keep
@@ -235,12 +255,13 @@ def _key(objects: list, grounds: list, depsgraph) -> tuple:
 
 
 def _has_deltas(obj) -> bool:
+    """Return whether an object has delta transforms that move or turn it."""
     turned = any(obj.delta_rotation_euler) or tuple(obj.delta_rotation_quaternion) != (1.0, 0.0, 0.0, 0.0)
     return any(obj.delta_location) or turned
 
 
-def _set_free(obj) -> None:
-    """Set deltas to 0, without notifying Blender if they are."""
+def _reset_deltas(obj) -> None:
+    """Set the delta transforms of an object to 0, without notifying Blender if they are."""
     if not _has_deltas(obj):
         return
     obj.delta_location = obj.delta_rotation_euler = (0.0, 0.0, 0.0)

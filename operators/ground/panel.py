@@ -4,7 +4,7 @@
 from ..session import session
 from ..text.numbers import length_text
 from ..text.translations import phrase
-from ..ui.panel_parts import message
+from ..ui.panel_parts import draw_message
 from . import add_collider, keep_ground
 from .properties import ON
 
@@ -17,9 +17,11 @@ class GroundPanel:
 
     @classmethod
     def poll(cls, context):
+        """Show the panel if the scene has a terrain, whatever object is active."""
         return any(obj.adaptive_terrain.enabled for obj in context.scene.objects)
 
     def draw(self, context):
+        """Draw the operators of the ground, and the settings of a kept object or of a terrain's collider."""
         layout, obj = self.layout, context.object
         column = layout.column(align=True)
         column.operator("adaptive_terrain.drop_to_ground", icon="TRIA_DOWN_BAR")
@@ -36,6 +38,7 @@ class GroundPanel:
             self._draw_collider(layout, obj)
 
     def _draw_keeping(self, box, obj):
+        """Draw how the active object is kept on or above the ground."""
         settings = obj.adaptive_terrain_keep
         box.row().prop(settings, "how", expand=True)
         box.use_property_split, box.use_property_decorate = True, False
@@ -47,9 +50,10 @@ class GroundPanel:
         box.prop(settings, "terrain")
         box.operator("adaptive_terrain.let_go", icon="UNLINKED")
         for text in notes(obj):
-            message(box, text, "ERROR")
+            draw_message(box, text, "ERROR")
 
     def _draw_collider(self, layout, terrain):
+        """Draw the error of a terrain's collider, its button and its size."""
         column = layout.column()
         column.use_property_split, column.use_property_decorate = True, False
         column.prop(terrain.adaptive_terrain, "collider_error_m")

@@ -12,7 +12,7 @@ from ..session.polls import cancelled_by_errors
 from ..text.numbers import plain
 from . import vertical_moves as moves
 from . import world_ground
-from .chosen import grounds, has_ground
+from .chosen import chosen_grounds, has_ground
 
 CURSOR, OBJECT = "CURSOR", "OBJECT"
 DOWN = 0.0, 0.0, -1.0
@@ -41,6 +41,7 @@ class PickGround(bpy.types.Operator):
         return has_ground(cls, context)
 
     def invoke(self, context, event):
+        """Start waiting for a click in the 3D viewport, with an eyedropper as the mouse pointer."""
         if context.area is None or context.area.type != "VIEW_3D":
             self.report({"ERROR"}, "Pick from a 3D viewport, or give the ray's origin and direction.")
             return {"CANCELLED"}
@@ -50,6 +51,7 @@ class PickGround(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
+        """Turn a click into a ray and move the cursor or object; Esc or the right button cancels."""
         if event.type in {"ESC", "RIGHTMOUSE"}:
             self.cancel(context)
             return {"CANCELLED"}
@@ -64,18 +66,20 @@ class PickGround(bpy.types.Operator):
         return self.execute(context)
 
     def cancel(self, context):
+        """Restore the mouse pointer and the status bar."""
         context.window.cursor_modal_restore()
         context.workspace.status_text_set(None)
 
     @cancelled_by_errors
     def execute(self, context):
+        """Move the 3D cursor or the active object to where the ray first hits the ground."""
         depsgraph = context.evaluated_depsgraph_get()
-        found = grounds(context, depsgraph)
+        found = chosen_grounds(context, depsgraph)
         hit = world_ground.first_hit(found, self.origin, self.direction)
         if hit is None:
             raise TerrainError("There is no ground under the mouse, or along the ray", fix="aim at the terrain")
         if self.moves == OBJECT:
-            _put(context.object, hit[0], depsgraph)
+            _move_origin(context.object, hit[0], depsgraph)
         else:
             context.scene.cursor.location = hit[0]
         slope = math.degrees(math.acos(min(1.0, found[hit[1]].normals(hit[0][None])[0, 2])))
@@ -84,15 +88,15 @@ class PickGround(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def _put(obj, point, depsgraph) -> None:
-    """Move an object so that its origin is at a point of the world. Raises TerrainError."""
+def _move_origin(obj, point, depsgraph) -> None:
+    """Move an object so that its origin is at a point of the world, float64 [3]. Raises TerrainError."""
     if obj is None or obj.adaptive_terrain.enabled:
         raise TerrainError("There is no active object to move, or it is a terrain", fix="make another one active")
     moves.check_local(obj)
     moves.check_unlocked(obj)
     evaluated = obj.evaluated_get(depsgraph)
     by = [goal - now for goal, now in zip(point.tolist(), evaluated.matrix_world.translation, strict=True)]
-    obj.location = obj.location + moves.channel_move(moves.frame_of(evaluated), by)
+    obj.location = obj.location + moves.channel_move(moves.channels_to_world(evaluated), by)
 
 
 def _ray_under(context, event):

@@ -45,12 +45,13 @@ class ProfileCurve(bpy.types.Operator):
         if not has_ground(cls, context):
             return False
         cls.poll_message_set("Select a curve over the terrain")
-        return bool(_curves(context))
+        return bool(_chosen_curves(context))
 
     @cancelled_by_errors
     def execute(self, context):
+        """Create a curve on the ground for each chosen curve, and write the files if they are named."""
         depsgraph = context.evaluated_depsgraph_get()
-        for curve in _curves(context):
+        for curve in _chosen_curves(context):
             lines = lines_of(curve, depsgraph)
             _, ground = terrain_at(context, np.concatenate(lines), f"the curve {curve.name!r}", depsgraph)
             found = [along_line(ground, line, self.spacing or None) for line in lines]
@@ -68,7 +69,10 @@ class ProfileCurve(bpy.types.Operator):
         return {"FINISHED"}
 
     def _write(self, name: str, found) -> list[str]:
-        """Write the table and the picture, in numbered files if there are several splines; return the names."""
+        """Write the table and the picture of a profile; return the file names.
+
+        found: results of `along_line`, one for each spline; several splines get numbered files.
+        """
         base = Path(absolute_path(self.filepath))
         base = base.with_suffix("") if base.suffix.lower() in SUFFIXES else base
         if not base.name:
@@ -76,7 +80,7 @@ class ProfileCurve(bpy.types.Operator):
         files = []
         for number, (along, points) in enumerate(found):
             numbered = base if len(found) == 1 else base.with_name(f"{base.name}_{number + 1}")
-            texts = table(along, points), profile_plot.draw(along, points[:, 2], name)
+            texts = profile_csv(along, points), profile_plot.draw(along, points[:, 2], name)
             for suffix, content in zip(SUFFIXES, texts, strict=True):
                 path = numbered.with_name(numbered.name + suffix)
                 try:
@@ -89,8 +93,8 @@ class ProfileCurve(bpy.types.Operator):
         return files
 
 
-def _curves(context) -> list:
-    """Return the active one of the selected curves, or the first."""
+def _chosen_curves(context) -> list:
+    """Return the active curve if it is selected, else the first selected curve, as a list; [] without one."""
     found = [obj for obj in context.selected_objects if obj.type == "CURVE"]
     return [context.object] if context.object in found else found[:1]
 
@@ -136,9 +140,13 @@ def _chains(pairs) -> list[list[int]]:
 
 
 def along_line(ground, line: np.ndarray, spacing: float | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return horizontal distances from the line's start, float64 [n] metres, and points of the world, float64 [n, 3].
+    """Return the profile of a line on the ground: distances from its start and points of the world.
 
-    Heights are NaN without ground.
+    Distances are horizontal, float64 [n] metres; points are float64 [n, 3], with height NaN without ground.
+
+    Args:
+        line: float64 [n, 3], points of the world.
+        spacing: metres between points; None for one at every cell border that the line crosses.
     """
     found = profile(ground.field, ground.to_local(line)[:, :2], spacing, **ground.heights)
     known = np.isfinite(found.heights)
@@ -148,7 +156,7 @@ def along_line(ground, line: np.ndarray, spacing: float | None) -> tuple[np.ndar
     return np.concatenate([[0.0], np.cumsum(steps)]), points
 
 
-def table(along: np.ndarray, points: np.ndarray) -> str:
+def profile_csv(along: np.ndarray, points: np.ndarray) -> str:
     """Return a CSV of distance, x, y and height in metres of the world, with an empty height without ground."""
     rows = ["distance_m,x_m,y_m,height_m"]
     for distance, (x, y, z) in zip(along.tolist(), points.tolist(), strict=True):

@@ -12,7 +12,7 @@ STAY = {"TRACK_TO", "DAMPED_TRACK", "LOCKED_TRACK", "COPY_ROTATION", "LIMIT_ROTA
         "MAINTAIN_VOLUME", "STRETCH_TO", "TRANSFORM_CACHE", "CAMERA_SOLVER"}  # fmt: skip
 
 
-def frame_of(evaluated) -> Matrix:
+def channels_to_world(evaluated) -> Matrix:
     """Return the 3 x 3 matrix from an evaluated object's location channels to the world.
 
     It includes constraints that carry an object (Follow Path, Child Of). Raises TerrainError if it is singular.
@@ -31,29 +31,38 @@ def frame_of(evaluated) -> Matrix:
 
 
 def channel_move(frame: Matrix, by) -> Vector:
-    """Return the change of an object's location channels, with the matrix `frame_of`, for a vector of the world."""
+    """Return the change of an object's location channels for a vector of the world.
+
+    frame: result of `channels_to_world`.
+    """
     return frame.inverted() @ Vector(by)
 
 
 def channel_rise(frame: Matrix, metres: float) -> Vector:
-    """Return the change of an object's location channels for a rise in the world."""
+    """Return the change of an object's location channels for a rise in metres of the world.
+
+    frame: result of `channels_to_world`.
+    """
     return channel_move(frame, (0.0, 0.0, metres))
 
 
 def channel_turn(frame: Matrix, turn: Quaternion) -> Quaternion:
-    """Convert a rotation in the world to one that precedes the object's rotation channels."""
+    """Convert a rotation in the world to one that precedes the object's rotation channels.
+
+    frame: result of `channels_to_world`.
+    """
     around = frame.to_quaternion()
     return around.inverted() @ turn @ around
 
 
 def turn_to(evaluated, normal: np.ndarray) -> Quaternion:
-    """Return the smallest rotation in the world that turns an evaluated object's Z axis to `normal`."""
+    """Return the smallest rotation in the world that turns an evaluated object's Z axis to `normal`, float64 [3]."""
     up = evaluated.matrix_world.to_3x3().col[2]
     return up.rotation_difference(Vector(normal.tolist())) if up.length > 0.0 else Quaternion()
 
 
 def rounding(evaluated, height: float) -> float:
-    """Return four float32 steps at an object's coordinates: the tolerance of heights in metres."""
+    """Return the tolerance in metres for heights at an object: four float32 steps of its largest coordinate."""
     largest = max(abs(height), *(abs(v) for v in evaluated.matrix_world.translation))
     return 1e-6 + 4.0 * largest * 2.0**-23
 

@@ -8,7 +8,7 @@ from ...cbt_terrain.query.viewshed import viewshed
 from ..bridge import camera as cameras
 from ..bridge.writer import UV_LAYER
 from ..session.polls import cancelled_by_errors
-from .chosen import has_ground, selected, terrain_at
+from .chosen import has_ground, selected_objects, terrain_at
 
 NAME = "viewshed"
 MARK = "adaptive_terrain_viewshed"  # custom property of the image and the node group: the name of their terrain
@@ -47,13 +47,14 @@ class Viewshed(bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
+        """Compute the ground that the active object or the camera sees, as an image and an attribute."""
         depsgraph, eye = context.evaluated_depsgraph_get(), _eye(context)
         point = np.array([eye.evaluated_get(depsgraph).matrix_world.translation], np.float64)
         terrain, ground = terrain_at(context, point, repr(eye.name), depsgraph)
         seen = viewshed(
             ground.field, ground.to_local(point)[0], self.target_height, self.radius or None, **ground.heights
         )
-        image = _image(terrain, seen)
+        image = _make_image(terrain, seen)
         if self.attribute:
             _add_modifier(terrain, image)
         self.report({"INFO"}, f"{eye.name} sees {seen.mean():.1%} of {terrain.name}: image {image.name!r}")
@@ -61,11 +62,13 @@ class Viewshed(bpy.types.Operator):
 
 
 def _eye(context):
-    """Return the active object if it is no terrain, else a selected object or the camera, or None."""
+    """Return the object that looks: the active object if it is no terrain, else a selected object or the camera;
+    None without.
+    """
     obj = context.object
     if obj is not None and not obj.adaptive_terrain.enabled:
         return obj
-    return next(iter(selected(context)), None) or cameras.active_camera(context.scene)
+    return next(iter(selected_objects(context)), None) or cameras.active_camera(context.scene)
 
 
 def _find_marked(items, terrain):
@@ -73,8 +76,11 @@ def _find_marked(items, terrain):
     return next((item for item in items if item.get(MARK) == terrain.name and not item.library), None)
 
 
-def _image(terrain, seen: np.ndarray):
-    """Return an image that is white where `seen` (bool [rows, columns], row 0 south), with a pixel per n-th sample."""
+def _make_image(terrain, seen: np.ndarray):
+    """Return a packed image that is white where `seen`, bool [rows, columns], row 0 in the south.
+
+    Large rasters get a pixel per n-th sample. The terrain's old image is reused if its size fits.
+    """
     step = -(-max(seen.shape) // MAX_PIXELS)
     seen = seen[::step, ::step]
     rows, columns = seen.shape
@@ -96,7 +102,7 @@ def _image(terrain, seen: np.ndarray):
 def _add_modifier(terrain, image) -> None:
     """Add geometry nodes that store the image's value at each vertex of every new mesh."""
     modifier = terrain.modifiers.get(NAME) or terrain.modifiers.new(NAME, "NODES")
-    group = _find_marked(bpy.data.node_groups, terrain) or _group(f"{terrain.name} {NAME}")
+    group = _find_marked(bpy.data.node_groups, terrain) or _create_group(f"{terrain.name} {NAME}")
     group[MARK] = terrain.name
     modifier.node_group = group
     node = next(node for node in group.nodes if node.bl_idname == "GeometryNodeImageTexture")
@@ -108,7 +114,8 @@ def _add_modifier(terrain, image) -> None:
     scale.inputs[2].default_value = [*(0.5 / size[:2]), 0.0]
 
 
-def _group(name: str):
+def _create_group(name: str):
+    """Create the geometry nodes that store the value of an image at each vertex as the attribute NAME."""
     group = bpy.data.node_groups.new(name, "GeometryNodeTree")
     for in_out in ("INPUT", "OUTPUT"):
         group.interface.new_socket(name="Geometry", in_out=in_out, socket_type="NodeSocketGeometry")

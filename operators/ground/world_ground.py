@@ -37,10 +37,11 @@ class WorldGround:
 
     @property
     def heights(self) -> dict[str, float]:
+        """Return the arguments of the engine's functions for vertical scale and offset."""
         return {"vertical_scale": self.scale, "vertical_offset": self.offset}
 
     def key(self) -> tuple:
-        """Return a key of the ground."""
+        """Return a key that changes when the ground changes."""
         return self.uid, self.field.key, self.placement.tobytes(), self.scale, self.offset
 
     def to_local(self, points: np.ndarray) -> np.ndarray:
@@ -60,7 +61,7 @@ class WorldGround:
         return float(z.max() + HEADROOM * np.ptp(z) + 1.0)
 
     def hits(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Return the first hits of rays of the world, float64 [n, 3]; NaN for rays that miss."""
+        """Return the points where rays of the world first hit the ground, float64 [n, 3]; NaN for rays that miss."""
         back = inverse(self.placement)
         along = _transform_vectors(back[:3, :3], directions)
         return self.to_world(pick(self.field, _transform_points(back, origins), along, **self.heights).points)
@@ -81,14 +82,14 @@ class Below(NamedTuple):
 
 
 def grounds_of(scene, depsgraph, mode: str = VIEWPORT, waits: bool = True) -> list[WorldGround]:
-    """Return the scene's rendered terrains, as `depsgraph` has them, including those hidden in viewports.
+    """Return the scene's rendered terrains as ground, including those hidden in viewports.
+
+    Raises TerrainError.
 
     Args:
-        waits: compute missing data such as shaped land. Otherwise use the fields of the current meshes, and leave out
-            terrains without a mesh.
-
-    Raises:
-        TerrainError: a terrain cannot be computed.
+        mode: VIEWPORT or RENDER.
+        waits: compute missing data such as shaped land. Otherwise use the fields of the current meshes, and
+            leave out terrains without a mesh.
     """
     found = []
     for obj in session.terrains_of(scene):
@@ -123,10 +124,10 @@ def _as_shown(obj, depsgraph) -> WorldGround | None:
     return WorldGround(obj.session_uid, field, request.placement, request.vertical_scale, request.vertical_offset)
 
 
-def below(grounds: Sequence[WorldGround], places: np.ndarray) -> Below:
-    """Return the highest ground on vertical lines of the world through positions, float64 [n, 2] or [n, 3] metres.
+def find_below(grounds: Sequence[WorldGround], places: np.ndarray) -> Below:
+    """Return the highest ground above or below positions of the world, float64 [n, 2] or [n, 3] metres.
 
-    The heights of the positions do not matter, so repeated drops give the same result.
+    The positions' own heights do not matter, so repeated drops give the same result.
     """
     places = np.asarray(places, np.float64)[:, :2]
     heights, which = np.full(len(places), np.nan), np.full(len(places), -1)
@@ -138,8 +139,10 @@ def below(grounds: Sequence[WorldGround], places: np.ndarray) -> Below:
     return Below(heights, which)
 
 
-def normals(grounds: Sequence[WorldGround], places: np.ndarray, found: Below) -> np.ndarray:
-    """Return unit normals, float64 [n, 3], of the ground that `below` found at positions; (0, 0, 1) without ground."""
+def normals_at(grounds: Sequence[WorldGround], places: np.ndarray, found: Below) -> np.ndarray:
+    """Return unit normals, float64 [n, 3], of the ground that `find_below` found at positions; (0, 0, 1) without
+    ground.
+    """
     points = np.c_[np.asarray(places, np.float64)[:, :2], found.heights]
     result = np.tile([0.0, 0.0, 1.0], (len(points), 1))
     for number, ground in enumerate(grounds):
@@ -151,7 +154,11 @@ def normals(grounds: Sequence[WorldGround], places: np.ndarray, found: Below) ->
 
 
 def first_hit(grounds: Sequence[WorldGround], origin, direction) -> tuple[np.ndarray, int] | None:
-    """Return a ray's first hit in the world, float64 [3], and the number of its ground, or None."""
+    """Return a ray's first hit in the world, float64 [3], and the position of its ground in the list; None if it
+    misses.
+
+    Raises TerrainError for a ray without a direction.
+    """
     origin, direction = (np.asarray(v, np.float64).reshape(1, 3) for v in (origin, direction))
     if not (np.isfinite(origin).all() and np.isfinite(direction).all() and direction.any()):
         raise TerrainError(

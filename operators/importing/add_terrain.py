@@ -9,7 +9,7 @@ from ...cbt_terrain.field.lands import LANDS
 from ..land.entries import PRESETS
 from ..layers.properties import add_default_layers
 from ..session import session
-from ..terrain.properties import ISLAND, land_items, land_of
+from ..terrain.properties import ISLAND, built_in_land, land_items
 
 
 class AddTerrain(bpy.types.Operator, AddObjectHelper):
@@ -44,6 +44,7 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
         return context.mode == "OBJECT"
 
     def draw(self, _context):
+        """Draw the options below the viewport after the terrain was added; those without effect are grey."""
         layout, land = self.layout, LANDS[self.land.lower()]
         layout.use_property_split = True
         layout.prop(self, "land")
@@ -57,15 +58,17 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
             layout.prop(self, name)
 
     def _is_shaped(self, land) -> bool:
+        """Return whether the land gets its stack of height operators."""
         return self.shape and bool(land.preset)
 
     def execute(self, context):
+        """Add the object with the chosen land and start its import; remove the object again if that fails."""
         obj = object_data_add(context, bpy.data.meshes.new("Terrain"), operator=self)
         settings = obj.adaptive_terrain
         settings.enabled = True
         add_default_layers(settings)
         settings.source, settings.seed = self.land, self.seed
-        land = land_of(settings)
+        land = built_in_land(settings)
         size = land.side if self.natural_size or self._is_shaped(land) else self.size
         settings.use_extent, settings.extent = True, (size, size)
         settings.height_scale = size / land.side  # the land keeps its shape

@@ -18,11 +18,11 @@ from ..bridge.scene_paths import absolute_path
 from ..job_operator import JobOperator
 from ..session import live, session
 from ..terrain import frame_terrain, sidebar
-from ..terrain.properties import land_of
+from ..terrain.properties import built_in_land
 from ..text.numbers import SMALLEST, plain
 from . import imported
 from .placement_notes import neighbour_notes, picture_note
-from .store_location import elsewhere, store_folder
+from .store_location import location_warnings, store_folder
 
 RESIZED = 2.0  # ratio of sizes from which on the terrain is framed again
 _gone: set[int] = set()  # terrains that were undone or deleted while they were imported
@@ -36,7 +36,7 @@ def settings_of(obj) -> ImportSettings:
     heights = {"height_offset": settings.height_offset}
     if settings.is_property_set("height_scale"):
         heights["height_scale"] = settings.height_scale
-    if (land := land_of(settings)) is not None:
+    if (land := built_in_land(settings)) is not None:
         return ImportSettings(source=land.name, size=settings.island_size, seed=settings.seed, extent=extent, **heights)
     if not settings.source_path:
         raise TerrainError("No file is chosen to import", fix="choose a height map on the terrain's panel")
@@ -84,7 +84,7 @@ def _files_of(settings) -> ImportSettings:
 
 
 def is_raw(path: str) -> bool:
-    """Return whether a file holds samples alone, so that the panel must say what they are."""
+    """Return whether a file has samples without a header, so that the panel must ask for their size and type."""
     return path.lower().endswith(suffixes_with(RAW)) or is_plain_raw(Path(absolute_path(path)))
 
 
@@ -94,7 +94,7 @@ def has_option(path: str, option: str) -> bool:
 
 
 def summary(report: dict) -> str:
-    """Describe an import in one line."""
+    """Describe an import in one line, from the report that the import wrote."""
     width, height = report["raster"]
     line = f"{width} x {height} samples, {plain(report['lowest_m'], 4)} to {plain(report['highest_m'], 4)} m"
     if report["filled"]:
@@ -120,6 +120,7 @@ class _Import(JobOperator):
     kind = jobs.IMPORT
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
+        """Import the terrain's height map in a child process; return its report and the path of the store."""
         settings = settings_of(context.object)
         folder = store_folder(context.object, settings)
         report = yield from jobs.run_in_child(job, ImportJob(settings, absolute_path(folder)))
@@ -127,6 +128,7 @@ class _Import(JobOperator):
         return report, folder
 
     def abandon(self) -> None:
+        """Remember a terrain that was removed during its import: an undo may bring it back."""
         _gone.add(self.job.uid)
 
     def finish(self, context, obj, result: tuple[dict, str]) -> None:
@@ -139,21 +141,22 @@ class _Import(JobOperator):
         after = _size_of(obj)
         if after and not (before and 1 / RESIZED < after / before < RESIZED):
             self._bring_into_view(context, obj)
-        self._update(obj, report)
+        self._report_and_update(obj, report)
 
     def _bring_into_view(self, context, obj):
+        """Frame the terrain in the viewports, and report the changes in words."""
         viewports = frame_terrain.shown_viewports(context.window_manager, context.scene)
         try:
-            done = frame_terrain.frame(obj, context.evaluated_depsgraph_get(), viewports, always=False)
+            done = frame_terrain.frame_terrain(obj, context.evaluated_depsgraph_get(), viewports, always=False)
         except TerrainError as error:
             self.report({"WARNING"}, str(error))
             return
         if done:
             self.report({"INFO"}, frame_terrain.to_sentence(done))
 
-    def _update(self, obj, report: dict) -> None:
-        """Report about an import, and show its heights."""
-        notes = [*elsewhere(obj.adaptive_terrain.store), *neighbour_notes(obj, session.all_terrains())]
+    def _report_and_update(self, obj, report: dict) -> None:
+        """Report warnings and figures of an import, and update the mesh or let the live update do it."""
+        notes = [*location_warnings(obj.adaptive_terrain.store), *neighbour_notes(obj, session.all_terrains())]
         for warning in [*report["warnings"], *notes]:
             self.report({"WARNING"}, warning)
         if note := picture_note(imported.imported_of(obj.adaptive_terrain)):
@@ -181,23 +184,25 @@ class ImportAdded(_Import, bpy.types.Operator):
     bl_options = {"INTERNAL"}
 
     def finish(self, context, obj, result: tuple[dict, str]) -> None:
+        """Remember the store, too, because Undo goes back to a terrain without one."""
         _, _added[obj.session_uid] = result
         _Import.finish(self, context, obj, result)
         if session.terrains_of(context.scene) == [obj]:  # the next steps are in the tab
             sidebar.open_tab(frame_terrain.shown_viewports(context.window_manager, context.scene))
 
 
-def begin_again() -> None:
-    """Restart imports after an undo or a redo.
+def resume_after_undo() -> None:
+    """Schedule the repair of terrains that were being added when an undo or a redo came.
 
-    A terrain that is back after it was removed during its import is imported again. One whose import ended after the
-    step gets its store back.
+    A terrain that was removed during its import is imported again once it is back; one that lost its store gets it
+    back.
     """
     if _gone or _added:
-        bpy.app.timers.register(_begin_again, first_interval=0.0)  # a handler may begin nothing that runs on
+        bpy.app.timers.register(_resume_imports, first_interval=0.0)  # a handler may begin nothing that runs on
 
 
-def _begin_again() -> None:
+def _resume_imports() -> None:
+    """Import terrains again that are back, and give back lost stores; a timer calls it once."""
     for obj in session.all_terrains():
         if obj.session_uid in _gone:
             _gone.remove(obj.session_uid)
@@ -205,15 +210,15 @@ def _begin_again() -> None:
             with suppress(RuntimeError), bpy.context.temp_override(window=window, object=obj):  # the panel says why
                 bpy.ops.adaptive_terrain.import_added("INVOKE_DEFAULT")
         elif obj.session_uid in _added and jobs.find(jobs.IMPORT, obj) is None and not obj.adaptive_terrain.store:
-            _give_back(obj)
+            _restore_store(obj)
 
 
-def _give_back(obj) -> None:
-    """Restore the store and the other changes of the import. No undo step covers the contents of a viewport."""
+def _restore_store(obj) -> None:
+    """Set the store of a terrain again and repeat the other effects of its import, except on viewports."""
     obj.adaptive_terrain.store = _added[obj.session_uid]
     imported.tag_object(obj)
     with suppress(TerrainError):  # the panel says why
-        frame_terrain.frame(obj, bpy.context.evaluated_depsgraph_get(), [], always=False)
+        frame_terrain.frame_terrain(obj, bpy.context.evaluated_depsgraph_get(), [], always=False)
         if not obj.adaptive_terrain.live:
             session.update_object(obj)
 

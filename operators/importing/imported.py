@@ -41,19 +41,22 @@ class Imported:
 
 
 def imported_of(settings) -> Imported | None:
-    """Return the contents of the store of a terrain's settings; None without a store that can be read."""
+    """Return the Imported of the store in a terrain's settings; None without a readable store."""
     if not settings.store:
         return None
     folder = Path(absolute_path(settings.store))
     try:
-        return _read(str(folder), (folder / stores.JSON_NAME).stat().st_mtime_ns)
+        return _read_store(str(folder), (folder / stores.JSON_NAME).stat().st_mtime_ns)
     except (OSError, ValueError):
         return None
 
 
 @functools.lru_cache(maxsize=64)
-def _read(folder: str, _changed_ns: int) -> Imported | None:
-    """`_changed_ns`: when the store's JSON was changed, so that another import is read anew."""
+def _read_store(folder: str, _changed_ns: int) -> Imported | None:
+    """Read the Imported of a store, None if it is damaged.
+
+    `_changed_ns`: last change of its JSON, part of the cache's key, so that another import is read anew.
+    """
     try:
         content = stores.read_json(Path(folder))
     except TerrainError:
@@ -81,8 +84,8 @@ def _pair(report: dict, name: str) -> tuple | None:
     return tuple(value) if good and all(type(v) in (int, float) and 0 < v < LARGEST_EXTENT for v in value) else None
 
 
-def lines_of(imported: Imported | None) -> list[tuple[str, str]]:
-    """Return names and figures, always the same number: nothing below them moves when a store is written."""
+def info_lines(imported: Imported | None) -> list[tuple[str, str]]:
+    """Return (name, value) rows about an import for the panel, always the same number: nothing below them moves."""
     if imported is None:
         return [(name, "-") for name in LINES]
     source, more = imported.settings.get("source", ""), imported.settings.get("more_sources")
@@ -92,15 +95,15 @@ def lines_of(imported: Imported | None) -> list[tuple[str, str]]:
         _crs_name(imported.crs),
         ", ".join(map(_coordinate, imported.origin)) if imported.crs else phrase("none"),
         f"{imported.raster[0]:,} x {imported.raster[1]:,}",
-        _both([length_text(length) for length in imported.extent_m]),
-        _both([length_text(length) for length in imported.step_m]),
+        _join_lengths([length_text(length) for length in imported.extent_m]),
+        _join_lengths([length_text(length) for length in imported.step_m]),
         phrase("{} to {} m", *(plain(height, 4) for height in imported.heights_m)),
     )
     return list(zip(LINES, figures, strict=True))
 
 
 def _crs_name(crs: str) -> str:
-    """`EPSG:4326`, or the name in a CRS's definition."""
+    """Return the short name of a coordinate system, such as `EPSG:4326`, from its definition."""
     if not crs:
         return phrase("none")
     return shown(crs.split('"')[1] if '["' in crs else crs)
@@ -111,14 +114,17 @@ def _coordinate(value: float) -> str:
     return f"{value:.0f}" if abs(value) > 360.0 else f"{value:.5f}"
 
 
-def _both(texts: list[str]) -> str:
-    """Return `31.9 x 29.9 km`: the unit once, if it is the same."""
+def _join_lengths(texts: list[str]) -> str:
+    """Return two lengths as `31.9 x 29.9 km`, with the unit once if it is the same."""
     (first, unit), (second, other) = (text.rsplit(" ", 1) for text in texts)
     return f"{first} x {second} {unit}" if unit == other else " x ".join(texts)
 
 
 def changed_settings(settings: ImportSettings, imported: Imported | None) -> list[str]:
-    """Return the names of the import settings that differ from those of the store; [] if those are unknown."""
+    """Return the names of the import settings that differ from those of the imported store; [] if those are unknown.
+
+    The panel then offers to import again.
+    """
     if imported is None or not imported.settings:
         return []
     defaults = {item.name: item.default for item in dataclasses.fields(settings)}
@@ -142,9 +148,8 @@ def changed_settings(settings: ImportSettings, imported: Imported | None) -> lis
 
 
 def _same_file(path: str, before: object) -> bool:
-    """Tell whether two paths name one file.
-
-    A file that is missing at its old place may have moved with its .blend file.
+    """Return whether two paths name one file; a file that is missing at its old path may have moved with its .blend
+    file.
     """
     if path == before or not isinstance(before, str):
         return path == before
@@ -152,7 +157,10 @@ def _same_file(path: str, before: object) -> bool:
 
 
 def tag_object(obj) -> None:
-    """Write the coordinate system and the origin of the store as custom properties on the object, or take them off."""
+    """Set the coordinate system and the origin of the store as custom properties of the object, or remove them.
+
+    BlenderGIS reads the same properties.
+    """
     imported = imported_of(obj.adaptive_terrain)
     for name in (SRID, CRS_X, CRS_Y):
         if name in obj:

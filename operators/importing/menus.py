@@ -36,6 +36,7 @@ class AddTerrainFromFile(ChosenFiles, bpy.types.Operator):
         return context.mode == "OBJECT"
 
     def draw(self, _context):
+        """Draw the options of the file browser: the range of heights."""
         self.layout.use_property_split = True
         self.layout.prop(self, "use_heights")
         column = self.layout.column()
@@ -44,6 +45,7 @@ class AddTerrainFromFile(ChosenFiles, bpy.types.Operator):
         column.prop(self, "highest")
 
     def execute(self, context):
+        """Add a terrain object for the file and start its import; remove the object again if that fails."""
         paths = self.chosen()
         if not paths[0]:
             self.report({"ERROR"}, "No file is chosen: choose a height map")

@@ -41,14 +41,14 @@ class PackPlan:
     maps: dict[str, str] = field(default_factory=dict)
 
     def copies(self) -> list[Callable[[OnProgress], None]]:
-        """List the functions that make the copies."""
+        """Return the functions that make the copies; each takes a function for its fraction done."""
         found = [partial(copy_store, source, absolute_path(target)) for source, (target, _) in self.stores.items()]
         found += [partial(_copy_land, source, target) for source, target in self.lands.items()]
         return found + [partial(_copy_maps, source, target) for source, target in self.maps.items()]
 
 
 def _copy_land(source: str, target: str, on_progress: OnProgress) -> None:
-    """Copy a shaped store, and for which tiles it was made. Raises TerrainError."""
+    """Copy a shaped store, with the record of the tiles that it was made for. Raises TerrainError."""
     if not stores.changed_ns(target):  # else another terrain has the same land there
         copy_store(source, target, on_progress)
         requested_tiles.note(target, requested_tiles.known(source) or None)
@@ -68,23 +68,23 @@ def _copy_maps(source: str, target: str, on_progress: OnProgress) -> None:
         ) from reason
 
 
-def find_strays() -> list:
-    """Return the terrains of a saved file with a store that is elsewhere."""
+def terrains_to_pack() -> list:
+    """Return the terrains of a saved file whose store is not in the file's folder; [] for an unsaved file."""
     if not bpy.data.filepath:
         return []
     with_store = [obj for obj in session.all_terrains() if obj.adaptive_terrain.store]
     return [obj for obj in with_store if not lies_beside(obj.adaptive_terrain)]
 
 
-def plan(objects: list) -> PackPlan:
-    """Plan the copies for terrains whose stores are elsewhere. Raises TerrainError."""
+def plan_packing(objects: list) -> PackPlan:
+    """Plan the copies for these terrains, with their shaped land and baked maps. Raises TerrainError."""
     planned = PackPlan()
     for obj in objects:
         folder = real_path(absolute_path(obj.adaptive_terrain.store))
         content = stores.read_json(folder)
         if str(folder) not in planned.stores:
             targets = {target for target, _ in planned.stores.values()}
-            planned.stores[str(folder)] = _target(obj, folder, content, targets), []
+            planned.stores[str(folder)] = _packed_path(obj, folder, content, targets), []
         target, uids = planned.stores[str(folder)]
         uids.append(obj.session_uid)
         if real_path(absolute_path(target)) != folder:
@@ -94,7 +94,10 @@ def plan(objects: list) -> PackPlan:
 
 
 def _lands_of(obj, target: str) -> dict[str, str]:
-    """Return the folders of the shaped land that a terrain uses, each with its new one beside the store `target`."""
+    """Return the folders of the shaped land that a terrain uses, each with the folder of its copy.
+
+    target: new path of the terrain's store.
+    """
     depsgraph = bpy.context.evaluated_depsgraph_get()
     try:
         land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
@@ -109,7 +112,10 @@ def _lands_of(obj, target: str) -> dict[str, str]:
 
 
 def _maps_of(obj, target: str) -> dict[str, str]:
-    """Return the folder of a terrain's maps if it is next to its store, and the new folder next to `target`."""
+    """Return the folder of a terrain's maps with the folder of its copy; {} if the maps are elsewhere or not baked.
+
+    target: new path of the terrain's store.
+    """
     maps, folder = obj.adaptive_terrain.maps, real_path(map_folder(obj))
     if maps.folder or not maps.mark or not folder.is_dir():
         return {}
@@ -117,15 +123,22 @@ def _maps_of(obj, target: str) -> dict[str, str]:
     return {str(folder): str(store.with_name(store.name + MAPS) / folder.name)}
 
 
-def _target(obj, folder: Path, content: dict, targets: set[str]) -> str:
-    """Return the new path of the store in `folder`: a relative path of the same folder if it is beside the file."""
+def _packed_path(obj, folder: Path, content: dict, targets: set[str]) -> str:
+    """Return the path where packing puts a terrain's store.
+
+    folder: its present folder. Below the .blend file's folder it stays, under a relative path; otherwise a free
+    folder there is chosen. content: the store's JSON. targets: paths that other stores get.
+    """
     if folder.is_relative_to(real_path(bpy.data.filepath).parent):
         return bpy.path.relpath(str(folder))
     return _free_folder(folder_beside(obj, source_name(obj)), content, targets)
 
 
 def _free_folder(wanted: str, content: dict, targets: set[str]) -> str:
-    """Return `wanted`, or with a number the next that holds no other store."""
+    """Return `wanted`, or with a number the next path that neither another store has nor `targets`.
+
+    content: JSON of the store to copy: a folder with the same store counts as free.
+    """
     number = 1
     while True:
         folder = wanted if number == 1 else f"{wanted}_{number}"
@@ -140,7 +153,12 @@ def _free_folder(wanted: str, content: dict, targets: set[str]) -> str:
 
 
 def room_text(planned: PackPlan) -> str:
-    """Return how much packing copies, for a question. Raises OSError."""
+    """Return the size of all that packing copies, for the question to the user.
+
+    Raises OSError.
+
+    On one disk the arrays of a copy take no room.
+    """
     folders = [*planned.stores, *planned.lands, *planned.maps]
     here = os.stat(Path(bpy.data.filepath).parent).st_dev
     arrays = [*planned.stores, *planned.lands]

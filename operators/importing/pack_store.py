@@ -18,7 +18,7 @@ from .. import jobs
 from ..bridge.scene_paths import absolute_path
 from ..job_operator import JobOperator
 from ..session import session
-from .pack_plan import PackPlan, find_strays, plan, room_text
+from .pack_plan import PackPlan, plan_packing, room_text, terrains_to_pack
 
 OFFER_S = 0.2
 _first_save = False
@@ -41,7 +41,7 @@ class PackStore(JobOperator, bpy.types.Operator):
         if not bpy.data.filepath:
             cls.poll_message_set("Save the file first")
             return False
-        if not find_strays():
+        if not terrains_to_pack():
             cls.poll_message_set("Every store lies beside the file")
             return False
         if jobs.find(jobs.SHAPE):
@@ -50,10 +50,12 @@ class PackStore(JobOperator, bpy.types.Operator):
         return jobs.find(jobs.PACK) is None
 
     def subject(self, _context):
+        """Return None: the job belongs to the whole file, not to one terrain."""
         return None
 
     def steps(self, _context, job: jobs.BackgroundJob) -> jobs.Steps:
-        planned = plan(find_strays())
+        """Copy the stores on a thread; return the PackPlan."""
+        planned = plan_packing(terrains_to_pack())
         copies = planned.copies()
 
         def copy_all() -> PackPlan:
@@ -64,6 +66,7 @@ class PackStore(JobOperator, bpy.types.Operator):
         return (yield from jobs.run_on_thread(job, copy_all))
 
     def finish(self, _context, _obj, planned: PackPlan) -> None:
+        """Let the terrains and the images of their maps use the copies; save the file again if this followed a save."""
         clean = not bpy.data.is_dirty
         self._show_copied_maps(planned)
         targets = {uid: target for target, uids in planned.stores.values() for uid in uids}
@@ -78,7 +81,7 @@ class PackStore(JobOperator, bpy.types.Operator):
             bpy.ops.wm.save_mainfile()
 
     def _show_copied_maps(self, planned: PackPlan) -> None:
-        """Let images of maps name the copies."""
+        """Change the paths of images that show baked maps to the copies."""
         for image in bpy.data.images:
             path = real_path(absolute_path(image.filepath))
             if image.filepath and image.library is None and str(path.parent) in planned.maps:
@@ -92,9 +95,10 @@ class OfferPack(bpy.types.Operator):
     bl_label = "Pack Terrain Beside File"
 
     def invoke(self, context, event):
+        """Ask the user, with the size of the copies."""
         size = ""
         with suppress(TerrainError, OSError):  # packing reports the error
-            size = f" ({room_text(plan(find_strays()))})"
+            size = f" ({room_text(plan_packing(terrains_to_pack()))})"
         return context.window_manager.invoke_confirm(
             self,
             event,
@@ -104,23 +108,27 @@ class OfferPack(bpy.types.Operator):
         )
 
     def execute(self, context):
+        """Pack the stores after the user has agreed."""
         return bpy.ops.adaptive_terrain.pack_store("INVOKE_DEFAULT", save_again=True)
 
 
-def _offer() -> None:
+def _ask_to_pack() -> None:
+    """Open the question whether to pack, a moment after the first save of a file."""
     windows = bpy.context.window_manager.windows
-    if windows and find_strays():
+    if windows and terrains_to_pack():
         with bpy.context.temp_override(window=windows[0]):
             bpy.ops.adaptive_terrain.offer_pack("INVOKE_DEFAULT")
 
 
 @persistent
 def on_save_pre(_path, _unused=None) -> None:
+    """Remember whether this is the first save of the file."""
     global _first_save
     _first_save = not bpy.data.filepath
 
 
 @persistent
 def on_save_post(_path, _unused=None) -> None:
-    if _first_save and not bpy.app.background and bpy.data.filepath and find_strays():
-        bpy.app.timers.register(_offer, first_interval=OFFER_S)
+    """Offer to pack after the first save, if a store is outside the file's folder."""
+    if _first_save and not bpy.app.background and bpy.data.filepath and terrains_to_pack():
+        bpy.app.timers.register(_ask_to_pack, first_interval=OFFER_S)

@@ -7,10 +7,10 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.importing.source_formats import BAND, CELL, CHANNEL, ENCODING
 from ..session import session
 from ..terrain.properties import FILE
-from ..ui.panel_parts import TerrainSubpanel, draw_ground, figures, message, switched
+from ..ui.panel_parts import TerrainSubpanel, draw_figures, draw_ground, draw_message, draw_switched
 from . import import_terrain, store_paths
 from .import_terrain import has_option
-from .imported import changed_settings, imported_of, lines_of
+from .imported import changed_settings, imported_of, info_lines
 from .placement_notes import picture_note
 
 SHOWN_FILES = 4
@@ -43,6 +43,7 @@ class SourcePanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
 
     def draw(self, context):
+        """Draw the options of an import, those that the kind of source has."""
         column = self._columns()
         settings = session.shown_terrain(context).adaptive_terrain
         if settings.source == FILE:
@@ -53,11 +54,12 @@ class SourcePanel(TerrainSubpanel):
                 _draw_file(column, settings)
         else:
             column.prop(settings, "island_size")
-        switched(column, settings, "use_extent", "extent")
+        draw_switched(column, settings, "use_extent", "extent")
         _draw_heights(column, settings)
 
 
 def _draw_heights(column, settings) -> None:
+    """Draw the range of heights of a file, or scale and offset."""
     if settings.source == FILE:
         column.prop(settings, "use_heights")
     is_range = settings.source == FILE and settings.use_heights
@@ -66,7 +68,7 @@ def _draw_heights(column, settings) -> None:
 
 
 def is_stale(obj) -> bool:
-    """Tell whether another import would give another terrain."""
+    """Return whether import settings have changed since the last import, so that the panel offers another."""
     imported = imported_of(obj.adaptive_terrain)
     try:
         return imported is not None and bool(changed_settings(import_terrain.settings_of(obj), imported))
@@ -75,6 +77,7 @@ def is_stale(obj) -> bool:
 
 
 def _draw_file(column, settings) -> None:
+    """Draw the options of a file that depend on its format."""
     if import_terrain.is_raw(settings.source_path):
         column.prop(settings, "raw_size")
         column.prop(settings, "raw_dtype")
@@ -87,14 +90,14 @@ def _draw_file(column, settings) -> None:
     column.prop(settings, "first_row_south")
     if has_option(settings.source_path, BAND):
         column.prop(settings, "project")
-    switched(column, settings, "use_no_data", "no_data")
+    draw_switched(column, settings, "use_no_data", "no_data")
     column.prop(settings, "holes")
 
 
 def _draw_mosaic(column, settings) -> None:
     for name in ("priority", "sample_step", "band", "project"):
         column.prop(settings, name)
-    switched(column, settings, "use_no_data", "no_data")
+    draw_switched(column, settings, "use_no_data", "no_data")
     column.prop(settings, "holes")
 
 
@@ -104,18 +107,19 @@ class ImportedPanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
 
     def draw(self, context):
+        """Draw the figures of the imported store, its path, and notes about it."""
         column = self._columns()
         settings = session.shown_terrain(context).adaptive_terrain
         imported = imported_of(settings)
-        figures(column, lines_of(imported), factor=0.28)
+        draw_figures(column, info_lines(imported), factor=0.28)
         column.separator()
         column.prop(settings, "store")
         column.operator("adaptive_terrain.pack_store", icon="PACKAGE")
         for notice in store_paths.notices.values():
-            message(self.layout, notice, "INFO")
+            draw_message(self.layout, notice, "INFO")
         notes = (*imported.warnings, picture_note(imported)) if imported is not None else ()
         for text in filter(None, notes):
-            message(column, text, "INFO")
+            draw_message(column, text, "INFO")
 
 
 class SurfacePanel(TerrainSubpanel):
@@ -126,6 +130,7 @@ class SurfacePanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_look"
 
     def draw(self, context):
+        """Draw the settings of the surface that take effect without another import."""
         column = self._columns()
         settings = session.shown_terrain(context).adaptive_terrain
         column.prop(settings, "vertical_scale")
@@ -141,6 +146,7 @@ class DisplacementPanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_surface"
 
     def draw(self, context):
+        """Draw the settings of relief below the height map's cells."""
         draw_ground(self._columns(), session.shown_terrain(context).adaptive_terrain.ground)
 
 

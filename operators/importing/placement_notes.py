@@ -65,9 +65,9 @@ def cells_between(first: Imported, second: Imported) -> int | None:
 
 
 def _gap(first: Imported, second: Imported, metres: tuple[float, float]) -> float:
-    """Return the gap in cells, infinite where only corners face each other.
+    """Return the cells between two rasters along the axis on which they face each other; infinite if only corners do.
 
-    metres: of a unit of the coordinate system along x and y.
+    metres: length of a unit of the coordinate system along x and y.
     """
     gaps = []
     for axis in (0, 1):
@@ -78,7 +78,7 @@ def _gap(first: Imported, second: Imported, metres: tuple[float, float]) -> floa
 
 
 def picture_note(imported: Imported | None) -> str:
-    """Return how to lay a picture with the raster's corners on the mesh; "" for a built-in land or a reprojected file.
+    """Return how to put a picture with the raster's corners on the mesh; "" for a built-in land or a reprojected file.
 
     The mesh's UV is 0 and 1 at the middles of the outermost samples, half a cell inside those corners.
     """
@@ -94,5 +94,8 @@ def picture_note(imported: Imported | None) -> str:
 
 
 def picture_mapping(samples) -> tuple[list[float], list[float]]:
-    """Return location and scale along x and y that take the mesh's UV to places in a picture of a raster's cells."""
+    """Return location and scale along x and y that map the mesh's UV to a picture with the raster's corners.
+
+    samples: columns and rows of the raster.
+    """
     return [0.5 / count for count in samples], [(count - 1) / count for count in samples]

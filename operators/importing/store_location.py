@@ -82,7 +82,7 @@ def store_folder(obj, settings: ImportSettings) -> str:
 
 
 def baked_folder(obj) -> str:
-    """Return the path for the baked land of a terrain: beside its store, or beside the file if others use the store."""
+    """Return the path for the baked land of a terrain: next to its store, or next to the file if others use that."""
     store = obj.adaptive_terrain.store.rstrip("/\\")
     if is_shared(store):
         beside = can_write_beside()
@@ -96,8 +96,8 @@ def source_name(obj) -> str:
     return Path(imported.settings.get("source", "") if imported else "").stem or "store"
 
 
-def elsewhere(folder: str) -> list[str]:
-    """Return the warning that a saved file's store could not be written beside the file."""
+def location_warnings(folder: str) -> list[str]:
+    """Return a warning if a saved file's store could not be written beside the file; [] otherwise."""
     if not bpy.data.filepath or folder.startswith(RELATIVE):
         return []
     return [

@@ -19,7 +19,7 @@ _paths_before: dict[int, str] = {}  # by session_uid: paths before a save to ano
 
 @persistent
 def on_save_pre(path, _unused=None) -> None:
-    """Write a relative path as it is from the folder that the file is saved to."""
+    """Change relative paths of stores so that they hold from the folder that the file is being saved to."""
     before = bpy.data.filepath
     _paths_before.clear()
     if not (before and path) or Path(before).parent == Path(path).parent:
@@ -37,6 +37,7 @@ def on_save_pre(path, _unused=None) -> None:
 
 @persistent
 def on_save_post(path, _unused=None) -> None:
+    """Restore the paths if only a copy of the open file was saved."""
     if not (bpy.data.filepath and path) or Path(bpy.data.filepath) != Path(path):
         _restore_paths()  # a copy was saved: the open file stays where it is
     _paths_before.clear()
@@ -44,10 +45,12 @@ def on_save_post(path, _unused=None) -> None:
 
 @persistent
 def on_save_failed(_path, _unused=None) -> None:
+    """Restore the paths after a save that failed."""
     _restore_paths()
 
 
 def _restore_paths() -> None:
+    """Give all terrains the store paths that they had before the save."""
     for obj in session.all_terrains():
         if obj.session_uid in _paths_before:
             obj.adaptive_terrain.store = _paths_before[obj.session_uid]
@@ -80,40 +83,48 @@ def on_append(imported, _unused=None) -> None:
 
 @persistent
 def on_load_post(_path, _unused=None) -> None:
+    """Find stores that were moved since the file was saved."""
     notices.pop(FOUND, None)
     find_moved_stores()
 
 
 @persistent
 def on_undo(_scene, _unused=None) -> None:
+    """Find moved stores again: Undo restores old paths."""
     find_moved_stores()
 
 
 def find_moved_stores(objects=None) -> None:
-    """Let terrains, and images of their maps, name the data folder where the stores that they name were moved there."""
+    """Set the new path of stores that were moved to the data folder, and of images of their maps.
+
+    objects: terrains to look at, None for all.
+    """
     found = []
     for obj in session.all_terrains() if objects is None else objects:
         settings = obj.adaptive_terrain
         before = absolute_path(settings.store)
-        if settings.store and (folder := _moved(before)):
+        if settings.store and (folder := _new_folder(before)):
             settings.store = folder
             found.append(f"that of {obj.name} in {folder}")
         elif settings.store and _would_be_deleted(before):
             settings.store = str(data_folder() / Path(before).name)
     if found:
         _find_moved_images()
-        tell(FOUND, f"Stores were moved and are found again: {'; '.join(found)}. Save the file to keep these paths.")
+        show_notice(
+            FOUND, f"Stores were moved and are found again: {'; '.join(found)}. Save the file to keep these paths."
+        )
 
 
 def _find_moved_images() -> None:
+    """Set the new path of images whose folder was moved to the data folder."""
     for image in bpy.data.images:
         path = Path(absolute_path(image.filepath))
-        if image.library is None and image.filepath and (folder := _moved(str(path.parent))):
+        if image.library is None and image.filepath and (folder := _new_folder(str(path.parent))):
             image.filepath = str(Path(folder) / path.name)
 
 
-def _moved(path: str) -> str:
-    """Return where a folder is now; "" where it is in its place or nowhere."""
+def _new_folder(path: str) -> str:
+    """Return where a folder was moved to; "" if it is in its place or was not moved."""
     found = "" if Path(path).exists() else find_moved(path, data_folder())
     return found if found and Path(found).is_dir() else ""
 
@@ -124,8 +135,8 @@ def _would_be_deleted(path: str) -> bool:
     return above is not None and Path(path).is_relative_to(above) and not Path(path).exists()
 
 
-def tell(topic: str, notice: str) -> None:
-    """Print a message, and show it on the panel."""
+def show_notice(topic: str, notice: str) -> None:
+    """Print a notice, and show it on the panel until another one has the same topic."""
     print_line(f"Adaptive Terrain: {notice}")
     notices[topic] = notice
 

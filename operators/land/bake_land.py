@@ -25,6 +25,10 @@ class LandOperator(TerrainObjectOperator):
     """Base of operators that need land that is shaped at all levels; a subclass has `_carry_out`."""
 
     def invoke(self, context, event):
+        """Refuse land that is not shaped yet: shaping it here would block the window.
+
+        Then ask for a file if one is needed.
+        """
         try:
             shape_land.check_is_shaped(context.object, context.evaluated_depsgraph_get())
         except TerrainError as error:
@@ -34,12 +38,16 @@ class LandOperator(TerrainObjectOperator):
 
     @cancelled_by_errors
     def execute(self, context):
+        """Carry out the operator on the active terrain; errors of the terrain or of the disk cancel it."""
         store_path(context.object)  # raises TerrainError before any work
         return self._carry_out(context.object, context.evaluated_depsgraph_get())
 
 
 def shaped_field(obj, depsgraph):
-    """Return the height field of a terrain's land, which is shaped first if it is needed. Raises TerrainError."""
+    """Return the height field of a terrain's shaped land; it is shaped now, which takes long, if it is not yet.
+
+    Without a stack this is the imported height field. Raises TerrainError.
+    """
     land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
     return derived_store.raster_of(store_path(obj), land, session.open_field, verified=True)
 
@@ -59,10 +67,11 @@ class BakeLand(LandOperator, bpy.types.Operator):
         return any(entry.on for entry in context.object.adaptive_terrain.land.entries)
 
     def _carry_out(self, obj, depsgraph):
+        """Copy the shaped land to a new store beside the old one, make it the terrain's store, and empty the stack."""
         land = shape_land.wanted_land(obj, depsgraph)
         derived_store.raster_of("", land, session.open_field, verified=True)
         settings = obj.adaptive_terrain
-        folder = free_folder(baked_folder(obj))
+        folder = unused_path(baked_folder(obj))
         copy_store(land.folder, absolute_path(folder))
         settings.store, settings.frozen, settings.land.active = folder, "", 0
         settings.land.entries.clear()
@@ -73,8 +82,11 @@ class BakeLand(LandOperator, bpy.types.Operator):
         return {"FINISHED"}
 
 
-def free_folder(wanted: str) -> str:
-    """Return `wanted`, or with a number the first that is free; a path may begin with the .blend file's folder."""
+def unused_path(wanted: str) -> str:
+    """Return a path that does not exist yet: `wanted`, or `wanted` with the first free number.
+
+    The path may begin with "//", the .blend file's folder.
+    """
     number, folder = 1, wanted
     while Path(absolute_path(folder)).exists():
         number += 1
@@ -94,6 +106,7 @@ class ExportHeights(LandOperator, bpy.types.Operator, ExportHelper):
     filter_glob: bpy.props.StringProperty(default=GLOB, options={"HIDDEN"})
 
     def _carry_out(self, obj, depsgraph):
+        """Write the heights and the layers of the shaped land as rasters named after the chosen file."""
         check_export(self.filepath)
         files = export_raster(shaped_field(obj, depsgraph).path, self.filepath)
         self.report({"INFO"}, f"Written: {', '.join(file.name for file in files)}")

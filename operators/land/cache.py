@@ -21,9 +21,10 @@ from ..text.translations import phrase
 
 
 def stored_land(store: str) -> list[tuple[str, Path, int]]:
-    """List what stacks on a store, and on the store that it was baked from, keep and could make again.
+    """List the cached land on disk of a store and of the store that it was baked from.
 
-    Each item is its kind, its folder and its size in bytes. Raises TerrainError for a link.
+    Returns (kind, folder, bytes) each; kind is "shown" (a terrain in this Blender uses it), "not shown now" or
+    "tiles". All of it can be made again. Raises TerrainError for a link.
     """
     session.all_terrains()  # forgets removed objects
     found = []
@@ -36,7 +37,10 @@ def stored_land(store: str) -> list[tuple[str, Path, int]]:
 
 
 def _sources(store: str) -> list[str]:
-    """Return the store, and the one that it was baked from, if it is at its old path or was moved along."""
+    """Return the stores whose stacks may have left data: `store`, and the one that it was baked from.
+
+    The second is found at its old path, or beside `store` if both were moved together.
+    """
     with suppress(TerrainError, OSError, ValueError, KeyError, TypeError):  # a provenance may hold anything
         shaped = stores.read_json(Path(store))["provenance"]["shaped"]
         before = Path(str(shaped["source"]))
@@ -46,7 +50,7 @@ def _sources(store: str) -> list[str]:
     return [store]
 
 
-def lines(store: str) -> list[str]:
+def size_lines(store: str) -> list[str]:
     """Return the lines of the dialog: the folders, and the size of each kind of data."""
     parts, messages = stored_land(store), [str(folder_beside(source)) for source in _sources(store)]
     for what, about in (
@@ -62,6 +66,7 @@ def lines(store: str) -> list[str]:
 
 
 def megabytes(size: float) -> str:
+    """Format bytes as megabytes."""
     return f"{plain(size / 1e6)} MB"
 
 
@@ -73,6 +78,7 @@ class ClearLandCache(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
+        """Refuse while land is being shaped, because that reads the tiles."""
         if not on_terrain(cls, context) or not context.object.adaptive_terrain.store:
             return False
         if jobs.find(jobs.SHAPE):
@@ -81,8 +87,9 @@ class ClearLandCache(bpy.types.Operator):
         return True
 
     def invoke(self, context, _event):
+        """Ask before anything is removed, in a dialog with the sizes."""
         try:
-            self.messages = lines(self._store(context))
+            self.messages = size_lines(self._store(context))
         except TerrainError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -94,6 +101,7 @@ class ClearLandCache(bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
+        """Remove tiles and the land that no terrain shows, and report the freed megabytes."""
         freed = 0
         for what, folder, size in stored_land(self._store(context)):
             if what == "tiles":

@@ -27,7 +27,9 @@ def free_name(name: str, used: set[str]) -> str:
 
 
 def copy_group(source, target) -> None:
-    """Copy all properties that are set in a group, and in groups inside it, to another of its kind."""
+    """Copy the properties that are set in a property group, also in nested groups, to `target`, a group of the same
+    class.
+    """
     for name in dict.fromkeys(source.bl_rna.properties.keys()):
         if name == "rna_type":
             continue

@@ -12,34 +12,39 @@ from ...cbt_terrain.errors import unwritable
 from ...cbt_terrain.run.owned_files import is_real_file, open_folder
 from ...cbt_terrain.run.partial_files import written_beside
 from ..bridge.cleanup import plan_triangles
-from ..bridge.evaluated import found_in
+from ..bridge.evaluated import evaluated_or_still
 from ..layers.images import painted_of
 
 SHADOW_SIDE = 512  # samples of a shadow along the terrain's longer side
 FINE = 4  # points along a side of each of them, which count alike: its rim is soft
 
 
-def of_image(image, folder: Path) -> str:
-    """Write the red of an image to a file, first row in the north; return its path."""
-    painted = painted_of(image, "of a mask")
-    return _written(folder, painted.digest, lambda: painted.values[::-1])
+def write_image_mask(image, folder: Path) -> str:
+    """Write the red channel of an image as a mask file, first row in the north; return its path.
 
-
-def of_shadow(obj, terrain, extent_m: tuple[float, float], depsgraph, folder: Path) -> str:
-    """Write a file that is 1 below and above the mesh `obj` on the plan of a terrain, 0 elsewhere.
-
-    `terrain` is evaluated. Return the file's path.
-
-    extent_m: metres from west to east and from south to north.
+    folder: where masks are stored, named for their content, so that an unchanged mask has the same path.
     """
-    found, matrix = found_in(depsgraph, obj, "mask")
+    painted = painted_of(image, "of a mask")
+    return _write_once(folder, painted.digest, lambda: painted.values[::-1])
+
+
+def write_shadow_mask(obj, terrain, extent_m: tuple[float, float], depsgraph, folder: Path) -> str:
+    """Write a mask that is 1 where the mesh `obj` is above or below the terrain, 0 elsewhere; return its path.
+
+    terrain: evaluated object. extent_m: its size in metres, from west to east and from south to north.
+    """
+    found, matrix = evaluated_or_still(depsgraph, obj, "mask")
     triangles = plan_triangles(found, matrix, Matrix(terrain.matrix_world).inverted_safe(), "mask")
     content = repr(extent_m).encode() + triangles.tobytes()
     digest = hashlib.blake2b(content, digest_size=16).hexdigest()
-    return _written(folder, digest, lambda: shadow(triangles, extent_m)[::-1])
+    return _write_once(folder, digest, lambda: rasterize_shadow(triangles, extent_m)[::-1])
 
 
-def _written(folder: Path, digest: str, make) -> str:
+def _write_once(folder: Path, digest: str, make) -> str:
+    """Write a float32 array to `folder`/`digest`.npy unless the file exists; return its path.
+
+    make: returns the array; called only if the file is missing. Raises TerrainError.
+    """
     path = folder / f"{digest}.npy"
     if is_real_file(path):
         return str(path)
@@ -54,10 +59,10 @@ def _written(folder: Path, digest: str, make) -> str:
     return str(path)
 
 
-def shadow(triangles: np.ndarray, extent_m: tuple[float, float]) -> np.ndarray:
-    """float32 [rows, columns], row 0 south: the part of each sample that lies inside a triangle.
+def rasterize_shadow(triangles: np.ndarray, extent_m: tuple[float, float]) -> np.ndarray:
+    """Return the fraction of each sample that triangles cover on the plan, float32 [rows, columns], row 0 in the south.
 
-    triangles: float64 [n, 3, 2] metres from the middle of the terrain.
+    triangles: float64 [n, 3, 2], metres from the middle of the terrain.
     """
     longer = max(extent_m)
     columns, rows = (max(2, math.ceil(SHADOW_SIDE * length / longer)) for length in extent_m)
@@ -65,12 +70,12 @@ def shadow(triangles: np.ndarray, extent_m: tuple[float, float]) -> np.ndarray:
     scale = np.array([columns * FINE / extent_m[0], rows * FINE / extent_m[1]])
     corners = (triangles + np.array(extent_m) / 2) * scale - 0.5  # point [0, 0] lies half a distance inside
     for triangle in corners:
-        _cover(covered, triangle)
+        _mark_inside(covered, triangle)
     return covered.reshape(rows, FINE, columns, FINE).mean(axis=(1, 3), dtype=np.float32)
 
 
-def _cover(covered: np.ndarray, triangle: np.ndarray) -> None:
-    """Mark the points of a grid inside a triangle, float64 [3, 2] in columns and rows."""
+def _mark_inside(covered: np.ndarray, triangle: np.ndarray) -> None:
+    """Set the points of a grid, bool [rows, columns], inside a triangle, float64 [3, 2] in columns and rows."""
     limit = np.array(covered.shape[::-1])
     low = np.clip(np.ceil(triangle.min(axis=0)), 0, limit).astype(int)
     high = np.clip(np.floor(triangle.max(axis=0)) + 1, 0, limit).astype(int)

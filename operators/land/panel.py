@@ -12,7 +12,7 @@ from .. import jobs
 from ..session import session
 from ..text.numbers import length_text, time_text, unit_text
 from ..text.translations import phrase
-from ..ui.panel_parts import LIMITS, TerrainSubpanel, draw_band, figures, fixed_lines, show_terrain
+from ..ui.panel_parts import LIMITS, TerrainSubpanel, draw_band, draw_figures, draw_fixed_lines, show_terrain
 from . import shaped_land
 from . import stack as land_stack
 from .presets import FOLDER, PRESET_PANEL, PRESETS, SHIPPED, SUFFIX, AddLandPreset, ApplyLandPreset, user_files
@@ -29,6 +29,7 @@ class LandList(bpy.types.UIList):
     bl_idname = "ADAPTIVE_TERRAIN_UL_land"
 
     def draw_item(self, context, layout, _data, entry, _icon, _active_data, _active_name, index):
+        """Draw the row of one entry: its switch, name, mask icon, and the time that it took."""
         row = layout.row(align=True)
         row.prop(entry, "on", text="", icon="CHECKBOX_HLT" if entry.on else "CHECKBOX_DEHLT", emboss=False)
         row = row.split(factor=NAME_WIDTH, align=True)
@@ -93,6 +94,7 @@ class LandPanel(TerrainSubpanel):
         LandPresets.draw_panel_header(self.layout)
 
     def draw(self, context):
+        """Draw the list with its buttons, the row that shapes the land, and three lines about the state."""
         obj = show_terrain(self.layout, context)
         land, state = obj.adaptive_terrain.land, shaped_land.state_of(obj)
         row = self.layout.row()
@@ -108,26 +110,26 @@ class LandPanel(TerrainSubpanel):
         self._columns().prop(land, "where")
         _draw_shaping(self.layout.row(align=True), obj, state)
         box = self.layout.box().column(align=True)
-        figures(box, status_lines(state), factor=0.3)
-        fixed_lines(box, state.note, NOTE_LINES)
+        draw_figures(box, status_lines(state), factor=0.3)
+        draw_fixed_lines(box, state.note, NOTE_LINES)
 
 
 def _draw_shaping(row, obj, state) -> None:
-    """Draw one row: the button, or the progress of shaping with the buttons that end it."""
+    """Draw one row: the button Shape Now, or the progress of shaping with the buttons that end it."""
     job, wait = jobs.find(jobs.SHAPE, obj), shaped_land.render_wait_of(obj)
     if wait is not None:
         row.progress(factor=wait.fraction, text=phrase("Render: {}", wait.brief))
         return
     if job is None:
         row.enabled = wanted = state.wanted or state.active and bool(session.record_of(obj).status.error)
-        text = _shape_now(obj) if wanted else "Shaped" if state.active else "Nothing to Shape"
+        text = _shape_button_text(obj) if wanted else "Shaped" if state.active else "Nothing to Shape"
         row.operator("adaptive_terrain.shape", text=text, icon="RNDCURVE" if wanted else "CHECKMARK")
         return
     row = jobs.draw_progress(row, job)
     row.operator("adaptive_terrain.shape_finish", text="", icon="CHECKMARK")
 
 
-def _shape_now(obj) -> str:
+def _shape_button_text(obj) -> str:
     """Return the text of the button, with the estimated seconds if they are known."""
     seconds = shaped_land.seconds_to_shape(obj)
     if seconds is None:
@@ -137,7 +139,7 @@ def _shape_now(obj) -> str:
 
 
 def status_lines(state) -> list[tuple[str, str]]:
-    """Return three lines, whatever the state."""
+    """Return three (name, value) lines about a LandState: always three, so that no row moves."""
     tiles = phrase("{} of {}", *(f"{number:,}" for number in state.tiles)) if state.tiles else "-"
     shown = phrase(state.shown)
     shown = phrase("{}, {} apart", shown, length_text(state.step_m)) if state.step_m else shown
@@ -158,13 +160,14 @@ class LandEffectPanel(TerrainSubpanel):
         return terrain is not None and 0 <= (land := terrain.adaptive_terrain.land).active < len(land.entries)
 
     def draw(self, context):
+        """Draw the chosen entry: what its effect is, its parameters, seed and mask."""
         land = show_terrain(self.layout, context).adaptive_terrain.land
         entry = land.entries[land.active]
         effect = HEIGHT_OPERATORS.get(entry.effect)
         if effect is None:
-            fixed_lines(self.layout.column(align=True), str(land_stack.unknown(entry.effect)), 4)
+            draw_fixed_lines(self.layout.column(align=True), str(land_stack.unknown_operator(entry.effect)), 4)
             return
-        fixed_lines(self.layout.column(align=True), effect.about, ABOUT_LINES)
+        draw_fixed_lines(self.layout.column(align=True), effect.about, ABOUT_LINES)
         column = self._columns()
         column.active = entry.on
         for parameter in effect.parameters:
@@ -175,6 +178,7 @@ class LandEffectPanel(TerrainSubpanel):
 
 
 def _draw_mask(column, mask) -> None:
+    """Draw the settings of an entry's mask: of an image, an object or rules, whichever it uses."""
     column.separator()
     column.prop(mask, "kind")
     if mask.kind == BY_IMAGE:
@@ -199,18 +203,19 @@ class LandLayersPanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_land"
 
     def draw(self, context):
+        """Draw a row for each layer that the stack leaves, with the number of its readers."""
         statuses = session.record_of(session.shown_terrain(context)).status.effects
         column = self.layout.column(align=True)
-        layers = shaped_land.layers_of(session.shown_terrain(context).adaptive_terrain.land)
+        layers = shaped_land.layers_left_by(session.shown_terrain(context).adaptive_terrain.land)
         for layer in layers:
             row = column.split(factor=0.55)
             row.label(text=f"{layer.name} ({unit_text(layer.unit)})" if layer.unit else layer.name)
-            row.label(text=_reading(statuses.get(layer.name)))
+            row.label(text=_readers_text(statuses.get(layer.name)))
         if not layers:
             column.label(text="None", icon="INFO")
 
 
-def _reading(status) -> str:
+def _readers_text(status) -> str:
     """Return how many readers a layer has; the panel *Attributes* names them."""
     if status is None:
         return "No update yet"

@@ -42,14 +42,14 @@ STILL = {"update": changed, "options": set()}
 
 
 def number_of(parameter: Parameter, group) -> float:
-    """Return a parameter's number in a property group, in the declaration's unit and within its range.
+    """Return a parameter's value from an entry's property group, in the declared unit and range.
 
-    Blender stores 24 bits: a number that agrees with the default to 24 bits is the default.
+    Blender stores float32: a value that equals the default in float32 is returned as the exact default.
     """
     value = getattr(group, parameter.name)
     if isinstance(parameter.default, int):
         return min(max(value, int(parameter.min)), int(parameter.max))
-    if np.float32(value) == np.float32(_stored(parameter, parameter.default)) or not math.isfinite(value):
+    if np.float32(value) == np.float32(_to_blender(parameter, parameter.default)) or not math.isfinite(value):
         return parameter.default
     value = math.degrees(value) if parameter.unit == DEGREES else value
     return min(max(float(f"{value:.7g}"), parameter.min), parameter.max)
@@ -57,14 +57,16 @@ def number_of(parameter: Parameter, group) -> float:
 
 def set_number(parameter: Parameter, group, value: float) -> None:
     """Set a parameter's number in a property group, in the declaration's unit."""
-    setattr(group, parameter.name, value if isinstance(parameter.default, int) else _stored(parameter, value))
+    setattr(group, parameter.name, value if isinstance(parameter.default, int) else _to_blender(parameter, value))
 
 
-def _stored(parameter: Parameter, value: float) -> float:
+def _to_blender(parameter: Parameter, value: float) -> float:
+    """Convert a parameter's value from its declared unit to Blender's: degrees to radians."""
     return math.radians(value) if parameter.unit == DEGREES else value
 
 
-def _property(parameter: Parameter):
+def _make_property(parameter: Parameter):
+    """Return the Blender property for a declared parameter, with its label, unit, range and default."""
     known, about = UNITS.get(parameter.unit, {}), parameter.about
     label = parameter.name.replace("_", " ").title()
     if parameter.unit and not known and parameter.unit != parameter.name:
@@ -74,7 +76,7 @@ def _property(parameter: Parameter):
     words = {"name": label, "description": about} | STILL
     if isinstance(parameter.default, int):
         return IntProperty(**words, default=parameter.default, min=int(parameter.min), max=int(parameter.max))
-    low, high, default = (_stored(parameter, value) for value in (parameter.min, parameter.max, parameter.default))
+    low, high, default = (_to_blender(parameter, value) for value in (parameter.min, parameter.max, parameter.default))
     if not parameter.unit and (low, high) == (0.0, 1.0):
         known = {"subtype": "FACTOR"}
     # About as many digits of a default of 2e-6 as of one of 300,000; where it is 0, of all that is usual.
@@ -82,13 +84,14 @@ def _property(parameter: Parameter):
     return FloatProperty(**words, default=default, min=low, max=high, precision=digits, **known)
 
 
-def _settings_of(effect: HeightOperator) -> type:
-    numbers = {parameter.name: _property(parameter) for parameter in effect.parameters}
+def _make_group(effect: HeightOperator) -> type:
+    """Return a PropertyGroup class with a property for each parameter of a height operator."""
+    numbers = {parameter.name: _make_property(parameter) for parameter in effect.parameters}
     members = {"__annotations__": numbers, "__doc__": effect.about}
     return type(f"AdaptiveTerrainLand_{effect.name}", (bpy.types.PropertyGroup,), members)
 
 
-GROUPS = {name: _settings_of(effect) for name, effect in HEIGHT_OPERATORS.items()}
+GROUPS = {name: _make_group(effect) for name, effect in HEIGHT_OPERATORS.items()}
 
 
 # What rules of masks are about -> its group, in the order of the menu.

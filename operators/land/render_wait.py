@@ -41,11 +41,12 @@ class LandWait:
 
     @property
     def text(self) -> str:
+        """Return the progress as one line for the image editor and the console."""
         return phrase("Shaping land, {} ({})", self.brief, self.message)
 
     @property
     def brief(self) -> str:
-        """The progress for a narrow panel."""
+        """Return the fraction done and the estimated seconds left, for a narrow panel."""
         rest = 1.0 - self.fraction
         left = rest * self.estimate
         if self.fraction >= KNOWN:  # coarse levels come first and are slower than planned
@@ -73,14 +74,15 @@ def _on_shaping(land: Land, fraction: float, message: str) -> None:
         return
     if wait is None or wait.folder != land.folder:
         now = time.monotonic()
-        wait = LandWait(land.folder, now, _estimate(land), printed=now)
+        wait = LandWait(land.folder, now, _estimate_seconds(land), printed=now)
     wait.fraction, wait.message, waiting = fraction, message, wait
     if bpy.app.background and time.monotonic() - wait.printed >= PRINTED_S:
         wait.printed = time.monotonic()
         print_line(f"Adaptive Terrain: {wait.text}")
 
 
-def _estimate(land: Land) -> float:
+def _estimate_seconds(land: Land) -> float:
+    """Return the expected seconds of shaping land, infinity if they are unknown."""
     with suppress(TerrainError, OSError):
         found = estimate_seconds(land.source, land.stack, derived_store.preview_of(land), land.of_views)
         return math.inf if found is None else found
@@ -126,7 +128,8 @@ class CancelWaiting(bpy.types.Operator):
         return {"PASS_THROUGH"}
 
 
-def _draw() -> None:
+def _draw_over_render() -> None:
+    """Draw the progress at the lower left of an image editor: a render that waits has no other display."""
     wait = waiting
     if wait is None:
         return
@@ -144,7 +147,7 @@ def start() -> None:
     global _handle
     derived_store.on_shaping = _on_shaping
     if not bpy.app.background:
-        _handle = bpy.types.SpaceImageEditor.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
+        _handle = bpy.types.SpaceImageEditor.draw_handler_add(_draw_over_render, (), "WINDOW", "POST_PIXEL")
 
 
 def stop() -> None:

@@ -13,6 +13,7 @@ from .properties import SEEN
 
 
 def _notify(sentence: str) -> None:
+    """Print a sentence of the engine about its stores."""
     print_line(f"Adaptive Terrain: {sentence}")
 
 
@@ -20,10 +21,10 @@ derived_store.notify = _notify
 
 
 def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
-    """Return the land that a terrain's stack makes of its source; None without a stack.
+    """Return the Land to shape from a terrain's store by its stack; None without an active stack.
 
-    None, too, for a terrain that the viewport does not show, unless the caller waits for the store: no preview is made
-    for it. Raises TerrainError.
+    None, too, for a hidden terrain unless `waits`. `waits`: the caller, such as a render, waits for shaped land;
+    otherwise a preview is enough. Raises TerrainError.
     """
     settings = evaluated.adaptive_terrain
     if not settings.store or not any(entry.on for entry in settings.land.entries):

@@ -40,7 +40,7 @@ class _Rest:
 
 @dataclass
 class _Making:
-    """The land that is being made for a terrain with the request `key`. `begun`: result of `_begin`."""
+    """The land that is being made for a terrain with the request `key`. `begun`: result of `_create_job`."""
 
     uid: int
     key: tuple
@@ -56,8 +56,8 @@ _left: set[str] = set()  # land that the user has stopped, or that failed: not b
 _chooser: ThreadPoolExecutor | None = None  # tiles are chosen by all heights: too long for the main thread
 
 
-def concerned() -> bool:
-    """Return whether `turn` has work: the terrains of many scenes have no land."""
+def has_work() -> bool:
+    """Return whether `turn` has work; quick, so that the timer may ask at each tick."""
     global _looked
     if _making is not None:
         return True
@@ -68,6 +68,7 @@ def concerned() -> bool:
 
 
 def _may_be_finer(uid: int, record: session.Record) -> bool:
+    """Return whether a terrain's land could be shaped more finely than at its last update."""
     request, rest = record.status.request, _rests.get(uid)
     if request is None or record.live_key is None or rest is not None and rest.done and rest.key == record.live_key:
         return False
@@ -75,18 +76,22 @@ def _may_be_finer(uid: int, record: session.Record) -> bool:
 
 
 def turn(shown: Iterable[tuple], idle: bool) -> bool:
-    """Advance the job that runs, or begin one; return whether meshes have to be updated.
+    """Advance the running job, or start one for a terrain that rests; return whether meshes have to be updated.
 
-    shown: dependency graph and object of every terrain in a window. idle: no update is under way.
+    shown: (dependency graph, object) of every terrain in a window. idle: no update is running.
     """
     global _making
     terrains = {obj.session_uid: (depsgraph, obj) for depsgraph, obj in shown}
     if _making is not None:
-        return _look_after(terrains.get(_making.uid))
+        return _advance_job(terrains.get(_making.uid))
     for uid, (depsgraph, obj) in terrains.items() if idle else ():
-        if jobs.find(jobs.SHAPE, obj) is None and _rests_long(obj) and (land := _land(obj, depsgraph)) is not None:
-            begun = _pool().submit(_begin, land, obj.adaptive_terrain.land.where == SEEN)
-            job = jobs.BackgroundJob(jobs.SHAPE, uid, lambda job, begun=begun: _steps(job, begun))
+        if (
+            jobs.find(jobs.SHAPE, obj) is None
+            and _has_rested(obj)
+            and (land := _land_to_make(obj, depsgraph)) is not None
+        ):
+            begun = _start_thread().submit(_create_job, land, obj.adaptive_terrain.land.where == SEEN)
+            job = jobs.BackgroundJob(jobs.SHAPE, uid, lambda job, begun=begun: _shape_in_steps(job, begun))
             job.message = CHOOSING
             _making = _Making(uid, _rests[uid].key, land, job, begun)
             break
@@ -96,25 +101,26 @@ def turn(shown: Iterable[tuple], idle: bool) -> bool:
 def give_way() -> None:
     """End the job: the same land is needed at once."""
     if _making is not None:
-        _end(_making)
+        _end_job(_making)
 
 
 def stop() -> None:
-    """End the job: another file is opened, or the extension is disabled."""
+    """Stop the running job and forget all terrains, because another file is opened or the extension is disabled."""
     give_way()
     _rests.clear()
     _left.clear()
 
 
-def _pool() -> ThreadPoolExecutor:
+def _start_thread() -> ThreadPoolExecutor:
+    """Return the thread on which tiles are chosen; it is started at the first call."""
     global _chooser
     if _chooser is None:
         _chooser = ThreadPoolExecutor(max_workers=1, thread_name_prefix="adaptive_terrain_land")
     return _chooser
 
 
-def _rests_long(obj) -> bool:
-    """Return whether the terrain has shown the same for REST_S, and its land may get finer."""
+def _has_rested(obj) -> bool:
+    """Return whether a terrain has shown the same for REST_S seconds, and its land may get finer."""
     record, settings = session.record_of(obj), obj.adaptive_terrain
     if not settings.live or settings.frozen or record.status.error or not _may_be_finer(obj.session_uid, record):
         return False
@@ -124,31 +130,33 @@ def _rests_long(obj) -> bool:
     return not rest.done and time.monotonic() - rest.since >= REST_S
 
 
-def _land(obj, depsgraph) -> Land | None:
-    """Return the land to make for the views of the last update; None if there is none."""
+def _land_to_make(obj, depsgraph) -> Land | None:
+    """Return the land to shape for the views of the last update; None if all exists or the user stopped it."""
     request = session.record_of(obj).status.request
-    land = _of_settings(obj, depsgraph)
+    land = _current_land(obj, depsgraph)
     if land is None or land.is_shaped and not land.of_views or land.of_views_alone.folder in _left:
         _rests[obj.session_uid].done = True
         return None
-    return replace(land.of_views_alone, seen=_seen(request))
+    return replace(land.of_views_alone, seen=_tiles_in_view(request))
 
 
-def _of_settings(obj, depsgraph) -> Land | None:
+def _current_land(obj, depsgraph) -> Land | None:
+    """Return the land by the terrain's present settings, None without one or if they are invalid."""
     try:
         return land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=False)
     except TerrainError:
         return None  # the update reports the error
 
 
-def _seen(request: Request) -> requested_tiles.SeenTiles:
+def _tiles_in_view(request: Request) -> requested_tiles.SeenTiles:
+    """Return the views of a request as the description of the tiles that shaping needs."""
     scale = request.vertical_scale, request.vertical_offset
     return requested_tiles.SeenTiles(
         tuple(request.views), np.array(request.placement), request.criterion.error_px, *scale
     )
 
 
-def _begin(land: Land, tiles_alone: bool) -> tuple[ShapeJob, requested_tiles.Tiles | None, Land] | None:
+def _create_job(land: Land, tiles_alone: bool) -> tuple[ShapeJob, requested_tiles.Tiles | None, Land] | None:
     """Return a new job, its tiles and its land, None if all tiles exist. Slow: call it on another thread.
 
     The job makes the whole land where that costs less than the tiles, unless renders need `tiles_alone`.
@@ -162,8 +170,11 @@ def _begin(land: Land, tiles_alone: bool) -> tuple[ShapeJob, requested_tiles.Til
     return *derived_store.begin_shaping(land, session.open_field, gentle=True), land
 
 
-def _steps(job: jobs.BackgroundJob, begun: Future) -> jobs.Steps:
-    """Return whether there was land to make."""
+def _shape_in_steps(job: jobs.BackgroundJob, begun: Future) -> jobs.Steps:
+    """Wait for `_create_job` and then for its child process, as steps of a job; return whether any land was made.
+
+    begun: future of `_create_job`.
+    """
     while not begun.done():
         yield
     if begun.result() is None:
@@ -174,17 +185,20 @@ def _steps(job: jobs.BackgroundJob, begun: Future) -> jobs.Steps:
     return True
 
 
-def _look_after(terrain: tuple | None) -> bool:
-    """Advance the job that runs, and return whether its land exists now."""
+def _advance_job(terrain: tuple | None) -> bool:
+    """Advance the running job, or end it if its terrain changed; return whether its land exists now.
+
+    terrain: (dependency graph, object), None if no window shows it any more.
+    """
     making, job = _making, _making.job
-    if terrain is None or not terrain[1].adaptive_terrain.live or job.stopped or _is_other(terrain):
+    if terrain is None or not terrain[1].adaptive_terrain.live or job.stopped or _has_new_settings(terrain):
         if job.stopped:
             _left.add(making.land.folder)
-        _end(making)
+        _end_job(making)
         return False
     if not job.advance():
         return False
-    _end(making)
+    _end_job(making)
     if job.error:
         _left.add(making.land.folder)
         session.record_of(terrain[1]).status.error = job.error
@@ -193,23 +207,24 @@ def _look_after(terrain: tuple | None) -> bool:
     return bool(job.result)
 
 
-def _is_other(terrain: tuple) -> bool:
-    """Return whether the terrain's settings mean another land by now."""
+def _has_new_settings(terrain: tuple) -> bool:
+    """Return whether the terrain's settings describe other land than the one that is being made."""
     key = session.record_of(terrain[1]).live_key
     if key == _making.key:
         return False
-    _making.key, land = key, _of_settings(terrain[1], terrain[0])
+    _making.key, land = key, _current_land(terrain[1], terrain[0])
     return land is None or land.of_views_alone.folder != _making.land.folder
 
 
-def _end(making: _Making) -> None:
+def _end_job(making: _Making) -> None:
     """End the job, even if its child process has not started yet."""
     global _making
     _making = None
     making.job.close()
-    making.begun.add_done_callback(_stop_late)
+    making.begun.add_done_callback(_cancel_child)
 
 
-def _stop_late(begun: Future) -> None:
+def _cancel_child(begun: Future) -> None:
+    """Cancel the child process of a job that was ended before `_create_job` had started the process."""
     if not begun.cancelled() and begun.exception() is None and begun.result() is not None:
         begun.result()[0].cancel()

@@ -15,13 +15,16 @@ from ...cbt_terrain.view.view import View
 from .. import jobs
 from ..job_operator import JobOperator
 from ..session import live, session
-from ..session.shot import frames_of, look_through
+from ..session.shot import frames_of, visit_views
 from . import resting_land
 from .request import land_of
 
 
 def wanted_land(obj, depsgraph, views: list[View] = ()) -> Land:
-    """Return the land to shape: everywhere, or where these views look. Raises TerrainError if there is none."""
+    """Return the land that Shape Now has to make: everywhere, or only the tiles that `views` see.
+
+    Raises TerrainError if the stack is empty or switched off.
+    """
     evaluated = obj.evaluated_get(depsgraph)
     land = land_of(obj, evaluated, depsgraph, waits=True)
     if land is not None and land.of_views and views:
@@ -36,7 +39,7 @@ def wanted_land(obj, depsgraph, views: list[View] = ()) -> Land:
 
 
 def check_is_shaped(obj, depsgraph) -> None:
-    """Raise TerrainError if the land is not shaped yet: a button that needs it at once would block the window."""
+    """Raise TerrainError unless the land is completely shaped: shaping it for a button would block the window."""
     land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
     if land is not None and not land.is_shaped:
         raise TerrainError(
@@ -45,20 +48,21 @@ def check_is_shaped(obj, depsgraph) -> None:
         )
 
 
-def _check_is_seen(obj, depsgraph) -> None:
+def _check_is_visible(obj, depsgraph) -> None:
+    """Raise TerrainError for a terrain that is hidden in viewports and renders, which is never shaped."""
     if obj.hide_render and not obj.visible_get(view_layer=depsgraph.view_layer):
         raise TerrainError(
             f"The terrain {obj.name!r} is hidden in viewports and in renders, and is not shaped", fix="show it"
         )
 
 
-def _views(obj, scene, land: Land, frames: list[int]):
+def _visit_views(obj, scene, land: Land, frames: list[int]):
     """Visit frames if only visible land is to be fine; yield their views at last."""
     if not land.of_views:
         yield []
         return
     placement = np.array(obj.matrix_world, np.float64)
-    yield from look_through(obj, scene, frames, placement)
+    yield from visit_views(obj, scene, frames, placement)
 
 
 def next_unshaped(context):
@@ -83,8 +87,8 @@ class _Shaping(JobOperator):
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         obj, scene, depsgraph = self.subject(context), context.scene, context.evaluated_depsgraph_get()
-        _check_is_seen(obj, depsgraph)
-        visits = _views(obj, scene, wanted_land(obj, depsgraph), self.frames(scene))
+        _check_is_visible(obj, depsgraph)
+        visits = _visit_views(obj, scene, wanted_land(obj, depsgraph), self.frames(scene))
         views = yield from jobs.visit_frames(job, visits)
         land = wanted_land(job.terrain(), bpy.context.evaluated_depsgraph_get(), views)
         derived_store.is_whole(land, session.open_field)  # removes damaged land
@@ -115,10 +119,13 @@ class ShapeLand(_Shaping, bpy.types.Operator):
         return self.job.child is None  # the scene's frames are being visited
 
     def execute(self, context):
+        """Shape the land at once, without a child process or a progress bar: a script waits for it."""
         obj, scene = context.object, context.scene
         try:
-            _check_is_seen(obj, context.evaluated_depsgraph_get())
-            *_, views = _views(obj, scene, wanted_land(obj, context.evaluated_depsgraph_get()), self.frames(scene))
+            _check_is_visible(obj, context.evaluated_depsgraph_get())
+            *_, views = _visit_views(
+                obj, scene, wanted_land(obj, context.evaluated_depsgraph_get()), self.frames(scene)
+            )
             derived_store.raster_of("", wanted_land(obj, context.evaluated_depsgraph_get(), views), session.open_field)
         except TerrainError as error:
             return self.fail(obj, str(error))
@@ -177,6 +184,7 @@ class FinishShaping(bpy.types.Operator):
         return job is not None and job.child is not None
 
     def execute(self, context):
+        """Let the child process stop after its present level; the finished levels become the land."""
         jobs.find(jobs.SHAPE, context.object).child.finish_early()
         return {"FINISHED"}
 

@@ -60,6 +60,7 @@ class LandState:
 
     @property
     def total_ms(self) -> float | None:
+        """Return the milliseconds that all entries took together, None if unknown."""
         return sum(self.ms.values()) if self.ms else None
 
     @property
@@ -82,17 +83,21 @@ def seconds_to_shape(obj) -> float | None:
         return None
     beside = folder_beside(request.land.source)
     try:
-        return _estimate(request.land, beside.stat().st_mtime_ns if beside.exists() else 0)
+        return _estimate_seconds(request.land, beside.stat().st_mtime_ns if beside.exists() else 0)
     except (TerrainError, OSError):
         return None
 
 
 @functools.lru_cache(maxsize=64)
-def _estimate(land: Land, _changed_ns: int) -> float | None:
+def _estimate_seconds(land: Land, _changed_ns: int) -> float | None:
+    """Return the expected seconds of shaping land.
+
+    `_changed_ns`: last change of its folder, part of the cache's key.
+    """
     return estimate_seconds(land.source, land.stack, preview_of(land), land.of_views)
 
 
-def _why_source(obj) -> str:
+def _why_not_shown(obj) -> str:
     """Return why the mesh does not show the stack."""
     if session.record_of(obj).status.error:
         return phrase(NOTES[FAILED])
@@ -107,22 +112,24 @@ def _why_source(obj) -> str:
 
 
 def store_of(obj) -> str:
-    """Return the store of a terrain's mesh, or its source if it shows a preview or nothing."""
+    """Return the store that a terrain's mesh shows: shaped land, or the imported store for a preview or without a
+    stack.
+    """
     source = absolute_path(obj.adaptive_terrain.store)
     request = session.record_of(obj).status.request
-    shown = _shown(request) if request is not None else ""
+    shown = _shaped_store(request) if request is not None else ""
     return shown if Path(shown).parent == folder_beside(source) else source
 
 
-def _shown(request) -> str:
-    """Return the store of a request's mesh, "" for a preview."""
+def _shaped_store(request) -> str:
+    """Return the store of a request's mesh, "" if the mesh shows a preview of the stack."""
     if request.land is None:
         return request.store
     return request.land.folder if request.land.waits else ""
 
 
 def active_numbers(land) -> list[int]:
-    """Return the numbers of the entries that are on and not masked out."""
+    """Return the positions in the list of the entries that are on and not masked out."""
     return [n for n, e in enumerate(land.entries) if e.on and (e.mask.kind == EVERYWHERE or e.mask.factor > 0.0)]
 
 
@@ -131,7 +138,7 @@ def state_of(obj) -> LandState:
     numbers = active_numbers(obj.adaptive_terrain.land)
     if not numbers:
         return LandState()
-    state, found = _as_updated(obj, numbers), imported_of(obj.adaptive_terrain)
+    state, found = _state_after_update(obj, numbers), imported_of(obj.adaptive_terrain)
     state = replace(state, seen=is_of_views(store_of(obj)))
     longer = max(found.extent_m) if found is not None else SMALL_M
     if longer < SMALL_M:  # such as the terrain of the Add menu
@@ -140,7 +147,11 @@ def state_of(obj) -> LandState:
     return state
 
 
-def _as_updated(obj, numbers: list[int]) -> LandState:
+def _state_after_update(obj, numbers: list[int]) -> LandState:
+    """Return the LandState by the last update: a preview, shaped land, or neither, with the reason.
+
+    numbers: positions of the active entries in the list.
+    """
     request = session.record_of(obj).status.request
     if request is not None and request.land is not None and not request.land.waits:
         found = preview_of(request.land)
@@ -148,9 +159,9 @@ def _as_updated(obj, numbers: list[int]) -> LandState:
             late = phrase(found.without)
             note = phrase("{} takes too long for a preview: Shape Now", late) if late else phrase(NOTES[PREVIEW])
             return LandState(True, PREVIEW, found.step_m, None, _by_number(numbers, found.ms), note)
-    info = _shaping_info(_shown(request)) if request is not None and _shown(request) else None
+    info = _shaping_info(_shaped_store(request)) if request is not None and _shaped_store(request) else None
     if info is None:
-        return LandState(True, note=_why_source(obj))
+        return LandState(True, note=_why_not_shown(obj))
     tiles, note = (sum(map(len, info.tiles)), sum(info.tile_counts)), ""
     if info.doubtful:
         note = phrase(DOUBTFUL, phrase(info.doubtful), f"{MAX_WHOLE:,}")
@@ -163,6 +174,7 @@ def _as_updated(obj, numbers: list[int]) -> LandState:
 
 
 def _by_number(numbers: list[int], ms) -> dict[int, float]:
+    """Return milliseconds by the positions of the active entries; entries added since the update have none."""
     return dict(zip(numbers, ms, strict=False))  # the list may have changed since the update
 
 
@@ -182,15 +194,19 @@ class _ShapingInfo:
 
 
 def _shaping_info(store: str) -> _ShapingInfo | None:
-    """Return the provenance of a shaped store, None for a source's store."""
+    """Return the provenance of a shaped store, None for a store that no stack has made."""
     try:
-        return _read(store, (Path(store) / stores.JSON_NAME).stat().st_mtime_ns)
+        return _read_provenance(store, (Path(store) / stores.JSON_NAME).stat().st_mtime_ns)
     except OSError:
         return None
 
 
 @functools.lru_cache(maxsize=64)
-def _read(store: str, _changed_ns: int) -> _ShapingInfo | None:
+def _read_provenance(store: str, _changed_ns: int) -> _ShapingInfo | None:
+    """Read the provenance of a shaped store, None if it has none.
+
+    `_changed_ns`: last change of its file, part of the cache's key.
+    """
     try:
         shaped = stores.read_json(Path(store))["provenance"]["shaped"]
         ms = [0.0] * (1 + max((added["entry"] for added in shaped["added"]), default=-1))
@@ -199,19 +215,20 @@ def _read(store: str, _changed_ns: int) -> _ShapingInfo | None:
         names = ("tiles", "tile_counts", "left_out_rms_m", "left_out_most_m", "finished_early")
         step_m = min((added["spacing_m"] for added in shaped["added"]), default=0.0)
         some = {level for level, tiles in enumerate(shaped["tiles"]) if len(tiles) < shaped["tile_counts"][level]}
-        whole = (_label(added["effect"]) for added in shaped["added"] if added["whole"] and added["level"] in some)
-        doubtful = next((_label(added["effect"]) for added in shaped["added"] if added.get("doubtful", False)), "")
+        whole = (_label_of(added["effect"]) for added in shaped["added"] if added["whole"] and added["level"] in some)
+        doubtful = next((_label_of(added["effect"]) for added in shaped["added"] if added.get("doubtful", False)), "")
         return _ShapingInfo(step_m, tuple(ms), *(shaped[name] for name in names), doubtful, next(whole, ""))
     except (TerrainError, KeyError, IndexError, TypeError, AttributeError):  # a provenance may hold anything
         return None
 
 
-def _label(effect: str) -> str:
+def _label_of(effect: str) -> str:
+    """Return the label of a height operator, or its name if this version does not have it."""
     return HEIGHT_OPERATORS[effect].label if effect in HEIGHT_OPERATORS else effect
 
 
-def layers_of(land) -> list[LandLayer]:
-    """Return the layers of the active entries, each once."""
+def layers_left_by(land) -> list[LandLayer]:
+    """Return the layers that the active entries leave in the shaped store, each once."""
     effects = [
         HEIGHT_OPERATORS[land.entries[n].effect]
         for n in active_numbers(land)

@@ -18,8 +18,8 @@ from .entries import add_entry
 from .properties import BY_IMAGE, BY_OBJECT, BY_RULE, EVERYWHERE, GROUPS, RULES, number_of, set_number
 
 
-def unknown(effect: str) -> TerrainError:
-    """Return the error for an entry whose effect this version does not have."""
+def unknown_operator(effect: str) -> TerrainError:
+    """Return the error for an entry whose height operator this version does not have."""
     return TerrainError(
         f"The effect {effect!r} is not one of this version's",
         expected=f"one of {', '.join(HEIGHT_OPERATORS)}",
@@ -28,33 +28,38 @@ def unknown(effect: str) -> TerrainError:
 
 
 def stack_of(terrain, depsgraph, masks: Path) -> Stack:
-    """Return the stack of the evaluated `terrain`: the entries that are on.
+    """Return the engine's stack of the entries that are on, from the evaluated object `terrain`.
 
-    Raises TerrainError for one that is not valid.
-
-    masks: the folder that images and shadows of objects are written to.
+    masks: folder for the files of masks by images and objects. Raises TerrainError for an invalid entry.
     """
     entries = [entry for entry in terrain.adaptive_terrain.land.entries if entry.on]
-    stack = Stack(tuple(_entry(entry, terrain, depsgraph, masks) for entry in entries))
+    stack = Stack(tuple(_to_engine(entry, terrain, depsgraph, masks) for entry in entries))
     stack.check(f"The stack of {terrain.name!r}")
     return stack
 
 
-def _entry(entry, terrain, depsgraph, masks: Path) -> Entry:
+def _to_engine(entry, terrain, depsgraph, masks: Path) -> Entry:
+    """Return the engine's Entry for an entry of the settings."""
     if entry.effect not in GROUPS:
-        raise unknown(entry.effect)
-    mask = _mask(entry, terrain, depsgraph, masks)
-    return Entry(entry.effect, _parameters(entry), entry.seed, True, mask, entry.name)
+        raise unknown_operator(entry.effect)
+    mask = _mask_of(entry, terrain, depsgraph, masks)
+    return Entry(entry.effect, _changed_parameters(entry), entry.seed, True, mask, entry.name)
 
 
-def _parameters(entry) -> dict[str, float]:
-    """Return the parameters that differ from their defaults."""
+def _changed_parameters(entry) -> dict[str, float]:
+    """Return the parameters of an entry that differ from their defaults, in declared units."""
     declared = HEIGHT_OPERATORS[entry.effect].parameters
     numbers = [(parameter, number_of(parameter, getattr(entry, entry.effect))) for parameter in declared]
     return {parameter.name: number for parameter, number in numbers if number != parameter.default}
 
 
-def _mask(entry, terrain, depsgraph, masks: Path) -> HeightMask | None:
+def _mask_of(entry, terrain, depsgraph, masks: Path) -> HeightMask | None:
+    """Return the mask of an entry for the engine, None if it acts everywhere.
+
+    Raises TerrainError.
+
+    Images and shadows of objects are written into the folder `masks`.
+    """
     mask = entry.mask
     if mask.kind == EVERYWHERE:
         return None
@@ -72,20 +77,25 @@ def _mask(entry, terrain, depsgraph, masks: Path) -> HeightMask | None:
         )
     file = ""
     if mask.kind == BY_IMAGE:
-        file = land_masks.of_image(mask.image, masks)
+        file = land_masks.write_image_mask(mask.image, masks)
     elif mask.kind == BY_OBJECT:
-        file = land_masks.of_shadow(mask.object, terrain, _extent_of(terrain), depsgraph, masks)
-    return HeightMask(file, _rules(mask) if mask.kind == BY_RULE else (), mask.factor)
+        file = land_masks.write_shadow_mask(mask.object, terrain, _extent_of(terrain), depsgraph, masks)
+    return HeightMask(file, _rules_of(mask) if mask.kind == BY_RULE else (), mask.factor)
 
 
 def _extent_of(terrain) -> tuple[float, float]:
+    """Return a terrain's size in metres from west to east and from south to north.
+
+    Raises TerrainError without a store.
+    """
     found = imported_of(terrain.adaptive_terrain)
     if found is None:
         raise no_heights(terrain)
     return found.extent_m
 
 
-def _rules(mask) -> tuple[GroundRule, ...]:
+def _rules_of(mask) -> tuple[GroundRule, ...]:
+    """Return the rules of a mask that are switched on; slopes become degrees, limits at the end of their range open."""
     found = []
     for of in RULES:
         band = getattr(mask, of)
@@ -114,7 +124,7 @@ def preset_of(land) -> Stack:
     found = []
     for entry in land.entries:
         if entry.effect not in GROUPS:
-            raise unknown(entry.effect)
+            raise unknown_operator(entry.effect)
         mask, kind = None, entry.mask.kind
         if kind == BY_IMAGE and entry.mask.image is not None:
             image = absolute_path(entry.mask.image.filepath)
@@ -126,15 +136,18 @@ def preset_of(land) -> Stack:
                 )
             mask = HeightMask(image, (), entry.mask.factor)
         elif kind == BY_RULE:
-            mask = HeightMask("", _rules(entry.mask), entry.mask.factor)
-        found.append(Entry(entry.effect, _parameters(entry), entry.seed, entry.on, mask, entry.name))
+            mask = HeightMask("", _rules_of(entry.mask), entry.mask.factor)
+        found.append(Entry(entry.effect, _changed_parameters(entry), entry.seed, entry.on, mask, entry.name))
     stack = Stack(tuple(found))
     stack.check()
     return stack
 
 
 def fill(land, stack: Stack) -> list[str]:
-    """Replace the stack of a terrain's settings by the engine's; return sentences about lost parts."""
+    """Replace the stack in a terrain's settings by `stack` of the engine, such as a preset's.
+
+    Returns a sentence for each part that the settings cannot hold.
+    """
     land.entries.clear()
     left_out = []
     for number, given in enumerate(stack.entries, 1):
@@ -152,6 +165,7 @@ def fill(land, stack: Stack) -> list[str]:
 
 
 def _fill_mask(mask, given: HeightMask) -> list[str]:
+    """Set the mask of an entry from the engine's; return a sentence for each part that was left out."""
     left_out = []
     mask.kind, mask.factor = BY_RULE, given.factor
     if given.image:

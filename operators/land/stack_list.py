@@ -13,7 +13,8 @@ MAX_ENTRIES = 32
 STARTS = {"mean_curvature": 0.0, "flow": 1e5, "wetness": 8.0}
 
 
-def _items(_self, _context):
+def _effect_items(_self, _context):
+    """Return the enum items of all height operators; Blender calls it when it draws the menu."""
     return _ITEMS
 
 
@@ -25,8 +26,9 @@ class _StackOperator(TerrainOperator):
     bl_options = {"REGISTER", "UNDO"}
 
     def execute(self, context):
+        """Change the stack of the active terrain, and update the terrain if `_change_stack` did anything."""
         land = context.object.adaptive_terrain.land
-        done = self._change(land)
+        done = self._change_stack(land)
         if done:
             context.object.update_tag()
         return {"FINISHED"} if done else {"CANCELLED"}
@@ -35,10 +37,12 @@ class _StackOperator(TerrainOperator):
 class _EntryOperator(_StackOperator):
     @classmethod
     def poll(cls, context):
+        """Require a chosen entry, besides a terrain."""
         return super().poll(context) and 0 <= (land := context.object.adaptive_terrain.land).active < len(land.entries)
 
 
-def _has_room(operator, land) -> bool:
+def _check_room(operator, land) -> bool:
+    """Return whether the stack may get another entry; report an error if not."""
     if len(land.entries) < MAX_ENTRIES:
         return True
     operator.report({"ERROR"}, f"The stack has {MAX_ENTRIES} effects, which is the most: remove one first.")
@@ -51,13 +55,14 @@ class AddLandEffect(_StackOperator, bpy.types.Operator):
     bl_idname = "adaptive_terrain.land_add"
     bl_label = "Add Land Effect"
 
-    effect: bpy.props.EnumProperty(name="Effect", description="Kind of the land effect", items=_items)
+    effect: bpy.props.EnumProperty(name="Effect", description="Kind of the land effect", items=_effect_items)
 
-    def _change(self, land) -> bool:
-        if not _has_room(self, land):
+    def _change_stack(self, land) -> bool:
+        """Add the chosen effect below the active entry; return whether the stack changed."""
+        if not _check_room(self, land):
             return False
         add_entry(land, self.effect)
-        _place_last(land)
+        _move_new_below_active(land)
         return True
 
 
@@ -67,15 +72,16 @@ class DuplicateLandEffect(_EntryOperator, bpy.types.Operator):
     bl_idname = "adaptive_terrain.land_duplicate"
     bl_label = "Duplicate Land Effect"
 
-    def _change(self, land) -> bool:
-        if not _has_room(self, land):
+    def _change_stack(self, land) -> bool:
+        """Copy the active entry with all settings; return whether the stack changed."""
+        if not _check_room(self, land):
             return False
         number = land.active
         name = free_name(land.entries[number].name, {entry.name for entry in land.entries})
         copy = add_entry(land, land.entries[number].effect)
         copy_group(land.entries[number], copy)
         copy.name = name
-        _place_last(land)
+        _move_new_below_active(land)
         return True
 
 
@@ -85,7 +91,8 @@ class RemoveLandEffect(_EntryOperator, bpy.types.Operator):
     bl_idname = "adaptive_terrain.land_remove"
     bl_label = "Remove Land Effect"
 
-    def _change(self, land) -> bool:
+    def _change_stack(self, land) -> bool:
+        """Remove the active entry and choose the one above it; return True."""
         land.entries.remove(land.active)
         land.active = max(0, min(land.active, len(land.entries) - 1))
         return True
@@ -101,7 +108,8 @@ class MoveLandEffect(_EntryOperator, bpy.types.Operator):
         name="By", description="Rows to move; below 0 is up", default=1, min=-MAX_ENTRIES, max=MAX_ENTRIES
     )
 
-    def _change(self, land) -> bool:
+    def _change_stack(self, land) -> bool:
+        """Move the active entry `by` places; return False at the end of the list."""
         to = land.active + self.by
         if not 0 <= to < len(land.entries):
             return False
@@ -122,7 +130,8 @@ class AddLandRule(_EntryOperator, bpy.types.Operator):
                for of, group in RULES.items()],
     )  # fmt: skip
 
-    def _change(self, land) -> bool:
+    def _change_stack(self, land) -> bool:
+        """Switch on a rule of the active entry's mask, with a low limit that suits its quantity."""
         rule = getattr(land.entries[land.active].mask, self.of)
         rule.use = True
         if self.of in STARTS and not rule.is_property_set("low"):
@@ -130,8 +139,8 @@ class AddLandRule(_EntryOperator, bpy.types.Operator):
         return True
 
 
-def _place_last(land) -> None:
-    """Move the last entry below the chosen one, and choose it."""
+def _move_new_below_active(land) -> None:
+    """Move the last entry, which was just added, below the active one, and make it the active one."""
     last = len(land.entries) - 1
     to = min(land.active + 1, last)
     land.entries.move(last, to)

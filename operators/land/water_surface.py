@@ -56,12 +56,13 @@ class AddWaterSurface(TerrainObjectOperator, bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
+        """Create or update the water object below the active terrain, and report its size and sea level."""
         terrain = context.object
         water = existing_water(terrain)
         level = self.level if self.properties.is_property_set("level") else water and water.get(LEVEL)
-        surface, sea = _surface(terrain, level)
+        surface, sea = _water_mesh(terrain, level)
         water = water or _add_water(terrain)
-        write_mesh(water.data, _placed(surface, terrain.adaptive_terrain))
+        write_mesh(water.data, _with_vertical_scale(surface, terrain.adaptive_terrain))
         before, is_new = shown_sea(terrain), SEA not in water
         if level is not None:
             water[LEVEL] = level
@@ -77,10 +78,11 @@ class AddWaterSurface(TerrainObjectOperator, bpy.types.Operator):
         return {"FINISHED"}
 
 
-def _surface(terrain, level: float | None) -> tuple[Surface, float | None]:
+def _water_mesh(terrain, level: float | None) -> tuple[Surface, float | None]:
     """Return the water of a terrain, and the level of its sea; None where the land has its own water.
 
-    level: that of the sea in metres, None for the land's own water or else a level that shows water.
+    level: of the sea in metres; None for the land's own water, or else a level that shows water. Raises
+    TerrainError.
     """
     store, depsgraph = store_path(terrain), bpy.context.evaluated_depsgraph_get()
     land = land_of(terrain, terrain.evaluated_get(depsgraph), depsgraph, waits=True)
@@ -95,8 +97,8 @@ def _surface(terrain, level: float | None) -> tuple[Surface, float | None]:
     return surface, level
 
 
-def _placed(surface: Surface, settings) -> Surface:
-    """Apply the vertical scale and offset of the terrain."""
+def _with_vertical_scale(surface: Surface, settings) -> Surface:
+    """Return a surface with the vertical scale and offset of the terrain applied."""
     positions = surface.positions * np.float32([1.0, 1.0, settings.vertical_scale])
     positions[:, 2] += np.float32(settings.vertical_offset)
     return replace(surface, positions=positions)
@@ -108,6 +110,7 @@ def button_text(terrain) -> str:
 
 
 def _add_water(terrain):
+    """Create an object for the water of a terrain, parented to it, with a water material."""
     name = f"{terrain.name} Water"
     water = bpy.data.objects.new(name, bpy.data.meshes.new(name))
     water[MARK] = True

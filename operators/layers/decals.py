@@ -8,33 +8,36 @@ import numpy as np
 
 from ...cbt_terrain.attributes.decals import Decal, DecalPicture, picture
 from ...cbt_terrain.view.linear import inverse, length, product
-from ..bridge.evaluated import found_in
+from ..bridge.evaluated import evaluated_or_still
 from .images import cached_value
 
 # IEC 61966-2-1, of each byte.
 LINEAR = np.array([c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (k / 255 for k in range(256))])
 
 
-def decals_given(terrain, placement: np.ndarray, depsgraph, tilts: bool) -> dict[str, object]:
-    """Return the parameter "decals" of effects, if there are any: normal maps if `tilts`, else colours.
+def decal_parameters(terrain, placement: np.ndarray, depsgraph, tilts: bool) -> dict[str, object]:
+    """Return the parameter "decals" of attributes, {} without decals: normal maps if `tilts`, else colours.
 
-    placement: of the terrain, float64 [4, 4]. Raises TerrainError for an empty that stands upright, for an image
-    without pixels, and for a hidden one that Blender would have to move.
+    placement: the terrain's matrix to the world, float64 [4, 4]. Raises TerrainError for an empty that stands
+    upright, an image without pixels, or a hidden empty that Blender would have to evaluate.
     """
     found = []
     for child in terrain.original.children_recursive:
-        if child.type == "EMPTY" and child.empty_display_type == "IMAGE" and _tilts(child.data) == tilts:
-            empty, matrix = found_in(depsgraph, child, "decal")
+        if child.type == "EMPTY" and child.empty_display_type == "IMAGE" and _is_normal_map(child.data) == tilts:
+            empty, matrix = evaluated_or_still(depsgraph, child, "decal")
             if not empty.hide_render:
                 matrix = product(inverse(placement), np.array(matrix, np.float64))
-                found.append((float(matrix[2, 3]), child.name_full, _decal(child.name, empty, matrix)))
+                found.append((float(matrix[2, 3]), child.name_full, _to_decal(child.name, empty, matrix)))
     return {"decals": tuple(decal for *_, decal in sorted(found, key=lambda item: item[:2]))} if found else {}
 
 
-def _decal(name: str, empty, matrix: np.ndarray) -> Decal:
-    """`matrix`: from the empty's space to the terrain's. The longer side of an image is as long as the empty's size."""
+def _to_decal(name: str, empty, matrix: np.ndarray) -> Decal:
+    """Return the Decal of an image empty.
+
+    matrix: from the empty's space to the terrain's. An empty's size is the length of the image's longer side.
+    """
     image = empty.data.original
-    picture = cached_value(image, DecalPicture, f"of the decal {name!r}", _picture)
+    picture = cached_value(image, DecalPicture, f"of the decal {name!r}", _to_picture)
     sides = np.array(image.size, np.float64) * np.array(image.display_aspect, np.float64)
     sides *= empty.empty_display_size / sides.max()
     along, up = matrix[:2, 0] * sides[0], matrix[:2, 1] * sides[1]
@@ -45,12 +48,13 @@ def _decal(name: str, empty, matrix: np.ndarray) -> Decal:
     return Decal(name, picture, *(tuple(v.tolist()) for v in (corner, along, up)), float(opacity))
 
 
-def _tilts(image) -> bool | None:
+def _is_normal_map(image) -> bool | None:
+    """Return whether a decal's image is a normal map, None without an image."""
     return None if image is None else image.colorspace_settings.is_data
 
 
-def _picture(image, pixels: np.ndarray) -> DecalPicture:
-    """Return a picture of float32 pixels [rows, columns, channels], as Blender stores them."""
+def _to_picture(image, pixels: np.ndarray) -> DecalPicture:
+    """Return a DecalPicture from Blender's pixels, float32 [rows, columns, channels]: linear colours and alpha."""
     channels = pixels.shape[2]
     alpha = pixels[..., 3:] if channels == 4 and image.alpha_mode != "NONE" else np.ones_like(pixels[..., :1])
     colors = pixels[..., :3] if channels >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
@@ -58,4 +62,4 @@ def _picture(image, pixels: np.ndarray) -> DecalPicture:
         colors = colors / np.maximum(alpha, np.float32(1e-6))
     elif not image.is_float and image.colorspace_settings.name == "sRGB":
         colors = LINEAR[(np.clip(colors, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)]
-    return picture(np.concatenate([colors, alpha], axis=2), _tilts(image))
+    return picture(np.concatenate([colors, alpha], axis=2), _is_normal_map(image))

@@ -24,11 +24,15 @@ _read: dict[tuple[str, type], tuple[tuple, object]] = {}
 
 
 def painted_of(image, user: str = "of a splat layer") -> Painted:
-    """Return the red of an image, row 0 south. Raises TerrainError for an image without pixels."""
-    return cached_value(image, Painted, user, _painted)
+    """Return the red channel of an image as a Painted, row 0 in the south, cached until the image changes.
+
+    user: its reader in words, for errors. Raises TerrainError for an image without pixels.
+    """
+    return cached_value(image, Painted, user, _to_painted)
 
 
-def _painted(_image, pixels: np.ndarray) -> Painted:
+def _to_painted(_image, pixels: np.ndarray) -> Painted:
+    """Return the red channel of pixels, float32 [rows, columns, channels], limited to 0 .. 1."""
     return Painted(np.clip(np.nan_to_num(pixels[..., 0]), 0.0, 1.0))
 
 
@@ -43,7 +47,7 @@ def cached_value(image, kind: type[T], user: str, make: Callable[[object, np.nda
     mark = *image.size, image.filepath, image.channels, image.colorspace_settings.name, image.alpha_mode
     cached = _read.get((image.name_full, kind))
     if cached is None or cached[0] != mark:
-        _check_whole(image, user)
+        _check_not_truncated(image, user)
         columns, rows = image.size
         if not image.channels or not rows * columns:
             raise TerrainError(
@@ -59,7 +63,7 @@ def cached_value(image, kind: type[T], user: str, make: Callable[[object, np.nda
 
 
 def check_image_files(image, user: str) -> None:
-    """Raise TerrainError where Blender would wait for the pixels of an image: its file is a pipe or a device."""
+    """Raise TerrainError if a file of an image is a pipe or a device: Blender would wait for it forever."""
     if image.source == "GENERATED" or image.packed_file is not None:
         return
     path = Path(absolute_path(image.filepath_raw, library=image.library))
@@ -80,8 +84,8 @@ def numbered_files(path: Path, source: str) -> list[Path]:
     return list(path.parent.glob("*".join(map(glob.escape, re.split(number, path.name)))))
 
 
-def _check_whole(image, user: str) -> None:
-    """Raise TerrainError for a truncated PNG, of which Blender shows the missing part in black."""
+def _check_not_truncated(image, user: str) -> None:
+    """Raise TerrainError for a truncated PNG: Blender would show the missing part in black."""
     if image.is_dirty or image.source != "FILE":
         return  # painted: the file does not matter
     path = Path(absolute_path(image.filepath_raw, library=image.library))

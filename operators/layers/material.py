@@ -52,19 +52,19 @@ class LayerSources:
     tile: float = 0.0
 
 
-def reads(sources: LayerSources) -> tuple[str, ...]:
-    """Return the names of the effects that the group reads as attributes."""
+def attribute_names(sources: LayerSources) -> tuple[str, ...]:
+    """Return the names of the attributes that the group reads: of sources without a baked map."""
     groups = range(-(-len(sources.layers) // A_GROUP))
     names = [f"splat_{group + 1}" for group in groups] + list(sources.light)
     return tuple(name for name in names if name not in sources.maps)
 
 
 def dress(obj, sources: LayerSources) -> bpy.types.Material:
-    """Give the object a material with the group, or build the group of the one that it has again.
+    """Give the object a material with the group, or rebuild the group of the material that it has; return the material.
 
-    What another object wears too, or another file has, stays as it is: the object gets a copy.
+    A material that another object uses, or that is linked from a file, is copied first.
     """
-    material, node = _find(obj) or _create(obj)
+    material, node = _find_group(obj) or _create_material(obj)
     names = _socket_names([name for name, _ in sources.layers])
     layers = [(name, colour) for name, (_, colour) in zip(names, sources.layers, strict=True)]
     sources = replace(sources, layers=layers)
@@ -72,7 +72,7 @@ def dress(obj, sources: LayerSources) -> bpy.types.Material:
     side = max(high[0] - low[0], high[1] - low[1])
     had = set(node.inputs.keys())
     build_group(node.node_tree, sources, side / FIELDS if side > 0 else 1.0)
-    for item in _inputs(node.node_tree):
+    for item in _input_sockets(node.node_tree):
         if item.name not in had:  # the node's own socket was made before this had its value
             node.inputs[item.name].default_value = item.default_value
     for name, colour in sources.layers:
@@ -93,7 +93,7 @@ def new_plain_material(name: str, color: tuple[float, float, float], size: float
     n = Nodes(tree)
     variation, length = n.add("ShaderNodeValue", label=VARIATION), n.add("ShaderNodeValue", label=SIZE)
     variation.outputs[0].default_value, length.outputs[0].default_value = 0.5, size
-    varied = _varied(n, color, _noise(n, length.outputs[0]), variation.outputs[0])
+    varied = _add_variation(n, color, _add_noise(n, length.outputs[0]), variation.outputs[0])
     inputs = {"Base Color": varied, "Roughness": 0.9, "Specular IOR Level": 0.2}
     n.add("ShaderNodeOutputMaterial", {"Surface": n.add("ShaderNodeBsdfPrincipled", inputs).outputs[0]})
     n.arrange()
@@ -115,12 +115,15 @@ def is_bare(obj) -> bool:
     return all(slot.material is None for slot in obj.material_slots)
 
 
-def _find(obj) -> tuple[bpy.types.Material, bpy.types.Node] | None:
-    """Return the object's first material that has the group, and the group's node."""
+def _find_group(obj) -> tuple[bpy.types.Material, bpy.types.Node] | None:
+    """Return the object's first material that has the group, and the group's node, as copies if they are shared.
+
+    None without one.
+    """
     for slot in obj.material_slots:
         node = _group_node(slot.material)
         if node is not None:
-            if slot.material.library is not None or _is_worn_by_others(slot.material, obj):
+            if slot.material.library is not None or _is_used_by_others(slot.material, obj):
                 slot.material = slot.material.copy()
                 node = _group_node(slot.material)
                 node.node_tree = node.node_tree.copy()
@@ -129,19 +132,21 @@ def _find(obj) -> tuple[bpy.types.Material, bpy.types.Node] | None:
 
 
 def _group_node(material) -> bpy.types.Node | None:
+    """Return the node of a material that has the group, None without one."""
     for node in material.node_tree.nodes if material is not None and material.node_tree else ():
         if node.type == "GROUP" and node.node_tree is not None and MARK in node.node_tree:
             return node
     return None
 
 
-def _is_worn_by_others(material, obj) -> bool:
+def _is_used_by_others(material, obj) -> bool:
+    """Return whether an object with another mesh uses the material."""
     others = (other for other in bpy.data.objects if other.data != obj.data)
     return any(slot.material == material for other in others for slot in other.material_slots)
 
 
-def _create(obj) -> tuple[bpy.types.Material, bpy.types.Node]:
-    """Create a material in the object's first slot."""
+def _create_material(obj) -> tuple[bpy.types.Material, bpy.types.Node]:
+    """Create a material with an empty group in the object's first slot; return it and the group's node."""
     material = bpy.data.materials.new(f"{obj.name} Material")
     tree = tree_of_new(material)
     tree.nodes.clear()
@@ -171,9 +176,9 @@ def _socket_names(names: Sequence[str]) -> list[str]:
 
 
 def build_group(tree, sources: LayerSources, size: float) -> None:
-    """Fill the node group `tree`; its inputs keep their links where it is built again.
+    """Build the nodes of the group `tree` anew; links to its inputs stay.
 
-    `size`: metres, of the variation at first.
+    size: default of the input Variation Size, metres.
     """
     names = [name for name, _ in sources.layers]
     light = {SKY: OCCLUSION, SUN: SHADOW}
@@ -184,28 +189,31 @@ def build_group(tree, sources: LayerSources, size: float) -> None:
     tree.nodes.clear()
     n = Nodes(tree)
     given = n.add("NodeGroupInput").outputs
-    noise = _noise(n, given[SIZE])
-    colour = _mixed(n, sources, [given[name] for name in names], noise) if names else PLAIN
+    noise = _add_noise(n, given[SIZE])
+    colour = _add_mixture(n, sources, [given[name] for name in names], noise) if names else PLAIN
     if COLORS in sources.maps:
-        colour = _texture(n, sources, COLORS)["Color"]
-    colour = _varied(n, colour, noise, given[VARIATION])
+        colour = _add_map(n, sources, COLORS)["Color"]
+    colour = _add_variation(n, colour, noise, given[VARIATION])
     for name in sources.light:
-        seen = _value(n, sources, name)
+        seen = _add_value(n, sources, name)
         darker = n.math("SUBTRACT", 1.0, n.math("MULTIPLY", given[light[name]], n.math("SUBTRACT", 1.0, seen)))
         colour = n.scaled(colour, darker)
     out = n.add("NodeGroupOutput", {COLOUR: colour})
     if NORMAL in sources.maps:
-        normal = n.add("ShaderNodeNormalMap", {"Color": _texture(n, sources, NORMAL)["Color"]}, space="OBJECT")
+        normal = n.add("ShaderNodeNormalMap", {"Color": _add_map(n, sources, NORMAL)["Color"]}, space="OBJECT")
         tree.links.new(normal.outputs[0], out.inputs["Normal"])
     n.arrange()
-    for item in _inputs(tree):
+    for item in _input_sockets(tree):
         if item.socket_type == "NodeSocketFloat":
             item.min_value, item.max_value = 0.0, 1e6 if item.name == SIZE else 1.0
             item.default_value = {VARIATION: 0.5, SIZE: size, OCCLUSION: 0.4, SHADOW: 0.0}[item.name]
 
 
 def _set_interface(tree, inputs: Mapping[str, str], outputs: Mapping[str, str]) -> None:
-    """Give the group these sockets in this order; existing sockets stay with their links."""
+    """Give the group these sockets in this order; sockets that exist already stay with their links.
+
+    inputs, outputs: socket type by name.
+    """
     for panel in [item for item in tree.interface.items_tree if item.item_type == "PANEL"]:
         tree.interface.remove(panel)
     wanted = [(name, kind, "OUTPUT") for name, kind in outputs.items()]  # which Blender keeps before the inputs
@@ -218,23 +226,24 @@ def _set_interface(tree, inputs: Mapping[str, str], outputs: Mapping[str, str]) 
         tree.interface.move(item, place)
 
 
-def _inputs(tree) -> list:
+def _input_sockets(tree) -> list:
+    """Return the input sockets of a group's interface."""
     items = tree.interface.items_tree
     return [item for item in items if item.item_type == "SOCKET" and item.in_out == "INPUT"]
 
 
-def _value(n: Nodes, sources: LayerSources, name: str):
-    """Read a number of an effect from its map or its attribute."""
+def _add_value(n: Nodes, sources: LayerSources, name: str):
+    """Add nodes that read one number of an attribute, from its baked map or the attribute; return the output."""
     if name in sources.maps:
-        return n.add("ShaderNodeSeparateColor", {0: _texture(n, sources, name)["Color"]}).outputs[0]
+        return n.add("ShaderNodeSeparateColor", {0: _add_map(n, sources, name)["Color"]}).outputs[0]
     return n.add("ShaderNodeAttribute", attribute_name=name).outputs["Fac"]
 
 
-def _texture(n: Nodes, sources: LayerSources, name: str):
-    """Read the image of a map at the terrain's own coordinates: its Color and Alpha.
+def _add_map(n: Nodes, sources: LayerSources, name: str):
+    """Add nodes that read the baked map of an attribute at the terrain's position; return outputs "Color" and "Alpha".
 
-    At the border of two tiles EEVEE takes the jump from one to the other for the derivative of the coordinates, and
-    shows the mean of a whole tile in a line of a pixel or two. So the image is read there without mips, with cubic
+    At the border of two tiles EEVEE takes the jump from one tile to the other for a derivative, and shows the mean
+    of a whole tile in a line of a pixel or two. So the image is read there without mipmaps, with cubic
     interpolation.
     """
     place = sources.place(n.tree) if sources.place else None
@@ -244,13 +253,13 @@ def _texture(n: Nodes, sources: LayerSources, name: str):
     if place is None or given["image"].source != "TILED":
         return {name: found[name] for name in ("Color", "Alpha")}
     sharp = n.add("ShaderNodeTexImage", inputs, interpolation="Cubic", **given).outputs
-    near = _near_seams(n, place, sources.tile)
+    near = _add_seam_mask(n, place, sources.tile)
     alpha = n.math("MULTIPLY_ADD", near, n.math("SUBTRACT", sharp["Alpha"], found["Alpha"]), found["Alpha"])
     return {"Color": n.mix(near, found["Color"], sharp["Color"]), "Alpha": alpha}
 
 
-def _near_seams(n: Nodes, place, tile: float):
-    """Return 1 within a few pixels of the border between tiles of `tile` metres, else 0."""
+def _add_seam_mask(n: Nodes, place, tile: float):
+    """Add nodes that give 1 within a few pixels of the border between tiles of `tile` metres, else 0."""
     off = n.vector("ABSOLUTE", n.vector("SUBTRACT", n.vector("FRACTION", place), (0.5, 0.5, 0.5)))
     x, y, _ = n.add("ShaderNodeSeparateXYZ", {0: off}).outputs
     inside = n.math("SUBTRACT", 0.5 - MARGIN, n.math("MAXIMUM", x, y))
@@ -258,18 +267,21 @@ def _near_seams(n: Nodes, place, tile: float):
     return n.math("LESS_THAN", inside, n.math("MULTIPLY", away, SEAM / max(tile, 1e-9)))
 
 
-def _weights(n: Nodes, sources: LayerSources, group: int):
-    """Return the weights of four layers: three as a vector, and the fourth."""
+def _add_weights(n: Nodes, sources: LayerSources, group: int):
+    """Add nodes that read the weights of the four layers of a group: three as a colour, and the fourth as alpha."""
     name = f"splat_{group + 1}"
     if name in sources.maps:
-        outputs = _texture(n, sources, name)
+        outputs = _add_map(n, sources, name)
     else:
         outputs = n.add("ShaderNodeAttribute", attribute_name=name).outputs
     return outputs["Color"], outputs["Alpha"]
 
 
-def _noise(n: Nodes, size):
-    """Return three different numbers of about -1 .. 1 from two noises; the finer noise fades with the distance."""
+def _add_noise(n: Nodes, size):
+    """Add two octaves of noise; return a vector of three different mixtures, about -1 .. 1 each.
+
+    size: metres. Each octave fades with distance, so that it does not flicker.
+    """
     place = n.vector("MULTIPLY", n.add("ShaderNodeTexCoord").outputs["Object"], (1.0, 1.0, BANDED))
     away = n.add("ShaderNodeCameraData").outputs["View Distance"]
     parts = []
@@ -284,15 +296,18 @@ def _noise(n: Nodes, size):
     return n.add("ShaderNodeCombineXYZ", inputs).outputs[0]
 
 
-def _mixed(n: Nodes, sources: LayerSources, colours: Sequence, noise):
-    """Mix the layers' colours by their weights; the noise makes the borders ragged."""
+def _add_mixture(n: Nodes, sources: LayerSources, colours: Sequence, noise):
+    """Add nodes that mix the layers' colours by their weights; the noise makes the borders ragged.
+
+    Return the colour.
+    """
     three = n.vector("MULTIPLY_ADD", noise, (RAGGED, RAGGED, RAGGED), (1.0, 1.0, 1.0))
     three = n.vector("MAXIMUM", three, (1.0 - RAGGED,) * 3)
     opposite = n.math("SUBTRACT", 2.0, n.add("ShaderNodeSeparateXYZ", {0: three}).outputs[0])
     fourth = n.math("MAXIMUM", opposite, 1.0 - RAGGED)
     colour = total = None
     for first in range(0, len(colours), A_GROUP):
-        vector, alpha = _weights(n, sources, first // A_GROUP)
+        vector, alpha = _add_weights(n, sources, first // A_GROUP)
         shares = list(n.add("ShaderNodeSeparateXYZ", {0: n.vector("MULTIPLY", vector, three)}).outputs)
         shares.append(n.math("MULTIPLY", alpha, fourth))
         for share, layer in zip(shares, colours[first : first + A_GROUP], strict=False):
@@ -302,8 +317,11 @@ def _mixed(n: Nodes, sources: LayerSources, colours: Sequence, noise):
     return n.scaled(colour, n.math("DIVIDE", 1.0, n.math("MAXIMUM", total, 1e-6)))
 
 
-def _varied(n: Nodes, colour, noise, variation):
-    """Lighter and darker, warmer and colder."""
+def _add_variation(n: Nodes, colour, noise, variation):
+    """Add nodes that make a colour lighter or darker, warmer or colder by the noise; return the colour.
+
+    variation: socket of the strength, 0 .. 1.
+    """
     first, _, third = n.add("ShaderNodeSeparateXYZ", {0: noise}).outputs
     grey, warm = n.scaled(LIGHTER, first), n.scaled(WARMER, third)
     factor = n.vector("ADD", (1.0, 1.0, 1.0), n.scaled(n.vector("ADD", grey, warm), variation))

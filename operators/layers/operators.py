@@ -28,6 +28,7 @@ class AddLayer(_LayerOperator, bpy.types.Operator):
         return super().poll(context) and len(context.object.adaptive_terrain.layers) < MAX_LAYERS
 
     def execute(self, context):
+        """Add a layer with a free name and another seed below the active one."""
         settings = context.object.adaptive_terrain
         layers, names = settings.layers, {layer.name for layer in settings.layers}
         layer = layers.add()
@@ -68,6 +69,7 @@ class MoveLayer(_LayerOperator, bpy.types.Operator):
     )
 
     def execute(self, context):
+        """Move the active layer `by` places; cancel at the end of the list."""
         settings = context.object.adaptive_terrain
         to = settings.active_layer + self.by
         if not 0 <= to < len(settings.layers):
@@ -87,6 +89,7 @@ class AddPreset(TerrainOperator, AddPresetBase, bpy.types.Operator):
     preset_subdir = PRESETS
 
     def add(self, context, filepath: str) -> None:
+        """Write the preset file; Blender's AddPresetBase calls it."""
         Path(filepath).write_text(preset_text(context.object.adaptive_terrain.layers), encoding="utf-8")
 
 
@@ -103,7 +106,10 @@ def preset_text(layers) -> str:
 
 
 def _assignments(path: str, group) -> list[str]:
-    """Return an assignment for each member of a property group that differs from its default."""
+    """Return Python assignments for the members of a property group that were set, also in nested groups.
+
+    path: expression of the group, such as `layer.height`.
+    """
     lines = []
     names = dict.fromkeys(group.bl_rna.properties.keys())  # one that replaces another is there twice
     for item in (group.bl_rna.properties[name] for name in names if name != "rna_type"):
@@ -113,12 +119,12 @@ def _assignments(path: str, group) -> list[str]:
                 lines += _assignments(f"{path}.{item.identifier}", value)
         elif group.is_property_set(item.identifier) and not (item.is_readonly or item.is_hidden):
             value = tuple(value) if getattr(item, "is_array", False) else value
-            lines.append(f"{path}.{item.identifier} = {_shown(value)}")
+            lines.append(f"{path}.{item.identifier} = {_literal(value)}")
     return lines
 
 
-def _shown(value) -> str:
-    """Return a value as text; numbers have float32's seven digits."""
+def _literal(value) -> str:
+    """Return a value as Python text; numbers have float32's seven digits."""
     if isinstance(value, tuple):
-        return f"({', '.join(map(_shown, value))})"
+        return f"({', '.join(map(_literal, value))})"
     return f"{value:.7g}" if isinstance(value, float) else repr(value)

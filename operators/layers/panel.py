@@ -16,6 +16,7 @@ class LayerList(bpy.types.UIList):
     bl_idname = "ADAPTIVE_TERRAIN_UL_layers"
 
     def draw_item(self, _context, layout, _data, layer, _icon, _active_data, _active_name):
+        """Draw the row of one layer: its colour, name, icons of its mask and image, and whether it is on top."""
         row = layout.row(align=True)
         swatch = row.row()
         swatch.ui_units_x = 1.0
@@ -49,6 +50,7 @@ class LayersPanel(TerrainSubpanel):
         LayerPresets.draw_panel_header(self.layout)
 
     def draw(self, context):
+        """Draw the list with its buttons, and the settings of the active layer."""
         settings = show_terrain(self.layout, context).adaptive_terrain
         row = self.layout.row()
         row.template_list(LayerList.bl_idname, "", settings, "layers", settings, "active_layer", rows=4)
@@ -65,6 +67,7 @@ class LayersPanel(TerrainSubpanel):
 
 
 def _draw_layer(column, settings, layer) -> None:
+    """Draw the rules, the mask and the displacement of one layer."""
     draw_rules(column, layer)
     column.prop_search(layer, "mask", settings, "layers")
     column.separator()
@@ -73,7 +76,10 @@ def _draw_layer(column, settings, layer) -> None:
 
 
 def draw_rules(column, layer) -> None:
-    """Draw the settings of a layer that depend on no other layer."""
+    """Draw the rules for the ground that a layer covers, without its mask by another layer.
+
+    Scatters have the same rules.
+    """
     column.prop(layer, "strength")
     for kind in BANDS:
         band = getattr(layer, kind)

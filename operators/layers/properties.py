@@ -33,9 +33,11 @@ def band(
     decades: bool = False,
     **options,
 ) -> type:
-    """Return a property group with a switch and the limits of one quantity.
+    """Return a PropertyGroup class for a rule about one quantity: a switch, a low and a high limit, and a soft edge.
 
-    ends: the range; a limit at its end is open. decades: the edge is in powers of ten, which have no unit.
+    about: the quantity in words, for tooltips. low, high, edge: defaults. ends: range of the limits; a limit at an
+    end of the range is open. decades: the edge is in powers of ten, so it has no unit. options: further arguments
+    of the limits.
     """
     lowest, highest = ends
     options = {"min": lowest, "max": highest, "update": changed, "precision": 3} | options
@@ -102,8 +104,8 @@ class AspectSettings(bpy.types.PropertyGroup):
     )  # fmt: skip
 
 
-def _renamed(self, context) -> None:
-    """Give the layer's new name to the masks of other layers and to the scatters that name it."""
+def _on_rename(self, context) -> None:
+    """Update the layers' masks and the scatters that name a layer, after the user has renamed it."""
     terrain, before = self.id_data, self.last_name
     self.last_name = self.name
     layers = terrain.adaptive_terrain.layers
@@ -120,7 +122,7 @@ def _renamed(self, context) -> None:
 class LayerSettings(bpy.types.PropertyGroup):
     """A splat layer: its colour, and the rules for the ground that it covers."""
 
-    name: StringProperty(name="Name", default="Layer", update=_renamed)
+    name: StringProperty(name="Name", default="Layer", update=_on_rename)
     last_name: StringProperty(options={"HIDDEN"})
     color: FloatVectorProperty(
         name="Color",
@@ -206,25 +208,25 @@ def _numbers(layer: rules.Layer) -> list[float]:
 
 
 def layers_of(settings) -> tuple[rules.Layer, ...]:
-    """Return the layers of a terrain's settings for the effects, empty for none.
+    """Return the layers of a terrain's settings for the engine, () without any.
 
-    Raises TerrainError for one that is not valid.
+    Raises TerrainError for an invalid one.
     """
-    found = tuple(_layer(settings.layers, number) for number in range(len(settings.layers)))
+    found = tuple(_layer_of(settings.layers, number) for number in range(len(settings.layers)))
     if found:
         rules.check(found)
     return found
 
 
-def layers_given(settings) -> dict[str, object]:
-    """Return the parameters of the splat effects that differ from their defaults."""
+def layer_parameters(settings) -> dict[str, object]:
+    """Return the parameter "layers" of the splat attributes; {} for a terrain with the default layers."""
     layers = layers_of(settings)
     return {"layers": layers} if layers else {}
 
 
-def color_given(settings) -> dict[str, object]:
-    """Return the parameters of the effect "color" that come from the layers and differ from their defaults."""
-    layers = layers_given(settings)
+def color_parameters(settings) -> dict[str, object]:
+    """Return the parameters "layers" and "colors" of the attribute "color"; {} for the default layers."""
+    layers = layer_parameters(settings)
     return layers | {"colors": tuple(color for _, color in colors_of(settings))} if layers else {}
 
 
@@ -235,16 +237,17 @@ def colors_of(settings) -> list[tuple[str, tuple[float, float, float]]]:
     return [(layer.name, tuple(layer.color)) for layer in settings.layers]
 
 
-def _layer(layers, number: int) -> rules.Layer:
+def _layer_of(layers, number: int) -> rules.Layer:
+    """Return the layer at position `number` of the list, with its mask by another layer."""
     settings = layers[number]
     alone = layer_alone(settings)
     if not settings.mask:
         return alone
-    return replace(alone, rules=(*alone.rules, rules.covering(_number_of(layers, settings.mask, number))))
+    return replace(alone, rules=(*alone.rules, rules.covering(_find_mask(layers, settings.mask, number))))
 
 
 def layer_alone(settings) -> rules.Layer:
-    """Return the layer of a LayerSettings without masks by other layers."""
+    """Return the layer of a LayerSettings with its own rules, without its mask by another layer."""
     found = []
     for kind in BANDS:
         band = getattr(settings, kind)
@@ -267,8 +270,8 @@ def rule_of(kind: str, band) -> rules.Rule:
     return rules.Rule(kind, low, high, band.edge)
 
 
-def barren(layers: tuple[rules.Layer, ...]) -> str:
-    """Name the layers that cover nothing anywhere, and why; "" if all may cover something."""
+def empty_layers_note(layers: tuple[rules.Layer, ...]) -> str:
+    """Return a sentence that names the layers that cover nothing anywhere and why; "" if there are none."""
     notes = []
     for layer in layers:
         kinds = [rule.of for rule in layer.rules if rules.covers_nothing(rule)]
@@ -277,7 +280,11 @@ def barren(layers: tuple[rules.Layer, ...]) -> str:
     return "; ".join(notes)
 
 
-def _number_of(layers, name: str, before: int) -> int:
+def _find_mask(layers, name: str, before: int) -> int:
+    """Return the position of the layer `name`, which masks the layer at `before` and must be above it.
+
+    Raises TerrainError if it is not above.
+    """
     for number in range(before):
         if layers[number].name == name:
             return number

@@ -31,6 +31,7 @@ class TerrainMaterial(TerrainObjectOperator, bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
+        """Build the material from the layers, the chosen light and the baked maps of the active terrain."""
         light = [name for name, on in ((SKY, self.sky), (SUN, self.sun)) if on]
         material = dress(context.object, sources_of(context.object, light))
         self.report({"INFO"}, f"{material.name} is the material of {context.object.name}")
@@ -38,7 +39,10 @@ class TerrainMaterial(TerrainObjectOperator, bpy.types.Operator):
 
 
 def sources_of(obj, light) -> LayerSources:
-    """Return the sources of the terrain's material: its layers, the light that it reads and its baked maps."""
+    """Return the inputs of the terrain's material: its layers, the light that it reads and its baked maps.
+
+    light: SKY and SUN that the user chose; those with a baked map are always used.
+    """
     layers = colors_of(obj.adaptive_terrain)
     names = (COLORS, NORMAL, SKY, SUN, *NAMES[: -(-len(layers) // A_GROUP)])
     maps = {name: image for name in names if (image := map_image(obj, name)) is not None}

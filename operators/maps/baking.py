@@ -40,13 +40,19 @@ class MapRequest:
     land: object = None
 
 
-def carry_out(
+def bake_maps(
     request: MapRequest,
     field,
     on_progress: Callable[[float], None] = lambda _fraction: None,
     lock: AbstractContextManager | None = None,
 ) -> Baked:
-    """Bake the requested maps of a height field, without touching Blender."""
+    """Bake the requested maps of a height field into images, without touching Blender, so on any thread.
+
+    Args:
+        field: the height field.
+        on_progress: called with the fraction done; may raise to stop.
+        lock: held while the engine works, for other threads that use it.
+    """
     tiling = tiling_of(field.lattice)
     heights = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
     finest = shown = sizing.shown_by(tiling, field, request.requests)
@@ -59,7 +65,7 @@ def carry_out(
     return bake(field, request.requests, request.folder, sides, **heights, **more)
 
 
-def known(names: Iterable[str]) -> tuple[str, ...]:
+def check_names(names: Iterable[str]) -> tuple[str, ...]:
     """Return the names of attributes, sorted, each once. Raises TerrainError for an unknown name, or for none."""
     names = sorted(set(names))
     unknown = [name for name in names if name not in ATTRIBUTES]
@@ -70,7 +76,7 @@ def known(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def summary(baked: Baked, name: str) -> str:
-    """Describe a bake in one line."""
+    """Describe a bake in one line: images written and unchanged, their size, and the maps. `name`: the terrain's."""
     sides = {tile["resolution"] for entry in baked.index["maps"].values() for tile in entry["tiles"]}
     between = " to ".join(str(side) for side in sorted({min(sides), max(sides)}))
     images = "image" if baked.written == 1 else "images"

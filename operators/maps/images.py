@@ -51,7 +51,7 @@ def index_of(obj) -> dict | None:
 
 
 def map_image(obj, name: str) -> bpy.types.Image | None:
-    """Return the image of a terrain's map `name`; None if it is not baked, or its files are gone.
+    """Return Blender's image of a terrain's baked map `name`; None if it is not baked, or its files are gone.
 
     The image is tiled (source TILED) unless the terrain is one tile.
     """
@@ -60,7 +60,7 @@ def map_image(obj, name: str) -> bpy.types.Image | None:
     files = [folder / tile["file"] for tile in entry["tiles"]] if entry else []
     if not files or not files[0].is_file() or any(map(blocks_reader, files)):
         return None
-    image = _loaded(folder / entry["file"]) or bpy.data.images.load(str(files[0]))
+    image = _find_image(folder / entry["file"]) or bpy.data.images.load(str(files[0]))
     if UDIM in entry["file"] and image.source != "TILED":
         image.source = "TILED"
         image.filepath = str(folder / entry["file"])
@@ -82,7 +82,7 @@ def reload(folder: Path, files: set[str]) -> None:
 
 
 def map_vector(tree, obj) -> bpy.types.NodeSocket:
-    """Add a node that gives the position in the maps of `obj` to image textures; return its output."""
+    """Add a node that gives image textures the position in the maps of `obj`; return its output socket."""
     index = index_of(obj) or {"columns": 1, "rows": 1, "margin": 0.0}
     node = tree.nodes.new("ShaderNodeGroup")
     node.node_tree = _lookup_group(index["columns"], index["rows"])
@@ -90,7 +90,7 @@ def map_vector(tree, obj) -> bpy.types.NodeSocket:
 
 
 def tile_metres(obj) -> float:
-    """Return the metres of the world that an image of a map of several covers; 0 without maps."""
+    """Return the length in the world that one tile of a terrain's maps covers, metres; 0 without maps."""
     index = index_of(obj)
     if index is None:
         return 0.0
@@ -99,12 +99,16 @@ def tile_metres(obj) -> float:
     return across / (1.0 - 2.0 * index["margin"]) * max(obj.matrix_world.to_scale()[:2], key=abs)
 
 
-def _loaded(path: Path) -> bpy.types.Image | None:
+def _find_image(path: Path) -> bpy.types.Image | None:
+    """Return the image of this Blender file that shows the file `path`, None without one."""
     return next((i for i in bpy.data.images if i.filepath and Path(absolute_path(i.filepath)) == path), None)
 
 
 def _lookup_group(columns: int, rows: int) -> bpy.types.NodeTree:
-    """Return nodes that turn the mesh's UV into a position in the images: in the tile, clear of its margin."""
+    """Return a node group that turns the mesh's UV into a position in the maps, inside a tile's margin.
+
+    columns, rows: tiles of a map.
+    """
     name = f"{GROUP} {columns} x {rows}"
     group = bpy.data.node_groups.get(name)
     if group is not None and group.nodes:
@@ -116,16 +120,17 @@ def _lookup_group(columns: int, rows: int) -> bpy.types.NodeTree:
     vector = place.outputs["UV"]
     if columns * rows > 1:
         counts = (float(columns), float(rows), 1.0)
-        scaled = _vector_math(group, "MULTIPLY", vector, counts)
-        whole = _vector_math(group, "FLOOR", scaled)
-        tile = _vector_math(group, "MINIMUM", whole, (columns - 1.0, rows - 1.0, 0.0))
-        inside = _vector_math(group, "MULTIPLY_ADD", scaled, (1.0 - 2.0 * MARGIN,) * 3, (MARGIN,) * 3)
-        vector = _vector_math(group, "MULTIPLY_ADD", tile, (2.0 * MARGIN,) * 3, inside)
+        scaled = _add_vector_math(group, "MULTIPLY", vector, counts)
+        whole = _add_vector_math(group, "FLOOR", scaled)
+        tile = _add_vector_math(group, "MINIMUM", whole, (columns - 1.0, rows - 1.0, 0.0))
+        inside = _add_vector_math(group, "MULTIPLY_ADD", scaled, (1.0 - 2.0 * MARGIN,) * 3, (MARGIN,) * 3)
+        vector = _add_vector_math(group, "MULTIPLY_ADD", tile, (2.0 * MARGIN,) * 3, inside)
     group.links.new(vector, group.nodes.new("NodeGroupOutput").inputs["Vector"])
     return group
 
 
-def _vector_math(tree, operation: str, *values) -> bpy.types.NodeSocket:
+def _add_vector_math(tree, operation: str, *values) -> bpy.types.NodeSocket:
+    """Add a vector node to a tree; its inputs are sockets, which are linked, or numbers. Return the output."""
     node = tree.nodes.new("ShaderNodeVectorMath")
     node.operation = operation
     for socket, value in zip(node.inputs, values, strict=False):

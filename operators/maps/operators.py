@@ -10,8 +10,8 @@ from .. import jobs
 from ..job_operator import JobOperator
 from ..session import session
 from . import images as map_images
-from .baking import MapRequest, carry_out, summary
-from .request import gathered
+from .baking import MapRequest, bake_maps, summary
+from .request import visit_for_request
 
 
 class BakeMaps(JobOperator, bpy.types.Operator):
@@ -28,10 +28,11 @@ class BakeMaps(JobOperator, bpy.types.Operator):
         return True
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
-        request = yield from jobs.visit_frames(job, gathered(context.object, context.scene))
+        """Visit the frames that decide how fine the maps have to be, then bake them on a thread; return the Baked."""
+        request = yield from jobs.visit_frames(job, visit_for_request(context.object, context.scene))
         job.progress(0.0)
         yield from jobs.wait_for_kernels(job)
-        return (yield from jobs.run_on_thread(job, lambda: _bake(request, job)))
+        return (yield from jobs.run_on_thread(job, lambda: _shape_and_bake(request, job)))
 
     def finish(self, _context, obj, baked: Baked) -> None:
         map_images.reserve_folder(obj)  # an undo may have removed it
@@ -39,12 +40,13 @@ class BakeMaps(JobOperator, bpy.types.Operator):
         self.report({"INFO"}, summary(baked, obj.name))
 
 
-def _bake(request: MapRequest, job: jobs.BackgroundJob) -> Baked:
+def _shape_and_bake(request: MapRequest, job: jobs.BackgroundJob) -> Baked:
+    """Bake the maps of a request on the job's thread, after its land is shaped."""
     with session.engine_lock:
         field = raster_of(request.store, request.land, session.open_field, verified=True)
-    return carry_out(request, field, job.progress, session.engine_lock)
+    return bake_maps(request, field, job.progress, session.engine_lock)
 
 
 def _image_files(baked: Baked) -> set[str]:
-    """Return the file names that images of Blender may have: of single files, and of all tiles together."""
+    """Return the file names by which Blender's images may show the maps: of single tiles, and patterns of all tiles."""
     return files_of(baked.index) | {entry["file"] for entry in baked.index["maps"].values()}

@@ -3,7 +3,7 @@
 
 from .. import jobs
 from ..session import session
-from ..ui.panel_parts import TerrainSubpanel, switched
+from ..ui.panel_parts import TerrainSubpanel, draw_switched
 from .properties import CHOSEN
 
 
@@ -13,6 +13,7 @@ class MapsPanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_look"
 
     def draw(self, context):
+        """Draw which maps are baked, how fine and where, and the button or the progress of baking."""
         column = self._columns()
         settings = session.shown_terrain(context).adaptive_terrain.maps
         column.row().prop(settings, "frames", expand=True)
@@ -21,7 +22,7 @@ class MapsPanel(TerrainSubpanel):
             grid = column.grid_flow(columns=2, align=True)
             grid.use_property_split = False
             grid.prop(settings, "chosen")
-        switched(column, settings, "use_budget", "budget_mb")
+        draw_switched(column, settings, "use_budget", "budget_mb")
         column.row().prop(settings, "form", expand=True)
         column.prop(settings, "folder")
         job = jobs.find(jobs.BAKE)

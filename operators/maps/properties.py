@@ -18,7 +18,7 @@ PATH_OPTIONS = {"ANIMATABLE"} | ({"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.ver
 
 
 def map_folder(obj) -> Path:
-    """Return the folder of a terrain's maps: the one that its settings name, or one next to its store."""
+    """Return the folder of a terrain's maps: a folder inside the one of its settings, or next to its store."""
     settings = obj.adaptive_terrain
     store = Path(absolute_path(settings.store))
     folder = settings.maps.folder
@@ -26,8 +26,8 @@ def map_folder(obj) -> Path:
     return above / bpy.path.clean_name(settings.maps.mark)
 
 
-def label(name: str) -> str:
-    """Return the label of an effect in a panel."""
+def title_of(name: str) -> str:
+    """Return the name of an attribute as a title, as panels show it."""
     return name.replace("_", " ").title()
 
 
@@ -56,7 +56,7 @@ class MapSettings(bpy.types.PropertyGroup):
         name="Chosen",
         description="Attributes to bake",
         options={"ENUM_FLAG"},
-        items=[(name, label(name), ATTRIBUTES[name].about) for name in sorted(ATTRIBUTES)],
+        items=[(name, title_of(name), ATTRIBUTES[name].about) for name in sorted(ATTRIBUTES)],
         default={"detail_normal"} & set(ATTRIBUTES),
     )
     use_budget: BoolProperty(name="Limit Memory", description="Make all maps coarser until they fit into the memory")

@@ -12,23 +12,26 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run.owned_files import check_folder
 from ...cbt_terrain.view.criterion import Criterion
 from ..bridge.scene_paths import absolute_path
-from ..session.shot import frames_of, look_through
+from ..session.shot import frames_of, visit_views
 from ..terrain.overrides import Overrides
 from ..terrain.request import RENDER, gather
 from . import images as map_images
-from .baking import MapRequest, known
+from .baking import MapRequest, check_names
 from .properties import CHOSEN, FRAME, SHOT, map_folder
 
 WITHOUT_VIEW = Criterion(error_px=0.0, error_m=1.0)  # the whole terrain needs no camera
 
 
-def names_of(obj, depsgraph) -> set[str]:
-    """Return the attributes whose maps the terrain's settings choose. Raises TerrainError if nothing reads a map."""
+def chosen_maps(obj, depsgraph) -> set[str]:
+    """Return the attributes whose maps the terrain's settings choose, or that its materials read.
+
+    Raises TerrainError if nothing reads any.
+    """
     settings = obj.adaptive_terrain.maps
     if settings.which == CHOSEN:
         return set(settings.chosen)
     requests = gather(obj, depsgraph, RENDER).effects.requests
-    read = {item.name for item in requests if item.family == PICTURE} | read_as_images(obj)
+    read = {item.name for item in requests if item.family == PICTURE} | maps_shown_by_materials(obj)
     if not read:
         raise TerrainError(
             f"No material of {obj.name!r} reads an attribute or a map",
@@ -37,8 +40,8 @@ def names_of(obj, depsgraph) -> set[str]:
     return read
 
 
-def read_as_images(obj) -> set[str]:
-    """Return the maps of a terrain, baked or not, that its materials show by image textures."""
+def maps_shown_by_materials(obj) -> set[str]:
+    """Return the names of the maps, baked or not, that image textures of a terrain's materials show."""
     folder = map_folder(obj)
     waiting = [slot.material.node_tree for slot in obj.material_slots if slot.material and slot.material.node_tree]
     seen, found = set(), set()
@@ -55,17 +58,24 @@ def read_as_images(obj) -> set[str]:
     return found & set(ATTRIBUTES)
 
 
-def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[int] | None = None, **look) -> Iterator:
-    """Visit the frames of the terrain's settings, or `frames`; yield the fraction done after each, then the MapRequest.
+def visit_for_request(
+    obj, scene, names: Iterable[str] | None = None, frames: Iterable[int] | None = None, **look
+) -> Iterator:
+    """Visit the frames whose views decide how fine the maps are; yield the fraction done after each, then the
+    MapRequest.
 
-    The scene is then at its frame again. `names`: maps that replace those of the settings. `look`: further arguments of
-    `request.gather`. Raises TerrainError.
+    The scene then returns to its frame. Raises TerrainError.
+
+    Args:
+        names: maps in place of those of the settings.
+        frames: frames in place of those of the settings.
+        look: further arguments of `request.gather`, such as a camera.
     """
     settings, depsgraph = obj.adaptive_terrain.maps, bpy.context.evaluated_depsgraph_get()
     map_images.reserve_folder(obj)
     for folder in (map_images.map_folder(obj).parent, map_images.map_folder(obj)):
         check_folder(folder)  # chosen by the scene: no link in it may lead elsewhere
-    names = known(names_of(obj, depsgraph) if names is None else names)
+    names = check_names(chosen_maps(obj, depsgraph) if names is None else names)
     if settings.folder.startswith("//") and not bpy.data.filepath:
         raise TerrainError(
             f"The folder of the maps, {settings.folder!r}, is relative to a .blend file that was never saved",
@@ -77,7 +87,7 @@ def gathered(obj, scene, names: Iterable[str] | None = None, frames: Iterable[in
         frames = {FRAME: [scene.frame_current], SHOT: frames_of(scene)}
         frames = frames.get(settings.frames, [])
     views = []
-    for views in look_through(obj, scene, frames, first.placement, **look):
+    for views in visit_views(obj, scene, frames, first.placement, **look):
         if isinstance(views, float):
             yield views
     budget = settings.budget_mb if settings.use_budget else None

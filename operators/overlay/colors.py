@@ -40,19 +40,22 @@ class Overlay:
 
 
 def make_overlay(field, request, surface) -> Overlay:
-    """Make the overlay of `request` for the triangles of `surface`, in new arrays. Any thread may call it."""
+    """Return the overlay that `request` asks for, for the triangles of `surface`. Any thread may call it."""
     if request.overlay == ERROR_OVERLAY:
-        return _errors(field, request, surface)
-    return _levels(field.lattice, surface.level)
+        return _color_errors(field, request, surface)
+    return _color_levels(field.lattice, surface.level)
 
 
 def scale_colours(fractions: np.ndarray) -> np.ndarray:
     """Return sRGB colours (0 .. 1, float64 [n, 3]) of fractions [n] of the scale, and BEYOND above 1."""
-    return _table()[_rows(fractions)]
+    return _scale_table()[_table_rows(fractions)]
 
 
-def _errors(field, request, surface) -> Overlay:
-    """Colour errors from 0 to the error criterion, or to the largest error without one."""
+def _color_errors(field, request, surface) -> Overlay:
+    """Return the overlay of errors: colours from 0 to the error criterion, or to the largest error without one.
+
+    Errors are pixels if the request has views, else metres.
+    """
     unit, criterion = ("px", request.criterion.error_px) if request.views else ("m", request.criterion.error_m)
     heights = request.vertical_scale, request.vertical_offset
     errors = triangle_errors(field, surface, request.views, request.placement, *heights)
@@ -63,15 +66,17 @@ def _errors(field, request, surface) -> Overlay:
     if largest > scale:
         fractions = np.append(fractions, math.inf)
         texts.append(phrase("Above the criterion, up to {} {}", f"{largest:.3g}", unit))
-    rows = _rows(errors / np.float32(scale))
-    attributes = {f"error_{unit}": Attribute(errors, FACE, unit)} | _colours(_table(), rows)
-    return Overlay(attributes, _legend(texts, scale_colours(fractions)))
+    rows = _table_rows(errors / np.float32(scale))
+    attributes = {f"error_{unit}": Attribute(errors, FACE, unit)} | _corner_colours(_scale_table(), rows)
+    return Overlay(attributes, _make_legend(texts, scale_colours(fractions)))
 
 
-def _levels(lattice, level: np.ndarray) -> Overlay:
-    """Colour levels: the raster's cells end the scale and finer levels are beyond it, the same in every frame.
+def _color_levels(lattice, level: np.ndarray) -> Overlay:
+    """Return the overlay of levels.
 
-    Odd levels are darker, which separates neighbours.
+    Triangles of a cell's size end the scale and finer ones are beyond it, in every frame.
+
+    Odd levels are darker, which separates neighbours. level: int [triangles], bisections of each.
     """
     every = np.arange(MAX_LEVEL + 1)
     span = max(1, min(SCALE_LEVELS, lattice.cell_depth - 1))
@@ -81,7 +86,7 @@ def _levels(lattice, level: np.ndarray) -> Overlay:
     if len(found):
         found = np.unique(found[np.linspace(0, len(found) - 1, LEGEND_LINES).round().astype(int)])
     texts = [phrase("Level {}: edges of {} m", n, f"{_shortest_edge_m(lattice, n):.3g}") for n in found.tolist()]
-    return Overlay(_colours(colours, level), _legend(texts, colours[found]))
+    return Overlay(_corner_colours(colours, level), _make_legend(texts, colours[found]))
 
 
 def _shortest_edge_m(lattice, level: int) -> float:
@@ -90,29 +95,31 @@ def _shortest_edge_m(lattice, level: int) -> float:
     return min(x, y) if level % 2 else min(x, y, math.hypot(x, y) / 2)
 
 
-def _colours(table: np.ndarray, rows: np.ndarray) -> dict[str, Attribute]:
-    """Return corner colours from the row of an sRGB table per triangle, since Blender shows no face colours.
+def _corner_colours(table: np.ndarray, rows: np.ndarray) -> dict[str, Attribute]:
+    """Return corner colours, since Blender shows no face colours.
 
-    They are floats: `foreach_set` takes 5 ms per million triangles for floats and 107 ms for bytes.
+    table: sRGB colours [n, 3]. rows: for each triangle, its row of `table`. They are floats: `foreach_set` takes 5
+    ms per million triangles for floats and 107 ms for bytes.
     """
     linear = np.ones((len(table), 4), np.float32)
     linear[:, :3] = np.where(table <= 0.04045, table / 12.92, ((table + 0.055) / 1.055) ** 2.4)
     return {COLOUR_ATTRIBUTE: Attribute(np.repeat(linear[rows], 3, axis=0), CORNER)}
 
 
-def _table() -> np.ndarray:
-    """Return the scale in sRGB with BEYOND as its last row, float64 [STEPS + 1, 3]."""
+def _scale_table() -> np.ndarray:
+    """Return the colours of the scale in sRGB, with BEYOND as its last row, float64 [STEPS + 1, 3]."""
     places, stops = np.linspace(0.0, 1.0, STEPS), np.linspace(0.0, 1.0, len(VIRIDIS))
     scale = [np.interp(places, stops, channel) for channel in VIRIDIS.T]
     return np.vstack([np.stack(scale, -1), BEYOND]) / 255.0
 
 
-def _rows(fractions: np.ndarray) -> np.ndarray:
-    """Return the rows of the table for fractions of the scale."""
+def _table_rows(fractions: np.ndarray) -> np.ndarray:
+    """Return the rows of `_scale_table` for fractions of the scale, int16 [n]; above 1 the last row."""
     rows = np.rint(np.clip(fractions, 0.0, 1.0) * (STEPS - 1)).astype(np.int16)
     rows[fractions > 1.0] = STEPS
     return rows
 
 
-def _legend(texts: list[str], colours: np.ndarray) -> Legend:
+def _make_legend(texts: list[str], colours: np.ndarray) -> Legend:
+    """Return the legend of texts and sRGB colours, float64 [n, 3]."""
     return list(zip(texts, map(tuple, colours.tolist()), strict=True))

@@ -19,6 +19,7 @@ class OverlayPanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
 
     def draw(self, context):
+        """Draw which overlay is shown, and its legend in a fixed number of rows."""
         column = self._columns()
         obj = session.shown_terrain(context)
         column.prop(obj.adaptive_terrain, "overlay")
@@ -50,6 +51,7 @@ class ShowOverlay(bpy.types.Operator):
     bl_label = "Show in Viewport"
 
     def execute(self, context):
+        """Set all viewports of the window to solid shading with the mesh's colours."""
         for area in context.screen.areas:
             if area.type == "VIEW_3D":
                 area.spaces.active.shading.type = "SOLID"

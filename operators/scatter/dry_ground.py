@@ -50,6 +50,7 @@ def _in_terrain(height: float, terrain_settings) -> float:
 
 
 def _has_water(entries) -> bool:
+    """Return whether an operator of the stack leaves the layer `water_depth`."""
     effects = [HEIGHT_OPERATORS[entry.effect] for entry in entries if entry.on and entry.effect in HEIGHT_OPERATORS]
     return any(layer.name == "water_depth" for effect in effects for layer in effect.layers)
 

@@ -25,7 +25,7 @@ NAMES = ("spacing", "full_until", "size", "margin_m")  # in the order of `fitted
 
 
 def size_of(collection) -> tuple[float, float]:
-    """Return the largest plan diameter and the largest height of a collection's instances, in metres of the world.
+    """Return the largest plan diameter and the largest height of a collection's instances, metres of the world.
 
     An object is an instance, and so is a child collection with all that is in it. (0, 0) if nothing has an extent.
     """
@@ -71,7 +71,10 @@ def count_on_land(terrain, spacing: float) -> int | None:
 
 
 def fit(obj) -> None:
-    """Set the numbers of a scatter to its collection's size, each unless it was changed since it was last fitted."""
+    """Set spacing and distances of a scatter to suit the size of its collection's objects.
+
+    A number that the user has changed since it was last fitted stays.
+    """
     settings, terrain = obj.adaptive_scatter, obj.parent
     width, height = (0.0, 0.0) if settings.collection is None else size_of(settings.collection)
     if width <= 0.0 or terrain is None:
@@ -85,7 +88,10 @@ def fit(obj) -> None:
 
 
 def put_numbers(settings, spacing: float, full_until: float, reach: float, first: bool = False) -> None:
-    """Set fitted numbers; `first`: all, otherwise those without changes."""
+    """Set the fitted numbers of a scatter and remember them, to tell later which ones the user has changed.
+
+    spacing, full_until, reach: metres. first: set all, otherwise only those without changes.
+    """
     for number, (name, value) in enumerate(zip(NAMES, (spacing, full_until, 1.0, reach), strict=True)):
         if first or getattr(settings, name) == settings.fitted[number]:
             setattr(settings, name, value)
@@ -93,6 +99,6 @@ def put_numbers(settings, spacing: float, full_until: float, reach: float, first
 
 
 def rounded(value: float, digits: int = 1, toward=round) -> float:
-    """Round to a number of digits."""
+    """Round to a number of significant digits. toward: `round`, or `math.ceil` to round up."""
     unit = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
     return toward(value / unit) * unit

@@ -51,6 +51,7 @@ def _identifier(modifier, name: str) -> str | None:
 
 
 def _set_input(modifier, name: str, value) -> None:
+    """Set an input of a geometry-nodes modifier by its name."""
     identifier = _identifier(modifier, name)
     if hasattr(modifier, "properties"):  # Blender 5.2
         getattr(modifier.properties.inputs, identifier).value = value

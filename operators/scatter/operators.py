@@ -37,9 +37,14 @@ class AddScatter(TerrainObjectOperator, bpy.types.Operator):
         return self._add(context, waits=not context.object.adaptive_terrain.live)
 
     def execute(self, context):
+        """Add the scatter and its points before returning: a script calls it."""
         return self._add(context, waits=True)
 
     def _add(self, context, waits: bool):
+        """Add a scatter to the active terrain, fitted to its size and kept out of water.
+
+        waits: update the terrain now, so that the points are there; otherwise the live update makes them.
+        """
         terrain = context.object
         try:
             west, south, east, north = session.open_field(store_path(terrain)).lattice.rectangle()
@@ -63,7 +68,10 @@ class AddScatter(TerrainObjectOperator, bpy.types.Operator):
 
 
 def new_scatter(terrain, spacing: float):
-    """Create an object with a scatter of a terrain, one point on `spacing` x `spacing` metres, and its modifier."""
+    """Create an object for a scatter of a terrain, with its modifier; return it.
+
+    spacing: metres between points, in the terrain's space.
+    """
     obj = bpy.data.objects.new(f"{terrain.name} Scatter", bpy.data.meshes.new(f"{terrain.name} Scatter"))
     settings, in_world = obj.adaptive_scatter, spacing * scale_of(terrain)
     settings.enabled, settings.seed = True, len(scatters_of(terrain))

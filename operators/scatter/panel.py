@@ -8,7 +8,7 @@ from ..session import session
 from ..text.numbers import length_text, time_text
 from ..text.shown_bounds import bound_text
 from ..text.translations import phrase
-from ..ui.panel_parts import TerrainSubpanel, figures, message, show_terrain, switched
+from ..ui.panel_parts import TerrainSubpanel, draw_figures, draw_message, draw_switched, show_terrain
 from ..ui.status_row import draw_failure
 from .fitting import count_on_land, size_of
 from .properties import MESH
@@ -25,6 +25,7 @@ class ScattersPanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
 
     def draw(self, context):
+        """Draw two rows for each scatter of the terrain, its points and time, and the button that adds one."""
         terrain = show_terrain(self.layout, context)
         column = self.layout.column(align=True)
         for obj in scatters_of(terrain):
@@ -48,9 +49,10 @@ class ScatterPanel:
         return obj is not None and is_scatter(obj)
 
     def draw(self, context):
+        """Draw the figures and the settings of the selected scatter."""
         obj, terrain = context.object, context.object.parent
         if terrain is None or not session.is_terrain(terrain):
-            message(self.layout, ORPHAN, "ERROR")
+            draw_message(self.layout, ORPHAN, "ERROR")
             return
         settings, record = obj.adaptive_scatter, session.record_of(terrain)
         self.layout.use_property_split, self.layout.use_property_decorate = True, False
@@ -59,7 +61,7 @@ class ScatterPanel:
         if settings.collection is None:
             column.operator_menu_enum("adaptive_terrain.starter_add", "kind", icon="ADD")
         box = column.box().column(align=True)
-        figures(box, scatter_lines(settings, record.scatters.get(obj.session_uid), record.status))
+        draw_figures(box, scatter_lines(settings, record.scatters.get(obj.session_uid), record.status))
         if not draw_failure(box, terrain):
             box.label(text=phrase("On {}", terrain.name), icon="CHECKMARK")
         for line in size_lines(settings, terrain):
@@ -71,13 +73,13 @@ class ScatterPanel:
         row.prop(settings, "cull_hidden")
         column.prop(settings, "seed")
         column.separator()
-        switched(column, settings, "use_sea", "sea_level")
+        draw_switched(column, settings, "use_sea", "sea_level")
         column.prop_search(settings, "layer", terrain.adaptive_terrain, "layers")
         draw_rules(column, settings.where)
 
 
 def summary(scatter: ScatterRecord | None) -> tuple[str, str]:
-    """Return the number of points and the time of the last update of a scatter."""
+    """Return the number of points and the time of a scatter's last update as texts, "-" before it."""
     if scatter is None or scatter.points is None:
         return "-", "-"
     return f"{len(scatter.points):,}", time_text(sum(scatter.ms.values()))
@@ -93,7 +95,7 @@ def size_lines(settings, terrain) -> list[str]:
 
 
 def scatter_lines(settings, scatter: ScatterRecord | None, status) -> list[tuple[str, str]]:
-    """Return the four lines at the panel's top."""
+    """Return four (name, value) rows about a scatter: points, tested candidates, time, distance to the mesh."""
     points, took = summary(scatter)
     tested, off = "-", "-"
     if points != "-":

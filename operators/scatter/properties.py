@@ -112,7 +112,12 @@ class ScatterSettings(bpy.types.PropertyGroup):
 
 
 def scatter_of(settings, terrain_settings) -> Scatter:
-    """Return the scatter of evaluated settings on a terrain with `terrain_settings`. Raises TerrainError."""
+    """Return the engine's Scatter of evaluated settings.
+
+    Raises TerrainError.
+
+    terrain_settings: of the terrain below it, of which a layer may limit it.
+    """
     layers, on = (), -1
     if settings.layer:
         layers = layers_of(terrain_settings)

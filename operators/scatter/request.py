@@ -52,6 +52,7 @@ class Scatters:
     max_points: tuple[int, str] | None = None
 
     def key(self) -> tuple:
+        """Return a key of the scatters and their views, equal if the points are."""
         return self.items, tuple(view.key() for view in self.views)
 
 
@@ -72,17 +73,19 @@ class ScatterRecord:
 
 
 def is_scatter(obj) -> bool:
+    """Return whether an object is a scatter whose points may be written: it is enabled and not linked."""
     return obj.type == "MESH" and obj.adaptive_scatter.enabled and obj.library is None and obj.data.library is None
 
 
 def scatters_of(terrain) -> list:
+    """Return the scatters of a terrain: its children that are scatters."""
     return [child for child in terrain.children if is_scatter(child)]
 
 
 def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[View]]) -> Scatters:
     """Return the requests of a terrain's scatters that are visible in a render or in the viewport.
 
-    `views` is called only if there is one.
+    views: returns the views that limit the points; called only if there is a visible scatter. Raises TerrainError.
     """
     settings, items = terrain.evaluated_get(depsgraph).adaptive_terrain, []
     for obj in scatters_of(terrain):
@@ -102,7 +105,7 @@ def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[V
 
 
 def max_points(render: bool) -> tuple[int, str]:
-    """Return how many points a scatter may have, and what limits them: Blender crashes when its memory ends."""
+    """Return how many points a scatter may have, and what limits them, in words: Blender crashes without memory."""
     held = physical_memory() * 3 // 4 // POINT_BYTES
     if not render and held > MAX_IN_VIEWPORT:
         return MAX_IN_VIEWPORT, "the maximum of a viewport (hide it there, and renders have them all)"
@@ -112,9 +115,13 @@ def max_points(render: bool) -> tuple[int, str]:
 def make_points(
     records: dict[int, ScatterRecord], request, heights: HeightField, terrain, surface, serial: int
 ) -> None:
-    """Compute the points of all scatters of a request, on the terrain's `surface` with the number `serial`.
+    """Compute the points of all scatters of a request into their records, without Blender's data.
 
-    Uses nothing of Blender. Points that the last request already had are reused.
+    Points whose inputs have not changed are reused.
+
+    Args:
+        records: by session_uid of the scatter's object.
+        surface: the terrain's mesh, for points on it; `serial`: its number.
     """
     scatters, scale = request.scatters, (request.vertical_scale, request.vertical_offset)
     views = tuple(view.key() for view in scatters.views)
@@ -156,7 +163,10 @@ def make_points(
 
 
 def show_points(terrain, records: dict[int, ScatterRecord], request) -> None:
-    """Write the points of a request into the meshes of their objects, unless they are there already."""
+    """Write the points of a request into the meshes of the scatters' objects, unless they are there already.
+
+    records: from `make_points`, by session_uid of the object.
+    """
     uids = {item.uid for item in request.scatters.items}
     children = {obj.session_uid: obj for obj in scatters_of(terrain)}
     for uid in set(records) - set(children):

@@ -48,6 +48,7 @@ class AddStarterCollection(bpy.types.Operator):
         return context.mode == "OBJECT"
 
     def execute(self, context):
+        """Add the collections and put the chosen kind on the active scatter, if there is one."""
         obj = context.object
         is_on_scatter = obj is not None and is_scatter(obj)
         found = put_kind(context, obj, self.kind) if is_on_scatter else add_starter(context)[self.kind]
@@ -83,13 +84,17 @@ def add_starter(context) -> dict[str, bpy.types.Collection]:
 
 
 def _new_collection(name: str, mark: str) -> bpy.types.Collection:
+    """Create a collection with a mark, by which it is found again under another name."""
     collection = bpy.data.collections.new(name)
     collection[MARK] = mark
     return collection
 
 
 def _build(context, kind: str, materials: dict) -> list[bpy.types.Object]:
-    """Build the objects of a kind: evaluate their node trees, and keep the meshes alone."""
+    """Build the objects of a kind: evaluate their node trees and keep only the meshes.
+
+    materials: by the names of MATERIALS.
+    """
     _, name, form, sizes = KINDS[kind]
     objects = []
     for number, size in enumerate(sizes):
@@ -117,7 +122,7 @@ def _build(context, kind: str, materials: dict) -> list[bpy.types.Object]:
 
 
 def _material(name: str) -> bpy.types.Material:
-    """Return the material that mixes two colours by `shade`, a little different for each instance."""
+    """Return the material of this name, from the file or new: it mixes two colours by `shade`, varied by instance."""
     for material in bpy.data.materials:
         if material.get(MARK) == name:
             return material

@@ -29,6 +29,7 @@ class FormNodes(Nodes):
         return next(socket for socket in node.outputs if socket.type == "VALUE")
 
     def xyz(self, x, y, z):
+        """Add a node that combines three numbers into a vector; return its output."""
         return self.add("ShaderNodeCombineXYZ", {0: x, 1: y, 2: z}).outputs[0]
 
     def place(self):
@@ -37,20 +38,22 @@ class FormNodes(Nodes):
         return position, *self.add("ShaderNodeSeparateXYZ", {0: position}).outputs
 
     def index(self):
+        """Add a node that gives the number of each element; return its output."""
         return self.add("GeometryNodeInputIndex").outputs[0]
 
     def move(self, geometry, position):
+        """Add a node that sets the positions of a geometry; return the geometry."""
         return self.add("GeometryNodeSetPosition", {"Geometry": geometry, "Position": position}).outputs[0]
 
     def dress(self, geometry, material, shade, smooth: bool = True):
-        """Give geometry a material and its `shade`."""
+        """Add nodes that give a geometry a material, the attribute `shade` and smooth or flat shading; return it."""
         inputs = {"Geometry": geometry, "Name": SHADE, "Value": shade}
         named = self.add("GeometryNodeStoreNamedAttribute", inputs, data_type="FLOAT", domain="POINT").outputs[0]
         smoothed = self.add("GeometryNodeSetShadeSmooth", {0: named, "Shade Smooth": smooth}).outputs[0]
         return self.add("GeometryNodeSetMaterial", {"Geometry": smoothed, "Material": material}).outputs[0]
 
     def put(self, points, instance, euler, scale):
-        """Return copies of `instance` on points, as one mesh."""
+        """Add nodes that copy `instance` to each point, turned by `euler` and scaled, as one mesh; return it."""
         rotation = self.add("FunctionNodeEulerToRotation", {0: euler}).outputs[0]
         inputs = {"Points": points, "Instance": instance, "Rotation": rotation, "Scale": scale}
         placed = self.add("GeometryNodeInstanceOnPoints", inputs).outputs[0]

@@ -22,7 +22,7 @@ from .. import jobs
 from ..bridge.demand.screens import screens_key
 from ..ground import keep_ground
 from ..land import resting_land
-from ..terrain.request import RENDER, VIEWPORT, Request, corrected, follows_viewport, gather, record_time
+from ..terrain.request import RENDER, VIEWPORT, Request, correct_for_time, follows_viewport, gather, record_time
 from ..terrain.request_kernels import kernels_for
 from . import previews, session
 
@@ -68,6 +68,7 @@ def tick() -> float:
 
 
 def _turn() -> float:
+    """Run a turn of the timer: show a finished update, start the next one or use idle time; return seconds to wait."""
     global _dirty, _job
     if warmup.preparing():
         return IDLE_S
@@ -77,15 +78,15 @@ def _turn() -> float:
         if not _job.future.done():
             return BUSY_S
         job, _job = _job, None
-        _finish(job)
+        _show_result(job)
         del job  # frees its surface for the next update
     idle = not _dirty and not _windows_changed()
     if idle:
-        _job = _refinement()
-    _dirty |= _rest(idle and _job is None)
+        _job = _next_refinement()
+    _dirty |= _refine_resting_land(idle and _job is None)
     if idle:
         if _job is None and time.monotonic() - _shown_at >= NORMALS_S:
-            _show_normals()
+            _write_postponed_normals()
         return IDLE_S if _job is None else BUSY_S
     _dirty = False  # before reading the properties, so that no later change is missed
     _job = _next_job()
@@ -95,19 +96,19 @@ def _turn() -> float:
     return BUSY_S
 
 
-def _rest(idle: bool) -> bool:
-    """Run a turn of resting land, and return whether any has become finer."""
-    if not resting_land.concerned():
+def _refine_resting_land(idle: bool) -> bool:
+    """Give resting_land a turn, and return whether any land has become finer. idle: no update is running."""
+    if not resting_land.has_work():
         return False
     before = jobs.progress_shown()
-    has_changed = resting_land.turn(_shown(), idle)
+    has_changed = resting_land.turn(_shown_terrains(), idle)
     if jobs.progress_shown() != before:
         jobs.redraw_panels()
     return has_changed
 
 
-def _show_normals() -> None:
-    """Write the normals that live updates have postponed, before Blender 4.5."""
+def _write_postponed_normals() -> None:
+    """Write the exact normals that live updates have left out, before Blender 4.5."""
     if any(record.postponed is not None for _, record in session.records()):
         for obj in session.all_terrains():
             if obj.mode == "OBJECT":
@@ -115,14 +116,14 @@ def _show_normals() -> None:
 
 
 def _windows_changed() -> bool:
-    """Return whether other windows are open, since opening a spreadsheet calls no handler."""
+    """Return whether windows have changed since the last call: a new spreadsheet, a reader, calls no handler."""
     global _screens
     before, _screens = _screens, screens_key()
     return before != _screens
 
 
 def seconds_under_way() -> float:
-    """Return for how long the worker has been busy with an update; 0 when it is idle."""
+    """Return the seconds since the running update started; 0 if none runs."""
     return time.monotonic() - _started if _job is not None and not _job.future.done() else 0.0
 
 
@@ -132,12 +133,12 @@ def stage() -> str:
 
 
 def _next_job() -> LiveUpdate | None:
-    """Start an update of the first terrain with a new request; return None if there is none."""
+    """Start an update of the first terrain whose request has changed; return it, None if there is none."""
     global _follows_viewport, _started
     for window in _windows():
         if not keep_ground.settle_shown(window.scene, window.view_layer.depsgraph):
             mark_dirty()
-    shown = _shown()
+    shown = _shown_terrains()
     _follows_viewport = any(
         depsgraph is not None and follows_viewport(obj.adaptive_terrain, depsgraph.scene) for depsgraph, obj in shown
     )
@@ -150,7 +151,7 @@ def _next_job() -> LiveUpdate | None:
             request = gather(obj, depsgraph, VIEWPORT)
         except Exception as error:
             record.live_key = None  # the next request may equal the last one
-            _report(record, error)
+            _report_error(record, error)
             if not isinstance(error, TerrainError):
                 traceback.print_exc()
             continue
@@ -158,15 +159,18 @@ def _next_job() -> LiveUpdate | None:
             if not _is_prepared(record, request):
                 return None
             record.live_key, _started = request.key(), time.monotonic()
-            request = corrected(request, record.time_correction)  # not in the key: a still camera gets one mesh
-            return LiveUpdate(obj.session_uid, record.generation, request, _worker.submit(_solve, record, request))
+            request = correct_for_time(request, record.time_correction)  # not in the key: a still camera gets one mesh
+            return LiveUpdate(
+                obj.session_uid, record.generation, request, _worker.submit(_solve_on_worker, record, request)
+            )
     return None
 
 
-def _shown() -> list[tuple]:
-    """Return dependency graph and object of the terrains in windows.
+def _shown_terrains() -> list[tuple]:
+    """Return (dependency graph, object) of the terrains in windows.
 
-    A terrain in windows of several scenes follows the first: its one mesh would otherwise alternate between cameras.
+    A terrain in windows of several scenes follows the first: its one mesh would otherwise alternate between
+    cameras.
     """
     found = {}
     for window in _windows():
@@ -177,19 +181,19 @@ def _shown() -> list[tuple]:
 
 
 def _is_prepared(record: session.Record, request: Request) -> bool:
-    """Return whether the kernels of a request are loaded; if not, start loading them for the next turns."""
+    """Return whether the kernels of a request are loaded; if not, start loading them for a later turn."""
     try:
         ready = warmup.ask(kernels_for(request))
     except TerrainError as error:
-        _report(record, error)
+        _report_error(record, error)
         return True  # the update will fail with the same error
     if not ready:
         mark_dirty()
     return ready
 
 
-def _refinement() -> LiveUpdate | None:
-    """Start a refinement step of the first mesh that shows a preview; return None if there is none."""
+def _next_refinement() -> LiveUpdate | None:
+    """Start a refinement step of the first mesh that shows a preview; return it, None if there is none."""
     global _started
     if not _unrefined:
         return None
@@ -200,34 +204,42 @@ def _refinement() -> LiveUpdate | None:
             del _unrefined[uid]
         elif obj.mode == "OBJECT":  # otherwise its mesh cannot be written
             _started = time.monotonic()
-            future = _worker.submit(_refine, session.record_of(obj), job.request)
+            future = _worker.submit(_refine_on_worker, session.record_of(obj), job.request)
             return LiveUpdate(uid, job.generation, job.request, future)
     return None
 
 
 def _windows():
+    """Return Blender's open windows."""
     return bpy.context.window_manager.windows
 
 
-def _solve(record: session.Record, request: Request):
+def _solve_on_worker(record: session.Record, request: Request):
+    """Compute an update on the worker thread, with previews in place of slow attributes.
+
+    Returns the Update, the number of its surface, and whether no preview was needed.
+    """
     global _stage
     _stage = "Refining"
     with session.engine_lock:
-        first = previews.begun(request, session.field_of(request))
-        return _carry_out(record, first), record.serial, first is request
+        first = previews.with_previews(request, session.field_of(request))
+        return _solve_and_paint(record, first), record.serial, first is request
 
 
-def _refine(record: session.Record, request: Request):
-    """Run one refinement step; return None if more are needed before the mesh changes."""
+def _refine_on_worker(record: session.Record, request: Request):
+    """Run one step of the slow attributes on the worker thread; return an update as `_solve_on_worker`, None if
+    more steps are needed.
+    """
     global _stage
     _stage = "Refining effects"
     if not previews.refine(request, session.field_of(request)):
         return None
     with session.engine_lock:
-        return _carry_out(record, request), record.serial, True
+        return _solve_and_paint(record, request), record.serial, True
 
 
-def _carry_out(record: session.Record, request: Request):
+def _solve_and_paint(record: session.Record, request: Request):
+    """Compute the update of a request and its overlay; return the Update. The caller holds the engine's lock."""
     global _stage
     update = session.solve(record, request)
     _stage = "Making the overlay"
@@ -235,7 +247,8 @@ def _carry_out(record: session.Record, request: Request):
     return update
 
 
-def _finish(job: LiveUpdate) -> None:
+def _show_result(job: LiveUpdate) -> None:
+    """Write the mesh of a finished update, unless the terrain has changed since it was started; report its error."""
     global _shown_at
     _shown_at = time.monotonic()
     obj = next((item for item in session.all_terrains() if item.session_uid == job.uid), None)
@@ -261,7 +274,7 @@ def _finish(job: LiveUpdate) -> None:
         if isinstance(error, TerrainError) and error.code == derived_store.DAMAGED:
             mark_dirty()
         else:
-            _report(record, error)
+            _report_error(record, error)
         if not isinstance(error, TerrainError):
             raise
     jobs.redraw_panels()
@@ -275,7 +288,8 @@ def show_soon(obj) -> None:
         session.update_object(obj)
 
 
-def _report(record: session.Record, error: Exception) -> None:
+def _report_error(record: session.Record, error: Exception) -> None:
+    """Show an error of an update on the panel, unless it is shown already."""
     if record.status.error != str(session.as_terrain_error(error)):
         session.set_error(record, error)
         jobs.redraw_panels()

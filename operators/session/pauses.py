@@ -8,7 +8,7 @@ _pauses = 0
 
 @contextmanager
 def paused():
-    """Keep our handlers from running; contexts may be nested.
+    """Keep this extension's handlers from running in the `with` block; blocks may be nested.
 
     An exporter may change the frame while it reads meshes that a handler would write, and code that steps through
     frames updates terrains itself.
@@ -21,5 +21,6 @@ def paused():
         _pauses -= 1
 
 
-def paused_now() -> bool:
+def is_paused() -> bool:
+    """Return whether a `with paused()` block is active."""
     return _pauses > 0

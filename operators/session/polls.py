@@ -16,7 +16,10 @@ IN_A_MODE = "Switch to Object Mode"
 
 
 def on_terrain(operator: type, context) -> bool:
-    """Return whether the active object is an editable terrain; the tooltip, or a script's error, gives the reason."""
+    """Return whether the active object is an editable terrain, for an operator's `poll`.
+
+    If not, set the reason, which the tooltip or a script's error shows.
+    """
     obj = context.object
     if obj is None or obj.type != "MESH" or not obj.adaptive_terrain.enabled:
         operator.poll_message_set(NOT_ACTIVE)

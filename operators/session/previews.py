@@ -10,8 +10,11 @@ from ...cbt_terrain.run import launch
 from ..terrain.request import Request
 
 
-def begun(request: Request, heights: HeightField) -> Request:
-    """Replace slow effects without a cached value by previews; return the same request if there are none."""
+def with_previews(request: Request, heights: HeightField) -> Request:
+    """Return the request with previews in place of slow attributes that have no cached value yet.
+
+    It is the same object if none is needed. heights: the request's height field.
+    """
     names = [item.name for item in request.effects.requests]
     if sky.SKY.name not in names or sky_layer.is_known(heights, request.vertical_scale):
         return request
@@ -20,9 +23,10 @@ def begun(request: Request, heights: HeightField) -> Request:
 
 
 def refine(request: Request, heights: HeightField) -> bool:
-    """Compute one step of the slow effects of the full request, and return whether all are done."""
+    """Compute one step of the slow attributes of a full request, and return whether all are done."""
     return sky_layer.advance(heights, request.vertical_scale, launch.default_threads())
 
 
 def _preview(item: AttributeRequest) -> AttributeRequest:
+    """Return a request for the preview quality of an attribute."""
     return replace(item, parameters=tuple(sorted((dict(item.parameters) | {"quality": sky.PREVIEW}).items())))

@@ -166,7 +166,7 @@ def _refine(record: Record, request: Request, heights: HeightField):
         record.terrain, record.field, record.serial = Terrain(heights), heights, record.serial + 1
     placed = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
     if request.frozen:
-        tree, meshlet = frozen.from_text(request.frozen)
+        tree, meshlet = frozen.decode_tree(request.frozen)
         update = record.terrain.restore(tree, meshlet=meshlet, **placed)
     else:
         update = record.terrain.update(request.criterion, request.views, request.placement, **placed)
@@ -200,7 +200,7 @@ def freeze(obj) -> str:
     with engine_lock:
         update_object(obj)
         tree, how = record_of(obj).terrain.saved()
-        return frozen.to_text(tree, how["meshlet"])
+        return frozen.encode_tree(tree, how["meshlet"])
 
 
 def paint(record: Record, request: Request, update) -> None:
@@ -246,7 +246,7 @@ def show(obj, record: Record, request: Request, update, mode: str, *, exact: boo
     if written:
         start = time.perf_counter()
         if mode == VIEWPORT and update.triangles >= freed_memory.LARGE:
-            freed_memory.hold()
+            freed_memory.hold_freed_memory()
         record.shown = record.postponed = None
         surface = clean_up(shown_surface(record, update), request.cleanup)
         if write_mesh(obj.data, surface, smooth=request.smooth, exact=exact):

@@ -15,14 +15,16 @@ from .pauses import paused
 
 
 def frames_of(scene) -> range:
+    """Return the frames of a scene's render range."""
     return range(scene.frame_start, scene.frame_end + 1)
 
 
-def look_through(obj, scene, frames: Iterable[int], placement: np.ndarray, **look) -> Iterator[float | list[View]]:
-    """Step through frames; yield the fraction done after each, and at the end the list of all views.
+def visit_views(obj, scene, frames: Iterable[int], placement: np.ndarray, **look) -> Iterator[float | list[View]]:
+    """Step through frames; yield the fraction done after each, and at the end the list of all views of the terrain
+    `obj`.
 
-    The views are relative to a terrain that stays at `placement`. The scene then returns to its frame. `look`: further
-    arguments of `request.gather`. Raises TerrainError.
+    The views are relative to a terrain that stays at `placement`, float64 [4, 4]. The scene then returns to its
+    frame. look: further arguments of `request.gather`. Raises TerrainError.
     """
     views, now, frames = [], (scene.frame_current, scene.frame_subframe), list(frames)
     try:
@@ -31,7 +33,7 @@ def look_through(obj, scene, frames: Iterable[int], placement: np.ndarray, **loo
                 with paused():
                     scene.frame_set(frame)
             moved = gather(obj, bpy.context.evaluated_depsgraph_get(), RENDER, **look)
-            views += [_as_seen_from(view, moved.placement, placement) for view in moved.views]
+            views += [_move_view(view, moved.placement, placement) for view in moved.views]
             yield number / len(frames)
     finally:
         with suppress(ReferenceError):  # undo or another file removed the scene between two steps
@@ -41,8 +43,8 @@ def look_through(obj, scene, frames: Iterable[int], placement: np.ndarray, **loo
     yield views
 
 
-def _as_seen_from(view: View, placement: np.ndarray, first: np.ndarray) -> View:
-    """Convert a view of a terrain at `placement` to one of the terrain at `first`."""
+def _move_view(view: View, placement: np.ndarray, first: np.ndarray) -> View:
+    """Convert a view of a terrain at `placement` to the same view of the terrain at `first`, float64 [4, 4] both."""
     if np.array_equal(placement, first):
         return view
     return replace(view, world_to_camera=product(product(view.world_to_camera, placement), inverse(first)))

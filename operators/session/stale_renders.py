@@ -30,8 +30,8 @@ _messages: list[str] = []  # about the render as a whole
 
 
 @contextmanager
-def raising():
-    """End a render inside at a terrain that cannot be refined, and raise a TerrainError after it."""
+def raise_for_stale_frames():
+    """End a render in the `with` block at a frame whose terrain cannot be refined; raise its TerrainError after it."""
     global _raising
     _raising = True
     _caught.clear()
@@ -43,8 +43,12 @@ def raising():
         raise _caught[0]
 
 
-def meet(scene, errors: list[TerrainError]) -> None:
-    """Handle a frame before its render whose terrains cannot be refined because of `errors`."""
+def handle_stale_frame(scene, errors: list[TerrainError]) -> None:
+    """Handle a frame, before its render, whose terrains cannot be refined because of `errors`.
+
+    It is not rendered in the background unless the scene allows it; with a window it is noted for
+    `report_stale_frames`.
+    """
     global _ending
     if _ending:  # each view layer calls this, and a second interruption would kill Blender
         return
@@ -71,7 +75,7 @@ def meet(scene, errors: list[TerrainError]) -> None:
     if bpy.app.binary_path and signal.getsignal(signal.SIGINT) is None:
         signal.raise_signal(signal.SIGINT)
     else:
-        leave()
+        exit_if_stopped()
 
 
 def stale_frame_error(frame: int, errors: list[TerrainError]) -> TerrainError:
@@ -82,8 +86,10 @@ def stale_frame_error(frame: int, errors: list[TerrainError]) -> TerrainError:
     )
 
 
-def leave() -> None:
-    """End the process if a render was stopped; called again after Blender has closed its files."""
+def exit_if_stopped() -> None:
+    """Exit the process with EXIT_CODE if `handle_stale_frame` has stopped the render; called once Blender has
+    closed its files.
+    """
     if not _ending:
         return
     with suppress(OSError, TerrainError):
@@ -93,25 +99,29 @@ def leave() -> None:
     os._exit(EXIT_CODE)
 
 
-def report() -> None:
+def report_stale_frames() -> None:
     """Show a message in the window with the stale frames of the finished render."""
     if (_shown_stale or _messages) and not bpy.app.background:
-        bpy.app.timers.register(_pop_up, first_interval=0.0)  # popups need the main thread
+        bpy.app.timers.register(_show_popup, first_interval=0.0)  # popups need the main thread
     else:
         _shown_stale.clear()
         _messages.clear()
 
 
-def lines_of(stale: dict[int, str]) -> list[str]:
-    """Return the message's lines: the first few stale frames by number, and each reason once."""
+def message_lines(stale: dict[int, str]) -> list[str]:
+    """Return the message's lines: the first few stale frames by number, and each reason once.
+
+    stale: reason by frame.
+    """
     frames = ", ".join(map(str, sorted(stale)[:FRAMES_NAMED]))
     if len(stale) > FRAMES_NAMED:
         frames = phrase("{} and {} more", frames, f"{len(stale) - FRAMES_NAMED:,}")
     return [phrase("Rendered with the mesh of another frame: {}", frames), *dict.fromkeys(stale.values())]
 
 
-def _pop_up() -> None:
-    lines = [*dict.fromkeys(_messages), *(lines_of(_shown_stale) if _shown_stale else ())]
+def _show_popup() -> None:
+    """Show the popup of `report_stale_frames`; a timer calls it on the main thread."""
+    lines = [*dict.fromkeys(_messages), *(message_lines(_shown_stale) if _shown_stale else ())]
     _shown_stale.clear()
     _messages.clear()
     manager = bpy.context.window_manager

@@ -19,14 +19,16 @@ def changed(self, _context) -> None:
 
 
 def value_of(detail, setting: CriterionSetting) -> float | None:
-    """Return the value of a criterion's setting in a DetailSettings; None where it limits nothing."""
+    """Return the value of a criterion's setting in a DetailSettings; the setting's default, which limits nothing,
+    if it is off.
+    """
     if setting.switch and not getattr(detail, setting.switch):
         return setting.default
     return setting.usual if setting.is_flag else getattr(detail, setting.name)
 
 
-def _number(setting: CriterionSetting, default: float):
-    """Return the property that holds a setting's number."""
+def _number_property(setting: CriterionSetting, default: float):
+    """Return the Blender property that holds a setting's number, with its label, unit and range."""
     kind, largest = (int, MAX_INT) if setting.whole else (float, MAX_FLOAT)
     words = {"name": setting.label, "description": setting.tooltip, "update": changed}
     limits = {"min": setting.min, "max": min(setting.max, largest), "soft_max": min(setting.soft_max, largest)}
@@ -36,8 +38,11 @@ def _number(setting: CriterionSetting, default: float):
     return FloatProperty(**words, **numbers, precision=setting.digits, **UNITS.get(setting.unit, {}))
 
 
-def _switch(setting: CriterionSetting, mode: str):
-    """Return the check box of a limit or a flag."""
+def _switch_property(setting: CriterionSetting, mode: str):
+    """Return the Blender property of the check box for a limit or a flag.
+
+    mode: VIEWPORT or RENDER, which differ in defaults.
+    """
     return BoolProperty(
         name=setting.switch_label or setting.label,
         description=setting.switch_tooltip or setting.tooltip,
@@ -49,7 +54,8 @@ def _switch(setting: CriterionSetting, mode: str):
 def _criterion_switch(setting: CriterionSetting):
     """Return the check box of a criterion, which stores nothing: it sets the number to 0 or to its usual value."""
 
-    def switch(self, on: bool) -> None:
+    def set_switch(self, on: bool) -> None:
+        """Set the number to its usual value, or to 0."""
         if on != (getattr(self, setting.name) > 0.0):
             setattr(self, setting.name, setting.usual if on else 0.0)
 
@@ -57,23 +63,23 @@ def _criterion_switch(setting: CriterionSetting):
         name=setting.label,
         description="Use this limit. Of all limits that are on, the strictest decides",
         get=lambda self: getattr(self, setting.name) > 0.0,
-        set=switch,
+        set=set_switch,
         options=set(),
     )
 
 
-def _properties(mode: str) -> dict:
-    """Return the properties of every setting of a criterion by their identifiers.
+def _make_properties(mode: str) -> dict:
+    """Return the Blender properties of every setting of a criterion by their identifiers.
 
-    They have the defaults of VIEWPORT or RENDER.
+    mode: VIEWPORT or RENDER, which differ in defaults.
     """
     found = {f"ask_{setting.name}": _criterion_switch(setting) for setting in CRITERIA}
     for setting in SETTINGS:
         if setting.switch:
-            found[setting.switch] = _switch(setting, mode)
+            found[setting.switch] = _switch_property(setting, mode)
         if not setting.is_flag:
             default = setting.default_in(mode)
-            found[setting.name] = _number(setting, setting.usual if default is None else default)
+            found[setting.name] = _number_property(setting, setting.usual if default is None else default)
     return found
 
 
@@ -107,10 +113,10 @@ class DetailSettings:
 class ViewportDetail(DetailSettings, bpy.types.PropertyGroup):
     """Level of detail in the viewport."""
 
-    __annotations__ = _properties(VIEWPORT)
+    __annotations__ = _make_properties(VIEWPORT)
 
 
 class RenderDetail(DetailSettings, bpy.types.PropertyGroup):
     """Level of detail in a render, a bake or an export."""
 
-    __annotations__ = _properties(RENDER)
+    __annotations__ = _make_properties(RENDER)

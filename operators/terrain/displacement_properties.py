@@ -11,7 +11,10 @@ from .detail_properties import changed
 
 
 def is_gray(_settings, image) -> bool:
-    """Tell whether the red of an image can be read: it is a file or painted."""
+    """Return whether the red channel of an image can be read: it is a file or painted.
+
+    Blender offers only such images.
+    """
     return image.source in {"FILE", "GENERATED"}
 
 
@@ -51,7 +54,7 @@ class DisplacementSettings(bpy.types.PropertyGroup):
 
 
 def displacement_of(settings) -> Detail | Tiled | None:
-    """Return the displacement of a DisplacementSettings; None where it has no amplitude."""
+    """Return the engine's displacement for a DisplacementSettings; None if its amplitude is 0."""
     if settings.image is not None:
         detail = Tiled(settings.amplitude, settings.tile, painted_of(settings.image, "of a displacement"))
     else:

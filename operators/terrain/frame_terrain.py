@@ -19,17 +19,13 @@ VIEWPORT_SENSOR_MM = 72.0  # twice that of a camera: with the same lens a viewpo
 NEAREST_CAMERA_START = 1.0  # metres: the largest clip start, so that near objects stay visible
 
 
-def frame(obj, depsgraph, viewports: list[tuple], always: bool) -> list[str]:
-    """Frame the terrain in `viewports` (see camera.viewports) and extend the camera's clip range to it.
+def frame_terrain(obj, depsgraph, viewports: list[tuple], always: bool) -> list[str]:
+    """Move `viewports` (see camera.viewports) to show the terrain, and extend the clip range of its camera to it.
+
+    Returns the changes in words. Raises TerrainError if the terrain has no store or no finite box.
 
     Args:
         always: also move a viewport that already shows the whole terrain.
-
-    Returns:
-        What was done, in words.
-
-    Raises:
-        TerrainError: the terrain has no store or no finite box.
     """
     box = sight.box_of(obj, depsgraph)
     done = widen_camera(obj, depsgraph, box)
@@ -76,7 +72,10 @@ def widen_camera(obj, depsgraph, box: np.ndarray) -> list[str]:
 
 
 def _visible_part(area, region, space) -> tuple[float, float, float, float]:
-    """Return left, right, bottom and top (-1 .. 1) of the region without the sidebar, toolbar and headers over it."""
+    """Return left, right, bottom and top of the part of a region that sidebar, toolbar and headers leave visible.
+
+    They are coordinates of the region, -1 .. 1.
+    """
     left, right, bottom, top = region.x, region.x + region.width, region.y, region.y + region.height
     if not space.region_quadviews and bpy.context.preferences.system.use_region_overlap:
         for other in area.regions:
@@ -104,7 +103,10 @@ def _visible_part(area, region, space) -> tuple[float, float, float, float]:
 
 
 def _move_view(space, region, region_3d, box: np.ndarray, visible: tuple[float, float, float, float]) -> None:
-    """Move the view along its direction until the box fills the visible part of the region."""
+    """Move a viewport along its direction until a box fills the visible part of its region.
+
+    box: float64 [8, 3], corners in the world. visible: result of `_visible_part`.
+    """
     axes = np.array(region_3d.view_rotation.to_matrix(), np.float64)  # columns: right, up, towards the eye
     middle = (box.min(axis=0) + box.max(axis=0)) / 2
     across, up, towards = ((box - middle) @ axes).T
@@ -136,16 +138,17 @@ class FrameTerrain(bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
+        """Frame the active terrain in the viewport that was clicked, or in all viewports if a script calls."""
         viewports = shown_viewports(context.window_manager, context.scene)
         if context.area is not None and context.area.type == "VIEW_3D":
             viewports = [viewport for viewport in viewports if viewport[1] == context.area]
-        done = frame(context.object, context.evaluated_depsgraph_get(), viewports, always=True)
+        done = frame_terrain(context.object, context.evaluated_depsgraph_get(), viewports, always=True)
         if done:
             self.report({"INFO"}, to_sentence(done))
         return {"FINISHED"}
 
 
 def to_sentence(done: list[str]) -> str:
-    """Join the texts of `frame` to one sentence."""
+    """Join the texts of `frame_terrain` to one sentence."""
     text = "; ".join(done)
     return f"{text[0].upper()}{text[1:]}."

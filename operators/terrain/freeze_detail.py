@@ -17,6 +17,7 @@ class FreezeDetail(TerrainObjectOperator, bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
+        """Store the present triangles in the terrain's settings, or release them if it is frozen."""
         settings = context.object.adaptive_terrain
         settings.frozen = "" if settings.frozen else session.freeze(context.object)
         self.report({"INFO"}, "The mesh keeps its triangles" if settings.frozen else "The mesh follows its camera")

@@ -10,14 +10,20 @@ from ...cbt_terrain.errors import TerrainError
 MAX_LEAVES = 1 << 26  # of a mesh, at about a byte each
 
 
-def to_text(tree: bytes, meshlet: int) -> str:
-    """Encode a saved tree in about a third of a byte per leaf."""
+def encode_tree(tree: bytes, meshlet: int) -> str:
+    """Encode a saved tree as text for a property, in about a third of a byte per leaf.
+
+    meshlet: level of the meshlets, needed to restore the mesh.
+    """
     return f"{meshlet} {base64.b64encode(zlib.compress(tree)).decode()}"
 
 
 @lru_cache(maxsize=4)  # the same at every update
-def from_text(text: str) -> tuple[bytes, int]:
-    """Decode the saved tree and the meshlet level. Raises TerrainError if `to_text` did not write the text."""
+def decode_tree(text: str) -> tuple[bytes, int]:
+    """Decode a text of `encode_tree` into the saved tree and the meshlet level.
+
+    Raises TerrainError for another text.
+    """
     try:
         meshlet, packed = text.split()
         return zlib.decompressobj().decompress(base64.b64decode(packed, validate=True), 2 * MAX_LEAVES), int(meshlet)

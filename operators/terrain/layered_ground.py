@@ -9,7 +9,10 @@ from .displacement_properties import displacement_of
 
 
 def ground_of(settings, name: str) -> Ground | LayeredDetail | None:
-    """Return the displacement of the terrain `name`; None if no amplitude is above 0."""
+    """Return the displacement of a terrain and of its splat layers; None if no amplitude is above 0.
+
+    name: the terrain's, for errors. Raises TerrainError.
+    """
     try:  # a driver or a script may set any number
         everywhere = displacement_of(settings.ground)
         found = ((number, displacement_of(layer.detail)) for number, layer in enumerate(settings.layers))

@@ -8,7 +8,7 @@ from ...cbt_terrain.view.settings import CRITERIA, LIMITS, MODIFIERS, CriterionS
 from ..session import session
 from ..text.numbers import plain
 from ..text.translations import phrase
-from ..ui.panel_parts import TerrainSubpanel, fixed_lines, switched
+from ..ui.panel_parts import TerrainSubpanel, draw_fixed_lines, draw_switched
 from .request import criterion_from, within_time
 
 ROUNDED = 1e-3  # part by which an error, rounded up to four digits, may cost less than its budget
@@ -16,12 +16,16 @@ BUDGET_LINES = 2
 
 
 def draw_errors(column, settings) -> None:
-    """Draw the error on screen of the viewport and of a render: two rows."""
+    """Draw two rows: the screen error of the viewport and that of a render."""
     column.prop(settings.viewport, "error_px", text="Viewport Error")
     column.prop(settings.render, "error_px", text="Render Error")
 
 
 def _draw_detail(column, detail) -> None:
+    """Draw all settings of a criterion: errors, modifiers, limits and the time budget.
+
+    detail: DetailSettings of the viewport or of the render.
+    """
     for setting in CRITERIA:
         _draw_criterion(column, detail, setting)
     column.separator()
@@ -29,14 +33,14 @@ def _draw_detail(column, detail) -> None:
         column.prop(detail, setting.switch or setting.name, text=setting.row or setting.label)
     column.separator()
     for setting in LIMITS:
-        switched(column, detail, setting.switch, setting.name)
-    switched(column, detail, "limit_time", "max_ms")
+        draw_switched(column, detail, setting.switch, setting.name)
+    draw_switched(column, detail, "limit_time", "max_ms")
     if detail.limit_time:
-        fixed_lines(column, _budget(detail), BUDGET_LINES)
+        draw_fixed_lines(column, _budget_text(detail), BUDGET_LINES)
 
 
 def _draw_criterion(column, detail, setting: CriterionSetting) -> None:
-    """Draw a switch and a value, which is 0 where it is off."""
+    """Draw a switch and the number of one criterion, which is 0 while it is off."""
     row = column.row(heading=setting.row or setting.label, align=True)
     row.prop(detail, f"ask_{setting.name}", text="")
     if getattr(detail, setting.name) > 0.0:
@@ -45,8 +49,8 @@ def _draw_criterion(column, detail, setting: CriterionSetting) -> None:
         row.label(text="off")
 
 
-def _budget(detail) -> str:
-    """Return the error that fits the time, or why none is known."""
+def _budget_text(detail) -> str:
+    """Return the finest error that fits the time budget, or why none is known."""
     try:
         criterion, note = within_time(criterion_from(detail), detail)
     except TerrainError as error:  # every criterion is off

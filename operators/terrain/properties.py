@@ -33,30 +33,30 @@ SCENE_CAMERA, CHOSEN_CAMERA, VIEWPORT_VIEW = "SCENE", "CHOSEN", "VIEW"
 
 
 def land_items() -> list[tuple]:
-    """Enum items of the built-in lands. Files hold their numbers: 1 is that of a file as a source."""
+    """Return the enum items of the built-in lands. A .blend file stores their numbers; 1 is "file" as a source."""
     numbers = (number for number in range(len(LANDS) + 1) if number != 1)
     return [(name.upper(), land.label, land.about, "NONE", next(numbers)) for name, land in LANDS.items()]
 
 
-def land_of(settings) -> BuiltInTerrain | None:
-    """Return the built-in terrain that is the source; None for a file."""
+def built_in_land(settings) -> BuiltInTerrain | None:
+    """Return the built-in land that the settings choose as source; None for a file."""
     return LANDS.get(settings.source.lower())
 
 
-def _source_chosen(self, _context) -> None:
-    """Reset the size and the height scale that the Add menu set for the previous land."""
+def _on_source(self, _context) -> None:
+    """Reset the size and the height scale if the Add menu set them for the land that was chosen before."""
     shapes = [self.extent[0] / land.side for land in LANDS.values()]
     if not self.use_extent or not any(math.isclose(self.height_scale, shape, rel_tol=1e-5) for shape in shapes):
         return
-    if (land := land_of(self)) is not None:
+    if (land := built_in_land(self)) is not None:
         self.height_scale = self.extent[0] / land.side
     else:
         self.use_extent = False
         self.property_unset("height_scale")
 
 
-def _overlay_chosen(self, context) -> None:
-    """Let viewports draw the material again after the last overlay: they would draw another attribute's colours."""
+def _on_overlay(self, context) -> None:
+    """Switch viewports from attribute colours back to materials when the last overlay of the file is off."""
     changed(self, context)
     if any(obj.adaptive_terrain.overlay != NO_OVERLAY for obj in bpy.data.objects):
         return
@@ -102,7 +102,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
         name="Source", description="Where the heights come from",
         items=[*land_items(),
                (FILE, "File", "A height map: GeoTIFF, VRT, ASCII grid, HGT, PNG, EXR, RAW, NPY", "NONE", 1)],
-        update=_source_chosen,
+        update=_on_source,
     )  # fmt: skip
     source_path: StringProperty(
         name="File", description="Height map to import", subtype="FILE_PATH", options=PATH_OPTIONS
@@ -263,7 +263,7 @@ class TerrainSettings(bpy.types.PropertyGroup):
                (ERROR_OVERLAY, "Screen Error", "Colour each triangle by its largest error in pixels; updates take "
                                                "longer"),
                (LEVEL_OVERLAY, "Level", "Colour each triangle by how often it was halved: high levels are fine")],
-        update=_overlay_chosen,
+        update=_on_overlay,
     )  # fmt: skip
     effects: PointerProperty(type=effect_properties.EffectsSettings)
     cleanup: PointerProperty(type=CleanupSettings)

@@ -25,7 +25,7 @@ from ...cbt_terrain.view.view import View
 from ..attributes.request import Effects, gather_effects
 from ..bridge import camera as cameras
 from ..bridge.cleanup import Cleanup, plan_triangles
-from ..bridge.evaluated import found_in, placement_of
+from ..bridge.evaluated import evaluated_or_still, placement_of
 from ..bridge.scene_paths import absolute_path, no_heights
 from ..land.request import land_of
 from ..scatter.request import Scatters, gather_scatters
@@ -78,18 +78,19 @@ class Request:
     curve: CostCurve | None = None
 
     def key(self) -> tuple:
-        """Return a key that is equal for equal requests."""
+        """Return a key that is equal for equal requests: the live update skips a request that it has answered."""
         shown = self.smooth, self.cleanup.key(), self.overlay, self.note, self.effects, self.scatters.key()
-        return self.store, self.changed_ns, self.land, self.interpolation, self.ground, *self._shape(), *shown
+        return self.store, self.changed_ns, self.land, self.interpolation, self.ground, *self._mesh_key(), *shown
 
     def digest(self, field_key: FieldKey) -> str:
         """Return the hex digest of everything that determines the mesh before clean-up and its errors.
 
         That is the key of the height field, the criterion, the views and the placement.
         """
-        return hashlib.blake2b(repr((str(field_key), *self._shape())).encode(), digest_size=16).hexdigest()
+        return hashlib.blake2b(repr((str(field_key), *self._mesh_key())).encode(), digest_size=16).hexdigest()
 
-    def _shape(self) -> tuple:
+    def _mesh_key(self) -> tuple:
+        """Return the key of the inputs that determine the triangles."""
         views = tuple(view.key() for view in self.views)
         heights = self.vertical_scale, self.vertical_offset
         return self.criterion, views, self.placement.tobytes(), heights, self.frozen
@@ -123,7 +124,7 @@ def gather(
     if criterion is None:
         frozen = settings.frozen if replace(overrides, effects=None) == NO_OVERRIDES else ""
         detail = settings.render if mode == RENDER else settings.viewport
-        with _named(obj):
+        with _name_terrain_in_errors(obj):
             criterion = criterion_from(detail, overrides)
         if overrides.criterion.keys().isdisjoint(ERRORS):
             criterion, note = within_time(criterion, detail)
@@ -131,8 +132,8 @@ def gather(
             curve = CostCurve.from_json(detail.curve) if detail.limit_time and not note else None
     views = []
     if criterion.needs_view:
-        with _named(obj):
-            views = _views(settings, depsgraph, mode, camera, resolution)
+        with _name_terrain_in_errors(obj):
+            views = _find_views(settings, depsgraph, mode, camera, resolution)
     store, land = absolute_path(settings.store), land_of(obj, evaluated, depsgraph, mode == RENDER)
     if land is not None:
         if views and mode == RENDER and land.of_views:
@@ -162,14 +163,16 @@ def gather(
         frozen=frozen,
         effects=gather_effects(obj, evaluated, placement, depsgraph, mode, overrides.effects),
         scatters=gather_scatters(
-            obj, depsgraph, mode == RENDER, lambda: views or _views(settings, depsgraph, mode, camera, resolution)
+            obj, depsgraph, mode == RENDER, lambda: views or _find_views(settings, depsgraph, mode, camera, resolution)
         ),
         curve=curve,
     )
 
 
 def _shown_land(store: str, land: Land, frozen: str) -> tuple[str, Land | None]:
-    """Return the store that a viewport shows, and the land that is previewed on it."""
+    """Return the store that a viewport shows, and the land that it previews on it, None if that store is already
+    shaped.
+    """
     if shown := land.shown:
         return shown, None
     # A frozen mesh has the triangles of the raster, and a preview has another.
@@ -177,8 +180,8 @@ def _shown_land(store: str, land: Land, frozen: str) -> tuple[str, Land | None]:
 
 
 @contextmanager
-def _named(obj):
-    """Name the terrain in errors: a scene may have several."""
+def _name_terrain_in_errors(obj):
+    """Add the terrain's name to TerrainErrors of the `with` block: a scene may have several."""
     try:
         yield
     except TerrainError as error:
@@ -186,16 +189,15 @@ def _named(obj):
 
 
 def criterion_from(detail, overrides: Overrides = NO_OVERRIDES) -> Criterion:
-    """Return the criterion of a DetailSettings."""
+    """Return the criterion of a DetailSettings, with `overrides` in place of its values."""
     return Criterion(**{setting.name: value_of(detail, setting) for setting in SETTINGS} | overrides.criterion)
 
 
 def within_time(criterion: Criterion, detail) -> tuple[Criterion, str]:
     """Return the criterion with the finest error that fits the time budget of a DetailSettings, and "".
 
-    If none fits, return `criterion` as it is, and why.
-
-    The error depends on the measured curve and the budget alone.
+    Without a usable measured curve, return `criterion` unchanged and the reason. The error depends on the curve and
+    the budget alone, so a frame is the same on every machine.
     """
     if not detail.limit_time:
         return criterion, ""
@@ -216,8 +218,11 @@ def within_time(criterion: Criterion, detail) -> tuple[Criterion, str]:
     return replace(criterion, **{f"error_{unit}": error}), ""
 
 
-def corrected(request: Request, correction: TimeCorrection) -> Request:
-    """Return the request with the error that fits its time budget by the times of recent updates."""
+def correct_for_time(request: Request, correction: TimeCorrection) -> Request:
+    """Return the request with an error that fits its time budget by the times of recent live updates.
+
+    It is unchanged without a budget.
+    """
     if request.curve is None:
         return request
     error = correction.error_for_ms(request.curve, request.max_ms)
@@ -225,7 +230,10 @@ def corrected(request: Request, correction: TimeCorrection) -> Request:
 
 
 def record_time(request: Request, ms: float, correction: TimeCorrection) -> None:
-    """Correct the next errors by the milliseconds of an update that was made for a request with a time budget."""
+    """Record the time of a live update, by which `correct_for_time` adapts later errors.
+
+    ms: milliseconds that the update took.
+    """
     if request.curve is not None:
         correction.record(request.curve, getattr(request.criterion, f"error_{request.curve.unit}"), ms)
 
@@ -238,7 +246,7 @@ def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
             raise TerrainError(
                 f"The terrain {terrain.name!r} is its own boundary", fix="choose another object, or none"
             )
-        shape, matrix = found_in(depsgraph, settings.boundary, "boundary")
+        shape, matrix = evaluated_or_still(depsgraph, settings.boundary, "boundary")
         boundary = plan_triangles(shape, matrix, Matrix(terrain.matrix_world).inverted(), "boundary")
     if settings.use_below and not math.isfinite(settings.below):
         raise TerrainError(
@@ -258,7 +266,11 @@ def follows_viewport(settings, scene) -> bool:
     return settings.camera_source == VIEWPORT_VIEW
 
 
-def _views(settings, depsgraph, mode: str, camera, resolution) -> list[View]:
+def _find_views(settings, depsgraph, mode: str, camera, resolution) -> list[View]:
+    """Return the views that a terrain is refined for: of viewports, of its chosen camera or of the scene's.
+
+    camera, resolution: replace those of the settings and of the scene unless they are None. Raises TerrainError.
+    """
     scene = depsgraph.scene
     if camera is None and mode == VIEWPORT and follows_viewport(settings, scene):
         views = cameras.views_from_windows(bpy.context.window_manager)

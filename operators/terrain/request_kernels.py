@@ -16,7 +16,10 @@ from .request import Request
 
 
 def kernels_for(request: Request) -> list[ModuleType]:
-    """Return the modules of kernels for `warmup.ask`. Raises TerrainError for effects that are not valid."""
+    """Return the kernel modules that a request needs, for `warmup.ask`, which compiles them ahead of the update.
+
+    Raises TerrainError for attributes that are not valid.
+    """
     attributes = list(request.effects.requests)
     if isinstance(request.ground, LayeredDetail):
         attributes.append(AttributeRequest(NAMES[0], ("detail",), parameters=(("layers", request.ground.layers),)))

@@ -42,6 +42,7 @@ def box_of(obj, depsgraph=None) -> np.ndarray:
 
 
 def _half_extent(field) -> tuple[float, float]:
+    """Return half the size of a height field in metres along x and y."""
     lattice = field.lattice
     return lattice.step_x * (lattice.width - 1) / 2, lattice.step_y * (lattice.height - 1) / 2
 
@@ -58,7 +59,7 @@ def depths(box: np.ndarray, view: View) -> np.ndarray:
 
 
 def is_cut_off(box: np.ndarray, view: View) -> bool:
-    """Return whether the clip range cuts the far end of the box, or all of it before its start."""
+    """Return whether the clip range cuts off the far end of the box, or ends in front of all of it."""
     start, end = view.clip
     far = depths(box, view).max()
     return start < end and (far > end or 0.0 < far < start)
@@ -85,6 +86,7 @@ def shows_all(box: np.ndarray, view: View) -> bool:
 
 
 def _in_camera(box: np.ndarray, view: View) -> np.ndarray:
+    """Transform the corners of a box [8, 3] from the world to the view's camera, which looks along -z."""
     matrix = view.world_to_camera
     return (matrix[:3, :3] @ box.T).T + matrix[:3, 3]
 
@@ -97,7 +99,7 @@ def _in_frame(box: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def is_below_ground(obj, point: np.ndarray) -> bool:
-    """Return whether a point of the world [3] is below the nearest sample of the terrain."""
+    """Return whether a point of the world, float64 [3], is below the nearest sample of the terrain."""
     settings = obj.adaptive_terrain
     field = session.open_field(shaped_land.store_of(obj))
     matrix = np.array(obj.matrix_world, np.float64)

@@ -26,16 +26,19 @@ class UpdateTerrain(TerrainObjectOperator, bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
+        """Update the terrain once the kernels are ready; the timer calls this until then."""
         if event.type != "TIMER" or warmup.preparing():
             return {"PASS_THROUGH"}
         self.cancel(context)
         return self.execute(context) if self.poll(context) else {"CANCELLED"}
 
     def cancel(self, context):
+        """Remove the timer."""
         context.window_manager.event_timer_remove(self.timer)
 
     @cancelled_by_errors
     def execute(self, context):
+        """Update the active terrain for the viewport, and report its triangles."""
         session.update_object(context.object)
         self.report({"INFO"}, f"{len(context.object.data.polygons):,} triangles")
         return {"FINISHED"}

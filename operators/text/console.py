@@ -79,6 +79,7 @@ class Progress:
         return (time.monotonic() - self._start) / self._worked * (self.total - self.done)
 
     def _draw(self) -> None:
+        """Redraw the bar, or print the per cent for a farm, if it has changed."""
         if not self.show:
             return
         fraction = self.done / self.total if self.total else 1.0
@@ -95,11 +96,13 @@ class Progress:
             sys.stderr.flush()
 
     def _draw_line(self, line: str) -> None:
+        """Print a line unless it was the last one that this printed."""
         if line != self._drawn:
             self._drawn = line
             print(line, flush=True)
 
     def _clear(self) -> None:
+        """Erase the bar's line in the terminal, before other output."""
         if self.show and self.show != OPENJD:
             self._drawn = ""
             sys.stderr.write("\r\x1b[K")
@@ -107,7 +110,7 @@ class Progress:
 
 
 def duration(seconds: float) -> str:
-    """Format seconds as `8 s`, `2:05 min` or `1:02 h`."""
+    """Format seconds as `8 s`, `2:05 min` or `1:02 h`, for the time that is left."""
     whole = max(0, round(seconds))
     if whole < 60:
         return f"{whole} s"
@@ -117,7 +120,7 @@ def duration(seconds: float) -> str:
 
 
 def open_streams() -> None:
-    """Open closed standard streams on the null device, before the next file gets their number and their output.
+    """Open closed standard streams on the null device; otherwise the next opened file would get their output.
 
     Characters that the encoding of stdout lacks are printed as escapes.
     """
@@ -129,7 +132,7 @@ def open_streams() -> None:
 
 
 def unwritten(error: Exception) -> str:
-    """Return why stdout has failed, or "" if `error` has another source.
+    """Return why stdout cannot be written, or "" if `error` has another cause.
 
     The rest of the output is dropped, since Python would try to write it at exit and report another error.
     """

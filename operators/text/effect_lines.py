@@ -11,12 +11,12 @@ BYTES = 4  # of a float32
 
 
 def about(effect: AttributeDeclaration) -> dict:
-    """Return a declaration as fields for the command line, which omits empty ones."""
+    """Return an attribute's declaration as fields for the command line, which omits empty ones."""
     return {
         "about": effect.about,
         "unit": effect.unit,
         "reads": ", ".join(effect.reads_with(())),
-        "parameters": {p.name: _parameter(p) for p in effect.parameters} or "",
+        "parameters": {p.name: _parameter_text(p) for p in effect.parameters} or "",
         "looks": effect.halo,
         "adds to the bound": effect.bound,
         "cost": cost(effect),
@@ -24,11 +24,11 @@ def about(effect: AttributeDeclaration) -> dict:
 
 
 def cost(effect: AttributeDeclaration) -> str:
-    """Return the declared cost of an effect per vertex."""
+    """Return the memory and the time per vertex that an attribute's declaration states."""
     return f"{BYTES * effect.width} bytes and about {plain(effect.cost_ns)} ns a vertex"
 
 
-def _parameter(parameter) -> str:
+def _parameter_text(parameter) -> str:
     """Format a parameter as `0.5 m (0 to 10): about`, or only its description if it is no number."""
     if not isinstance(parameter.default, int | float):
         return parameter.about
@@ -40,7 +40,7 @@ def status_line(name: str, status) -> str:
     """Return `slope: read by material Rock, node Attribute.003; 12.1 ms, 0.4 MB`, or why it was skipped."""
     text = readers_text(status)
     text = text if status.note else text[0].lower() + text[1:]
-    return f"{name}: {text}" if status.skipped else f"{name}: {text}; {figures(status)}"
+    return f"{name}: {text}" if status.skipped else f"{name}: {text}; {cost_figures(status)}"
 
 
 def readers_text(status, say: Callable[..., str] = str.format) -> str:
@@ -61,14 +61,14 @@ def readers_text(status, say: Callable[..., str] = str.format) -> str:
 
 def cost_text(status, say: Callable[..., str] = str.format) -> str:
     """Return the cost of the last update: `12.1 ms, 0.4 MB, 1,203 new`. say: see `readers_text`."""
-    return "-" if status is None or status.skipped else say("{}, {} new", figures(status), f"{status.computed:,}")
+    return "-" if status is None or status.skipped else say("{}, {} new", cost_figures(status), f"{status.computed:,}")
 
 
-def figures(took) -> str:
+def cost_figures(took) -> str:
     """Format time and memory of a Ran or an EffectStatus."""
     return f"{plain(took.ms)} ms, {plain(took.nbytes / 1e6)} MB"
 
 
-def unknown(name: str) -> str:
-    """Return the error text for a name that is no effect's."""
+def unknown_attribute(name: str) -> str:
+    """Return the error text for a name that no attribute has."""
     return f"{name!r} is no effect; expected some of {', '.join(ATTRIBUTES)}"

@@ -35,8 +35,11 @@ class Curve:
 
 
 def draw(curves: Sequence[Curve], x_label: str, y_label: str) -> str:
-    """Return the plot, empty if no curve has a point."""
-    curves = _placed(curves)
+    """Return the curves as an SVG with a legend; without curves if none has a point.
+
+    x_label, y_label: names of the axes with their units.
+    """
+    curves = _drawable(curves)
     label = f"{y_label} against {x_label}, both logarithmic"
     if not curves:
         return picture(WIDTH, HEIGHT, label, [])
@@ -48,11 +51,11 @@ def draw(curves: Sequence[Curve], x_label: str, y_label: str) -> str:
     for decade in x_axis.decades():
         x = x_axis(10.0**decade)
         parts.append(path([(x, TOP), (x, HEIGHT - BOTTOM)], LINE, 1))
-        parts.append(text(x, HEIGHT - BOTTOM + 20, _power(decade), "middle"))
+        parts.append(text(x, HEIGHT - BOTTOM + 20, _decade_label(decade), "middle"))
     for decade in y_axis.decades():
         y = y_axis(10.0**decade)
         parts.append(path([(LEFT, y), (WIDTH - RIGHT, y)], LINE, 1))
-        parts.append(text(LEFT - 8, y + 4, _power(decade), "end"))
+        parts.append(text(LEFT - 8, y + 4, _decade_label(decade), "end"))
     parts.append(text((LEFT + WIDTH - RIGHT) / 2, HEIGHT - 8, x_label, "middle"))
     parts.append(text(LEFT - 8, TOP - 14, y_label, "end" if len(y_label) < 8 else "start"))
     for i, curve in enumerate(curves):
@@ -61,7 +64,7 @@ def draw(curves: Sequence[Curve], x_label: str, y_label: str) -> str:
 
 
 def _draw_curve(curve: Curve, x_axis: "_Axis", y_axis: "_Axis", legend_y: float) -> list[str]:
-    """Draw a curve and its line of the legend."""
+    """Return the SVG parts of a curve and of its line in the legend at height `legend_y`."""
     places = [(x_axis(x), y_axis(y)) for x, y in curve.points]
     dash = f'stroke-dasharray="{curve.dash}"' if curve.dash else ""
     left = WIDTH - RIGHT
@@ -73,13 +76,13 @@ def _draw_curve(curve: Curve, x_axis: "_Axis", y_axis: "_Axis", legend_y: float)
         parts.append(path(places, curve.colour, 2, more=dash))
         parts.append(path([(left + 16, legend_y), (left + 44, legend_y)], curve.colour, 2, more=dash))
     else:
-        parts.append(_marker(left + 30, legend_y, curve))
-    parts += [_marker(*place, curve) for place in places]
+        parts.append(_draw_marker(left + 30, legend_y, curve))
+    parts += [_draw_marker(*place, curve) for place in places]
     return [*parts, text(left + 52, legend_y + 4, curve.label)]
 
 
-def _placed(curves: Sequence[Curve]) -> list[Curve]:
-    """Remove points without a position on the axes, and then curves without points."""
+def _drawable(curves: Sequence[Curve]) -> list[Curve]:
+    """Return the curves without points that are 0, infinite or negligible, and without curves that are then empty."""
     places = [p for curve in curves for p in curve.points if min(p) > 0 and max(p) < math.inf]
     limits = [NEGLIGIBLE * max(values) for values in zip(*places, strict=True)]
     found = []
@@ -106,14 +109,17 @@ class _Axis:
         return self.start + (math.log10(value) - self.low) / (self.high - self.low) * (self.end - self.start)
 
     def decades(self) -> range:
+        """Return the exponents of the powers of ten that the axis spans, for its grid lines."""
         return range(self.low, self.high + 1)
 
 
-def _power(decade: int) -> str:
+def _decade_label(decade: int) -> str:
+    """Return ten to the power of `decade` as the label of a grid line."""
     return f"{10**decade:,}" if decade >= 0 else f"{10.0**decade:g}"
 
 
-def _marker(x: float, y: float, curve: Curve) -> str:
+def _draw_marker(x: float, y: float, curve: Curve) -> str:
+    """Return the SVG of a curve's marker at a point in pixels."""
     if curve.marker == CROSS:
         look = f'stroke="{curve.colour}" stroke-width="2"'
         return f'<path d="M{x - 9:.1f} {y:.1f}h18M{x:.1f} {y - 9:.1f}v18" {look}/>'

@@ -7,8 +7,8 @@ import platform
 import sys
 
 
-def machine() -> dict[str, str]:
-    """Return processor, threads, system and the versions of the packages."""
+def describe_machine() -> dict[str, str]:
+    """Return processor, threads, system and versions of packages as texts by name, for measured reports."""
     threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return {
         "Processor": _processor(),
@@ -22,6 +22,7 @@ def machine() -> dict[str, str]:
 
 
 def _processor() -> str:
+    """Return the processor's name, or its architecture if the system does not tell."""
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as file:
             names = [line.split(":", 1)[1].strip() for line in file if line.startswith("model name")]
@@ -31,6 +32,7 @@ def _processor() -> str:
 
 
 def _version(package: str) -> str:
+    """Return the version of an installed package, "none" without it."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
@@ -38,5 +40,6 @@ def _version(package: str) -> str:
 
 
 def _blender() -> str:
+    """Return Blender's version, or that of the installed bpy package if it is not loaded."""
     bpy = sys.modules.get("bpy")
     return bpy.app.version_string if bpy is not None else _version("bpy")

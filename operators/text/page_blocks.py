@@ -129,10 +129,12 @@ class Plot:
 
 
 def as_markdown(title: str, blocks: list) -> str:
-    return "\n\n".join([f"# {title}", *map(_markdown, blocks)]) + "\n"
+    """Return a page as Markdown. `blocks`: instances of this module's classes, in order."""
+    return "\n\n".join([f"# {title}", *map(_block_to_markdown, blocks)]) + "\n"
 
 
-def _markdown(block) -> str:
+def _block_to_markdown(block) -> str:
+    """Return one block as Markdown."""
     match block:
         case Heading(text):
             return f"## {text}"
@@ -151,16 +153,22 @@ def _markdown(block) -> str:
 
 
 def _markdown_table(head: list[str], *rows: list[str], rule: str = "") -> str:
+    """Return a Markdown table with a head and rows of cells.
+
+    rule: the alignment of every column, by default left for the first and right for the others.
+    """
     rules = [rule] * len(head) if rule else [" --- ", *[" ---: "] * (len(head) - 1)]
     lines = [f"| {' | '.join(cells)} |" for cells in (head, *rows)]
     return "\n".join([lines[0], f"|{'|'.join(rules)}|", *lines[1:]])
 
 
 def as_html(title: str, blocks: list) -> str:
-    return document(title, [f"<h1>{html.escape(title)}</h1>", *map(_html, blocks)])
+    """Return a page as self-contained HTML. `blocks`: instances of this module's classes, in order."""
+    return document(title, [f"<h1>{html.escape(title)}</h1>", *map(_block_to_html, blocks)])
 
 
-def _html(block) -> str:
+def _block_to_html(block) -> str:
+    """Return one block as HTML."""
     match block:
         case Heading(text):
             return f"<h2>{html.escape(text)}</h2>"
@@ -175,7 +183,7 @@ def _html(block) -> str:
             cells = (f"<div><b>{html.escape(v)}</b><span>{html.escape(w)}</span></div>" for v, w in pairs)
             return f'<div class="figures">{"".join(cells)}</div>'
         case PictureStrip(pictures, first_wide):
-            return f'<div class="{"pair" if first_wide else "strip"}">{"".join(map(_html, pictures))}</div>'
+            return f'<div class="{"pair" if first_wide else "strip"}">{"".join(map(_block_to_html, pictures))}</div>'
         case PagePicture(name, caption, title, png):
             source = f"data:image/png;base64,{base64.b64encode(png).decode()}" if png else html.escape(name)
             text = (f"<b>{html.escape(title)}</b>" if title else "") + html.escape(caption)

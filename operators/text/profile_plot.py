@@ -22,8 +22,8 @@ def draw(along: np.ndarray, heights: np.ndarray, title: str) -> str:
     keep = np.unique(np.linspace(0, len(along) - 1, min(len(along), MAX_POINTS)).astype(int))
     low, high = float(heights[known].min()), float(heights[known].max())
     margin = 0.05 * (high - low) or 1.0
-    x = _axis(0.0, float(along[-1]) or 1.0, LEFT, WIDTH - RIGHT)
-    y = _axis(low - margin, high + margin, HEIGHT - BOTTOM, TOP)
+    x = _linear_axis(0.0, float(along[-1]) or 1.0, LEFT, WIDTH - RIGHT)
+    y = _linear_axis(low - margin, high + margin, HEIGHT - BOTTOM, TOP)
     parts = [text(LEFT, 22, title, look="bold")]
     for metres in _round_values(0.0, float(along[-1]) or 1.0):
         parts.append(path([(x(metres), TOP), (x(metres), HEIGHT - BOTTOM)], LINE, 1))
@@ -31,7 +31,7 @@ def draw(along: np.ndarray, heights: np.ndarray, title: str) -> str:
     for metres in _round_values(low - margin, high + margin):
         parts.append(path([(LEFT, y(metres)), (WIDTH - RIGHT, y(metres))], LINE, 1))
         parts.append(text(LEFT - 8, y(metres) + 4, f"{plain(metres, 6)} m", "end"))
-    for run in _runs(along[keep], heights[keep]):
+    for run in _split_at_gaps(along[keep], heights[keep]):
         places = [(x(a), y(h)) for a, h in run.tolist()]
         floor = HEIGHT - BOTTOM
         parts.append(path([(places[0][0], floor), *places, (places[-1][0], floor)], "none", 0, WASH))
@@ -39,8 +39,8 @@ def draw(along: np.ndarray, heights: np.ndarray, title: str) -> str:
     return picture(WIDTH, HEIGHT, f"{title}: height over distance", parts)
 
 
-def _axis(low: float, high: float, start: float, end: float):
-    """Return a function from values to pixels."""
+def _linear_axis(low: float, high: float, start: float, end: float):
+    """Return a function that maps values low .. high to pixels start .. end."""
     return lambda value: start + (value - low) / (high - low) * (end - start)
 
 
@@ -52,8 +52,8 @@ def _round_values(low: float, high: float) -> list[float]:
     return [n * step for n in range(math.ceil(low / step), math.floor(high / step) + 1)]
 
 
-def _runs(along: np.ndarray, heights: np.ndarray) -> list[np.ndarray]:
-    """Return the parts of the line, float64 [k, 2], between gaps without ground."""
+def _split_at_gaps(along: np.ndarray, heights: np.ndarray) -> list[np.ndarray]:
+    """Return the parts of the line between gaps without ground, float64 [k, 2] each: distance and height."""
     points = np.stack([along, heights], axis=1)
     ends = np.flatnonzero(np.diff(np.r_[False, np.isfinite(heights), False].astype(np.int8)))
     return [points[a:b] for a, b in ends.reshape(-1, 2)]

@@ -48,6 +48,7 @@ def path(points: Iterable[Point], stroke: str, width: float = 1.5, fill: str = "
 
 
 def box(x: float, y: float, width: float, height: float, fill: str, more: str = "") -> str:
+    """Return an SVG rectangle. `more`: further attributes."""
     return (
         f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" fill="{fill}"'
         f"{' ' + more if more else ''}/>"
@@ -55,4 +56,5 @@ def box(x: float, y: float, width: float, height: float, fill: str, more: str = 
 
 
 def dot(at: Point, fill: str, radius: float = 4.5) -> str:
+    """Return an SVG circle."""
     return f'<circle cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="{radius:g}" fill="{fill}"/>'

@@ -37,6 +37,7 @@ class TerrainSubpanel:
         return session.shown_terrain(context) is not None
 
     def _columns(self):
+        """Return a column for the panel's settings, whose buttons act on the shown terrain."""
         show_terrain(self.layout, bpy.context)
         return split_column(self.layout)
 
@@ -49,22 +50,28 @@ def split_column(layout):
 
 
 def show_terrain(layout, context):
-    """Let buttons of a layout act on the terrain that panels show, whatever object is active; return it."""
+    """Make a layout's buttons act on the terrain that panels show, whatever object is active; return the terrain."""
     terrain = session.shown_terrain(context)
     if terrain is not None and terrain != context.object:
         layout.context_pointer_set("object", terrain)
     return terrain
 
 
-def switched(column, settings, switch: str, name: str) -> None:
-    """Draw a check box, and its value if it is on."""
+def draw_switched(column, settings, switch: str, name: str) -> None:
+    """Draw a check box, and below it a setting if the box is checked.
+
+    switch, name: names of the two properties of `settings`.
+    """
     column.prop(settings, switch)
     if getattr(settings, switch):
         column.prop(settings, name)
 
 
 def draw_band(column, band, names: tuple[str, ...]) -> None:
-    """Draw a switch, and the numbers of `band` below it if it is on."""
+    """Draw the switch of a rule, and its numbers below it if it is on.
+
+    band: group of `band` or an AspectSettings. names: its properties to draw.
+    """
     column.row(heading=band.bl_rna.properties["use"].name).prop(band, "use", text="")
     if band.use:
         numbers = column.column(align=True)
@@ -82,8 +89,11 @@ def draw_ground(column, ground) -> None:
         column.prop(ground, name)
 
 
-def figures(column, lines: list[tuple[str, ...]], factor: float = 0.5) -> None:
-    """Draw names in the left part, `factor` of the width, and one or more figures in the right."""
+def draw_figures(column, lines: list[tuple[str, ...]], factor: float = 0.5) -> None:
+    """Draw rows of a name and one or more values.
+
+    factor: fraction of the width for the names.
+    """
     for name, *values in lines:
         row = column.split(factor=factor)
         row.label(text=name)
@@ -92,33 +102,33 @@ def figures(column, lines: list[tuple[str, ...]], factor: float = 0.5) -> None:
             right.label(text=value)
 
 
-def message(layout, text: str, icon: str) -> None:
-    """Draw a sentence in a box, cut into lines; red if `icon` is "ERROR"."""
+def draw_message(layout, text: str, icon: str) -> None:
+    """Draw a sentence in a box, wrapped; red if `icon` is "ERROR"."""
     box = layout.box()
     box.alert = icon == "ERROR"
-    for number, line in enumerate(wrapped(text, LINE_LENGTH)):
+    for number, line in enumerate(wrap_words(text, LINE_LENGTH)):
         box.label(text=line, icon=icon if number == 0 else "NONE")
 
 
 def error_lines(status: session.Status) -> list[tuple[str, str]]:
-    """Return texts and icons for the error of a terrain's last update: the problem, and the fix if it is known."""
+    """Return (text, icon) lines for the error of a terrain's last update: the problem, and the fix if it is known."""
     failure = status.failure
     if failure is None or str(failure) != status.error or not failure.fix:
         return [(status.error, "ERROR")] if status.error else []
     return [(failure.problem, "ERROR"), (f"{failure.fix[0].upper()}{failure.fix[1:]}.", "FORWARD")]
 
 
-def fixed_lines(column, text: str, count: int) -> None:
-    """Draw a sentence in exactly `count` lines; a longer one is cut."""
-    lines = wrapped(text, LINE_LENGTH)
+def draw_fixed_lines(column, text: str, count: int) -> None:
+    """Draw a sentence in exactly `count` lines, so that rows below do not move; a longer one is cut."""
+    lines = wrap_words(text, LINE_LENGTH)
     if len(lines) > count:
         lines[count - 1] += " ..."
     for line in (lines + [""] * count)[:count]:
         column.label(text=line)
 
 
-def wrapped(text: str, width: int) -> list[str]:
-    """Return the text in lines of at most `width` characters, cut between words."""
+def wrap_words(text: str, width: int) -> list[str]:
+    """Return the text in lines of at most `width` characters, broken between words."""
     lines = [""]
     for word in text.split():
         if lines[-1] and len(lines[-1]) + 1 + len(word) > width:

@@ -17,7 +17,15 @@ from ..session.polls import LEFT_ALONE
 from ..terrain import panel as detail_panel
 from ..terrain.properties import CHOSEN_CAMERA
 from ..text.translations import phrase
-from .panel_parts import TerrainSubpanel, figures, message, panels_of, show_terrain, split_column, switched
+from .panel_parts import (
+    TerrainSubpanel,
+    draw_figures,
+    draw_message,
+    draw_switched,
+    panels_of,
+    show_terrain,
+    split_column,
+)
 from .status_row import NO_VIEW, draw_preparation, draw_status, sight_notice
 
 
@@ -29,11 +37,15 @@ class TerrainPanel:
 
     @classmethod
     def poll(cls, context):
+        """Show the panel for a terrain, and in the sidebar always: there it offers to add one."""
         obj = context.object
         in_properties = getattr(cls, "bl_space_type", "") == "PROPERTIES"
         return not in_properties or obj is not None and obj.adaptive_terrain.enabled
 
     def draw(self, context):
+        """Draw the main rows: update, state, source, errors and the buttons for the look; without a terrain,
+        how to add one.
+        """
         layout = self.layout
         obj = show_terrain(layout, context)
         if obj is None:
@@ -57,15 +69,19 @@ class TerrainPanel:
 
 
 def _draw_without_terrain(layout, obj) -> None:
+    """Draw the buttons that add a terrain; for a linked terrain, why it cannot be changed.
+
+    obj: the active object or None.
+    """
     if obj is not None and obj.type == "MESH" and obj.adaptive_terrain.enabled:
-        message(layout, LEFT_ALONE, "LINKED")
+        draw_message(layout, LEFT_ALONE, "LINKED")
     layout.operator("mesh.adaptive_terrain_add", text="Add Adaptive Terrain", icon="ADD")
     layout.operator("mesh.adaptive_terrain_from_file", icon="FILE_IMAGE")
     draw_preparation(layout)
 
 
 def _figures_of(context, obj) -> list[tuple[str, str]]:
-    """Return names and figures of the last update: triangles, the error's bound, the time."""
+    """Return three (name, value) rows about the last update: triangles, error bound and time."""
     sees_nothing = sight_notice(context, obj)[0] in NO_VIEW
     return statistics_panel.summary_lines(session.record_of(obj).status, sees_nothing)
 
@@ -94,16 +110,17 @@ class AdvancedPanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
 
     def draw(self, context):
+        """Draw the figures of the last update and the button that freezes the triangles."""
         obj = session.shown_terrain(context)
         column = self._columns()
-        figures(column.box().column(align=True), _figures_of(context, obj))
+        draw_figures(column.box().column(align=True), _figures_of(context, obj))
         column.operator("adaptive_terrain.freeze", icon="FREEZE", depress=bool(obj.adaptive_terrain.frozen))
 
 
 def _waiting_row(layout):
-    """Return a row for operators that need the kernels.
+    """Return a row for an operator that needs the kernels.
 
-    It is greyed out while they are prepared, because they would block the window.
+    It is greyed out while they are compiled, because the operator would block the window.
     """
     row = layout.row()
     row.enabled = not warmup.preparing()
@@ -116,6 +133,7 @@ class CameraPanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
 
     def draw(self, context):
+        """Draw the setting of the camera that the detail follows, and the object if one is chosen."""
         column = self._columns()
         settings = session.shown_terrain(context).adaptive_terrain
         column.prop(settings, "camera_source")
@@ -129,11 +147,12 @@ class MeshPanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
 
     def draw(self, context):
+        """Draw the settings of the finished mesh: smooth shading and the parts that are cut away."""
         column = self._columns()
         settings = session.shown_terrain(context).adaptive_terrain
         column.prop(settings, "smooth")
         cleanup = settings.cleanup
-        switched(column, cleanup, "use_below", "below")
+        draw_switched(column, cleanup, "use_below", "below")
         column.prop(cleanup, "boundary")
 
 
@@ -143,6 +162,7 @@ class OutputPanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
 
     def draw(self, context):
+        """Draw the buttons that bake, export, render maps and submit to a farm."""
         column = self._columns()
         column.prop(session.shown_terrain(context).adaptive_terrain, "bake_error_m")
         column.prop(session.shown_terrain(context).adaptive_terrain, "bake_fit")

@@ -16,8 +16,8 @@ WIDTH = 14  # in the interface's units, so that the bar does not move with its t
 _shown: tuple | None = None
 
 
-def work() -> tuple[float | None, str] | None:
-    """Return the progress of what runs now (0 .. 1; None if it is unknown) and its text; None if nothing runs."""
+def current_work() -> tuple[float | None, str] | None:
+    """Return the progress (0 .. 1, None if unknown) and a text of the long work that runs now; None if nothing runs."""
     fraction = warmup.progress()
     if fraction is not None:
         return fraction, "Preparing kernels (first use)"
@@ -30,8 +30,9 @@ def work() -> tuple[float | None, str] | None:
     return (None, f"{phrase(live.stage())}, {seconds:.0f} s") if seconds >= 1.0 else None
 
 
-def _draw(self, _context) -> None:
-    now = work()
+def _draw_progress(self, _context) -> None:
+    """Draw the current work in the status bar; Blender calls it as part of the bar's header."""
+    now = current_work()
     if now is None:
         return
     fraction, text = now
@@ -43,7 +44,8 @@ def _draw(self, _context) -> None:
         row.progress(factor=fraction, text=text)
 
 
-def _turn() -> float:
+def _tick() -> float:
+    """Redraw the status bar if needed, and return the seconds until Blender calls this timer again."""
     try:
         _redraw_if_changed()
     except Exception:  # Blender would silently take a timer off that raises
@@ -52,9 +54,10 @@ def _turn() -> float:
 
 
 def _redraw_if_changed() -> None:
+    """Redraw the status bar and the panels if the progress that they show has changed."""
     global _shown
     render_wait.watch()
-    now = work()
+    now = current_work()
     if now is not None and now[0] is not None:
         now = round(now[0] * jobs.SHOWN_STEPS), now[1]
     if now != _shown:
@@ -66,13 +69,13 @@ def _redraw_if_changed() -> None:
 
 def start() -> None:
     if not bpy.app.background:
-        bpy.types.STATUSBAR_HT_header.prepend(_draw)
-        bpy.app.timers.register(_turn, first_interval=TURN_S, persistent=True)
+        bpy.types.STATUSBAR_HT_header.prepend(_draw_progress)
+        bpy.app.timers.register(_tick, first_interval=TURN_S, persistent=True)
 
 
 def stop() -> None:
     global _shown
-    if bpy.app.timers.is_registered(_turn):
-        bpy.app.timers.unregister(_turn)
-        bpy.types.STATUSBAR_HT_header.remove(_draw)
+    if bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.unregister(_tick)
+        bpy.types.STATUSBAR_HT_header.remove(_draw_progress)
     _shown = None

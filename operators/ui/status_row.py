@@ -15,7 +15,7 @@ from ..bridge.scene_paths import NO_HEIGHTS
 from ..scatter.request import is_scatter
 from ..session import session
 from ..terrain import sight
-from .panel_parts import error_lines, wrapped
+from .panel_parts import error_lines, wrap_words
 
 POPUP_LINE = 80
 NOTICE_WIDTH = 0.7  # of the row; the button that mends it has the rest
@@ -25,7 +25,7 @@ FRAME, CAMERA_TO_VIEW = "adaptive_terrain.frame", "view3d.camera_to_view"
 
 
 def draw_status(layout, context, obj) -> None:
-    """Draw the first row that applies: progress, failure, state, notice."""
+    """Draw one row about the terrain's state: the first that applies of progress, failure, state and visibility."""
     row = layout.row(align=True)
     status = session.record_of(obj).status
     if _draw_progress(row, obj):
@@ -51,7 +51,7 @@ def draw_status(layout, context, obj) -> None:
 
 
 def _waits_for_import(obj, status) -> bool:
-    """Tell whether all that is wrong with a terrain is that nothing was imported yet."""
+    """Return whether the terrain's only problem is that nothing was imported yet, which is no error to show."""
     failure = status.failure
     return not obj.adaptive_terrain.store and failure is not None and failure.code == NO_HEIGHTS
 
@@ -66,6 +66,7 @@ def draw_preparation(layout) -> bool:
 
 
 def _draw_progress(row, obj) -> bool:
+    """Draw the progress of compiling, importing or packing; return whether one of them runs."""
     if draw_preparation(row):
         return True
     job = jobs.find(jobs.IMPORT, obj) or jobs.find(jobs.PACK)
@@ -75,7 +76,7 @@ def _draw_progress(row, obj) -> bool:
 
 
 def sight_notice(context, obj) -> tuple[str, str, str]:
-    """Return what keeps the terrain out of sight, the operator that fixes it, and its button's text; "" for nothing."""
+    """Return why the terrain is out of sight, the operator that fixes it, and its button's text; "" for nothing."""
     try:
         box = sight.box_of(obj)
         if _viewport_cuts(context, box):
@@ -96,7 +97,7 @@ def sight_notice(context, obj) -> tuple[str, str, str]:
 
 
 def _viewport_cuts(context, box: np.ndarray) -> bool:
-    """Tell whether the viewport beside the panel clips the terrain.
+    """Return whether the clip range of the viewport beside the panel cuts the terrain's box off.
 
     False in camera view, where the camera's own clip range has another notice.
     """
@@ -117,8 +118,8 @@ def draw_failure(layout, terrain) -> bool:
     return False
 
 
-def _concerned(obj):
-    """Return the terrain that an object is, or of which it is a scatter; None for any other."""
+def _terrain_of(obj):
+    """Return the terrain that an object is, or on which it is a scatter; None for any other object."""
     terrain = obj.parent if obj is not None and is_scatter(obj) else obj
     return terrain if terrain is not None and session.is_terrain(terrain) else None
 
@@ -131,15 +132,16 @@ class ShowMessage(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return _concerned(context.object) is not None
+        return _terrain_of(context.object) is not None
 
     def execute(self, context):
-        terrain = _concerned(context.object)
+        """Show the error of the terrain's last update in a popup."""
+        terrain = _terrain_of(context.object)
         texts = error_lines(session.record_of(terrain).status)
 
         def draw(popup, _context):
             for text, icon in texts:
-                for number, line in enumerate(wrapped(text, POPUP_LINE)):
+                for number, line in enumerate(wrap_words(text, POPUP_LINE)):
                     popup.layout.label(text=line, icon=icon if number == 0 and icon != "ERROR" else "NONE")
 
         context.window_manager.popup_menu(draw, title=terrain.name, icon="ERROR")

@@ -167,8 +167,8 @@ def test_a_stale_frame_has_an_error_with_fields():
 
 def test_stale_frames_are_told_of_in_few_words():
     why = "There is no terrain store."
-    assert stale_renders.lines_of({3: why, 2: why}) == ["Rendered with the mesh of another frame: 2, 3", why]
-    assert stale_renders.lines_of(dict.fromkeys(range(1, 241), why))[0].endswith(" 8, 9, 10 and 230 more")
+    assert stale_renders.message_lines({3: why, 2: why}) == ["Rendered with the mesh of another frame: 2, 3", why]
+    assert stale_renders.message_lines(dict.fromkeys(range(1, 241), why))[0].endswith(" 8, 9, 10 and 230 more")
 
 
 def turns(limit=500):
@@ -237,10 +237,10 @@ def test_live_update_begins_when_the_kernels_are_ready(window, add_terrain, prep
     for fraction in (0.25, 0.5, 0.5):
         preparing.fraction = fraction
         assert live.tick() == live.IDLE_S
-        status_bar._turn()
+        status_bar._tick()
     assert len(redrawn) == 2 and len(terrain.data.polygons) == 0
     preparing.fraction = None
-    status_bar._turn()
+    status_bar._tick()
     preparing.done.set()
     turns()
     assert len(redrawn) >= 4, "the bar goes, then Update can be clicked"

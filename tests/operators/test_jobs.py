@@ -26,7 +26,7 @@ def threads():
 
 def endless(job):
     while True:
-        job.check()
+        job.raise_if_stopped()
         yield
 
 

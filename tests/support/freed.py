@@ -31,11 +31,11 @@ def _touch_arrays() -> None:
 def measured(memory) -> dict[str, int]:
     """Count page faults before `memory` (freed_memory.py) holds memory, meanwhile, after, and when held again."""
     found = {"before": faults()}
-    memory.hold()
+    memory.hold_freed_memory()
     found["held"] = faults()
     memory.give_back()
     found["after"] = faults()
-    memory.hold()
+    memory.hold_freed_memory()
     found["again"] = faults()
     memory.give_back()
     return found

@@ -32,14 +32,18 @@ class _Scene:
     materials: set = field(default_factory=set)
 
     def modifiers_of(self, obj) -> list:
+        """Return the modifiers of an object that are on in this mode."""
         return [modifier for modifier in getattr(obj, "modifiers", ()) if is_enabled(modifier, self.render)]
 
     def words(self, obj, modifier) -> str:
+        """Return the name of a modifier for the user, with its object unless that is the terrain."""
         return f"{'' if obj == self.terrain else f'object {obj.name}, '}modifier {modifier.name}"
 
 
-def demand(obj, depsgraph, mode: str = RENDER, exports: tuple[str, ...] = ()) -> Demand:
-    """Find the attributes of the mesh of `obj` that a scene reads, with readers by name or special name of found.py.
+def find_demand(obj, depsgraph, mode: str = RENDER, exports: tuple[str, ...] = ()) -> Demand:
+    """Return the attributes of the mesh of `obj` that a scene reads, with their readers.
+
+    Names are those of attributes, or special ones of found.py.
 
     Args:
         depsgraph: the scene's dependency graph.
@@ -48,7 +52,7 @@ def demand(obj, depsgraph, mode: str = RENDER, exports: tuple[str, ...] = ()) ->
     """
     scene, render = depsgraph.scene.original, mode == RENDER
     layers = [layer for layer in scene.view_layers if layer.use or not render]
-    shown = _objects(scene)
+    shown = _all_objects(scene)
     holding = {other for other in shown if other.data == obj.data} | {obj}
     search = _Scene(Demand(), obj, shown, render, shading_of(scene, layers, preview=not render), holding)
     found = search.found
@@ -69,7 +73,7 @@ def demand(obj, depsgraph, mode: str = RENDER, exports: tuple[str, ...] = ()) ->
     return found
 
 
-def _objects(scene) -> list:
+def _all_objects(scene) -> list:
     """Return the objects of a scene, of its background sets and of instanced collections."""
     waiting, seen = [], set()
     while scene is not None and scene not in seen:
@@ -87,6 +91,7 @@ def _objects(scene) -> list:
 
 
 def _read_engine(found: Demand, scene, render: bool) -> None:
+    """Add the reads of the render engine: of Workbench by its settings, of an unknown engine all attributes."""
     engine = scene.render.engine
     if engine == WORKBENCH:
         if render:
@@ -96,7 +101,7 @@ def _read_engine(found: Demand, scene, render: bool) -> None:
 
 
 def _read_holder(scene: _Scene, obj) -> None:
-    """Add the reads of an object that has the mesh itself."""
+    """Add the reads of an object that has the terrain's mesh: of its modifiers and particles; note its materials."""
     modifiers = scene.modifiers_of(obj)
     for modifier in modifiers:
         words = scene.words(obj, modifier)
@@ -111,7 +116,7 @@ def _read_holder(scene: _Scene, obj) -> None:
 
 
 def _read_users(scene: _Scene) -> None:
-    """Add the reads of objects whose modifiers use geometry of a holder, directly or through other objects."""
+    """Add the reads of objects whose modifiers use the terrain's geometry, directly or through other objects."""
     waiting = []
     for obj in scene.objects:
         if obj not in scene.holding:
@@ -136,12 +141,15 @@ def _read_users(scene: _Scene) -> None:
 
 
 def _add_materials(scene: _Scene, sources: Sources) -> None:
-    """Add the materials that a modifier sets and those of its sources: instances read attributes of their points."""
+    """Add materials to search: those that a modifier sets, and those of its source objects.
+
+    These are instanced, and instances read attributes of their points.
+    """
     scene.materials |= sources.materials
     scene.materials |= {s.material for o in sources.all_objects() - scene.holding for s in o.material_slots}
 
 
 def _with_overrides(materials: set, layers: list) -> set:
-    """Replace materials by the overrides of view layers."""
+    """Return the materials that are shown: material overrides of view layers replace them."""
     overrides = {layer.material_override for layer in layers} or {None}
     return (overrides if None not in overrides else materials | overrides) - {None}

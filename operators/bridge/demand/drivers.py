@@ -14,7 +14,7 @@ NAMED = re.compile(r'attributes\["((?:[^"\\]|\\.)*)"\]')
 def read_drivers(found: Demand, obj, objects, scene) -> None:
     """Add the attributes of a terrain's mesh that drivers of objects, shaders and node groups read as variables."""
     targets = {obj, obj.data}
-    for block in _driven(objects, scene):
+    for block in _data_with_drivers(objects, scene):
         for curve in block.animation_data.drivers:
             paths = [t.data_path for v in curve.driver.variables for t in v.targets if t.id in targets]
             for path in paths:
@@ -24,8 +24,8 @@ def read_drivers(found: Demand, obj, objects, scene) -> None:
                     found.add(name[1] if name else ALL, words if name else f"{words} (it names none)", GEOMETRY)
 
 
-def _driven(objects, scene):
-    """Return the data-blocks that have drivers."""
+def _data_with_drivers(objects, scene):
+    """Return the data-blocks that have drivers: objects and their data, the scene, shaders and node groups."""
     shaders = [*bpy.data.materials, *bpy.data.worlds, *bpy.data.lights]
     trees = [block.node_tree for block in shaders if block.node_tree]
     blocks = [*objects, *{o.data for o in objects if o.data}, scene, *shaders, *trees, *bpy.data.node_groups]

@@ -24,11 +24,13 @@ class Demand(dict[str, list[Reader]]):
     """Readers by attribute name."""
 
     def add(self, name: str, words: str, family: str) -> None:
+        """Add a reader of an attribute, once."""
         readers = self.setdefault(name, [])
         if (reader := Reader(words, family)) not in readers:
             readers.append(reader)
 
     def merge(self, other: "Demand") -> None:
+        """Add all readers of another demand."""
         for name, readers in other.items():
             for reader in readers:
                 self.add(name, *reader)

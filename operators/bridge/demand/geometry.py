@@ -21,17 +21,21 @@ class Sources:
     collections: set = field(default_factory=set)
 
     def all_objects(self) -> set:
+        """Return the objects, including those of the collections."""
         return self.objects.union(*(collection.all_objects for collection in self.collections))
 
 
 def is_enabled(modifier, render: bool) -> bool:
-    """Return whether a modifier is on in a render or in a viewport; an animated switch counts as on."""
+    """Return whether a modifier is on in a render or in a viewport; one with an animated switch counts as on."""
     shown = "show_render" if render else "show_viewport"
     return getattr(modifier, shown) or shown in "".join(_animated(modifier))
 
 
 def read_modifier(found: Demand, modifier, words: str, trees: Trees, viewers: bool = False) -> Sources:
-    """Add the attributes that one modifier reads, and return its sources. `viewers`: viewer nodes count, too."""
+    """Add the attributes that one modifier reads to `found`, and return its sources.
+
+    words: the modifier's name for the user. viewers: viewer nodes count as outputs.
+    """
     if modifier.type == "NODES":
         return _read_nodes(found, modifier, words, trees, viewers) if modifier.node_group else Sources()
     texts, pointers = _properties(type(modifier))
@@ -60,6 +64,7 @@ def modifier_key(modifier) -> tuple:
 
 
 def sets_material_index(modifier) -> bool:
+    """Return whether a modifier's nodes may give faces another material slot."""
     tree = modifier.node_group if modifier.type == "NODES" else None
     return tree is not None and any(node.bl_idname == "GeometryNodeSetMaterialIndex" for node in nodes_inside(tree))
 
@@ -78,6 +83,10 @@ def read_particles(found: Demand, system, words: str) -> None:
 
 
 def _read_nodes(found: Demand, modifier, words: str, trees: Trees, viewers: bool) -> Sources:
+    """Add the attributes that a geometry-nodes modifier reads, and return its sources.
+
+    Arguments as in `read_modifier`.
+    """
     values, attributes = _inputs(modifier)
     for label, name in attributes:
         if name:

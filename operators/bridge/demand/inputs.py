@@ -11,7 +11,10 @@ WEIGHED = {
 
 
 def used_inputs(walk, node, context: tuple) -> list:
-    """Return the inputs of a node that may change its outputs."""
+    """Return the inputs of a node that can change its outputs.
+
+    walk: the NodeWalk, which knows constant values. context: enclosing group nodes, the innermost last.
+    """
     if walk.is_altered(node):
         return list(node.inputs)
     # a mix or a switch keeps links on the disabled sockets of its other data types
@@ -20,27 +23,28 @@ def used_inputs(walk, node, context: tuple) -> list:
     return choose(walk, node, context, inputs) if choose else inputs
 
 
-def _mix(walk, node, context, inputs):
+def _used_of_mix(walk, node, context, inputs):
+    """Return the used inputs of a Mix node."""
     if node.data_type == "ROTATION" or node.data_type == "VECTOR" and node.factor_mode == "NON_UNIFORM":
         return inputs
     blends = node.data_type == "RGBA" and node.blend_type != "MIX"
-    return _sides(walk, node, context, inputs, replaces=not blends, clamped=node.clamp_factor)
+    return _used_sides(walk, node, context, inputs, replaces=not blends, clamped=node.clamp_factor)
 
 
-def _mix_shader(walk, node, context, inputs):
-    return _sides(walk, node, context, list(node.inputs)[:3], replaces=True, clamped=True)
+def _used_of_mix_shader(walk, node, context, inputs):
+    """Return the used inputs of a Mix Shader node."""
+    return _used_sides(walk, node, context, list(node.inputs)[:3], replaces=True, clamped=True)
 
 
-def _mix_colours(walk, node, context, inputs):
-    return _sides(walk, node, context, list(node.inputs)[:3], replaces=node.blend_type == "MIX", clamped=True)
+def _used_of_mix_colours(walk, node, context, inputs):
+    """Return the used inputs of the old Mix RGB node."""
+    return _used_sides(walk, node, context, list(node.inputs)[:3], replaces=node.blend_type == "MIX", clamped=True)
 
 
-def _sides(walk, node, context, inputs, replaces: bool, clamped: bool):
-    """Return the used inputs of a factor and two sides.
+def _used_sides(walk, node, context, inputs, replaces: bool, clamped: bool):
+    """Return the used ones of a factor and two sides: a constant factor of 0 or 1 hides one side.
 
-    Args:
-        replaces: a factor of 1 hides the first side.
-        clamped: factors are clamped to 0 .. 1.
+    replaces: a factor of 1 hides the first side. clamped: factors are limited to 0 .. 1.
     """
     if len(inputs) != 3:
         return inputs
@@ -55,18 +59,21 @@ def _sides(walk, node, context, inputs, replaces: bool, clamped: bool):
     return inputs
 
 
-def _switch(walk, node, context, inputs):
+def _used_of_switch(walk, node, context, inputs):
+    """Return the used inputs of a Switch node: one side if its switch is constant."""
     value = walk.constant(node, inputs[0], context) if len(inputs) == 3 else None
     return inputs if value is None else [inputs[2 if value else 1]]
 
 
-def _index_switch(walk, node, context, inputs):
+def _used_of_index_switch(walk, node, context, inputs):
+    """Return the used inputs of an Index Switch node: one if its index is constant."""
     value = walk.constant(node, inputs[0], context)
     chosen = isinstance(value, int) and 0 <= value < len(inputs) - 1
     return [inputs[1 + value]] if chosen else inputs
 
 
-def _principled(walk, node, context, inputs):
+def _used_of_principled(walk, node, context, inputs):
+    """Return the used inputs of a Principled BSDF, without those that a weight of 0 hides."""
     unused = set()
     for weight, parts in WEIGHED.items():
         if weight in node.inputs and walk.constant(node, node.inputs[weight], context) == 0:
@@ -75,10 +82,10 @@ def _principled(walk, node, context, inputs):
 
 
 CHOOSING = {
-    "ShaderNodeMix": _mix,
-    "ShaderNodeMixRGB": _mix_colours,
-    "ShaderNodeMixShader": _mix_shader,
-    "ShaderNodeBsdfPrincipled": _principled,
-    "GeometryNodeSwitch": _switch,
-    "GeometryNodeIndexSwitch": _index_switch,
+    "ShaderNodeMix": _used_of_mix,
+    "ShaderNodeMixRGB": _used_of_mix_colours,
+    "ShaderNodeMixShader": _used_of_mix_shader,
+    "ShaderNodeBsdfPrincipled": _used_of_principled,
+    "GeometryNodeSwitch": _used_of_switch,
+    "GeometryNodeIndexSwitch": _used_of_index_switch,
 }

@@ -7,7 +7,7 @@ tells whether their modifiers, materials, mesh or drivers have changed.
 
 import bpy
 
-from .demand import RENDER, demand
+from .demand import RENDER, find_demand
 from .found import Demand
 from .geometry import modifier_key
 from .screens import screens_key
@@ -23,21 +23,21 @@ _driven: dict[int, tuple] = {}  # key of its drivers at the last update of a dat
 
 
 def demand_of(obj, depsgraph, mode: str) -> Demand:
-    """Return the demand of a terrain's scene.
+    """Return the attributes that a terrain's scene reads, in a viewport from the cache if nothing has changed.
 
     A render's demand is never cached: a script may have changed anything since the last reported update.
     """
     if mode == RENDER:
-        return demand(obj, depsgraph, mode)
+        return find_demand(obj, depsgraph, mode)
     scene = depsgraph.scene.original
     uids, key = (obj.session_uid, scene.session_uid), (_scene_key(scene), screens_key())
     if uids not in _cached or _cached[uids][0] != key:
-        _cached[uids] = key, demand(obj, depsgraph, mode)
+        _cached[uids] = key, find_demand(obj, depsgraph, mode)
     return _cached[uids][1]
 
 
 def note_update(depsgraph) -> None:
-    """Drop the demands that an update of a dependency graph has made stale."""
+    """Drop cached demands that the updates of a dependency graph may have changed."""
     stale = False
     for update in depsgraph.updates:
         block = update.id.original
@@ -59,7 +59,10 @@ def forget() -> None:
 
 
 def _has_changed(keys: dict[int, tuple], block, key: tuple, unknown: tuple | None = None) -> bool:
-    """Store a data-block's key and return whether it differs from the one at the last update."""
+    """Store the key of a data-block; return whether it differs from the one at the last update.
+
+    unknown: key that a block without a stored one counts with.
+    """
     before = keys.get(block.session_uid, unknown)
     if before != key:
         keys[block.session_uid] = key
@@ -67,6 +70,7 @@ def _has_changed(keys: dict[int, tuple], block, key: tuple, unknown: tuple | Non
 
 
 def _drivers_key(block) -> tuple:
+    """Return a key of the paths that a data-block's drivers read, () without drivers."""
     data = getattr(block, "animation_data", None)
     if not data or not len(data.drivers):
         return ()
@@ -75,6 +79,7 @@ def _drivers_key(block) -> tuple:
 
 
 def _object_key(obj) -> tuple:
+    """Return a key of an object's mesh, materials, modifiers, instanced collection and particle systems."""
     data, slots = obj.data, tuple(slot.material.session_uid if slot.material else 0 for slot in obj.material_slots)
     modifiers = tuple(map(modifier_key, obj.modifiers)) if hasattr(obj, "modifiers") else ()
     collection = obj.instance_collection

@@ -91,10 +91,15 @@ def used_slots(obj) -> set[int]:
 
 
 def _hits_others(node) -> bool:
+    """Return whether a node is a Raycast that reads attributes of other objects where its rays hit."""
     return node.bl_idname == "ShaderNodeRaycast" and not node.only_local and len(node.sample_attribute_items) > 0
 
 
 def _read_shader(found: Demand, tree, words: str, shading: Shading) -> None:
+    """Add the attributes that a shader's node tree reads, from its used outputs and AOVs backwards.
+
+    words: the owner's name for the user.
+    """
     walk = NodeWalk(found, words, PICTURE, shading.trees, osl=shading.osl)
     ends = {end.as_pointer(): (end, ()) for target in shading.targets if (end := tree.get_output_node(target))}
     aovs = list(islice(_aov_ends(tree, shading.aovs, ()), MAX_AOVS)) if shading.aovs else []
@@ -106,14 +111,18 @@ def _read_shader(found: Demand, tree, words: str, shading: Shading) -> None:
 
 
 def _aov_ends(tree, names: set[str], context: tuple):
-    """Yield the AOV outputs of a tree and of its groups, each with its context."""
+    """Yield the AOV output nodes of a tree and of its groups, each with its context.
 
-    def is_one(node) -> bool:
+    names: AOVs of the view layers. context: enclosing group nodes.
+    """
+
+    def is_used_aov(node) -> bool:
+        """Return whether a node is an output to one of the AOVs."""
         return node.bl_idname == "ShaderNodeOutputAOV" and node.aov_name in names and not node.mute
 
     for node in tree.nodes:
         inner = None if node.mute else getattr(node, "node_tree", None)
-        if is_one(node):
+        if is_used_aov(node):
             yield node, context
-        elif inner is not None and any(map(is_one, nodes_inside(inner))):
+        elif inner is not None and any(map(is_used_aov, nodes_inside(inner))):
             yield from _aov_ends(inner, names, (*context, node))

@@ -26,7 +26,7 @@ class Trees:
     altered: set[int] = field(default_factory=set)
 
     def add(self, tree) -> None:
-        """Read a tree, once."""
+        """Read the links and the animation of a node tree, unless it was read before."""
         if tree.as_pointer() in self.read:
             return
         self.read.add(tree.as_pointer())
@@ -53,12 +53,14 @@ def animated_paths(block) -> list[str]:
     curves = list(data.drivers)
     for action in actions:
         if action is not None:
-            curves += _curves(action)
+            curves += _curves_of(action)
     return [curve.data_path for curve in curves]
 
 
-def _curves(action) -> list:
-    """Return the curves of every slot; `action.fcurves` lists only the first in Blender 4.4 and 4.5, none in 5.0."""
+def _curves_of(action) -> list:
+    """Return the curves of all slots of an action; `action.fcurves` lists only the first in Blender 4.4 and 4.5,
+    none in 5.0.
+    """
     if len(getattr(action, "layers", ())):
         bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
         return [curve for bag in bags for curve in bag.fcurves]
@@ -73,7 +75,7 @@ def tree_of_new(block):
 
 
 def nodes_inside(tree, seen: set[int] | None = None):
-    """Yield every node of a tree and of its groups, each group once."""
+    """Yield every node of a tree and of its groups, each group once. seen: pointers of trees that were visited."""
     seen = set() if seen is None else seen
     if tree.as_pointer() in seen:
         return

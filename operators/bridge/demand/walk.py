@@ -45,7 +45,7 @@ class NodeWalk:
     collections: set = field(default_factory=set)
 
     def visit(self, node, socket, context: tuple = ()) -> None:
-        """Note the reads of all nodes that feed an input."""
+        """Walk backwards from an input of a node: add the reads of all nodes that feed it."""
         self.trees.add(node.id_data)
         waiting = [(node, socket, context)]
         while waiting:
@@ -54,7 +54,7 @@ class NodeWalk:
                 self.read(ALL, node, context[:1], "too many groups in groups to follow")
                 return
             for source, output in self.feeding(socket):
-                waiting += self._through(source, output, context)
+                waiting += self._read_and_step(source, output, context)
 
     def feeding(self, socket) -> list[tuple]:
         """Return the (node, output) pairs that feed an input."""
@@ -65,7 +65,7 @@ class NodeWalk:
         return node.as_pointer() in self.trees.altered
 
     def constant(self, node, socket, context: tuple):
-        """Return the value of an input if it is constant, else None."""
+        """Return the value of an input if nothing can change it, else None."""
         for _ in range(100):
             links = self.feeding(socket)
             if len(links) > 1:
@@ -85,7 +85,7 @@ class NodeWalk:
         return None
 
     def read(self, name: str, node, context: tuple, why: str = "") -> None:
-        """Note that a node reads an attribute."""
+        """Add a node as the reader of an attribute. why: added to the reader's name for the user."""
         groups = [f"group {group.node_tree.name}" for group in context]
         words = ", ".join([self.words, *groups, f"node {node.name}"])
         self.found.add(name, f"{words} ({why})" if why else words, self.family)
@@ -110,8 +110,11 @@ class NodeWalk:
             return (outer, inputs[0], context[:-1]) if inputs else None
         return None
 
-    def _through(self, node, output, context: tuple) -> list[tuple]:
-        """Note the reads of a node for one of its outputs, and return (node, input, context) of the inputs it needs."""
+    def _read_and_step(self, node, output, context: tuple) -> list[tuple]:
+        """Add the reads of a node for one of its outputs; return (node, input, context) of the inputs that it needs.
+
+        [] if this output was visited in the same context before.
+        """
         key = node.as_pointer(), output.identifier, tuple(group.as_pointer() for group in context)
         if key in self.seen:
             return []
@@ -122,15 +125,18 @@ class NodeWalk:
             step = self._input_passed_to(node, output, context)
             return [step] if step else []
         if getattr(node, "node_tree", None) is not None:
-            return self._group_end(node, output, context)
+            return self._enter_group(node, output, context)
         note_reads(self, node, output, context)
         if not node.bl_idname.startswith(KNOWN) or node.bl_idname.endswith("NodeCustomGroup"):
             self.read(ALL, node, context, f"an unknown type of node, {node.bl_idname}")
         fed = (socket for socket in used_inputs(self, node, context) if self.feeding(socket))
         return [(node, socket, context) for socket in fed]
 
-    def _group_end(self, group, output, context: tuple) -> list[tuple]:
-        """Return (node, input, context) of a group's output node for one of its outputs."""
+    def _enter_group(self, group, output, context: tuple) -> list[tuple]:
+        """Enter a group node: return (output node, its input, longer context) for one of the group's outputs.
+
+        Groups nested deeper than MAX_DEPTH count as reading everything, and return [].
+        """
         if len(context) >= MAX_DEPTH:
             self.read(ALL, group, context[:1], "groups too deep to follow")
             return []

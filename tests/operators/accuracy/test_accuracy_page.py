@@ -36,12 +36,12 @@ def test_the_plot_rings_the_pareto_front_and_crosses_the_current(unit, cost, fro
     rows = [row for row in known_rows() if row.setting.unit == unit]
     curves = {curve.label: curve for curve in accuracy_plots.plot_curves(rows, cost, rows[0])}
     assert curves["Pareto front"].points == front
-    assert curves[f"current, {accuracy_plots.label(rows[0].setting)}"].points[0][1] == rows[0].error
+    assert curves[f"current, {accuracy_plots.setting_label(rows[0].setting)}"].points[0][1] == rows[0].error
     assert "bicubic, measured" not in curves or curves["bicubic, measured"].points == []
     smooth = dataclasses.replace(rows[0], setting=dataclasses.replace(rows[0].setting, interpolation="bicubic"))
     curves = {curve.label: curve for curve in accuracy_plots.plot_curves([*rows, smooth], cost, rows[0])}
     assert [y for _, y in curves["bicubic, measured"].points] == [smooth.error]
-    assert accuracy_plots.label(smooth.setting).endswith(", bicubic")
+    assert accuracy_plots.setting_label(smooth.setting).endswith(", bicubic")
     plain = curves["measured"].points
     assert [y for _, y in plain] == [row.error for row in rows if row.setting.plain]
     assert [x for x, _ in curves["asked"].points] == [x for x, _ in plain]
@@ -73,13 +73,13 @@ def test_a_section_compares_popping_with_and_without_geomorph(morph, name):
     assert line[0] == "4 px" and line[1:3] == jumped and line[5:7] == shaded and line[-2:] == ratios
     curves = ElementTree.fromstring(plot.svg).findall(f".//{SVG}text")
     assert {"without, largest", "smooth, 99.9 %"} <= {text.text for text in curves}
-    assert accuracy_plots.label(setting) == f"4 px, {name}"
+    assert accuracy_plots.setting_label(setting) == f"4 px, {name}"
     assert other not in accuracy_plots.pareto_rows([own, other], "ms")
     assert transitions_section(known_rows(), "", "a_popping.svg") == []
 
 
 def test_the_table_says_which_rows_are_on_the_pareto_fronts():
-    table = accuracy_page.overview(known_rows(), Setting("px", 2.0))
+    table = accuracy_page.overview_table(known_rows(), Setting("px", 2.0))
     least = {line[0]: line[-1] for line in table.rows}
     assert least == {
         "4 px": "ms, triangles",
@@ -97,7 +97,7 @@ def test_an_infinite_bound_is_in_no_table_and_no_plot():
     known = [row for row in known_rows() if row.setting.unit == "px"]
     terms = Terms(0.75 * LARGEST, 0.25 * LARGEST, 0.0)
     rows = [dataclasses.replace(known[0], bound=LARGEST, terms=terms), *known[1:]]
-    assert accuracy_page.overview(rows, None).rows[0][1] == NO_BOUND
+    assert accuracy_page.overview_table(rows, None).rows[0][1] == NO_BOUND
     assert accuracy_page.bound_table(rows).rows[0] == ["4 px", NO_BOUND, "", "", "", ""]
     assert f"bound {NO_BOUND}, measured 3 px" in accuracy_page.row_line(rows[0])
     bound = next(curve for curve in accuracy_plots.plot_curves(rows, "ms", None) if curve.label == "bound")
@@ -153,14 +153,14 @@ def test_a_time_curve_of_runs_that_disagree_is_left_out():
     field = from_array(np.zeros((5, 5), np.float32))
     torn = [dataclasses.replace(rows[0], spread_ms=(10.0, 25.0), cpu_ms=10.0), *rows[1:]]
     subject = AccuracySubject("rough", field, [TimedFrame()], [], "as a whole", None, rows=torn)
-    assert accuracy_page.curves(subject) == [] and accuracy_page.sentences(subject) == []
-    assert [plot.name for plot in accuracy_plots.plots(subject, "px", None, "")] == ["rough_px_triangles.svg"]
-    reason = f"at {accuracy_plots.label(rows[0].setting)} runs of the same update took 10 to 25 ms of CPU"
-    files = accuracy_page.files([subject], {})
+    assert accuracy_page.cost_curves(subject) == [] and accuracy_page.cost_sentences(subject) == []
+    assert [plot.name for plot in accuracy_plots.error_plots(subject, "px", None, "")] == ["rough_px_triangles.svg"]
+    reason = f"at {accuracy_plots.setting_label(rows[0].setting)} runs of the same update took 10 to 25 ms of CPU"
+    files = accuracy_page.report_files([subject], {})
     assert reason in files["accuracy.md"] and reason in files["accuracy.json"] and reason in files["index.html"]
     subject.rows = [dataclasses.replace(rows[0], spread_ms=(10.0, 20.0)), *rows[1:]]
-    assert [curve.unit for curve in accuracy_page.curves(subject)] == ["px"]
-    assert accuracy_page.timing_notes(subject) == [] and len(accuracy_plots.plots(subject, "px", None, "")) == 2
+    assert [curve.unit for curve in accuracy_page.cost_curves(subject)] == ["px"]
+    assert accuracy_page.timing_notes(subject) == [] and len(accuracy_plots.error_plots(subject, "px", None, "")) == 2
 
 
 def test_there_is_no_curve_if_the_limit_stopped_all_rows():
@@ -169,7 +169,7 @@ def test_there_is_no_curve_if_the_limit_stopped_all_rows():
     held = [dataclasses.replace(row, limited=("max_triangles",)) for row in rows]
     field = from_array(np.zeros((5, 5), np.float32))
     subject = AccuracySubject("rough", field, [TimedFrame()], [], "as a whole", None, rows=[rows[0], *held[1:]])
-    assert accuracy_page.curves(subject) == [] and accuracy_page.sentences(subject) == []
-    assert "the triangle limit" in accuracy_page.files([subject], {})["accuracy.md"]
+    assert accuracy_page.cost_curves(subject) == [] and accuracy_page.cost_sentences(subject) == []
+    assert "the triangle limit" in accuracy_page.report_files([subject], {})["accuracy.md"]
     subject.rows = rows
-    assert [curve.unit for curve in accuracy_page.curves(subject)] == ["px"]
+    assert [curve.unit for curve in accuracy_page.cost_curves(subject)] == ["px"]

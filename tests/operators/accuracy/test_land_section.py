@@ -8,7 +8,7 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.height_operators.shape_store import run_shape
 from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 from adaptive_terrain.operators.accuracy.land_section import HEAD, land_section
-from adaptive_terrain.operators.accuracy.page import tables
+from adaptive_terrain.operators.accuracy.page import table_blocks
 from adaptive_terrain.operators.accuracy.subject import AccuracySubject
 from adaptive_terrain.operators.text.page_blocks import Heading, Table
 from rasters import hills, imported
@@ -30,6 +30,6 @@ def test_every_level_of_every_operator_has_its_line(tmp_path):
 
 def test_land_that_nothing_has_shaped_has_no_such_part():
     field = from_array(np.zeros((5, 5), np.float32))
-    blocks = tables(AccuracySubject("x", field, [], [], "", None, rows=known_rows()), "")
+    blocks = table_blocks(AccuracySubject("x", field, [], [], "", None, rows=known_rows()), "")
     assert not any(isinstance(block, Heading) and "land" in block.text for block in blocks)
     assert not any(isinstance(block, Table) and block.head == HEAD for block in blocks)

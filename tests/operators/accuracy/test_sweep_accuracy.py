@@ -123,13 +123,13 @@ def test_the_scene_stays_as_it_is_also_what_has_no_keyframe(terrain, scene):
 
 def test_only_meshes_are_written_on_the_main_thread(terrain, monkeypatch):
     writers, before = set(), data_blocks()
-    write = accuracy_report.ingest_ms
+    write = accuracy_report.time_mesh_writing
 
     def noted(surface):
         writers.add(threading.current_thread())
         return write(surface)
 
-    monkeypatch.setattr(accuracy_report, "ingest_ms", noted)
+    monkeypatch.setattr(accuracy_report, "time_mesh_writing", noted)
     operator = running(SweepAccuracy, terrain)
     assert operator.began == {"RUNNING_MODAL"}
     assert not bpy.ops.adaptive_terrain.measure_accuracy.poll(), "one measurement at a time"
@@ -176,16 +176,16 @@ def test_one_measurement_at_a_time_whatever_the_terrain(terrain, add_terrain, he
 def test_a_render_ends_it_with_the_reason(terrain, held, monkeypatch):
     operator = running(SweepAccuracy, terrain)
     assert held.reached.wait(20)
-    monkeypatch.setattr(measuring, "rendering", lambda: True)
+    monkeypatch.setattr(measuring, "is_rendering", lambda: True)
     held.go.set()
     assert to_the_end(operator) == {"CANCELLED"}
-    assert operator.report.call_args.args == ({"ERROR"}, str(measuring.rendering_error()))
+    assert operator.report.call_args.args == ({"ERROR"}, str(measuring.error_while_rendering()))
     assert running(SweepAccuracy, terrain).began == {"CANCELLED"}
 
 
 def test_a_mesh_that_an_undo_brings_back_is_removed(terrain):
     users = bpy.data.meshes.new("accuracy")
-    accuracy_report.ingest_ms(session.update_object(terrain).surface)
+    accuracy_report.time_mesh_writing(session.update_object(terrain).surface)
     assert len(bpy.data.meshes) == 3
     handlers.on_undo(None)
     assert {mesh.name for mesh in bpy.data.meshes} == {terrain.data.name, users.name}
@@ -249,7 +249,9 @@ def test_a_cancelled_sweep_leaves_the_last_report(terrain, held):
 def test_cancel_does_not_wait_for_the_main_thread(terrain, monkeypatch):
     """The job asks for a mesh to be written and is stopped before it gets a turn: nothing is written any more."""
     before = data_blocks()
-    monkeypatch.setattr(accuracy_report, "ingest_ms", lambda surface: pytest.fail("written after it was stopped"))
+    monkeypatch.setattr(
+        accuracy_report, "time_mesh_writing", lambda surface: pytest.fail("written after it was stopped")
+    )
     operator = running(SweepAccuracy, terrain)
     while operator.job._calls.empty():
         assert operator.job in jobs.running

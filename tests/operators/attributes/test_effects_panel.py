@@ -13,7 +13,7 @@ from adaptive_terrain.operators.bridge.demand.trees import tree_of_new
 from adaptive_terrain.operators.cli import command_line
 from adaptive_terrain.operators.layers import material, terrain_material
 from adaptive_terrain.operators.session import session
-from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH, wrapped
+from adaptive_terrain.operators.ui.panel_parts import LINE_LENGTH, wrap_words
 from drawn_panels import DrawnLayout, draw
 
 
@@ -86,12 +86,12 @@ def test_the_list_finds_attributes_by_their_names(terrain):
     flags, _ = effects_panel.AttributeList.filter_items(sought, None, members, "")
     assert [name for name, flag in zip(members.properties.keys(), flags, strict=True) if flag] == ["slope"]
     choose(terrain, "geometry_metres")
-    assert effects_panel.chosen_of(terrain.adaptive_terrain.effects) == next(iter(ATTRIBUTES))
+    assert effects_panel.chosen_attribute(terrain.adaptive_terrain.effects) == next(iter(ATTRIBUTES))
 
 
 def test_what_an_effect_is_and_why_it_is_nothing_is_not_cut_off(terrain):
     assert all(
-        len(wrapped(effects_panel.about_text(name), LINE_LENGTH)) <= effects_panel.ABOUT_LINES for name in ATTRIBUTES
+        len(wrap_words(effects_panel.about_text(name), LINE_LENGTH)) <= effects_panel.ABOUT_LINES for name in ATTRIBUTES
     )
     read_by_material(terrain, "sun")
     terrain.data.materials[0].name = "The northern cliffs, whose rock is of another kind than all of the others"
@@ -107,7 +107,7 @@ def test_the_button_reads_the_layers_and_nothing_else(terrain):
     session.update_object(terrain)
     computed = {name for name, s in session.record_of(terrain).status.effects.items() if not s.skipped}
     sources = terrain_material.sources_of(terrain, ())
-    assert material.reads(sources) == ("splat_1",) and "splat_1" in computed
+    assert material.attribute_names(sources) == ("splat_1",) and "splat_1" in computed
     assert computed - {"splat_1"} == {"height", "slope"}, "what the default layers' rules are about"
     weights = np.empty(4 * len(terrain.data.vertices), np.float32)
     terrain.data.attributes["splat_1"].data.foreach_get("color", weights)

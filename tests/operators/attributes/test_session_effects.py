@@ -11,7 +11,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.run import warmup
-from adaptive_terrain.operators.attributes.properties import numbers_of
+from adaptive_terrain.operators.attributes.properties import changed_numbers
 from adaptive_terrain.operators.attributes.sun_lamps import sun_lamps, suns_over
 from adaptive_terrain.operators.session import live, session
 from adaptive_terrain.operators.terrain.overrides import Overrides
@@ -187,11 +187,11 @@ def test_settings_are_made_from_the_declarations(worn):
     settings = worn.adaptive_terrain
     for name, effect in ATTRIBUTES.items():
         assert getattr(settings.effects, name).when == "DEMAND"
-        assert numbers_of(settings, name) == ()
+        assert changed_numbers(settings, name) == ()
         for parameter in effect.parameters:
             if isinstance(parameter.default, float) and math.isfinite(parameter.max):
                 setattr(getattr(settings.effects, name), parameter.name, 2.0 * parameter.max)
-                assert numbers_of(settings, name) == ((parameter.name, parameter.max),), "kept in its range"
+                assert changed_numbers(settings, name) == ((parameter.name, parameter.max),), "kept in its range"
                 getattr(settings.effects, name).property_unset(parameter.name)
 
 

@@ -4,9 +4,9 @@
 import bpy
 import numpy as np
 import pytest
-from adaptive_terrain.operators.bridge.evaluated import found_in
+from adaptive_terrain.operators.bridge.evaluated import evaluated_or_still
 from adaptive_terrain.operators.land import masks as land_masks
-from adaptive_terrain.operators.layers.decals import decals_given
+from adaptive_terrain.operators.layers.decals import decal_parameters
 from adaptive_terrain.operators.session import session
 from adaptive_terrain.operators.terrain import request
 
@@ -44,13 +44,13 @@ def test_what_is_hidden_is_at_its_place_also_after_loading(patch, tmp_path, how)
     bpy.context.scene.collection.objects.link(parent)
     parent.location, parent.scale = (20.0, 0.0, 0.0), (1.0, 0.5, 1.0)
     patch.parent = parent
-    expected = np.array(found_in(depsgraph(), patch, "mask")[1])
+    expected = np.array(evaluated_or_still(depsgraph(), patch, "mask")[1])
     assert expected[:3, 3] == pytest.approx((320.0, 75.0, 0.0))
     hide(patch, how)
-    assert np.array(found_in(depsgraph(), patch, "mask")[1]) == pytest.approx(expected, abs=1e-5)
+    assert np.array(evaluated_or_still(depsgraph(), patch, "mask")[1]) == pytest.approx(expected, abs=1e-5)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "hidden.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "hidden.blend"))
-    found, matrix = found_in(depsgraph(), bpy.data.objects["Patch"], "mask")
+    found, matrix = evaluated_or_still(depsgraph(), bpy.data.objects["Patch"], "mask")
     assert np.array(matrix) == pytest.approx(expected, abs=1e-5) and len(found.data.vertices) == 4
 
 
@@ -59,7 +59,7 @@ def test_masks_and_boundaries_do_not_care_who_sees_them(patch, terrain, tmp_path
     def taken():
         evaluated = terrain.evaluated_get(depsgraph())
         boundary = request.cleanup_from(settings, evaluated, depsgraph()).boundary
-        return boundary, np.load(land_masks.of_shadow(patch, evaluated, (1280.0, 640.0), depsgraph(), tmp_path))
+        return boundary, np.load(land_masks.write_shadow_mask(patch, evaluated, (1280.0, 640.0), depsgraph(), tmp_path))
 
     settings = terrain.adaptive_terrain.cleanup
     settings.boundary = patch
@@ -86,14 +86,14 @@ def test_a_decal_that_is_not_evaluated_lies_where_it_was_put(scene, terrain, how
     hide(decal, how)
     decal.location = (300.0, 150.0, 9.0)
     placement = np.array(terrain.evaluated_get(depsgraph()).matrix_world)
-    [given] = decals_given(terrain, placement, depsgraph(), tilts=False)["decals"]
+    [given] = decal_parameters(terrain, placement, depsgraph(), tilts=False)["decals"]
     assert given.corner == pytest.approx((280.0, 140.0)), "half of 40 x 20 m from its middle"
     decal.hide_render = True
-    assert decals_given(terrain, placement, depsgraph(), tilts=False) == {}
+    assert decal_parameters(terrain, placement, depsgraph(), tilts=False) == {}
     decal.hide_render = False
     key(decal)
     with pytest.raises(session.TerrainError, match="decal 'Decal' is hidden in viewports.*show it, or apply them"):
-        decals_given(terrain, placement, depsgraph(), tilts=False)
+        decal_parameters(terrain, placement, depsgraph(), tilts=False)
 
 
 def key(obj):
@@ -134,7 +134,7 @@ def test_a_render_does_not_take_the_place_of_another_frame(scene, patch, terrain
     def look(scene, graph):
         if graph.mode == "RENDER":
             try:
-                seen.append(found_in(graph, patch, "mask")[1].translation.x)
+                seen.append(evaluated_or_still(graph, patch, "mask")[1].translation.x)
             except session.TerrainError as error:
                 seen.append(str(error))
 

@@ -63,7 +63,7 @@ def timers(monkeypatch):
         unregister=registered.remove,
     )
     monkeypatch.setattr(freed_memory, "bpy", SimpleNamespace(app=SimpleNamespace(background=False, timers=faked)))
-    monkeypatch.setattr(freed_memory, "_function", lambda name: None)
+    monkeypatch.setattr(freed_memory, "_c_function", lambda name: None)
     return registered
 
 
@@ -71,16 +71,16 @@ def test_memory_is_given_back_when_no_mesh_came_for_a_while(timers, monkeypatch)
     freed_memory.give_back()
     asked, now = [], 100.0
     functions = {"mallopt": lambda *option: asked.append(option) or 1, "malloc_trim": asked.append}
-    monkeypatch.setattr(freed_memory, "_function", functions.get)
+    monkeypatch.setattr(freed_memory, "_c_function", functions.get)
     monkeypatch.setattr(freed_memory.time, "monotonic", lambda: now)
-    freed_memory.hold()
+    freed_memory.hold_freed_memory()
     now += 3.0
-    freed_memory.hold()
+    freed_memory.hold_freed_memory()
     assert len(timers) == 1 and len(asked) == 2
     now += 3.0
-    assert freed_memory._tick() == pytest.approx(freed_memory.IDLE_S - 3.0) and held()
+    assert freed_memory._give_back_when_idle() == pytest.approx(freed_memory.IDLE_S - 3.0) and held()
     now += 3.0
-    assert freed_memory._tick() is None and not held() and len(asked) == 5
+    assert freed_memory._give_back_when_idle() is None and not held() and len(asked) == 5
     freed_memory.give_back()
     assert len(asked) == 5
     freed_memory.unregister()
@@ -89,7 +89,7 @@ def test_memory_is_given_back_when_no_mesh_came_for_a_while(timers, monkeypatch)
 
 def test_other_allocators_are_left_alone(timers):
     freed_memory.give_back()
-    freed_memory.hold()
+    freed_memory.hold_freed_memory()
     assert timers == [] and not held()
 
 
@@ -108,11 +108,11 @@ def test_arenas_that_come_later_are_held_too(timers, monkeypatch):
         return 0
 
     freed_memory.give_back()
-    monkeypatch.setattr(freed_memory, "_function", {"mallctl": mallctl}.get)
-    freed_memory.hold()
+    monkeypatch.setattr(freed_memory, "_c_function", {"mallctl": mallctl}.get)
+    freed_memory.hold_freed_memory()
     assert decays == {0: -1}
     decays[2] = 0
-    freed_memory.hold()
+    freed_memory.hold_freed_memory()
     assert decays == {0: -1, 2: -1}
     freed_memory.give_back()
     assert decays == {0: 10_000, 2: 0} and not held()

@@ -185,7 +185,7 @@ def test_the_copy_that_blender_evaluated_keeps_its_arrays(mesh, grid_surface):
 
 def test_the_probe_writes_only_where_it_reads_its_values(monkeypatch):
     elsewhere = np.full(6, 7, np.int32)
-    monkeypatch.setattr(mesh_memory, "_array", lambda items, dtype: shared(elsewhere[: len(items)], wp.int32))
+    monkeypatch.setattr(mesh_memory, "_array_over", lambda items, dtype: shared(elsewhere[: len(items)], wp.int32))
     mesh_memory.writable_in_place.cache_clear()
     assert mesh_memory.writable_in_place() is False
     assert (elsewhere == 7).all()
@@ -197,8 +197,8 @@ def test_items_with_gaps_between_them_are_no_array():
         def __init__(self, address):
             self.as_pointer = lambda: address
 
-    assert mesh_memory._array([Item(1000 + 12 * i) for i in range(5)], wp.int32) is None
-    assert mesh_memory._array([], wp.int32) is None
+    assert mesh_memory._array_over([Item(1000 + 12 * i) for i in range(5)], wp.int32) is None
+    assert mesh_memory._array_over([], wp.int32) is None
 
 
 def test_a_warm_write_makes_no_array_as_large_as_the_mesh(mesh, grid_surface):

@@ -129,7 +129,7 @@ def test_the_page_needs_nothing_else_and_has_every_row(measured, accuracy):
     assert set(re.findall(r"https?://[^\"' ]+", page)) == {"http://www.w3.org/2000/svg"}
     text = (folder / "accuracy.md").read_text()
     for row in known_rows():
-        name = accuracy_plots.label(row.setting)
+        name = accuracy_plots.setting_label(row.setting)
         assert f"<td>{name}" in page and f"| {name}" in text
     assert "1 px (current)" in page and "1 px (current)" in text
     for printed in (page, text):
@@ -185,13 +185,16 @@ def test_frames_of_a_path_are_spread_over_it(hills, flight):
     subject = accuracy_subject.store_subject(hills, flight, None, (320, 180))
     assert subject.numbers == [1, 4, 6, 9]
     assert [frame.after is None for frame in subject.frames] == [False] * 3 + [True]
-    assert accuracy_subject.spread(3, 3) == [3] and len(accuracy_subject.spread(1, 1000)) == accuracy_subject.SPREAD
+    assert (
+        accuracy_subject.spread_frames(3, 3) == [3]
+        and len(accuracy_subject.spread_frames(1, 1000)) == accuracy_subject.SPREAD
+    )
 
 
 @pytest.mark.parametrize("resolution", [(1920, 1080), (200, 900), (500, 500)])
 def test_the_overview_has_the_whole_terrain_in_the_picture(hills, resolution):
     heights = open_store(hills)
-    view = accuracy_subject.overview(heights, resolution)
+    view = accuracy_subject.whole_view(heights, resolution)
     corners = np.array([(x, y, z, 1) for x in (-160, 160) for y in (-160, 160) for z in (-30, 30)])
     clip = corners @ (view.projection @ view.world_to_camera).T
     assert np.abs(clip[:, :2] / clip[:, 3:]).max() < 1
@@ -227,12 +230,15 @@ def test_a_sweep_reports_omitted_settings():
     assert accuracy_subject.current_setting(asking(plain)) == Setting("px", 2.0, meshlet=1)
     smooth = Setting("px", 2.0, meshlet=1, interpolation="bicubic")
     assert accuracy_subject.current_setting(asking(plain, "bicubic")) == smooth
-    assert accuracy_subject.notes_on(plain) == []
+    assert accuracy_subject.omission_notes(plain) == []
     metres = Criterion(error_px=0, error_m=0.5, max_triangles=1000, max_depth=9)
     assert accuracy_subject.current_setting(asking(metres)) == Setting("m", 0.5, max_depth=9)
-    assert len(accuracy_subject.notes_on(metres)) == 1 and "limits of triangles" in accuracy_subject.notes_on(metres)[0]
+    assert (
+        len(accuracy_subject.omission_notes(metres)) == 1
+        and "limits of triangles" in accuracy_subject.omission_notes(metres)[0]
+    )
     edges = Criterion(error_px=0, edge_px=4)
-    assert accuracy_subject.current_setting(asking(edges)) is None and len(accuracy_subject.notes_on(edges)) == 2
+    assert accuracy_subject.current_setting(asking(edges)) is None and len(accuracy_subject.omission_notes(edges)) == 2
 
 
 @pytest.mark.parametrize(

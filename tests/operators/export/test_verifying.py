@@ -7,7 +7,7 @@ import os
 import pytest
 from adaptive_terrain.operators.export import summaries
 from adaptive_terrain.operators.export.summaries import (
-    closed_summary,
+    close_summary,
     complete_summary,
     content_digest,
     summary_checksum,
@@ -34,7 +34,7 @@ def write_summary(out, number, **changed) -> None:
     """Write the summary of a frame with the right digests, for these values."""
     summary = {"frame": number, "settings": "a", "inputs": {"../tex.png": content_digest(out.parent / "tex.png")}}
     summary |= {"files": {f"a_{number:04d}.npz": 3}, "terrains": [FIGURES], "elapsed_ms": 1.0} | changed
-    (out / f"frame_{number:04d}.json").write_text(json.dumps(closed_summary(summary, out)))
+    (out / f"frame_{number:04d}.json").write_text(json.dumps(close_summary(summary, out)))
 
 
 def edit(out, with_checksum=False, **changed) -> None:

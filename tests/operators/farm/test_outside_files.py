@@ -141,7 +141,7 @@ def test_a_folder_without_maps_is_no_folder_of_maps(submit, tmp_path, monkeypatc
     from adaptive_terrain.operators.farm import submit as module
 
     (tmp_path / "private").mkdir()
-    monkeypatch.setattr(module, "read_as_images", lambda obj: {"slope"})
+    monkeypatch.setattr(module, "maps_shown_by_materials", lambda obj: {"slope"})
     bpy.data.objects["Hills"].adaptive_terrain.maps.folder = str(tmp_path / "private")
     code, output, _ = submit()
     assert code == 1 and f"nor stores: {tmp_path / 'private'};" in output

@@ -16,7 +16,13 @@ from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.importing.source_formats import BAND
 from adaptive_terrain.operators.importing import import_terrain
-from adaptive_terrain.operators.importing.imported import Imported, changed_settings, imported_of, lines_of, tag_object
+from adaptive_terrain.operators.importing.imported import (
+    Imported,
+    changed_settings,
+    imported_of,
+    info_lines,
+    tag_object,
+)
 from adaptive_terrain.operators.importing.panel import ImportedPanel, is_stale
 
 
@@ -50,7 +56,7 @@ def terrain(scene, add_terrain, utm, imported, tmp_path):
 
 
 def test_the_panel_shows_what_was_imported(terrain):
-    assert lines_of(imported_of(terrain.adaptive_terrain)) == [
+    assert info_lines(imported_of(terrain.adaptive_terrain)) == [
         ("From", "utm.tif"),
         ("CRS", "EPSG:32616"),
         ("Origin", "700500, 4049625"),
@@ -59,7 +65,7 @@ def test_the_panel_shows_what_was_imported(terrain):
         ("Spacing", "25 x 25 m"),
         ("Heights", "0.002057 to 0.999 m"),
     ]
-    assert len(lines_of(None)) == 7, "as many lines before an import"
+    assert len(info_lines(None)) == 7, "as many lines before an import"
 
 
 def test_the_panel_shows_the_warnings_of_an_import(terrain):
@@ -150,7 +156,7 @@ def test_impossible_figures_of_a_store_are_no_error(terrain, pair):
     content["crs"] = "\ud800\x1b[2J"
     content["sum"] = stores._sum_of(content)
     file.write_text(json.dumps(content))
-    lines = lines_of(imported_of(terrain.adaptive_terrain))
+    lines = info_lines(imported_of(terrain.adaptive_terrain))
     assert len(lines) == 7 and all(figure.isprintable() and len(figure) < 40 for _, figure in lines)
     tag_object(terrain)
 

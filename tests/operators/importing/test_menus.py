@@ -11,7 +11,7 @@ from adaptive_terrain.operators.farm.outside_files import HEIGHT_MAP_SUFFIXES
 from adaptive_terrain.operators.importing import menus
 from adaptive_terrain.operators.importing.add_terrain import AddTerrain
 from adaptive_terrain.operators.importing.import_terrain import settings_of
-from adaptive_terrain.operators.importing.imported import changed_settings, imported_of, lines_of
+from adaptive_terrain.operators.importing.imported import changed_settings, imported_of, info_lines
 from adaptive_terrain.operators.ui.object_menu import OPERATORS
 from drawn_panels import DrawnLayout
 from rasterio.transform import from_origin
@@ -83,7 +83,7 @@ def test_several_files_become_one_terrain(scene, tmp_path):
     settings = terrain.adaptive_terrain
     assert terrain.name == "tiles" and [item.path for item in settings.more_sources] == list(map(str, files[1:]))
     assert imported_of(settings).raster == (60, 20)
-    assert dict(lines_of(imported_of(settings)))["From"] == "t0.tif + 2"
+    assert dict(info_lines(imported_of(settings)))["From"] == "t0.tif + 2"
     assert changed_settings(settings_of(terrain), imported_of(settings)) == []
     settings.priority = "newest"
     assert changed_settings(settings_of(terrain), imported_of(settings)) == ["priority"]

@@ -207,7 +207,7 @@ def test_the_panel_asks_once_at_the_first_save(scene, add_terrain, tmp_path, mon
     add_terrain()
     for name in ("a.blend", "a.blend", "b.blend"):
         bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / name))
-    assert offered == [pack_store._offer]
+    assert offered == [pack_store._ask_to_pack]
 
 
 def _with_a_window(offered: list):

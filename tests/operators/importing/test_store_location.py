@@ -112,7 +112,7 @@ def test_a_read_only_folder_sends_imports_to_the_data_folder(scene, add_terrain,
     assert bpy.ops.adaptive_terrain.import_source() == {"FINISHED"}
     folder = terrain.adaptive_terrain.store
     assert Path(folder).parent == new and open_store(folder)
-    [warning] = store_location.elsewhere(folder)
+    [warning] = store_location.location_warnings(folder)
     assert str(tmp_path) in warning and folder in warning and "Pack Store Beside File" in warning
     assert not (tmp_path / "terrain").exists()
 

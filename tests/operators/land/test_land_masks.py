@@ -62,10 +62,10 @@ def test_a_shadow_is_the_part_that_is_covered():
     triangle = np.array([[[-30.0, -20.0], [45.0, -10.0], [5.0, 28.0]]])
     (ax, ay), (bx, by), (cx, cy) = triangle[0]
     area = abs((bx - ax) * (cy - ay) - (cx - ax) * (by - ay)) / 2
-    found = land_masks.shadow(triangle, (100.0, 60.0))
+    found = land_masks.rasterize_shadow(triangle, (100.0, 60.0))
     assert found.shape == (308, 512) and found.sum() * (100.0 / 512) * (60.0 / 308) == pytest.approx(area, rel=2e-3)
-    assert land_masks.shadow(triangle[:, ::-1], (100.0, 60.0)).tobytes() == found.tobytes()
-    assert land_masks.shadow(triangle + 500.0, (100.0, 60.0)).max() == 0.0
+    assert land_masks.rasterize_shadow(triangle[:, ::-1], (100.0, 60.0)).tobytes() == found.tobytes()
+    assert land_masks.rasterize_shadow(triangle + 500.0, (100.0, 60.0)).max() == 0.0
 
 
 def test_a_right_angle_is_a_limit_of_slopes(terrain, tmp_path):

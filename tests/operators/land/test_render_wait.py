@@ -22,7 +22,7 @@ def test_a_render_shows_the_land_that_it_waits_for(terrain, monkeypatch, capsys)
     def look(line):
         noted(line)
         wait = shaped_land.render_wait_of(terrain)
-        seen.append((wait.fraction, status_bar.work(), shaped_land.state_of(terrain).shown))
+        seen.append((wait.fraction, status_bar.current_work(), shaped_land.state_of(terrain).shown))
 
     monkeypatch.setattr(render_wait, "print_line", look)
     monkeypatch.setattr(render_wait, "PRINTED_S", 0.0)
@@ -73,7 +73,7 @@ def test_esc_ends_the_wait_with_one_message(terrain, monkeypatch, capsys):
         with pytest.raises(TerrainError) as caught:
             session.update_object(terrain, mode="RENDER")
         assert caught.value.code == render_wait.CANCELLED and render_wait.waiting is None
-        stale_renders.meet(bpy.context.scene, [caught.value])
+        stale_renders.handle_stale_frame(bpy.context.scene, [caught.value])
         shape = monkeypatch.setattr(derived_store, "shape_store", lambda *some, **_options: some[4](0.1, "Rivers"))
     assert capsys.readouterr().out.count("The render was cancelled while land was shaped: render again") == 2
     assert len(set(stale_renders._messages)) == 1 and not stale_renders._shown_stale
@@ -95,7 +95,7 @@ def test_the_button_tells_the_seconds(terrain):
     add("thermal")
     session.update_object(terrain)
     seconds = shaped_land.seconds_to_shape(terrain)
-    assert 0.0 < seconds < 100.0 and panel._shape_now(terrain).startswith("Shape Now (about ")
+    assert 0.0 < seconds < 100.0 and panel._shape_button_text(terrain).startswith("Shape Now (about ")
     assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
     assert shaped_land.seconds_to_shape(terrain) is None
 

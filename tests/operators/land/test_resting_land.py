@@ -58,7 +58,7 @@ def turns(reached, limit_s: float = 60.0) -> None:
 
 
 def is_finished(obj) -> bool:
-    return not jobs.running and not resting_land.concerned()
+    return not jobs.running and not resting_land.has_work()
 
 
 def test_land_in_view_gets_finer_and_a_render_has_the_rest(terrain):

@@ -130,7 +130,7 @@ def test_a_terrain_of_another_name_keeps_its_maps(terrain):
     terrain.name = "Valley"
     assert map_images.map_folder(terrain) == folder and map_images.map_image(terrain, "detail_normal") == image
     wear(terrain)
-    assert map_request.read_as_images(terrain) == {"detail_normal"}, "a farm's job takes them along"
+    assert map_request.maps_shown_by_materials(terrain) == {"detail_normal"}, "a farm's job takes them along"
 
 
 def test_maps_of_several_terrains_are_apart(terrain, add_terrain):
@@ -284,12 +284,12 @@ def test_what_the_materials_read_is_baked(terrain):
     with pytest.raises(RuntimeError, match="No material"):
         bpy.ops.adaptive_terrain.bake_maps()
     wear(terrain)
-    assert map_request.names_of(terrain, bpy.context.evaluated_depsgraph_get()) == {"detail_normal"}
+    assert map_request.chosen_maps(terrain, bpy.context.evaluated_depsgraph_get()) == {"detail_normal"}
     tree = terrain.data.materials[0].node_tree
     slope = tree.nodes.new("ShaderNodeAttribute")
     slope.attribute_name = "slope"
     tree.links.new(slope.outputs["Fac"], tree.nodes["Diffuse BSDF"].inputs["Roughness"])
-    assert map_request.names_of(terrain, bpy.context.evaluated_depsgraph_get()) == {"detail_normal", "slope"}
+    assert map_request.chosen_maps(terrain, bpy.context.evaluated_depsgraph_get()) == {"detail_normal", "slope"}
 
 
 def test_a_folder_beside_a_file_that_is_not_saved_is_refused(terrain):

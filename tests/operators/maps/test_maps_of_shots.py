@@ -35,7 +35,7 @@ def test_a_shot_is_looked_at_from_every_frame(terrain):
     for now in ((3, 0.0), (5, 0.25)):
         scene.frame_set(now[0], subframe=now[1])
         terrain.adaptive_terrain.maps.frames = "SHOT"
-        *_, request = map_request.gathered(terrain, scene)
+        *_, request = map_request.visit_for_request(terrain, scene)
         east = [-float(view.world_to_camera[0, 3]) for view in request.views]
         assert east == pytest.approx([10.0, 20.0, 30.0, 40.0, 50.0])
         assert (scene.frame_current, scene.frame_subframe) == now

@@ -368,7 +368,7 @@ def test_live_updates_write_points_too(terrain, scatter):
     """The worker makes them; writing waits for the main thread."""
     request = session.gather(terrain, bpy.context.evaluated_depsgraph_get())
     record = session.record_of(terrain)
-    update, _, _ = live._solve(record, request)
+    update, _, _ = live._solve_on_worker(record, request)
     assert len(scatter.data.vertices) == 0
     session.show(terrain, record, request, update, session.VIEWPORT)
     assert len(scatter.data.vertices) > 300

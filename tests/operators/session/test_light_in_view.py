@@ -52,7 +52,7 @@ def test_a_preview_is_refined_to_the_bits_of_an_update(lit):
     assert np.array_equal(values(lit), refined)
     record = session.record_of(lit)
     request = record.status.request
-    assert previews.begun(request, record.field) is request, "known: no preview"
+    assert previews.with_previews(request, record.field) is request, "known: no preview"
 
 
 def test_the_view_can_change_between_the_steps_of_refining(lit, monkeypatch):

@@ -161,7 +161,7 @@ def test_the_live_viewport_corrects_the_curve_by_its_own_times(terrain, monkeypa
         errors.append(job.request.criterion.error_px)
         update, serial, whole = job.future.result(20)
         slow = replace(update, ms={"total": 2.0 * CURVE.at(errors[-1])[1]})
-        live._finish(replace(job, future=Mock(**{"result.return_value": (slow, serial, whole)})))
+        live._show_result(replace(job, future=Mock(**{"result.return_value": (slow, serial, whole)})))
         assert live._next_job() is None, "a camera that stands still keeps its mesh"
     assert errors == [CURVE.error_for_ms(2.0)] * 3 + [pytest.approx(CURVE.error_for_ms(1.0), rel=1e-3)] * 2
     assert session.record_of(terrain).time_correction.factor == pytest.approx(2.0, rel=1e-3)

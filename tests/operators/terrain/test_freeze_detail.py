@@ -107,4 +107,4 @@ def test_invalid_frozen_triangles_are_refused(terrain):
             session.update_object(terrain)
     freeze()
     assert session.update_object(terrain).triangles > 0
-    assert frozen.from_text(saved)[1] == 0
+    assert frozen.decode_tree(saved)[1] == 0

@@ -20,7 +20,7 @@ from adaptive_terrain.operators.terrain.request import gather
 from adaptive_terrain.operators.terrain.update_terrain import UpdateTerrain
 from adaptive_terrain.operators.text.shown_bounds import NO_BOUND
 from adaptive_terrain.operators.ui import status_bar
-from adaptive_terrain.operators.ui.panel_parts import error_lines, wrapped
+from adaptive_terrain.operators.ui.panel_parts import error_lines, wrap_words
 from adaptive_terrain.operators.ui.panels import OutputPanel, TerrainPanel
 from modal_runs import RunningOperator, running, turn
 
@@ -69,7 +69,7 @@ def test_the_bound_has_its_parts(scene, add_terrain):
 
 def test_long_messages_are_cut_between_words():
     text = "one two three four five six seven"
-    lines = wrapped(text, 10)
+    lines = wrap_words(text, 10)
     assert " ".join(lines) == text and max(map(len, lines)) <= 10
 
 
@@ -370,12 +370,12 @@ def test_the_switch_of_a_criterion_is_its_value(scene, add_terrain):
 
 
 def test_the_status_bar_says_what_takes_long(scene, preparing, monkeypatch):
-    assert status_bar.work() == (0.25, "Preparing kernels (first use)")
+    assert status_bar.current_work() == (0.25, "Preparing kernels (first use)")
     preparing.fraction = None
-    assert status_bar.work() is None
+    assert status_bar.current_work() is None
     monkeypatch.setattr(status_bar.live, "seconds_under_way", lambda: 12.4)
     monkeypatch.setattr(status_bar.live, "stage", lambda: "Making the overlay")
-    assert status_bar.work() == (None, "Making the overlay, 12 s")
+    assert status_bar.current_work() == (None, "Making the overlay, 12 s")
 
 
 def test_an_error_shows_its_fix_on_its_own_line():

@@ -3,13 +3,13 @@
 
 import bpy
 import pytest
-from adaptive_terrain.operators.bridge.demand.demand import demand
+from adaptive_terrain.operators.bridge.demand.demand import find_demand
 from demand_cases import CASES
 from demand_trees import Moved, colour, emit, group, mix, new_object, worn
 
 
 def demanded(obj, mode="RENDER", exports=()):
-    return demand(obj, bpy.context.evaluated_depsgraph_get(), mode, exports)
+    return find_demand(obj, bpy.context.evaluated_depsgraph_get(), mode, exports)
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)

@@ -16,8 +16,8 @@ def gathered(monkeypatch):
         calls.append(arguments)
         return found(*arguments)
 
-    found = kept.demand
-    monkeypatch.setattr(kept, "demand", counted)
+    found = kept.find_demand
+    monkeypatch.setattr(kept, "find_demand", counted)
     kept.forget()
     return calls
 

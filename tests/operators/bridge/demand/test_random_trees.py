@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
-from adaptive_terrain.operators.bridge.demand.demand import demand
+from adaptive_terrain.operators.bridge.demand.demand import find_demand
 from adaptive_terrain.operators.session import session
 from random_trees import NAMES, geometry_scene, geometry_tree, picture_scene, rendered, shader_tree, write
 
@@ -21,7 +21,7 @@ def asked(found, names):
 
 
 def look(obj, mode):
-    return demand(obj, bpy.context.evaluated_depsgraph_get(), mode)
+    return find_demand(obj, bpy.context.evaluated_depsgraph_get(), mode)
 
 
 def test_attributes_without_demand_run_zero_times(scene, add_terrain):

@@ -48,7 +48,7 @@ def _initialise() -> None:
 
 
 def _default_cache() -> str:
-    """Return Warp's default folder, but none that is relative to the current one. Raises OSError without a home."""
+    """Return Warp's default cache folder, always an absolute path. Raises OSError for a user without a home folder."""
     parents = ["~/Library/Caches"] if sys.platform == "darwin" else [os.environ.get("XDG_CACHE_HOME", ""), "~/.cache"]
     for parent in map(os.path.expanduser, parents):
         if os.path.isabs(parent):
@@ -62,7 +62,10 @@ def has_temporary_cache() -> bool:
 
 
 def use_temporary_cache(why: str) -> None:
-    """Keep compiled kernels in a folder that ends with this process, and that its children use. Raises OSError."""
+    """Keep compiled kernels in a temporary folder of this process, which its child processes use, too.
+
+    `why`: why the user's cache cannot be used, for the error. Raises OSError.
+    """
     global _temporary
     try:
         folder = tempfile.TemporaryDirectory(prefix="adaptive_terrain_kernels_", ignore_cleanup_errors=True)
@@ -77,16 +80,19 @@ def use_temporary_cache(why: str) -> None:
 
 
 def remove_temporary_cache() -> None:
-    """Remove the temporary folder, for a process that will not be able to later. What it has loaded stays loaded."""
+    """Remove the temporary folder now, because the process is about to give up writing. Loaded kernels stay loaded."""
     if _temporary is not None:
         _temporary.cleanup()
 
 
-def _without_gradients() -> None:
-    """Compile no kernel's derivative, half of the time: none is needed. Other add-ons' modules stay as they are."""
+def _switch_gradients_off() -> None:
+    """Set Warp to compile no derivatives of our kernels, which nobody needs; that halves the compile time.
+
+    Other add-ons' kernels keep their settings.
+    """
     for found in pkgutil.walk_packages(__path__, f"{__name__}."):
         wp.set_module_options({"enable_backward": False}, found.name)
 
 
 _initialise_quietly()
-_without_gradients()
+_switch_gradients_off()

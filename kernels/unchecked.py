@@ -36,7 +36,7 @@ for item in (wp.uint8, wp.uint16, wp.int32, wp.int64, wp.uint64, wp.float32, wp.
 
 @wp.func_native("int* __restrict row = out.data + at; for (int k = 0; k < count; ++k) row[k] = first + step * k;")
 def number_row(out: wp.array(dtype=wp.int32), at: wp.int32, count: wp.int32, first: wp.int32, step: wp.int32):
-    """Write first, first + step .. to `count` entries of `out` from `at` on."""
+    """Write the numbers first, first + step, first + 2 step .. into `count` entries of `out` from index `at` on."""
     ...
 
 
@@ -114,7 +114,7 @@ def place_legs(
     "const int* v = corner_verts.data + 3 * t; return (near.data[v[0]] | near.data[v[1]] | near.data[v[2]]) != 0;"
 )
 def has_near_corner(near: wp.array(dtype=wp.uint8), corner_verts: wp.array(dtype=wp.int32), t: wp.int32) -> wp.bool:
-    """Return whether a vertex of triangle t is flagged in `near`."""
+    """Return whether `near` is set for any of the three vertices of triangle t."""
     ...
 
 
@@ -130,7 +130,7 @@ def has_near_corner(near: wp.array(dtype=wp.uint8), corner_verts: wp.array(dtype
 def count_same_vec3s(
     a: wp.array(dtype=wp.vec3f), i: wp.int32, b: wp.array(dtype=wp.vec3f), j: wp.int32, max_count: wp.int32
 ) -> wp.int32:
-    """Return how many items agree from a[i] and b[j] on, at most `max_count`."""
+    """Return how many items from a[i] on are equal bit by bit to those from b[j] on, at most `max_count`."""
     ...
 
 
@@ -140,5 +140,5 @@ def count_same_vec3s(
 def count_same_floats(
     a: wp.array(dtype=wp.float32), i: wp.int32, b: wp.array(dtype=wp.float32), j: wp.int32, max_count: wp.int32
 ) -> wp.int32:
-    """Return how many items agree from a[i] and b[j] on, at most `max_count`."""
+    """Return how many items from a[i] on equal those from b[j] on, at most `max_count`."""
     ...

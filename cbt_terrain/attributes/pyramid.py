@@ -42,7 +42,7 @@ def _coarser_levels(raster: HeightRaster, threads: int) -> np.ndarray:
     for level in range(1, below.levels):
         rows, columns = shapes(raster.lattice)[level]
         inputs = [below, level, below.coarser]
-        launch.spread(kernels.halve, rows, inputs, step="prefilter", threads=threads, cost=columns)
+        launch.spread(kernels.halve_level, rows, inputs, step="prefilter", threads=threads, cost=columns)
     return coarser
 
 

@@ -15,7 +15,7 @@ from ...kernels.effects import light as light_kernels
 from ...kernels.effects import pyramid as pyramid_kernels
 from ...kernels.effects import sweep as sweep_kernels
 from ...kernels.effects.light import sky_seen
-from ...kernels.effects.sweep import sky_between, take
+from ...kernels.effects.sweep import layer_at_points, sky_between
 from ..run import launch
 from .attribute import AttributeDeclaration, Evaluate, Parameter, SamplePoints, Wanted
 from .light import AZIMUTHS, azimuths
@@ -49,7 +49,7 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
         inputs = [every_crossing(field, scale), preview_horizons(field, scale, places.threads), directions]
         for_places(sky_between, places, inputs, out, cost=25.0)
     else:
-        for_places(take, places, [sky_layer(field, scale, places.threads)], out, cost=2.0)
+        for_places(layer_at_points, places, [sky_layer(field, scale, places.threads)], out, cost=2.0)
     return {"sky": out}
 
 

@@ -129,7 +129,7 @@ class Fitter:
                 if not found["splits"] and not found["pins"]:
                     return self._judged(surface, buffers, error_m, rounds, found["deepest"] > 0)
             work.settle()
-            self.spread(binding.keep, work.vertices, [m, *known])
+            self.spread(binding.store_heights, work.vertices, [m, *known])
         return None
 
     def ended(self, mesh: FittedMesh) -> Surface:

@@ -47,7 +47,7 @@ class Sweeps:
         self.buffers.numpy("fit_active")[:triangles] = np.arange(triangles)
         self.buffers.numpy("fit_awake")[:triangles] = -1
         self.look_again(slice(None))
-        self.fitter.spread(binding.gather, vertices, [self.m, shared(surface.positions, wp.vec3f), *known])
+        self.fitter.spread(binding.place_vertices, vertices, [self.m, shared(surface.positions, wp.vec3f), *known])
 
     def _reserve(self, triangles: int, vertices: int) -> None:
         """Allocate arrays for this many triangles and vertices; earlier contents are lost."""
@@ -71,7 +71,7 @@ class Sweeps:
         side = self.buffers.get("fit_side", edges, wp.int32)
         self.buffers.numpy("fit_side")[:edges] = -1
         inputs = [self.triangles, self.m, shared(surface.corner_edges, wp.int32), side]
-        launch.once(binding.link, inputs, step="fit link")
+        launch.once(binding.link_triangles, inputs, step="fit link")
 
     def beyond(self) -> np.ndarray:
         """Return whether each triangle is farther from the surface than the bound, bool [T]."""
@@ -109,7 +109,7 @@ class Sweeps:
         """Measure the listed triangles and their pushes."""
         pieces = min(self.fitter.threads, int(self.count * self.fitter.ns_each(self.triangles) / 3e5)) or 1
         inputs = [[*piece, self.m] for piece in launch.ranges(self.count, pieces)]
-        launch.slices(kernels.pull, inputs, step="fit pull", recorded=self.recorded)
+        launch.slices(kernels.measure_pushes, inputs, step="fit pull", recorded=self.recorded)
 
     def refine(self, local: float) -> dict[str, int]:
         """Split triangles beyond the bound, or pin them to the surface.

@@ -143,7 +143,7 @@ def _advance(flood: Flood, dt: float) -> None:
     s.was_east, s.was_north = (flat(a[1:], wp.float64) for a in flood.pushed)
     s.east, s.north = (flat(a[1:], wp.float64) for a in flood.fluxes)
     s.part = flat(flood.part[1:], wp.float64)
-    for phase in (kernels.push, kernels.limit, kernels.move):
+    for phase in (kernels.update_fluxes, kernels.limit_outflow, kernels.update_depths):
         launch.spread(phase, s.height, [s], step="flood", threads=flood.threads, cost=flood.bed.shape[1] / 4)
     # The depth at an outlet is that beyond it; a surplus has left the raster, a deficit has come in.
     water = flood.water.reshape(-1)

@@ -116,7 +116,7 @@ def drop(
     near = np.zeros(len(surface.positions), bool)
     near[surface.triangles[triangles]] = True
     work = _Work(surface, near, 0, room, threads)
-    launch.once(kernels.drop, [shared(triangles.view(np.uint8), wp.uint8), work.m], step="cut")
+    launch.once(kernels.remove_flagged, [shared(triangles.view(np.uint8), wp.uint8), work.m], step="cut")
     return work.close()
 
 
@@ -227,7 +227,7 @@ class _Work:
 
     def close(self) -> tuple[Surface, np.ndarray]:
         """Fill the gaps with the last remaining elements; return the surface and the pairs of swapped vertices."""
-        launch.once(kernels.close, [self.m], step="cut")
+        launch.once(kernels.keep_used, [self.m], step="cut")
         ends, moves, moved = zip(*(self._moves(kind) for kind in range(3)), strict=True)
         inputs = [self.m, *ends[:2], *(shared(to, wp.int32) for to in moved[:2])]
         launch.once(kernels.renumber, inputs, step="cut")

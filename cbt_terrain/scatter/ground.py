@@ -115,7 +115,9 @@ class ScatterGround:
     def _place(self, runs: np.ndarray, where: slice, threads: int) -> None:
         """Compute positions, normals and densities of the candidates of runs; `where`: their slice of the arrays."""
         inputs = [self.domain, self.detail, self.valid, self.pattern, listed_runs(runs), self.candidates.packed()]
-        launch.slices(kernels.place, [[*piece, *inputs] for piece in pieces_of(runs["count"], threads)], step="place")
+        launch.slices(
+            kernels.place_candidates, [[*piece, *inputs] for piece in pieces_of(runs["count"], threads)], step="place"
+        )
         positions, density = self.candidates.positions[where], self.candidates.density[where]
         if not np.isfinite(positions).all():
             raise self.field.raster.damage("it has heights that are not finite or too large for a mesh")

@@ -12,9 +12,9 @@ from ..field.codes import Samples, sample_at
 
 @wp.func
 def hermite(p0: wp.float64, p1: wp.float64, p2: wp.float64, p3: wp.float64, s: wp.float64) -> wp.float64:
-    """Return the Hermite cubic between p1 (s = 0) and p2 (s = 1).
+    """Return the Hermite cubic through p1 at s = 0 and p2 at s = 1, with slopes (p2 - p0) / 2 and (p3 - p1) / 2 there.
 
-    Its slopes are those of the chords p0 p2 and p1 p3.
+    p0 .. p3: four samples in a row, metres.
     """
     rise = p2 - p1
     start = wp.float64(0.5) * (p2 - p0)
@@ -26,7 +26,10 @@ def hermite(p0: wp.float64, p1: wp.float64, p2: wp.float64, p3: wp.float64, s: w
 
 @wp.func
 def along_row(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64):
-    """Return the height on row j of samples, s cells east of column i."""
+    """Interpolate row j of the samples `s` (0 .. 1) cells east of column i; return metres.
+
+    Samples beyond the border are extrapolated linearly.
+    """
     at = wp.int64(j) * wp.int64(samples.columns) + wp.int64(i)
     p1 = wp.float64(sample_at(samples, at))
     p2 = wp.float64(sample_at(samples, at + wp.int64(1)))
@@ -41,7 +44,10 @@ def along_row(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64):
 
 @wp.func
 def cubic_at(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.float64:
-    """Return the height of the samples' surface in cell (i, j), s cells east and t cells north of its corner."""
+    """Return the height of the bicubic surface in cell (i, j), metres.
+
+    s, t: position in the cell from its south-west corner, 0 .. 1.
+    """
     z1 = along_row(samples, i, j, s)
     z2 = along_row(samples, i, j + 1, s)
     z0 = wp.float64(2.0) * z1 - z2

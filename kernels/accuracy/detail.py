@@ -11,8 +11,8 @@ from ..field.noise import scramble
 
 
 @wp.func
-def weight(t: wp.float64) -> wp.float64:
-    """Return the quintic fade at t, computed as 1 minus its mirror image."""
+def fade(t: wp.float64) -> wp.float64:
+    """Return the quintic fade of t (0 .. 1), which is 0 at 0 and 1 at 1; computed as 1 minus its mirror image."""
     r = wp.float64(1.0) - t
     return wp.float64(1.0) - r * r * r * (wp.float64(1.0) + wp.float64(3.0) * t + wp.float64(6.0) * t * t)
 
@@ -22,8 +22,8 @@ def noise_at(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
     """Return value noise at (x, y), -1 .. 1: the mean of the four lattice values around, weighted by the fade."""
     column = wp.int64(wp.floor(x))
     row = wp.int64(wp.floor(y))
-    east = weight(x - wp.float64(column))
-    north = weight(y - wp.float64(row))
+    east = fade(x - wp.float64(column))
+    north = fade(y - wp.float64(row))
     found = wp.float64(0.0)
     for k in range(4):
         i = wp.int64(k & 1)
@@ -39,9 +39,9 @@ def noise_at(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
 
 @wp.func
 def octaves_height(d: PackedDetail, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Return the height in metres of all octaves at (x, y) metres.
+    """Return the height of all octaves of noise at (x, y) metres.
 
-    Each turns and halves the domain of the one before.
+    Each octave rotates the domain of the one before and doubles its frequency.
     """
     found = wp.float64(0.0)
     u = x * d.frequency
@@ -57,8 +57,8 @@ def octaves_height(d: PackedDetail, x: wp.float64, y: wp.float64) -> wp.float64:
 
 
 @wp.func
-def mixed(a: wp.float64, b: wp.float64, part: wp.float64) -> wp.float64:
-    """Return the linear mix of a and b, `part` of it b."""
+def lerp(a: wp.float64, b: wp.float64, part: wp.float64) -> wp.float64:
+    """Return a (1 - part) + b part."""
     return a * (wp.float64(1.0) - part) + b * part
 
 
@@ -68,20 +68,17 @@ def de_boor(p: wp.vec4d, t: wp.float64) -> wp.float64:
     one = wp.float64(1.0)
     two = wp.float64(2.0)
     three = wp.float64(3.0)
-    a = mixed(p[0], p[1], (t + two) / three)
-    b = mixed(p[1], p[2], (t + one) / three)
-    c = mixed(p[2], p[3], t / three)
-    a = mixed(a, b, (t + one) / two)
-    b = mixed(b, c, t / two)
-    return mixed(a, b, t)
+    a = lerp(p[0], p[1], (t + two) / three)
+    b = lerp(p[1], p[2], (t + one) / three)
+    c = lerp(p[2], p[3], t / three)
+    a = lerp(a, b, (t + one) / two)
+    b = lerp(b, c, t / two)
+    return lerp(a, b, t)
 
 
 @wp.func
 def image_height(c: PackedLayers, d: PackedDetail, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Return the height in metres of an image at (x, y) metres.
-
-    Interpolate each row along x, then the results along y.
-    """
+    """Return the height of a displacement image at (x, y) metres: a B-spline along four rows, then across them."""
     u = x * d.frequency
     v = y * d.frequency
     rows = wp.vec4d()

@@ -28,7 +28,10 @@ class Stretch:
 
 @wp.func
 def next_line(at: wp.int64, step: wp.int64, bits: wp.int64) -> wp.int64:
-    """Return the number of the first grid line beyond a lattice coordinate."""
+    """Return the number of the first grid line beyond the lattice coordinate `at`, in the direction of `step`.
+
+    Grid lines are 2^bits units apart.
+    """
     line = (at >> bits) + wp.int64(1)
     if step < wp.int64(0):
         line = -((-at) >> bits) - wp.int64(1)
@@ -37,7 +40,10 @@ def next_line(at: wp.int64, step: wp.int64, bits: wp.int64) -> wp.int64:
 
 @wp.func
 def on_edge(ground: Reference, f: MeasuredFacet, k: wp.int32, along: wp.float64):
-    """Return the point `along` (0 .. 1) edge k, as cells east and north."""
+    """Return a point of edge k of a triangle as cells east and north (u, v).
+
+    `along`: 0 at corner k, 1 at the next corner.
+    """
     n = (k + 1) % 3
     per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << wp.int64(ground.bits))
     u = (wp.float64(f.x[k]) + along * wp.float64(f.x[n] - f.x[k])) * per_unit
@@ -47,7 +53,7 @@ def on_edge(ground: Reference, f: MeasuredFacet, k: wp.int32, along: wp.float64)
 
 @wp.func
 def difference_at(ground: Reference, f: MeasuredFacet, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Return mesh less reference, metres."""
+    """Return the height of the mesh less that of the reference surface at (u, v) cells, metres."""
     return plane_at(f, u, v) - reference_at(ground, u, v)
 
 
@@ -63,8 +69,11 @@ def turning_point(e0: wp.float64, e1: wp.float64, e2: wp.float64) -> wp.float64:
 
 
 @wp.func
-def begin(ground: Reference, f: MeasuredFacet, k: wp.int32) -> Stretch:
-    """Return the empty stretch before the first one of edge k, which runs from corner k to the next."""
+def empty_stretch(ground: Reference, f: MeasuredFacet, k: wp.int32) -> Stretch:
+    """Return the empty stretch at the start of edge k, from which `next_stretch` goes on.
+
+    Edge k runs from corner k to the next corner.
+    """
     n = (k + 1) % 3
     s = Stretch()
     u, v = on_edge(ground, f, k, wp.float64(0.0))
@@ -87,8 +96,8 @@ def meets(at: wp.int64, step: wp.int64, line: wp.int64, bits: wp.int64) -> wp.fl
 
 
 @wp.func
-def advance(ground: Reference, f: MeasuredFacet, k: wp.int32, s: Stretch) -> Stretch:
-    """Return the stretch of edge k that follows s: up to the next grid line that the edge meets, or its end."""
+def next_stretch(ground: Reference, f: MeasuredFacet, k: wp.int32, s: Stretch) -> Stretch:
+    """Return the stretch of edge k that follows `s`: it ends at the next grid line, or at the end of the edge."""
     n = (k + 1) % 3
     dx = f.x[n] - f.x[k]
     dy = f.y[n] - f.y[k]
@@ -111,14 +120,17 @@ def advance(ground: Reference, f: MeasuredFacet, k: wp.int32, s: Stretch) -> Str
 
 
 @wp.func
-def places_of(ground: Reference) -> wp.int32:
-    """Return the number of points at which a stretch is evaluated."""
+def num_points(ground: Reference) -> wp.int32:
+    """Return the number of points at which a stretch is evaluated.
+
+    A curved reference needs more: its extrema have no closed form.
+    """
     return wp.where(ground.curved == 1, PLACES, 2)
 
 
 @wp.func
-def place_in(ground: Reference, f: MeasuredFacet, k: wp.int32, s: Stretch, q: wp.int32):
-    """Return point q (1 .. `places_of`, the last one at the end) of a stretch of edge k, as cells east and north."""
+def point_of_stretch(ground: Reference, f: MeasuredFacet, k: wp.int32, s: Stretch, q: wp.int32):
+    """Return point q (1 .. `num_points`, the last at the end) of a stretch of edge k, as cells east and north."""
     along = wp.where(q == 1, s.turn, s.to)
     if ground.curved == 1:
         along = s.from_ + (s.to - s.from_) * (wp.float64(q) / wp.float64(PLACES))
@@ -153,9 +165,9 @@ def edge_extremes(
     worst: wp.array(dtype=wp.float64),
     rounding: wp.array(dtype=wp.float64),
 ):
-    """Raise `worst` to the largest difference along the edges of some triangles, in metres.
+    """Raise worst[t] of triangles first .. end - 1 to the largest difference along the edges, metres.
 
-    Write to `rounding` by how many metres float32 moved them.
+    Write to rounding[t] the largest distance by which float32 has moved a corner, metres.
     """
     for t in range(first, end):
         f = facet_of(ground, mesh, t)
@@ -164,11 +176,11 @@ def edge_extremes(
         if f.area2 > wp.int64(0):
             for k in range(3):
                 moved = wp.max(moved, rounded_away(ground, f, k, mesh.positions[mesh.corners[3 * t + k]]))
-                s = begin(ground, f, k)
+                s = empty_stretch(ground, f, k)
                 while s.to < wp.float64(1.0):
-                    s = advance(ground, f, k, s)
-                    for q in range(1, places_of(ground) + 1):
-                        u, v = place_in(ground, f, k, s, q)
+                    s = next_stretch(ground, f, k, s)
+                    for q in range(1, num_points(ground) + 1):
+                        u, v = point_of_stretch(ground, f, k, s, q)
                         largest = wp.max(largest, wp.abs(difference_at(ground, f, u, v)))
         worst[t] = largest
         rounding[t] = moved

@@ -63,8 +63,8 @@ class MeasuredFacet:
 
 
 @wp.func
-def place_of(ground: Reference, position: wp.vec3f):
-    """Return a delivered position as cells east and north of the south-west corner."""
+def to_cells(ground: Reference, position: wp.vec3f):
+    """Return a delivered position (metres) as cells east and north of the raster's south-west corner."""
     u = (wp.float64(position[0]) - ground.west) / ground.step_x
     v = (wp.float64(position[1]) - ground.south) / ground.step_y
     return u, v
@@ -72,20 +72,23 @@ def place_of(ground: Reference, position: wp.vec3f):
 
 @wp.func
 def to_lattice(cells: wp.float64, bits: wp.int32) -> wp.int64:
-    """Return the nearest lattice coordinate."""
+    """Return the nearest lattice coordinate of a position in cells; 2^bits units are a cell."""
     return wp.int64(wp.floor(cells * wp.float64(wp.int64(1) << wp.int64(bits)) + wp.float64(0.5)))
 
 
 @wp.func
 def facet_of(ground: Reference, mesh: DeliveredMesh, t: wp.int32) -> MeasuredFacet:
-    """Return triangle t. Where rounding has folded it over, its plane goes through the lattice points instead."""
+    """Return triangle t as a plane with integer corners.
+
+    If float32 rounding has folded it over, the plane goes through the lattice points instead.
+    """
     f = MeasuredFacet()
     u = wp.vec3d()
     v = wp.vec3d()
     z = wp.vec3d()
     for k in range(3):
         position = mesh.positions[mesh.corners[3 * t + k]]
-        across, up = place_of(ground, position)
+        across, up = to_cells(ground, position)
         u[k] = across
         v[k] = up
         z[k] = wp.float64(position[2])
@@ -122,7 +125,7 @@ def plane_at(f: MeasuredFacet, u: wp.float64, v: wp.float64) -> wp.float64:
 
 @wp.func
 def detail_in(ground: Reference, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Return the height of the detail in metres before scaling, u cells east and v cells north."""
+    """Return the height of all displacement layers at (u, v) cells, metres before vertical scaling."""
     z = wp.float64(0.0)
     if ground.layers.count > 0:
         z = detail_height(ground.layers, ground.west + u * ground.step_x, ground.south + v * ground.step_y)
@@ -130,10 +133,10 @@ def detail_in(ground: Reference, u: wp.float64, v: wp.float64) -> wp.float64:
 
 
 @wp.func
-def in_cell(ground: Reference, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Return the height of the reference surface, metres, in cell (i, j), u cells east and v cells north.
+def reference_in_cell(ground: Reference, i: wp.int32, j: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
+    """Return the height of the reference surface at (u, v), metres.
 
-    u, v: from the raster's south-west corner.
+    (i, j): the cell that contains the point; u, v: cells from the raster's south-west corner.
     """
     p = corners_of(ground.samples, i, j)
     s = u - wp.float64(i)
@@ -152,12 +155,12 @@ def reference_at(ground: Reference, u: wp.float64, v: wp.float64) -> wp.float64:
     """Return the height of the reference surface, metres, u cells east and v cells north of the south-west corner."""
     i = wp.clamp(wp.int32(wp.floor(u)), 0, ground.samples.columns - 2)
     j = wp.clamp(wp.int32(wp.floor(v)), 0, ground.samples.rows - 2)
-    return in_cell(ground, i, j, u, v)
+    return reference_in_cell(ground, i, j, u, v)
 
 
 @wp.func
 def reference_sample(ground: Reference, i: wp.int32, j: wp.int32) -> wp.float64:
-    """Return the height of the reference surface at a sample, metres."""
+    """Return the height of the reference surface at sample (i, j), metres, with displacement and vertical scale."""
     h = sample_at(ground.samples, wp.int64(j) * wp.int64(ground.samples.columns) + wp.int64(i))
     z = wp.float64(h) + detail_in(ground, wp.float64(i), wp.float64(j))
     return z * ground.scale + ground.offset
@@ -165,7 +168,7 @@ def reference_sample(ground: Reference, i: wp.int32, j: wp.int32) -> wp.float64:
 
 @wp.func
 def toward_zero(value: wp.float64) -> wp.float32:
-    """Round to the nearest float32 that is not larger in magnitude, so that no measurement is overstated."""
+    """Round to a float32 that is not larger in magnitude, so that no measurement is overstated."""
     single = wp.float32(value)
     if wp.abs(wp.float64(single)) > wp.abs(value):
         single = wp.cast(wp.cast(single, wp.int32) - 1, wp.float32)
@@ -198,7 +201,11 @@ def shift_of(at: wp.int64, end: wp.int64) -> wp.int64:
 def covers(
     f: MeasuredFacet, finer: wp.int64, x: wp.int64, y: wp.int64, shift_x: wp.int64, shift_y: wp.int64
 ) -> wp.bool:
-    """Return whether the triangle owns the point (x, y), in units `finer` times finer than the lattice's."""
+    """Return whether the triangle owns the point (x, y).
+
+    A point on a shared edge has one owner, by the shift that `shift_of` gives. x, y: units that are `finer` times
+    finer than lattice units.
+    """
     inside = f.area2 > wp.int64(0)
     for k in range(3):
         if inside:
@@ -212,7 +219,7 @@ def covers(
 
 @wp.func
 def owns(ground: Reference, f: MeasuredFacet, i: wp.int32, j: wp.int32) -> wp.bool:
-    """Return whether the triangle owns sample (i, j)."""
+    """Return whether the triangle owns sample (i, j): each sample inside the mesh has exactly one owner."""
     bits = wp.int64(ground.bits)
     shift_x = shift_of(wp.int64(i), wp.int64(ground.samples.columns - 1))
     shift_y = shift_of(wp.int64(j), wp.int64(ground.samples.rows - 1))
@@ -221,7 +228,7 @@ def owns(ground: Reference, f: MeasuredFacet, i: wp.int32, j: wp.int32) -> wp.bo
 
 @wp.func
 def sample_box(ground: Reference, f: MeasuredFacet) -> wp.vec4i:
-    """Return the first and last column, then the first and last row of the samples in the triangle's box."""
+    """Return first and last column, then first and last row, of the samples in the bounding box of a triangle."""
     bits = wp.int64(ground.bits)
     ahead = (wp.int64(1) << bits) - wp.int64(1)
     return wp.vec4i(
@@ -241,9 +248,9 @@ def differences(
     difference: wp.array(dtype=wp.float32),
     worst: wp.array(dtype=wp.float64),
 ):
-    """Write mesh less reference at every sample of some triangles, in metres.
+    """Write mesh less reference at every sample that triangles first .. end - 1 own, metres.
 
-    Write the largest magnitude of each triangle, too.
+    Write the largest magnitude to worst[t].
     """
     for t in range(first, end):
         f = facet_of(ground, mesh, t)

@@ -13,7 +13,7 @@ PLACES_BITS = wp.constant(wp.int64(2))  # 4 x 4 places a cell, or in the box of 
 def grid_extremes(
     first: wp.int32, end: wp.int32, ground: Reference, mesh: DeliveredMesh, worst: wp.array(dtype=wp.float64)
 ):
-    """Raise `worst` of some triangles to the largest difference on a grid of points, metres."""
+    """Raise worst[t] of triangles first .. end - 1 to the largest difference on a grid of points inside, metres."""
     one = wp.int64(1)
     bits = wp.int64(ground.bits)
     end_x = wp.int64(ground.samples.columns - 1) << bits

@@ -12,13 +12,13 @@ DEGREES = wp.constant(wp.float64(57.29577951308232))
 
 @wp.func
 def angle_deg(a: wp.vec3d, b: wp.vec3d) -> wp.float32:
-    """Return the degrees between two directions; exact also where they are nearly equal."""
+    """Return the angle between two directions in degrees; precise also if they are nearly equal."""
     return wp.float32(wp.atan2(wp.length(wp.cross(a, b)), wp.dot(a, b)) * DEGREES)
 
 
 @wp.func
 def normal_at(mesh: DeliveredMesh, f: MeasuredFacet, t: wp.int32, x: wp.int64, y: wp.int64) -> wp.vec3d:
-    """Interpolate the vertex normals of triangle t at a lattice point in it. The result is not of unit length."""
+    """Return the vertex normals of triangle t interpolated at lattice point (x, y); not of unit length."""
     n = wp.vec3d()
     for k in range(3):
         a = (k + 1) % 3
@@ -39,9 +39,9 @@ def angles(
     facet_deg: wp.array(dtype=wp.float32),
     shading_deg: wp.array(dtype=wp.float32),
 ):
-    """Write the degrees between the reference's normal and two normals of some triangles, at every sample.
+    """Write angles to the reference's normal at every sample that triangles first .. end - 1 own, degrees.
 
-    These are the facet's normal and the interpolated one.
+    facet_deg: of the triangle's plane. shading_deg: of the interpolated vertex normals, which are rendered.
     """
     per_x = ground.scale / ground.step_x
     per_y = ground.scale / ground.step_y

@@ -20,8 +20,8 @@ class Boxes:
 
 
 @wp.func
-def from_point(p: wp.vec3f, origin: wp.vec3d) -> wp.vec3d:
-    """Return the vector from `origin` to p."""
+def vector_from(p: wp.vec3f, origin: wp.vec3d) -> wp.vec3d:
+    """Return the vector from `origin` to p as float64."""
     return wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2])) - origin
 
 
@@ -32,9 +32,9 @@ def through_triangle(mesh: DeliveredMesh, t: wp.int32, origin: wp.vec3d, along: 
     Both triangles at an edge compute the same number for it but for the sign, so no line passes between them (Woop,
     Benthin and Wald 2013).
     """
-    a = from_point(mesh.positions[mesh.corners[3 * t]], origin)
-    b = from_point(mesh.positions[mesh.corners[3 * t + 1]], origin)
-    c = from_point(mesh.positions[mesh.corners[3 * t + 2]], origin)
+    a = vector_from(mesh.positions[mesh.corners[3 * t]], origin)
+    b = vector_from(mesh.positions[mesh.corners[3 * t + 1]], origin)
+    c = vector_from(mesh.positions[mesh.corners[3 * t + 2]], origin)
     zero = wp.float64(0.0)
     u = wp.dot(wp.cross(b, c), along)
     v = wp.dot(wp.cross(c, a), along)
@@ -51,9 +51,9 @@ def through_triangle(mesh: DeliveredMesh, t: wp.int32, origin: wp.vec3d, along: 
 def meets_mesh(
     ground: Reference, mesh: DeliveredMesh, boxes: Boxes, ray: SightRay, start: wp.float64, end: wp.float64
 ) -> wp.bool:
-    """Return whether a ray meets the mesh between t = start and t = end.
+    """Return whether a ray meets the mesh between start and end (t along the ray).
 
-    The hierarchy of boxes lists candidates in float32; each triangle is then tested in float64.
+    The hierarchy of boxes gives candidates in float32; each triangle is then tested in float64.
     """
     x = ground.west + ray.u * ground.step_x
     y = ground.south + ray.v * ground.step_y
@@ -89,14 +89,17 @@ def mesh_cover(
     place: wp.array(dtype=wp.vec2d),
     cover: wp.array(dtype=wp.bool),
 ):
-    """Write whether the rays through points of the frame meet the mesh."""
+    """Write cover[p]: whether the ray through point p of the frame meets the mesh.
+
+    place: pixels from the frame's middle.
+    """
     p = offset + wp.tid()
     cover[p] = meets_mesh(ground, mesh, boxes, ray_through(eye, place[p][0], place[p][1]), eye.start, eye.end)
 
 
 @wp.func
-def to_segment(p: wp.vec2d, a: wp.vec2d, b: wp.vec2d, narrow: wp.float64) -> wp.float64:
-    """Return the distance of a point from a segment, horizontal lengths multiplied by `narrow`."""
+def distance_to_segment(p: wp.vec2d, a: wp.vec2d, b: wp.vec2d, narrow: wp.float64) -> wp.float64:
+    """Return the distance of p from the segment a b. `narrow`: factor on horizontal lengths, for panoramas."""
     px = (p[0] - a[0]) * narrow
     py = p[1] - a[1]
     dx = (b[0] - a[0]) * narrow
@@ -124,10 +127,11 @@ def nearest(
     place: wp.array(dtype=wp.vec2d),
     distance: wp.array(dtype=wp.float64),
 ):
-    """Write the pixels from each point to the nearest segment, or to the border of the searched area if that is nearer.
+    """Write the distance in pixels from point p to the nearest segment of the outline, for each p.
 
-    Segments join two crossings. Segments first[n] .. first[n + 1] are in the square between the middles of pixel n and
-    of the next to the north-east. Rings of pixels are searched from the inside out.
+    If the border of the searched area is nearer, that distance is written. segment: pairs of crossings; those of
+    first[n] .. first[n + 1] are in the square between the middles of pixel n and of the next to the north-east.
+    Rings of pixels are searched from the inside out.
     """
     p = offset + wp.tid()
     one = wp.float64(1.0)
@@ -149,6 +153,6 @@ def nearest(
                     n = b * columns + a
                     for k in range(first[n], first[n + 1]):
                         ends = segment[k]
-                        best = wp.min(best, to_segment(place[p], crossing[ends[0]], crossing[ends[1]], narrow))
+                        best = wp.min(best, distance_to_segment(place[p], crossing[ends[0]], crossing[ends[1]], narrow))
         ring += 1
     distance[p] = best

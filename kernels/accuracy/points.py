@@ -27,8 +27,8 @@ class MeasuredPoints:
 
 
 @wp.func
-def spaced(value: wp.int64) -> wp.int64:
-    """Return the lowest 31 bits with a zero bit between each two."""
+def spread_bits(value: wp.int64) -> wp.int64:
+    """Return the lowest 31 bits of a value with a zero bit after each of them."""
     b = value
     b = (b | (b << wp.int64(16))) & wp.int64(0x0000FFFF0000FFFF)
     b = (b | (b << wp.int64(8))) & wp.int64(0x00FF00FF00FF00FF)
@@ -39,8 +39,8 @@ def spaced(value: wp.int64) -> wp.int64:
 
 @wp.func
 def morton(x: wp.int64, y: wp.int64) -> wp.int64:
-    """Return the Morton key of (x, y)."""
-    return spaced(x) | (spaced(y) << wp.int64(1))
+    """Return the Morton key of (x, y), their interleaved bits: squares of points are contiguous in its order."""
+    return spread_bits(x) | (spread_bits(y) << wp.int64(1))
 
 
 @wp.kernel
@@ -52,14 +52,14 @@ def sort_keys(
     y: wp.array(dtype=wp.int64),
     key: wp.array(dtype=wp.int64),
 ):
-    """Write each point's key along the curve; points on the far borders count to the squares inside."""
+    """Write the Morton key of each point. Points on the far borders (end_x, end_y) get keys of squares inside."""
     p = offset + wp.tid()
     key[p] = morton(wp.min(x[p], end_x - wp.int64(1)), wp.min(y[p], end_y - wp.int64(1)))
 
 
 @wp.func
 def first_from(points: MeasuredPoints, key: wp.int64) -> wp.int32:
-    """Return the first point whose key is not below `key`."""
+    """Return the index of the first key that is not below `key`, by bisection."""
     low = wp.int32(0)
     high = points.count
     while low < high:
@@ -72,12 +72,12 @@ def first_from(points: MeasuredPoints, key: wp.int64) -> wp.int32:
 
 
 @wp.func
-def visit(
+def measure_square(
     ground: Reference, f: MeasuredFacet, t: wp.int32, points: MeasuredPoints, corner: wp.int64, side_bits: wp.int64
 ):
-    """Write the difference and the owner of every point of one square that the triangle covers.
+    """Write difference and owner of every point in a square of the Morton curve that triangle t owns.
 
-    corner: Morton key of the square's first point. side_bits: its side has 2^side_bits units. t: the triangle.
+    corner: Morton key of the square's first point. side_bits: its side is 2^side_bits units.
     """
     bits = wp.int64(ground.bits) + wp.int64(POINT_BITS)
     finer = wp.int64(1) << wp.int64(POINT_BITS)
@@ -102,7 +102,10 @@ def visit(
 
 @wp.kernel
 def locate(first: wp.int32, end: wp.int32, ground: Reference, mesh: DeliveredMesh, points: MeasuredPoints):
-    """Write differences at all points that some triangles cover, metres."""
+    """Write difference and owner of every point that triangles first .. end - 1 own.
+
+    The points of a triangle are found by squares of the Morton curve that cover its bounding box.
+    """
     one = wp.int64(1)
     finer = wp.int64(POINT_BITS)
     for t in range(first, end):
@@ -119,6 +122,6 @@ def locate(first: wp.int32, end: wp.int32, ground: Reference, mesh: DeliveredMes
             while x <= last_x:
                 y = y0
                 while y <= last_y:
-                    visit(ground, f, t, points, morton(x << side_bits, y << side_bits), side_bits)
+                    measure_square(ground, f, t, points, morton(x << side_bits, y << side_bits), side_bits)
                     y += one
                 x += one

@@ -15,7 +15,7 @@ import warp as wp
 from ..field.codes import corners_of
 from ..query.rays import within
 from .cubic import heights_about
-from .facets import Reference, in_cell
+from .facets import Reference, reference_in_cell
 
 CELL_BITS = wp.constant(1)  # level 1 is 2^(1 + 1) cells a side
 NOWHERE = wp.constant(wp.float64(wp.inf))
@@ -52,7 +52,7 @@ class SightRay:
 
 @wp.func
 def side_of(e: wp.float64, tolerance: wp.float64) -> wp.float64:
-    """Return 1 if a height difference is above the surface, -1 if below, 0 if within the tolerance."""
+    """Return 1 if a height difference e is above the surface, -1 if below, 0 if it is within the tolerance (metres)."""
     side = wp.float64(0.0)
     if e > tolerance:
         side = wp.float64(1.0)
@@ -119,15 +119,18 @@ def in_one_cell(
 
 @wp.func
 def above_patch(ground: Reference, ray: SightRay, i: wp.int32, j: wp.int32, t: wp.float64) -> wp.float64:
-    """Return the height of the ray above the surface in cell (i, j), metres."""
-    return ray.z + t * ray.dz - in_cell(ground, i, j, ray.u + t * ray.du, ray.v + t * ray.dv)
+    """Return the height of the ray above the surface at t, metres. (i, j): the cell that contains the point."""
+    return ray.z + t * ray.dz - reference_in_cell(ground, i, j, ray.u + t * ray.du, ray.v + t * ray.dv)
 
 
 @wp.func
-def between(
+def bisect_crossing(
     ground: Reference, ray: SightRay, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64, side: wp.float64
 ) -> wp.float64:
-    """Bisect for the t where the ray comes to be beyond the surface, given that it is at `last` and not at `first`."""
+    """Return the t at which the ray crosses the surface between `first` and `last`, by bisection.
+
+    side: 1 if the ray is above the surface at `first`, -1 if below; at `last` it is on the other side.
+    """
     low = first
     high = last
     for _ in range(HALVINGS):
@@ -159,7 +162,10 @@ def side_of_span(ray: SightRay, t: wp.float64, out: wp.float64, a: wp.float64, b
 def in_one_patch(
     ground: Reference, ray: SightRay, i: wp.int32, j: wp.int32, first: wp.float64, last: wp.float64, side: wp.float64
 ):
-    """Return the same as `in_one_cell` for a curved surface, as far as PLACES + 1 points of the ray show it."""
+    """Return the hit (t or NOWHERE) of a ray in a cell of a curved surface, and the side on which it leaves.
+
+    As `in_one_cell`, but found at PLACES + 1 points of the ray, since there is no closed form.
+    """
     hit = NOWHERE
     a, b = heights_about(ground.samples, i, j)
     a = (a - ground.max_detail) * ground.scale + ground.offset
@@ -178,7 +184,7 @@ def in_one_patch(
             if side == wp.float64(0.0):
                 side = side_of(e, ray.tolerance)
             elif side * e + ray.tolerance < wp.float64(0.0):
-                hit = between(ground, ray, i, j, before, t, side)
+                hit = bisect_crossing(ground, ray, i, j, before, t, side)
             before = t
             k += 1
     return hit, side
@@ -186,7 +192,7 @@ def in_one_patch(
 
 @wp.func
 def over_ground(ground: Reference, blocks: HeightBlocks, ray: SightRay, start: wp.float64, end: wp.float64):
-    """Return the first and last t of start .. end where the ray is over the ground and near its heights."""
+    """Return the first and last t of start .. end where the ray is over the raster and near its range of heights."""
     zero = wp.float64(0.0)
     first, last = within(start, end, ray.u, ray.du, zero, wp.float64(ground.samples.columns - 1))
     first, last = within(first, last, ray.v, ray.dv, zero, wp.float64(ground.samples.rows - 1))
@@ -209,7 +215,10 @@ def time_to(start: wp.float64, direction: wp.float64, low: wp.int32, high: wp.in
 
 @wp.func
 def cell_behind(start: wp.float64, direction: wp.float64, out: wp.float64, low: wp.int32, high: wp.int32) -> wp.int32:
-    """Return the ray's cell at `out` along the axis that it does not leave by, clamped to low .. high - 1."""
+    """Return the cell along one axis that contains the ray at t = `out`, clamped to low .. high - 1.
+
+    start, direction: of the ray along that axis, in cells.
+    """
     return wp.clamp(wp.int32(wp.floor(start + out * direction)), low, high - 1)
 
 
@@ -217,9 +226,9 @@ def cell_behind(start: wp.float64, direction: wp.float64, out: wp.float64, low: 
 def first_crossing(
     ground: Reference, blocks: HeightBlocks, ray: SightRay, start: wp.float64, end: wp.float64, start_level: wp.int32
 ) -> wp.float64:
-    """Return the first t in start .. end where the ray passes through the surface, infinite where it does not.
+    """Return the first t in start .. end where the ray passes through the surface, NOWHERE if it does not.
 
-    `start_level`: of the first block that is tried.
+    start_level: level of the first block of cells that is tried: 0 near the surface, the highest far from it.
     """
     zero = wp.float64(0.0)
     cells_x = ground.samples.columns - 1

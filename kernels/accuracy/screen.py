@@ -8,7 +8,7 @@ before and after. Its error is the distance of their projections.
 import warp as wp
 
 from ..refine.local_view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE
-from .edges import advance, begin, place_in, places_of
+from .edges import empty_stretch, next_stretch, num_points, point_of_stretch
 from .facets import (
     DeliveredMesh,
     MeasuredFacet,
@@ -59,14 +59,14 @@ class Eye:
 
 @wp.func
 def to_camera(eye: Eye, u: wp.float64, v: wp.float64, z: wp.float64) -> wp.vec3d:
-    """Return the point u cells east, v cells north and z metres high in camera space, metres."""
+    """Transform a point, u cells east, v cells north and z metres high, to camera space, metres."""
     p = wp.vec4d(u, v, z, wp.float64(1.0))
     return wp.vec3d(wp.dot(eye.right, p), wp.dot(eye.up, p), wp.dot(eye.back, p))
 
 
 @wp.func
 def to_frame(eye: Eye, camera: wp.vec3d) -> wp.vec2d:
-    """Return normalised device coordinates, -1 .. 1 in the frame. Not for a panorama."""
+    """Project a point of camera space to normalised device coordinates, -1 .. 1 in the frame. Not for a panorama."""
     p = wp.vec4d(camera[0], camera[1], camera[2], wp.float64(1.0))
     w = wp.dot(eye.to_w, p)
     return wp.vec2d(wp.dot(eye.to_x, p) / w, wp.dot(eye.to_y, p) / w)
@@ -100,9 +100,9 @@ def move_ahead(eye: Eye, truth: wp.vec3d, point: wp.vec3d) -> wp.vec3d:
 
 @wp.func
 def apart_px(eye: Eye, truth: wp.vec3d, a: wp.vec3d, b: wp.vec3d) -> wp.float64:
-    """Return the pixels between the projections of two points of camera space.
+    """Return the distance in pixels between the projections of a and b, points of camera space.
 
-    `truth`: the reference point in the frame.
+    truth: the reference point; a and b are moved in front of the camera with it.
     """
     pixels = wp.float64(0.0)
     if eye.kind == PANORAMIC:
@@ -117,10 +117,14 @@ def apart_px(eye: Eye, truth: wp.vec3d, a: wp.vec3d, b: wp.vec3d) -> wp.float64:
 
 
 @wp.func
-def hidden(
+def is_hidden(
     ground: Reference, blocks: HeightBlocks, eye: Eye, u: wp.float64, v: wp.float64, z: wp.float64, camera: wp.vec3d
 ):
-    """Return whether the surface hides one of its points from the eye. The part before the clip start does not hide."""
+    """Return whether the surface hides one of its own points from the eye.
+
+    The surface in front of the clip start hides nothing. (u, v, z): the point in cells and metres. camera: the same
+    point in camera space.
+    """
     ray = SightRay()
     ray.tolerance = blocks.tolerance
     ray.u = u
@@ -152,7 +156,10 @@ def visibility(
     eye: Eye,
     state: wp.array(dtype=wp.uint8),
 ):
-    """Write whether each sample of a row, from `first_row` on, is OUTSIDE the frame, VISIBLE or HIDDEN."""
+    """Write for each sample of a row whether it is OUTSIDE the frame, VISIBLE or HIDDEN.
+
+    The thread works on row first_row + offset + tid.
+    """
     j = first_row + offset + wp.tid()
     for i in range(ground.samples.columns):
         u = wp.float64(i)
@@ -161,7 +168,7 @@ def visibility(
         camera = to_camera(eye, u, v, z)
         seen = OUTSIDE
         if in_frame(eye, camera):
-            seen = wp.where(hidden(ground, blocks, eye, u, v, z, camera), HIDDEN, VISIBLE)
+            seen = wp.where(is_hidden(ground, blocks, eye, u, v, z, camera), HIDDEN, VISIBLE)
         state[j * ground.samples.columns + i] = seen
 
 
@@ -176,11 +183,9 @@ def point_errors(
     after: wp.array(dtype=wp.float64),
     pixels: wp.array(dtype=wp.float32),
 ):
-    """Write the pixels between the points `before` and `after` of reference points in the frame.
+    """Write the distance in pixels between two displaced copies of each reference point.
 
-    Both are metres above the reference.
-
-    Points are in units of 2^-(bits + 7) cells.
+    before, after: metres above the reference, such as of two meshes. x, y: units of 2^-(bits + 7) cells.
     """
     p = offset + wp.tid()
     per_unit = wp.float64(1.0) / wp.float64(wp.int64(1) << (wp.int64(ground.bits) + wp.int64(POINT_BITS)))
@@ -226,9 +231,9 @@ def seen_points(
     x: wp.array(dtype=wp.int64),
     y: wp.array(dtype=wp.int64),
 ):
-    """Write the points of the reference surface that are seen at points of the frame, pixels from its middle; -1: none.
+    """Write the point of the reference surface that each point of the frame shows; x = -1 if it shows none.
 
-    Points of the surface are in units of 2^-(bits + 7) cells.
+    place: pixels from the frame's middle. x, y: units of 2^-(bits + 7) cells.
     """
     p = offset + wp.tid()
     ray = ray_through(eye, place[p][0], place[p][1])
@@ -244,7 +249,7 @@ def seen_points(
 
 @wp.func
 def seen_px(ground: Reference, eye: Eye, f: MeasuredFacet, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Return the pixels between reference and triangle at a point; 0 outside the frame."""
+    """Return the distance in pixels between the reference and a triangle at (u, v) cells; 0 outside the frame."""
     z = reference_at(ground, u, v)
     truth = to_camera(eye, u, v, z)
     pixels = wp.float64(0.0)
@@ -257,7 +262,7 @@ def seen_px(ground: Reference, eye: Eye, f: MeasuredFacet, u: wp.float64, v: wp.
 def triangle_px(
     first: wp.int32, end: wp.int32, ground: Reference, mesh: DeliveredMesh, eye: Eye, worst: wp.array(dtype=wp.float64)
 ):
-    """Raise `worst` of some triangles to the largest error in pixels at their samples and along their edges."""
+    """Raise worst[t] of triangles first .. end - 1 to the largest error in pixels at samples and along edges."""
     for t in range(first, end):
         f = facet_of(ground, mesh, t)
         largest = worst[t]
@@ -268,10 +273,10 @@ def triangle_px(
                     largest = wp.max(largest, seen_px(ground, eye, f, wp.float64(i), wp.float64(j)))
         if f.area2 > wp.int64(0):
             for k in range(3):
-                s = begin(ground, f, k)
+                s = empty_stretch(ground, f, k)
                 while s.to < wp.float64(1.0):
-                    s = advance(ground, f, k, s)
-                    for q in range(1, places_of(ground) + 1):
-                        u, v = place_in(ground, f, k, s, q)
+                    s = next_stretch(ground, f, k, s)
+                    for q in range(1, num_points(ground) + 1):
+                        u, v = point_of_stretch(ground, f, k, s, q)
                         largest = wp.max(largest, seen_px(ground, eye, f, u, v))
         worst[t] = largest

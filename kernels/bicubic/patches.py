@@ -21,15 +21,15 @@ mat24d = wp.types.matrix(shape=(2, 4), dtype=wp.float64)
 
 
 @wp.func
-def controls(p: wp.vec4d) -> wp.vec4d:
-    """Return the four Bezier control heights of the cubic between samples p1 and p2 of the four samples p."""
+def control_heights(p: wp.vec4d) -> wp.vec4d:
+    """Return the four Bezier control heights of the cubic between samples p1 and p2. p: four samples in a row."""
     sixth = wp.float64(1.0) / wp.float64(6.0)
     return wp.vec4d(p[1], p[1] + (p[2] - p[0]) * sixth, p[2] - (p[3] - p[1]) * sixth, p[2])
 
 
 @wp.func
 def chord(p: wp.vec4d) -> wp.vec4d:
-    """Return the straight line from sample p1 to p2 as the four control heights of a cubic."""
+    """Return the line from sample p1 to p2 as the four control heights of a cubic. p: four samples in a row."""
     third = (p[2] - p[1]) / wp.float64(3.0)
     return wp.vec4d(p[1], p[1] + third, p[2] - third, p[2])
 
@@ -60,8 +60,8 @@ def second_derivatives(p: wp.vec4d) -> wp.vec2d:
 
 
 @wp.func
-def rows_of(raster: Samples, x: int, cy: int) -> wp.vec4d:
-    """Return the samples of column x (inside the raster) in the four rows around row `cy` of cells."""
+def samples_of_column(raster: Samples, x: int, cy: int) -> wp.vec4d:
+    """Return the samples of column x in the four rows around row `cy` of cells, extrapolated beyond the border."""
     h = raster.floats
     width = raster.columns
     p1 = wp.float64(h[cy * width + x])
@@ -83,12 +83,12 @@ def column(raster: Samples, x: int, cy: int):
     """
     p = wp.vec4d()
     if x < 0:
-        p = wp.float64(2.0) * rows_of(raster, 0, cy) - rows_of(raster, 1, cy)
+        p = wp.float64(2.0) * samples_of_column(raster, 0, cy) - samples_of_column(raster, 1, cy)
     elif x == raster.columns:
-        p = wp.float64(2.0) * rows_of(raster, x - 1, cy) - rows_of(raster, x - 2, cy)
+        p = wp.float64(2.0) * samples_of_column(raster, x - 1, cy) - samples_of_column(raster, x - 2, cy)
     else:
-        p = rows_of(raster, x, cy)
-    b = controls(p)
+        p = samples_of_column(raster, x, cy)
+    b = control_heights(p)
     d = slopes(p)
     c = second_derivatives(p)
     o = off_chord(p)
@@ -97,29 +97,32 @@ def column(raster: Samples, x: int, cy: int):
 
 @wp.func
 def max_of_4(known: wp.float64, v: wp.vec4d) -> wp.float64:
-    """Return the largest magnitude of `known` and four values."""
+    """Return the larger one of `known` and the largest magnitude of four values."""
     return wp.max(known, wp.max(wp.max(wp.abs(v[0]), wp.abs(v[1])), wp.max(wp.abs(v[2]), wp.abs(v[3]))))
 
 
 @wp.func
 def max_of_3(known: wp.float64, v: wp.vec3d) -> wp.float64:
-    """Return the largest magnitude of `known` and three values."""
+    """Return the larger one of `known` and the largest magnitude of three values."""
     return wp.max(known, wp.max(wp.abs(v[0]), wp.max(wp.abs(v[1]), wp.abs(v[2]))))
 
 
 @wp.func
 def across(a: vec12d, b: vec12d, c: vec12d, d: vec12d, k: int) -> wp.vec4d:
-    """Return value `k` of the four columns a, b, c, d of samples from west to east, see `column`."""
+    """Return value k of four columns from west to east. Each column has 12 values, see `column`."""
     return wp.vec4d(a[k], b[k], c[k], d[k])
 
 
 @wp.func
-def heights(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.vec2d:
-    """Return the lowest and highest control height of the patch between columns b and c."""
+def patch_range(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.vec2d:
+    """Return the lowest and highest control height of the patch between columns b and c: a bound of its heights.
+
+    a .. d: columns from west to east, see `column`.
+    """
     low = wp.float64(wp.inf)
     high = -wp.float64(wp.inf)
     for k in range(4):
-        v = controls(across(a, b, c, d, k))
+        v = control_heights(across(a, b, c, d, k))
         low = wp.min(low, wp.min(wp.min(v[0], v[1]), wp.min(v[2], v[3])))
         high = wp.max(high, wp.max(wp.max(v[0], v[1]), wp.max(v[2], v[3])))
     return wp.vec2d(low, high)
@@ -141,13 +144,13 @@ def extents(offset: int, raster: Samples, found: wp.array(dtype=wp.vec4d)):
     c = column(raster, 1, cy)
     for cx in range(raster.columns - 1):
         d = column(raster, cx + 2, cy)
-        z = heights(a, b, c, d)
+        z = patch_range(a, b, c, d)
         low = wp.min(low, z[0])
         high = wp.max(high, z[1])
         for k in range(4):
             steep_x = max_of_3(steep_x, slopes(across(a, b, c, d, k)))
         for k in range(4, 7):
-            steep_y = max_of_4(steep_y, controls(across(a, b, c, d, k)))
+            steep_y = max_of_4(steep_y, control_heights(across(a, b, c, d, k)))
         a = b
         b = c
         c = d
@@ -163,11 +166,11 @@ def curvature_of(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
     third = wp.float64(1.0) / wp.float64(3.0)
     half = wp.float64(0.5)
     two = wp.float64(2.0)
-    yy0 = controls(across(a, b, c, d, 7))
-    yy1 = controls(across(a, b, c, d, 8))
-    xy0 = raised(slopes(across(a, b, c, d, 4)))
-    xy1 = raised(slopes(across(a, b, c, d, 5)))
-    xy2 = raised(slopes(across(a, b, c, d, 6)))
+    yy0 = control_heights(across(a, b, c, d, 7))
+    yy1 = control_heights(across(a, b, c, d, 8))
+    xy0 = elevate_degree(slopes(across(a, b, c, d, 4)))
+    xy1 = elevate_degree(slopes(across(a, b, c, d, 5)))
+    xy2 = elevate_degree(slopes(across(a, b, c, d, 6)))
     largest = wp.float64(0.0)
     for k in range(4):
         ends = second_derivatives(across(a, b, c, d, k))
@@ -189,8 +192,8 @@ def curvature_of(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
 
 
 @wp.func
-def raised(q: wp.vec3d) -> wp.vec4d:
-    """Return the control values of a quadratic as those of a cubic."""
+def elevate_degree(q: wp.vec3d) -> wp.vec4d:
+    """Return the three control values of a quadratic as the four of the same curve as a cubic."""
     two = wp.float64(2.0)
     third = wp.float64(1.0) / wp.float64(3.0)
     return wp.vec4d(q[0], (q[0] + two * q[1]) * third, (two * q[1] + q[2]) * third, q[2])
@@ -198,7 +201,10 @@ def raised(q: wp.vec3d) -> wp.vec4d:
 
 @wp.func
 def off_bilinear(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
-    """Return a bound of the distance between the patch and the bilinear one."""
+    """Return a bound of the distance between the bicubic patch of a cell and the bilinear one, metres.
+
+    a .. d: columns from west to east, see `column`.
+    """
     zero = wp.float64(0.0)
     # Control heights of the difference: off the chord along the rows, along the columns, and both where they meet.
     east = zero
@@ -229,7 +235,11 @@ def patch_errors(
     off: wp.array(dtype=wp.float32),
     errors: wp.array(dtype=wp.float32),
 ):
-    """Compute row `offset + tid` of cells: distances to the bilinear patch, errors, and curvatures."""
+    """Compute bounds for the cells of row `offset + tid`.
+
+    off: distance to the bilinear patch. errors: error of the cell's leaf (entry `cells`) and curvature (entry
+    `curvatures`).
+    """
     cy = offset + wp.tid()
     a = column(raster, -1, cy)
     b = column(raster, 0, cy)
@@ -258,9 +268,9 @@ def patch_ranges(
     cells: Depth,
     ranges: wp.array(dtype=wp.uint16),
 ):
-    """Compute the ranges of row `offset + tid` of cells: lowest and highest control height as codes.
+    """Compute the lowest and highest control height of the cells of row `offset + tid`, as 16-bit codes.
 
-    base, step: metres of code 0 and from code to code.
+    Code q is the height base + q step, metres; the range is rounded outwards.
     """
     cy = offset + wp.tid()
     per_step = wp.float64(1.0) / step
@@ -269,7 +279,7 @@ def patch_ranges(
     c = column(raster, 1, cy)
     for cx in range(raster.columns - 1):
         d = column(raster, cx + 2, cy)
-        z = heights(a, b, c, d)
+        z = patch_range(a, b, c, d)
         at = wp.int64(2) * entry(cells, cx, cy)
         ranges[at] = quantise_down(z[0], base, step, per_step)
         ranges[at + wp.int64(1)] = quantise_up(z[1], base, step, per_step)

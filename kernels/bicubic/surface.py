@@ -13,7 +13,7 @@ from ..field.codes import Samples, sample_at
 
 @wp.func
 def weights(s: wp.float64) -> wp.vec4d:
-    """Return the weights of the samples -1, 0, 1 and 2 at s between samples 0 and 1."""
+    """Return the weights of samples -1, 0, 1 and 2 in the height at s (0 .. 1) between samples 0 and 1."""
     half = wp.float64(0.5)
     one = wp.float64(1.0)
     three = wp.float64(3.0)
@@ -42,8 +42,11 @@ def slopes(s: wp.float64) -> wp.vec4d:
 
 
 @wp.func
-def inside(w: wp.vec4d, at: wp.int32, count: wp.int32) -> wp.vec4d:
-    """Return the weights for cell `at` of a row of `count` samples, with extrapolation beyond its ends."""
+def border_weights(w: wp.vec4d, at: wp.int32, count: wp.int32) -> wp.vec4d:
+    """Return weights w corrected for the first and last cell of a row, where a sample is extrapolated.
+
+    at: number of the cell. count: samples of the row.
+    """
     zero = wp.float64(0.0)
     two = wp.float64(2.0)
     if at == 0:
@@ -55,11 +58,14 @@ def inside(w: wp.vec4d, at: wp.int32, count: wp.int32) -> wp.vec4d:
 
 @wp.func
 def in_patch(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64):
-    """Return height and gradient (metres a cell) in cell (i, j), s cells east and t cells north of its corner."""
-    wx = inside(weights(s), i, samples.columns)
-    wy = inside(weights(t), j, samples.rows)
-    dx = inside(slopes(s), i, samples.columns)
-    dy = inside(slopes(t), j, samples.rows)
+    """Return the height (metres) and its slopes (metres a cell, east and north) in cell (i, j).
+
+    s, t: position in the cell from its south-west corner, 0 .. 1.
+    """
+    wx = border_weights(weights(s), i, samples.columns)
+    wy = border_weights(weights(t), j, samples.rows)
+    dx = border_weights(slopes(s), i, samples.columns)
+    dy = border_weights(slopes(t), j, samples.rows)
     row = wp.int64(samples.columns)
     west = wp.int64(wp.max(i - 1, 0))
     here = wp.int64(i)

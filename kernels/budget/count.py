@@ -26,12 +26,12 @@ from ..refine.interval import (
 )
 from ..refine.pixels import CriterionArrays
 from ..refine.stored_errors import SURE, error_at, fetch_ahead, leaves_tile, may_be_less, stored_error_at
-from .count_state import CELLS, MARKS, Cell, CellDiamond, Count, add, last_split
+from .count_state import CELLS, MARKS, Cell, CellDiamond, Count, count_last_split, last_split
 
 
 @wp.func
 def square_cell(domain: Domain, w: Count, square: wp.int32) -> Cell:
-    """Return a cell whose north-eastern quadrant is a root square; all its diamonds are in doubt."""
+    """Return a parent cell whose north-eastern quadrant is root square `square`: there the walk of a square starts."""
     cell = Cell()
     row = square / domain.columns
     cell.x = (square - row * domain.columns) << domain.unit_bits
@@ -141,7 +141,10 @@ def judge(
 
 @wp.func
 def fetch_quadrants(domain: Domain, p: CellDiamond):
-    """Prefetch errors two levels below: without this, reading them takes three quarters of the time."""
+    """Prefetch the errors two levels below a diamond into the cache.
+
+    Without this, reading them takes three quarters of the time.
+    """
     if leaves_tile(domain, p.depth + 1):
         ahead = p.half >> 1
         fetch_ahead(domain, p.x - ahead, p.y - ahead, p.depth + 2)
@@ -180,7 +183,7 @@ def count(domain: Domain, criterion: CriterionArrays, w: Count):
                 if p.triangles > 0 and p.depth < w.max_depth:
                     last, visits, new = judge(domain, criterion, limits, coarse, w, cell, p, top, step)
                     if p.code >= w.first_cell:
-                        total += add(w, step, last, wp.int64(p.triangles))
+                        total += count_last_split(w, step, last, wp.int64(p.triangles))
                     measured += wp.int64(new)
                     if measured >= wp.int64(num_marks + 1) * w.spacing and num_marks < MARKS:
                         w.marks[w.slot * MARKS + num_marks] = p.code

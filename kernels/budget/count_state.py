@@ -61,8 +61,8 @@ class Count:
 
 
 @wp.func
-def add(w: Count, step: wp.int32, last: wp.int32, triangles: wp.int64) -> wp.int64:
-    """Count triangles that are split at step `last` for the last time; returns the number split at `step`."""
+def count_last_split(w: Count, step: wp.int32, last: wp.int32, triangles: wp.int64) -> wp.int64:
+    """Count triangles whose last step with a split is `last`; return how many of them are split at `step`, too."""
     counted = wp.int64(0)
     if last >= step:
         entry = w.slot * w.limits.shape[0] + last

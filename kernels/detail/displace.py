@@ -35,7 +35,11 @@ def displace_detail(
     points: DisplacedPoints,
     layers: PackedLayers,
 ):
-    """Do the same as `displace` in kernels/mesh/displace.py on the surface with all displacement layers."""
+    """Write positions and normals of points first .. end - 1, on the surface with all displacement layers.
+
+    Like `displace` (kernels/mesh/displace.py), it copies runs of points that the last mesh had. point_base: index
+    of the first point in the list. vertex_base: its vertex. slot: number of the thread's list of runs.
+    """
     last = point_base + wp.int64(end - 1)
     run, run_end = runs_of(points, slot)
     v = first

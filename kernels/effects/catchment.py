@@ -9,9 +9,9 @@ from .routing import ROOT, DrainageArrays, axis, towards
 
 @wp.kernel
 def fill_lakes(d: DrainageArrays):
-    """Compute `filled`, the lowest surface from which every sample drains, serially: no sample is below its receiver.
+    """Compute `filled`, the lowest surface from which every sample drains: no sample is below its receiver.
 
-    It visits receivers before donors.
+    One thread; it visits receivers before donors.
     """
     n = d.grid.width * d.grid.height
     for q in range(n):
@@ -23,7 +23,7 @@ def fill_lakes(d: DrainageArrays):
 
 @wp.func
 def flow_weight(d: DrainageArrays, i: wp.int32, k: wp.int32) -> wp.float64:
-    """Return the weight of the flow from sample i in direction k, 0 for upwards."""
+    """Return the weight of the flow from sample i to its neighbour in direction k (0 .. 8); 0 if that is not lower."""
     fall = wp.float64(d.filled[i]) - wp.float64(d.filled[towards(i, k, d.grid.width)])
     return wp.max(fall, wp.float64(0.0)) * d.grid.share[axis(k)]
 
@@ -58,7 +58,7 @@ def gather_area(d: DrainageArrays, ascending: wp.array(dtype=wp.int32)):
 
 @wp.kernel
 def level_lakes(d: DrainageArrays):
-    """Set the area of all samples below the surface of a lake to that of its outlet, serially."""
+    """Set the drainage area of all samples under a lake to that of its outlet. One thread."""
     n = d.grid.width * d.grid.height
     for q in range(n):
         i = d.order[n - 1 - q]
@@ -68,6 +68,6 @@ def level_lakes(d: DrainageArrays):
 
 @wp.kernel
 def take_logarithms(offset: int, cell: wp.float64, area: wp.array(dtype=wp.float64), out: wp.array(dtype=wp.float32)):
-    """Convert areas in samples of `cell` m^2 to natural logarithms of m^2."""
+    """Write the natural logarithm of each drainage area in m2. area: in samples of `cell` m2."""
     i = offset + wp.tid()
     out[i] = wp.float32(natural_log(area[i] * cell))

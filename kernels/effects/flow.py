@@ -9,7 +9,7 @@ from .pyramid import Pyramid, filtered_height
 
 @wp.func
 def bilinear(ground: Pyramid, level: wp.int32, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Interpolate the heights of a pyramid level at x, y cells from its first sample; metres before scaling."""
+    """Interpolate a level of a pyramid at (x, y) cells from its first sample; metres before vertical scaling."""
     columns = ground.columns[level]
     i = wp.min(wp.int32(x), columns - 2)
     j = wp.min(wp.int32(y), ground.rows[level] - 2)
@@ -55,7 +55,11 @@ def flow_at(
     levels: wp.array(dtype=wp.float32),
     out: wp.array(dtype=wp.float32),
 ):
-    """Compute drainage areas in m^2 at points, from the pyramid of their natural logarithms."""
+    """Compute the drainage area at point `offset + tid`, m2.
+
+    ground: pyramid of its natural logarithm. coarser_by: levels that it is coarser than the raster. levels: scale
+    of each point, see footprint.py.
+    """
     v = offset + wp.tid()
     out[v] = wp.float32(exponential(value_at(ground, coarser_by, positions[v], levels[v])))
 
@@ -68,7 +72,10 @@ def layer_at(
     levels: wp.array(dtype=wp.float32),
     out: wp.array(dtype=wp.float32),
 ):
-    """Interpolate the layer with the pyramid `ground` at points."""
+    """Interpolate a layer at point `offset + tid`.
+
+    ground: pyramid of the layer's values. levels: scale of each point.
+    """
     v = offset + wp.tid()
     out[v] = wp.float32(value_at(ground, wp.float32(0.0), positions[v], levels[v]))
 
@@ -82,7 +89,10 @@ def wetness_at(
     normal: wp.array(dtype=wp.vec3f),
     out: wp.array(dtype=wp.float32),
 ):
-    """Compute ln(a / tan slope), a: drainage area over contour length `width`, in metres (Beven and Kirkby 1979)."""
+    """Compute the wetness index ln(a / tan slope) of point `offset + tid` (Beven and Kirkby 1979).
+
+    a: drainage area `flow` over the contour length `width`, metres. min_tangent: lower limit of the slope.
+    """
     v = offset + wp.tid()
     n = normal[v]
     x = wp.float64(n[0])

@@ -69,9 +69,10 @@ def footprint_levels(
     max_level: int,
     levels: wp.array(dtype=wp.float32),
 ):
-    """Compute the finest level of any eye for block `offset + tid` of points, 0 to `max_level` in steps of 1/8.
+    """Compute the level of the finest pixel footprint of any eye, for block `offset + tid` of points.
 
-    `levels` holds infinity before.
+    A level is log2 of the samples that a pixel covers, 0 to `max_level` in steps of 1/8; `levels` holds infinity
+    before.
     """
     first = (offset + wp.tid()) * BLOCK
     levels_of(positions, first, wp.min(levels.shape[0] - first, BLOCK), eyes, max_level, levels)

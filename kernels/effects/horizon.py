@@ -37,7 +37,7 @@ class Occluder:
 
 @wp.func
 def surface(g: Occluder, x: wp.float64, y: wp.float64):
-    """Return the scaled height of the bilinear surface `x` and `y` cells from the first sample, inside the raster."""
+    """Return the height of the bilinear surface at (x, y) cells from the first sample, times the vertical scale."""
     i = wp.min(wp.int32(x), g.samples.columns - 2)
     j = wp.min(wp.int32(y), g.samples.rows - 2)
     p = corners_of(g.samples, i, j)
@@ -49,7 +49,7 @@ def surface(g: Occluder, x: wp.float64, y: wp.float64):
 
 @wp.func
 def cells_of(metres: wp.float64, origin: wp.float64, step: wp.float64, cells: wp.int32):
-    """Convert metres to cells from the first sample, clamped to the raster; 0 for NaN."""
+    """Convert metres to cells from the first sample, clamped to 0 .. `cells`; 0 for NaN."""
     at = (metres - origin) / step
     return wp.where(at >= wp.float64(0.0), wp.min(at, wp.float64(cells)), wp.float64(0.0))
 

@@ -37,7 +37,7 @@ class Values:
 
 
 @wp.func
-def single(x: wp.float64) -> wp.float32:
+def to_single(x: wp.float64) -> wp.float32:
     """Convert to float32, clamped to finite values."""
     return wp.float32(wp.clamp(x, -HIGHEST, HIGHEST))
 
@@ -106,13 +106,16 @@ def from_jets(
     levels: wp.array(dtype=wp.float32),
     values: Values,
 ):
-    """Compute the requested values at the x and y of `positions` and their levels."""
+    """Compute the requested values (height, slope, curvature ..) at point `offset + tid`.
+
+    levels: scale of each point. values: output arrays, and bits that tell which ones are requested.
+    """
     v = offset + wp.tid()
     p = positions[v]
     level = levels[v]
     q = jet_at(ground, wp.float64(p[0]), wp.float64(p[1]), level)
     if (values.wanted & HEIGHT) != 0:
-        values.height[v] = single(q[0])
+        values.height[v] = to_single(q[0])
     squared = q[1] * q[1] + q[2] * q[2]
     rise = wp.float64(0.0)
     run = wp.float64(0.0)
@@ -128,9 +131,9 @@ def from_jets(
     if (values.wanted & ASPECT) != 0:
         values.aspect[v] = wp.vec2f(wp.float32(-q[1] * run), wp.float32(-q[2] * run))
     if (values.wanted & MEAN_CURVATURE) != 0:
-        values.mean_curvature[v] = single(mean_curvature_of(q, r))
+        values.mean_curvature[v] = to_single(mean_curvature_of(q, r))
     if (values.wanted & PROFILE_CURVATURE) != 0:
-        values.profile_curvature[v] = single(profile_curvature_of(q, r, run))
+        values.profile_curvature[v] = to_single(profile_curvature_of(q, r, run))
     if (values.wanted & PLAN_CURVATURE) != 0:
         # A contour with a radius below the spacing of the level is not resolved.
         limit = wp.max(ground.per_x, ground.per_y) / wp.float64(wp.int32(1) << wp.int32(wp.max(level, 0.0)))

@@ -24,7 +24,10 @@ def next_common(
     at: wp.int32,
     last_count: wp.int32,
 ):
-    """Return the fewest points to skip in both surfaces until they agree; (-1, -1) if they are more than LOOK."""
+    """Return how many points to skip in this and in the last surface until they agree.
+
+    (-1, -1) if more than LOOK points in all would have to be skipped. v, at: current points of the two.
+    """
     skip = wp.vec2i(-1, -1)
     total = wp.int32(1)
     while total <= LOOK and skip[0] < 0:
@@ -45,7 +48,11 @@ def match_in_order(
     runs: wp.array(dtype=wp.vec3i),
     found: wp.array(dtype=wp.int32),
 ):
-    """List runs while their order is the same in both. `found` [2]: their number, and the first undecided point."""
+    """List runs of points that this and the last surface have in the same order.
+
+    One thread. It stops where more than LOOK points would have to be skipped. runs [k]: first point, first point of
+    the last surface, count. found [2]: number of runs, and the first point that `match_anywhere` still has to find.
+    """
     v = wp.int32(0)
     at = wp.int32(0)
     k = wp.int32(0)
@@ -68,8 +75,8 @@ def match_in_order(
 
 
 @wp.func
-def slot_of(p: wp.vec3f, bits: wp.int32) -> wp.int32:
-    """Return the slot of a point in a hash table of 2**bits."""
+def hash_slot(p: wp.vec3f, bits: wp.int32) -> wp.int32:
+    """Return the slot of a point in a hash table of 2^bits entries, by its x and y."""
     h = scramble(scramble(wp.cast(p[0], wp.uint32)) + wp.cast(p[1], wp.uint32))
     return wp.int32(h >> wp.uint32(32 - bits))
 
@@ -91,14 +98,14 @@ def match_anywhere(
     wrong. Points of one hash in 64 estimate the fraction; after a cut it is too small to search.
     """
     for i in range(last_count):
-        slot = slot_of(last[i], bits)
+        slot = hash_slot(last[i], bits)
         if (slot & 63) == 0:
             put(table, wp.int64(slot), i)
     k = found[0]
     v = found[1]
     common = wp.int32(ALWAYS)
     for i in range(v, count):
-        slot = slot_of(places[i], bits)
+        slot = hash_slot(places[i], bits)
         if (slot & 63) == 0:
             common -= 5
             if item_at(table, slot) >= 0:
@@ -106,9 +113,9 @@ def match_anywhere(
     if common < 0:
         return
     for i in range(last_count):
-        put(table, wp.int64(slot_of(last[i], bits)), i)
+        put(table, wp.int64(hash_slot(last[i], bits)), i)
     while v < count:
-        at = item_at(table, slot_of(places[v], bits))
+        at = item_at(table, hash_slot(places[v], bits))
         same = wp.int32(0)
         if at >= 0:
             same = count_same_vec3s(places, v, last, at, wp.min(count - v, last_count - at))
@@ -129,9 +136,9 @@ def list_fresh(
     fresh: wp.array(dtype=wp.int32),
     found: wp.array(dtype=wp.int32),
 ):
-    """List the points whose values must be computed: those in no run, or with another level than before.
+    """List the points whose values have to be computed: those in no run, or with another level than before.
 
-    runs: points that the last surface has, too, see match_in_order. found [1]: number of listed points.
+    One thread. runs: see `match_in_order`. found [0] becomes the number of listed points.
     """
     n = wp.int32(0)
     v = wp.int32(0)
@@ -170,7 +177,7 @@ def copy_runs(
     run_count: int,
     pairs: wp.array(dtype=Pair),
 ):
-    """Copy the values of the points first .. end that are in a run, for every quantity."""
+    """Copy the last surface's values of all quantities to points first .. end - 1 that are in a run."""
     for p in range(pairs.shape[0]):
         pair = pairs[p]
         for k in range(run_count):

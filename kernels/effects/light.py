@@ -14,7 +14,7 @@ HALF_PI = wp.constant(wp.float64(1.5707963267948966))
 
 @wp.func
 def elevation_of(slope: wp.float64) -> wp.float64:
-    """Return the elevation of a slope in radians."""
+    """Return the elevation angle of a slope (metres a metre) in radians."""
     return wp.where(slope < wp.float64(0.0), -arc_tangent(-slope), arc_tangent(slope))
 
 
@@ -45,9 +45,10 @@ def sky_seen(
     places: wp.array(dtype=wp.vec3f),
     out: wp.array(dtype=wp.float32),
 ):
-    """Add the visible fraction of the sky in the azimuths `first` .. `end` to `out`; the last one clamps it to 0 .. 1.
+    """Add the visible part of the sky in azimuths first .. end - 1 to out[i], for point i = offset + tid.
 
-    Ground up to `far` metres counts. Everything below the slope `lowest` or the point's tangent plane is hidden.
+    The last azimuth clamps the sum to 0 .. 1. far: metres of ground that can hide sky. lowest: slope below which
+    everything counts as hidden, like everything below the tangent plane.
     """
     i = offset + wp.tid()
     count = azimuths.shape[0]
@@ -86,10 +87,10 @@ def sun_seen(
     places: wp.array(dtype=wp.vec3f),
     out: wp.array(dtype=wp.float32),
 ):
-    """Compute the fraction of the sun's disc above the horizon.
+    """Compute the part of the sun's disc above the horizon at point `offset + tid`.
 
-    `elevation`, `radius`: radians. `low`, `high`: slopes just below and above the disc, between which a horizon hides a
-    part of it.
+    elevation, radius: of the disc, radians. low, high: slopes just below and above the disc; only a horizon between
+    them needs precision. strips: upright strips that make up the disc.
     """
     i = offset + wp.tid()
     x = cells_of(wp.float64(places[i][0]), occluder.west, occluder.step_x, occluder.samples.columns - 1)

@@ -27,7 +27,7 @@ def natural_log(x: wp.float64) -> wp.float64:
 
 @wp.func
 def exponential(x: wp.float64) -> wp.float64:
-    """Return e^x = 2^k e^r, |r| <= ln 2 / 2, for -700 < x < 700, within a relative 1e-15."""
+    """Return e^x within a relative 1e-15, for -700 < x < 700. By e^x = 2^k e^r with |r| <= ln 2 / 2."""
     k = wp.floor(x / LN_2 + wp.float64(0.5))
     r = x - k * LN_2
     series = wp.float64(1.0)

@@ -38,7 +38,7 @@ class Pyramid:
 
 @wp.func
 def filtered_height(ground: Pyramid, level: wp.int32, i: wp.int64) -> wp.float64:
-    """Return sample `i` of a level in metres."""
+    """Return value i of a level of the pyramid, row by row; metres before vertical scaling for heights."""
     h = wp.float32(0.0)
     if level == 0:
         h = sample_at(ground.samples, i)
@@ -49,7 +49,10 @@ def filtered_height(ground: Pyramid, level: wp.int32, i: wp.int64) -> wp.float64
 
 @wp.func
 def row_height(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32) -> wp.float64:
-    """Return the sample x of row y; beyond its ends the row is mirrored in the point of its last sample."""
+    """Return sample x of row y of a level.
+
+    Beyond the ends of the row it is 2 last - mirrored, which continues slopes.
+    """
     last = ground.columns[level] - 1
     edge = wp.clamp(x, 0, last)
     row = wp.int64(y) * wp.int64(last + 1)
@@ -61,7 +64,7 @@ def row_height(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32) -> wp
 
 @wp.func
 def extended_height(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32) -> wp.float64:
-    """Return the sample x of row y; beyond its borders the raster is mirrored in the points of its last samples."""
+    """Return sample (x, y) of a level; beyond the border it is extrapolated as in `row_height`."""
     edge = wp.clamp(y, 0, ground.rows[level] - 1)
     h = row_height(ground, level, x, edge)
     if y != edge:
@@ -91,10 +94,10 @@ def filtered_row(ground: Pyramid, level: wp.int32, x: wp.int32, y: wp.int32, inn
 
 
 @wp.kernel
-def halve(offset: int, ground: Pyramid, level: int, out: wp.array(dtype=wp.float32)):
-    """Compute row `offset + tid` of `level` from the finer level, which has at least two cells in each direction.
+def halve_level(offset: int, ground: Pyramid, level: int, out: wp.array(dtype=wp.float32)):
+    """Compute row `offset + tid` of `level` from the next finer level: means with the weights [1 2 1] x [1 2 1] / 16.
 
-    `out` is ground.coarser.
+    out: ground.coarser. The finer level has at least two cells in each direction.
     """
     row = offset + wp.tid()
     below = level - 1
@@ -176,7 +179,10 @@ def inverse_power(level: wp.int32) -> wp.float64:
 
 @wp.func
 def level_jet(ground: Pyramid, level: wp.int32, x: wp.float64, y: wp.float64) -> Jet:
-    """Return the jet x, y cells of a level from its first sample; derivatives per metre, heights of the field."""
+    """Return height and derivatives of one level at (x, y) cells of that level.
+
+    Derivatives are per metre, before vertical scaling.
+    """
     i = wp.min(wp.int32(x), item_at(ground.columns, level) - 2)
     j = wp.min(wp.int32(y), item_at(ground.rows, level) - 2)
     q = jet_of(ground, level, i - 1, j - 1, wp.float32(x - wp.float64(i)), wp.float32(y - wp.float64(j)))

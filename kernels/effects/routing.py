@@ -48,19 +48,22 @@ def towards(i: wp.int32, k: wp.int32, width: wp.int32) -> wp.int32:
 
 @wp.func
 def axis(k: wp.int32) -> wp.int32:
-    """Return the axis of direction k, which is the index of its weight: 0 east-west, 1 north-south, 2 diagonal."""
+    """Return the axis of direction k, the index of its weight in a Grid: 0 east-west, 1 north-south, 2 diagonal."""
     return wp.where(k % 2 == 0, 2, wp.where(k == 3 or k == 5, 0, 1))
 
 
 @wp.func
 def straight_first(q: wp.int32) -> wp.int32:
-    """Return direction q = 0 .. 7, the four along the axes first."""
+    """Return the q-th direction (q = 0 .. 7) of an order that has the four along the axes first."""
     return wp.where(q < 4, 2 * q + 1, wp.where(q < 6, 2 * (q - 4), 2 * (q - 3)))
 
 
 @wp.kernel
 def find_receivers(offset: int, d: DrainageArrays, nearness: wp.vec3f, draw: Draw):
-    """Find the D8 receivers of row `offset + tid` (O'Callaghan and Mark 1984), ROOT without a lower neighbour."""
+    """Write the D8 receiver of each sample of row `offset + tid`, ROOT if no neighbour is lower.
+
+    (O'Callaghan and Mark 1984.) nearness: 1 / distance by axis, 1/m. draw: noise that breaks straight lines.
+    """
     y = offset + wp.tid()
     first = y * d.grid.width
     if y == 0 or y == d.grid.height - 1:
@@ -165,7 +168,10 @@ def find_passes(
 
 @wp.func
 def representative(up: wp.array(dtype=wp.int32), a: wp.int32) -> wp.int32:
-    """Return the representative of the set of basin a (union-find with path halving)."""
+    """Return the representative of the set that basin `a` is in (union-find with path halving).
+
+    up: parent of each basin.
+    """
     while up[a] != a:
         up[a] = up[up[a]]
         a = up[a]
@@ -173,8 +179,11 @@ def representative(up: wp.array(dtype=wp.int32), a: wp.int32) -> wp.int32:
 
 
 @wp.func
-def turn(to: wp.array(dtype=wp.uint8), i: wp.int32, k: wp.int32, width: wp.int32):
-    """Set the receiver of sample i to direction k and reverse its old path to the root: its basin drains there."""
+def redirect_basin(to: wp.array(dtype=wp.uint8), i: wp.int32, k: wp.int32, width: wp.int32):
+    """Make sample i drain in direction k, and reverse the old path from i to its root.
+
+    So the whole basin of that root drains through i.
+    """
     at = wp.int32(i)
     new = wp.int32(k)
     going = wp.int32(1)
@@ -207,10 +216,10 @@ def link_basins(count: int, pits: int, d: DrainageArrays, edge: wp.array(dtype=w
             left -= 1
             # The set of `outside` keeps its number, so that one comparison identifies it.
             if a == outside:
-                turn(d.to, j, 8 - k, d.grid.width)
+                redirect_basin(d.to, j, 8 - k, d.grid.width)
                 up[b] = a
             else:
-                turn(d.to, i, k, d.grid.width)
+                redirect_basin(d.to, i, k, d.grid.width)
                 up[a] = b
         e += 1
 
@@ -230,7 +239,7 @@ def donors_at(d: DrainageArrays, x: wp.int32, y: wp.int32) -> wp.uint8:
 
 @wp.kernel
 def count_donors(offset: int, d: DrainageArrays):
-    """Count the donors of each sample of row `offset + tid`."""
+    """Count the donors of each sample of row `offset + tid`: neighbours that drain into it."""
     y = offset + wp.tid()
     if y == 0 or y == d.grid.height - 1:
         for x in range(d.grid.width):

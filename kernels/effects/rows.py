@@ -98,7 +98,7 @@ def find_receivers_of_row(
     }
 """)
 def count_donors_of_row(d: DrainageArrays, y: int):
-    """Count the donors of the samples of row y, except its two ends."""
+    """Count the donors of the samples of row y, except its two ends; `count_donors` does those."""
     ...
 
 
@@ -123,7 +123,7 @@ def count_donors_of_row(d: DrainageArrays, y: int):
     return n;
 """)
 def next_pit(d: DrainageArrays, i: int) -> int:
-    """Return the first sample from i on without a receiver that is not of `base`; the number of samples if none."""
+    """Return the first pit from sample i on: without a receiver and not an outlet; the number of samples if none."""
     ...
 
 
@@ -145,7 +145,10 @@ def next_pit(d: DrainageArrays, i: int) -> int:
     }
 """)
 def label_samples(d: DrainageArrays, first: int, end: int):
-    """Label samples first .. end with the basin of the root downstream, and those on the way there."""
+    """Label samples first .. end - 1, and those downstream of them, with the basin of their root.
+
+    A label of 0 means that the sample has none yet.
+    """
     ...
 
 
@@ -161,7 +164,7 @@ def label_samples(d: DrainageArrays, first: int, end: int):
         + (m[width - 1] != n[width - 1]);
 """)
 def passes_of_row(d: DrainageArrays, y: int) -> int:
-    """Return the number of neighbours to the east and in the next row that are of another basin."""
+    """Return the number of passes of row y: pairs of neighbours in different basins, to the east or north."""
     ...
 
 
@@ -199,7 +202,10 @@ def passes_of_row(d: DrainageArrays, y: int) -> int:
 def list_passes_of_row(
     d: DrainageArrays, y: int, at: wp.int64, key: wp.array(dtype=wp.float32), edge: wp.array(dtype=wp.int32)
 ):
-    """List the passes of row y from entry `at` on: heights into `key`, 4 * sample + direction - 5 into `edge`."""
+    """List the passes of row y from entry `at` on.
+
+    key: height of the pass, metres. edge: 4 * sample + direction - 5, directions 5 - 8.
+    """
     ...
 
 

@@ -92,7 +92,7 @@ def smooth(x: wp.float32) -> wp.float32:
 
 @wp.func
 def corner(row: wp.uint32, i: wp.uint32) -> wp.float32:
-    """Return the random value of lattice point i of a hashed row, -1 .. 1."""
+    """Return the random value of lattice point i of a row, -1 .. 1. row: hash of the row's number."""
     return wp.float32(wp.int32(scramble(row + i))) * 4.656612873077393e-10
 
 
@@ -104,7 +104,7 @@ def fade(t: wp.float32) -> wp.float32:
 
 @wp.func
 def wave(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float32:
-    """Return value noise in -1 .. 1 of lattice spacing 1."""
+    """Return value noise at (x, y), -1 .. 1, with a lattice spacing of 1."""
     column = wp.floor(x)
     row = wp.floor(y)
     i = wp.uint32(wp.int64(column))
@@ -227,7 +227,10 @@ def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp
 
 @wp.func
 def shares_of(w: Weights, count: wp.int32) -> Weights:
-    """Normalize weights to multiples of 2^-24 that add up to 1; the largest gets the rounding."""
+    """Return the weights of `count` layers scaled to a sum of 1, as multiples of 2^-24.
+
+    The largest weight absorbs the rounding.
+    """
     total = wp.float32(0.0)
     largest = wp.int32(0)
     for k in range(count):
@@ -258,7 +261,10 @@ def splats(
     out_2: wp.array(dtype=wp.vec4f),
     out_3: wp.array(dtype=wp.vec4f),
 ):
-    """Compute weights at points and their levels; bit k of `wanted` requests layers 4 k to 4 k + 3."""
+    """Compute the weights of all splat layers at point `offset + tid`.
+
+    levels: scale of each point. wanted: bit k requests layers 4 k .. 4 k + 3, written to out_(k + 1).
+    """
     v = offset + wp.tid()
     x = wp.float64(positions[v][0]) - s.west
     y = wp.float64(positions[v][1]) - s.south

@@ -92,7 +92,7 @@ def sweep_lines(s: Sweep, item: int):
 
 @wp.kernel
 def sweep(offset: int, s: Sweep):
-    """Compute the horizons of the lines of item `offset + tid`, and interpolate them at the samples between lines."""
+    """Compute the horizons of the lines of item `offset + tid`, and interpolate them at samples between the lines."""
     sweep_lines(s, offset + wp.tid())
 
 
@@ -136,18 +136,19 @@ class Sky:
     for (int x = 1; x < columns - 1; x++) add(x, x - 1, x + 1, per_x * 0.5f);
     add(columns - 1, columns - 2, columns - 1, per_x);
 """)
-def add_row(sky: Sky, y: int):
-    """Add `open_fraction` of light.py for a row of samples, by central differences, one-sided at the border.
+def add_sky_of_row(sky: Sky, y: int):
+    """Add to `sky.out` the visible part of the sky in one azimuth, times `share`, for the samples of row y.
 
-    Vectorized C in single precision, ten times as fast as there.
+    `sky.horizons` are slopes, metres a metre. It is `open_fraction` of light.py, vectorized in single precision,
+    which takes a tenth of the time. Slopes of the ground are central differences, one-sided at the border.
     """
     ...
 
 
 @wp.kernel
 def add_sky(offset: int, sky: Sky):
-    """Add the sky of one azimuth to row `offset + tid`."""
-    add_row(sky, offset + wp.tid())
+    """Add the visible part of the sky in one azimuth to the samples of row `offset + tid`."""
+    add_sky_of_row(sky, offset + wp.tid())
 
 
 @wp.struct
@@ -165,7 +166,7 @@ class SkyLayer:
 
 @wp.func
 def bilinear(layer: SkyLayer, first: wp.int64, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Interpolate the values from index `first` on, `x` and `y` samples from it."""
+    """Interpolate a layer's values from index `first` on, at (x, y) samples from its first one."""
     i = wp.min(wp.int32(x), layer.columns - 2)
     j = wp.min(wp.int32(y), layer.rows - 2)
     at = first + wp.int64(j) * wp.int64(layer.columns) + wp.int64(i)
@@ -179,8 +180,8 @@ def bilinear(layer: SkyLayer, first: wp.int64, x: wp.float64, y: wp.float64) -> 
 
 
 @wp.kernel
-def take(offset: int, layer: SkyLayer, places: wp.array(dtype=wp.vec3f), out: wp.array(dtype=wp.float32)):
-    """Interpolate a layer at each point, clamped to the raster; values are 0 .. 1."""
+def layer_at_points(offset: int, layer: SkyLayer, places: wp.array(dtype=wp.vec3f), out: wp.array(dtype=wp.float32)):
+    """Interpolate a layer at point `offset + tid`, clamped to the raster; values are 0 .. 1."""
     i = offset + wp.tid()
     x = cells_of(wp.float64(places[i][0]), layer.west, layer.step_x, layer.columns - 1)
     y = cells_of(wp.float64(places[i][1]), layer.south, layer.step_y, layer.rows - 1)
@@ -196,7 +197,10 @@ def sky_between(
     places: wp.array(dtype=wp.vec3f),
     out: wp.array(dtype=wp.float32),
 ):
-    """Compute the sky of each point from the horizons of a coarser raster, a layer each, and the ground's normal."""
+    """Compute the visible sky of point `offset + tid` from horizons of a coarser raster and the fine ground's slope.
+
+    horizons: a layer for each azimuth, slopes in metres a metre.
+    """
     i = offset + wp.tid()
     east = wp.float64(places[i][0])
     north = wp.float64(places[i][1])

@@ -20,7 +20,10 @@ class Texels:
 
 @wp.kernel
 def texel_places(offset: int, first: int, ground: Pyramid, texels: Texels, out: wp.array(dtype=wp.vec3f)):
-    """Compute the ground under texel `first + offset + tid`, bilinear between samples, clamped to the raster."""
+    """Compute the position on the ground of texel `first + offset + tid`.
+
+    Heights are bilinear between samples; texels beyond the raster get its border.
+    """
     i = offset + wp.tid()
     texel = first + i
     columns = ground.columns[0]

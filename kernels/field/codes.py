@@ -32,8 +32,8 @@ def sample_at(s: Samples, i: wp.int64) -> wp.float32:
 
 
 @wp.func
-def height(s: Samples, i: wp.int64) -> wp.float64:
-    """Return sample `i`, metres, as float64."""
+def height_at(s: Samples, i: wp.int64) -> wp.float64:
+    """Return sample i, metres, as float64."""
     return wp.float64(sample_at(s, i))
 
 
@@ -43,12 +43,15 @@ def corners_of(s: Samples, i: wp.int32, j: wp.int32) -> wp.vec4d:
     south = wp.int64(j) * wp.int64(s.columns) + wp.int64(i)
     north = south + wp.int64(s.columns)
     one = wp.int64(1)
-    return wp.vec4d(height(s, south), height(s, south + one), height(s, north), height(s, north + one))
+    return wp.vec4d(height_at(s, south), height_at(s, south + one), height_at(s, north), height_at(s, north + one))
 
 
 @wp.func
 def twist_of(corners: wp.vec4d) -> wp.float64:
-    """Return the twist of the bilinear patch with these corners: |h00 + h11 - h10 - h01|, metres."""
+    """Return the twist of a bilinear patch, |h00 + h11 - h10 - h01| metres: 4 times its distance from a plane.
+
+    corners: see `corners_of`.
+    """
     return wp.abs((corners[0] - corners[1]) + (corners[3] - corners[2]))
 
 
@@ -63,7 +66,7 @@ def bilinear(corners: wp.vec4d, s: wp.float64, t: wp.float64) -> wp.float64:
 
 @wp.func
 def prefetch_sample(s: Samples, i: wp.int64):
-    """Prefetch sample `i` into the processor's cache."""
+    """Start loading sample i into the processor's cache, for a later `sample_at`."""
     if s.coded == 0:
         prefetch(s.floats, i)
     else:

@@ -54,7 +54,7 @@ class PackedLayers:
 
 @wp.func
 def noise_detail(d: PackedDetail, x: wp.float64, y: wp.float64):
-    """Return the height of the octaves at (x, y) metres, and its slopes: (metres, metres a metre along x, along y)."""
+    """Return the height of all octaves of noise at (x, y) metres, with its slopes: (height, along x, along y)."""
     found = wp.vec3d()
     a = d.amplitude
     c = d.frequency
@@ -83,7 +83,7 @@ def basis(t: wp.float64) -> wp.vec4d:
 
 @wp.func
 def slope_basis(t: wp.float64) -> wp.vec4d:
-    """Return the derivatives of the B-spline weights."""
+    """Return the derivatives of the B-spline weights of `basis` by t."""
     half = wp.float64(0.5)
     r = wp.float64(1.0) - t
     second = t * (wp.float64(1.5) * t - wp.float64(2.0))
@@ -123,7 +123,10 @@ def image_detail(c: PackedLayers, d: PackedDetail, x: wp.float64, y: wp.float64)
 
 @wp.func
 def mask_at(c: PackedLayers, first: wp.int64, x: wp.float64, y: wp.float64):
-    """Return the weight of a layer south (x, y) metres, 0 .. 1, and its derivatives along x and y, 1 / metre."""
+    """Return the mask of a layer at (x, y) metres, 0 .. 1, with its slopes: (mask, 1/m along x, 1/m along y).
+
+    first: index of the mask's first byte.
+    """
     s = wp.clamp((x - c.west) * c.per_x, wp.float64(0.0), wp.float64(c.columns - 1))
     t = wp.clamp((y - c.south) * c.per_y, wp.float64(0.0), wp.float64(c.rows - 1))
     i = wp.min(wp.int32(s), c.columns - 2)
@@ -143,7 +146,7 @@ def mask_at(c: PackedLayers, first: wp.int64, x: wp.float64, y: wp.float64):
 
 @wp.func
 def detail_at(c: PackedLayers, x: wp.float64, y: wp.float64):
-    """Return the height of all layers at (x, y) metres, and its slopes: (metres, metres a metre along x, along y)."""
+    """Return the height of all displacement layers at (x, y) metres, with its slopes: (height, along x, along y)."""
     found = wp.vec3d()
     for k in range(c.count):
         d = c.layer[k]

@@ -9,7 +9,10 @@ from .layout import Depth, diamond, entry, holds
 
 @wp.kernel
 def raise_errors(offset: int, finer: Depth, coarser: Depth, errors: wp.array(dtype=wp.float32)):
-    """Raise diamonds to the largest error of their children, for one bisection more."""
+    """Raise errors of diamonds of depth `coarser` to those of their children, for leaves drawn one level finer.
+
+    The thread works on diamond `offset + tid`.
+    """
     p = diamond(coarser, offset + wp.tid())
     if holds(coarser, p):
         errors[entry(coarser, p[0], p[1])] = largest_below(errors, finer, coarser, p)
@@ -17,7 +20,7 @@ def raise_errors(offset: int, finer: Depth, coarser: Depth, errors: wp.array(dty
 
 @wp.func
 def largest_about(values: wp.array(dtype=wp.float32), cells: Depth, p: wp.vec2i) -> wp.float32:
-    """Return the largest value of a cell and of the four cells that share a side with it."""
+    """Return the largest value of cell p and of the diamonds on its four sides. values: of all depths."""
     largest = values[entry(cells, p[0], p[1])]
     for k in range(4):
         step = 2 * (k & 1) - 1
@@ -46,7 +49,10 @@ def raise_cells(
 
 @wp.kernel
 def cover_sides(offset: int, curvatures: Depth, cells: Depth, errors: wp.array(dtype=wp.float32)):
-    """Raise a cell's error to at least half the larger curvature of the diamonds on its sides."""
+    """Raise the error of cell `offset + tid` to half the largest curvature of itself and its sides.
+
+    So the error also bounds triangles that meet on the cell's sides.
+    """
     p = diamond(cells, offset + wp.tid())
     at = entry(cells, p[0], p[1])
     errors[at] = wp.max(errors[at], largest_about(errors, curvatures, p) * wp.float32(0.5))

@@ -17,7 +17,10 @@ def nearest_in_columns(
     block: int,
     nearest: wp.array(dtype=wp.int32),
 ):
-    """Find the row of the nearest valid sample in each column, -1 for none, for block `offset + tid` of columns."""
+    """Write the row of the nearest valid sample in the same column, -1 if the column has none.
+
+    The thread works on block `offset + tid` of `block` columns. h: heights, NaN if missing.
+    """
     x0 = (offset + wp.tid()) * block
     x1 = wp.min(x0 + block, width)
     for y in range(height):

@@ -38,14 +38,17 @@ def row_error(
 
 
 @wp.func
-def corner(raster: Samples, x: int, y: int) -> wp.float64:
-    """Return the height, metres, of vertex (x, y) in samples; beyond the border that of the nearest sample."""
+def vertex_height(raster: Samples, x: int, y: int) -> wp.float64:
+    """Return the height of vertex (x, y), in samples, metres; beyond the border that of the nearest sample."""
     return wp.float64(raster.floats[wp.min(y, raster.rows - 1) * raster.columns + wp.min(x, raster.columns - 1)])
 
 
 @wp.func
 def row_inside(raster: Samples, x: int, y: int, count: int, plane: wp.float64, slope: wp.float64) -> wp.float64:
-    """Return `row_error` of those of `count` samples from (x, y) to the east that are in the raster; 0 if none is."""
+    """Return the largest distance of the samples (x, y) .. (x + count - 1, y) from a line, metres.
+
+    The line is `plane` at the first sample and rises by `slope` a sample. Samples outside the raster do not count.
+    """
     inside = wp.min(count, raster.columns - x)
     largest = wp.float64(0.0)
     if inside > 0 and y < raster.rows:
@@ -93,7 +96,10 @@ def diagonal_inside(
 
 @wp.func
 def largest_below(values: wp.array(dtype=wp.float32), finer: Depth, coarser: Depth, p: wp.vec2i) -> wp.float32:
-    """Return the largest value of a diamond's up to four children."""
+    """Return the largest value of the up to four children of diamond p.
+
+    finer, coarser: depths of the children and of p.
+    """
     largest = wp.float32(0.0)
     for k in range(4):
         c = child(coarser, p, k)
@@ -132,9 +138,10 @@ def centre_errors(
     coarser: Depth,
     errors: wp.array(dtype=wp.float32),
 ):
-    """Compute errors of diamonds at the centres of cells of `side` samples (at least 2), from their two triangles.
+    """Compute the errors of diamonds at the centres of cells of `side` samples (at least 2).
 
-    `root` is 1 if these cells are the root squares. `measured`: samples with NaN where they do not count.
+    The thread works on diamond `offset + tid`: the largest distance of samples from its two triangles, and its
+    children's errors. root: 1 if these cells are the root squares. measured: samples, NaN where they do not count.
     """
     p = diamond(coarser, offset + wp.tid())
     is_northeast = root == 1 or ((p[0] + p[1]) & 1) == 1  # direction of the diagonal with the triangles' corners
@@ -145,9 +152,9 @@ def centre_errors(
         up = wp.where(is_northeast, right, -right)
         x = (p[0] + k) * side
         y = (p[1] + wp.where(up > 0, 0, 1)) * side
-        z = corner(raster, x, y)
-        slope_x = wp.float64(right) * (corner(raster, x + right * side, y) - z) / n
-        slope_y = wp.float64(up) * (corner(raster, x, y + up * side) - z) / n
+        z = vertex_height(raster, x, y)
+        slope_x = wp.float64(right) * (vertex_height(raster, x + right * side, y) - z) / n
+        slope_y = wp.float64(up) * (vertex_height(raster, x, y + up * side) - z) / n
         slope = wp.vec2d(slope_x, slope_y)
         largest = wp.max(largest, corner_error(measured, x, y, right, up, side, z, slope))
     errors[entry(coarser, p[0], p[1])] = wp.max(round_up(largest), largest_below(errors, finer, coarser, p))
@@ -163,10 +170,10 @@ def side_errors(
     coarser: Depth,
     errors: wp.array(dtype=wp.float32),
 ):
-    """Compute errors of diamonds at the middles of cells' sides, `half` samples from the ends of the side.
+    """Compute the errors of diamonds at the middles of cells' sides, `half` samples from the side's ends.
 
-    Each of the two triangles consists of two right ones with their corners in the middle. `measured`: as in
-    `centre_errors`.
+    The thread works on diamond `offset + tid`. Each of the two triangles consists of two right ones with their
+    corners in the middle. measured: samples, NaN where they do not count.
     """
     p = diamond(coarser, offset + wp.tid())
     if not holds(coarser, p):
@@ -175,8 +182,8 @@ def side_errors(
     y = p[1] * half
     flat = p[0] & 1
     along = wp.vec2i(flat, 1 - flat)
-    begin = corner(raster, x - along[0] * half, y - along[1] * half)
-    end = corner(raster, x + along[0] * half, y + along[1] * half)
+    begin = vertex_height(raster, x - along[0] * half, y - along[1] * half)
+    end = vertex_height(raster, x + along[0] * half, y + along[1] * half)
     middle = wp.float64(0.5) * (begin + end)
     n = wp.float64(half)
     largest = wp.float64(0.0)
@@ -192,7 +199,7 @@ def side_errors(
             across = wp.where(flat == 1, up, right)
             apex = wp.vec2i(p[0] + across * along[1], p[1] + across * along[0])
             if holds(coarser, apex):
-                z = corner(raster, apex[0] * half, apex[1] * half)
+                z = vertex_height(raster, apex[0] * half, apex[1] * half)
                 rise = wp.float64(across) * (z - middle) / n
                 slopes = wp.where(flat == 1, wp.vec2d(slope, rise), wp.vec2d(rise, slope))
                 largest = wp.max(largest, corner_error(measured, x, y, right, up, half, middle, slopes))
@@ -201,7 +208,10 @@ def side_errors(
 
 @wp.kernel
 def twists(offset: int, measured: Samples, cells: Depth, errors: wp.array(dtype=wp.float32)):
-    """Compute a quarter of each twist of row `offset + tid` of the raster's cells, 0 if a sample is NaN."""
+    """Write a quarter of the twist of each cell of row `offset + tid`: its largest distance from two triangles.
+
+    It is 0 if a sample is NaN.
+    """
     h = measured.floats
     width = measured.columns
     cy = offset + wp.tid()
@@ -233,7 +243,10 @@ def saturate_rows(offset: int, part: wp.float32, cells: Depth, errors: wp.array(
 
 @wp.kernel
 def saturate_columns(offset: int, block: int, part: wp.float32, cells: Depth, errors: wp.array(dtype=wp.float32)):
-    """Raise each cell of block `offset + tid` of columns to at least `part` of its southern and northern neighbours."""
+    """Raise each cell's error to at least `part` of that of its southern and northern neighbours.
+
+    The thread works on block `offset + tid` of `block` columns, from south to north and back.
+    """
     x0 = (offset + wp.tid()) * block
     x1 = wp.min(x0 + block, cells.columns)
     for i in range(cells.rows - 1):

@@ -15,7 +15,7 @@ HOLE = wp.constant(wp.uint8(2))
 
 @wp.func
 def is_whole(valid: wp.array(dtype=wp.uint8), columns: wp.int32, i: wp.int32, j: wp.int32) -> wp.bool:
-    """Return whether all four samples of cell (i, j) are valid, with `columns` samples a row."""
+    """Return whether all four samples of cell (i, j) are valid. columns: samples in a row."""
     at = wp.int64(j) * wp.int64(columns) + wp.int64(i)
     above = at + wp.int64(columns)
     one = wp.int64(1)
@@ -24,7 +24,7 @@ def is_whole(valid: wp.array(dtype=wp.uint8), columns: wp.int32, i: wp.int32, j:
 
 @wp.kernel
 def cell_kinds(offset: int, valid: wp.array(dtype=wp.uint8), width: int, cells: Depth, kinds: wp.array(dtype=wp.uint8)):
-    """Compute the kinds of row `offset + tid` of the raster's cells: a cell with an invalid sample is a hole."""
+    """Write whether each cell of row `offset + tid` is GROUND or a HOLE: one with an invalid sample."""
     cy = offset + wp.tid()
     for cx in range(width - 1):
         kinds[entry(cells, cx, cy)] = wp.where(is_whole(valid, width, cx, cy), GROUND, HOLE)
@@ -39,7 +39,10 @@ def raise_borders(
     kinds: wp.array(dtype=wp.uint8),
     errors: wp.array(dtype=wp.float32),
 ):
-    """Compute the kinds of diamonds from their children, and raise errors on borders to at least `longest` metres."""
+    """Write which kinds of cells are below diamond `offset + tid`; raise its error if there are both.
+
+    The error becomes at least `longest` metres, so that borders of holes are refined down to cells.
+    """
     p = diamond(coarser, offset + wp.tid())
     if holds(coarser, p):
         kind = wp.uint8(0)

@@ -14,8 +14,11 @@ RELIEF_OCTAVES = wp.constant(9)
 
 
 @wp.func
-def corner(row: wp.uint32, i: int, u: wp.float64, v: wp.float64):
-    """Return the gradient at lattice point i of a hashed row, and its plane's value at the offset (u, v)."""
+def gradient_at(row: wp.uint32, i: int, u: wp.float64, v: wp.float64):
+    """Return the gradient (x, y) at lattice point i of a row, and its plane's value at the offset (u, v).
+
+    row: hash of the row's number.
+    """
     h = scramble(row + wp.uint32(i))
     gx = wp.float64(h & wp.uint32(0xFFFF)) / wp.float64(32767.5) - wp.float64(1.0)
     gy = wp.float64(h >> wp.uint32(16)) / wp.float64(32767.5) - wp.float64(1.0)
@@ -34,10 +37,10 @@ def noise(x: wp.float64, y: wp.float64, seed: wp.uint32):
     one = wp.float64(1.0)
     south = scramble(wp.uint32(j) + seed)
     north = scramble(wp.uint32(j + 1) + seed)
-    a = corner(south, i, u, v)
-    b = corner(south, i + 1, u - one, v)
-    c = corner(north, i, u, v - one)
-    d = corner(north, i + 1, u - one, v - one)
+    a = gradient_at(south, i, u, v)
+    b = gradient_at(south, i + 1, u - one, v)
+    c = gradient_at(north, i, u, v - one)
+    d = gradient_at(north, i + 1, u - one, v - one)
     # Quintic fade and its slope.
     fu = u * u * u * (u * (u * wp.float64(6.0) - wp.float64(15.0)) + wp.float64(10.0))
     fv = v * v * v * (v * (v * wp.float64(6.0) - wp.float64(15.0)) + wp.float64(10.0))
@@ -82,7 +85,7 @@ def relief(x: wp.float64, y: wp.float64, detail: wp.float64, seed: wp.uint32):
 
 @wp.func
 def smooth(low: wp.float64, high: wp.float64, value: wp.float64):
-    """Return 0 below `low`, 1 above `high`, and a cubic between."""
+    """Return the smoothstep of `value`: 0 below `low`, 1 above `high`."""
     t = wp.clamp((value - low) / (high - low), wp.float64(0.0), wp.float64(1.0))
     return t * t * (wp.float64(3.0) - wp.float64(2.0) * t)
 
@@ -155,7 +158,10 @@ def island_height(x: wp.float64, y: wp.float64, seed: wp.uint32):
 
 @wp.kernel
 def raise_island(offset: int, size: int, first_row: int, seed: wp.uint32, samples: wp.array(dtype=wp.float32)):
-    """Compute row `first_row + offset + tid` of an island of `size` x `size` samples, at row `offset + tid`."""
+    """Compute the heights of the island in row first_row + offset + tid, of `size` x `size` samples.
+
+    They are written to row offset + tid of `samples`.
+    """
     row = offset + wp.tid()
     cells = wp.float64(size - 1)
     y = wp.float64(2 * (first_row + row) - (size - 1)) / cells

@@ -35,7 +35,7 @@ class Depth:
 
 @wp.func
 def entry(depth: Depth, x: wp.int32, y: wp.int32) -> wp.int64:
-    """Return the entry of the diamond (x, y) of a depth."""
+    """Return the index of diamond (x, y) of a depth in the arrays of errors and ranges."""
     return depth.base + tile_index(depth.first + x * depth.step, depth.first + y * depth.step, depth.pages)
 
 
@@ -55,7 +55,7 @@ def diamond(depth: Depth, t: wp.int32) -> wp.vec2i:
 
 @wp.func
 def holds(depth: Depth, p: wp.vec2i) -> wp.bool:
-    """Return whether a depth has the diamond p."""
+    """Return whether diamond p of a depth exists, that is, is not outside the raster."""
     x = wp.uint32(p[0])  # a negative number is a large one
     y = wp.uint32(p[1])
     return x < wp.uint32(depth.columns + depth.sides) and y < wp.uint32(depth.rows + depth.sides)

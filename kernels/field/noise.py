@@ -19,7 +19,10 @@ def scramble(value: wp.uint32):
 
 @wp.func
 def lattice_value(row: wp.uint32, i: wp.uint32):
-    """Return the value of the lattice point i of a hashed row: a multiple of 2^-31 in [-1, 1)."""
+    """Return the random value of lattice point i of a row, a multiple of 2^-31 in [-1, 1).
+
+    row: hash of the row's number.
+    """
     return wp.float64(wp.int32(scramble(row + i))) * wp.float64(4.656612873077393e-10)
 
 

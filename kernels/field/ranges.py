@@ -16,7 +16,7 @@ REACH = wp.constant(4)
 
 @wp.func
 def quantise_down(z: wp.float64, base: wp.float64, step: wp.float64, per_step: wp.float64):
-    """Return the largest q in 0 .. 65535 with base + q * step <= z; z is not below base."""
+    """Return the largest code q in 0 .. 65535 with base + q step <= z. per_step: 1 / step."""
     q = wp.clamp(wp.int32((z - base) * per_step), 0, 65535)
     while q > 0 and base + wp.float64(q) * step > z:
         q = q - 1
@@ -67,7 +67,7 @@ def finest_ranges(
 
 @wp.func
 def unite(a: wp.vec2us, ranges: wp.array(dtype=wp.uint16), index: wp.int64):
-    """Return the union of the range `a` and that of the diamond at an entry."""
+    """Return the union of range a and that of the diamond at an index of `ranges`."""
     at = wp.int64(2) * index
     return wp.vec2us(wp.min(a[0], ranges[at]), wp.max(a[1], ranges[at + wp.int64(1)]))
 
@@ -76,9 +76,9 @@ def unite(a: wp.vec2us, ranges: wp.array(dtype=wp.uint16), index: wp.int64):
 def patches_around(
     offset: int, columns: int, rows: int, cells: Depth, finest: Depth, ranges: wp.array(dtype=wp.uint16)
 ):
-    """Compute the ranges of `finest_ranges` of row `offset + tid` from all cells in the diamonds' boxes.
+    """Compute the ranges of the finest diamonds of row `offset + tid` from all cells around each.
 
-    columns, rows: cells of the raster, whose ranges a bicubic surface stores.
+    For a bicubic surface, whose cells have ranges. columns, rows: cells of the raster.
     """
     y = offset + wp.tid()
     for x in range(1 - (y & 1), finest.columns + 1, 2):
@@ -93,7 +93,7 @@ def patches_around(
 
 @wp.kernel
 def unite_children(offset: int, finer: Depth, coarser: Depth, ranges: wp.array(dtype=wp.uint16)):
-    """Compute the ranges of diamonds as the union of their up to four children."""
+    """Compute the range of diamond `offset + tid` as the union of those of its up to four children."""
     p = diamond(coarser, offset + wp.tid())
     if holds(coarser, p):
         r = wp.vec2us(wp.uint16(65535), wp.uint16(0))

@@ -8,20 +8,23 @@ from .mesh import KNOWN, PINNED, FitMesh
 
 
 @wp.func
-def slot_of(d: Domain, i: wp.int32, j: wp.int32) -> wp.int64:
-    """Return the entry of a vertex on a sample, or on the continuation of their grid into the padding."""
+def sample_index(d: Domain, i: wp.int32, j: wp.int32) -> wp.int64:
+    """Return the index of vertex (i, j), a sample or a point of the padding, in the arrays of `store_heights`."""
     return wp.int64(j) * wp.int64((d.columns << d.levels) + 1) + wp.int64(i)
 
 
 @wp.kernel
-def gather(
+def place_vertices(
     offset: int,
     m: FitMesh,
     positions: wp.array(dtype=wp.vec3f),
     heights: wp.array(dtype=wp.float32),
     states: wp.array(dtype=wp.uint8),
 ):
-    """Write where each vertex is on the lattice, and restore the height that it had before."""
+    """Write the lattice position of vertex `offset + tid`, and restore height and state from the mesh before.
+
+    heights, states: by `sample_index`, from `store_heights`.
+    """
     v = offset + wp.tid()
     d = m.domain
     p = positions[v]
@@ -34,7 +37,7 @@ def gather(
     bits = d.unit_bits - d.levels
     state = PINNED  # inside a raster's cell
     if ((x | y) & ((1 << bits) - 1)) == 0:
-        at = slot_of(d, x >> bits, y >> bits)
+        at = sample_index(d, x >> bits, y >> bits)
         state = states[at]
         if (state & KNOWN) != wp.uint8(0):
             p = wp.vec3f(p[0], p[1], heights[at])
@@ -44,8 +47,11 @@ def gather(
 
 
 @wp.kernel
-def link(triangles: int, m: FitMesh, corner_edges: wp.array(dtype=wp.int32), side: wp.array(dtype=wp.int32)):
-    """Write the neighbours of the triangles, and a triangle of every vertex. `side` [E]: -1."""
+def link_triangles(triangles: int, m: FitMesh, corner_edges: wp.array(dtype=wp.int32), side: wp.array(dtype=wp.int32)):
+    """Write the neighbours of all triangles, and one triangle of each vertex.
+
+    One thread. side [E]: scratch, -1 before.
+    """
     for c in range(3 * triangles):
         m.first[m.corner_verts[c]] = c / 3
         edge = corner_edges[c]
@@ -59,13 +65,13 @@ def link(triangles: int, m: FitMesh, corner_edges: wp.array(dtype=wp.int32), sid
 
 
 @wp.kernel
-def keep(offset: int, m: FitMesh, heights: wp.array(dtype=wp.float32), states: wp.array(dtype=wp.uint8)):
-    """Keep heights and states by sample for `gather` of the next mesh."""
+def store_heights(offset: int, m: FitMesh, heights: wp.array(dtype=wp.float32), states: wp.array(dtype=wp.uint8)):
+    """Store height and state of vertex `offset + tid` by its sample, for `place_vertices` of the next mesh."""
     v = offset + wp.tid()
     d = m.domain
     bits = d.unit_bits - d.levels
     p = m.point[v]
     if ((p[0] | p[1]) & ((1 << bits) - 1)) == 0:
-        at = slot_of(d, p[0] >> bits, p[1] >> bits)
+        at = sample_index(d, p[0] >> bits, p[1] >> bits)
         heights[at] = m.z[v]
         states[at] = m.state[v] | KNOWN

@@ -29,8 +29,8 @@ class Facet:
 
 
 @wp.func
-def surface(d: Domain, x: wp.int32, y: wp.int32) -> wp.float64:
-    """Return the height of the surface, metres before scaling; beyond the border it goes on level."""
+def surface_height(d: Domain, x: wp.int32, y: wp.int32) -> wp.float64:
+    """Return the height of the surface at lattice point (x, y), metres before scaling; level beyond the border."""
     bits = d.unit_bits - d.levels
     x = wp.min(x, d.east)
     y = wp.min(y, d.north)
@@ -44,16 +44,19 @@ def surface(d: Domain, x: wp.int32, y: wp.int32) -> wp.float64:
 
 @wp.func
 def is_beyond_border(d: Domain, s: Facet) -> wp.bool:
-    """Return whether no part of the raster is below the facet."""
+    """Return whether a facet is completely outside the raster, in the padding of the lattice."""
     west = s.x + wp.min(wp.min(s.left_x, s.right_x), 0)
     south = s.y + wp.min(wp.min(s.left_y, s.right_y), 0)
     return west >= d.east or south >= d.north
 
 
 @wp.func
-def above(d: Domain, s: Facet, x: wp.int32, y: wp.int32) -> wp.float64:
-    """Return the height of the surface over the facet at (x, y) from its apex, metres before scaling."""
-    return surface(d, s.x + x, s.y + y) - (s.z + s.slope_x * wp.float64(x) + s.slope_y * wp.float64(y))
+def height_above(d: Domain, s: Facet, x: wp.int32, y: wp.int32) -> wp.float64:
+    """Return the height of the surface above the facet, metres before scaling.
+
+    (x, y): lattice units from the facet's apex.
+    """
+    return surface_height(d, s.x + x, s.y + y) - (s.z + s.slope_x * wp.float64(x) + s.slope_y * wp.float64(y))
 
 
 @wp.func
@@ -93,9 +96,9 @@ def row_of(s: Facet, bits: wp.int32, j: wp.int32):
 
 @wp.func
 def twist_over(d: Domain, x: wp.int32, y: wp.int32, dx: wp.int32, dy: wp.int32) -> wp.float64:
-    """Return the twist of the surface over a step (dx, dy) along a diagonal of a cell from (x, y).
+    """Return the twist of the surface over a step (dx, dy) from (x, y), metres before scaling.
 
-    dx and dy have one length.
+    The step is along a cell's diagonal, so |dx| = |dy|.
     """
     bits = d.unit_bits - d.levels
     i = wp.min(x, x + dx) >> bits
@@ -121,7 +124,10 @@ def bulge(r0: wp.float64, r1: wp.float64, twist: wp.float64):
 def farthest_on_diagonal(
     d: Domain, s: Facet, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, known: wp.float64
 ) -> wp.float64:
-    """Return `known`, or the largest distance along a diagonal side of the facet if that is more."""
+    """Return the larger of `known` and the largest distance along a diagonal side of the facet.
+
+    (x0, y0), (x1, y1): ends of the side, lattice units from the apex.
+    """
     bits = d.unit_bits - d.levels
     dx = x1 - x0
     dy = y1 - y0
@@ -137,8 +143,8 @@ def farthest_on_diagonal(
         j = (s.y + y0) >> bits
         largest = wp.max(largest, diagonal_inside(d.samples, i, j, cell_x, cell_y, cells, start, slope))
     else:
-        r0 = above(d, s, x0, y0)
-        r1 = above(d, s, x1, y1)
+        r0 = height_above(d, s, x0, y0)
+        r1 = height_above(d, s, x1, y1)
         t, r = bulge(r0, r1, twist_over(d, s.x + x0, s.y + y0, dx, dy))
         largest = wp.max(wp.max(largest, wp.abs(r)), wp.max(wp.abs(r0), wp.abs(r1)))
     return largest
@@ -146,10 +152,7 @@ def farthest_on_diagonal(
 
 @wp.func
 def farthest(d: Domain, s: Facet) -> wp.float64:
-    """Return the largest distance between the facet and the surface over it, metres before scaling.
-
-    It is 0 beyond the border.
-    """
+    """Return the largest distance between the facet and the surface, metres before scaling; 0 beyond the border."""
     if is_beyond_border(d, s):
         return wp.float64(0.0)
     bits = d.unit_bits - d.levels
@@ -165,7 +168,7 @@ def farthest(d: Domain, s: Facet) -> wp.float64:
         largest = wp.max(largest, row_inside(d.samples, i + first, j + low + k, samples, plane, slope))
     if s.left_x == 0 or s.left_y == 0:
         if count == 0:
-            largest = wp.abs(above(d, s, 0, 0))
+            largest = wp.abs(height_above(d, s, 0, 0))
         largest = farthest_on_diagonal(d, s, s.left_x, s.left_y, s.right_x, s.right_y, largest)
     else:
         largest = farthest_on_diagonal(d, s, 0, 0, s.left_x, s.left_y, largest)

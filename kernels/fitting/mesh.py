@@ -8,8 +8,8 @@ room for triangles and vertices to come.
 import warp as wp
 
 from ..field.domain import Domain
-from .facet import Facet, surface
-from .raising import RAISED, climb
+from .facet import Facet, surface_height
+from .raising import RAISED, raise_ancestors
 
 # States of a vertex, bits.
 KNOWN = wp.constant(wp.uint8(1))  # it was in the mesh before
@@ -49,7 +49,7 @@ class FitMesh:
 
 @wp.func
 def facet_of(m: FitMesh, t: wp.int32) -> Facet:
-    """Return a triangle over the plane. Its legs are orthogonal and of one length."""
+    """Return triangle t as a Facet: a plane over its legs, which are orthogonal and equally long."""
     left = m.corner_verts[3 * t]
     apex = m.corner_verts[3 * t + 1]
     right = m.corner_verts[3 * t + 2]
@@ -76,19 +76,19 @@ def facet_of(m: FitMesh, t: wp.int32) -> Facet:
 
 @wp.func
 def is_marked(m: FitMesh, t: wp.int32) -> wp.bool:
-    """Return whether a triangle is marked for the next list."""
+    """Return whether triangle t is marked to be measured in the next sweep."""
     return ((m.marks[t >> 5] >> wp.uint32(t & 31)) & wp.uint32(1)) != wp.uint32(0)
 
 
 @wp.func
 def mark(m: FitMesh, t: wp.int32):
-    """Mark a triangle for the next list."""
+    """Mark triangle t to be measured in the next sweep."""
     m.marks[t >> 5] = m.marks[t >> 5] | (wp.uint32(1) << wp.uint32(t & 31))
 
 
 @wp.func
 def corner_of(m: FitMesh, t: wp.int32, v: wp.int32) -> wp.int32:
-    """Return the index of a vertex among a triangle's corners."""
+    """Return which corner of triangle t is vertex v: 0 left, 1 apex, 2 right."""
     k = wp.int32(0)
     if m.corner_verts[3 * t + 1] == v:
         k = 1
@@ -99,7 +99,7 @@ def corner_of(m: FitMesh, t: wp.int32, v: wp.int32) -> wp.int32:
 
 @wp.func
 def mark_around(m: FitMesh, v: wp.int32):
-    """Mark the triangles that share a vertex for the next list."""
+    """Mark all triangles that share vertex v to be measured in the next sweep."""
     start = m.first[v]
     t = start
     turn = wp.int32(0)
@@ -134,7 +134,7 @@ def list_marked(m: FitMesh, triangles: wp.int32) -> wp.int32:
 def put_on_surface(m: FitMesh, v: wp.int32):
     """Move a vertex to the height of the surface."""
     d = m.domain
-    m.z[v] = wp.float32(surface(d, m.point[v][0], m.point[v][1]) * d.height_scale + d.height_offset)
+    m.z[v] = wp.float32(surface_height(d, m.point[v][0], m.point[v][1]) * d.height_scale + d.height_offset)
 
 
 @wp.func
@@ -148,7 +148,7 @@ def replace_beside(m: FitMesh, t: wp.int32, old: wp.int32, new: wp.int32):
 
 @wp.func
 def put_triangle(m: FitMesh, t: wp.int32, corners: wp.vec3i, beside: wp.vec3i, level: wp.int32):
-    """Write a triangle whose distance is not measured yet."""
+    """Write triangle t; its distance from the surface counts as not measured."""
     for c in range(3):
         m.corner_verts[3 * t + c] = corners[c]
         m.beside[3 * t + c] = beside[c]
@@ -157,10 +157,11 @@ def put_triangle(m: FitMesh, t: wp.int32, corners: wp.vec3i, beside: wp.vec3i, l
 
 
 @wp.func
-def halve(m: FitMesh, t: wp.int32, new: wp.int32, middle: wp.int32, across: wp.int32, across_new: wp.int32):
-    """Bisect triangle t at the vertex `middle`: t becomes its left half, `new` its right one.
+def bisect_triangle(m: FitMesh, t: wp.int32, new: wp.int32, middle: wp.int32, across: wp.int32, across_new: wp.int32):
+    """Bisect triangle t at the vertex `middle` of its longest edge: t becomes its left half, `new` its right one.
 
-    across, across_new: the halves of the neighbour behind the longest edge, -1 at the border.
+    across, across_new: halves of the neighbour behind that edge: `across` is beside `new` and `across_new` beside
+    t; -1 at the border.
     """
     left = m.corner_verts[3 * t]
     apex = m.corner_verts[3 * t + 1]
@@ -199,7 +200,7 @@ def split(m: FitMesh, t: wp.int32, size: wp.vec2i) -> wp.vec2i:
             left = m.corner_verts[3 * a]
             right = m.corner_verts[3 * a + 2]
             p = (m.point[left] + m.point[right]) / 2
-            climb(d, p[0], p[1], m.level[a], wp.int32(RAISED), m.codes, m.climbing)
+            raise_ancestors(d, p[0], p[1], m.level[a], wp.int32(RAISED), m.codes, m.climbing)
             v = vertices
             vertices += 1
             m.point[v] = p
@@ -211,10 +212,10 @@ def split(m: FitMesh, t: wp.int32, size: wp.vec2i) -> wp.vec2i:
             new = triangles
             triangles += 1
             if b >= 0:
-                halve(m, a, new, v, b, new + 1)
-                halve(m, b, new + 1, v, a, new)
+                bisect_triangle(m, a, new, v, b, new + 1)
+                bisect_triangle(m, b, new + 1, v, a, new)
                 triangles += 1
             else:
-                halve(m, a, new, v, -1, -1)
+                bisect_triangle(m, a, new, v, -1, -1)
             mark_around(m, v)
     return wp.vec2i(triangles, vertices)

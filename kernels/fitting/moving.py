@@ -25,37 +25,37 @@ NO_WEIGHT = wp.constant(wp.float32(1e-4))
 
 @wp.kernel
 def measure(offset: int, m: FitMesh):
-    """Measure the distance of each triangle from the surface in double precision.
-
-    It pushes nothing until a corner moves.
-    """
+    """Measure the distance of triangle `offset + tid` from the surface in float64, metres; reset its pushes."""
     t = offset + wp.tid()
     m.worst[t] = farthest(m.domain, facet_of(m, t)) * m.domain.error_scale
-    m.seen[t] = corners_of(m, t)
+    m.seen[t] = corner_heights(m, t)
     for c in range(3):
         m.pushes[3 * t + c] = wp.vec2f()
 
 
 @wp.func
-def corners_of(m: FitMesh, t: wp.int32) -> wp.vec3f:
-    """Return the heights of a triangle's corners."""
+def corner_heights(m: FitMesh, t: wp.int32) -> wp.vec3f:
+    """Return the heights of the left, apex and right corner of triangle t, metres."""
     return wp.vec3f(m.z[m.corner_verts[3 * t]], m.z[m.corner_verts[3 * t + 1]], m.z[m.corner_verts[3 * t + 2]])
 
 
 @wp.func
-def weighted(q: wp.float32, weight: wp.float32, sum_weights: wp.float32) -> wp.vec2f:
-    """Return push q and weight on a corner; none where the weight is only rounding of the sum of weights."""
+def push_and_weight(q: wp.float32, weight: wp.float32, sum_weights: wp.float32) -> wp.vec2f:
+    """Return (q, weight), the push on a corner; (0, 0) if the weight is only rounding of the sum of weights."""
     return wp.where(weight > NO_WEIGHT * sum_weights, wp.vec2f(q, weight), wp.vec2f())
 
 
 @wp.kernel
-def pull(first: int, end: int, m: FitMesh):
-    """Measure the distance of listed triangles from the surface and their pushes on their corners."""
+def measure_pushes(first: int, end: int, m: FitMesh):
+    """Measure listed triangles first .. end - 1: their distance from the surface, and pushes on their corners.
+
+    A triangle is measured only if its corners have moved enough to matter.
+    """
     d = m.domain
     per_scale = wp.float64(1.0) / d.height_scale
     for k in range(first, end):
         t = m.active[k]
-        z = corners_of(m, t)
+        z = corner_heights(m, t)
         aim = AIM * m.bound
         known = m.worst[t]
         is_measured = known == NOT_MEASURED
@@ -81,14 +81,14 @@ def pull(first: int, end: int, m: FitMesh):
             size = wp.abs(rise_left) + wp.abs(rise_right) + wp.float64(q[0])
             m.worst[t] = (wp.float64(q[0]) + ROUNDED * size) * d.error_scale
             all = q[1] + q[3] + q[5]
-            m.pushes[3 * t] = weighted(q[4], q[3], all)
-            m.pushes[3 * t + 1] = weighted(q[2], q[1], all)
-            m.pushes[3 * t + 2] = weighted(q[6], q[5], all)
+            m.pushes[3 * t] = push_and_weight(q[4], q[3], all)
+            m.pushes[3 * t + 1] = push_and_weight(q[2], q[1], all)
+            m.pushes[3 * t + 2] = push_and_weight(q[6], q[5], all)
 
 
 @wp.func
 def add_push(m: FitMesh, v: wp.int32, q: wp.vec2f):
-    """Add a push and its weight to a vertex."""
+    """Add a push and its weight to the sums of vertex v."""
     m.push[2 * v] = m.push[2 * v] + wp.float64(q[0])
     m.push[2 * v + 1] = m.push[2 * v + 1] + wp.float64(q[1])
 

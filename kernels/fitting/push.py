@@ -4,7 +4,7 @@
 import warp as wp
 
 from ..field.domain import Domain
-from .facet import Facet, above, bulge, is_beyond_border, twist_over
+from .facet import Facet, bulge, height_above, is_beyond_border, twist_over
 
 Pushes = wp.types.vector(length=7, dtype=wp.float32)
 
@@ -143,10 +143,11 @@ def pushes_of(
 
 
 @wp.func
-def pushed_at(q: Pushes, r: wp.float64, u: wp.float64, v: wp.float64, aim: wp.float64) -> Pushes:
-    """Return q with a point added where the surface is `r` above the triangle.
+def add_point(q: Pushes, r: wp.float64, u: wp.float64, v: wp.float64, aim: wp.float64) -> Pushes:
+    """Return pushes q with one point added, at which the surface is `r` above the triangle.
 
-    `u` is the weight of the left corner, `v` of the right one.
+    u, v: weights of the left and the right corner at the point. aim: distance that is small enough. q: largest
+    distance, then weight and push of the apex, left and right corner.
     """
     far = wp.abs(r)
     q[0] = wp.max(q[0], wp.float32(far))
@@ -164,27 +165,30 @@ def pushed_at(q: Pushes, r: wp.float64, u: wp.float64, v: wp.float64, aim: wp.fl
 
 @wp.func
 def pushes_in_cell(d: Domain, s: Facet, aim: wp.float64) -> Pushes:
-    """Return the same as `pushes_of` for a triangle in a cell. Points are its corners and extrema along diagonals."""
+    """Return the pushes of a triangle inside one cell, as `pushes_of`.
+
+    Points are its corners and the extrema along its diagonal sides.
+    """
     if is_beyond_border(d, s):
         return Pushes()
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
-    apex = above(d, s, 0, 0)
-    left = above(d, s, s.left_x, s.left_y)
-    right = above(d, s, s.right_x, s.right_y)
-    q = pushed_at(Pushes(), apex, zero, zero, aim)
-    q = pushed_at(q, left, one, zero, aim)
-    q = pushed_at(q, right, zero, one, aim)
+    apex = height_above(d, s, 0, 0)
+    left = height_above(d, s, s.left_x, s.left_y)
+    right = height_above(d, s, s.right_x, s.right_y)
+    q = add_point(Pushes(), apex, zero, zero, aim)
+    q = add_point(q, left, one, zero, aim)
+    q = add_point(q, right, zero, one, aim)
     if s.left_x == 0 or s.left_y == 0:
         twist = twist_over(d, s.x + s.left_x, s.y + s.left_y, s.right_x - s.left_x, s.right_y - s.left_y)
         t, r = bulge(left, right, twist)
         if t > zero:
-            q = pushed_at(q, r, one - t, t, aim)
+            q = add_point(q, r, one - t, t, aim)
     else:
         t, r = bulge(apex, left, twist_over(d, s.x, s.y, s.left_x, s.left_y))
         if t > zero:
-            q = pushed_at(q, r, t, zero, aim)
+            q = add_point(q, r, t, zero, aim)
         t, r = bulge(apex, right, twist_over(d, s.x, s.y, s.right_x, s.right_y))
         if t > zero:
-            q = pushed_at(q, r, zero, t, aim)
+            q = add_point(q, r, zero, t, aim)
     return q

@@ -17,7 +17,7 @@ RAISED = wp.constant(1 + 4 * 16)
 
 @wp.func
 def entry_of(d: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
-    """Return the entry of the diamond split at (x, y), or of the raster's cell that it is in."""
+    """Return the index of the error of the diamond split at (x, y), or of its cell if it is finer than cells."""
     at = d.cell_base
     if depth <= 2 * d.levels:
         at = place(d, x, y, depth)
@@ -30,7 +30,7 @@ def entry_of(d: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
 
 
 @wp.func
-def climb(
+def raise_ancestors(
     d: Domain,
     x: wp.int32,
     y: wp.int32,
@@ -39,7 +39,7 @@ def climb(
     codes: wp.array(dtype=wp.uint8),
     stack: wp.array(dtype=wp.vec3i),
 ):
-    """Raise the error of the diamond at (x, y) and of all above it to that of `code`, so that errors stay nested.
+    """Raise the error code of the diamond at (x, y) and of all above it to `code`, so that errors stay nested.
 
     depth: of the diamond, at most that of the raster's cells. stack: scratch.
     """
@@ -86,4 +86,4 @@ def raise_cells(
                 x = ((i + a) << bits) + (1 << (bits - 1))
                 y = ((j + b) << bits) + (1 << (bits - 1))
                 code = wp.int32(RAISED) + (left - 1) * 2 * PER_OCTAVE
-                climb(d, x, y, 2 * d.levels + 1, code, codes, stack)
+                raise_ancestors(d, x, y, 2 * d.levels + 1, code, codes, stack)

@@ -69,7 +69,7 @@ def refine(count: int, max_depth: int, local: wp.float64, m: FitMesh, found: wp.
 
 @wp.func
 def _spread_excess(m: FitMesh, count: int):
-    """Write to each vertex the largest excess of the listed triangles around it, metres."""
+    """Write to each vertex the largest excess over the bound of the listed triangles around it, metres."""
     for k in range(count):
         t = m.active[k]
         over = m.worst[t] - m.bound
@@ -107,9 +107,9 @@ def _middle(m: FitMesh, t: int):
 
 @wp.func
 def _grid_error(m: FitMesh, t: int, finer: int, cell: wp.vec2i):
-    """Return the stored error of a triangle with its vertices on the surface.
+    """Return the stored error of triangle t with its vertices on the surface, metres before scaling.
 
-    `finer`: levels below the raster's cells, or negative.
+    finer: levels below the raster's cells, negative above them. cell: the triangle's cell.
     """
     if finer < 0:
         middle = _middle(m, t)
@@ -135,7 +135,7 @@ def _is_on_surface(m: FitMesh, t: int, error: wp.float32):
 
 @wp.func
 def _pin_corners(m: FitMesh, t: int):
-    """Move a triangle's vertices to the surface; returns the number that were not there."""
+    """Put the corners of triangle t back on the surface for good; return how many were moved."""
     pins = wp.int32(0)
     for c in range(3):
         v = m.corner_verts[3 * t + c]

@@ -51,13 +51,13 @@ class Soil:
     }
 """)
 def creep_of_row(soil: Soil, y: int):
-    """Take an explicit step of row y, from `old` to `h`."""
+    """Take an explicit step of diffusion in row y, from `old` to `h`."""
     ...
 
 
 @wp.kernel
 def creep(offset: int, soil: Soil):
-    """Take an explicit step of row `offset + tid` + 1 from `old` to `h`."""
+    """Take an explicit step of diffusion in row offset + tid + 1, from `old` to `h`."""
     creep_of_row(soil, offset + wp.tid() + 1)
 
 
@@ -92,7 +92,10 @@ def creep(offset: int, soil: Soil):
     }
 """)
 def diffuse_columns(soil: Soil, first: int, end: int):
-    """Take an implicit step of columns first .. end of `h`: Thomas's algorithm from south to north and back."""
+    """Take an implicit step of diffusion along columns first .. end - 1 of `h`.
+
+    It is Thomas's algorithm, from south to north and back.
+    """
     ...
 
 
@@ -119,18 +122,18 @@ def diffuse_columns(soil: Soil, first: int, end: int):
     }
 """)
 def diffuse_row(soil: Soil, y: int):
-    """Take an implicit step of row y of `h`: Thomas's algorithm from west to east and back."""
+    """Take an implicit step of diffusion along row y of `h`: Thomas's algorithm, west to east and back."""
     ...
 
 
 @wp.kernel
 def creep_along_columns(offset: int, block: int, soil: Soil):
-    """Take an implicit step of `h` along the columns from `block * (offset + tid)` on."""
+    """Take an implicit step of diffusion along `block` columns, from column block * (offset + tid) on."""
     first = block * (offset + wp.tid())
     diffuse_columns(soil, first, wp.min(first + block, soil.grid.width))
 
 
 @wp.kernel
 def creep_along_rows(offset: int, soil: Soil):
-    """Take an implicit step of `h` along row `offset + tid`."""
+    """Take an implicit step of diffusion along row `offset + tid`."""
     diffuse_row(soil, offset + wp.tid())

@@ -53,13 +53,13 @@ class DropletRain:
 
 @wp.func
 def height_at(rain: DropletRain, i: wp.int32) -> wp.float64:
-    """Return the height of sample i with its change, metres."""
+    """Return the height of sample i with the change by droplets so far, metres."""
     return wp.float64(rain.ground[i]) + rain.change[i]
 
 
 @wp.func
-def patch(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.vec3d:
-    """Return the slopes to the east and north and the height of the bilinear surface at (x, y)."""
+def slopes_and_height(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.vec3d:
+    """Return the slopes to the east and north, and the height, of the bilinear surface at (x, y) samples."""
     one = wp.float64(1.0)
     i = wp.int32(x)
     j = wp.int32(y)
@@ -130,7 +130,7 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
     load = wp.float64(0.0)
     carried = wp.float64(0.0)
     step = wp.int32(0)
-    here = patch(rain, x, y)
+    here = slopes_and_height(rain, x, y)
     while step < rain.steps and here[2] > rain.sea:
         step += 1
         steepness = wp.sqrt(here[0] * here[0] + here[1] * here[1])
@@ -150,7 +150,7 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
                 load = none
                 step = rain.steps
             else:
-                there = patch(rain, u, v)
+                there = slopes_and_height(rain, u, v)
                 if there[2] == there[2]:
                     fall = here[2] - there[2]
                     capacity = rain.capacity * water * wp.max(fall, none) / rain.stride
@@ -168,7 +168,7 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
                     water *= one - rain.dry
                     x = u
                     y = v
-                    here = patch(rain, x, y)
+                    here = slopes_and_height(rain, x, y)
                 else:
                     step = rain.steps
     if load > none:
@@ -178,7 +178,10 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
 
 @wp.kernel
 def rain_on_tiles(offset: int, tiles: wp.array(dtype=wp.int32), rain: DropletRain, carried: wp.array(dtype=wp.float64)):
-    """Run all droplets of tile `tiles[offset + tid]` of the whole level that start on this ground."""
+    """Run all droplets of tile tiles[offset + tid] that start on this ground, one after the other.
+
+    carried: sediment that they take out of the ground, m3.
+    """
     slot = offset + wp.tid()
     tile = tiles[slot]
     per_unit = wp.float64(1.0 / 65536.0)

@@ -72,13 +72,13 @@ _PUSH = """
 
 @wp.func_native(_PUSH)
 def push_row(s: FloodStep, y: int, to_north: int):
-    """Compute the fluxes from the samples of row y to the next ones in the east, or in the north."""
+    """Compute the fluxes from the samples of row y to their neighbours in the east, or (to_north = 1) in the north."""
     ...
 
 
 @wp.kernel
-def push(offset: int, s: FloodStep):
-    """Update the fluxes of row `offset + tid` to the east and north."""
+def update_fluxes(offset: int, s: FloodStep):
+    """Compute the fluxes from row `offset + tid` to the east and north after the step, from those before it."""
     y = offset + wp.tid()
     push_row(s, y, 0)
     if y + 1 < s.height:
@@ -103,13 +103,13 @@ _LIMIT = """
 
 @wp.func_native(_LIMIT)
 def limit_row(water: FloodStep, y: int):
-    """Compute `part` of row y: the fraction of its outflow that a sample's water allows."""
+    """Compute `part` of row y: the fraction of its outflow for which a sample has water."""
     ...
 
 
 @wp.kernel
-def limit(offset: int, water: FloodStep):
-    """Compute the limit of the outflow of each sample of row `offset + tid`."""
+def limit_outflow(offset: int, water: FloodStep):
+    """Compute the fraction of its outflow for which each sample of row `offset + tid` has water, at most 1."""
     limit_row(water, offset + wp.tid())
 
 
@@ -141,6 +141,6 @@ def move_row(water: FloodStep, y: int):
 
 
 @wp.kernel
-def move(offset: int, water: FloodStep):
+def update_depths(offset: int, water: FloodStep):
     """Update the depths of row `offset + tid` by the limited fluxes and the rain."""
     move_row(water, offset + wp.tid())

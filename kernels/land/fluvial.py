@@ -49,7 +49,7 @@ class River:
     }
 """)
 def rate_of_row(r: River, y: int):
-    """Compute F of row y, see `find_rates`."""
+    """Compute the factor F of implicit erosion for row y: K t A^(1/2) / distance, see `find_rates`."""
     ...
 
 
@@ -80,7 +80,7 @@ def find_rates(offset: int, r: River):
     }
 """)
 def cut_samples(r: River):
-    """Incise all samples from the outlets upstream, see `cut_down`."""
+    """Incise all samples from the outlets upstream by the implicit stream power step, see `cut_down`."""
     ...
 
 
@@ -125,7 +125,7 @@ def cut_down(r: River):
     }
 """)
 def deposit_samples(r: River):
-    """Carry eroded material from the springs downstream, see `deposit`."""
+    """Carry eroded material downstream and deposit a part of it at each sample, see `deposit`."""
     ...
 
 
@@ -192,10 +192,10 @@ def settle(
     old: wp.array(dtype=wp.float32),
     deposited: wp.array(dtype=wp.float32),
 ):
-    """Move sediment under water downhill in one pass: samples `first` to `last` of segment `offset + tid`, one row.
+    """Move sediment under water downhill once, in samples first .. last of segment `offset + tid`, part of a row.
 
-    Between samples `apart` along rows and columns moves a fifth of the difference of heights, and at most a fifth of
-    the upper one's sediment. Only samples of a `lake` exchange sediment.
+    Between lake samples `apart` along rows and columns moves a fifth of the difference of heights, at most a fifth
+    of the upper one's sediment. rock, old: metres of ground and sediment; deposited: the sediment afterwards.
     """
     segment = offset + wp.tid()
     settle_samples(first[segment], last[segment] + 1, width, apart, lake, rock, old, deposited)

@@ -38,7 +38,7 @@ def mountains_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.ui
 
 @wp.func
 def walls(d: wp.float64) -> wp.float64:
-    """Return the height above the floor as a fraction of the depth, d metres from the river: cliffs between slopes."""
+    """Return the height of a canyon's wall d metres from the river, as a fraction of the depth: cliffs and slopes."""
     high = wp.float64(0.24) * smooth(wp.float64(40.0), wp.float64(330.0), d)
     high += wp.float64(0.09) * wp.clamp((d - wp.float64(330.0)) / wp.float64(650.0), wp.float64(0.0), wp.float64(1.0))
     high += wp.float64(0.20) * smooth(wp.float64(980.0), wp.float64(1120.0), d)
@@ -112,7 +112,7 @@ def volcano(
 
 @wp.func
 def archipelago_height(x: wp.float64, y: wp.float64, half: wp.float64, seed: wp.uint32) -> wp.float64:
-    """Return the height of islands, volcanoes and shoals in a sea at 0 m that is deep at the border; metres."""
+    """Return the height at (x, y) metres of islands and volcanoes in a sea at 0 m that is deep at the border."""
     one = wp.float64(1.0)
     coarse_warp = noise(x / wp.float64(5200.0), y / wp.float64(5200.0), seed + wp.uint32(61))
     fine_warp = noise(x / wp.float64(1500.0), y / wp.float64(1500.0), seed + wp.uint32(62))
@@ -169,7 +169,10 @@ def raise_land(
     seed: wp.uint32,
     samples: wp.array(dtype=wp.float32),
 ):
-    """Fill row `first_row + offset + tid` of `size` x `size` samples over a square of twice `half` metres."""
+    """Compute the heights of a built-in land in row first_row + offset + tid, written to row offset + tid of `samples`.
+
+    land: MOUNTAINS, CANYON or another number for the archipelago. half: half the side of the square, metres.
+    """
     row = offset + wp.tid()
     cells = wp.float64(size - 1)
     y = half * wp.float64(2 * (first_row + row) - (size - 1)) / cells

@@ -52,8 +52,11 @@ class Window:
 
 
 @wp.func
-def corner(row: wp.uint32, i: wp.uint32, u: wp.float32, v: wp.float32) -> wp.vec3f:
-    """Return the gradient (x, y) of lattice point i of a hashed row, and its plane at the offset (u, v)."""
+def gradient_at(row: wp.uint32, i: wp.uint32, u: wp.float32, v: wp.float32) -> wp.vec3f:
+    """Return the gradient (x, y) at lattice point i of a row, and its plane's value at the offset (u, v).
+
+    row: hash of the row's number.
+    """
     h = scramble(row + i)
     gx = wp.float32(h & wp.uint32(0xFFFF)) * wp.float32(3.0517578125e-05) - wp.float32(1.0)
     gy = wp.float32(h >> wp.uint32(16)) * wp.float32(3.0517578125e-05) - wp.float32(1.0)
@@ -72,10 +75,10 @@ def gradient_noise(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.vec3f:
     one = wp.float32(1.0)
     south = scramble(j + seed)
     north = scramble(j + wp.uint32(1) + seed)
-    a = corner(south, i, u, v)
-    b = corner(south, i + wp.uint32(1), u - one, v)
-    c = corner(north, i, u, v - one)
-    d = corner(north, i + wp.uint32(1), u - one, v - one)
+    a = gradient_at(south, i, u, v)
+    b = gradient_at(south, i + wp.uint32(1), u - one, v)
+    c = gradient_at(north, i, u, v - one)
+    d = gradient_at(north, i + wp.uint32(1), u - one, v - one)
     fu = u * u * u * (u * (u * 6.0 - 15.0) + 10.0)
     fv = v * v * v * (v * (v * 6.0 - 15.0) + 10.0)
     su = 30.0 * u * u * (u * (u - 2.0) + 1.0)
@@ -144,9 +147,10 @@ def ledges(k: ReliefNoise, x: wp.float64, y: wp.float64, z: wp.float32, slope: w
 def sum_octaves(
     k: ReliefNoise, x: wp.float64, y: wp.float64, spacing: wp.float32, slope: wp.float32, curvature: wp.float32
 ) -> wp.float32:
-    """Return the sum of all octaves at (x, y) in metres; waves fade from three spacings to two.
+    """Return the sum of all octaves of noise at (x, y), metres; waves fade out from three spacings to two.
 
     Steep detail damps finer octaves (Quilez, "more noise", 2008); on convex ground they are folded into crests.
+    slope, curvature: of the ground.
     """
     total = wp.float32(0.0)
     gx = wp.float32(0.0)
@@ -187,7 +191,7 @@ def add_relief(
     h: wp.array(dtype=wp.float32),
     out: wp.array(dtype=wp.float32),
 ):
-    """Compute the metres that relief adds to each sample of row `first + offset + tid`."""
+    """Compute the metres that relief adds to each sample of row first + offset + tid."""
     row = first + offset + wp.tid()
     spacing = wp.float32(wp.max(w.step_x, w.step_y))
     y = wp.float64(w.row + row) * w.step_y

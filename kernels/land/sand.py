@@ -22,7 +22,7 @@ PART = wp.constant(wp.float32(1.52587890625e-05))
 
 
 @wp.func
-def wave_of(turn: wp.float32) -> wp.float32:
+def fast_sine(turn: wp.float32) -> wp.float32:
     """Return sin(2 pi turn) within 0.2 %, by parabolas."""
     t = turn - wp.floor(turn) - 0.5
     p = -16.0 * t * (0.5 - wp.abs(t))
@@ -30,8 +30,8 @@ def wave_of(turn: wp.float32) -> wp.float32:
 
 
 @wp.func
-def turn_of(c: wp.float32, s: wp.float32) -> wp.float32:
-    """Return the angle of (c, s) in turns, 0 to 1, within 2e-4."""
+def fast_angle(c: wp.float32, s: wp.float32) -> wp.float32:
+    """Return the angle of the vector (c, s) in turns, 0 .. 1, within 2e-4."""
     a = wp.abs(c)
     b = wp.abs(s)
     t = wp.min(a, b) / (wp.max(a, b) + 1e-20)
@@ -44,7 +44,7 @@ def turn_of(c: wp.float32, s: wp.float32) -> wp.float32:
 
 @wp.func
 def crests(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.vec2d:
-    """Return the phase in turns, 0 to 1, and the coherence, 0 to 1, of waves of length 1 along x."""
+    """Return phase (turns, 0 .. 1) and coherence (0 .. 1) of phasor noise: waves of length 1 along x."""
     u = x * wp.float64(0.5)
     v = y * wp.float64(0.33)
     i = wp.floor(u)
@@ -68,10 +68,10 @@ def crests(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.vec2d:
                     lean = wp.float32(g & wp.uint32(0xFFFF)) * PART - 0.5
                     phase = 2.0 * px + 1.5 * lean * py + wp.float32(g >> wp.uint32(16)) * PART
                     weight = near * near
-                    c += weight * wave_of(phase + 0.25)
-                    s += weight * wave_of(phase)
+                    c += weight * fast_sine(phase + 0.25)
+                    s += weight * fast_sine(phase)
                     sum += weight
-    return wp.vec2d(wp.float64(turn_of(c, s)), wp.float64(wp.sqrt(c * c + s * s) / sum))
+    return wp.vec2d(wp.float64(fast_angle(c, s)), wp.float64(wp.sqrt(c * c + s * s) / sum))
 
 
 @wp.func
@@ -91,7 +91,7 @@ def ridge_of_sand(phase: wp.float64, high: wp.float64, length: wp.float64) -> wp
 
 @wp.func
 def dunes_height(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.float64:
-    """Return the height in metres at (x, y) metres; the wind blows to the east."""
+    """Return the height of the dunes at (x, y), metres; the wind blows to the east."""
     one = wp.float64(1.0)
     wide = noise(x / wp.float64(2900.0), y / wp.float64(2900.0), seed + wp.uint32(11))
     bent = noise(x / wp.float64(1100.0), y / wp.float64(700.0), seed + wp.uint32(12))
@@ -133,7 +133,10 @@ def raise_dunes(
     seed: wp.uint32,
     samples: wp.array(dtype=wp.float32),
 ):
-    """Fill row `first_row + offset + tid` of `size` x `size` samples over a square of twice `half` metres."""
+    """Compute the heights of the dunes in row first_row + offset + tid, written to row offset + tid of `samples`.
+
+    half: half the side of the square, metres.
+    """
     row = offset + wp.tid()
     cells = wp.float64(size - 1)
     y = half * wp.float64(2 * (first_row + row) - (size - 1)) / cells

@@ -126,7 +126,7 @@ _SLIDE = """
 
 @wp.func_native(_SLIDE)
 def slide_slab(slides: Slides, y: int, along: int, turn: int):
-    """Settle the pairs of samples in rows y and y + 1, see `slide`."""
+    """Move loose snow between pairs of samples in rows y and y + 1, see `slide`."""
     ...
 
 

@@ -74,7 +74,7 @@ FACE_ROW = """
 
 @wp.func_native(FACE_ROW)
 def face_row(s0: Slope, y: int):
-    """Set `facing` of row y, see `face_rows`."""
+    """Compute `facing` of row y, see `face_rows`."""
     ...
 
 
@@ -169,10 +169,7 @@ SETTLE_SLAB = """
 
 @wp.func_native(SETTLE_SLAB)
 def settle_slab(s0: Slope, y: int, along: int, turn: int):
-    """Settle the pairs of samples in rows y and y + 1.
-
-    along, turn: see `settle_slabs`.
-    """
+    """Move scree between pairs of samples in rows y and y + 1. along, turn: which pairs, see `settle_slabs`."""
     ...
 
 

@@ -40,7 +40,10 @@ class SteadyRain:
 
 @wp.func
 def slope(rain: SteadyRain, x: wp.int32, y: wp.int32) -> wp.float64:
-    """Return the slope of the filled surface by central differences, one-sided at the border."""
+    """Return the slope of the filled surface at sample (x, y), metres a metre.
+
+    It is by central differences, one-sided at the border.
+    """
     west = wp.max(x - 1, 0)
     east = wp.min(x + 1, rain.width - 1)
     south = wp.max(y - 1, 0)

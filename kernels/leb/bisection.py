@@ -49,7 +49,7 @@ class LebNode:
 
 @wp.func
 def node_of(grid: SquareGrid, tree_id: wp.uint64) -> LebNode:
-    """Return a node of the grid's tree as one of a square."""
+    """Convert a node's heap id in the tree of all squares to its square and the heap id in that."""
     root = ONE << wp.uint64(highest_bit(tree_id) - grid.square_bits)
     square = wp.int32(tree_id / root) - (1 << grid.square_bits)
     node = LebNode()
@@ -61,7 +61,10 @@ def node_of(grid: SquareGrid, tree_id: wp.uint64) -> LebNode:
 
 @wp.func
 def tree_id_of(grid: SquareGrid, node: LebNode) -> wp.uint64:
-    """Undo `node_of`; 0 where there is no node."""
+    """Convert a node of a square to its heap id in the tree of all squares; 0 if there is no node.
+
+    It inverts `node_of`.
+    """
     tree_id = wp.uint64(0)
     if node.heap_id != wp.uint64(0):
         squares = wp.uint64((1 << grid.square_bits) + node.row * grid.columns + node.column)
@@ -72,7 +75,7 @@ def tree_id_of(grid: SquareGrid, node: LebNode) -> wp.uint64:
 
 @wp.func
 def triangle_of(node: LebNode, unit_bits: wp.int32):
-    """Return left, apex and right of a triangle, in units of which 2^unit_bits are a square's side."""
+    """Return left, apex and right of a node's triangle, in lattice units: 2^unit_bits are a square's side."""
     side = wp.int32(1) << unit_bits
     left = wp.vec2i(0, side)
     apex = wp.vec2i(0, 0)
@@ -109,8 +112,8 @@ def first_neighbour(grid: SquareGrid, node: LebNode, heap_id: wp.int32, edge: wp
 
 
 @wp.func
-def half(node: LebNode, bit: wp.uint64) -> LebNode:
-    """Return child 0 or 1 of a node; a node with id 0, which stands for none, has none."""
+def child_of(node: LebNode, bit: wp.uint64) -> LebNode:
+    """Return child 0 or 1 (`bit`) of a node; no node (id 0) if the node is none."""
     if node.heap_id != wp.uint64(0):
         node.heap_id = wp.uint64(2) * node.heap_id + bit
     return node
@@ -118,9 +121,9 @@ def half(node: LebNode, bit: wp.uint64) -> LebNode:
 
 @wp.func
 def neighbours_of(grid: SquareGrid, node: LebNode):
-    """Return the triangles of the same depth over the edges apex-right, left-apex and left-right.
+    """Return the neighbours of the same depth across the edges apex-right, left-apex and left-right.
 
-    libleb names these "left", "right" and "edge".
+    They may not be leaves; beyond the grid they have id 0. libleb names them "left", "right" and "edge".
     """
     depth = highest_bit(node.heap_id)
     start = wp.min(depth, 2)
@@ -135,23 +138,23 @@ def neighbours_of(grid: SquareGrid, node: LebNode):
     for k in range(start, depth):
         bit = (node.heap_id >> wp.uint64(depth - 1 - k)) & ONE
         # Child 1 is the left neighbour of child 0; child 0 is the right neighbour of child 1.
-        across = half(edge, ONE - bit)
-        outer = half(right, ONE)
+        across = child_of(edge, ONE - bit)
+        outer = child_of(right, ONE)
         if bit == ONE:
-            outer = half(left, wp.uint64(0))
+            outer = child_of(left, wp.uint64(0))
             left = across
-            right = half(ancestor, wp.uint64(0))
+            right = child_of(ancestor, wp.uint64(0))
         else:
-            left = half(ancestor, ONE)
+            left = child_of(ancestor, ONE)
             right = across
         edge = outer
-        ancestor = half(ancestor, bit)
+        ancestor = child_of(ancestor, bit)
     return left, right, edge
 
 
 @wp.func
 def edge_neighbour(grid: SquareGrid, node: LebNode) -> LebNode:
-    """Return the other triangle of a node's diamond."""
+    """Return the other triangle of a node's diamond: the neighbour across the longest edge, id 0 at the border."""
     _left, _right, edge = neighbours_of(grid, node)
     return edge
 
@@ -181,13 +184,13 @@ def split_conforming(t: Bitfield, grid: SquareGrid, tree_id: wp.uint64):
 
 @wp.func
 def has_leaves(t: Bitfield, tree_id: wp.uint64) -> wp.bool:
-    """Return whether both children of a node are leaves."""
+    """Return whether both children of a node are leaves of the tree, so that they can be merged."""
     return is_leaf(t, wp.uint64(2) * tree_id) and is_leaf(t, wp.uint64(2) * tree_id + ONE)
 
 
 @wp.func
 def can_merge(t: Bitfield, grid: SquareGrid, tree_id: wp.uint64) -> wp.bool:
-    """Return whether all halves of the triangles of a node's diamond are leaves: a diamond is merged whole."""
+    """Return whether a node's diamond can be merged: the children of both its triangles are leaves."""
     other = tree_id_of(grid, edge_neighbour(grid, node_of(grid, tree_id)))
     can = has_leaves(t, tree_id)
     if can and other != wp.uint64(0):

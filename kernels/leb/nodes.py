@@ -15,7 +15,7 @@ def write_triangles(
     unit_bits: wp.int32,
     out: wp.array(dtype=wp.vec2i),
 ):
-    """Write left, apex and right of triangles, in units of which 2^unit_bits are a square's side."""
+    """Write left, apex and right of node ids[offset + tid], lattice units: 2^unit_bits are a square's side."""
     k = offset + wp.tid()
     left, apex, right = triangle_of(node_of(grid, ids[k]), unit_bits)
     out[3 * k] = left
@@ -27,7 +27,7 @@ def write_triangles(
 def write_neighbours(
     offset: wp.int32, grid: SquareGrid, ids: wp.array(dtype=wp.uint64), out: wp.array(dtype=wp.uint64)
 ):
-    """Write the neighbours "left", "right" and "edge" of triangles; 0 beyond the grid."""
+    """Write the neighbours "left", "right" and "edge" of node ids[offset + tid] as heap ids; 0 beyond the grid."""
     k = offset + wp.tid()
     left, right, edge = neighbours_of(grid, node_of(grid, ids[k]))
     out[3 * k] = tree_id_of(grid, left)
@@ -37,5 +37,5 @@ def write_neighbours(
 
 @wp.kernel
 def split_diamonds(offset: wp.int32, t: Bitfield, grid: SquareGrid, ids: wp.array(dtype=wp.uint64)):
-    """Split leaves, each with its diamond and coarser neighbours."""
+    """Split leaf ids[offset + tid] with its diamond, after coarser neighbours, so that the mesh stays conforming."""
     split_conforming(t, grid, ids[offset + wp.tid()])

@@ -40,7 +40,10 @@ def list_near(
     listed: wp.array(dtype=wp.int32),
     found: wp.array(dtype=wp.int32),
 ):
-    """Write triangles from `first` to `end` with a vertex in `near` to listed[first ..]; found[slot]: their number."""
+    """List triangles first .. end - 1 that have a vertex in `near`, from listed[first] on.
+
+    found[slot] becomes their number. near: 1 for each vertex close to the cut.
+    """
     n = first
     for t in range(first, end):
         if has_near_corner(near, corner_verts, t):
@@ -61,9 +64,9 @@ def flag_holes(
     valid: wp.array(dtype=wp.uint8),
     flags: wp.array(dtype=wp.uint8),
 ):
-    """Flag a triangle whose middle is in a cell with a sample that is not valid.
+    """Set flags[t] if the middle of triangle t = offset + tid is in a cell with a missing sample.
 
-    `corner`: the raster's south-western one; `columns`, `rows`: its samples.
+    corner: south-western one of the raster, metres. step: metres between samples. valid: 0 for missing samples.
     """
     t = offset + wp.tid()
     x = wp.float64(0.0)
@@ -80,7 +83,10 @@ def flag_holes(
 
 @wp.func
 def tolerance_along(tolerance: wp.float64, p: wp.vec3f, q: wp.vec3f) -> wp.float64:
-    """Return `tolerance` times the largest coordinate of p and q, as a fraction of their distance in plan."""
+    """Return the tolerance of a position on the edge p q, as a fraction of its length in plan.
+
+    tolerance: relative to the largest coordinate.
+    """
     largest = wp.max(wp.max(wp.abs(p[0]), wp.abs(p[1])), wp.max(wp.abs(q[0]), wp.abs(q[1])))
     x = wp.float64(q[0]) - wp.float64(p[0])
     y = wp.float64(q[1]) - wp.float64(p[1])
@@ -107,7 +113,7 @@ def snap_to_line(tolerance: wp.float64, positions: wp.array(dtype=wp.vec3f), m: 
 
 @wp.func
 def remove_triangle(m: Cut, t: wp.int32):
-    """Mark a triangle, its vertices and its edges as removed; `close` restores those that other triangles use."""
+    """Mark triangle t, its vertices and its edges as removed; `keep_used` clears the marks that others still need."""
     m.removed[TRIANGLE, t] = wp.uint8(1)
     for c in range(3):
         m.removed[VERTEX, m.corner_verts[3 * t + c]] = wp.uint8(1)
@@ -115,8 +121,8 @@ def remove_triangle(m: Cut, t: wp.int32):
 
 
 @wp.func
-def add_one(m: Cut, kind: wp.int32) -> wp.int32:
-    """Count one more element of a kind (VERTEX .. LISTED); return its number."""
+def next_number(m: Cut, kind: wp.int32) -> wp.int32:
+    """Return the number of a new element of a kind (VERTEX .. LISTED), and count it."""
     number = m.counts[kind]
     m.counts[kind] = number + 1
     return number
@@ -133,7 +139,7 @@ def cut_point(m: Cut, first: wp.int32, e: wp.int32, p: wp.int32, q: wp.int32) ->
     b = m.edges[e][1]
     n = a + b - p
     if n == q:
-        n = add_one(m, VERTEX)
+        n = next_number(m, VERTEX)
         m.ends[n - first] = wp.vec2i(p, q)
         if a == q:
             m.edges[e] = wp.vec2i(n, b)
@@ -144,7 +150,7 @@ def cut_point(m: Cut, first: wp.int32, e: wp.int32, p: wp.int32, q: wp.int32) ->
 
 @wp.func
 def put_triangle(m: Cut, t: wp.int32, v: wp.vec3i, e: wp.vec3i):
-    """Write triangle t with vertices v and edges e."""
+    """Write triangle t with vertices v and edges e, not removed."""
     m.removed[TRIANGLE, t] = wp.uint8(0)
     for c in range(3):
         m.corner_verts[3 * t + c] = v[c]
@@ -160,7 +166,7 @@ def clip(m: Cut, t: wp.int32, first_vertex: wp.int32, first_triangle: wp.int32):
     v = wp.vec4i()  # corners of the non-negative part, counter-clockwise
     e = wp.vec4i()  # ... and the edge from each to the next
     n = wp.int32(0)
-    line = add_one(m, EDGE)
+    line = next_number(m, EDGE)
     for i in range(3):
         p = m.corner_verts[3 * t + i]
         q = m.corner_verts[3 * t + (i + 1) % 3]
@@ -190,18 +196,21 @@ def clip(m: Cut, t: wp.int32, first_vertex: wp.int32, first_triangle: wp.int32):
         put_triangle(m, t, wp.vec3i(v[k], v[a], v[b]), wp.vec3i(line, e[a], e[b]))
     else:
         c = (k + 3) % n
-        across = add_one(m, EDGE)
+        across = next_number(m, EDGE)
         m.edges[across] = wp.vec2i(v[a], v[c])
         put_triangle(m, t, wp.vec3i(v[a], v[b], v[c]), wp.vec3i(e[a], e[b], across))
-        other = add_one(m, TRIANGLE)
+        other = next_number(m, TRIANGLE)
         m.parent[other - first_triangle] = t
-        m.listed[add_one(m, LISTED)] = other
+        m.listed[next_number(m, LISTED)] = other
         put_triangle(m, other, wp.vec3i(v[a], v[c], v[k]), wp.vec3i(across, e[c], line))
 
 
 @wp.kernel
 def cut(m: Cut):
-    """Cut every listed triangle. This kernel and those below run on one thread."""
+    """Cut every listed triangle where the signed values at its vertices are 0; the negative part is removed.
+
+    This kernel and those below run on one thread.
+    """
     first_vertex = m.counts[VERTEX]
     first_triangle = m.counts[TRIANGLE]
     listed = m.counts[LISTED]  # triangles that `clip` adds are cut already
@@ -221,15 +230,15 @@ def cut(m: Cut):
 
 
 @wp.kernel
-def drop(flagged: wp.array(dtype=wp.uint8), m: Cut):
-    """Remove the listed triangles that are flagged; `close` keeps what other triangles still use."""
+def remove_flagged(flagged: wp.array(dtype=wp.uint8), m: Cut):
+    """Remove the listed triangles that are flagged; `keep_used` keeps vertices and edges that others still use."""
     for i in range(m.counts[LISTED]):
         if flagged[m.listed[i]] != wp.uint8(0):
             remove_triangle(m, m.listed[i])
 
 
 @wp.kernel
-def close(m: Cut):
+def keep_used(m: Cut):
     """Clear the marks of vertices and edges that remaining triangles use, so that only unused ones are removed."""
     for i in range(m.counts[LISTED]):
         t = m.listed[i]
@@ -240,8 +249,8 @@ def close(m: Cut):
 
 
 @wp.func
-def renumbered(number: wp.int32, end: wp.int32, moved: wp.array(dtype=wp.int32)) -> wp.int32:
-    """Return the new number of an element: moved[number - end] behind the end, otherwise its old one."""
+def new_number(number: wp.int32, end: wp.int32, moved: wp.array(dtype=wp.int32)) -> wp.int32:
+    """Return the new number of an element: moved[number - end] if it was at or behind `end`, otherwise its old one."""
     if number >= end:
         return moved[number - end]
     return number
@@ -255,14 +264,17 @@ def renumber(
     moved_vertices: wp.array(dtype=wp.int32),
     moved_edges: wp.array(dtype=wp.int32),
 ):
-    """Renumber vertices and edges behind the new ends: only listed triangles that remain use any."""
+    """Replace the numbers of vertices and edges that were moved into gaps, in the listed triangles that remain.
+
+    vertices, edges: new numbers of elements; moved_vertices, moved_edges: new numbers of those behind.
+    """
     for i in range(m.counts[LISTED]):
         t = m.listed[i]
         if m.removed[TRIANGLE, t] == wp.uint8(0):
             for c in range(3):
                 e = m.corner_edges[3 * t + c]
                 ends = m.edges[e]
-                p = renumbered(ends[0], vertices, moved_vertices)
-                m.edges[e] = wp.vec2i(p, renumbered(ends[1], vertices, moved_vertices))
-                m.corner_edges[3 * t + c] = renumbered(e, edges, moved_edges)
-                m.corner_verts[3 * t + c] = renumbered(m.corner_verts[3 * t + c], vertices, moved_vertices)
+                p = new_number(ends[0], vertices, moved_vertices)
+                m.edges[e] = wp.vec2i(p, new_number(ends[1], vertices, moved_vertices))
+                m.corner_edges[3 * t + c] = new_number(e, edges, moved_edges)
+                m.corner_verts[3 * t + c] = new_number(m.corner_verts[3 * t + c], vertices, moved_vertices)

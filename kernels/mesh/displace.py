@@ -4,7 +4,7 @@
 import warp as wp
 
 from ..bicubic.surface import in_patch
-from ..field.codes import Samples, corners_of, height, prefetch_sample
+from ..field.codes import Samples, corners_of, height_at, prefetch_sample
 from ..field.domain import Domain
 from ..refine.runs import Runs
 from ..unchecked import copy_items, item_at, put
@@ -34,29 +34,32 @@ class DisplacedPoints:
 
 @wp.func
 def per_cell(cells: wp.int32) -> wp.float64:
-    """Return the factor that makes a difference over 1 or 2 cells one per cell."""
+    """Return the factor that converts a height difference over 1 or 2 cells to one per cell."""
     return wp.where(cells == 2, wp.float64(0.5), wp.float64(1.0))
 
 
 @wp.func
 def on_sample(samples: Samples, i: wp.int32, j: wp.int32):
-    """Return height and gradient (metres a cell) at a sample: central differences, one-sided on the border."""
+    """Return the height (metres) and its slopes (metres a cell, east and north) at sample (i, j).
+
+    Slopes are central differences, one-sided at the border.
+    """
     west = wp.min(i, 1)  # cells to the west, at most 1
     east = wp.min(samples.columns - 1 - i, 1)
     south = wp.min(j, 1)
     north = wp.min(samples.rows - 1 - j, 1)
     row = wp.int64(samples.columns)
     at = wp.int64(j) * row + wp.int64(i)
-    gx = (height(samples, at + wp.int64(east)) - height(samples, at - wp.int64(west))) * per_cell(west + east)
-    gy = height(samples, at + wp.int64(north) * row) - height(samples, at - wp.int64(south) * row)
-    return wp.vec3d(height(samples, at), gx, gy * per_cell(south + north))
+    gx = (height_at(samples, at + wp.int64(east)) - height_at(samples, at - wp.int64(west))) * per_cell(west + east)
+    gy = height_at(samples, at + wp.int64(north) * row) - height_at(samples, at - wp.int64(south) * row)
+    return wp.vec3d(height_at(samples, at), gx, gy * per_cell(south + north))
 
 
 @wp.func
 def in_cell(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64):
-    """Return height and gradient (metres a cell) inside cell (i, j), bilinear between those of its four samples.
+    """Return the height (metres) and its slopes (metres a cell) in cell (i, j), bilinear between its samples.
 
-    Each of the twelve samples that they need is read once.
+    s, t: position in the cell, 0 .. 1. Each of the twelve samples that it needs is read once.
     """
     west = wp.min(i, 1)  # cells to the west, at most 1
     east = wp.min(samples.columns - 2 - i, 1)
@@ -68,19 +71,19 @@ def in_cell(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.flo
     at = wp.int64(j) * row + wp.int64(i)
     above = at + row
     per_x = per_cell(west + 1)
-    a_x = (p[1] - height(samples, at - wp.int64(west))) * per_x
-    c_x = (p[3] - height(samples, above - wp.int64(west))) * per_x
+    a_x = (p[1] - height_at(samples, at - wp.int64(west))) * per_x
+    c_x = (p[3] - height_at(samples, above - wp.int64(west))) * per_x
     per_x = per_cell(east + 1)
-    b_x = (height(samples, at + one + wp.int64(east)) - p[0]) * per_x
-    d_x = (height(samples, above + one + wp.int64(east)) - p[2]) * per_x
+    b_x = (height_at(samples, at + one + wp.int64(east)) - p[0]) * per_x
+    d_x = (height_at(samples, above + one + wp.int64(east)) - p[2]) * per_x
     below = at - wp.int64(south) * row
     above += wp.int64(north) * row
     per_y = per_cell(south + 1)
-    a_y = (p[2] - height(samples, below)) * per_y
-    b_y = (p[3] - height(samples, below + one)) * per_y
+    a_y = (p[2] - height_at(samples, below)) * per_y
+    b_y = (p[3] - height_at(samples, below + one)) * per_y
     per_y = per_cell(north + 1)
-    c_y = (height(samples, above) - p[0]) * per_y
-    d_y = (height(samples, above + one) - p[1]) * per_y
+    c_y = (height_at(samples, above) - p[0]) * per_y
+    d_y = (height_at(samples, above + one) - p[1]) * per_y
     whole = wp.float64(1.0)
     lower = wp.vec3d(p[0], a_x, a_y) * ((whole - s) * (whole - t)) + wp.vec3d(p[1], b_x, b_y) * (s * (whole - t))
     upper = wp.vec3d(p[2], c_x, c_y) * ((whole - s) * t) + wp.vec3d(p[3], d_x, d_y) * (s * t)
@@ -89,7 +92,7 @@ def in_cell(samples: Samples, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.flo
 
 @wp.func
 def normal_of(domain: Domain, g: wp.vec3d) -> wp.vec3f:
-    """Return the unit normal of a surface with height and gradient g (metres a cell)."""
+    """Return the unit normal of the scaled surface with height and slopes g (metres, metres a cell)."""
     units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     nx = -g[1] * (domain.height_scale / (domain.unit_x * units))
     ny = -g[2] * (domain.height_scale / (domain.unit_y * units))
@@ -99,7 +102,11 @@ def normal_of(domain: Domain, g: wp.vec3d) -> wp.vec3f:
 
 @wp.func
 def put_vertex(points: DisplacedPoints, o: wp.int32, domain: Domain, p: wp.vec2i, g: wp.vec3d):
-    """Write vertex `o` at the lattice point p with height and gradient g: computed in float64, cast to float32 last."""
+    """Write position, normal and UV of vertex o at lattice point p.
+
+    g: height and slopes there (metres before scaling, metres a cell). float64 is cast to float32 last. A value that
+    is not finite sets `not_finite`.
+    """
     units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     part = wp.float64(1.0) / units  # exact: a power of two
     slope_x = domain.height_scale / (domain.unit_x * units)
@@ -123,7 +130,7 @@ def put_vertex(points: DisplacedPoints, o: wp.int32, domain: Domain, p: wp.vec2i
 
 @wp.func
 def runs_of(points: DisplacedPoints, slot: wp.int32):
-    """Return begin and end of the list of runs that slice `slot` reuses."""
+    """Return first and end index of the runs of points that slice `slot` reuses from the last frame."""
     run = wp.int64(slot) * points.reused.room
     run_end = run
     if slot < points.reused.lists:
@@ -172,7 +179,10 @@ def next_new(
 
 @wp.func
 def copy_run(points: DisplacedPoints, at: wp.int64, begin: wp.int32, stop: wp.int32, vertex_base: wp.int32):
-    """Copy vertices `begin` .. `stop` from the last frame, where they begin at vertex `at`."""
+    """Copy vertices begin .. stop - 1 from the last frame, where they start at vertex `at`.
+
+    vertex_base: number of the slice's first vertex.
+    """
     if stop > begin:
         count = stop - begin
         to = vertex_base + begin
@@ -183,7 +193,7 @@ def copy_run(points: DisplacedPoints, at: wp.int64, begin: wp.int32, stop: wp.in
 
 @wp.func
 def fetch_samples(domain: Domain, q: wp.vec2i):
-    """Prefetch the samples around a lattice point."""
+    """Prefetch the samples around lattice point q into the processor's cache."""
     bits = domain.unit_bits - domain.levels
     near = wp.int64(q[1] >> bits) * wp.int64(domain.samples.columns) + wp.int64(q[0] >> bits)
     prefetch_sample(domain.samples, near)
@@ -193,7 +203,10 @@ def fetch_samples(domain: Domain, q: wp.vec2i):
 
 @wp.func
 def surface_at(domain: Domain, p: wp.vec2i) -> wp.vec3d:
-    """Return height (metres before scaling) and gradient (metres a cell) at a lattice point, without detail."""
+    """Return the height (metres before scaling) and its slopes (metres a cell) at lattice point p, without detail.
+
+    Beyond the border the surface is level.
+    """
     bits = domain.unit_bits - domain.levels
     cell = wp.int32(1) << bits
     x = wp.min(p[0], domain.east)  # beyond the border the surface is level

@@ -13,13 +13,13 @@ def corner_uv(
     corner_verts: wp.array(dtype=wp.int32),
     out: wp.array(dtype=wp.vec2f),
 ):
-    """Copy the texture coordinates of vertices to the corners that use them."""
+    """Write the UV of face corner `offset + tid`: that of its vertex."""
     c = wp.tid() + offset
     put(out, c, item_at(uv, item_at(corner_verts, c)))
 
 
 @wp.kernel
 def face_offsets(offset: wp.int32, out: wp.array(dtype=wp.int32)):
-    """Write the first corner of each triangle."""
+    """Write the number of the first corner of triangle `offset + tid`."""
     f = wp.tid() + offset
     put(out, f, 3 * f)

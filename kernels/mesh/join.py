@@ -27,7 +27,10 @@ from .weld_state import (
 
 @wp.func
 def resolve_number(number: wp.int32, first: wp.int32, found: wp.array(dtype=wp.vec2i), of: wp.int32) -> wp.int32:
-    """Return a number, or the edge (of = 0) or vertex (of = 1) of an import. `first`: first import of its slice."""
+    """Return a number if it is not an import, otherwise the edge (of = 0) or vertex (of = 1) that it stands for.
+
+    first: index of the slice's first import. found: (edge, vertex) of each import.
+    """
     n = number
     if number < 0:
         n = found[first - 1 - number][of]
@@ -43,9 +46,10 @@ def resolve(
     open_level: wp.array(dtype=wp.int32),
     found: wp.array(dtype=wp.vec2i),
 ):
-    """Find the (edge, vertex) of each import, slice by slice, and settle the entries that later slices import.
+    """Write the (edge, vertex) that each import stands for to `found`, slice by slice.
 
-    open, open_level, size: the two stacks of open edges at the end of a slice, see `join`.
+    It also completes the entries of shared sides that later slices import. open, open_level, size: the two stacks
+    of open edges at the end of a slice, see `join`.
     """
     squares = w.columns * w.rows
     tops = wp.vec2i(0, 0)
@@ -110,8 +114,8 @@ def resolve(
 
 
 @wp.func
-def patch(slot: wp.int32, w: Weld, found: wp.array(dtype=wp.vec2i)):
-    """Replace the imports (negative numbers) in a slice's triangles and in their edges by the numbers found."""
+def replace_imports(slot: wp.int32, w: Weld, found: wp.array(dtype=wp.vec2i)):
+    """Replace the imports (negative numbers) in a slice's triangles and edges by the numbers in `found`."""
     room = base_of(w.counts, slot).room
     first = 2 * room
     for i in range(w.state[STATE_SIZE * slot + FIXES]):
@@ -143,4 +147,4 @@ def join(
     """
     resolve(slices, size, w, open, open_level, found)
     for k in range(slices):
-        patch(k, w, found)
+        replace_imports(k, w, found)

@@ -47,13 +47,13 @@ class WeldedMesh:
 
 @wp.func
 def step_along(p: wp.vec2i, q: wp.vec2i, n: wp.int32) -> wp.vec2i:
-    """Return an n-th of the vector from p to q; exact, for segments are whole lattice units."""
+    """Return an n-th of the vector from p to q; it is exact, because segments are whole lattice units."""
     return wp.vec2i((q[0] - p[0]) / n, (q[1] - p[1]) / n)
 
 
 @wp.func
 def expand_edge(e: wp.int32, n: wp.int32, source: WeldedMesh, out: WeldedMesh):
-    """Write the n - 1 points inside edge e and its n segments."""
+    """Write the n - 1 points inside edge e of the source, and its n segments."""
     ends = source.edges[e]
     p = source.point[ends[0]]
     d = step_along(p, source.point[ends[1]], n)
@@ -78,7 +78,11 @@ def number_side(
     points: wp.int32,
     lines: wp.int32,
 ):
-    """Write the numbers of the points and lines on side s of a leaf: edge e, which begins or ends at corner v."""
+    """Write the numbers of the points and lines on side s of a leaf to `numbers`, in the template's order.
+
+    The side is edge e of the source, which begins or ends at the leaf's corner v. points, lines: where those of the
+    leaf begin in `numbers`.
+    """
     n = t.segments
     first_point = source.vertices + e * (n - 1)
     first_line = e * n
@@ -103,9 +107,10 @@ def expand(
     out: WeldedMesh,
     numbers: wp.array(dtype=wp.int32),
 ):
-    """Write points, lines and triangles of a range of edges and a range of leaves, by the template.
+    """Write points, lines and triangles of edges first_edge .. end_edge - 1 and leaves first_leaf .. end_leaf - 1.
 
-    numbers: scratch from entry `scratch` on, for the numbers of one leaf's points and lines in the template's order.
+    numbers: scratch from entry `scratch` on, for the numbers of one leaf's points and lines in the template's
+    order.
     """
     n = t.segments
     for e in range(first_edge, end_edge):
@@ -156,10 +161,10 @@ def find_common_points(
     runs: wp.array(dtype=Run),
     count: wp.array(dtype=wp.int64),
 ):
-    """Write the runs of points inside leaves that both meshes have, and the number of runs.
+    """List the runs of points inside leaves that this and the last mesh both have, and their number.
 
-    Levels in curve order locate every leaf: overlapping leaves of equal level are the same leaf. `points`: points
-    inside one leaf. `last_first`, `first`: number of the first such point of either mesh. One thread runs this.
+    One thread. Levels in curve order locate every leaf: overlapping leaves of equal level are the same leaf.
+    points: points inside one leaf. last_first, first: number of the first such point of either mesh.
     """
     i = wp.int32(0)
     j = wp.int32(0)

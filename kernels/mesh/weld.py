@@ -58,7 +58,10 @@ RARE = wp.constant((7 << 4) | (1 << 7) | (1 << 15))  # BORDER, FIRST, LAST
 
 
 def by_shape(value) -> int:
-    """Pack a value of two bits for every shape (passage and parity) into a table that is shifted by a leaf's shape."""
+    """Pack a value of two bits for each shape of a leaf (passage and parity) into one integer.
+
+    Kernels look a value up by shifting the integer by the shape's bits.
+    """
     shapes = [(passage, odd) for passage in (LEG_LEG, HYP_LEG, LEG_HYP) for odd in (0, 1)]
     return sum(int(value(passage, odd)) << (passage | odd << PARITY) for passage, odd in shapes)
 
@@ -84,7 +87,10 @@ THIRD_LEGS = wp.constant(1 << HYP_LEG | 1 << LEG_HYP)
 
 @wp.func
 def side_of(code: wp.int32) -> wp.int32:
-    """Return the side (0: left, 1: right) on which a leaf moves the front's vertex."""
+    """Return the side of the strip (0 left, 1 right) on which a leaf moves the front's vertex.
+
+    code: the leaf's word.
+    """
     return (SIDES >> (code & SHAPE)) & 1
 
 
@@ -110,7 +116,11 @@ def write_triangle(
     third: wp.int32,
     leave: wp.int32,
 ):
-    """Write a triangle. Front and far vertex are counter-clockwise; the passage decides which is stored first."""
+    """Write triangle t: corners, edges and level.
+
+    Its vertices are front0, front1 and far, counter-clockwise; the passage of the curve decides which is stored
+    first. entry, leave, third: the edges by which the curve enters and leaves, and the other one.
+    """
     shape = code & SHAPE
     o0 = 3 * t + ((FIRST_CORNER >> shape) & 3)
     o1 = 3 * t + ((SECOND_CORNER >> shape) & 3)
@@ -125,8 +135,11 @@ def write_triangle(
 
 
 @wp.func
-def begin(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
-    """Return the strip at a slice's first leaf: no edge is open, and the front is an import unless a square begins."""
+def begin_slice(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
+    """Return the strip before a slice's first leaf, and clear the slice's state.
+
+    No edge is open. The front is an import from the slice before, unless a square begins here.
+    """
     e = STATE_SIZE * slot
     for i in range(STATE_SIZE):
         w.state[e + i] = 0
@@ -155,7 +168,11 @@ def begin(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
 
 @wp.func
 def begin_square(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int32, s: Strip) -> Strip:
-    """Return the strip at a square's first leaf: the front is the edge by which the curve enters; no edge is open."""
+    """Return the strip before a square's first leaf.
+
+    The front is the edge by which the curve enters; no edge is open. slot: of the slice. code: word of the leaf. s:
+    strip at the end of the square before.
+    """
     e = STATE_SIZE * slot
     for i in range(4):
         w.state[e + LEFT + i] = 0
@@ -215,10 +232,9 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
 
 @wp.func
 def note_rare(w: Weld, b: Base, slot: wp.int32, code: wp.int32, s: Strip, t: wp.int32, third: wp.int32, far: wp.int32):
-    """List a triangle that uses an import, and give the edge by which the curve leaves a square to the square above.
+    """List triangle t if it uses an import, and pass an edge by which the curve leaves a square to the square above.
 
-    t: the triangle. third, far: its third edge and that edge's far vertex. `join` replaces the imports of listed
-    triangles.
+    third, far: its third edge and that edge's far vertex. `join` replaces the imports of listed triangles.
     """
     e = STATE_SIZE * slot
     if (s.front0 | s.front1 | far | s.entry | third) < 0:
@@ -233,8 +249,8 @@ def note_rare(w: Weld, b: Base, slot: wp.int32, code: wp.int32, s: Strip, t: wp.
 
 
 @wp.func
-def end(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32, s: Strip):
-    """Store the front and the numbers of open edges at the end of a slice, from which the next slice imports."""
+def end_slice(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32, s: Strip):
+    """Store the front and the number of open edges at the end of a slice, from which the next slice imports."""
     e = STATE_SIZE * slot
     w.state[e + LAST_LEVEL] = s.level
     if s.torn != 0:
@@ -256,7 +272,7 @@ def weld(slot: wp.int32, w: Weld):
     b = base_of(w.counts, slot)
     leaves = wp.int32(w.counts[3 * slot])
     first = w.leaf_base[slot]
-    s = begin(w, b, slot, leaves)
+    s = begin_slice(w, b, slot, leaves)
     k = wp.int32(0)
     while k < leaves:
         code = wp.int32(item_at(w.code, first + wp.int64(k)))
@@ -301,4 +317,4 @@ def weld(slot: wp.int32, w: Weld):
             grow = 1 - 2 * old
             ordinary = k < leaves and (code & RARE) == 0 and (s.front0 | s.front1 | third | far) >= 0
         s.level = wp.where(last == 1, 0, s.level)
-    end(w, b, slot, leaves, s)
+    end_slice(w, b, slot, leaves, s)

@@ -28,14 +28,20 @@ from .weld_state import (
 
 @wp.func
 def is_in_slice(w: Weld, slot: wp.int32, owner: wp.int32, passed: wp.int32, before: wp.int32) -> wp.bool:
-    """Return whether this slice made edge `passed` on a side (`before`: 2 right, 3 above) of square `owner`."""
+    """Return whether this slice, not an earlier one, made edge `passed` of a side of square `owner`.
+
+    before: which side, 2 right or 3 above.
+    """
     first = w.squares[slot]
     return owner > first or (owner == first and passed >= w.before[4 * slot + before])
 
 
 @wp.func
 def corner_below(w: Weld, b: Base, e: wp.int32, square: wp.int32) -> wp.int32:
-    """Return the square's lower left corner: the upper left corner of the square below."""
+    """Return the vertex at the current square's lower left corner: the upper left one of the square below.
+
+    It is an import if an earlier slice made it.
+    """
     below = square - w.columns
     v = wp.int32(0)
     if below >= w.state[e + FIRST_BEGUN]:
@@ -49,9 +55,10 @@ def corner_below(w: Weld, b: Base, e: wp.int32, square: wp.int32) -> wp.int32:
 def begin_left_side(
     w: Weld, b: Base, e: wp.int32, slot: wp.int32, code: wp.int32, level: wp.int32, vertices: wp.int32, edges: wp.int32
 ):
-    """Begin a square with the left side's first edge, of this level, from the upper left corner down.
+    """Begin a square with its left side's first edge, from the upper left corner down.
 
-    Return corner, lower end, edge, and the next free vertex and edge number.
+    level: of the edge. Returns corner, lower end, edge, and the next free vertex and edge number. Side and corner
+    come from the left neighbour if there is one.
     """
     square = w.state[e + SQUARE]
     column = square % w.columns
@@ -86,7 +93,10 @@ def begin_left_side(
 
 @wp.func
 def read_side(w: Weld, b: Base, e: wp.int32, slot: wp.int32, role: wp.int32, level: wp.int32) -> wp.vec2i:
-    """Return the next edge, of this level, and its far vertex on the side shared with the square left or below."""
+    """Return the next (edge, far vertex) of the side shared with the square to the left or below.
+
+    role: TAKE_LEFT or TAKE_BELOW. level: of the edge, to be checked. It is an import if an earlier slice made it.
+    """
     square = w.state[e + SQUARE]
     at = wp.int32(0)
     is_here = wp.bool(False)
@@ -130,7 +140,10 @@ def append_right(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: w
 
 @wp.func
 def append_above(w: Weld, e: wp.int32, edge: wp.int32, level: wp.int32, begun: wp.int32):
-    """Append an edge to the upper side of the current square, for the square above. begun: see `append_right`."""
+    """Append an edge to the upper side of the current square, for the square above.
+
+    begun: vertex where the edge begins.
+    """
     n = w.side_base[w.columns * w.rows + w.state[e + SQUARE]] + w.state[e + ABOVE]
     w.side[n] = wp.vec2i(edge, begun)
     w.side_level[n] = level

@@ -82,7 +82,7 @@ class Strip:
 
 @wp.func
 def base_of(counts: wp.array(dtype=wp.int64), slot: wp.int32) -> Base:
-    """Return the first numbers of a slice."""
+    """Return the first numbers (triangle, vertex, edge) of slice `slot`, from the counts of the slices before."""
     b = Base()
     for s in range(slot):
         b.triangle += wp.int32(counts[3 * s])
@@ -94,13 +94,19 @@ def base_of(counts: wp.array(dtype=wp.int64), slot: wp.int32) -> Base:
 
 @wp.func
 def stack_base(room: wp.int32, leaves: wp.int32, side: wp.int32) -> wp.int32:
-    """Return the first entry of a slice's stack for a side; a spare entry is below it."""
+    """Return the first entry of a slice's stack of open edges for a side; a spare entry is below it.
+
+    room: of the slice's Base.
+    """
     return 2 * room + 1 + side * (leaves + 2)
 
 
 @wp.func
 def add_import(w: Weld, b: Base, e: wp.int32, kind: wp.int32, value: wp.int32) -> wp.int32:
-    """Add an import of a kind (FRONT ..) to the slice's list; return the negative number that stands for it."""
+    """Add an import of a kind (FRONT ..) to the slice's list; return the negative number that stands for it.
+
+    e: the slice's entry in `state`.
+    """
     n = w.state[e + IMPORTS]
     w.imports[2 * b.room + n] = wp.vec2i(kind, value)
     w.state[e + IMPORTS] = n + 1
@@ -109,7 +115,10 @@ def add_import(w: Weld, b: Base, e: wp.int32, kind: wp.int32, value: wp.int32) -
 
 @wp.func
 def import_open_edge(w: Weld, b: Base, e: wp.int32, side: wp.int32, level: wp.int32) -> wp.int32:
-    """Import the next edge, of this level, from the top of the stack that earlier slices left open on a side."""
+    """Import the next edge from the stack that earlier slices left open on a side; return its negative number.
+
+    level: of the edge, to be checked. e: the slice's entry in `state`.
+    """
     n = w.state[e + POPS + side]
     w.state[e + POPS + side] = n + 1
     return add_import(w, b, e, (STACK + side) | (level << LEVEL_SHIFT), n)
@@ -117,6 +126,9 @@ def import_open_edge(w: Weld, b: Base, e: wp.int32, side: wp.int32, level: wp.in
 
 @wp.func
 def check_level(w: Weld, e: wp.int32, level: wp.int32, other: wp.int32):
-    """Mark the mesh as torn if the two leaves of an edge give it different levels: then errors are not nested."""
+    """Mark the slice as torn if the two leaves of an edge give it different levels: errors are not nested then.
+
+    e: the slice's entry in `state`.
+    """
     if level != other:
         w.state[e + TORN] = 1

@@ -20,7 +20,7 @@ from ..refine.runs import NOT_CLEAR
 from ..refine.stored_errors import fetch_ahead
 from ..unchecked import item_at, put
 from .lattice import depth_of
-from .residual import forget_all, has_settled, morphed_point, settled_from
+from .residual import forget_all, has_settled, morphed_point, settled_above
 from .state import Memory, Morphing, fetch_records
 
 RECORDS_AHEAD = wp.constant(wp.int64(8))
@@ -28,7 +28,7 @@ RECORDS_AHEAD = wp.constant(wp.int64(8))
 
 @wp.func
 def put_height(points: DisplacedPoints, o: wp.int32, domain: Domain, height: wp.float64):
-    """Write the height of vertex `o`, which is complete otherwise, as `put_vertex` in kernels/mesh/displace.py does."""
+    """Write the height of vertex o, whose other values are complete. height: metres before scaling."""
     z = height * domain.height_scale + domain.height_offset
     if not (wp.abs(z) < HIGHEST):
         points.not_finite[0] = 1
@@ -37,7 +37,7 @@ def put_height(points: DisplacedPoints, o: wp.int32, domain: Domain, height: wp.
 
 @wp.func
 def fetch_point(domain: Domain, p: wp.vec2i):
-    """Prefetch the samples around a lattice point, and the stored error and range of its diamond."""
+    """Prefetch the samples around lattice point p, and the stored error and range of its diamond."""
     fetch_samples(domain, p)
     depth = depth_of(domain.unit_bits, p)
     if depth > 0 and depth < 2 * domain.levels - 1:
@@ -57,9 +57,10 @@ def displace_morphing(
     morphing: Morphing,
     memory: Memory,
 ):
-    """Displace points as `displace` in kernels/mesh/displace.py does.
+    """Write positions and normals of points first .. end - 1, moved by the geomorph.
 
-    Give points of the last frame new heights and normals unless they were settled and still are.
+    As `displace` (kernels/mesh/displace.py), but points of the last frame get new heights and normals unless they
+    were settled (at their final place) and still are.
     """
     forget_all(memory)
     run, run_end = runs_of(points, slot)
@@ -71,7 +72,7 @@ def displace_morphing(
         run_clear_below = NOT_CLEAR
         if stop > begin:
             reused = points.reused.runs[run]
-            settled = settled_from(morphing, reused.coarse * reused.coarse)
+            settled = settled_above(morphing, reused.coarse * reused.coarse)
             run_clear_below = reused.clear_below
         run += wp.int64(1)
         next_end = next_new(points, run, run_end, stop, end, point_base)

@@ -19,7 +19,7 @@ class SplitVertex:
 
 @wp.func
 def depth_of(unit_bits: wp.int32, p: wp.vec2i) -> wp.int32:
-    """Return the depth of the diamond that is split at p; 0 for a corner of a root square."""
+    """Return the depth of the diamond that is split at lattice point p; 0 for a corner of a root square."""
     both = p[0] | p[1]
     step = both & -both  # the largest power of two of which both coordinates are multiples
     depth = wp.int32(0)
@@ -32,7 +32,7 @@ def depth_of(unit_bits: wp.int32, p: wp.vec2i) -> wp.int32:
 
 @wp.func
 def half_edge(unit_bits: wp.int32, p: wp.vec2i, depth: wp.int32) -> wp.vec2i:
-    """Return the vector from p, which splits a diamond of `depth`, to an end of the edge that it splits."""
+    """Return the vector from p to one end of the edge that p splits. depth: of the diamond split at p."""
     half = wp.int32(1) << (unit_bits - ((depth + 1) >> 1))
     along = wp.vec2i(half, 0)
     if (depth & 1) == 1:
@@ -46,7 +46,7 @@ def half_edge(unit_bits: wp.int32, p: wp.vec2i, depth: wp.int32) -> wp.vec2i:
 
 @wp.func
 def split_vertex(unit_bits: wp.int32, p: wp.vec2i) -> SplitVertex:
-    """Return the diamond that is split at a lattice point, and the edge that the point splits."""
+    """Return lattice point p as a SplitVertex: the depth of its diamond and the ends of the edge that it splits."""
     v = SplitVertex()
     v.point = p
     v.depth = depth_of(unit_bits, p)

@@ -32,7 +32,7 @@ from .state import NOWHERE, PENDING, REMEMBERED, Ends, Known, Memory, MorphedPoi
 
 @wp.func
 def surface_of(domain: Domain, layers: PackedLayers, p: wp.vec2i) -> wp.vec3d:
-    """Return height (metres before scaling) and gradient (metres a cell) of the detailed surface at point p."""
+    """Return height (metres before scaling) and slopes (metres a cell) at point p, with all displacement layers."""
     g = surface_at(domain, p)
     if layers.count > 0:
         g = with_detail(domain, layers, p, g)
@@ -41,7 +41,7 @@ def surface_of(domain: Domain, layers: PackedLayers, p: wp.vec2i) -> wp.vec3d:
 
 @wp.func
 def relief_of(domain: Domain, a: SplitVertex):
-    """Return the relief of the diamond split at a vertex, and its `metres2`."""
+    """Return heights (Relief) and squared error `metres2` of the diamond split at vertex a: it decides when a moves."""
     r = Relief()
     d = diamond_at(domain, a.point[0], a.point[1], a.depth)
     r.low = wp.where(d.border == 2, wp.float64(wp.inf), d.low[2])
@@ -54,7 +54,11 @@ def relief_of(domain: Domain, a: SplitVertex):
 def ratio2_of(
     domain: Domain, criterion: CriterionArrays, a: SplitVertex, r: Relief, metres2: wp.float64, in_frame: wp.int32
 ):
-    """Return the squared ratio of the diamond of `a`, the largest of all criteria, and its finest squared pixel."""
+    """Return the squared ratio of a vertex's diamond to the criterion, and its finest squared pixel footprint.
+
+    The ratio is the largest of all criteria; the vertex's weight W depends on it. r, metres2: from `relief_of`.
+    in_frame: 1 if all frustums contain the box.
+    """
     reach = reach_of(domain.unit_bits, a.depth)
     d = Diamond()
     d.low = wp.vec3d(
@@ -88,15 +92,15 @@ def weight_of(ramp: Ramp, ratio2: wp.float64) -> wp.float64:
 
 
 @wp.func
-def entry_of(memory: Memory, p: wp.vec2i) -> wp.int32:
-    """Return the entry of the thread's hash table in which a point is remembered; another point may replace it."""
+def memory_slot(memory: Memory, p: wp.vec2i) -> wp.int32:
+    """Return the slot of the thread's hash table for point p; another point may replace it there."""
     mixed = p[0] * 73856093 ^ p[1] * 19349663
     return memory.slot * REMEMBERED + ((mixed ^ (mixed >> 15)) & (REMEMBERED - 1))
 
 
 @wp.func
 def forget_all(memory: Memory):
-    """Empty the table of points."""
+    """Empty the thread's hash table of points."""
     for k in range(REMEMBERED):
         memory.points[memory.slot * REMEMBERED + k].point = wp.vec2i(NOWHERE, NOWHERE)
 
@@ -157,7 +161,7 @@ def evaluate_point(
 
 @wp.func
 def add_end(ends: Ends, end: MorphedPoint) -> Ends:
-    """Add an end of the edge to the sums of heights and normals; the settled error is the minimum."""
+    """Add one end of an edge to the sums of heights and normals; the settled error becomes the minimum of both."""
     ends.height += end.height
     ends.z += end.z
     ends.settled_metres2 = smaller(ends.settled_metres2, end.settled_metres2)
@@ -184,10 +188,10 @@ def morph_between(target: MorphedPoint, weight: wp.float64, ends: Ends) -> Morph
 
 
 @wp.func
-def settled_from(morphing: Morphing, pixel2: wp.float64) -> wp.float64:
-    """Return the error `metres2` above which points are settled if a pixel on their diamonds spans at most `pixel2`.
+def settled_above(morphing: Morphing, pixel2: wp.float64) -> wp.float64:
+    """Return the squared error above which a point has surely stopped moving.
 
-    pixel2: squared metres.
+    pixel2: squared metres that a pixel spans at most there. Points of the last frame above it are reused.
     """
     return pixel2 * morphing.ramp.end2 * morphing.ramp.limit * morphing.criterion.error_px2 * ABOVE
 
@@ -196,7 +200,10 @@ def settled_from(morphing: Morphing, pixel2: wp.float64) -> wp.float64:
 def has_settled(
     morphing: Morphing, memory: Memory, p: wp.vec2i, vertex: wp.int32, last: wp.int64, settled: wp.float64
 ) -> wp.bool:
-    """Return whether the vertex `last` of the last frame was settled and still is; then copy its record."""
+    """Return whether vertex `last` of the last frame was settled and still is; then copy its record to `vertex`.
+
+    settled: result of `settled_above`.
+    """
     known = morphing.last_known[last]
     found = known.is_settled == 1 and known.metres2 > settled
     if found:
@@ -206,14 +213,14 @@ def has_settled(
         there.z = known.height
         there.settled_metres2 = known.metres2
         there.normal = known.normal
-        memory.points[entry_of(memory, p)] = there
+        memory.points[memory_slot(memory, p)] = there
         morphing.known[vertex] = known
     return found
 
 
 @wp.func
 def was_unsettled(morphing: Morphing, last: wp.int64) -> wp.bool:
-    """Return whether the ends of the vertex `last` of the last frame are recorded."""
+    """Return whether vertex `last` of the last frame has records of its edge's ends; False if `last` is -1."""
     found = wp.bool(False)
     if last >= wp.int64(0):
         found = morphing.last_known[last].is_settled == 0
@@ -222,7 +229,7 @@ def was_unsettled(morphing: Morphing, last: wp.int64) -> wp.bool:
 
 @wp.func
 def no_ends() -> Ends:
-    """Return the sums over the two ends of an edge before either is added."""
+    """Return empty sums over the two ends of an edge, for `add_end`."""
     ends = Ends()
     ends.settled_metres2 = wp.float64(wp.inf)
     return ends
@@ -254,7 +261,7 @@ def morphed_point(
     is_vertex = wp.bool(True)
     goes_on = wp.bool(True)
     while goes_on:
-        entry = entry_of(memory, at)
+        entry = memory_slot(memory, at)
         is_known = wp.bool(False)
         if not is_vertex:
             there = memory.points[entry]
@@ -274,11 +281,11 @@ def morphed_point(
                 if is_vertex and was_unsettled(morphing, last):
                     # Pixels on the diamonds of the two ends are no coarser than on this one.
                     ends = morphing.last_ends[last]
-                    is_known = ends.settled_metres2 > settled_from(morphing, pixel2)
+                    is_known = ends.settled_metres2 > settled_above(morphing, pixel2)
                 if not is_known:  # Most often both ends are remembered.
                     along = half_edge(domain.unit_bits, at, depth)
-                    left = memory.points[entry_of(memory, at - along)]
-                    right = memory.points[entry_of(memory, at + along)]
+                    left = memory.points[memory_slot(memory, at - along)]
+                    right = memory.points[memory_slot(memory, at + along)]
                     is_known = left.point == at - along and right.point == at + along
                     ends = add_end(add_end(no_ends(), left), right)
                     if not is_known:
@@ -306,7 +313,7 @@ def morphed_point(
             is_known = waiting.seen == 2
             if is_known:
                 there = morph_between(waiting.target, waiting.weight, ends)
-                memory.points[entry_of(memory, there.point)] = there
+                memory.points[memory_slot(memory, there.point)] = there
                 top -= 1
             else:
                 memory.pending[top] = waiting

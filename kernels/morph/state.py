@@ -105,7 +105,7 @@ for record in (Known, Relief, Ends):
 
 @wp.func
 def fetch_records(morphing: Morphing, last: wp.int64):
-    """Prefetch the records of a vertex of the last frame."""
+    """Prefetch the records of vertex `last` of the last frame into the processor's cache."""
     fetch(morphing.last_known, last)
     fetch(morphing.last_relief, last)
     fetch(morphing.last_ends, last)

@@ -22,9 +22,9 @@ def row_ranges(
     north: wp.float64,
     found: wp.array(dtype=wp.vec2d),
 ):
-    """Write the lowest and highest metres of the surface in row `first_row + offset + tid` of cells, inside a box.
+    """Write the lowest and highest height (metres) in row first_row + offset + tid of cells, inside a box.
 
-    west, south, east, north: sides of the box in cells from the raster's corner. Holes do not count.
+    west .. north: sides of the box in cells from the raster's corner. Holes do not count.
     """
     n = offset + wp.tid()
     j = first_row + n

@@ -13,7 +13,7 @@ from ..field.codes import corners_of, error_of
 from ..field.layout import tile_index
 from ..refine.diamond import larger, smaller
 from ..unchecked import item_at
-from .surface import QueriedSurface, jet_in
+from .surface import QueriedSurface, height_and_slopes
 
 NOWHERE = wp.constant(wp.float64(wp.inf))
 MAX_STEPS = wp.constant(100_000)  # far more than a cell ever takes; heights of a damaged store may be anything
@@ -71,7 +71,7 @@ class RaySegment:
 
 @wp.func
 def range_at(blocks: HeightRanges, at: wp.int64):
-    """Return the lowest and highest metres of an entry of the ranges."""
+    """Return the lowest and highest height (metres) of an entry of the stored ranges, displacement included."""
     a = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * at)) * blocks.step
     b = blocks.base + wp.float64(item_at(blocks.ranges, wp.int64(2) * at + wp.int64(1))) * blocks.step
     return smaller(a, b) - blocks.more, larger(a, b) + blocks.more
@@ -79,7 +79,7 @@ def range_at(blocks: HeightRanges, at: wp.int64):
 
 @wp.func
 def side_of(e: wp.float64) -> wp.float64:
-    """Return 1 if a height difference is above the surface, -1 if below, 0 on it."""
+    """Return 1 if a height difference e is above the surface, -1 if below, 0 if it is on it."""
     side = wp.float64(0.0)
     if e > wp.float64(0.0):
         side = wp.float64(1.0)
@@ -143,7 +143,7 @@ def in_bilinear(surface: QueriedSurface, ray: Ray, part: RaySegment):
 
 @wp.func
 def cell_range(surface: QueriedSurface, blocks: HeightRanges, i: wp.int32, j: wp.int32):
-    """Return the lowest and highest metres in cell (i, j)."""
+    """Return the lowest and highest height of the surface in cell (i, j), metres."""
     low = wp.float64(0.0)
     high = wp.float64(0.0)
     if surface.bicubic == 1:
@@ -163,7 +163,7 @@ def half_curvature_along(
 ) -> wp.float64:
     """Return half of the largest second derivative of the surface along the ray in cell (i, j).
 
-    Its unit is metres per square metre.
+    Its unit is metres per squared metre of t.
     """
     across = ray.du * ray.du + ray.dv * ray.dv
     curvature = wp.float64(0.0)
@@ -197,7 +197,7 @@ def in_curved(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: Ray
         k += 1
         s = ray.u + t * ray.du - wp.float64(part.i)
         r = ray.v + t * ray.dv - wp.float64(part.j)
-        g = jet_in(surface, part.i, part.j, s, r)
+        g = height_and_slopes(surface, part.i, part.j, s, r)
         e = ray.z + t * ray.dz - (g[0] * surface.scale + surface.offset)
         climb = g[1] * surface.step_x * ray.du + g[2] * surface.step_y * ray.dv
         slope = ray.dz - climb * surface.scale
@@ -245,7 +245,10 @@ def passed(part: RaySegment, on_side: wp.float64):
 
 @wp.func
 def in_one_cell(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
-    """Return the same as `in_bilinear` for any surface."""
+    """Return the hit (t or NOWHERE) of a ray in one cell, and the side on which it leaves: 1 above, -1 below.
+
+    As `in_bilinear`, for any surface.
+    """
     hit = NOWHERE
     side = wp.float64(0.0)
     if surface.bicubic == 0 and surface.layers.count == 0:

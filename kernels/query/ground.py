@@ -14,7 +14,10 @@ NOTHING = wp.constant(wp.float64(wp.nan))
 
 @wp.func
 def onto_border(u: wp.float64, cells: wp.int32, slack: wp.float64) -> wp.float64:
-    """Return u, moved onto the raster's border if it is at most `slack` beyond it, in cells."""
+    """Return u, moved onto the raster's border if it is at most `slack` cells beyond it.
+
+    It forgives float32 rounding of positions.
+    """
     border = wp.float64(cells)
     found = u
     if u < wp.float64(0.0) and u >= -slack:
@@ -26,7 +29,7 @@ def onto_border(u: wp.float64, cells: wp.int32, slack: wp.float64) -> wp.float64
 
 @wp.func
 def fetch_about(surface: QueriedSurface, p: wp.vec2d):
-    """Prefetch the samples around a point into the cache. Nothing is read, so any point is allowed."""
+    """Prefetch the samples around point p (metres). Nothing is read, so any point is allowed."""
     i = wp.int64((p[0] - surface.west) * surface.per_x)
     j = wp.int64((p[1] - surface.south) * surface.per_y)
     row = wp.int64(surface.samples.columns)
@@ -48,9 +51,9 @@ def ground_at(
     slopes: wp.array(dtype=wp.float64),
     inside: wp.array(dtype=wp.bool),
 ):
-    """Write height, unit normal and slope (radians) at the points of block `offset + tid`.
+    """Write height, unit normal and slope (radians) of the ground at the points of block `offset + tid`.
 
-    They are NaN where there is no ground.
+    They are NaN, and `inside` is false, where there is no ground. places: metres.
     """
     begin = (offset + wp.tid()) * BLOCK
     cells_x = surface.samples.columns - 1

@@ -21,7 +21,7 @@ STEP = wp.constant(2)  # from a block to the next larger: 2^2 times its side; th
 
 @wp.func
 def block_range(blocks: HeightRanges, bits: wp.int32, x: wp.int32, y: wp.int32):
-    """Return the lowest and highest metres of the block (x, y) of 2^bits cells a side."""
+    """Return the lowest and highest height (metres) in block (x, y) of 2^bits cells a side."""
     group = bits / STEP - 1
     at = tile_index(1 + 2 * x, 1 + 2 * y, item_at(blocks.pages, group))
     return range_at(blocks, item_at(blocks.first, group) + at)
@@ -179,7 +179,7 @@ def first_hit(
 
 @wp.func
 def ray_of(surface: QueriedSurface, p: wp.vec3d, d: wp.vec3d) -> Ray:
-    """Return the ray from a point along a direction, both in metres."""
+    """Convert a ray from metres to cells: from point p along direction d."""
     ray = Ray()
     ray.u = (p[0] - surface.west) / surface.step_x
     ray.v = (p[1] - surface.south) / surface.step_y
@@ -201,7 +201,7 @@ def pick(
     directions: wp.array(dtype=wp.vec3d),
     distance: wp.array(dtype=wp.float64),
 ):
-    """Write the metres along unit direction `offset + tid` to the first hit; infinite without one."""
+    """Write the distance along unit direction `offset + tid` to the first hit, metres; infinite if it misses."""
     n = offset + wp.tid()
     ray = ray_of(surface, origins[n], directions[n])
     distance[n] = first_hit(surface, blocks, ray, NOWHERE, wp.float64(0.0), wp.float64(0.0), blocks.top)

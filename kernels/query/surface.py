@@ -33,13 +33,13 @@ class QueriedSurface:
 
 @wp.func
 def cell_of(u: wp.float64, cells: wp.int32) -> wp.int32:
-    """Return the cell that holds a point u cells from the raster's border; the last cell holds its far side."""
+    """Return the cell that contains a point u cells from the border; the border itself belongs to the last cell."""
     return wp.clamp(wp.int32(wp.floor(u)), 0, cells - 1)
 
 
 @wp.func
 def is_whole_cell(surface: QueriedSurface, i: wp.int32, j: wp.int32) -> wp.bool:
-    """Return whether cell (i, j) is in the raster and has all its four samples."""
+    """Return whether cell (i, j) is in the raster and none of its four samples is missing."""
     found = i >= 0 and j >= 0 and i < surface.samples.columns - 1 and j < surface.samples.rows - 1
     if found:
         found = is_whole(surface.valid, surface.samples.columns, i, j)
@@ -66,8 +66,11 @@ def is_ground(surface: QueriedSurface, i: wp.int32, j: wp.int32, on_west: wp.boo
 
 
 @wp.func
-def in_saddle(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
-    """Return height and gradient (metres a cell) of the bilinear patch of cell (i, j), s, t cells from its corner."""
+def bilinear_in(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
+    """Return height (metres) and slopes (metres a cell) of the bilinear patch of cell (i, j), before scaling.
+
+    s, t: position in the cell, 0 .. 1.
+    """
     p = corners_of(surface.samples, i, j)
     east = p[1] - p[0]
     north = p[2] - p[0]
@@ -76,10 +79,12 @@ def in_saddle(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, 
 
 
 @wp.func
-def metric(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64, g: wp.vec3d) -> wp.vec3d:
-    """Return height and gradient g (metres a cell) with the gradient in metres a metre, and with the detail added.
+def add_detail(
+    surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64, g: wp.vec3d
+) -> wp.vec3d:
+    """Return height and slopes g with slopes in metres a metre instead of a cell, and displacement added.
 
-    (i, j): cell. s, t: cells from its corner.
+    (i, j), s, t: cell and position in it.
     """
     found = wp.vec3d(g[0], g[1] * surface.per_x, g[2] * surface.per_y)
     if surface.layers.count > 0:
@@ -90,25 +95,28 @@ def metric(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: 
 
 
 @wp.func
-def jet_in(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
-    """Return height and gradient before scaling (metres, metres a metre).
+def height_and_slopes(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
+    """Return height (metres) and slopes (metres a metre) in cell (i, j), before scaling.
 
-    s and t are cells from the corner of cell (i, j).
+    s, t: position in the cell, 0 .. 1.
     """
     g = wp.vec3d()
     if surface.bicubic == 1:
         g = in_patch(surface.samples, i, j, s, t)
     else:
-        g = in_saddle(surface, i, j, s, t)
-    return metric(surface, i, j, s, t, g)
+        g = bilinear_in(surface, i, j, s, t)
+    return add_detail(surface, i, j, s, t, g)
 
 
 @wp.func
 def shaded_in(surface: QueriedSurface, i: wp.int32, j: wp.int32, s: wp.float64, t: wp.float64) -> wp.vec3d:
-    """Return the same as `jet_in` with the gradient that shades the mesh: that of a bilinear surface has no steps."""
+    """Return height and slopes as `height_and_slopes`, but with the slopes that shade the mesh.
+
+    On a bilinear surface these are interpolated between samples, so that shading has no steps.
+    """
     g = wp.vec3d()
     if surface.bicubic == 1:
         g = in_patch(surface.samples, i, j, s, t)
     else:
         g = in_cell(surface.samples, i, j, s, t)
-    return metric(surface, i, j, s, t, g)
+    return add_detail(surface, i, j, s, t, g)

@@ -5,7 +5,7 @@ import warp as wp
 
 from .crossing import NOWHERE, HeightRanges
 from .rays import first_hit, ray_of
-from .surface import QueriedSurface, is_ground, jet_in
+from .surface import QueriedSurface, height_and_slopes, is_ground
 
 
 @wp.kernel
@@ -20,9 +20,9 @@ def in_sight(
     slack: wp.float64,
     seen: wp.array(dtype=wp.bool),
 ):
-    """Write for sample `first + offset + tid` whether the eye sees a point `target` metres above it.
+    """Write whether the eye sees a point `target` metres above sample first + offset + tid.
 
-    Nothing rises above the line between them then. eye: metres. radius2: squared horizontal distance, metres, beyond
+    It does if no ground rises above the line between them. eye: metres. radius2: squared horizontal distance beyond
     which nothing is seen. slack: metres that ground must rise above the line to hide.
     """
     n = first + offset + wp.tid()
@@ -43,7 +43,7 @@ def in_sight(
     if found:
         found = is_ground(surface, i, j, column == i, row == j)
     if found:
-        g = jet_in(surface, i, j, s, t)
+        g = height_and_slopes(surface, i, j, s, t)
         p[2] = g[0] * surface.scale + surface.offset + target
         sight = eye - p
         far = wp.length(sight)

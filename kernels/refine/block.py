@@ -44,10 +44,10 @@ def write_block(
     point: wp.array(dtype=wp.vec2i),
     first_point: wp.int64,
 ):
-    """Write the words of a block's leaves, each with the bits `extra`, and its new vertices, in curve order.
+    """Write the words of a block's leaves and its new vertices, in curve order, copied from the table.
 
-    state: of the curve in the triangle (left, apex, right), lattice units. Leaves go to code[first_code] on, vertices
-    to point[first_point] on.
+    state: of the curve in the triangle (left, apex, right), lattice units. extra: bits for each leaf's word. Leaves
+    go to code[first_code] on, vertices to point[first_point] on.
     """
     entry = 6 * bisections + state
     first = item_at(blocks.first_leaf, entry)

@@ -67,8 +67,8 @@ class Motion:
 
 
 @wp.func
-def weighed(view: LocalView, v: wp.vec3d) -> wp.float64:
-    """Return the length of a vector v of terrain space in camera space, metres."""
+def camera_length(view: LocalView, v: wp.vec3d) -> wp.float64:
+    """Return the length of a vector of terrain space in camera space, metres."""
     return wp.sqrt(view.weight[0] * (v[0] * v[0]) + view.weight[1] * (v[1] * v[1]) + view.weight[2] * (v[2] * v[2]))
 
 
@@ -83,9 +83,9 @@ def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
     half = wp.float64(0.5)
     centre = half * (low + high)
     reach = half * (high - low) + wp.vec3d(wp.float64(0.0), wp.float64(0.0), view.unsure)
-    radius = weighed(view, reach)
-    before = weighed(view, centre - motion.eye)
-    now = weighed(view, centre - view.eye)
+    radius = camera_length(view, reach)
+    before = camera_length(view, centre - motion.eye)
+    now = camera_length(view, centre - view.eye)
     apart = before + now - wp.float64(2.0) * radius
     nearest = smaller(before, now) - radius
     valid = wp.int32(1)
@@ -123,7 +123,10 @@ def slant_change(now: wp.vec2d, before: wp.vec2d, step: wp.vec2d, low: wp.vec2d,
 
 @wp.func
 def slant_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d) -> wp.vec2d:
-    """Bound the factor on the largest slant times depth, squared, in any box inside this one: lower, upper."""
+    """Return bounds (lower, upper) of the factor on the largest slant times depth, squared, in any box inside this one.
+
+    The factor is from the last view (motion) to this one.
+    """
     low2 = wp.vec2d(low[0] - motion.eye[0], low[1] - motion.eye[1])
     high2 = wp.vec2d(high[0] - motion.eye[0], high[1] - motion.eye[1])
     step = wp.vec2d(view.eye[0] - motion.eye[0], view.eye[1] - motion.eye[1])
@@ -252,7 +255,10 @@ def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
 
 @wp.func
 def span_change(view: LocalView, motion: Motion, measures_edges: wp.int32, subtree: Subtree):
-    """Bound the growth of pixel footprints, metres, in any box of a subtree: lower, upper, and 1 if they are valid."""
+    """Return bounds of the change of pixel footprints in any box of a subtree since it was cached, metres.
+
+    Returns (lower, upper, 1 if the bounds are valid). measures_edges: 1 if the criterion limits edges.
+    """
     one = wp.float64(1.0)
     min_growth = wp.float64(0.0)
     max_growth = wp.float64(0.0)
@@ -288,7 +294,7 @@ def span_change(view: LocalView, motion: Motion, measures_edges: wp.int32, subtr
 
 @wp.func
 def stands_of(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
-    """Classify a subtree against the frustum: CLEAR, OUTSIDE or FADED; CROSSED if it cannot be cached."""
+    """Classify a subtree's box against the frustum: CLEAR, OUTSIDE or FADED; CROSSED if it cannot be cached."""
     stands = steady_stand_of(view, low, high)
     if stands == CROSSED and view.fade > wp.float64(0.0):
         stands = FADED

@@ -43,13 +43,13 @@ TO_CORNER = wp.constant(5)  # a new edge to a vertex that the square below has m
 
 @wp.func
 def left_state(state: wp.int32) -> wp.int32:
-    """Return the curve state of child 0."""
+    """Return the state of the curve in child 0 of a triangle."""
     return (LEFT_STATES >> (4 * state)) & 7
 
 
 @wp.func
 def right_state(state: wp.int32, cell: wp.uint64) -> wp.int32:
-    """Return the curve state of child 1 of the triangle whose first deepest cell is `cell`."""
+    """Return the state of the curve in child 1 of a triangle. cell: the triangle's first deepest cell."""
     s = (RIGHT_STATES >> (4 * state)) & 7
     if cell == wp.uint64(0):
         s = s & 6  # the curve starts on the border: the other half of its entry edge was never passed
@@ -58,13 +58,16 @@ def right_state(state: wp.int32, cell: wp.uint64) -> wp.int32:
 
 @wp.func
 def leaf_word(state: wp.int32, depth: wp.int32) -> wp.uint32:
-    """Pack a leaf's word, without its border role and its flags."""
+    """Return a leaf's 16-bit word: state of the curve and depth, without its border role and flags."""
     return wp.uint32(state | ((depth & 1) << PARITY) | (depth << DEPTH_SHIFT))
 
 
 @wp.func
 def touches_border(left: wp.vec2i, apex: wp.vec2i, right: wp.vec2i, corner: wp.vec2i, side: wp.int32) -> wp.bool:
-    """Return whether a triangle has a vertex on the border of the square at `corner`."""
+    """Return whether a triangle has a vertex on the border of its square.
+
+    corner, side: of the square, lattice units.
+    """
     low = wp.min(wp.min(left, right), apex) - corner
     high = wp.max(wp.max(left, right), apex) - corner
     return low[0] == 0 or low[1] == 0 or high[0] == side or high[1] == side
@@ -72,7 +75,7 @@ def touches_border(left: wp.vec2i, apex: wp.vec2i, right: wp.vec2i, corner: wp.v
 
 @wp.func
 def end_of_entry(state: wp.int32, apex: wp.vec2i, right: wp.vec2i) -> wp.vec2i:
-    """Return the end of the edge that begins at a triangle's left vertex and through which the curve enters."""
+    """Return the far end of the edge by which the curve enters a triangle; that edge begins at its left vertex."""
     end = apex
     if (state & 6) == HYP_LEG:
         end = right

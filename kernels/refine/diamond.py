@@ -17,13 +17,13 @@ from .stored_errors import is_beyond, reach_of
 
 @wp.func
 def smaller(a: wp.float64, b: wp.float64) -> wp.float64:
-    """Return the smaller value. wp.min takes four instructions instead of one, to handle NaN; NaN in `a` gives `b`."""
+    """Return the smaller value; `b` if `a` is NaN. wp.min takes four instructions instead of one."""
     return wp.where(a < b, a, b)
 
 
 @wp.func
 def larger(a: wp.float64, b: wp.float64) -> wp.float64:
-    """Return the larger value; NaN in `a` gives `b`."""
+    """Return the larger value; `b` if `a` is NaN."""
     return wp.where(a > b, a, b)
 
 
@@ -71,7 +71,10 @@ def heights_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j
 
 @wp.func
 def range_entry(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32) -> wp.int64:
-    """Return the entry of the height range of a diamond that is `finer` bisections above the finest stored ones."""
+    """Return the index of a diamond's height range.
+
+    finer: bisections above the finest diamonds that have stored ranges.
+    """
     group = finer >> 2
     shift = domain.unit_bits - domain.levels + 1 + 2 * group
     entry = tile_index(x >> shift, y >> shift, item_at(domain.range_pages, group))
@@ -92,10 +95,10 @@ def fetch_range(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
 
 
 @wp.func
-def narrowed(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32, r: wp.vec2i) -> wp.vec2i:
-    """Intersect the range `r` with a diamond's stored one, `finer` bisections above the finest stored ones.
+def intersect_range(domain: Domain, x: wp.int32, y: wp.int32, finer: wp.int32, r: wp.vec2i) -> wp.vec2i:
+    """Return the intersection of range r (codes) with the stored range of the diamond split at (x, y).
 
-    A diamond outside the domain leaves `r` as it is.
+    A diamond outside the domain leaves r unchanged. finer: bisections above the finest stored diamonds.
     """
     if x >= 0 and y >= 0 and x <= (domain.columns << domain.unit_bits) and y <= (domain.rows << domain.unit_bits):
         index = range_entry(domain, x, y, finer)
@@ -115,30 +118,33 @@ def range_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.ve
     r = wp.vec2i(0, 65535)
     finer = 2 * domain.levels - 2 - depth
     if finer >= 0:
-        r = narrowed(domain, x, y, finer, r)
+        r = intersect_range(domain, x, y, finer, r)
     elif domain.levels > 1:
         u = wp.int32(1) << (domain.unit_bits - domain.levels)
         # The middles of sides of 4 x 4 cells are 2 u apart along both axes, where the sum of their numbers is odd.
         if finer == -1:  # the centre of a cell of 2 x 2: two of its corners
             turned = ((((x - u) + (y - u)) / (2 * u)) & 1) == 0
             v = wp.where(turned, -u, u)
-            r = narrowed(domain, x - u, y - v, 0, r)
-            r = narrowed(domain, x + u, y + v, 0, r)
+            r = intersect_range(domain, x - u, y - v, 0, r)
+            r = intersect_range(domain, x + u, y + v, 0, r)
         else:  # the middle of a side of one: one of the side's ends, and the points 2 u beside the other end
             along = wp.where((x & u) != 0, u, 0)
             across = u - along
             ends = wp.where((((x - along) + (y - across)) / (2 * u) & 1) == 1, 1, -1)
             along = along * ends
             across = across * ends
-            r = narrowed(domain, x - along, y - across, 0, r)
-            r = narrowed(domain, x + along + 2 * across, y + across + 2 * along, 0, r)
-            r = narrowed(domain, x + along - 2 * across, y + across - 2 * along, 0, r)
+            r = intersect_range(domain, x - along, y - across, 0, r)
+            r = intersect_range(domain, x + along + 2 * across, y + across + 2 * along, 0, r)
+            r = intersect_range(domain, x + along - 2 * across, y + across - 2 * along, 0, r)
     return r
 
 
 @wp.func
 def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Diamond:
-    """Compute the box and the height differences of the diamond split at (x, y)."""
+    """Return box, largest height difference along an edge, and border state of the diamond split at (x, y).
+
+    The box contains all vertices of its descendants.
+    """
     half = (depth - 1) >> 1
     odd = depth & 1
     reach = reach_of(domain.unit_bits, depth)
@@ -214,6 +220,9 @@ def metres2_of(domain: Domain, error: wp.float32, rest: wp.float64) -> wp.float6
 
 @wp.func
 def max_error_for(domain: Domain, metres: wp.float64, rest: wp.float64) -> wp.float64:
-    """Return the largest stored error, metres, for which `metres2_of` is at most metres^2."""
+    """Return the largest stored error (metres) whose weighed error `metres2_of` is at most metres^2.
+
+    rest: metres that float32 rounding adds.
+    """
     left = larger(metres - domain.source, wp.float64(0.8) * metres)
     return larger(larger(left - rest, wp.float64(0.25) * left), domain.enough)

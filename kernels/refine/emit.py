@@ -28,7 +28,10 @@ from .walk_state import Cursor, Square, Walk, Written
 
 @wp.func
 def count_side(domain: Domain, w: Walk, q: Square, side: wp.int32):
-    """Count an edge on a side of a square. side: 0 taken left, 1 taken below, 2 given right, 3 given above."""
+    """Count an edge on a side of square q.
+
+    side: 0 taken from the left, 1 taken from below, 2 given to the right, 3 given above.
+    """
     entry = 4 * (w.slot * domain.columns * domain.rows + q.number) + side
     w.sides[entry] = w.sides[entry] + 1
 
@@ -59,7 +62,7 @@ def emit_entry(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
 
 @wp.func
 def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
-    """Write a leaf's word and its new vertices; returns the numbers of new vertices and new edges."""
+    """Write the word and the new vertices of the leaf at the cursor; return the numbers of new vertices and edges."""
     code = leaf_word(c.state, c.depth)
     vertices = wp.int32(0)
     edges = wp.int32(1)  # that through which the curve leaves
@@ -105,7 +108,7 @@ def stands_alone(w: Walk, q: Square, c: Cursor) -> wp.bool:
 
 @wp.func
 def emit_block(w: Walk, q: Square, c: Cursor, n: Written, depth: wp.int32) -> wp.int32:
-    """Write a triangle's leaves of one depth from the table; returns the number of new vertices."""
+    """Write all leaves below the cursor, which have one depth, from the table; return the number of new vertices."""
     bisections = depth - c.depth
     leaves = 1 << bisections
     if n.leaves + wp.int64(leaves) <= w.leaf_capacity:
@@ -118,7 +121,7 @@ def emit_block(w: Walk, q: Square, c: Cursor, n: Written, depth: wp.int32) -> wp
 
 @wp.func
 def emit(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written, verdict: wp.int32) -> Written:
-    """Write and count the leaves of a triangle whose verdict is final: LEAF or EVEN_BLOCK."""
+    """Write and count the leaves of a triangle whose verdict is final (LEAF or EVEN_BLOCK); return the new counts."""
     leaves = wp.int32(0)
     vertices = wp.int32(0)
     edges = wp.int32(0)

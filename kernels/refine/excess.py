@@ -59,7 +59,11 @@ class Triangle:
 
 @wp.func
 def finest_seen(domain: Domain, criterion: CriterionArrays, of_edges: wp.bool, d: Diamond, t: Triangle):
-    """Return a triangle's squared finest footprint in all views, metres, and whether footprints hardly differ in it."""
+    """Return the squared finest pixel footprint on a triangle in all views, metres.
+
+    Also return whether footprints hardly differ in it. of_edges: footprints of edges instead of heights. d: the
+    triangle's diamond.
+    """
     x0 = wp.min(t.apex[0], wp.min(t.left[0], t.right[0]))
     y0 = wp.min(t.apex[1], wp.min(t.left[1], t.right[1]))
     x1 = wp.min(wp.max(t.apex[0], wp.max(t.left[0], t.right[0])), domain.east)
@@ -105,7 +109,7 @@ def error_below(domain: Domain, t: Triangle, x: wp.int32, y: wp.int32, deepest: 
 
 @wp.func
 def surface_height(domain: Domain, p: wp.vec2i) -> wp.float64:
-    """Return the bilinear surface's height, metres before scaling, at a lattice point clamped to the raster."""
+    """Return the height of the bilinear surface at lattice point p, clamped to the raster; metres before scaling."""
     bits = domain.unit_bits - domain.levels
     part = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)
     i = wp.min(p[0] >> bits, domain.samples.columns - 2)
@@ -117,7 +121,10 @@ def surface_height(domain: Domain, p: wp.vec2i) -> wp.float64:
 
 @wp.func
 def plane_of(domain: Domain, t: Triangle) -> wp.vec3d:
-    """Return the plane through the surface at a triangle's corners, as in Triangle. The legs are perpendicular."""
+    """Return the plane through the surface at a triangle's corners: height at the apex, slopes along x and y.
+
+    See Triangle for units. The legs are perpendicular.
+    """
     base = surface_height(domain, t.apex)
     first = surface_height(domain, t.left) - base
     second = surface_height(domain, t.right) - base
@@ -196,8 +203,11 @@ def measured(
 
 
 @wp.func
-def root(domain: Domain, n: wp.int32, leaf_depth: wp.int32, squares: wp.uint64) -> Triangle:
-    """Return one of the two halves of a root square. `squares`: the tree's node for the first square."""
+def root_triangle(domain: Domain, n: wp.int32, leaf_depth: wp.int32, squares: wp.uint64) -> Triangle:
+    """Return half n of the root squares (two each) as a Triangle of the search.
+
+    squares: the tree's node for the first square.
+    """
     side = wp.int32(1) << domain.unit_bits
     square = n >> 1
     x0 = (square % domain.columns) << domain.unit_bits
@@ -217,8 +227,8 @@ def root(domain: Domain, n: wp.int32, leaf_depth: wp.int32, squares: wp.uint64) 
 
 
 @wp.func
-def half(t: Triangle, number: wp.int32) -> Triangle:
-    """Return half 0 or 1 of a triangle."""
+def half_of(t: Triangle, number: wp.int32) -> Triangle:
+    """Return half 0 or 1 (`number`) of a triangle, with the values that both inherit."""
     below = Triangle()
     below.left = t.left
     below.right = t.apex
@@ -258,7 +268,7 @@ def find_largest(
     fixed = wp.float64(-1.0)
     total = wp.float64(-1.0)
     for n in range(2 * domain.columns * domain.rows):
-        stack[0] = measured(domain, criterion, what, min2, tree, root(domain, n, leaf_depth, squares))
+        stack[0] = measured(domain, criterion, what, min2, tree, root_triangle(domain, n, leaf_depth, squares))
         top = wp.int32(0)
         while top >= 0:
             t = stack[top]
@@ -270,8 +280,8 @@ def find_largest(
                     fixed = t.fixed
                     total = t.total
                 else:
-                    a = measured(domain, criterion, what, min2, tree, half(t, 0))
-                    b = measured(domain, criterion, what, min2, tree, half(t, 1))
+                    a = measured(domain, criterion, what, min2, tree, half_of(t, 0))
+                    b = measured(domain, criterion, what, min2, tree, half_of(t, 1))
                     if a.bound2 > b.bound2:
                         stack[top + 1] = b
                         stack[top + 2] = a

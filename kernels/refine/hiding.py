@@ -52,32 +52,32 @@ class Rings:
 
 @wp.func
 def ring_of(distance: wp.float64) -> wp.int32:
-    """Return the number of the largest ring whose radius is at most a distance."""
+    """Return the number of the largest horizon ring whose radius is at most `distance` (metres)."""
     return wp.int32(wp.cast(distance, wp.int64) >> wp.int64(RING_BITS))
 
 
 @wp.func
 def radius_of(ring: wp.int32) -> wp.float64:
-    """Return the inner distance max(|x|, |y|) of a horizon ring from the eye."""
+    """Return the radius max(|x|, |y|) of a horizon ring, metres from the eye."""
     return wp.cast(wp.int64(ring) << wp.int64(RING_BITS), wp.float64)
 
 
 @wp.func
 def nearest_of(low: wp.vec3d, high: wp.vec3d) -> wp.float64:
-    """Return the least distance max(|x|, |y|) of a box from the eye at 0."""
+    """Return the smallest distance max(|x|, |y|) of a box from the eye at 0, metres."""
     across = wp.max(wp.max(low[0], -high[0]), wp.max(low[1], -high[1]))
     return wp.max(across, wp.float64(0.0))
 
 
 @wp.func
 def farthest_of(low: wp.vec3d, high: wp.vec3d) -> wp.float64:
-    """Return the largest distance max(|x|, |y|) of a box from the eye at 0."""
+    """Return the largest distance max(|x|, |y|) of a box from the eye at 0, metres."""
     return wp.max(wp.max(high[0], -low[0]), wp.max(high[1], -low[1]))
 
 
 @wp.func
 def bin_at(t: wp.float64) -> wp.int32:
-    """Return the bin of dy / dx = t, -1 .. 1."""
+    """Return the bin of a side for a direction t = dy / dx, -1 .. 1."""
     return wp.min(wp.int32((t + wp.float64(1.0)) * wp.float64(BINS / 2)), BINS - 1)
 
 
@@ -107,7 +107,7 @@ def reach_on(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) ->
 
 @wp.func
 def is_turned(side: wp.int32) -> wp.bool:
-    """Return whether the bins of a side run in the direction of falling dy / dx."""
+    """Return whether the bins of a side (0 .. 3) are in the order of falling dy / dx."""
     return side == 1 or side == 2
 
 
@@ -119,7 +119,10 @@ def bin_of(side: wp.int32, k: wp.int32) -> wp.int32:
 
 @wp.func
 def bins_of(side: wp.int32, low: wp.vec3d, high: wp.vec3d, near: wp.float64) -> wp.vec2i:
-    """Return the first and last bin of a side that a box at distance `near` meets; (0, -1): none."""
+    """Return the first and the last bin of a side that a box at distance `near` covers; (0, -1) for none.
+
+    low, high: metres from the eye.
+    """
     reach = reach_on(side, low, high, near)
     found = wp.vec2i(0, -1)
     if reach[0] <= reach[1]:
@@ -159,8 +162,8 @@ def is_hidden(rings: Rings, slopes: wp.array(dtype=wp.float32), low: wp.vec3d, h
 
 
 @wp.func
-def share_of(slope: wp.float64, above: wp.float64, ramp: wp.float64) -> wp.float64:
-    """Return the distance of `slope` below `above` as a fraction of the ramp, clamped to 0 .. 1."""
+def ramp_fraction(slope: wp.float64, above: wp.float64, ramp: wp.float64) -> wp.float64:
+    """Return how far `slope` is below `above`, as a fraction of the ramp, clamped to 0 .. 1."""
     return wp.clamp((above - slope) / ramp, wp.float64(0.0), wp.float64(1.0))
 
 
@@ -199,10 +202,10 @@ def covered(
                 k = wp.int32(first) - 1
                 while part > zero and k <= wp.int32(last) + 1:
                     i = k & (ROW - 1)
-                    here = wp.max(share_of(top, wp.float64(slopes[row + i]), ramp) - to_come, zero)
+                    here = wp.max(ramp_fraction(top, wp.float64(slopes[row + i]), ramp) - to_come, zero)
                     if ring > 0:  # there is one before it
-                        here = wp.max(share_of(top, wp.float64(slopes[row - ROW + i]), ramp), here)
-                    here = wp.min(share_of(wp.float64(slopes[rings.at + i]), bottom, ramp), here)
+                        here = wp.max(ramp_fraction(top, wp.float64(slopes[row - ROW + i]), ramp), here)
+                    here = wp.min(ramp_fraction(wp.float64(slopes[rings.at + i]), bottom, ramp), here)
                     beside = wp.max(first - wp.float64(k + 1), wp.float64(k) - last)
                     part = wp.min(here + wp.max(beside, zero), part)
                     k += 1

@@ -38,9 +38,9 @@ class HorizonBlocks:
 
 @wp.func
 def min_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1: wp.int32, up: wp.float64):
-    """Return the minimum of up * height, metres before scaling, over the cells from (i0, j0) to (i1, j1).
+    """Return the minimum of up * height over cells (i0, j0) .. (i1, j1), metres before scaling.
 
-    up: 1 for the lowest height, -1 for the negative of the highest.
+    up: 1 for the lowest height, -1 for the negated highest.
     """
     low, high = heights_of_cells(domain, i0, j0, i1, j1)
     return wp.where(up > wp.float64(0.0), low, -high)
@@ -48,7 +48,10 @@ def min_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1: w
 
 @wp.kernel
 def fill_blocks(offset: int, domain: Domain, wide: wp.int32, min_height: wp.array(dtype=wp.float32)):
-    """Fill row `offset + tid` of the smallest blocks."""
+    """Write the lowest and the negated highest height of each smallest block of row `offset + tid`, rounded outwards.
+
+    wide: blocks in a row.
+    """
     j = (offset + wp.tid()) << FINEST
     beside = (wp.int32(1) << FINEST) - 1
     j1 = wp.min(j + beside, domain.samples.rows - 2)
@@ -63,9 +66,9 @@ def fill_blocks(offset: int, domain: Domain, wide: wp.int32, min_height: wp.arra
 
 @wp.func
 def min_of_block(domain: Domain, blocks: HorizonBlocks, level: wp.int32, i: wp.int32, j: wp.int32, up: wp.float64):
-    """Return the minimum of up * height, metres before scaling, in a block; a block of level 0 is a cell.
+    """Return the minimum of up * height in block (i, j) of a level, metres before scaling; level 0 is a cell.
 
-    up: 1 for the lowest height, -1 for the negative of the highest.
+    up: 1 for the lowest height, -1 for the negated highest.
     """
     min_height = wp.float64(0.0)
     if level > 0:
@@ -82,9 +85,9 @@ def min_of_block(domain: Domain, blocks: HorizonBlocks, level: wp.int32, i: wp.i
 def min_over(
     domain: Domain, blocks: HorizonBlocks, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32, sign: wp.float64
 ):
-    """Return the minimum of sign * height, metres after scaling, over the raster in a lattice rectangle.
+    """Return the minimum of sign * height in a lattice rectangle, metres after scaling.
 
-    sign: 1 gives the lowest height, -1 the negated highest one.
+    sign: 1 for the lowest height, -1 for the negated highest.
     """
     bits = domain.unit_bits - domain.levels
     i0 = wp.max(x0, 0) >> bits
@@ -102,12 +105,15 @@ def min_over(
         for j in range(j0 >> level, (j1 >> level) + 1):
             for i in range(i0 >> level, (i1 >> level) + 1):
                 min_height = smaller(min_of_block(domain, blocks, level, i, j, up), min_height)
-    return placed(domain, min_height, sign)
+    return to_scaled(domain, min_height, sign)
 
 
 @wp.func
-def placed(domain: Domain, min_height: wp.float64, sign: wp.float64) -> wp.float64:
-    """Convert a minimum of the raster before scaling to that of the surface with displacement, metres after scaling."""
+def to_scaled(domain: Domain, min_height: wp.float64, sign: wp.float64) -> wp.float64:
+    """Convert a minimum of the raster's heights to one of the displaced surface, metres after scaling.
+
+    sign: as in `min_over`.
+    """
     if domain.detailed == 1:
         min_height -= domain.max_detail
     return min_height * domain.error_scale + sign * domain.height_offset
@@ -115,7 +121,7 @@ def placed(domain: Domain, min_height: wp.float64, sign: wp.float64) -> wp.float
 
 @wp.func
 def bilinear_at(domain: Domain, x: wp.float64, y: wp.float64) -> wp.float64:
-    """Return the height, metres before scaling, at (x, y) cells from the south-west corner."""
+    """Return the height of the bilinear surface at (x, y) cells from the south-west corner, metres before scaling."""
     i = wp.min(wp.int32(x), domain.samples.columns - 2)
     j = wp.min(wp.int32(y), domain.samples.rows - 2)
     return bilinear(corners_of(domain.samples, i, j), x - wp.float64(i), y - wp.float64(j))
@@ -194,7 +200,7 @@ def steady_min(domain: Domain, blocks: HorizonBlocks, grown: wp.int32, corner: w
                 level += 1
         part = wp.float64(1.0) / wp.float64(wp.int32(1) << level)
         min_height = min_of_windows(domain, blocks, level, corner * part, size * part, up)
-    return placed(domain, min_height, wp.float64(1.0))
+    return to_scaled(domain, min_height, wp.float64(1.0))
 
 
 @wp.func
@@ -222,7 +228,7 @@ def off_at(
 
 @wp.func
 def reach2_of(view: LocalView) -> wp.float64:
-    """Return the squared maximum factor from lengths in terrain space to depths and distances in camera space."""
+    """Return the squared largest factor from a length in terrain space to a depth or distance in camera space."""
     depth = view.depth
     weight = larger(larger(view.weight[0], view.weight[1]), view.weight[2])
     return larger(depth[0] * depth[0] + depth[1] * depth[1] + depth[2] * depth[2], weight)
@@ -232,7 +238,10 @@ def reach2_of(view: LocalView) -> wp.float64:
 def ground_near(
     domain: Domain, blocks: HorizonBlocks, x: wp.float64, y: wp.float64, reach: wp.float64, grown: wp.int32
 ):
-    """Return the highest ground, metres, within `reach` lattice units of (x, y); infinity across the border."""
+    """Return the highest ground (metres) within `reach` lattice units of (x, y); infinity if that crosses the border.
+
+    grown: lattice units to add on all sides.
+    """
     bits = domain.unit_bits - domain.levels
     east = wp.float64((domain.samples.columns - 1) << bits)
     north = wp.float64((domain.samples.rows - 1) << bits)

@@ -67,7 +67,10 @@ class LodInterval:
 
 @wp.func
 def limits_of(criterion: CriterionArrays, slack: wp.float64) -> Limits:
-    """Return the limits of a criterion. slack: fraction by which footprints may change without changing a verdict."""
+    """Return the criterion as the limits that intervals compare.
+
+    slack: fraction by which footprints may change without changing a verdict.
+    """
     one = wp.float64(1.0)
     limits = Limits()
     limits.error_px = wp.sqrt(criterion.limit * criterion.error_px2)
@@ -93,7 +96,10 @@ def measure_diamond(
     error: wp.float32,
     in_frame: wp.int32,
 ) -> MeasuredDiamond:
-    """Measure the diamond split at (x, y) in all views. in_frame: 1 if the frustums are known to contain its box."""
+    """Return the diamond split at (x, y) as all views see it: footprints, error and edge lengths.
+
+    error: stored error, metres before scaling. in_frame: 1 if all frustums are known to contain its box.
+    """
     m = MeasuredDiamond()
     m.diamond = diamond_at(domain, x, y, depth)
     pixel2, edge2 = finest(criterion, m.diamond, in_frame)
@@ -111,7 +117,7 @@ def measure_diamond(
 
 @wp.func
 def too_coarse(criterion: CriterionArrays, limit: wp.float64, m: MeasuredDiamond) -> wp.bool:
-    """Return whether a diamond exceeds any criterion, each relaxed by the squared factor `limit`."""
+    """Return whether a diamond exceeds any criterion. limit: factor on the squared criteria, for a triangle limit."""
     return too_coarse_at(criterion, limit, m.pixel2, m.edge2, m.metres2, m.long2 + m.climb2, m.legs2 + m.climb2)
 
 
@@ -128,7 +134,7 @@ def rise_to_turn(limits: Limits, m: MeasuredDiamond) -> wp.float64:
 
 @wp.func
 def excess2(limits: Limits, m: MeasuredDiamond) -> wp.float64:
-    """Estimate the largest squared ratio of a diamond to the criteria."""
+    """Return an estimate of the largest squared ratio of a diamond to the criteria."""
     long2 = m.long2 + m.climb2
     legs2 = m.legs2 + m.climb2
     over = larger(long2 * limits.per_edge2, legs2 * limits.per_area2) / m.edge2
@@ -138,7 +144,7 @@ def excess2(limits: Limits, m: MeasuredDiamond) -> wp.float64:
 
 @wp.func
 def unknown_interval() -> LodInterval:
-    """Return the interval that leaves every diamond in doubt."""
+    """Return the interval that decides nothing: every diamond below has to be measured."""
     interval = LodInterval()
     interval.split_above = wp.float64(wp.inf)
     interval.leaf_up_to = wp.float64(-1.0)
@@ -193,9 +199,10 @@ def interval_below(
     max_depth: wp.int32,
     in_frame: wp.int32,
 ) -> LodInterval:
-    """Compute the interval below a split diamond that holds for all limits between `limits` and `coarse`.
+    """Return the interval below a split diamond, which decides many of its descendants without measuring them.
 
-    A walk passes the same limits twice; a count passes those of its finest and coarsest step.
+    It holds for all limits between `limits` and `coarse`. A walk passes the same limits twice; a count those of its
+    finest and coarsest step. m: the measured diamond, at `depth`.
     """
     interval = LodInterval()
     fine2 = m.pixel2 * limits.finer

@@ -31,7 +31,7 @@ class CriterionArrays:
 
 
 def unlimited() -> CriterionArrays:
-    """Return a criterion that nothing exceeds, without views."""
+    """Return a criterion without views and limits, which nothing exceeds."""
     criterion = CriterionArrays()
     criterion.error_px2 = criterion.metres2 = criterion.edge_px2 = criterion.area_px2 = wp.inf
     criterion.limit = 1.0
@@ -40,7 +40,7 @@ def unlimited() -> CriterionArrays:
 
 @wp.func
 def sizes(criterion: CriterionArrays, unit_bits: wp.int32, depth: wp.int32):
-    """Return the squared longest edge and twice the area of a level triangle at `depth`, in camera space."""
+    """Return the squared longest edge and twice the area of a level triangle at `depth`, in camera space (metres)."""
     side = wp.float64(wp.int32(1) << (unit_bits - ((depth - 1) >> 1)))
     side2 = side * side
     long2 = criterion.diagonal2 * side2
@@ -67,7 +67,7 @@ def far2_at(view: LocalView, dx: wp.float64, dy: wp.float64, dz: wp.float64, dee
 
 @wp.func
 def ends_of(row: wp.vec2d, low: wp.vec2d, high: wp.vec2d) -> wp.vec2d:
-    """Return the smallest and the largest row . (x, y) in a rectangle."""
+    """Return the smallest and the largest value of row . (x, y) in a rectangle."""
     lower = smaller(row[0] * low[0], row[0] * high[0]) + smaller(row[1] * low[1], row[1] * high[1])
     upper = larger(row[0] * low[0], row[0] * high[0]) + larger(row[1] * low[1], row[1] * high[1])
     return wp.vec2d(lower, upper)
@@ -75,13 +75,13 @@ def ends_of(row: wp.vec2d, low: wp.vec2d, high: wp.vec2d) -> wp.vec2d:
 
 @wp.func
 def sizes_of(ends: wp.vec2d) -> wp.vec2d:
-    """Return the smallest and the largest absolute value between two ends."""
+    """Return the smallest and the largest absolute value of numbers between two ends."""
     return wp.vec2d(larger(larger(ends[0], -ends[1]), wp.float64(0.0)), larger(ends[1], -ends[0]))
 
 
 @wp.func
 def slants2_of(slant_x: wp.vec2d, slant_y: wp.vec2d, eye: wp.vec3d, low: wp.vec3d, high: wp.vec3d) -> wp.vec2d:
-    """Return the smallest and the largest slant times depth, squared, over the frame's largest slant, in a box."""
+    """Return the smallest and the largest squared slant times depth in a box, over the frame's largest slant."""
     near = wp.vec2d(low[0] - eye[0], low[1] - eye[1])
     far = wp.vec2d(high[0] - eye[0], high[1] - eye[1])
     x = sizes_of(ends_of(slant_x, near, far))
@@ -101,7 +101,10 @@ def gain2_at(view: LocalView, far2: wp.float64, slants2: wp.float64) -> wp.float
 
 @wp.func
 def nearest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.float64) -> wp.float64:
-    """Return the smallest squared depth (perspective) or distance in a box whose smallest depth is `deep`."""
+    """Return the smallest squared distance from the eye to a box; of a perspective the squared depth.
+
+    deep: smallest depth in the box.
+    """
     zero = wp.float64(0.0)
     dx = larger(larger(low[0] - view.eye[0], view.eye[0] - high[0]), zero)
     dy = larger(larger(low[1] - view.eye[1], view.eye[1] - high[1]), zero)
@@ -123,7 +126,7 @@ def farthest_far2(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.float64:
 
 @wp.func
 def nearest_pixel2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.float64):
-    """Return the squared finest footprints of heights and of edges, metres, anywhere in a box.
+    """Return the squared finest footprints of heights and of edges anywhere in a box, metres.
 
     deep: its smallest depth.
     """
@@ -140,7 +143,7 @@ def nearest_pixel2(view: LocalView, low: wp.vec3d, high: wp.vec3d, deep: wp.floa
 
 @wp.func
 def farthest_pixel2(view: LocalView, d: Diamond):
-    """Return the squared coarsest footprints of heights and of edges, metres, in any box inside this one."""
+    """Return the squared coarsest footprints of heights and of edges in any box inside this one, metres."""
     edge2 = view.pixel2
     gain2 = wp.float64(1.0)
     if view.kind != ORTHOGRAPHIC:
@@ -156,7 +159,10 @@ def farthest_pixel2(view: LocalView, d: Diamond):
 def cover_of(
     rings: Rings, ramp: wp.float64, slopes: wp.array(dtype=wp.float32), low: wp.vec3d, high: wp.vec3d
 ) -> wp.float64:
-    """Return how far nearer ground hides a box, 0 .. 1. low, high: metres from the eye."""
+    """Return how much nearer ground hides a box, 0 .. 1; with a ramp it grows gradually.
+
+    low, high: of the box, metres from the eye. slopes: map of horizons.
+    """
     part = wp.float64(0.0)
     if ramp > part:
         part = covered(rings, ramp, slopes, low, high)
@@ -290,7 +296,7 @@ def ratio2_at(
 ) -> wp.float64:
     """Return the largest squared ratio of a diamond at `depth` to the criteria.
 
-    pixel2, edge2, metres2: see `too_coarse_at`. climb2: how far its edges climb, squared metres.
+    pixel2, edge2, metres2: as in `too_coarse_at`. climb2: squared height difference along its edges, metres.
     """
     found = larger(metres2 / criterion.metres2, metres2 / (pixel2 * criterion.error_px2))
     if criterion.measures_edges == 1:
@@ -310,10 +316,10 @@ def too_coarse_at(
     long2: wp.float64,
     legs2: wp.float64,
 ):
-    """Return whether a diamond exceeds the criterion times `limit`. All arguments are squared.
+    """Return whether a diamond exceeds the criterion times `limit`.
 
-    pixel2, edge2: footprints of heights and of edges, metres. metres2: weighed error. long2, legs2: longest edge and
-    twice the area.
+    All arguments are squared. pixel2, edge2: footprints of heights and of edges, metres. metres2: weighed error.
+    long2, legs2: longest edge and twice the area.
     """
     coarse = metres2 > limit * pixel2 * criterion.error_px2 or metres2 > limit * criterion.metres2
     px2 = limit * edge2

@@ -26,8 +26,8 @@ LAST_LEVELS = wp.constant(6)  # levels above the deepest leaves in which a subtr
 
 
 @wp.func
-def seek(r: Reuse, slot: wp.int32, after: wp.int64):
-    """Move the cursor of a slice to the subtree that follows entry `after` of the last frame's lists; -1: the first."""
+def move_cursor(r: Reuse, slot: wp.int32, after: wp.int64):
+    """Move a slice's cursor to the subtree that follows entry `after` in the last frame's lists; -1 for the first."""
     i = after + wp.int64(1)
     last_slot = wp.int32(i / r.last_room)
     while last_slot < r.last_slots and i - wp.int64(last_slot) * r.last_room >= r.last_counts[last_slot]:
@@ -43,15 +43,15 @@ def seek(r: Reuse, slot: wp.int32, after: wp.int64):
 
 @wp.func
 def begin_reuse(r: Reuse, slot: wp.int32):
-    """Begin a slice at the first subtree of the last frame, with empty lists."""
+    """Start a slice's cursor at the first subtree of the last frame, with empty lists for the next frame."""
     r.cursor[slot] = ReuseCursor()
     r.cursor[slot].end = NOWHERE
-    seek(r, slot, wp.int64(-1))
+    move_cursor(r, slot, wp.int64(-1))
 
 
 @wp.func
 def end_reuse(r: Reuse, slot: wp.int32):
-    """Write how many subtrees, leaves and runs of points the slice has cached and reused."""
+    """Write the number of subtrees, leaves and runs of points that slice `slot` has cached and reused."""
     r.cached_counts[slot] = r.cursor[slot].count
     r.reused[slot] = r.cursor[slot].reused
     r.point_run_counts[slot] = r.cursor[slot].point_runs
@@ -79,7 +79,7 @@ def note_reused(r: Reuse, slot: wp.int32, subtree: Subtree, leaf: wp.int64, poin
 
 @wp.func
 def copy_subtree(w: Walk, r: Reuse, subtree: Subtree, n: Written):
-    """Append the leaves and points that the last frame wrote for a subtree."""
+    """Append the leaves and points of a cached subtree, as the last frame wrote them, to this frame's arrays."""
     if n.leaves + wp.int64(subtree.leaves) <= w.leaf_capacity:
         leaf = w.leaf_base + n.leaves
         point = w.leaf_base + n.vertices
@@ -89,8 +89,8 @@ def copy_subtree(w: Walk, r: Reuse, subtree: Subtree, n: Written):
 
 
 @wp.func
-def narrow(r: Reuse, slot: wp.int32, fall: wp.float64, rise: wp.float64):
-    """Limit by how much footprints in the open subtree may fall and rise."""
+def limit_margins(r: Reuse, slot: wp.int32, fall: wp.float64, rise: wp.float64):
+    """Limit the margins of the open subtree: by how much footprints may fall and rise while it stays valid, metres."""
     entry = wp.int64(slot) * r.room + r.cursor[slot].count
     r.cached[entry].fall = smaller(r.cached[entry].fall, fall)
     r.cached[entry].rise = smaller(r.cached[entry].rise, rise)
@@ -98,20 +98,23 @@ def narrow(r: Reuse, slot: wp.int32, fall: wp.float64, rise: wp.float64):
 
 @wp.func
 def reuse_subtree(criterion: CriterionArrays, w: Walk, r: Reuse, q: Square, c: Cursor, n: Written) -> wp.int32:
-    """Copy a triangle's leaves from the last frame if they are cached and still hold: REUSED; else DOUBT."""
+    """Copy the leaves below a triangle from the last frame if they are cached and still valid.
+
+    Returns REUSED, or DOUBT if they are not.
+    """
     k = w.slot
     at = q.base + c.cell
     verdict = wp.int32(DOUBT)
     if r.cursor[k].cell <= at:
         while r.cursor[k].cell < at or (r.cursor[k].cell == at and r.cursor[k].depth < c.depth):
-            seek(r, k, r.cursor[k].next)
+            move_cursor(r, k, r.cursor[k].next)
         if r.cursor[k].cell == at and r.cursor[k].depth == c.depth:
             subtree, holds = carried(criterion, r.motion, r.last_cached[r.cursor[k].next], w.intervals[c.held].in_frame)
             if holds == 1 and c.cell >= q.start and at + size_of(w, c.depth) <= w.end_cell:
                 verdict = REUSED
                 copy_subtree(w, r, subtree, n)
                 if r.cursor[k].end != NOWHERE:
-                    narrow(r, k, subtree.fall, subtree.rise)
+                    limit_margins(r, k, subtree.fall, subtree.rise)
                 elif r.cursor[k].count < r.room:
                     subtree.first_leaf = w.leaf_base + n.leaves
                     subtree.first_vertex = w.leaf_base + n.vertices
@@ -120,13 +123,13 @@ def reuse_subtree(criterion: CriterionArrays, w: Walk, r: Reuse, q: Square, c: C
                 w.counts[4 * k + STOPPED] = w.counts[4 * k + STOPPED] | wp.int64(subtree.stopped)
                 r.cursor[k].reused = r.cursor[k].reused + wp.int64(subtree.leaves)
                 r.cursor[k].sizes = wp.vec3i(subtree.leaves, subtree.vertices, subtree.edges)
-            seek(r, k, r.cursor[k].next)
+            move_cursor(r, k, r.cursor[k].next)
     return verdict
 
 
 @wp.func
 def count_reused(r: Reuse, slot: wp.int32, n: Written, verdict: wp.int32) -> Written:
-    """Count the subtree that was reused last if the verdict is REUSED."""
+    """Add the subtree that was reused last to the counts, if the verdict is REUSED; return the counts."""
     sizes = wp.vec3i()
     if verdict == REUSED:
         sizes = r.cursor[slot].sizes
@@ -197,14 +200,14 @@ def open_subtree(
 
 @wp.func
 def note_turning(criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse, m: MeasuredDiamond):
-    """Narrow the open subtree's margins to footprints at which this measured diamond gets the same verdict."""
+    """Limit the open subtree's margins to footprints at which measured diamond m gets the same verdict."""
     if r.cursor[w.slot].end != NOWHERE:
         inf = wp.float64(wp.inf)
         away = rise_to_turn(limits, m)
         if not too_coarse(criterion, criterion.limit, m):
-            narrow(r, w.slot, -away, inf)
+            limit_margins(r, w.slot, -away, inf)
         elif not m.metres2 > criterion.limit * criterion.metres2:
-            narrow(r, w.slot, inf, away)
+            limit_margins(r, w.slot, inf, away)
 
 
 @wp.func

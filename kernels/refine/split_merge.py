@@ -22,7 +22,7 @@ MERGE = wp.constant(wp.uint64(1 << 63))  # an order to merge the children of a n
 
 @wp.func
 def is_too_coarse(domain: Domain, criterion: CriterionArrays, middle: wp.vec2i, depth: wp.int32) -> wp.bool:
-    """Return whether the diamond at `depth` that is split at `middle` (lattice units) exceeds the criterion."""
+    """Return whether the diamond of a depth, split at `middle` (lattice units), exceeds the criterion."""
     error = error_at(domain, middle[0], middle[1], depth)
     return too_coarse(
         criterion, criterion.limit, measure_diamond(domain, criterion, middle[0], middle[1], depth, error, 0)
@@ -39,9 +39,9 @@ def decide(
     max_depth: wp.int32,
     orders: wp.array(dtype=wp.uint64),
 ):
-    """Write an order for leaf `offset + tid`: a node to split, MERGE and a node whose children to merge, or 0.
+    """Write an order for leaf `offset + tid`: a node to split, MERGE plus a node whose children to merge, or 0.
 
-    max_depth: bisections of a square at most; deeper leaves are merged.
+    max_depth: largest number of bisections of a square; deeper leaves are merged.
     """
     k = offset + wp.tid()
     tree_id = heap_id_of(t, decode_leaf(t, k))
@@ -66,7 +66,7 @@ def decide(
 
 @wp.kernel
 def carry_out(offset: wp.int32, t: Bitfield, grid: SquareGrid, orders: wp.array(dtype=wp.uint64)):
-    """Split and merge by the orders of all leaves."""
+    """Carry out the order of leaf `offset + tid`: split a node or merge its children."""
     order = orders[offset + wp.tid()]
     if order >= MERGE:
         merge(t, order - MERGE)

@@ -14,7 +14,7 @@ STOPPED = wp.constant(3)  # entry of a slice's counts: 1 if a leaf is too coarse
 
 @wp.func
 def square_at(domain: Domain, w: Walk, number: wp.int32) -> Square:
-    """Return root square `number`, with the cell at which the slice begins in it."""
+    """Return root square `number` as a Square, with the cell at which the slice begins in it."""
     q = Square()
     q.number = number
     q.row = number / domain.columns
@@ -59,7 +59,7 @@ def size_of(w: Walk, depth: wp.int32) -> wp.uint64:
 
 @wp.func
 def middle_of(c: Cursor) -> wp.vec2i:
-    """Return the vertex at which a triangle's diamond is split: the middle of its longest edge."""
+    """Return the vertex at which the diamond of the cursor's triangle is split: the middle of its longest edge."""
     return wp.vec2i((c.left[0] + c.right[0]) >> 1, (c.left[1] + c.right[1]) >> 1)
 
 
@@ -104,7 +104,7 @@ def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
 
 @wp.func
 def put_results(w: Walk, n: Written, end: wp.uint64):
-    """Write the slice's counts of leaves, vertices and edges, and the cell after its last leaf."""
+    """Write a slice's counts of leaves, vertices and edges, and the cell after its last leaf."""
     w.ends[w.slot] = end
     w.counts[4 * w.slot] = n.leaves
     w.counts[4 * w.slot + 1] = n.vertices

@@ -20,7 +20,10 @@ UP_MASKS = wp.constant(wp.float32(1.0 + 2.0**-19))  # above the rounding of a su
 
 @wp.func
 def cell_entry(domain: Domain, group: wp.int32, i: wp.int32, j: wp.int32) -> wp.float32:
-    """Return the stored error, metres before scaling, of raster cell (i, j) in a group: cells or curvatures."""
+    """Return the stored error of raster cell (i, j) in a group, metres before scaling; 0 outside the raster.
+
+    group: of cells or of curvatures.
+    """
     e = wp.float32(0.0)
     if i >= 0 and j >= 0 and i < domain.cell_columns and j < domain.cell_rows:
         index = item_at(domain.base, group) + tile_index(i, j, domain.cell_pages)
@@ -30,7 +33,7 @@ def cell_entry(domain: Domain, group: wp.int32, i: wp.int32, j: wp.int32) -> wp.
 
 @wp.func
 def cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
-    """Return the saturated error, metres before scaling, of raster cell (i, j)'s diamond: the last stored level."""
+    """Return the saturated error of the diamond of raster cell (i, j), the last stored level; metres before scaling."""
     return cell_entry(domain, domain.cell_group, i, j)
 
 
@@ -89,7 +92,7 @@ def exact_cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
 
 @wp.func
 def group_of(levels: wp.int32, depth: wp.int32) -> wp.int32:
-    """Return the group of stored errors for a depth above the raster's cells."""
+    """Return the group of depths in which the error of a diamond is stored. depth: above the raster's cells."""
     return (levels - 1 - ((depth - 1) >> 1)) >> 1
 
 
@@ -117,7 +120,10 @@ def reach_of(unit_bits: wp.int32, depth: wp.int32) -> wp.int32:
 
 @wp.func
 def is_beyond(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.bool:
-    """Return whether the box of the diamond split at (x, y) is beyond the raster: nested, as boxes are."""
+    """Return whether the box of the diamond split at (x, y) is completely outside the raster.
+
+    It is nested: true for all descendants, too.
+    """
     beyond = wp.bool(False)
     if x > domain.east or y > domain.north:
         reach = reach_of(domain.unit_bits, depth)
@@ -137,7 +143,7 @@ def halvings_at(domain: Domain, depth: wp.int32) -> wp.int32:
 
 @wp.func
 def raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """Return the saturated error of the diamond split at (x, y), without detail: metres, before scaling."""
+    """Return the saturated error of the diamond split at (x, y) without displacement, metres before scaling."""
     error = wp.float32(0.0)
     finer = depth - 2 * domain.levels - 1
     if is_beyond(domain, x, y, depth):
@@ -237,13 +243,13 @@ def stored_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -
 
 @wp.func
 def may_be_less(domain: Domain, depth: wp.int32) -> wp.bool:
-    """Return whether `error_at` of a diamond at a depth may be less than its stored error."""
+    """Return whether the error of a diamond at a depth may be less than the stored one, so that computing it helps."""
     return depth > 2 * domain.levels and domain.bicubic == 0 and domain.is_raised == 0
 
 
 @wp.func
 def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
-    """Return the saturated error of the diamond split at (x, y), by which it is judged: metres, before scaling."""
+    """Return the saturated error of the diamond split at (x, y), metres before scaling: it decides the split."""
     error = stored_error_at(domain, x, y, depth)
     if may_be_less(domain, depth) and error > wp.float32(0.0):
         error = exact_raster_error_at(domain, x, y, depth)
@@ -254,11 +260,11 @@ def error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.fl
 
 @wp.func
 def leaves_tile(domain: Domain, depth: wp.int32) -> wp.bool:
-    """Return whether the diamonds below those of `depth` are in other tiles of the arrays: every four bisections."""
+    """Return whether diamonds below those of `depth` are in another tile of the arrays: every four bisections."""
     return (depth & 1) == 0 and ((domain.levels - 1 - ((depth - 1) >> 1)) & 1) == 0 and depth < 2 * domain.levels
 
 
 @wp.func
 def fetch_ahead(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
-    """Prefetch the errors around the diamond split at (x, y)."""
+    """Prefetch the errors around the diamond split at (x, y) into the processor's cache."""
     prefetch(domain.error, place(domain, x, y, depth))

@@ -51,9 +51,9 @@ NARROWED = wp.constant(2)
 def judge(
     domain: Domain, criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse, q: Square, c: Cursor, n: Written
 ):
-    """Return the verdict on a triangle, SPLIT, LEAF or EVEN_BLOCK, and the entry of the interval below it.
+    """Return the verdict on the cursor's triangle (SPLIT, LEAF or EVEN_BLOCK) and the interval for its children.
 
-    The interval from above decides if it can; otherwise the diamond is measured, and gives the interval below it.
+    The interval from above decides if it can; otherwise the diamond is measured and gives a new interval.
     """
     middle = middle_of(c)
     above = w.intervals[c.held]
@@ -116,7 +116,10 @@ def fetch_children(domain: Domain, w: Walk, c: Cursor):
 
 @wp.kernel
 def walk(domain: Domain, criterion: CriterionArrays, w: Walk, r: Reuse):
-    """Refine the leaves whose first deepest cell belongs to the slice; leaves beyond the capacity are only counted."""
+    """Refine one slice of the curve: list the leaves whose first deepest cell belongs to it.
+
+    Leaves beyond the capacity are only counted.
+    """
     limits = limits_of(criterion, r.slack)
     n = Written()
     end = w.first_cell

@@ -86,7 +86,10 @@ class PointArrays:
 
 @wp.func
 def is_ground(domain: Domain, valid: wp.array(dtype=wp.uint8), p: wp.vec2i) -> wp.bool:
-    """Return whether a lattice point is on the raster and in no hole."""
+    """Return whether lattice point p is on the raster and in no hole.
+
+    valid: 0 for missing samples; empty without holes.
+    """
     bits = domain.unit_bits - domain.levels
     i = wp.min(p[0] >> bits, domain.samples.columns - 2)
     j = wp.min(p[1] >> bits, domain.samples.rows - 2)
@@ -99,13 +102,16 @@ def is_ground(domain: Domain, valid: wp.array(dtype=wp.uint8), p: wp.vec2i) -> w
 
 @wp.func
 def nearest(units: wp.float64, samples: wp.int32, domain: Domain) -> wp.int32:
-    """Return the lattice coordinate nearest to `units`, clamped to one unit outside of the raster's `samples`."""
+    """Return the lattice coordinate nearest to `units`, clamped to one unit outside the raster.
+
+    samples: along that axis.
+    """
     end = wp.float64((samples - 1) << (domain.unit_bits - domain.levels)) + wp.float64(1.0)
     return wp.int32(wp.floor(wp.clamp(units, wp.float64(-1.0), end) + wp.float64(0.5)))
 
 
 @wp.kernel
-def place(
+def place_candidates(
     begin: wp.int32,
     end: wp.int32,
     domain: Domain,
@@ -115,9 +121,9 @@ def place(
     runs: wp.array(dtype=CandidateRun),
     candidates: CandidateArrays,
 ):
-    """Place the candidates of runs on the surface, at the nearest lattice points; in float64, cast to float32 last.
+    """Write position, normal and density of the candidates of runs begin .. end - 1, at the nearest lattice points.
 
-    Density is 1, less at seams of tiles, and 0 off the ground.
+    Density is 1, less at seams of tiles, and 0 where there is no ground.
     """
     units = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     slope_x = domain.height_scale / (domain.unit_x * units)
@@ -192,7 +198,10 @@ def choose(
 
 @wp.func
 def rotation_of(style: ScatterStyle, normal: wp.vec3f, turn: wp.int32) -> wp.vec4f:
-    """Return a rotation about the upright axis, and then of this axis the short way, as a quaternion (w, x, y, z)."""
+    """Return the rotation of a point as a quaternion (w, x, y, z): about the vertical, then towards the normal.
+
+    turn: which of the rotation angles.
+    """
     x = normal[0] * style.align
     y = normal[1] * style.align
     z = normal[2] * style.align + (1.0 - style.align)
@@ -214,7 +223,7 @@ def fill_points(
     style: ScatterStyle,
     points: PointArrays,
 ):
-    """Fill the output arrays with the chosen points of runs, each from index first[run] on."""
+    """Write the chosen points of runs begin .. end - 1 to the output arrays; a run's start at index first[run]."""
     for t in range(begin, end):
         run = runs[t]
         tile = wp.int64(run.tile_y) * style.tiles + wp.int64(run.tile_x)

@@ -42,14 +42,14 @@ def drawn_for(seed: wp.uint32, x: wp.int32, y: wp.int32) -> wp.uint32:
 
 @wp.func
 def shift_of(seed: wp.uint32, x: wp.int32, y: wp.int32) -> wp.vec2i:
-    """Return the shift of the pattern in tile (x, y) to the east and north, in eighths of a side."""
+    """Return the shift of the pattern in tile (x, y) to the east and north, eighths of its side."""
     drawn = wp.int32(drawn_for(seed, x, y) >> wp.uint32(32 - 2 * SHIFT_BITS))
     return wp.vec2i(drawn & ((1 << SHIFT_BITS) - 1), drawn >> SHIFT_BITS)
 
 
 @wp.func
 def shifted(q: wp.vec2i, shift: wp.vec2i) -> wp.vec2i:
-    """Return the position of a point of the pattern in a tile with that shift, in units."""
+    """Return the position of point q of the pattern in a tile with this shift, units of the pattern."""
     bits = UNIT_BITS - SHIFT_BITS
     last = (1 << UNIT_BITS) - 1
     return wp.vec2i((q[0] + (shift[0] << bits)) & last, (q[1] + (shift[1] << bits)) & last)
@@ -57,14 +57,14 @@ def shifted(q: wp.vec2i, shift: wp.vec2i) -> wp.vec2i:
 
 @wp.kernel
 def shifts(offset: int, seed: wp.uint32, tiles: wp.array(dtype=wp.vec2i), found: wp.array(dtype=wp.vec2i)):
-    """Compute the shift of each tile."""
+    """Write the shift of the pattern in tile tiles[offset + tid], eighths of its side."""
     t = offset + wp.tid()
     found[t] = shift_of(seed, tiles[t][0], tiles[t][1])
 
 
 @wp.func
-def outside(at: wp.int32) -> wp.int32:
-    """Return how far a coordinate is outside of a tile, in units; 0 inside."""
+def distance_outside(at: wp.int32) -> wp.int32:
+    """Return by how many units a coordinate is outside its tile; 0 inside."""
     return wp.max(wp.max(-at, at - (1 << UNIT_BITS)), 0)
 
 
@@ -110,8 +110,8 @@ def unhindered(pattern: Pattern, x: wp.int32, y: wp.int32, rank: wp.int32, q: wp
     for j in range(wp.max(y - 1, 0), y + 2):
         for i in range(wp.max(x - 1, 0), x + 2):
             p = wp.vec2i(q[0] + ((x - i) << UNIT_BITS), q[1] + ((y - j) << UNIT_BITS))
-            away_x = wp.float64(outside(p[0]))
-            away_y = wp.float64(outside(p[1]))
+            away_x = wp.float64(distance_outside(p[0]))
+            away_y = wp.float64(distance_outside(p[1]))
             if (i != x or j != y) and away_x * away_x + away_y * away_y < nearest:
                 # Of two points of one rank, the one of the tile further south or west comes first.
                 ranks = rank + wp.where(j < y or (j == y and i < x), 1, 0)

@@ -28,14 +28,14 @@ class Views:
 
 
 @wp.func
-def ramp(full2: wp.float64, far2: wp.float64) -> wp.float64:
-    """Return the density at a squared distance."""
+def density_at_distance(full2: wp.float64, far2: wp.float64) -> wp.float64:
+    """Return the density at squared distance far2: 1 up to full2, then falling with the square of the distance."""
     return wp.where(far2 > full2, full2 / far2, wp.float64(1.0))
 
 
 @wp.func
 def distance2(view: LocalView, x: wp.float64, y: wp.float64, z: wp.float64) -> wp.float64:
-    """Return the squared distance of the offset (x, y, z) from the eye, 0 for parallel rays."""
+    """Return the squared distance of the offset (x, y, z) from the eye in camera space; 0 for parallel rays."""
     far2 = view.weight[0] * (x * x) + view.weight[1] * (y * y) + view.weight[2] * (z * z)
     return wp.where(view.kind == ORTHOGRAPHIC, wp.float64(0.0), far2)
 
@@ -51,13 +51,16 @@ def wanted_by(full2: wp.float64, view: LocalView, p: wp.vec3d, clear: wp.int32) 
         inside = max_inside(view, p, p)
     want = wp.float64(0.0)
     if inside >= wp.float64(0.0):
-        want = ramp(full2, distance2(view, p[0] - view.eye[0], p[1] - view.eye[1], p[2] - view.eye[2]))
+        want = density_at_distance(full2, distance2(view, p[0] - view.eye[0], p[1] - view.eye[1], p[2] - view.eye[2]))
     return want
 
 
 @wp.func
 def wanted_at(views: Views, p: wp.vec3d, clear: wp.int32) -> wp.float64:
-    """Return the largest density that any view wants at a point p, metres; 1 without views. clear: see `wanted_by`."""
+    """Return the largest density that a view wants at point p (metres); 1 without views.
+
+    clear: 1 if the frame surely contains p, see `wanted_by`.
+    """
     want = wp.where(views.count == 0, wp.float64(1.0), wp.float64(0.0))
     for v in range(views.count):
         want = larger(want, wanted_by(views.full2, views.views[v], p, clear))
@@ -80,8 +83,8 @@ def wanted_over(views: Views, low: wp.vec3d, high: wp.vec3d):
             seen = seen or not is_hidden(view.rings, views.slopes, a - views.reach, b + views.reach)
             near2 = distance2(view, larger(larger(a[0], -b[0]), zero), larger(larger(a[1], -b[1]), zero),
                               larger(larger(a[2], -b[2]), zero))  # fmt: skip
-            high_density = larger(high_density, ramp(views.full2, near2))
+            high_density = larger(high_density, density_at_distance(views.full2, near2))
             if stand == CLEAR and view.rings.count == 0:
                 far2 = distance2(view, larger(-a[0], b[0]), larger(-a[1], b[1]), larger(-a[2], b[2]))
-                low_density = larger(low_density, ramp(views.full2, far2))
+                low_density = larger(low_density, density_at_distance(views.full2, far2))
     return wp.where(seen, high_density, zero), low_density

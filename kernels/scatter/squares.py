@@ -30,7 +30,10 @@ class ScatterSquares:
 
 @wp.func
 def heights_over(domain: Domain, q: ScatterSquares, x0: wp.float64, y0: wp.float64, x1: wp.float64, y1: wp.float64):
-    """Return the lowest and highest metres, before scaling, over a part of the raster of at most a square's size."""
+    """Return the lowest and highest height in a rectangle of at most a square's size, metres before scaling.
+
+    x0 .. y1: metres.
+    """
     low = q.low
     high = q.high
     if q.ranges.columns > 0:
@@ -59,7 +62,10 @@ def density_range(
     numbers: wp.array(dtype=wp.vec2i),
     wanted: wp.array(dtype=wp.vec2d),
 ):
-    """Compute the bounds (high, low) of the density of views in each square (column, row); 0 outside of the raster."""
+    """Write the bounds (high, low) of the density that views want in square numbers[offset + tid].
+
+    They are 0 outside the raster. east, north: border of the raster, metres.
+    """
     t = offset + wp.tid()
     more = ROUNDING * (east - domain.west + north - domain.south)
     x0 = q.west + wp.float64(numbers[t][0]) * q.side

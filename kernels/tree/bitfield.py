@@ -69,19 +69,19 @@ class SameLeaves:
 
 @wp.func
 def cells_of_bit(level: wp.int32) -> wp.uint64:
-    """Return the number of cells that a bit of a word stands for."""
+    """Return the number of cells that one bit of a word of this level covers."""
     return ONE << wp.uint64(WORD_BITS * level)
 
 
 @wp.func
 def bit_of(cell: wp.uint64, level: wp.int32) -> wp.int32:
-    """Return the bit of a cell in its word of a level."""
+    """Return which bit (0 .. 63) of its word of a level covers a cell."""
     return wp.int32((cell >> wp.uint64(WORD_BITS * level)) & wp.uint64(63))
 
 
 @wp.func
 def bits_below(bit: wp.int32) -> wp.uint64:
-    """Return the mask of the bits before `bit`, 0 .. 64."""
+    """Return the mask with the bits below `bit` (0 .. 64) set."""
     mask = ALL_BITS
     if bit < 64:
         mask = (ONE << wp.uint64(bit)) - ONE
@@ -90,7 +90,7 @@ def bits_below(bit: wp.int32) -> wp.uint64:
 
 @wp.func
 def mark_changed(t: Bitfield, slot: wp.int32, level: wp.int32):
-    """Put a word on the list of those whose counter must be summed again; only once, whichever thread comes first."""
+    """List a word whose counter has to be summed again; only once, whichever thread comes first."""
     count = t.counts[slot]
     if count != CHANGED:
         if compare_exchange(t.counts, slot, count, CHANGED) == count:
@@ -99,7 +99,10 @@ def mark_changed(t: Bitfield, slot: wp.int32, level: wp.int32):
 
 @wp.func
 def page_below(t: Bitfield, slot: wp.int32) -> wp.int32:
-    """Return the page of the words below a word, a new one if it has none; 0 if the pool has none."""
+    """Return the page of the words below a word; allocate one if it has none.
+
+    It is 0 if the pool is full, which sets `state[IS_FULL]`.
+    """
     page = item_at(t.pages, slot)
     if page == 0:
         page = fetch_add(t.state, PAGES_USED, 1)
@@ -133,13 +136,16 @@ def select_bit(bits: wp.uint64, counts: wp.array(dtype=wp.int32), first: wp.int3
     "if (first) for (int k = 0; k < bit; ++k) sum += counts.data[first + k]; return sum;"
 )
 def count_before(bits: wp.uint64, counts: wp.array(dtype=wp.int32), first: wp.int32, bit: wp.int32) -> wp.int32:
-    """Return the number of leaves before a bit of a word. `first`: its page in `counts`, 0 if it has no words below."""
+    """Return the number of leaves in a word before `bit`.
+
+    bits: the word. first: its page in `counts`, 0 if it has no words below.
+    """
     ...
 
 
 @wp.func
 def leaf_of_bit(t: Bitfield, slot: wp.int32, level: wp.int32, bit: wp.int32, cell: wp.uint64, number: wp.int32):
-    """Return the leaf that begins at a bit of a word: it ends at the word's next set bit.
+    """Return the leaf that begins at a bit of a word; it ends at the word's next set bit.
 
     slot, level: of the word. cell: the leaf's first cell. number: of the leaf.
     """
@@ -153,7 +159,7 @@ def leaf_of_bit(t: Bitfield, slot: wp.int32, level: wp.int32, bit: wp.int32, cel
 
 @wp.func
 def decode_leaf(t: Bitfield, number: wp.int32) -> TreeLeaf:
-    """Return leaf `number`: descend into the bit whose counter holds it. O(depth)."""
+    """Return leaf `number`, counted along the curve. It descends by the counters, in O(depth)."""
     slot = wp.int32(ROOT)
     level = t.top
     cell = wp.uint64(0)
@@ -175,7 +181,7 @@ def decode_leaf(t: Bitfield, number: wp.int32) -> TreeLeaf:
 
 @wp.func
 def leaf_at(t: Bitfield, cell: wp.uint64) -> TreeLeaf:
-    """Return the leaf that covers a cell: descend into the last bit at the cell or before it. O(depth)."""
+    """Return the leaf that contains a cell. It descends to the last set bit at or before the cell, in O(depth)."""
     slot = wp.int32(ROOT)
     level = t.top
     number = wp.int32(0)
@@ -204,6 +210,6 @@ def heap_id_of(t: Bitfield, leaf: TreeLeaf) -> wp.uint64:
 
 @wp.func
 def is_leaf(t: Bitfield, heap_id: wp.uint64) -> wp.bool:
-    """Return whether a node is a leaf, neither split nor below one."""
+    """Return whether a node is a leaf: neither split nor below a leaf."""
     shift = wp.uint64(t.max_depth - highest_bit(heap_id))
     return heap_id_of(t, leaf_at(t, (heap_id << shift) - (ONE << wp.uint64(t.max_depth)))) == heap_id

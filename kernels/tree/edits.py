@@ -13,7 +13,7 @@ from .bitfield import ONE, REPEATS, ROOT, Bitfield, bit_of, cells_of_bit, mark_c
 
 @wp.func
 def second_half(t: Bitfield, heap_id: wp.uint64) -> wp.uint64:
-    """Return the first cell of a node's second child."""
+    """Return the first cell of a node's second child; its bit is set if the node is split."""
     shift = wp.uint64(t.max_depth - 1 - highest_bit(heap_id))
     return ((wp.uint64(2) * heap_id + ONE) << shift) - (ONE << wp.uint64(t.max_depth))
 
@@ -47,7 +47,7 @@ def split(t: Bitfield, heap_id: wp.uint64) -> wp.bool:
 
 @wp.func
 def merge(t: Bitfield, heap_id: wp.uint64):
-    """Merge the children of a node, which are leaves. Threads may merge one node at once."""
+    """Merge the children of a node, which must be leaves. Several threads may merge the same node."""
     cell = second_half(t, heap_id)
     slot = wp.int32(ROOT)
     level = t.top
@@ -61,11 +61,11 @@ def merge(t: Bitfield, heap_id: wp.uint64):
 
 @wp.kernel
 def split_leaves(offset: wp.int32, t: Bitfield, ids: wp.array(dtype=wp.uint64)):
-    """Split leaf ids[offset + tid]; threads split different leaves at once."""
+    """Split leaf ids[offset + tid]; all leaves of a launch are different."""
     split(t, ids[offset + wp.tid()])
 
 
 @wp.kernel
 def merge_leaves(offset: wp.int32, t: Bitfield, ids: wp.array(dtype=wp.uint64)):
-    """Merge the children of node ids[offset + tid], which are leaves."""
+    """Merge the children of node ids[offset + tid], which must be leaves."""
     merge(t, ids[offset + wp.tid()])

@@ -8,7 +8,7 @@ from .bitfield import Bitfield, decode_leaf, heap_id_of, leaf_at
 
 @wp.kernel
 def decode_leaves(offset: wp.int32, t: Bitfield, numbers: wp.array(dtype=wp.int32), ids: wp.array(dtype=wp.uint64)):
-    """Write the heap ids of leaves by their numbers."""
+    """Write the heap id of leaf numbers[offset + tid], counted along the curve."""
     k = offset + wp.tid()
     ids[k] = heap_id_of(t, decode_leaf(t, numbers[k]))
 
@@ -21,7 +21,7 @@ def find_leaves(
     numbers: wp.array(dtype=wp.int32),
     ids: wp.array(dtype=wp.uint64),
 ):
-    """Write the numbers and heap ids of the leaves at `cells`."""
+    """Write number and heap id of the leaf that contains cells[offset + tid]."""
     k = offset + wp.tid()
     leaf = leaf_at(t, cells[k])
     numbers[k] = leaf.number

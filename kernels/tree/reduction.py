@@ -24,7 +24,7 @@ def stored_words(words: wp.array(dtype=wp.uint64), first: wp.int32) -> wp.uint64
 
 @wp.func
 def sum_word(t: Bitfield, slot: wp.int32):
-    """Count the leaves of a word again; stop storing a word whose only bit is the first."""
+    """Count the leaves of a word again, from the words below; free a word of which only the first bit is set."""
     bits = t.words[slot]
     below = 64 * t.pages[slot]
     t.stored[slot] = stored_words(t.words, below)
@@ -36,7 +36,7 @@ def sum_word(t: Bitfield, slot: wp.int32):
 
 @wp.kernel
 def reduce_level(offset: wp.int32, t: Bitfield, level: wp.int32):
-    """Sum the changed words of one level; those of the levels below it have been summed."""
+    """Count the changed word `offset + tid` again if it is of this level; lower levels are done before."""
     entry = t.changed[offset + wp.tid()]
     if (entry >> LEVEL_SHIFT) == level:
         sum_word(t, entry & ((1 << LEVEL_SHIFT) - 1))
@@ -44,7 +44,7 @@ def reduce_level(offset: wp.int32, t: Bitfield, level: wp.int32):
 
 @wp.kernel
 def reduce_words(t: Bitfield):
-    """Sum all changed words, level by level: where there are few."""
+    """Count all changed words again, level by level, on one thread: for few words."""
     for level in range(t.top + 1):
         for k in range(t.state[NUM_CHANGED]):
             entry = t.changed[k]

@@ -42,7 +42,7 @@ class LeafRun:
 
 @wp.func
 def bits_of_node(run: LeafRun, k: wp.int64) -> wp.int32:
-    """Return log2 of the cells of a run's leaf."""
+    """Return log2 of the number of cells of leaf k of a run."""
     return run.levels - ((wp.int32(item_at(run.codes, run.first + k)) >> run.shift) & 63)
 
 
@@ -135,9 +135,10 @@ def close_word(
     entered: wp.uint64,
     leaves: wp.int64,
 ):
-    """Store a word that a run has passed, up to `cell`, with `bits`, and with words below those in `entered` alone.
+    """Store a word that a run has passed, with its bits; words below are kept only for the bits in `entered`.
 
-    A word that runs share is not overwritten: each run flips only its bits, and the word is summed afterwards.
+    cell: end of the word. leaves: number in it. A word that runs share is not overwritten: each run flips only its
+    bits, and the word is counted afterwards.
     """
     shift = wp.uint64(WORD_BITS * level)
     above = wp.uint64(WORD_BITS * (level + 1))

@@ -41,7 +41,7 @@ class TerrainError(Exception):
         return to_sentence(TerrainError(self.what, self.where, self.expected))
 
     def to_json(self) -> dict[str, str]:
-        """Return the fields that are not empty."""
+        """Return the fields that are not empty, by name; a child process reports its error with this."""
         return {name: value for name, value in zip(self.FIELDS, self.args, strict=True) if value}
 
 
@@ -83,26 +83,35 @@ def path_fault(subject: str, path: str | os.PathLike) -> TerrainError | None:
 
 
 def check_path(what: str, path: str | os.PathLike) -> None:
-    """Raise TerrainError for a path that no file can have. what: "The store"."""
+    """Raise TerrainError for a path that no file can have, as one with a null character.
+
+    what: subject of the error, as "The store".
+    """
     error = path_fault(f"{what} {shown(path)}", path)
     if error is not None:
         raise error
 
 
 def check_number(name: str, value: float, low: float, high: float, unit: str) -> None:
-    """Raise TerrainError unless `value` is a number from `low` to `high`. name: "The detail's wavelength"."""
+    """Raise TerrainError unless `value` is a number from `low` to `high`.
+
+    name: subject of the error, as "The detail's wavelength". unit: of the range, in the error's text only.
+    """
     if not (isinstance(value, int | float) and low <= value <= high):
         raise TerrainError(f"{name} is {value!r}", expected=f"{low:g} .. {high:g} {unit}")
 
 
 def check_seed(name: str, seed: int) -> None:
-    """Raise TerrainError unless `seed` is a whole number of 32 bits."""
+    """Raise TerrainError unless `seed` is a whole number of 0 to 2^32 - 1. name: subject of the error."""
     if not (isinstance(seed, int) and 0 <= seed < 2**32):
         raise TerrainError(f"{name} is {seed!r}", expected=f"a whole number, 0 .. {2**32 - 1}")
 
 
 def check_free_name(kind: str, name: str, known: Container[str]) -> None:
-    """Raise TerrainError unless `name` is a lower-case identifier that is not in `known`."""
+    """Raise TerrainError unless `name` is a lower-case identifier that is not in `known`.
+
+    Registries check the name of a new entry with it; kind: of the entry, as "effect", for the error.
+    """
     if not (name.isidentifier() and name == name.lower()):
         raise TerrainError(
             f"The name {name!r} of the {kind} is no identifier", expected="lower-case letters, digits, _"

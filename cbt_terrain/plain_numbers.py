@@ -27,7 +27,7 @@ def plain_number(value: Any, kind: Any, name: str) -> Any:
         name: subject of the error: "The criterion's max_depth".
     """
     if kind not in EXPECTED:
-        return _of_parts(value, kind, name)
+        return _plain_parts(value, kind, name)
     if getattr(value, "ndim", None) == 0 and hasattr(value, "item"):
         value = value.item()
     try:
@@ -43,8 +43,11 @@ def plain_number(value: Any, kind: Any, name: str) -> Any:
     raise TerrainError(f"{name} is {shown(repr(value))}", expected=EXPECTED[kind])
 
 
-def _of_parts(value: Any, kind: Any, name: str) -> Any:
-    """Return a value of a tuple or of an optional kind with Python's numbers."""
+def _plain_parts(value: Any, kind: Any, name: str) -> Any:
+    """Return a value with Python's numbers, where `kind` is a tuple of kinds (tuple[float, float]) or an optional kind.
+
+    Values of other kinds are returned as they are. name: of the value, in the TerrainError for a wrong number.
+    """
     kinds = get_args(kind)
     if get_origin(kind) is not tuple:
         kinds = tuple(k for k in kinds if k is not NoneType)
@@ -70,7 +73,11 @@ def vertical(scale: float, offset: float) -> tuple[float, float]:
 
 
 def vectors(values: ArrayLike, width: int, name: str) -> np.ndarray:
-    """Return float64 [n, width], contiguous. Raises TerrainError for another shape or infinite numbers."""
+    """Return the vectors as float64 [n, width], contiguous.
+
+    Raises TerrainError for another shape or infinite numbers. name: of the vectors in the error, as "origins of
+    rays".
+    """
     found = rows(values, width, name)
     finite = np.isfinite(found)
     if not finite.all():

@@ -24,7 +24,7 @@ from .plain_numbers import plain_number, rows, vertical
 from .refine.contract import Outcome, ReportedBounds, bounds_of
 from .refine.horizon import RAMP, horizon_of, place_rings
 from .refine.refinement import MAX_TRIANGLES, refine, replay
-from .refine.request import RefinementRequest, pack, refinable
+from .refine.request import RefinementRequest, pack, refinable_domain
 from .refine.saved_leaves import depths_in_squares
 from .refine.terms import MARGIN, Terms, position_rounding, rounding
 from .run import launch
@@ -102,6 +102,7 @@ class Terrain:
 
     @property
     def _last(self) -> _Result | None:
+        """Return the result of the last update, None before the first and after `discard`."""
         return cast("_Result | None", self.history.last.result)
 
     @property
@@ -132,7 +133,7 @@ class Terrain:
         views, placement = listed_views(views), np.eye(4) if placement is None else np.array(placement, np.float64)
         heights = vertical(vertical_scale, vertical_offset)
         key = (criterion, tuple(v.key() for v in views), placement.tobytes(), *heights)
-        return self._make(key, lambda ms: self._update(key, criterion, views, placement, *heights, ms))
+        return self._make_once(key, lambda ms: self._update(key, criterion, views, placement, *heights, ms))
 
     def saved(self) -> tuple[bytes, dict]:
         """Return the tree of the last update as bytes, and the other arguments with which `restore` rebuilds its mesh.
@@ -161,12 +162,13 @@ class Terrain:
         meshlet = plain_number(meshlet, int, "The meshlet level of the saved tree")
         heights = vertical(vertical_scale, vertical_offset)
         key = (tree, meshlet, *heights)
-        return self._make(key, lambda ms: self._restore(key, tree, meshlet, *heights, ms))
+        return self._make_once(key, lambda ms: self._restore(key, tree, meshlet, *heights, ms))
 
-    def _make(self, key: tuple, make: Callable[[dict[str, float]], Update]) -> Update:
+    def _make_once(self, key: tuple, make: Callable[[dict[str, float]], Update]) -> Update:
         """Return the update that `make` builds, or the last one if its key is the same.
 
-        `make` gets the dict of step times in ms.
+        make: gets the dict that step times are written to, by name in milliseconds. key: everything that the
+        result depends on.
         """
         with self.history.alone():
             if self.history.begin(key):
@@ -201,7 +203,7 @@ class Terrain:
         shape = (meshlet, depth, vertical_scale, vertical_offset, 1.0)
         with self.history.writing():
             leaves, error = replay(self.field, domain, depths, cell_bits, self.history)
-            changed = leaves.changed or self._is_other(shape)
+            changed = leaves.changed or self._has_other_shape(shape)
             try:
                 surface = self._build(SurfaceRequest(domain, meshlet, whole=self._whole), changed)
             except TornMesh:
@@ -221,8 +223,12 @@ class Terrain:
             self.history.commit(key, _Result(update, shape), keeps_vertices=not changed)
         return update
 
-    def _is_other(self, shape: tuple) -> bool:
-        """Return whether the last frame displaced its leaves with other arguments."""
+    def _has_other_shape(self, shape: tuple) -> bool:
+        """Return whether the last frame placed its points with arguments other than `shape`.
+
+        They cannot be reused then. shape: meshlet, interpolation, vertical scale, offset and end of the morph,
+        as in `_Result.shape`.
+        """
         last = self._last
         return last is None or last.shape != shape
 
@@ -259,6 +265,7 @@ class Terrain:
         return self._last
 
     def _need_tree(self) -> ConcurrentBinaryTree:
+        """Return the tree of the last update. Raises TerrainError before the first update."""
         self._need_result()
         return cast(ConcurrentBinaryTree, self.tree)
 
@@ -278,7 +285,7 @@ class Terrain:
         float64 [4, 4], terrain to world. ms: dict that collects the milliseconds of each step.
         """
         box = box_of(self.field, vertical_scale, vertical_offset)
-        _check(criterion, views, placement)
+        _check_update(criterion, views, placement)
         depth = self._max_depth(criterion)
         domain = self._placed_domain(criterion.meshlet, depth, vertical_scale, vertical_offset)
         morph_until = criterion.morph_until
@@ -298,7 +305,7 @@ class Terrain:
             place_rings(domain, local, criterion.hidden_factor, RAMP if morph_until > 1 else 0.0)
         packed = pack(criterion, local, spans, domain.source)
         with self.history.writing():
-            changed = self._is_other(shape) or morph_until > 1
+            changed = self._has_other_shape(shape) or morph_until > 1
             max_leaves, limited = _max_leaves(criterion), criterion.max_triangles is not None
             while True:
                 request = RefinementRequest(domain, packed, depth, max_leaves, limited, morph_until)
@@ -342,7 +349,7 @@ class Terrain:
         key = (meshlet, depth, vertical_scale, vertical_offset)
         if self._placed is None or self._placed[0] != key:
             rounded = rounding(self.field, depth + 2 * meshlet, vertical_scale, vertical_offset)
-            self._placed = key, refinable(self.field, meshlet, vertical_scale, vertical_offset, rounded)
+            self._placed = key, refinable_domain(self.field, meshlet, vertical_scale, vertical_offset, rounded)
         return self._placed[1]
 
     def _max_depth(self, criterion: Criterion) -> int:
@@ -354,13 +361,13 @@ class Terrain:
 
 
 def _max_leaves(criterion: Criterion) -> int:
-    """Return the largest number of leaves whose triangles are within the limit."""
+    """Return the largest number of leaves whose triangles, 4**meshlet each, are within the criterion's limit."""
     triangles = MAX_TRIANGLES if criterion.max_triangles is None else min(MAX_TRIANGLES, criterion.max_triangles)
     return triangles >> (2 * criterion.meshlet)
 
 
-def _check(criterion: Criterion, views: Sequence[View], placement: np.ndarray) -> None:
-    """Raise TerrainError for a criterion, views or a placement that an update cannot use."""
+def _check_update(criterion: Criterion, views: Sequence[View], placement: np.ndarray) -> None:
+    """Raise TerrainError for a criterion, views or a placement (4 x 4 world matrix) that an update cannot use."""
     if placement.shape != (4, 4) or not np.isfinite(placement).all():
         raise TerrainError(
             "The terrain's matrix has a value that is not finite",

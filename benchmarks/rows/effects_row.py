@@ -8,7 +8,7 @@ import numpy as np
 from ...cbt_terrain.attributes.attribute import AttributeRequest
 from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
 from ...cbt_terrain.attributes.plan import plan
-from ...cbt_terrain.attributes.pyramid import ground
+from ...cbt_terrain.attributes.pyramid import scaled_pyramid
 from ...cbt_terrain.attributes.splat import SPLATS
 from ...cbt_terrain.terrain import Terrain
 from ...cbt_terrain.view.view import View
@@ -30,7 +30,7 @@ def view_at(frame: int) -> View:
 def effects_flight_row() -> BenchmarkRow:
     """Measure attributes and twelve splat layers against the update of the same frames."""
     field = scenes.island_of(scenes.SAMPLES)
-    ground(field.raster, 1.0, 0.0, 1)  # computed once for a store
+    scaled_pyramid(field.raster, 1.0, 0.0, 1)  # computed once for a store
     criterion = scenes.errors(scenes.pixels_for(field, view_at(0), scenes.errors, MILLION))
     terrain = Terrain(field)
     wanted = plan(

@@ -66,7 +66,7 @@ def scree_row() -> BenchmarkRow:
 
     def sweep(name: str) -> float:
         left, scree = rock.copy(), np.zeros_like(rock)
-        slope = thermal.slope_of(ground, thermal.THERMAL.defaults(), base, left, scree)
+        slope = thermal.pack_slope(ground, thermal.THERMAL.defaults(), base, left, scree)
         with stopwatch() as elapsed:
             if name == "numpy":
                 plain_scree.sweep(slope, 0, base, left, scree)

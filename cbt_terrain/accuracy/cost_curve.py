@@ -38,7 +38,7 @@ class CostCurve:
         if self.unit not in UNITS:
             raise TerrainError(f"The cost curve's unit is {self.unit!r}", expected="px or m")
         for name in ("error", "triangles", "ms"):
-            object.__setattr__(self, name, _positive(name, getattr(self, name)))
+            object.__setattr__(self, name, _positive_numbers(name, getattr(self, name)))
         if not 2 <= len(self.error) == len(self.triangles) == len(self.ms):
             lengths = f"{len(self.error)} errors, {len(self.triangles)} triangle counts and {len(self.ms)} times"
             raise TerrainError(f"The cost curve has {lengths}", expected="the same number of each, two or more")
@@ -61,7 +61,7 @@ class CostCurve:
         errors = sorted(found, reverse=True)
         medians = [[statistics.median(pair[k] for pair in found[error]) for error in errors] for k in (0, 1)]
         names = "triangles", "ms"
-        triangles, ms = (tuple(_level(_positive(name, of))) for name, of in zip(names, medians, strict=True))
+        triangles, ms = (tuple(_level(_positive_numbers(name, of))) for name, of in zip(names, medians, strict=True))
         return cls(unit, tuple(errors), triangles, ms)
 
     def at(self, error: float) -> tuple[float, float]:
@@ -89,7 +89,7 @@ class CostCurve:
         return min(_rounded_up(math.exp(exponent)), coarsest) if exponent < math.log(coarsest) else coarsest
 
     def to_json(self) -> str:
-        """Return the curve as JSON."""
+        """Return the curve as JSON text, which is saved with the terrain's settings."""
         return json.dumps(asdict(self))
 
     @classmethod
@@ -119,8 +119,11 @@ class CostCurve:
         return math.log(costs[i + 1] / costs[i]) / math.log(self.error[i + 1] / self.error[i])
 
 
-def _positive(name: str, values: Sequence) -> tuple[float, ...]:
-    """Return the values as float64, each within SMALLEST and LARGEST."""
+def _positive_numbers(name: str, values: Sequence) -> tuple[float, ...]:
+    """Return the values as floats, each within SMALLEST and LARGEST.
+
+    Raises TerrainError for anything else. name: of the values in the error.
+    """
     try:
         numbers = tuple(float(v) for v in values if not isinstance(v, str | bool))
         good = len(numbers) == len(values) and all(SMALLEST <= n <= LARGEST for n in numbers)
@@ -140,13 +143,14 @@ def _level(values: Sequence[float]) -> list[float]:
     blocks: list[list[float]] = []
     for value in values:
         blocks.append([value])
-        while len(blocks) > 1 and _mean(blocks[-2]) > _mean(blocks[-1]):
+        while len(blocks) > 1 and _geometric_mean(blocks[-2]) > _geometric_mean(blocks[-1]):
             last = blocks.pop()
             blocks[-1] += last
-    return [_mean(block) for block in blocks for _ in block]
+    return [_geometric_mean(block) for block in blocks for _ in block]
 
 
-def _mean(values: list[float]) -> float:
+def _geometric_mean(values: list[float]) -> float:
+    """Return the geometric mean; a single value keeps its bits."""
     return values[0] if len(values) == 1 else statistics.geometric_mean(values)
 
 

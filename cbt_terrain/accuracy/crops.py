@@ -55,13 +55,13 @@ def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base:
     drawn = [_Drawn(surface, view, frame.placement) for surface in surfaces]
     width, height = (int(pixels) // SMALL for pixels in view.resolution)
     side = min(SIDE // SMALL, width, height)
-    apart = [picture.shaded(0, 0, width, height, 1 / SMALL, False) for picture in (drawn[0], drawn[-1])]
+    apart = [picture.shade(0, 0, width, height, 1 / SMALL, False) for picture in (drawn[0], drawn[-1])]
     x, y = _max_square(np.abs(apart[0] - apart[1]).sum(axis=2), side)
     place = SMALL * x, SMALL * y, SMALL * side, SMALL * side
     found = []
     for error, picture in zip(errors_px, drawn, strict=True):
         x, y, wide, high = (SAMPLES * pixels for pixels in place)
-        colours = picture.shaded(x, y, wide, high, SAMPLES, True).reshape(high // SAMPLES, SAMPLES, -1, SAMPLES, 3)
+        colours = picture.shade(x, y, wide, high, SAMPLES, True).reshape(high // SAMPLES, SAMPLES, -1, SAMPLES, 3)
         pixels = np.clip(colours.mean(axis=(1, 3)), 0, 1) ** (1 / 2.2)
         found.append(Crop(error, picture.triangles, np.round(255 * pixels[::-1]).astype(np.uint8)))
     return found
@@ -94,10 +94,11 @@ class _Drawn:
         self._corners = surface.triangles[ahead[surface.triangles].all(axis=1)]
         self.triangles = len(surface.triangles)
 
-    def shaded(self, x: int, y: int, width: int, height: int, scale: float, lines: bool) -> np.ndarray:
-        """Return the pixels of a picture that is `scale` times the frame.
+    def shade(self, x: int, y: int, width: int, height: int, scale: float, lines: bool) -> np.ndarray:
+        """Return the pixels of one part of the frame, drawn `scale` times larger: the shaded surface below a plain sky.
 
-        float64 [height, width, 3], linear, row 0 below.
+        x, y: lower left corner of the part in the scaled frame, pixels. lines: whether to draw the edges of
+        triangles. The result is float64 [height, width, 3], linear, row 0 below.
         """
         places = np.c_[self._pixels * scale - (x, y), self._nearness]
         ends = places[self._corners]

@@ -22,7 +22,7 @@ from ..run.buffers import shared
 from ..run.launch import checked_threads
 from ..view.linear import lengths
 from ..view.view import View, listed_views
-from .mesh import Errors, MeasuredMesh, MeshGround, Progress, errors_of, ignore
+from .mesh import Errors, MeasuredMesh, MeshGround, Progress, errors_of, ignore_progress
 from .outline import silhouette
 from .screen import Sight
 
@@ -65,7 +65,7 @@ def measure(
     seed: int = 0,
     threads: int | None = None,
     sight: Sight | None = None,
-    on_progress: Progress = ignore,
+    on_progress: Progress = ignore_progress,
 ) -> Measurement:
     """Measure a whole mesh of `field` against the reference surface, and as `view` sees both.
 
@@ -93,12 +93,12 @@ def measure(
     on_progress(0.3)
     screen = hidden = outline = None
     if sight is not None:
-        sight.pixel_points(_part(on_progress, 0.3, 0.4))
-        sight.states(_part(on_progress, 0.4, 0.7))
+        sight.pixel_points(_part_of_progress(on_progress, 0.3, 0.4))
+        sight.states(_part_of_progress(on_progress, 0.4, 0.7))
         there, _ = mesh.differences_at(sight.visible_points())
         screen, hidden = sight.errors(np.zeros_like(difference), difference, (np.zeros_like(there), there))
         on_progress(0.8)
-        outline = silhouette(sight, mesh, surface.positions, _part(on_progress, 0.8, 1.0))
+        outline = silhouette(sight, mesh, surface.positions, _part_of_progress(on_progress, 0.8, 1.0))
     on_progress(1.0)
     largest = max(float(worst.max()), vertical.max)
     return Measurement(vertical, largest, float(rounding.max()), facet_deg, shading_deg, screen, hidden, outline)
@@ -212,6 +212,6 @@ def _checked_sight(sight: Sight | None, looked: Sight) -> Sight:
     return sight or looked
 
 
-def _part(on_progress: Progress, start: float, end: float) -> Progress:
-    """Return the progress of a part as progress of the whole."""
+def _part_of_progress(on_progress: Progress, start: float, end: float) -> Progress:
+    """Return a progress function for one part of the work, whose 0 to 1 are `start` to `end` of the whole."""
     return lambda fraction: on_progress(start + (end - start) * fraction)

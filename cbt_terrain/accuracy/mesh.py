@@ -26,8 +26,8 @@ POINT_BITS = int(point_kernels.POINT_BITS)
 Progress = Callable[[float], None]
 
 
-def ignore(_fraction: float) -> None:
-    """Ignore progress."""
+def ignore_progress(_fraction: float) -> None:
+    """Do nothing; the default where progress is reported."""
 
 
 @dataclass(frozen=True)
@@ -59,12 +59,13 @@ def errors_of(values: np.ndarray) -> Errors:
     highest = np.sort(values[at:])
     last = -(-values.size * 999 // 1000) - 1 - at
     mean = float(np.sum(values, dtype=np.float64)) / values.size
-    squares = add_up(float(np.sum(np.square(part, dtype=np.float64))) for part in _blocks(values))
+    squares = add_up(float(np.sum(np.square(part, dtype=np.float64))) for part in _blocks_of(values))
     quantiles = float(highest[-1]), float(highest[0]), float(highest[last])
     return Errors(values.size, *quantiles, mean, float(np.sqrt(squares / values.size)))
 
 
-def _blocks(values: np.ndarray) -> Iterator[np.ndarray]:
+def _blocks_of(values: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield parts of a flat array of at most 2^20 values, so that temporary arrays stay small."""
     return (values[start : start + (1 << 20)] for start in range(0, values.size, 1 << 20))
 
 
@@ -83,16 +84,19 @@ class MeshGround:
         g.bits = self.bits
         g.bicubic = int(field.interpolation == "bicubic")
         g.curved, g.max_detail = int(g.bicubic or bool(field.parts)), highest(field.parts)
-        g.layers = displacement_layers.packed(field.detail, field.finest_edge, lattice)
+        g.layers = displacement_layers.pack_layers(field.detail, field.finest_edge, lattice)
         g.step_x, g.step_y = lattice.step_x, lattice.step_y
         g.west = -0.5 * (lattice.width - 1) * lattice.step_x
         g.south = -0.5 * (lattice.height - 1) * lattice.step_y
         g.scale, g.offset = self.scale, self.offset
-        g.samples = codes.packed(field.samples, field.steps)
+        g.samples = codes.pack_samples(field.samples, field.steps)
 
     @property
     def point_ends(self) -> tuple[int, int]:
-        """Coordinates of the domain's north-east corner in the units of points."""
+        """Coordinates of the domain's north-east corner, in the integer units of points.
+
+        A unit is 2^-(bits + POINT_BITS) of a sample's spacing.
+        """
         lattice = self.field.lattice
         return (lattice.width - 1) << self.bits + POINT_BITS, (lattice.height - 1) << self.bits + POINT_BITS
 

@@ -20,7 +20,7 @@ from ...kernels.accuracy import outline as kernels
 from ..run import launch
 from ..run.buffers import shared
 from ..view.linear import length
-from .mesh import Errors, MeasuredMesh, Progress, errors_of, ignore
+from .mesh import Errors, MeasuredMesh, Progress, errors_of, ignore_progress
 from .screen import Sight, pixel_blocks
 
 MARGIN = 16
@@ -53,7 +53,7 @@ class _Rays:
 
 
 def silhouette(
-    sight: Sight, mesh: MeasuredMesh, positions: np.ndarray, on_progress: Progress = ignore
+    sight: Sight, mesh: MeasuredMesh, positions: np.ndarray, on_progress: Progress = ignore_progress
 ) -> Errors | None:
     """Return errors of the reference's outline in the frame, pixels; None where it has none.
 
@@ -95,7 +95,11 @@ def _flips(cover: np.ndarray, sight: Sight, margin: int) -> list[np.ndarray]:
 
 
 def _crossings(flips: list[np.ndarray], covers: Callable[[np.ndarray], np.ndarray]) -> list[np.ndarray]:
-    """Return where between the two pixels of each pair coverage flips."""
+    """Return where between two neighbouring pixels the coverage flips, for pairs in rows and in columns.
+
+    Both are float64 [n, 2] in pixels. flips: the first pixel of each pair. covers: tells for positions in the frame
+    whether a ray there hits the surface; it is called HALVINGS times (bisection).
+    """
     found = []
     for places, step in zip(flips, np.eye(2), strict=True):
         first, along, size = covers(places), np.zeros((len(places), 1)), 0.5

@@ -24,12 +24,12 @@ import warp as wp
 from ...kernels.accuracy import rays as ray_kernels
 from ...kernels.accuracy import screen as screen_kernels
 from ..errors import TerrainError
-from ..field.blocks import halvings, over_cells, stacked
+from ..field.blocks import concatenate_levels, halvings, over_cells
 from ..run import launch
 from ..run.buffers import shared
 from ..view.linear import inverse, length, lengths, product
 from ..view.view import KINDS, ORTHOGRAPHIC, PANORAMIC, View
-from .mesh import POINT_BITS, Errors, MeshGround, Progress, errors_of, ignore
+from .mesh import POINT_BITS, Errors, MeshGround, Progress, errors_of, ignore_progress
 
 # Samples between two calls of on_progress, and pixels.
 BLOCK = 1 << 20
@@ -47,7 +47,10 @@ def pack_blocks(ground: MeshGround) -> ray_kernels.HeightBlocks:
         more = ground.packed.max_detail + around * 0.28125 * (high.astype(np.float64) - low)
         low = np.nextafter((low - more).astype(np.float32), np.float32(-np.inf))
         high = np.nextafter((high + more).astype(np.float32), np.float32(np.inf))
-    (lows, base, width), (highs, _, _) = stacked(halvings(low, np.minimum), 1), stacked(halvings(high, np.maximum), 1)
+    (lows, base, width), (highs, _, _) = (
+        concatenate_levels(halvings(low, np.minimum), 1),
+        concatenate_levels(halvings(high, np.maximum), 1),
+    )
     ends = sorted(float(h[-1]) * ground.scale + ground.offset for h in (lows, highs))
     b = ray_kernels.HeightBlocks()
     b.levels, b.low_z, b.high_z = len(base) - 1, *ends
@@ -130,7 +133,7 @@ class Sight:
 
     @cached_property
     def blocks(self) -> ray_kernels.HeightBlocks:
-        """The surface as rays read it."""
+        """The surface as rays read it: heights with maxima of blocks, by which rays skip empty space."""
         return pack_blocks(self.ground)
 
     def points_at(self, places: np.ndarray) -> np.ndarray:
@@ -143,7 +146,7 @@ class Sight:
         self._launch(screen_kernels.seen_points, len(x), [*inputs, shared(x, wp.int64), shared(y, wp.int64)], cost=50.0)
         return np.stack([x, y], axis=1)
 
-    def pixel_points(self, on_progress: Progress = ignore) -> np.ndarray:
+    def pixel_points(self, on_progress: Progress = ignore_progress) -> np.ndarray:
         """Return the point seen in the middle of each pixel.
 
         int64 [rows * columns, 2], row 0 below; x is -1 in the sky.
@@ -157,15 +160,15 @@ class Sight:
         return self._pixels
 
     def visible_points(self) -> np.ndarray:
-        """Return those of the pixels that see the surface, int64 [n, 2]."""
+        """Return the points of the surface behind the pixels that see it, int64 [n, 2] in units of `point_ends`."""
         points = self.pixel_points()
         return points[points[:, 0] >= 0]
 
     def covered(self) -> np.ndarray:
-        """Return whether each pixel sees the surface, bool [rows, columns]."""
+        """Return whether each pixel sees the surface and not the sky, bool [rows, columns]."""
         return (self.pixel_points()[:, 0] >= 0).reshape(self.rows, self.columns)
 
-    def states(self, on_progress: Progress = ignore) -> np.ndarray:
+    def states(self, on_progress: Progress = ignore_progress) -> np.ndarray:
         """Return whether each sample is outside the frame, visible or hidden, uint8 [height * width]."""
         if self._state is None:
             height, width = self.ground.field.samples.shape
@@ -193,7 +196,7 @@ class Sight:
             start, end = row * width, (row + rows) * width
             at = start + np.flatnonzero(states[start:end] != int(screen_kernels.OUTSIDE))
             points = np.stack([at % width, at // width], axis=1) << bits
-            pixels = self._apart(points, *(a.reshape(-1)[at].astype(np.float64) for a in (before, after)))
+            pixels = self._pixels_between(points, *(a.reshape(-1)[at].astype(np.float64) for a in (before, after)))
             visible.append(pixels[states[at] == int(screen_kernels.VISIBLE)])
             hidden.append(pixels[states[at] == int(screen_kernels.HIDDEN)])
         seen, samples = errors_of(self.point_errors(*there)), errors_of(np.concatenate(visible))
@@ -206,10 +209,14 @@ class Sight:
 
         The heights are float64 [n], metres above the reference.
         """
-        return self._apart(self.visible_points(), before, after)
+        return self._pixels_between(self.visible_points(), before, after)
 
-    def _apart(self, points: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """Return the same for any points in the frame, int64 [n, 2]."""
+    def _pixels_between(self, points: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """Return by how many pixels points move on screen if their heights change, float32 [n].
+
+        points: int64 [n, 2], in units of `MeshGround.point_ends`, anywhere in the frame. before, after:
+        heights, float64 [n] m.
+        """
         pixels = np.zeros(len(points), np.float32)
         inputs = [self.ground.packed, self.eye]
         inputs += [shared(np.ascontiguousarray(points[:, k]), wp.int64) for k in (0, 1)]
@@ -218,6 +225,7 @@ class Sight:
         return pixels
 
     def _launch(self, kernel: wp.Kernel, count: int, inputs: list, cost: float) -> None:
+        """Launch a kernel over `count` items on the ground's threads. cost: nanoseconds an item, over a base."""
         launch.spread(kernel, count, inputs, step="measure", threads=self.ground.threads, cost=cost)
 
 

@@ -25,7 +25,7 @@ from . import Errors, Measurement, Sight, look, measure, popping, shading_change
 from .cost_curve import CostCurve
 from .mesh import Progress
 from .sweep_settings import Setting
-from .timed_runs import FRAME_RUNS, RUNS, TimedFrame, fastest, median_by_step, timed_runs, to_finished_mesh
+from .timed_runs import FRAME_RUNS, RUNS, TimedFrame, fastest_run, median_by_step, ms_to_finished_mesh, timed_runs
 
 # Returns what is visible of a height field in a view of a frame.
 LookUp = Callable[[HeightField, View, TimedFrame], Sight]
@@ -83,7 +83,7 @@ class Row:
     @property
     def whole_ms(self) -> float:
         """From the camera to the finished mesh, in Blender's memory if that was measured."""
-        return to_finished_mesh(self.ms)
+        return ms_to_finished_mesh(self.ms)
 
     @property
     def cost_ms(self) -> float:
@@ -190,7 +190,14 @@ def is_unsteady(spread_ms: tuple[float, float] | None) -> bool:
 
 
 def unsteady_text(setting: str, spread_ms: tuple[float, float]) -> str:
-    """Return the sentence that says why there is no curve; `setting`: the one at which runs differ."""
+    """Return why no cost curve is drawn: the runs of `setting` differ too much.
+
+    The text follows a colon.
+
+    Args:
+        setting: error of the runs with its unit, as "0.5 px".
+        spread_ms: milliseconds of processor time of the fastest and of the slowest run.
+    """
     low, high = spread_ms
     return (
         f"at {setting} runs of the same update took {low:.3g} to {high:.3g} ms of CPU, more than a factor of "
@@ -199,6 +206,7 @@ def unsteady_text(setting: str, spread_ms: tuple[float, float]) -> str:
 
 
 def _spread_factor(spread_ms: tuple[float, float] | None) -> float:
+    """Return how many times longer the slowest run took than the fastest; infinity if that is unknown."""
     low, high = spread_ms or (1.0, 1.0)
     return high / low if low > 0.0 else math.inf
 
@@ -209,7 +217,7 @@ def curve_rows(rows: Sequence[Row]) -> list[Row]:
     Rows that the triangle limit held back are left out.
     """
     alike = [r for r in rows if all(getattr(r.setting, n) == getattr(rows[0].setting, n) for n in ALIKE)]
-    return [r for r in alike if r.setting.plain and r.limited != ("max_triangles",)]
+    return [r for r in alike if r.setting.is_plain and r.limited != ("max_triangles",)]
 
 
 def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
@@ -254,7 +262,7 @@ def _row(
         assert bound is not None  # the criterion has an error in this unit
         bounds.append((bound, update.terms_px if in_pixels else update.terms_m))
         limited.add(update.limited)
-        sizes.append((update.triangles, len(surface.positions), _bytes(surface)))
+        sizes.append((update.triangles, len(surface.positions), _surface_bytes(surface)))
         views: Sequence[View | None] = frame.views or [None]
         for view in views:
             measured.append(
@@ -277,7 +285,7 @@ def _row(
         del update, surface  # their memory is free for the runs
         count = RUNS if len(frames) == 1 else FRAME_RUNS
         found = timed_runs(terrain, criterion, frame, count, write, make_attributes if effects.steps else None)
-        runs.append(fastest(found))
+        runs.append(fastest_run(found))
         times = [run["cpu"] for run in found]
         spreads.append((min(times), max(times)))
         if frame.after is not None and before is not None:
@@ -351,7 +359,7 @@ def _fitted_row(
         tuple({fitted.limited} - {""}),
         fitted.triangles,
         len(surface.positions),
-        _bytes(surface) / 1e6,
+        _surface_bytes(surface) / 1e6,
         None,
         measured,
         fitted.terms_m,
@@ -367,9 +375,10 @@ def _transitions(
     threads: int | None,
     sight: LookUp,
 ) -> list[list[Errors]]:
-    """Return jumps and changes of shading from one frame to the next, for each view.
+    """Measure popping and changes of shading from one frame to the next, in pixels, for each view.
 
-    `before` is the surface of the first frame.
+    before: surface of the first frame; the terrain is updated to `frame`, the next one. sight: function that makes
+    the Sight of a view, cached by the caller.
     """
     after = terrain.update(criterion, frame.views, *frame.heights).surface
     found = []
@@ -380,7 +389,8 @@ def _transitions(
     return found
 
 
-def _bytes(surface: Surface) -> int:
+def _surface_bytes(surface: Surface) -> int:
+    """Return the bytes of all arrays of a surface."""
     return sum(array.nbytes for array in surface.arrays().values())
 
 

@@ -45,8 +45,11 @@ class Setting:
         keep_plain_numbers(self, "The setting's")
 
     @property
-    def plain(self) -> bool:
-        """Whether the criterion has nothing but an error, of whichever surface."""
+    def is_plain(self) -> bool:
+        """Whether the criterion is nothing but an error: no depth limit, meshlets, fitted heights or geomorph.
+
+        The cost curve goes through these settings.
+        """
         return self.max_depth is None and self.meshlet == 0 and not self.fitted and self.morph is None
 
     def criterion(self, base: Criterion) -> Criterion:

@@ -27,7 +27,10 @@ class TimeCorrection:
         return curve.error_for_ms(ms / self.factor)
 
     def record(self, curve: CostCurve, error: float, ms: float) -> None:
-        """Take into account that an update at an error took `ms` milliseconds."""
+        """Note that an update at an error took `ms` milliseconds, to correct the curve's times.
+
+        `factor` changes only after MIN_UPDATES of them, if their median is off by more than TOLERANCE.
+        """
         self._ratios.append(ms / curve.at(error)[1])
         median = statistics.median(self._ratios)
         if len(self._ratios) >= MIN_UPDATES and abs(median / self.factor - 1.0) > TOLERANCE:

@@ -48,7 +48,7 @@ class TimedFrame:
 
     @property
     def heights(self) -> tuple:
-        """Placement, vertical scale and vertical offset: arguments of `Terrain.update` after the views."""
+        """Placement, vertical scale and vertical offset: the arguments of `Terrain.update` that follow the views."""
         return self.placement, self.vertical_scale, self.vertical_offset
 
 
@@ -70,13 +70,13 @@ def timed_runs(
     """
     field, lattice, scale = terrain.field, terrain.field.lattice, frame.vertical_scale
     diagonal = length(((lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y))
-    step = MOVE * diagonal * _stretch(frame.placement)
+    step = MOVE * diagonal * _world_scale(frame.placement)
     nudge = NUDGE * max((field.max_height - field.min_height) * abs(scale), abs(frame.vertical_offset), 1.0)
     updates: list[dict[str, float]] = []
     side, update, surface = 1, None, None
     while len(updates) <= count * _updates_a_run(updates):
         side = -side
-        views = [_moved(view, side * step) for view in frame.views]
+        views = [_moved_right(view, side * step) for view in frame.views]
         update = surface = None  # the memory of the last run is free for this one
         start_cpu = cpu_ms()
         update = terrain.update(criterion, views, *frame.heights)
@@ -95,10 +95,11 @@ def timed_runs(
         updates[-1]["cpu"] = cpu_ms() - start_cpu
     each = _updates_a_run(updates)
     warm = updates[1:]  # the first found memory that was cold
-    return [_by_step(warm[first : first + each], statistics.fmean) for first in range(0, len(warm), each)]
+    return [_combine_steps(warm[first : first + each], statistics.fmean) for first in range(0, len(warm), each)]
 
 
 def _updates_a_run(updates: list[dict[str, float]]) -> int:
+    """Return how many updates make one timed run: several if one is too short for the clock. updates: step times."""
     return SHORT_UPDATES if updates and updates[0]["total"] < SHORT_MS else 1
 
 
@@ -108,33 +109,34 @@ def cpu_ms() -> float:
     return (time.process_time() if is_fine else time.perf_counter()) * 1e3
 
 
-def fastest(runs: list[dict[str, float]]) -> dict[str, float]:
-    """Return the run of the least processor time."""
+def fastest_run(runs: list[dict[str, float]]) -> dict[str, float]:
+    """Return the step times of the run with the least processor time, "cpu"."""
     return min(runs, key=lambda run: run["cpu"])
 
 
 def median_by_step(runs: list[dict[str, float]]) -> dict[str, float]:
     """Return the median of each step; a step that a run did not take took it no time."""
-    return _by_step(runs, statistics.median)
+    return _combine_steps(runs, statistics.median)
 
 
-def _by_step(runs: list[dict[str, float]], mean: Callable) -> dict[str, float]:
+def _combine_steps(runs: list[dict[str, float]], mean: Callable) -> dict[str, float]:
+    """Return one time for each step, combined over all runs by `mean` (of a list of ms); a missing step counts as 0."""
     steps = dict.fromkeys(step for run in runs for step in run)
     return {step: mean([run.get(step, 0.0) for run in runs]) for step in steps}
 
 
-def to_finished_mesh(ms: dict[str, float]) -> float:
-    """Return the milliseconds of all steps that come one after the other."""
+def ms_to_finished_mesh(ms: dict[str, float]) -> float:
+    """Return the milliseconds from the request to the finished mesh: update, effects and transfer into Blender."""
     return ms["total"] + ms.get("effects", 0.0) + ms.get("ingest", 0.0)
 
 
-def _moved(view: View, metres: float) -> View:
-    """Return the view from further to its right."""
+def _moved_right(view: View, metres: float) -> View:
+    """Return the view moved to its right by `metres` of the world, as a camera that flies."""
     matrix = view.world_to_camera.copy()
     matrix[0, 3] -= metres
     return dataclasses.replace(view, world_to_camera=matrix)
 
 
-def _stretch(placement: np.ndarray | None) -> float:
-    """Return the world metres of a metre of the terrain's plane."""
+def _world_scale(placement: np.ndarray | None) -> float:
+    """Return the world metres of a metre along the terrain's x axis; 1 without a placement."""
     return 1.0 if placement is None else length(np.asarray(placement)[:3, 0])

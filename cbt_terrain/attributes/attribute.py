@@ -56,7 +56,7 @@ class SamplePoints:
         return len(self.positions)
 
     def only(self, which: np.ndarray) -> "SamplePoints":
-        """Return the points with the indices `which`."""
+        """Return some of the points. which: indices or a mask."""
         return replace(self, positions=self.positions[which], level=self.level[which])
 
 
@@ -121,7 +121,10 @@ class AttributeDeclaration:
         return {parameter.name: parameter.default for parameter in self.parameters}
 
     def check(self, values: Mapping[str, ParameterValue]) -> None:
-        """Raise TerrainError for an unknown parameter or a value out of range."""
+        """Raise TerrainError for an unknown parameter, or a number out of its range.
+
+        Parameters that are no numbers are not checked here, but by the function that computes the attribute.
+        """
         known = {parameter.name: parameter for parameter in self.parameters}
         for name, value in values.items():
             if name not in known:

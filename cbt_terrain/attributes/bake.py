@@ -31,9 +31,9 @@ from .attribute import AttributeRequest, SamplePoints
 from .catalogue import ATTRIBUTES
 from .coding import PNG, Coding, coding_of
 from .evaluate import values_at
-from .folder import JSON_NAME, UDIM, VERSION, file_name, files_of, read_index
+from .folder import JSON_NAME, UDIM, VERSION, file_name, image_files, read_index
 from .plan import plan
-from .pyramid import packed
+from .pyramid import pack_pyramid
 from .scale import STEPS_PER_LEVEL
 from .tiling import Tiling, tiling_of
 
@@ -97,7 +97,7 @@ def bake(
             pass
         partial_files.remove_abandoned(folder)
         before = read_index(folder)
-        listed = files_of(before or {"maps": {}})
+        listed = image_files(before or {"maps": {}})
         missing = [image for image in images if _key_in(folder / image.file) != image.key]
         for image in missing:
             _check_replaceable(folder / image.file, listed)
@@ -108,7 +108,7 @@ def bake(
             with open_folder(folder, may_be_link=True) as target, open_folder(partial) as complete:
                 for file in [image.file for image in missing] + [JSON_NAME]:
                     target.replace(file, complete, file)
-        for file in listed - files_of(index):
+        for file in listed - image_files(index):
             if _key_in(folder / file) is not None:  # otherwise it is not a baked image
                 owned_files.remove_file(folder / file, may_be_link=True)
     except OSError as reason:
@@ -132,7 +132,10 @@ class _Place:
         return max(self.image_level(side), 0.0)
 
     def image_level(self, side: int) -> float:
-        """Return the level for decals, which may be finer than samples."""
+        """Return the level at which decals are sampled, for images of `side` texels.
+
+        It is log2 of the texel over the sample spacing, below 0 for texels finer than samples.
+        """
         lattice = self.field.lattice
         finer = max(self.tiling.texel(side)) / max(lattice.step_x, lattice.step_y)
         return round((math.log2(finer) - SHARPER) * STEPS_PER_LEVEL) / STEPS_PER_LEVEL
@@ -153,7 +156,7 @@ def _image(place: _Place, request: AttributeRequest, tile: int, side: int, form:
         coding,
     )
     key = hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
-    number = place.tiling.number(tile) if len(place.tiling) > 1 else None
+    number = place.tiling.udim_number(tile) if len(place.tiling) > 1 else None
     return _Image(tile, request, coding, side, file_name(request.name, coding.form, number), key)
 
 
@@ -171,7 +174,7 @@ def _key_in(file: Path) -> str | None:
     """Return the key in a complete image, None for anything else, such as a link."""
     if not owned_files.is_real_file(file):
         return None
-    comment = png.text_of(file) if file.suffix == ".png" else exr.text_of(file)
+    comment = png.comment_of(file) if file.suffix == ".png" else exr.comment_of(file)
     return comment if comment and KEY.fullmatch(comment) else None
 
 
@@ -194,35 +197,42 @@ def _bake_images(
             together = [image for image in images if image.tile == tile]
             side = together[0].side
             with ExitStack() as stack:
-                files = [_opened(folder, image, pool, stack) for image in together]
-                for first in range(0, side, _band(side)):
+                files = [_open_image(folder, image, pool, stack) for image in together]
+                for first in range(0, side, _band_rows(side)):
                     with lock:
-                        texels = _texel_places(place, tile, side, first, _band(side))
+                        texels = _texel_places(place, tile, side, first, _band_rows(side))
                         values = values_at(texels, [image.request for image in together])
                     for image, file in zip(together, files, strict=True):
-                        file.add(_coded(values[image.request.name], image))
-                    done += _band(side) * side
+                        file.add(_encode_band(values[image.request.name], image))
+                    done += _band_rows(side) * side
                     on_progress(done / total)
                 for file in files:
                     file.close()
 
 
-def _band(side: int) -> int:
-    """Return the rows of a band: whole blocks of an EXR file."""
+def _band_rows(side: int) -> int:
+    """Return how many rows of texels are computed at once: whole blocks of an EXR file. side: texels of a row."""
     return min(max(BAND_TEXELS // side, exr.BLOCK), side)
 
 
-def _opened(folder: Path, image: _Image, pool: Executor, stack: ExitStack) -> png.PngFile | exr.ExrFile:
-    """Return the open file of an image; leaving `stack` closes it and discards waiting blocks."""
+def _open_image(folder: Path, image: _Image, pool: Executor, stack: ExitStack) -> png.PngFile | exr.ExrFile:
+    """Open the file of an image in `folder` for writing.
+
+    The owner of `stack` completes it with `close`; leaving `stack` closes it and discards waiting blocks.
+    """
     writer = png.PngFile if image.coding.form == PNG else exr.ExrFile
     file = writer(folder / image.file, image.side, image.coding.channels, image.coding.depth, image.key, pool)
-    stack.callback(file.leave)
+    stack.callback(file.abandon)
     return file
 
 
 def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) -> SamplePoints:
-    """Return the ground under `rows` rows of texels from row `first`, for an image of `side` texels along a side."""
-    ground, grid, tiling = packed(place.field.raster, np.empty(1, np.float32)), kernels.Texels(), place.tiling
+    """Return the ground below some rows of texels, as points for attributes.
+
+    tile: number in the tiling. side: texels along a side of the image. first, rows: first row, from the north, and
+    number of rows.
+    """
+    ground, grid, tiling = pack_pyramid(place.field.raster, np.empty(1, np.float32)), kernels.Texels(), place.tiling
     ground.height_scale, ground.height_offset = place.vertical_scale, place.vertical_offset
     grid.columns = side
     grid.west, grid.north = tiling.first_texel(tile, side)
@@ -235,8 +245,12 @@ def _texel_places(place: _Place, tile: int, side: int, first: int, rows: int) ->
     return SamplePoints(place.field, positions, level, *scale, place.threads, place.image_level(side))
 
 
-def _coded(values: np.ndarray, image: _Image) -> np.ndarray:
-    """Encode a band for its file: rounded steps from `low`, or the numbers; channels without a value are 0."""
+def _encode_band(values: np.ndarray, image: _Image) -> np.ndarray:
+    """Encode attribute values of a band for the image's file.
+
+    Returns bytes of rows for PNG, float32 [rows, side, channels] for EXR. PNG has rounded steps between the
+    coding's `low` and `high`; channels without a value are 0.
+    """
     coding, kind = image.coding, "f4"
     if coding.form == PNG:
         limit, kind = (255, "u1") if coding.depth == 8 else (65535, ">u2")
@@ -274,12 +288,12 @@ def _index(place: _Place, images: list[_Image], before: dict | None) -> dict:
     is_same = before is not None and all(before.get(name) == value for name, value in index.items())
     maps = dict(before["maps"]) if before is not None and is_same else {}
     for name in sorted({image.request.name for image in images}):
-        maps[name] = _entry(place, [image for image in images if image.request.name == name])
+        maps[name] = _map_entry(place, [image for image in images if image.request.name == name])
     return index | {"maps": {name: maps[name] for name in sorted(maps)}}
 
 
-def _entry(place: _Place, images: list[_Image]) -> dict:
-    """Return the JSON entry of a map."""
+def _map_entry(place: _Place, images: list[_Image]) -> dict:
+    """Return the JSON entry of a map in maps.json: unit, file names, coding and tiles. images: one for each tile."""
     effect, coding, tiling = ATTRIBUTES[images[0].request.name], images[0].coding, place.tiling
     coded = {
         "channels": coding.channels,
@@ -297,7 +311,7 @@ def _entry(place: _Place, images: list[_Image]) -> dict:
         "coding": coded | {"numbers": effect.width},
         "tiles": [
             {
-                "tile": tiling.number(image.tile),
+                "tile": tiling.udim_number(image.tile),
                 "file": image.file,
                 "resolution": image.side,
                 "texel_m": max(tiling.texel(image.side)),

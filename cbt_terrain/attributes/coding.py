@@ -28,7 +28,7 @@ class Coding:
 
     @property
     def texel_bytes(self) -> int:
-        """Bytes of a texel in memory."""
+        """Bytes of a texel in a renderer's memory."""
         return SHALLOW_BYTES if self.depth == 8 else DEEP_BYTES
 
 

@@ -17,7 +17,11 @@ DEFAULT_COLORS = ((0.07, 0.11, 0.03), (0.24, 0.2, 0.16), (0.13, 0.12, 0.115), (0
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
+    """Compute the attribute color at points: colours of the splat layers times their weights, decals over it.
+
+    wanted: {"color": parameters: layers, colors (linear RGB of each layer), decals}. read: the attributes that the
+    layers' rules read. Returns {"color": float32 [n, 3], linear}.
+    """
     values = wanted["color"]
     layers, colors = values["layers"], values["colors"]
     if len(layers) != len(colors):

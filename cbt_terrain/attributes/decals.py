@@ -83,6 +83,7 @@ class Decal:
 
     @property
     def _area(self) -> float:
+        """Return the signed area of the image on the ground, m^2; below 0 if it is mirrored."""
         return self.along[0] * self.up[1] - self.along[1] * self.up[0]
 
     @property
@@ -121,7 +122,10 @@ class Decal:
 
 
 def _interpolate(image: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """Interpolate an image bilinearly between the centres of its pixels; clamped at its edges."""
+    """Interpolate an image bilinearly between the centres of its pixels; clamped at its edges.
+
+    image: float32 [rows, columns, channels]. column, row: float64 [n] in pixels. Returns float32 [n, channels].
+    """
     rows, columns, _ = image.shape
     column, row = np.clip(column, 0, columns - 1), np.clip(row, 0, rows - 1)
     west, south = column.astype(np.int64), row.astype(np.int64)

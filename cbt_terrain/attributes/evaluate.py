@@ -35,7 +35,7 @@ BAND = 1 << 18  # samples that are evaluated together
 
 
 def kernels_of(plan: AttributePlan) -> list[ModuleType]:
-    """Return the modules of kernels that an evaluation of a plan launches."""
+    """Return the modules of kernels that an evaluation of a plan launches, so that they can be compiled before."""
     return list(dict.fromkeys([*KERNELS, *kernels_of_steps(plan)])) if plan.steps else []
 
 
@@ -69,7 +69,7 @@ class EffectRequest:
     geometry_metres: float = 0.0
 
     def key(self, heights: HeightField) -> tuple:
-        """Return everything but the surface that the values depend on."""
+        """Return everything that the values depend on, except the surface."""
         where = b"" if self.placement is None else np.asarray(self.placement, np.float64).tobytes()
         views = tuple(view.key() for view in self.views)
         scale = float(self.vertical_scale), float(self.vertical_offset)
@@ -109,7 +109,7 @@ def evaluate(
         ran = {step.name: Ran(0.0, 0, 0) for step in request.plan.steps}
         if request.surface is not last.surface() or key != last.request:
             keys = _keys(request, heights)
-            found = _values(heights, request, values, keys, max_bytes, ran)
+            found = _evaluate_steps(heights, request, values, keys, max_bytes, ran)
             names = request.plan.attributes
             attributes = {name: Attribute(found[name], POINTS, ATTRIBUTES[name].unit) for name in names}
             values.source = ValueSource(weakref.ref(request.surface), key, keys, attributes)
@@ -117,7 +117,7 @@ def evaluate(
         return Evaluated(values.source.attributes, ran, values.nbytes)
 
 
-def _values(
+def _evaluate_steps(
     heights: HeightField,
     request: EffectRequest,
     values: EffectValues,
@@ -125,7 +125,11 @@ def _values(
     max_bytes: int,
     ran: dict[str, Ran],
 ) -> dict[str, np.ndarray]:
-    """Return the values of all steps by name, and record their costs in `ran`."""
+    """Return the values of all steps by name, and record their costs in `ran`.
+
+    heights: field that attributes read. keys: everything but the surface that each step's values depend on; values
+    of the last surface are reused if that is unchanged. max_bytes: limit of kept arrays.
+    """
     steps, last, scale = request.plan.steps, values.source, (request.vertical_scale, request.vertical_offset)
     positions = values.move_to(request.surface.positions)
     places, fresh = {}, {}
@@ -138,7 +142,7 @@ def _values(
         places[family] = SamplePoints(heights, positions, levels, float(scale[0]), float(scale[1]), values.threads)
         fresh[family] = values.fresh(levels, before)
     if not all(ATTRIBUTES[step.name].scaled for step in steps):
-        fresh[ANY_LEVEL] = values.new()
+        fresh[ANY_LEVEL] = values.new_points()
     nonzero = [step for step in steps if not ATTRIBUTES[step.name].is_nothing(step.parameters)]
     once = _held_once(nonzero, len(positions), max_bytes)
     values.forget(once)
@@ -150,7 +154,7 @@ def _values(
         found[step.name] = values.zeros(ATTRIBUTES[step.name].width)
     for group in _groups(nonzero, reused):
         start = time.perf_counter()
-        computed = _make(group, places[group[0].family], which[group[0].name], found, values, once)
+        computed = _make_group(group, places[group[0].family], which[group[0].name], found, values, once)
         ms = (time.perf_counter() - start) * 1e3 / len(group)
         ran |= {step.name: Ran(ms, found[step.name].nbytes, computed) for step in group}
     values.forget_others({*which, *places})
@@ -163,8 +167,8 @@ def values_at(places: SamplePoints, requests: Iterable[AttributeRequest]) -> dic
     values: dict[str, np.ndarray] = {}
     while steps:
         make = ATTRIBUTES[steps[0].name].make
-        now = [step for step in steps if ATTRIBUTES[step.name].make is make and _reads(step) <= {*values}]
-        values |= _computed(now, places, values)
+        now = [step for step in steps if ATTRIBUTES[step.name].make is make and _attributes_read(step) <= {*values}]
+        values |= _compute_group(now, places, values)
         steps = [step for step in steps if step not in now]
     return values
 
@@ -177,11 +181,10 @@ def on_samples(
     threads: int = 1,
     level: float = 0.0,
 ) -> Iterator[tuple[slice, dict[str, np.ndarray]]]:
-    """Yield slices of rows, row 0 south, and the values there by name.
+    """Yield attributes of a raster by bands of rows: a slice of rows (row 0 south), and the values there by name.
 
-    float32 [rows, columns] or [rows, columns, width].
-
-    level: of the pyramid, 0 is the raster's scale.
+    These are float32 [rows, columns] or [rows, columns, width]. level: of the height pyramid, 0 for the raster's
+    own scale. Masks and splat layers are computed with it.
     """
     lattice, requests = field.lattice, list(requests)
     west, south, _, _ = lattice.rectangle()
@@ -197,7 +200,8 @@ def on_samples(
         yield rows, {name: v.reshape(*z.shape, *v.shape[1:]) for name, v in values_at(places, requests).items()}
 
 
-def _reads(step: AttributeRequest) -> set[str]:
+def _attributes_read(step: AttributeRequest) -> set[str]:
+    """Return the names of the attributes that a step reads."""
     return set(ATTRIBUTES[step.name].reads_with(step.parameters))
 
 
@@ -249,10 +253,13 @@ def _groups(steps: Sequence[AttributeRequest], reused: set[str]) -> list[Group]:
     return [group for _, group in order]
 
 
-def _computed(
+def _compute_group(
     group: Sequence[AttributeRequest], places: SamplePoints, read: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
-    """Return the values of attributes of one function. Raises TerrainError if a value is not finite."""
+    """Return the values at points of attributes that one function computes, by name.
+
+    Raises TerrainError for a value that is not finite. read: attributes that they depend on, at the same points.
+    """
     wanted = {step.name: ATTRIBUTES[step.name].defaults() | dict(step.parameters) for step in group}
     found = ATTRIBUTES[group[0].name].make(places, wanted, read)
     for name, array in found.items():
@@ -261,7 +268,7 @@ def _computed(
     return found
 
 
-def _make(
+def _make_group(
     group: Group,
     places: SamplePoints,
     which: np.ndarray | None,
@@ -271,16 +278,17 @@ def _make(
 ) -> int:
     """Compute the group's values into `found` and return the number of computed elements.
 
-    which: points to compute, where `found` has the others; None for all. once: see `_held_once`.
+    which: points to compute, where `found` has the others from the last surface; None for all. once: names whose
+    last arrays are dropped, see `_held_once`.
     """
     read = {name: found[name] for step in group for name in ATTRIBUTES[step.name].reads_with(step.parameters)}
     if which is None:
-        for name, array in _computed(group, places, read).items():
+        for name, array in _compute_group(group, places, read).items():
             values.put(name, array, name in once)
             found[name] = array
         return len(places)
     if len(which):
         some = {name: array[which] for name, array in read.items()}
-        for name, array in _computed(group, places.only(which), some).items():
+        for name, array in _compute_group(group, places.only(which), some).items():
             found[name][which] = array
     return len(which)

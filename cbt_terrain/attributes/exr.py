@@ -55,7 +55,7 @@ class ExrFile:
             ("screenWindowWidth", "float", struct.pack("<f", 1.0)),
         )
         self._file, self._line = open(path, "wb"), 0
-        self._file.write(MAGIC + b"".join(_entry(*entry) for entry in entries) + b"\0")
+        self._file.write(MAGIC + b"".join(_header_entry(*entry) for entry in entries) + b"\0")
         self._table = self._file.tell()
         self._file.write(bytes(8 * -(-(lines or side) // BLOCK)))
 
@@ -66,23 +66,23 @@ class ExrFile:
         for first in range(0, len(lines), BLOCK):
             self._waiting.append(self._pool.submit(_compress, lines[first : first + BLOCK].tobytes()))
         while len(self._waiting) > 64:
-            self._put()
+            self._write_oldest()
 
     def close(self) -> None:
         """Write the waiting blocks and the table of their offsets, and close the file."""
         while self._waiting:
-            self._put()
+            self._write_oldest()
         self._file.seek(self._table)
         self._file.write(struct.pack(f"<{len(self._offsets)}Q", *self._offsets))
         self._file.close()
 
-    def leave(self) -> None:
-        """Close the file without completing it."""
+    def abandon(self) -> None:
+        """Close the file without completing it, after an error. Waiting blocks are not written."""
         for future in self._waiting:
             future.cancel()
         self._file.close()
 
-    def _put(self) -> None:
+    def _write_oldest(self) -> None:
         """Wait for the oldest compressed block and append it to the file."""
         data = self._waiting.pop(0).result()
         self._offsets.append(self._file.tell())
@@ -99,11 +99,12 @@ def _compress(data: bytes) -> bytes:
     return compressed if len(compressed) < len(data) else data
 
 
-def _entry(name: str, kind: str, value: bytes) -> bytes:
+def _header_entry(name: str, kind: str, value: bytes) -> bytes:
+    """Return an attribute of an OpenEXR header: its name, its type and its value as bytes."""
     return name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(value)) + value
 
 
-def text_of(path: Path) -> str | None:
+def comment_of(path: Path) -> str | None:
     """Return the comment of a complete file, None for a file that is incomplete, of another kind or without one.
 
     The offset of the last block is written last, so a file is complete if that block ends with the file.

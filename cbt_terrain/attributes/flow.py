@@ -16,7 +16,7 @@ from ..field.store import shapes_of_effects as shapes
 from ..run import launch
 from ..run.buffers import flat, shared
 from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
-from .pyramid import ground, level_of, level_with
+from .pyramid import level_of, level_with, scaled_pyramid
 from .routing import route
 from .whole import whole
 
@@ -39,7 +39,10 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
     steps = lattice.step_x * 2**level, lattice.step_y * 2**level
 
     def make() -> np.ndarray:
-        """Compute ln of the drainage area in m^2 of each sample of the level, float32 [rows, columns]."""
+        """Compute the attribute flow at points: ln of the drainage area in m^2, from one result for the whole raster.
+
+        wanted, read: unused, flow has no parameters and reads no attribute. Returns {"flow": float32 [n]}.
+        """
         heights = level_of(field.raster, level, threads) * np.float32(sign)
         holes = None if field.valid is None else field.valid[:: 2**level, :: 2**level] == 0
         if holes is not None:  # a level may end beyond the border
@@ -60,7 +63,7 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
     field, out = places.field, np.empty(len(places), np.float32)
-    areas = ground(
+    areas = scaled_pyramid(
         logarithms(field, places.vertical_scale, places.threads),
         vertical_scale=1.0,
         vertical_offset=0.0,

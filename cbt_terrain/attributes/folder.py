@@ -41,8 +41,8 @@ def read_index(folder: str | os.PathLike) -> dict | None:
     return content
 
 
-def files_of(index: dict) -> set[str]:
-    """Return the images of an index."""
+def image_files(index: dict) -> set[str]:
+    """Return the names of the images that an index (the content of maps.json) lists."""
     return {tile["file"] for entry in index["maps"].values() for tile in entry["tiles"]}
 
 
@@ -51,7 +51,7 @@ def _is_index(content: Any) -> bool:
     try:
         numbers = [content[name] for name in ("columns", "rows", "margin", "vertical_scale", "vertical_offset")]
         maps = content["maps"].values()
-        files = [entry["file"] for entry in maps] + list(files_of(content))
+        files = [entry["file"] for entry in maps] + list(image_files(content))
         return (
             content["version"] == VERSION
             and isinstance(content["height_field"], str)

@@ -16,7 +16,7 @@ from ..run import launch
 from ..run.buffers import flat, shared
 from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
 from .decals import DECALS, tilt
-from .pyramid import ground
+from .pyramid import scaled_pyramid
 
 KERNELS = (kernels, pyramid_kernels)
 
@@ -37,14 +37,18 @@ OUTPUTS = {
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
+    """Compute those of height, slope, aspect, curvatures and normals that `wanted` names, at points.
+
+    They come from the heights' first and second derivatives at the scale of each point. wanted: parameters by name;
+    only detail_normal has one, decals. read: unused, they read no attribute. Returns float32 [n] or [n, 3] by name.
+    """
     values, arrays = kernels.Values(), {}
     for name in wanted:
         field, dtype, shape, _ = OUTPUTS[name]
         arrays[name] = np.empty((len(places), *shape), np.float32)
         setattr(values, field, shared(arrays[name], dtype))
     values.wanted = sum(int(OUTPUTS[name][3]) for name in wanted)
-    heights = ground(places.field.raster, places.vertical_scale, places.vertical_offset, places.threads)
+    heights = scaled_pyramid(places.field.raster, places.vertical_scale, places.vertical_offset, places.threads)
     inputs = [heights, shared(places.positions, wp.vec3f), flat(places.level, wp.float32), values]
     launch.spread(kernels.from_jets, len(places), inputs, step="jets", threads=places.threads, cost=6)
     if "detail_normal" in arrays:

@@ -43,9 +43,11 @@ def displaced(
     vertical_offset: float,
     threads: int,
 ) -> HeightField:
-    """Return the surface with its displacement. Rules of layers read heights with this scale and offset.
+    """Return the field with a displacement below its samples, which the surface then includes.
 
-    Raises TerrainError if the raster is too large for masks.
+    ground: Detail, layers of it, or LayeredDetail whose layers are weighted by splat layers, computed here with
+    this vertical scale and offset; None for no displacement. Raises TerrainError if the raster is too large for
+    masks.
     """
     if not isinstance(ground, LayeredDetail):
         return with_detail(field, ground)
@@ -67,7 +69,10 @@ def displaced(
 def _masks(
     field: HeightField, layers: tuple[Layer, ...], numbers: tuple[int, ...], heights: tuple[float, float], threads: int
 ) -> list[LayerMask]:
-    """Return the masks of these layers, cached with the field."""
+    """Return the masks, a byte for each sample, of some splat layers, cached with the field.
+
+    numbers: indices of the layers. heights: vertical scale and offset.
+    """
     key = layers, numbers, heights
     with caching:
         cache = field.cache.results.setdefault((KIND,), OrderedDict())

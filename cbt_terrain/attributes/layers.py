@@ -13,7 +13,7 @@ from ..run import launch
 from ..run.buffers import flat, shared
 from ..run.locks import cached
 from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
-from .pyramid import ground
+from .pyramid import scaled_pyramid
 
 # Name, unit, and one line of meaning.
 KNOWN = (
@@ -30,12 +30,16 @@ NAMES = tuple(name for name, _, _ in KNOWN)
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
+    """Interpolate the named layers of the terrain at points; 0 for one that it lacks.
+
+    Layers are by-products of height operators, as the depth of water. wanted: parameters by name, which are empty.
+    read: unused. Returns float32 [n] by name.
+    """
     values = {}
     for name in wanted:
         values[name] = out = np.zeros(len(places), np.float32)
         if name in places.field.layers:
-            pyramid = ground(
+            pyramid = scaled_pyramid(
                 _as_raster(places.field, name), vertical_scale=1.0, vertical_offset=0.0, threads=places.threads
             )
             where = shared(places.positions, wp.vec3f), flat(places.level, wp.float32)
@@ -44,8 +48,8 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     return values
 
 
-def lacks(field: HeightField, name: str) -> str:
-    """Return why a layer is 0 everywhere on a terrain, or ""."""
+def why_missing(field: HeightField, name: str) -> str:
+    """Return why a layer is 0 everywhere on a terrain, "" if it is not or if `name` is no layer's attribute."""
     if name not in NAMES or name in field.layers:
         return ""
     return f"the terrain has no layer {name}: no effect of its stack leaves one"

@@ -76,18 +76,19 @@ def strips_of(sun: tuple[float, float, float, float]) -> dict[str, object] | Non
         across = (2 * k + 1) / STRIPS - 1.0
         # Near the zenith a disc covers every azimuth, but no ground hides it there.
         turned = azimuth + across * radius / max(math.cos(elevation), radius)
-        strips["azimuth"][k] = _single(math.cos(turned)), _single(math.sin(turned))
-        strips["half"][k] = _single(math.sqrt(1.0 - across * across))
-    elevation = _single(elevation)
+        strips["azimuth"][k] = _rounded_to_single(math.cos(turned)), _rounded_to_single(math.sin(turned))
+        strips["half"][k] = _rounded_to_single(math.sqrt(1.0 - across * across))
+    elevation = _rounded_to_single(elevation)
     low, high = (min(elevation + side * (radius + AROUND), HIGHEST) for side in (-1.0, 1.0))
     return {
         "elevation": elevation,
         "radius": radius,
-        "low": max(_single(math.tan(low)), 0.0),
-        "high": _single(math.tan(high)),
+        "low": max(_rounded_to_single(math.tan(low)), 0.0),
+        "high": _rounded_to_single(math.tan(high)),
         "strips": wp.array(strips, dtype=SunStrip, device=launch.DEVICE),
     }
 
 
-def _single(number: float) -> float:
+def _rounded_to_single(number: float) -> float:
+    """Return the number rounded to float32, which hides the last bits of the C library."""
     return float(np.float32(number))

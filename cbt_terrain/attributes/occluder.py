@@ -8,8 +8,8 @@ import numpy as np
 import warp as wp
 
 from ...kernels.effects import horizon as kernels
-from ..field.blocks import halvings, over_cells, stacked
-from ..field.codes import packed
+from ..field.blocks import concatenate_levels, halvings, over_cells
+from ..field.codes import pack_samples
 from ..field.heightfield import HeightField
 from ..run import launch
 from ..run.buffers import flat, shared
@@ -37,7 +37,7 @@ def occluder_of(places: SamplePoints) -> kernels.Occluder:
 def every_crossing(field: HeightField, scale: float) -> kernels.Occluder:
     """Return the ground for rays, without the tree of blocks by which others skip ground below a ray."""
     lattice, occluder = field.lattice, kernels.Occluder()
-    occluder.samples = packed(field.samples, field.steps)
+    occluder.samples = pack_samples(field.samples, field.steps)
     occluder.west, occluder.south, _, _ = lattice.rectangle()
     occluder.step_x, occluder.step_y = lattice.step_x, lattice.step_y
     occluder.scale = scale
@@ -55,11 +55,14 @@ def find_tops(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndar
     """
     side, rows = 1 << kernels.FINEST, range(0, field.lattice.height - 1, ROWS)
     finest = np.concatenate([over_cells(field.heights(slice(row, row + ROWS + 1)), side, reduce) for row in rows])
-    return stacked(halvings(finest, reduce), int(kernels.FINEST))
+    return concatenate_levels(halvings(finest, reduce), int(kernels.FINEST))
 
 
-def for_places(kernel: wp.Kernel, places: SamplePoints, inputs: list, out: np.ndarray, cost: float) -> None:
-    """Launch `kernel` for AT_ONCE points at a time with `inputs`, the points and their part of `out`, float32 [n]."""
+def launch_at_points(kernel: wp.Kernel, places: SamplePoints, inputs: list, out: np.ndarray, cost: float) -> None:
+    """Launch a kernel over points, AT_ONCE at a time, and let it fill `out`, float32 [n].
+
+    inputs: its arguments before the points and the result. cost: nanoseconds a point, over a base.
+    """
     for first in range(0, len(places), AT_ONCE):
         some = slice(first, first + AT_ONCE)
         where = np.ascontiguousarray(places.positions[some], np.float32)

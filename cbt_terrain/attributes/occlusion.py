@@ -16,7 +16,10 @@ ANY = -1e300
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
+    """Compute ambient occlusion at points: 1 for open ground, less where ground within a radius hides the sky.
+
+    wanted: {"ambient_occlusion": {"radius": metres}}. read: unused. Returns {"ambient_occlusion": float32 [n]}.
+    """
     radius = float(wanted["ambient_occlusion"]["radius"])
     return {"ambient_occlusion": seen_from(places, far=radius, lowest=ANY)}
 

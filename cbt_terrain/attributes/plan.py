@@ -27,9 +27,10 @@ class AttributePlan:
 
 
 def plan(requests: Iterable[AttributeRequest]) -> AttributePlan:
-    """Return the plan of requests; names outside the catalogue are attributes of others and ignored.
+    """Return the plan that computes the requested attributes, with those that they read, in order.
 
-    Raises TerrainError for an unknown parameter or an invalid value.
+    Names outside the catalogue belong to others and are ignored. Raises TerrainError for an unknown parameter or an
+    invalid value.
     """
     found: dict[str, AttributeRequest] = {}
     for request in requests:

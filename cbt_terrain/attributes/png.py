@@ -38,9 +38,9 @@ class PngFile:
         self._adler, self._length = 1, lines * (1 + side * channels * depth // 8)
         self._file = open(path, "wb")
         self._file.write(SIGNATURE)
-        self._chunk(b"IHDR", struct.pack(">IIBBBBB", side, lines, depth, COLOUR[channels], 0, 0, 0))
-        self._chunk(b"tEXt", KEYWORD + b"\0" + text.encode("latin-1"))
-        self._chunk(b"IDAT", b"\x78\x01")  # the head of a zlib stream
+        self._write_chunk(b"IHDR", struct.pack(">IIBBBBB", side, lines, depth, COLOUR[channels], 0, 0, 0))
+        self._write_chunk(b"tEXt", KEYWORD + b"\0" + text.encode("latin-1"))
+        self._write_chunk(b"IDAT", b"\x78\x01")  # the head of a zlib stream
 
     def add(self, rows: np.ndarray) -> None:
         """Write the next rows, uint8 [rows, bytes of a row], 16-bit numbers with the higher byte first."""
@@ -49,42 +49,48 @@ class PngFile:
         filtered[0, 1:] = rows[0]
         np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
         self._length -= filtered.size
-        self._waiting.append(self._pool.submit(_compress, filtered, self._length == 0))
+        self._waiting.append(self._pool.submit(_compress_block, filtered, self._length == 0))
         while len(self._waiting) > 4:
-            self._put()
+            self._write_oldest()
 
     def close(self) -> None:
         """Write the waiting blocks, the checksum and the end, and close the file."""
         while self._waiting:
-            self._put()
-        self._chunk(b"IDAT", struct.pack(">I", self._adler))
+            self._write_oldest()
+        self._write_chunk(b"IDAT", struct.pack(">I", self._adler))
         self._file.write(END)
         self._file.close()
 
-    def leave(self) -> None:
-        """Close the file without completing it."""
+    def abandon(self) -> None:
+        """Close the file without completing it, after an error. Waiting blocks are not written."""
         for future in self._waiting:
             future.cancel()
         self._file.close()
 
-    def _put(self) -> None:
+    def _write_oldest(self) -> None:
+        """Wait for the oldest compressed block, add it to the checksum and append it to the file."""
         data, raw = self._waiting.pop(0).result()
         self._adler = zlib.adler32(raw, self._adler)
-        self._chunk(b"IDAT", data)
+        self._write_chunk(b"IDAT", data)
 
-    def _chunk(self, kind: bytes, data: bytes) -> None:
+    def _write_chunk(self, kind: bytes, data: bytes) -> None:
+        """Write a chunk: length, kind, data and checksum."""
         self._file.write(struct.pack(">I", len(data)) + kind)
         self._file.write(data)
         self._file.write(struct.pack(">I", zlib.crc32(data, zlib.crc32(kind))))
 
 
-def _compress(rows: np.ndarray, last: bool) -> tuple[bytes, np.ndarray]:
+def _compress_block(rows: np.ndarray, last: bool) -> tuple[bytes, np.ndarray]:
+    """Compress a block of rows as a part of one deflate stream; last: whether it ends the stream.
+
+    Returns the bytes and the rows, for the checksum.
+    """
     compressor = zlib.compressobj(LEVEL, zlib.DEFLATED, -15)
     data = compressor.compress(rows.data)
     return data + compressor.flush(zlib.Z_FINISH if last else zlib.Z_SYNC_FLUSH), rows
 
 
-def text_of(path: Path) -> str | None:
+def comment_of(path: Path) -> str | None:
     """Return the comment of a complete file, None for a file that is incomplete, of another kind or without one."""
     try:
         with open_regular(path, links=True) as file:

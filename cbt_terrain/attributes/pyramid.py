@@ -24,21 +24,26 @@ def level_with(lattice: Lattice, max_samples: int, finest: int = 0) -> int:
     return next((level for level, size in enumerate(sizes) if level >= finest and size <= max_samples), len(sizes) - 1)
 
 
-def ground(raster: HeightRaster, vertical_scale: float, vertical_offset: float, threads: int) -> kernels.Pyramid:
-    """Return the pyramid for kernels, with heights `height * vertical_scale + vertical_offset`."""
+def scaled_pyramid(
+    raster: HeightRaster, vertical_scale: float, vertical_offset: float, threads: int
+) -> kernels.Pyramid:
+    """Return the raster's pyramid for kernels, with heights `height * vertical_scale + vertical_offset`.
+
+    Coarser levels are computed on first use and cached with the raster.
+    """
     with caching:
         if not raster.cache.pyramid:
             raster.cache.pyramid.append(_coarser_levels(raster, threads))  # complete ones only
-    found = packed(raster, raster.cache.pyramid[0])
+    found = pack_pyramid(raster, raster.cache.pyramid[0])
     found.height_scale, found.height_offset = vertical_scale, vertical_offset
     return found
 
 
 def _coarser_levels(raster: HeightRaster, threads: int) -> np.ndarray:
-    """Compute the coarser levels, float32, concatenated."""
+    """Compute the levels above the samples, float32, concatenated, the finest first. Each halves the one below."""
     count = sum(int(rows * columns) for rows, columns in shapes(raster.lattice)[1:])
     coarser = np.empty(max(count, 1), np.float32)
-    below = packed(raster, coarser)
+    below = pack_pyramid(raster, coarser)
     for level in range(1, below.levels):
         rows, columns = shapes(raster.lattice)[level]
         inputs = [below, level, below.coarser]
@@ -51,18 +56,21 @@ def level_of(raster: HeightRaster, level: int, threads: int = 1) -> np.ndarray:
     if level == 0:
         return raster.heights()
     vertical_scale, vertical_offset = 1.0, 0.0  # heights as they are
-    packed_levels = ground(raster, vertical_scale, vertical_offset, threads)  # fills the cache
+    packed_levels = scaled_pyramid(raster, vertical_scale, vertical_offset, threads)  # fills the cache
     first = int(packed_levels.first.numpy()[level])
     rows, columns = shapes(raster.lattice)[level]
     return raster.cache.pyramid[0][first : first + rows * columns].reshape(rows, columns)
 
 
-def packed(raster: HeightRaster, coarser: np.ndarray) -> kernels.Pyramid:
-    """Return the heights and the coarser levels (float32 [n], the finest first) for kernels."""
+def pack_pyramid(raster: HeightRaster, coarser: np.ndarray) -> kernels.Pyramid:
+    """Return the samples and the coarser levels as kernels read them, without a scale.
+
+    coarser: float32 [n], the levels concatenated, the finest first. Memory is shared.
+    """
     lattice = raster.lattice
     sizes = np.array(shapes(lattice))
     found = kernels.Pyramid()
-    found.samples = codes.packed(raster.samples, raster.steps)
+    found.samples = codes.pack_samples(raster.samples, raster.steps)
     found.coarser = flat(coarser, wp.float32)
     first = np.concatenate([[0, 0], np.cumsum(sizes[1:].prod(axis=1))[:-1]])[: len(sizes)]
     found.first = wp.array(first, dtype=wp.int64, device=launch.DEVICE)

@@ -40,7 +40,7 @@ class Drainage:
     catchments: np.ndarray
 
     def packed(self, filled: np.ndarray) -> kernels.DrainageArrays:
-        """Return the arrays for kernels, which share the memory. filled: float32 [n]."""
+        """Return the arrays as kernels read them; the memory is shared. filled: surface of lakes, float32 [n] m."""
         d = kernels.DrainageArrays()
         d.grid, d.to, d.order = self.grid, flat(self.to, wp.uint8), flat(self.order, wp.int32)
         d.h, d.filled = flat(self.heights, wp.float32), flat(filled, wp.float32)

@@ -16,7 +16,7 @@ from ..field.heightfield import HeightField
 from ..field.store import shapes_of_effects as shapes
 from ..run import launch
 from ..run.buffers import flat, shared
-from ..view.linear import add_up, length, product, settled
+from ..view.linear import add_up, length, product, round_last_bits
 from ..view.view import ORTHOGRAPHIC, View
 
 STEPS_PER_LEVEL = 8
@@ -30,7 +30,7 @@ def fixed_level(field: HeightField, metres: float = 0.0) -> float:
     if not 0.0 <= metres < math.inf:
         problem = f"The scale of effects for geometry is {metres} m"
         raise TerrainError(problem, expected="a distance, or 0 for the raster's")
-    steps = settled(math.log2(max(metres / _step(field), 1.0))) * STEPS_PER_LEVEL
+    steps = round_last_bits(math.log2(max(metres / _spacing(field), 1.0))) * STEPS_PER_LEVEL
     return min(math.floor(steps + 0.5) / STEPS_PER_LEVEL, _max_level(field))
 
 
@@ -74,7 +74,7 @@ def _footprint_eye(field: HeightField, view: View, placement: np.ndarray) -> ker
     eye.linear, eye.shift = wp.mat33d(to_camera[:3, :3]), wp.vec3d(to_camera[:3, 3])
     if view.kind == ORTHOGRAPHIC:  # all points are at unit distance
         eye.linear, eye.shift = wp.mat33d(), wp.vec3d(1.0, 0.0, 0.0)
-    samples_per_pixel = 1.0 / (view.pixels_per_unit * _min_stretch(to_camera[:3, :2]) * _step(field))
+    samples_per_pixel = 1.0 / (view.pixels_per_unit * _min_stretch(to_camera[:3, :2]) * _spacing(field))
     eye.pixel2 = samples_per_pixel * samples_per_pixel
     return eye
 
@@ -87,11 +87,11 @@ def _min_stretch(across: np.ndarray) -> float:
     return math.sqrt(max(a * a * b * b - dot * dot, 0.0) / largest2)
 
 
-def _step(field: HeightField) -> float:
+def _spacing(field: HeightField) -> float:
     """Return the larger spacing of samples in metres."""
     return max(field.lattice.step_x, field.lattice.step_y)
 
 
 def _max_level(field: HeightField) -> int:
-    """Return the coarsest level."""
+    """Return the number of the coarsest level of the field's height pyramid."""
     return len(shapes(field.lattice)) - 1

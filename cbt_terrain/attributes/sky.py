@@ -19,7 +19,7 @@ from ...kernels.effects.sweep import layer_at_points, sky_between
 from ..run import launch
 from .attribute import AttributeDeclaration, Evaluate, Parameter, SamplePoints, Wanted
 from .light import AZIMUTHS, azimuths
-from .occluder import every_crossing, for_places, occluder_of
+from .occluder import every_crossing, launch_at_points, occluder_of
 from .sky_layer import PREVIEW_AZIMUTHS, preview_horizons, sky_layer
 
 # Beyond the raster there is ground, so that the sky begins at the horizontal.
@@ -37,19 +37,23 @@ def seen_from(places: SamplePoints, far: float = WITHOUT_END, lowest: float = HO
     out = np.zeros(len(places), np.float32)
     directions = wp.array(azimuths(), dtype=wp.vec2d, device=launch.DEVICE)
     inputs = [occluder_of(places), wp.float64(far), wp.float64(lowest), directions, 0, AZIMUTHS]
-    for_places(sky_seen, places, inputs, out, cost=2000.0)
+    launch_at_points(sky_seen, places, inputs, out, cost=2000.0)
     return out
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
+    """Compute the visible fraction of the sky at points, 0 to 1, from sweeps over the whole raster.
+
+    wanted: {"sky": {"quality": PREVIEW or final}}; a preview uses fewer azimuths. read: unused. Returns {"sky":
+    float32 [n]}.
+    """
     field, scale, out = places.field, places.vertical_scale, np.empty(len(places), np.float32)
     if wanted["sky"]["quality"] == PREVIEW:
         directions = wp.array(azimuths()[:PREVIEW_AZIMUTHS], dtype=wp.vec2d, device=launch.DEVICE)
         inputs = [every_crossing(field, scale), preview_horizons(field, scale, places.threads), directions]
-        for_places(sky_between, places, inputs, out, cost=25.0)
+        launch_at_points(sky_between, places, inputs, out, cost=25.0)
     else:
-        for_places(layer_at_points, places, [sky_layer(field, scale, places.threads)], out, cost=2.0)
+        launch_at_points(layer_at_points, places, [sky_layer(field, scale, places.threads)], out, cost=2.0)
     return {"sky": out}
 
 

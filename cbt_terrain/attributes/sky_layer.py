@@ -23,7 +23,7 @@ from ..run.locks import caching
 from ..run.owned_files import NotOursError
 from .light import AZIMUTHS, azimuths
 from .pyramid import level_of, level_with
-from .whole import file_of, read_stored
+from .whole import read_stored, result_file
 
 # Bounds memory and the time of a step.
 MAX_SAMPLES = 1 << 25
@@ -47,27 +47,31 @@ def is_known(field: HeightField, scale: float) -> bool:
         looked = field.cache.results.setdefault((LOOKED,), set())
         if (LAYER, scale) not in field.cache.results and scale not in looked:
             looked.add(scale)
-            _load(field, scale)
+            _load_from_store(field, scale)
         return field.cache.results.get((LAYER, scale), {}).get("azimuths") == AZIMUTHS
 
 
 def sky_layer(field: HeightField, scale: float, threads: int) -> kernels.SkyLayer:
     """Return the sky of every sample at a vertical scale; compute it if it is not cached."""
-    state = _advanced(field, scale, threads)
+    state = _add_azimuth(field, scale, threads)
     while state["azimuths"] < AZIMUTHS:
-        state = _advanced(field, scale, threads)
+        state = _add_azimuth(field, scale, threads)
     return _layer(field, state["sky"], layer_level(field))
 
 
 def advance(field: HeightField, scale: float, threads: int) -> bool:
     """Add one azimuth to the layer if one is missing; return whether it is complete."""
-    return _advanced(field, scale, threads)["azimuths"] == AZIMUTHS
+    return _add_azimuth(field, scale, threads)["azimuths"] == AZIMUTHS
 
 
-def _advanced(field: HeightField, scale: float, threads: int) -> dict:
-    """Add one azimuth and return the state: `sky`, float32 [rows, columns], and the number of `azimuths`."""
+def _add_azimuth(field: HeightField, scale: float, threads: int) -> dict:
+    """Add one azimuth to the sky over the raster and return the state.
+
+    The state has `azimuths`, the number of those that were added, and `sky`, float32 [rows, columns], their sum so
+    far. Further calls complete it, so that a caller can show progress and stop between them.
+    """
     with caching:
-        state = _state(field, scale)
+        state = _layer_state(field, scale)
         if state["azimuths"] < AZIMUTHS:
             level = layer_level(field)
             steps = field.lattice.step_x * 2**level, field.lattice.step_y * 2**level
@@ -89,28 +93,28 @@ def _advanced(field: HeightField, scale: float, threads: int) -> dict:
         return state
 
 
-def _state(field: HeightField, scale: float) -> dict:
-    """Return the state of the layer from memory or from the store."""
+def _layer_state(field: HeightField, scale: float) -> dict:
+    """Return the state of the sky (see `_add_azimuth`) from memory or from the store; new if it is in neither."""
     if (LAYER, scale) not in field.cache.results:
-        _load(field, scale)
+        _load_from_store(field, scale)
     state = _cache_entry(field, LAYER, scale)
     if "sky" not in state:
         state["azimuths"] = 0
     return state
 
 
-def _load(field: HeightField, scale: float) -> None:
-    """Load the layer from the store if it is there."""
+def _load_from_store(field: HeightField, scale: float) -> None:
+    """Load the complete sky into the cache if the field's store has it. scale: vertical scale."""
     shape = shapes(field.lattice)[layer_level(field)]
-    sky = read_stored(field, file_of(LAYER, VERSION, (scale,)), shape)
+    sky = read_stored(field, result_file(LAYER, VERSION, (scale,)), shape)
     if sky is not None:
         _cache_entry(field, LAYER, scale).update(azimuths=AZIMUTHS, sky=sky)
 
 
 def _save(field: HeightField, scale: float, sky: np.ndarray) -> None:
     """Write the layer of a vertical scale into the store, and remove the oldest so that MAX_SCALES remain."""
-    file = file_of(LAYER, VERSION, (scale,))
-    store.keep(field, file, sky)
+    file = result_file(LAYER, VERSION, (scale,))
+    store.cache_derived(field, file, sky)
     folder = store.data_folder(field)
     if folder is None or not owned_files.is_real_folder(field.path):
         return  # never removes files through a link
@@ -121,7 +125,10 @@ def _save(field: HeightField, scale: float, sky: np.ndarray) -> None:
 
 
 def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.SkyLayer:
-    """Return the horizons of a coarser raster in the first PREVIEW_AZIMUTHS azimuths, concatenated."""
+    """Return the horizons of a coarser raster in the first PREVIEW_AZIMUTHS azimuths, for a fast preview.
+
+    They are slopes, float32 [azimuths, rows, columns], packed for kernels and cached with the field.
+    """
     level = level_with(field.lattice, PREVIEW_SAMPLES, PREVIEW_LEVEL)
     with caching:
         state = _cache_entry(field, PREVIEW, scale)

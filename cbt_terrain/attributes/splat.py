@@ -16,7 +16,7 @@ from ..run import launch
 from ..run.buffers import flat, shared
 from . import splat_rules
 from .attribute import AttributeDeclaration, Evaluate, ParameterValue, SamplePoints, Wanted
-from .splat_rules import LAYERS, READ_FROM, Layer, Rule, check, reads
+from .splat_rules import LAYERS, READ_FROM, Layer, Rule, attributes_of_rules, check_layers
 
 NAMES = ("splat_1", "splat_2", "splat_3")
 KIND_OF = {
@@ -31,7 +31,11 @@ MIN_EDGE = 1e-30
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
+    """Compute splat weights at points: the cover of each of up to twelve layers, 0 to 1, four for each attribute.
+
+    wanted: the parameter `layers` for each of splat_1, splat_2, splat_3. read: the attributes that the layers'
+    rules read. Returns float32 [n, 4] by name.
+    """
     weights: dict[str, np.ndarray] = {}
     for layers in dict.fromkeys(values["layers"] for values in wanted.values()):
         names = [name for name in wanted if wanted[name]["layers"] == layers]
@@ -42,14 +46,17 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
 def _weights(
     places: SamplePoints, layers: tuple[Layer, ...], names: list[str], read: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
-    """Return the weights of the layers, float32 [n, 4] for each of `names`."""
+    """Return the weights of the layers at points, float32 [n, 4] for each of `names` (splat_1 ...).
+
+    read: attributes that the rules read.
+    """
     field, lattice, count = places.field, places.field.lattice, len(places)
     ends = (end * places.vertical_scale + places.vertical_offset for end in (field.min_height, field.max_height))
     tables = _tables(layers, *sorted(ends))
     splat = kernels.Splat()
     splat.layers, splat.rules, splat.images = tables
     splat.layer_count, splat.count = len(layers), count
-    splat.values = flat(_rows(layers, read, count), wp.float32)
+    splat.values = flat(_rule_inputs(layers, read, count), wp.float32)
     splat.west, splat.south, east, north = lattice.rectangle()
     splat.across, splat.up = east - splat.west, north - splat.south
     splat.step = max(lattice.step_x, lattice.step_y)
@@ -62,9 +69,9 @@ def _weights(
     return weights
 
 
-def _rows(layers: tuple[Layer, ...], read: Mapping[str, np.ndarray], count: int) -> np.ndarray:
-    """Return the attributes that rules read, float32 [rows, n]; a direction has two rows."""
-    rows = [np.atleast_2d(read[name].T) for name in reads(layers)]
+def _rule_inputs(layers: tuple[Layer, ...], read: Mapping[str, np.ndarray], count: int) -> np.ndarray:
+    """Return the attributes that rules read, one below the other, float32 [rows, n]; a direction has two rows."""
+    rows = [np.atleast_2d(read[name].T) for name in attributes_of_rules(layers)]
     return np.concatenate(rows) if rows else np.empty((0, count), np.float32)
 
 
@@ -74,9 +81,9 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[w
 
     `lowest`, `highest`: metres at which relief is 0 and 1.
     """
-    check(layers)
+    check_layers(layers)
     row, rows = 0, {}
-    for name in reads(layers):
+    for name in attributes_of_rules(layers):
         rows[name], row = row, row + (2 if name == READ_FROM[splat_rules.ASPECT] else 1)
     structs = []
     rules: list[kernels.SplatRule] = []
@@ -148,7 +155,7 @@ SPLATS = tuple(
         width=4,
         span=(0.0, 1.0),
         reads=tuple(sorted(set(READ_FROM.values()))),
-        choose=lambda values: reads(values["layers"]),
+        choose=lambda values: attributes_of_rules(values["layers"]),
         nothing=partial(_is_empty, 4 * k),
         parameters=(LAYERS,),
         halo="as far as the attributes of its rules",

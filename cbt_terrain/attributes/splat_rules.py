@@ -103,17 +103,17 @@ DEFAULT = (
 LAYERS = Parameter("layers", DEFAULT, 1, MAX_LAYERS, "layers", "The layers and their rules: a tuple of Layer")
 
 
-def covering(other: int) -> Rule:
-    """Return a rule whose weight is the cover of another layer."""
+def cover_rule(other: int) -> Rule:
+    """Return a rule whose weight is the cover of the layer with the number `other`."""
     return Rule(LAYER, low=0.5, edge=1.0, other=other)
 
 
-def painted(image: np.ndarray | Painted) -> Rule:
-    """Return a rule whose weight is an image's value."""
+def image_rule(image: np.ndarray | Painted) -> Rule:
+    """Return a rule whose weight is an image's value, float [rows, columns] of 0 to 1, laid over the raster."""
     return Rule(IMAGE, low=0.5, edge=1.0, image=image if isinstance(image, Painted) else Painted(image))
 
 
-def reads(layers: tuple[Layer, ...]) -> tuple[str, ...]:
+def attributes_of_rules(layers: tuple[Layer, ...]) -> tuple[str, ...]:
     """Return the names of the attributes that the rules of these layers read."""
     return tuple(sorted({READ_FROM[rule.of] for layer in layers for rule in layer.rules if rule.of in READ_FROM}))
 
@@ -127,7 +127,7 @@ def covers_nothing(rule: Rule) -> bool:
     return rule.high <= 0.0 or math.log10(rule.low) - math.log10(rule.high) >= rule.edge
 
 
-def check(layers: tuple[Layer, ...]) -> None:
+def check_layers(layers: tuple[Layer, ...]) -> None:
     """Raise TerrainError for too many layers, a number out of range, or a rule that cannot be evaluated."""
     if not 1 <= len(layers) <= MAX_LAYERS:
         raise TerrainError(

@@ -11,21 +11,25 @@ from ...kernels.effects import light as light_kernels
 from ...kernels.effects.light import sun_seen
 from .attribute import AttributeDeclaration, Evaluate, Parameter, SamplePoints, Wanted
 from .light import strips_of, strongest
-from .occluder import for_places, occluder_of
+from .occluder import launch_at_points, occluder_of
 
 # The default sun, 45 degrees high in the south-west, with the width of the real one.
 AFTERNOON = (-0.5, -0.5, 0.5 * math.sqrt(2.0), 0.00918)
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
+    """Compute the fraction of the sun's disc that each point sees above the ground, 0 to 1; 0 without a sun.
+
+    wanted: {"sun": {"suns": lights of the scene}}, of which the strongest counts. read: unused. Returns {"sun":
+    float32 [n]}.
+    """
     sun = strongest(wanted["sun"]["suns"])
     strips = None if sun is None else strips_of(sun)
     out = np.zeros(len(places), np.float32)
     if strips is not None:
         numbers = [wp.float64(strips[name]) for name in ("elevation", "radius", "low", "high")]
         inputs = [occluder_of(places), *numbers, strips["strips"]]
-        for_places(sun_seen, places, inputs, out, cost=300.0)
+        launch_at_points(sun_seen, places, inputs, out, cost=300.0)
     return {"sun": out}
 
 

@@ -47,8 +47,8 @@ class Tiling:
         """Fraction of an image's side without the margins."""
         return 1.0 - 2.0 * self.margin
 
-    def number(self, tile: int) -> int:
-        """Return the UDIM number of a tile."""
+    def udim_number(self, tile: int) -> int:
+        """Return the UDIM number of a tile: 1001 for the south-western one, + 1 for each column, + 10 for each row."""
         return FIRST + tile % self.columns + 10 * (tile // self.columns)
 
     def box(self, tile: int) -> tuple[float, float, float, float]:
@@ -62,7 +62,10 @@ class Tiling:
         return self.width / (resolution * self.inner), self.height / (resolution * self.inner)
 
     def first_texel(self, tile: int, resolution: int) -> tuple[float, float]:
-        """Return the centre of the north-western texel of an image."""
+        """Return x and y, metres, of the centre of the north-western texel of a tile's image.
+
+        resolution: texels along a side, with the margins.
+        """
         west, _, _, north = self.box(tile)
         step_x, step_y = self.texel(resolution)
         beyond = resolution * self.margin - 0.5

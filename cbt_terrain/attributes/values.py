@@ -53,7 +53,7 @@ class EffectValues:
         """Start another surface, float32 [V, 3]; this one becomes the last one. Return a copy of its points."""
         self._last_count, self._count = self._count, len(positions)
         places, last = self.turn(PLACES, 3)
-        launch.together([partial(np.copyto, places[a:b], positions[a:b]) for a, b in self._pieces()])
+        launch.together([partial(np.copyto, places[a:b], positions[a:b]) for a, b in self._point_ranges()])
         self._runs = np.empty((0, 3), np.int32) if last is None else _runs(places, last)
         return places
 
@@ -67,17 +67,22 @@ class EffectValues:
         return before[: self._count], None if now is None else now[: self._last_count]
 
     def put(self, name: str, values: np.ndarray, once: bool = False) -> None:
-        """Store a whole array of this surface. `once`: drop that of the last surface."""
+        """Store the complete array of an attribute on this surface.
+
+        once: drop the array of the last surface, which is not reused.
+        """
         self._arrays[name] = values, None if once else self._arrays.get(name, (None, None))[0]
 
     def reuse(self, widths: Mapping[str, int]) -> dict[str, np.ndarray]:
         """Return arrays as `turn` does, filled with the values of points that the last surface has."""
         turned = {name: self.turn(name, width) for name, width in widths.items()}
-        pairs = [_pair(new, last, widths[name]) for name, (new, last) in turned.items() if last is not None]
+        pairs = [
+            _pair(new_points, last, widths[name]) for name, (new_points, last) in turned.items() if last is not None
+        ]
         if len(self._runs) and pairs:
             arrays = [shared(self._runs, wp.vec3i), len(self._runs)]
             arrays.append(wp.array(pairs, dtype=kernels.Pair, device=launch.DEVICE))
-            launch.slices(kernels.copy_runs, [[a, b, *arrays] for a, b in self._pieces()], step="kept")
+            launch.slices(kernels.copy_runs, [[a, b, *arrays] for a, b in self._point_ranges()], step="kept")
         return {name: values for name, (values, _) in turned.items()}
 
     def zeros(self, width: int) -> np.ndarray:
@@ -101,8 +106,8 @@ class EffectValues:
         launch.once(kernels.list_fresh, inputs, step="kept")
         return fresh[: found[0]] if found[0] <= MAX_FRESH * self._count else None
 
-    def new(self) -> np.ndarray:
-        """Return the points that the last surface lacks, int32 [n]."""
+    def new_points(self) -> np.ndarray:
+        """Return the points that the last surface lacks, so that their values must be computed, int32 [n]."""
         change = np.zeros(self._count + 1, np.int8)
         change[self._runs[:, 0]] += 1
         np.subtract.at(change, self._runs[:, 0] + self._runs[:, 2], 1)
@@ -116,8 +121,8 @@ class EffectValues:
         """Drop all arrays except the points and these."""
         self._arrays = {name: pair for name, pair in self._arrays.items() if name in names or name == PLACES}
 
-    def _pieces(self) -> list[tuple[int, int]]:
-        """Return ranges of points for a useful number of threads."""
+    def _point_ranges(self) -> list[tuple[int, int]]:
+        """Return ranges of points, one for each thread that is worth its start."""
         pieces = max(1, min(self.threads, self._count // launch.SLICE_ITEMS))
         return launch.ranges(self._count, pieces)
 

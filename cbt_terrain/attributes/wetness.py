@@ -21,7 +21,11 @@ MIN_TANGENT = 1e-3
 
 
 def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the requested attributes at points, float32 [n] or [n, width]; `read`: attributes they depend on."""
+    """Compute the topographic wetness index at points: ln of drainage area per metre of width over the slope.
+
+    wanted: unused, it has no parameters. read: `flow` float32 [n] and `detail_normal` float32 [n, 3]. Returns
+    {"wetness": float32 [n]}.
+    """
     lattice, out = places.field.lattice, np.empty(len(places), np.float32)
     width = math.sqrt(lattice.step_x * lattice.step_y) * 2 ** routed_level(places.field)
     arrays = flat(read["flow"], wp.float32), shared(read["detail_normal"], wp.vec3f), flat(out, wp.float32)

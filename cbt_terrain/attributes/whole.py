@@ -31,7 +31,7 @@ def whole(
 
     `make` computes it if it is not cached. Other results may be evicted from memory for it.
     """
-    file = file_of(name, version, parameters)
+    file = result_file(name, version, parameters)
     key = f"{field.raster.digest}-{file}"
     with caching:  # threads that need the same result wait for it
         if key in _results:
@@ -40,31 +40,35 @@ def whole(
         samples = read_stored(field, file, (lattice.height, lattice.width))
         if samples is None:
             samples = make()
-            store.keep(field, file, samples)
+            store.cache_derived(field, file, samples)
         _results[key] = HeightRaster(samples, lattice, key)
-        while len(_results) > 1 and sum(int(_nbytes(values)) for values in _results.values()) > MAX_BYTES:
+        while len(_results) > 1 and sum(int(_bytes_with_pyramid(values)) for values in _results.values()) > MAX_BYTES:
             _results.popitem(last=False)
         return _results[key]
 
 
-def file_of(name: str, version: int, parameters: tuple) -> str:
-    """Return the name of a result's file in a store, without its suffix."""
+def result_file(name: str, version: int, parameters: tuple) -> str:
+    """Return the name, without its suffix, of the file in a store that caches a result for the whole raster.
+
+    version: of the attribute. parameters: everything else that the result depends on except the raster.
+    """
     mark = hashlib.blake2b(repr((version, parameters)).encode(), digest_size=8).hexdigest()
     return f"effect_{name}_{mark}"
 
 
-def forget() -> None:
-    """Clear the results in memory."""
+def forget_results() -> None:
+    """Clear the results in memory, for tests and benchmarks."""
     with caching:
         _results.clear()
 
 
-def _nbytes(result: HeightRaster) -> int:
+def _bytes_with_pyramid(result: HeightRaster) -> int:
+    """Return the bytes of a result and its pyramid, which is a third of it."""
     return result.samples.nbytes * 4 // 3
 
 
 def read_stored(field: HeightField, file: str, shape: tuple[int, int]) -> np.ndarray | None:
-    """Return a result from the store if it is undamaged and finite."""
+    """Return the float32 result `file` of this shape from the field's store; None if missing, damaged or not finite."""
     folder = store.data_folder(field)
     if folder is None:
         return None

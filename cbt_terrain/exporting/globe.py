@@ -33,12 +33,15 @@ class GlobeFrame:
     axes: np.ndarray
 
     def transform(self) -> list[float]:
-        """Return the 4 x 4 matrix from the frame to ECEF, by columns."""
+        """Return the matrix from the frame to ECEF metres, 4 x 4 as 16 numbers column by column, as 3D Tiles has it."""
         columns = [[*axis.tolist(), 0.0] for axis in self.axes]
         return [number for column in columns for number in column] + [*self.origin.tolist(), 1.0]
 
-    def turned(self, vectors: np.ndarray) -> np.ndarray:
-        """Return vectors [n, 3] of ECEF in the frame, without BLAS, whose last bits differ by processor."""
+    def to_frame(self, vectors: np.ndarray) -> np.ndarray:
+        """Turn vectors [n, 3] of ECEF into the frame's axes.
+
+        It is written out because the last bits of BLAS differ by processor.
+        """
         return (vectors[:, None] * self.axes).sum(2)
 
 
@@ -56,11 +59,15 @@ def place_on_globe(placing: Placing, positions: np.ndarray, folder: Path) -> tup
     along = along - up[0] * (along * up[0]).sum()
     x = along / np.sqrt((along**2).sum())
     frame = GlobeFrame(points[0], np.stack([x, np.cross(up[0], x), up[0]]))
-    return frame, frame.turned(points[3:] - frame.origin), frame.turned(up[3:])
+    return frame, frame.to_frame(points[3:] - frame.origin), frame.to_frame(up[3:])
 
 
 def _on_globe(placing: Placing, positions: np.ndarray, folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return ECEF coordinates and the ellipsoid's normals of points of the terrain's space."""
+    """Return ECEF coordinates of points, and the ellipsoid's upward normals there, both float64 [n, 3].
+
+    positions: float64 [n, 3] in the terrain's space, heights above the ellipsoid. folder: where files for the child
+    process that asks PROJ are written.
+    """
     with private_folder(folder) as private:
         path = private / "coordinates.npy"
         np.save(path, placing.from_terrain(positions[:, :2]))

@@ -72,10 +72,12 @@ class _Layer:
 
     @property
     def has_range(self) -> bool:
+        """Return whether the layer has any value: its lowest is then not above its highest."""
         return self.low <= self.high
 
     @property
     def offset(self) -> float:
+        """Return the value that number 0 in the file stands for."""
         return self.low if self.form.is_integer else 0.0
 
     @property
@@ -86,10 +88,11 @@ class _Layer:
         return ((self.high - self.low) or 1.0) / np.iinfo(self.form.dtype).max
 
     def widen(self, values: np.ndarray) -> None:
+        """Extend the layer's range of values to some more."""
         self.low, self.high = min(self.low, float(values.min())), max(self.high, float(values.max()))
 
-    def coded(self, values: np.ndarray) -> np.ndarray:
-        """Return the numbers of float64 values in the file, and count their largest error."""
+    def encode(self, values: np.ndarray) -> np.ndarray:
+        """Return the file's numbers for float64 values, and keep the largest error of the encoding in `max_error`."""
         if self.form.is_integer:
             steps = np.clip(np.rint((values - self.offset) / self.scale), 0, np.iinfo(self.form.dtype).max)
             numbers = steps.astype(self.form.dtype)
@@ -99,6 +102,7 @@ class _Layer:
         return numbers
 
     def to_json(self) -> dict:
+        """Return the JSON entry of the layer: range, coding and largest error of the encoding."""
         numbers = {"low": self.low, "high": self.high, "scale": self.scale, "offset": self.offset}
         return numbers | {"type": self.form.dtype.name, "max_error": self.max_error}
 
@@ -143,7 +147,10 @@ class _Samples:
         return heights.reshape(shape), inside, values
 
     def bands(self, first: int, end: int) -> Iterator[slice]:
-        """Yield the rows first .. end in bands of LINES."""
+        """Yield the rows `first` to `end` (exclusive) in slices of at most LINES.
+
+        A request to stop raises between them.
+        """
         for row in range(first, end, LINES):
             stopping.check()
             yield slice(row, min(row + LINES, end))
@@ -156,7 +163,7 @@ class _Samples:
             yield range(first, min(first + count, across.tiles))
 
     def columns_of(self, tiles: range) -> slice:
-        """Return the columns of some tiles of a row."""
+        """Return the columns of some tiles that are side by side."""
         across = self.axes[0]
         return slice(across.first(tiles.start), across.first(tiles.stop - 1) + across.size)
 
@@ -196,7 +203,7 @@ def export_height_tiles(
             for tiles in samples.groups():
                 _write_tiles(samples, out, names, tiles, row, place)
             on_progress(0.4 + 0.6 * (row + 1) / len(tile_rows))
-        index = _index(samples, names, place, settings)
+        index = _tiles_json(samples, names, place, settings)
         with written_beside(out / f"{settings.name}.json") as partial:
             partial.write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
     except OSError as reason:
@@ -262,7 +269,11 @@ def _measure(samples: _Samples, layers: list[_Layer], on_progress: Callable[[flo
 
 
 def _write_tiles(samples: _Samples, out: Path, names: dict[tuple, str], group: range, y: int, place: Placing) -> None:
-    """Write a group of tiles of row `y` in bands, of all layers. `names`: file names by layer, column and row."""
+    """Write some tiles of row `y`, side by side, of all layers, in bands of rows.
+
+    names: file names by layer, column and row of the tile. group: columns of the tiles. place: conversion to the
+    coordinate system of the files.
+    """
     (across, down), columns = samples.axes, samples.columns_of(group)
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(2, "adaptive_terrain_export"))
@@ -274,14 +285,14 @@ def _write_tiles(samples: _Samples, out: Path, names: dict[tuple, str], group: r
                 missing = samples.field.valid is not None and layer.form.keeps_missing
                 shape = RasterShape(across.size, down.size, transform, crs, missing)
                 file = layer.form.open(partial, shape, layer.form.dtype, pool)
-                stack.callback(file.leave)
+                stack.callback(file.abandon)
                 first = across.first(x) - columns.start
                 tiles.append((k, slice(first, first + across.size), file, partial, shape))
         for rows in samples.bands(down.first(y), down.first(y) + down.size):
             heights, inside, values = samples.band(rows, columns)
             if not samples.layers[0].form.is_integer:
                 samples.layers[0].widen(heights)
-            coded = [layer.coded(some) for layer, some in zip(samples.layers, [heights, *values], strict=True)]
+            coded = [layer.encode(some) for layer, some in zip(samples.layers, [heights, *values], strict=True)]
             if inside is not None and samples.layers[0].form.keeps_missing:
                 coded[0][~inside] = np.nan
             for k, part, file, _, _ in tiles:
@@ -295,24 +306,27 @@ def _write_tiles(samples: _Samples, out: Path, names: dict[tuple, str], group: r
 
 
 def _transform(samples: _Samples, place: Placing, column: int, row: int) -> tuple[tuple[float, ...], str]:
-    """Return the transform from pixels, whose centres are samples, to coordinates, and the coordinate system."""
-    step_x, step_y = _steps(samples, place)
+    """Return the affine transform from pixels, whose centres are samples, to coordinates, and the name of their system.
+
+    column, row: sample of the tile's first pixel.
+    """
+    step_x, step_y = _sample_steps(samples, place)
     x, y = _origin(samples, place)
     return (step_x, 0.0, x + (column - 0.5) * step_x, 0.0, step_y, y + (row - 0.5) * step_y), place.crs
 
 
-def _steps(samples: _Samples, place: Placing) -> tuple[float, float]:
-    """Return the step of a column and of a row in coordinates."""
+def _sample_steps(samples: _Samples, place: Placing) -> tuple[float, float]:
+    """Return the step from a column and from a row to the next one, in the coordinate system's unit."""
     sign = 1.0 if samples.y[-1] > samples.y[0] else -1.0
     return samples.axes[0].spacing / place.metres_x, sign * samples.axes[1].spacing / place.metres_y
 
 
 def _origin(samples: _Samples, place: Placing) -> list[float]:
-    """Return the coordinates of the first sample."""
+    """Return the coordinates, x and y, of the first sample."""
     return [float(c) for c in place.from_terrain(np.array([samples.x[0], samples.y[0]]))]
 
 
-def _index(samples: _Samples, names: dict[tuple, str], place: Placing, settings: HeightTiles) -> dict:
+def _tiles_json(samples: _Samples, names: dict[tuple, str], place: Placing, settings: HeightTiles) -> dict:
     """Return the content of the JSON file beside the tiles: sizes, coding of values and position on the map."""
     axes, heights = samples.axes, samples.layers[0]
     index = {
@@ -326,7 +340,7 @@ def _index(samples: _Samples, names: dict[tuple, str], place: Placing, settings:
         "first_row": "south" if settings.is_flipped else "north",
         "spacing_m": [axis.spacing for axis in axes],
         "origin": _origin(samples, place),
-        "step": list(_steps(samples, place)),
+        "step": list(_sample_steps(samples, place)),
         "crs": place.crs,
         "holes": "none" if samples.field.valid is None else "NaN" if heights.form.keeps_missing else "filled",
         "heights": heights.to_json() | {"unit": "m"},

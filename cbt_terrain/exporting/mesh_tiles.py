@@ -22,7 +22,7 @@ class TileMesh:
         return TileMesh(positions, normals, uv, triangles)
 
     def at(self, vertices: np.ndarray) -> "TileMesh":
-        """Return the vertices with these numbers, without triangles."""
+        """Return some vertices, by their numbers, without triangles."""
         return TileMesh(self.positions[vertices], self.normals[vertices], self.uv[vertices], self.triangles[:0])
 
 
@@ -50,11 +50,14 @@ def split(mesh: TileMesh, axis: int, at: float) -> TileMesh:
     thirds = [(a, q, r), (q, b, c), (q, c, r)]
     parts = [np.stack(corners, 1) for corners in (*halves, *thirds)]
     triangles = np.concatenate([mesh.triangles[~crosses], *parts])
-    return mesh.with_vertices(_between(mesh, pairs, axis, at), triangles)
+    return mesh.with_vertices(_cut_edges(mesh, pairs, axis, at), triangles)
 
 
-def _between(mesh: TileMesh, pairs: np.ndarray, axis: int, at: float) -> TileMesh:
-    """Return vertices where the edges `pairs` [n, 2] cross the line at coordinate `at` of an axis (0 or 1)."""
+def _cut_edges(mesh: TileMesh, pairs: np.ndarray, axis: int, at: float) -> TileMesh:
+    """Return new vertices where edges cross the line at coordinate `at` of an axis (0 or 1).
+
+    pairs: the edges' vertices, int [n, 2], on both sides of the line.
+    """
     ends = mesh.positions[pairs].astype(np.float64)
     part = ((at - ends[:, 0, axis]) / (ends[:, 1, axis] - ends[:, 0, axis]))[:, None]
 
@@ -81,7 +84,7 @@ def border_edges(mesh: TileMesh) -> np.ndarray:
 
 
 def edge_keys(edges: np.ndarray) -> np.ndarray:
-    """Return a number for each edge, int64 [n], whatever its direction."""
+    """Return an integer for each edge, int64 [n], that is the same for both directions."""
     return (edges.min(1) << 32) | edges.max(1)
 
 

@@ -35,21 +35,21 @@ class TileAxis:
 
     @property
     def total(self) -> int:
-        """Return the number of samples."""
+        """Return the number of samples of all tiles along the axis, those beyond the terrain included."""
         return self.tiles * (self.size - self.overlap) + self.overlap
 
     @property
     def inside(self) -> int:
-        """Return the number of samples on the terrain."""
+        """Return the number of samples on the terrain; those beyond repeat its border."""
         return min(self.total, round(self.length / self.spacing) + 1)
 
     def first(self, tile: int) -> int:
-        """Return the first sample of a tile."""
+        """Return the first sample of a tile; neighbours share `overlap` samples."""
         return tile * (self.size - self.overlap)
 
     @cached_property
     def places(self) -> np.ndarray:
-        """Return the positions of the samples, float64 metres from the first."""
+        """Return the positions of the samples, float64 metres from the first one."""
         return np.minimum(np.arange(self.total) * self.spacing, self.length)
 
 

@@ -91,11 +91,11 @@ def export_tileset(
         for number, level in enumerate(levels):
             _write_level(path, number, level, levels[0].bound, tiles)
             on_progress(0.5 + 0.5 * (number + 1) / len(levels))
-        root = _tile(path.stem, levels, tiles, 0, 0, 0)
+        root = _tile_json(path.stem, levels, tiles, 0, 0, 0)
         if root is None:
             raise TerrainError("Nothing is left of the terrain", fix="check its holes")
         with written_beside(path) as partial:
-            partial.write_text(json.dumps(_tileset(root, levels[0], frame), indent=1) + "\n", encoding="utf-8")
+            partial.write_text(json.dumps(_tileset_json(root, levels[0], frame), indent=1) + "\n", encoding="utf-8")
     except OSError as reason:
         raise unwritable(f"The tileset {path}", reason) from reason
     triangles = sum(int(count) for _, count in tiles.values())
@@ -117,7 +117,7 @@ def _levels(field: HeightField, error_m: float, triangles: int, on_progress: Cal
         s = update.surface
         assert update.bound_m is not None  # the criterion has an error in metres
         mesh = TileMesh(s.positions, s.normals, s.uv, s.triangles.astype(np.int64))
-        finest.append(_divided(field, mesh, update.bound_m, 1 << (depth - number)))
+        finest.append(_divide_level(field, mesh, update.bound_m, 1 << (depth - number)))
         number += 1
         on_progress(number / (depth + 1))
     return finest[::-1]
@@ -134,8 +134,12 @@ def _depth(cells: tuple[int, int], tiles: float) -> int:
     return depth
 
 
-def _divided(field: HeightField, mesh: TileMesh, bound: float, side: int) -> _Level:
-    """Divide the mesh of a level at the borders of its tiles, which are lines of samples."""
+def _divide_level(field: HeightField, mesh: TileMesh, bound: float, side: int) -> _Level:
+    """Divide the mesh of a level at the borders of its tiles, which are lines of samples.
+
+    bound: error of the mesh, metres; it grows by the rounding of the new vertices. side: number of tiles along a
+    side.
+    """
     lattice = field.lattice
     west, south, _, _ = lattice.rectangle()
     lines = []
@@ -180,7 +184,11 @@ def _place(levels: list[_Level], placing: Placing, folder: Path) -> GlobeFrame |
 
 
 def _write_level(path: Path, number: int, level: _Level, root_bound: float, tiles: dict) -> None:
-    """Write the tiles of a level; add their boxes and numbers of triangles to `tiles` by level, x and y."""
+    """Write the tiles of a level as glb files, each with a skirt that hides cracks to other levels.
+
+    tiles: gets the box of each tile (its lowest and highest corner) and its number of triangles, by level, x and y.
+    root_bound: error of level 0, metres.
+    """
     centroids = level.mesh.positions[level.mesh.triangles].astype(np.float64).mean(1)
     x, y = (np.searchsorted(level.lines[axis], centroids[:, axis]) for axis in (0, 1))
     owner = y * level.side + x
@@ -205,35 +213,44 @@ def _write_level(path: Path, number: int, level: _Level, root_bound: float, tile
 
 
 def _glb_name(stem: str, level: int, x: int, y: int) -> str:
+    """Return the file name of a tile."""
     return f"{stem}_{level}_{x}_{y}.glb"
 
 
-def _tile(stem: str, levels: list[_Level], tiles: dict, number: int, x: int, y: int) -> dict | None:
-    """Return a tile and those below it as JSON, with its box under "box"; None if there are none."""
+def _tile_json(stem: str, levels: list[_Level], tiles: dict, number: int, x: int, y: int) -> dict | None:
+    """Return a tile and those below it as JSON, or None if there are none.
+
+    It has its box, lowest and highest corner, under "box" for the caller, which removes it. number: level. x, y:
+    column and row of the tile.
+    """
     children = []
     if number + 1 < len(levels):
         places = [(2 * x + dx, 2 * y + dy) for dy in (0, 1) for dx in (0, 1)]
-        children = [child for at in places if (child := _tile(stem, levels, tiles, number + 1, *at)) is not None]
+        children = [child for at in places if (child := _tile_json(stem, levels, tiles, number + 1, *at)) is not None]
     box = tiles.get((number, x, y), (None, 0))[0]
     boxes = [child.pop("box") for child in children] + ([box] if box is not None else [])
     if not boxes:
         return None
     low, high = np.min([b[0] for b in boxes], 0), np.max([b[1] for b in boxes], 0)
-    found = {"boundingVolume": {"box": _box(low, high)}, "geometricError": levels[number].bound, "box": (low, high)}
+    found = {
+        "boundingVolume": {"box": _box_json(low, high)},
+        "geometricError": levels[number].bound,
+        "box": (low, high),
+    }
     if box is not None:
-        found["content"] = {"uri": quote(_glb_name(stem, number, x, y)), "boundingVolume": {"box": _box(*box)}}
+        found["content"] = {"uri": quote(_glb_name(stem, number, x, y)), "boundingVolume": {"box": _box_json(*box)}}
     return found | ({"children": children} if children else {})
 
 
-def _box(low: np.ndarray, high: np.ndarray) -> list[float]:
-    """Return a box of 3D Tiles: the middle, and half of each side."""
+def _box_json(low: np.ndarray, high: np.ndarray) -> list[float]:
+    """Return a box as 3D Tiles has it: the middle and half of each side, 12 numbers. Flat boxes are made thicker."""
     middle = 0.5 * (low + high)
     half = np.maximum(np.maximum(high - middle, middle - low), MIN_HALF)
     return [*middle.tolist(), float(half[0]), 0.0, 0.0, 0.0, float(half[1]), 0.0, 0.0, 0.0, float(half[2])]
 
 
-def _tileset(root: dict, level: _Level, frame: GlobeFrame | None) -> dict:
-    """Return the content of the JSON file."""
+def _tileset_json(root: dict, level: _Level, frame: GlobeFrame | None) -> dict:
+    """Return the content of the tileset's JSON file. frame: position on the globe, None for no position."""
     low, high = root.pop("box")
     placed = {} if frame is None else {"transform": frame.transform()}
     return {

@@ -78,7 +78,7 @@ def bicubic(field: HeightField) -> HeightField:
         field.raster.check_samples()
         built = build(field, launch.default_threads())
         for name, array in built.items():
-            store.keep(field, name, array)
+            store.cache_derived(field, name, array)
         arrays = _load(field) or built  # mapped arrays of a store free the memory of the built ones
     return replace(
         field,
@@ -122,6 +122,7 @@ def build(field: HeightField, threads: int) -> dict[str, np.ndarray]:
 
 
 def _launch(kernel: wp.Kernel, count: int, inputs: list, threads: int, cost: float = 1.0) -> None:
+    """Launch a kernel over `count` items as the step "bicubic hierarchy". cost: nanoseconds an item, over a base."""
     launch.spread(kernel, count, inputs, step="bicubic hierarchy", threads=threads, cost=cost)
 
 
@@ -133,7 +134,10 @@ def _numbers(field: HeightField, threads: int) -> list[float]:
     lattice = field.lattice
     rows = lattice.cells_y
     found = np.zeros((rows, 4))
-    inputs = [codes.packed(field.heights(), None), wp.array(found, dtype=wp.vec4d, device=launch.DEVICE, copy=False)]
+    inputs = [
+        codes.pack_samples(field.heights(), None),
+        wp.array(found, dtype=wp.vec4d, device=launch.DEVICE, copy=False),
+    ]
     _launch(kernels.extents, rows, inputs, threads, 10.0 * lattice.cells_x)
     low, high = float(found[:, 0].min()), float(found[:, 1].max())
     steepest = found[:, 2:].max(axis=0) * (1 + 1e-6) / (lattice.step_x, lattice.step_y)
@@ -141,11 +145,14 @@ def _numbers(field: HeightField, threads: int) -> list[float]:
 
 
 def _fill_ranges(field: HeightField, base: float, step: float, ranges: np.ndarray, threads: int) -> None:
-    """Compute the ranges of the patches, and above them those of all patches that they touch."""
+    """Compute the ranges of heights of the patches, and above them those of all patches that they touch.
+
+    base, step: a range is two 16-bit numbers n that stand for base + n step metres. ranges: uint16 [n, 2], filled.
+    """
     lattice, out = field.lattice, flat(ranges, wp.uint16)
     columns, rows = lattice.cells_x, lattice.cells_y
     cells = ranges_at(lattice, lattice.cell_depth)
-    inputs = [codes.packed(field.heights(), None), wp.float64(base), wp.float64(step), cells, out]
+    inputs = [codes.pack_samples(field.heights(), None), wp.float64(base), wp.float64(step), cells, out]
     _launch(kernels.patch_ranges, rows, inputs, threads, 10.0 * columns)
     if lattice.range_depth:
         finest = ranges_at(lattice, lattice.range_depth)
@@ -155,13 +162,16 @@ def _fill_ranges(field: HeightField, base: float, step: float, ranges: np.ndarra
 
 
 def _fill_errors(field: HeightField, errors: np.ndarray, threads: int) -> np.ndarray:
-    """Compute errors and curvatures. Return the distances to the bilinear surface, saturated like errors."""
+    """Compute errors and curvatures of the bicubic surface into `errors`, float32 metres.
+
+    Return the distances between it and the bilinear surface, saturated like errors, float32 [node_count].
+    """
     lattice, off = field.lattice, np.zeros(field.lattice.node_count, np.float32)
     known = codes.decode(lattice, field.error, field.table)
     out, apart, plain = (flat(array, wp.float32) for array in (errors, off, known))
     cells, curvatures = stored_at(lattice, lattice.cell_depth), stored_at(lattice, lattice.cell_depth)
     curvatures.base = lattice.node_count
-    inputs = [codes.packed(field.heights(), None), cells, curvatures, apart, out]
+    inputs = [codes.pack_samples(field.heights(), None), cells, curvatures, apart, out]
     _launch(kernels.patch_errors, lattice.cells_y, inputs, threads, 20.0 * lattice.cells_x)
     hierarchy.saturate_cells(curvatures, 0.5, out, "bicubic hierarchy", threads)
     _launch(expand_kernels.cover_sides, items(cells), [curvatures, cells, out], threads)

@@ -36,10 +36,11 @@ def halvings(finest: np.ndarray, reduce: np.ufunc) -> list[np.ndarray]:
     return levels
 
 
-def stacked(levels: list[np.ndarray], below: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the levels concatenated and flat, with the first block of each level and its blocks a row.
+def concatenate_levels(levels: list[np.ndarray], below: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the levels of a pyramid in one flat array, with the offset and the width of each level.
 
-    These are int32 [below + levels]; the first `below` levels have no blocks. Rays skip blocks with them.
+    These are int32 [below + levels]; the first `below` entries are for levels without blocks. Rays skip empty space
+    with them.
     """
     first = np.cumsum([0] * (below + 1) + [level.shape[0] * level.shape[1] for level in levels[:-1]], dtype=np.int32)
     wide = np.array([0] * below + [level.shape[1] for level in levels], np.int32)

@@ -17,11 +17,16 @@ Allocate = Callable[[str, tuple, np.dtype], np.ndarray]
 
 
 def _in_memory(_name: str, shape: tuple, dtype: np.dtype) -> np.ndarray:
+    """Allocate a zeroed array in memory; a store allocates files instead."""
     return np.zeros(shape, dtype)
 
 
 def content_key(samples: np.ndarray, lattice: Lattice, source_max: float, valid: np.ndarray | None) -> str:
-    """Return a hex digest of everything that determines a terrain's shape and its bounds."""
+    """Return a hex digest of everything that determines a terrain's shape and its bounds.
+
+    valid: 1 where a sample is given and 0 in holes; None without holes. source_max: largest error of the source,
+    metres.
+    """
     digest = hashlib.blake2b(digest_size=16)
     numbers = (lattice.step_x, lattice.step_y, lattice.levels, source_max)
     digest.update(repr((samples.shape, *numbers)).encode())
@@ -130,7 +135,7 @@ def from_array(
         raise TerrainError(f"Heights came as {samples.dtype} {samples.shape}", expected="a 2-D array of real numbers")
     if not (np.isfinite(step_x) and np.isfinite(step_y) and step_x > 0.0 and step_y > 0.0):
         raise TerrainError(f"Samples are {step_x} x {step_y} m apart", expected="positive distances")
-    raster, missing = cleaning.clean_rows(cleaning.widen(samples))
+    raster, missing = cleaning.clean_rows(cleaning.repeat_single_line(samples))
     raster = np.ascontiguousarray(raster)
     built = build(raster, step_x, step_y, missing=missing, holes=holes, source_max=source_max, threads=threads)
     return built.with_raster(origin=np.asarray(origin, np.float64), crs=crs, provenance=provenance or {})

@@ -49,8 +49,11 @@ def fill_missing(samples: np.ndarray, threads: int) -> None:
     launch.slices(fill_kernels.fill_rows, jobs, step="fill no-data")
 
 
-def widen(samples: np.ndarray) -> np.ndarray:
-    """Repeat the samples of a raster that is one sample wide or high, because one row is a legitimate profile."""
+def repeat_single_line(samples: np.ndarray) -> np.ndarray:
+    """Repeat the samples of a raster that is one sample wide or high, because one row is a legitimate profile.
+
+    Raises TerrainError for an empty raster.
+    """
     height, width = samples.shape
     if height == 0 or width == 0:
         raise TerrainError(f"The raster has {width} x {height} samples", expected="at least one")

@@ -33,8 +33,11 @@ BLOCK = 1 << 14
 ROWS = 256  # rows of heights that are numbered together
 
 
-def _shape() -> np.ndarray:
-    """Return the table of a largest error of 1, float32 [256]."""
+def _table_shape() -> np.ndarray:
+    """Return the table of codes for a largest error of 1, float32 [256].
+
+    Entry 0 is 0, the others are about even steps of log2.
+    """
     entries = [0.0]
     for octave, count in enumerate(PER_OCTAVE):
         above = np.nextafter((2.0 ** (np.arange(1, count) / count)).astype(np.float32), np.float32(2.0))
@@ -42,11 +45,14 @@ def _shape() -> np.ndarray:
     return np.array([*entries, 1.0], np.float32)
 
 
-SHAPE = _shape()
+SHAPE = _table_shape()
 
 
 def tables(exponents: Sequence[int]) -> np.ndarray:
-    """Return the values of all codes in metres, by group, float32 [len(exponents), 256]."""
+    """Return the values of all codes in metres, float32 [groups, 256].
+
+    exponents: of each group, whose largest error is 2^exponent.
+    """
     return np.ldexp(SHAPE, np.asarray(exponents)[:, None]).astype(np.float32)
 
 
@@ -64,18 +70,24 @@ def parts(lattice: Lattice, count: int) -> list[slice]:
 
 
 def encode(lattice: Lattice, errors: np.ndarray, codes: np.ndarray, threads: int) -> list[int]:
-    """Fill `codes` (uint8, zeroed) with `errors` (float32, nested, metres); return the exponents by group."""
+    """Fill `codes` with the smallest codes that are not below `errors`; return the exponents by group.
+
+    errors: float32 metres, nested (none is below its children's). codes: uint8, zeroed.
+    """
     exponents = [exponent_of(float(errors[part].max())) for part in parts(lattice, len(errors))]
     cells, curvatures = lattice.groups, exponents[lattice.groups + 1 :]
     finer = curvatures[0] - 1 if curvatures else MIN_EXPONENT
     for group in (cells, *range(cells)):  # from fine to coarse
         exponents[group] = finer = max(exponents[group], finer)
-    put(lattice, errors, tables(exponents), codes, threads)
+    encode_with_table(lattice, errors, tables(exponents), codes, threads)
     return exponents
 
 
-def put(lattice: Lattice, errors: np.ndarray, table: np.ndarray, codes: np.ndarray, threads: int) -> None:
-    """Fill `codes` (uint8, zeroed) with the smallest entries of `table` that are not below `errors`."""
+def encode_with_table(lattice: Lattice, errors: np.ndarray, table: np.ndarray, codes: np.ndarray, threads: int) -> None:
+    """Fill `codes` (uint8, zeroed) with the smallest entries of `table` that are not below `errors`.
+
+    table: float32 [groups, 256] metres.
+    """
     arrays = [flat(table, wp.float32), flat(errors, wp.float32), flat(codes, wp.uint8)]
     for group, part in enumerate(parts(lattice, len(errors))):
         blocks = -(-(part.stop - part.start) // BLOCK)
@@ -84,7 +96,7 @@ def put(lattice: Lattice, errors: np.ndarray, table: np.ndarray, codes: np.ndarr
 
 
 def decode(lattice: Lattice, codes: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """Return the values of codes, float32 [len(codes)] metres."""
+    """Return the errors that codes stand for, float32 [len(codes)] metres."""
     errors = np.empty(len(codes), np.float32)
     for values, part in zip(table, parts(lattice, len(codes)), strict=True):
         translate(codes[part], values, errors[part])
@@ -110,8 +122,11 @@ class Steps:
         return ((numbers.astype(np.float64) + self.first) * self.scale + self.offset).astype(np.float32)
 
 
-def packed(samples: np.ndarray, steps: Steps | None) -> kernels.Samples:
-    """Return the samples of a height field as kernels read them; memory is shared."""
+def pack_samples(samples: np.ndarray, steps: Steps | None) -> kernels.Samples:
+    """Return the samples of a height field as kernels read them; memory is shared.
+
+    steps: how 16-bit samples convert to metres, None for float32 samples.
+    """
     s = kernels.Samples()
     s.rows, s.columns = samples.shape
     s.coded = int(steps is not None)

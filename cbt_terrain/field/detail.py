@@ -55,7 +55,7 @@ class Detail:
 
     @property
     def key(self) -> str:
-        """Return a text that identifies the detail."""
+        """Return a hex digest of the detail's parameters, by which surfaces and results are cached."""
         text = repr((float(self.amplitude), float(self.wavelength), float(self.roughness), self.seed))
         return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
@@ -71,7 +71,10 @@ class Detail:
         return [(share * part, length) for part, length in zip(parts, shown, strict=True) if share * part > 0.0]
 
     def parts(self, finest: float) -> list[DetailTerm]:
-        """Return the octaves of `waves` as summands for bounds."""
+        """Return the octaves that `waves` lists, each as a summand from which bounds are computed.
+
+        finest: metres of the shortest edges of meshes.
+        """
         return [
             DetailTerm(a, s, length, (Split(0.0, CURVATURE * a / (length * length), s, a), Split(2 * a, 0.0, 0.0, 0.0)))
             for a, length in self.waves(finest)
@@ -79,7 +82,10 @@ class Detail:
         ]
 
     def packed(self, finest: float) -> kernels.PackedDetail:
-        """Return the detail as kernels read it."""
+        """Return the octaves that `waves` lists as kernels read them.
+
+        finest: metres of the shortest edges of meshes.
+        """
         d = kernels.PackedDetail()
         waves = self.waves(finest)
         d.octaves, d.seed = len(waves), self.seed

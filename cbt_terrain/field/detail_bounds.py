@@ -63,8 +63,11 @@ class DetailTerm(NamedTuple):
     splits: tuple[Split, ...]
 
 
-def masked(parts: Iterable[DetailTerm], steps: tuple[float, float]) -> list[DetailTerm]:
-    """Return the summands times a mask of 0 .. 1, inside the cells of a raster. steps: metres of their sides."""
+def masked_terms(parts: Iterable[DetailTerm], steps: tuple[float, float]) -> list[DetailTerm]:
+    """Return the summands times a mask of 0 to 1 that is bilinear between samples, as bounds inside a raster cell.
+
+    steps: metres of the cell's sides.
+    """
     g, w = length((1 / steps[0], 1 / steps[1])), 2 / (steps[0] * steps[1])
     found = []
     for part in parts:
@@ -74,7 +77,7 @@ def masked(parts: Iterable[DetailTerm], steps: tuple[float, float]) -> list[Deta
 
 
 def highest(parts: Iterable[DetailTerm]) -> float:
-    """Return the largest magnitude of the sum, metres."""
+    """Return the largest magnitude of a sum of summands, metres, rounded up."""
     return add_up(part.highest for part in parts) * (1 + 1e-12)
 
 
@@ -83,13 +86,13 @@ def steepest(parts: Iterable[DetailTerm]) -> float:
     return add_up(part.steep for part in parts)
 
 
-def missed(parts: Iterable[DetailTerm], radius: float) -> float:
-    """Return the largest distance of the sum, metres, from a triangle inside a circle of `radius` metres."""
+def max_distance(parts: Iterable[DetailTerm], radius: float) -> float:
+    """Return how far, in metres, the sum can be from a triangle that fits in a circle of `radius` metres."""
     return add_up(min(s.far + 0.5 * s.curvature * (radius * radius) for s in part.splits) for part in parts)
 
 
-def climbed(parts: Iterable[DetailTerm], radius: float) -> float:
-    """Return the largest difference of the sum, metres, between two corners of such a triangle."""
+def max_climb(parts: Iterable[DetailTerm], radius: float) -> float:
+    """Return how much, in metres, the sum can differ between two corners of a triangle in such a circle."""
     return add_up(min(s.far + 2 * radius * s.steep for s in part.splits) for part in parts)
 
 
@@ -115,14 +118,17 @@ def tables(
 ) -> np.ndarray:
     """Return two bounds for each depth, float32 [64, 2] metres, rounded up.
 
-    These are `missed` for the triangles of leaves that are drawn as 4**meshlet, and `climbed` for the leaf's edges.
-    Entry 0 holds for all triangles, and also for depths above `smooth_from`: with a mask the depth of half a cell.
+    These are `max_distance` for the triangles of leaves that are drawn as 4**meshlet, and `max_climb` for the leaf's
+    edges. Entry 0 holds for all triangles, and also for depths above `smooth_from`: with a mask the depth of half a
+    cell.
     """
     limit = 2 * highest(parts)
     found = [(limit, limit)]
     for depth in range(1, 64):
         drawn, leaf = (radius_at(steps, levels, d) for d in (depth + 2 * meshlet, depth))
         smooth = depth + 2 * meshlet >= smooth_from, depth >= smooth_from
-        found.append((missed(parts, drawn) if smooth[0] else limit, climbed(parts, leaf) if smooth[1] else limit))
+        found.append(
+            (max_distance(parts, drawn) if smooth[0] else limit, max_climb(parts, leaf) if smooth[1] else limit)
+        )
     above = np.minimum.accumulate(np.array(found), axis=0) * OUTWARD
     return np.nextafter(above.astype(np.float32), np.float32(np.inf))

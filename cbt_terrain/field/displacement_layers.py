@@ -18,7 +18,7 @@ from ..run.buffers import flat, shared
 from ..view.linear import add_up
 from .blocks import halvings
 from .detail import Detail
-from .detail_bounds import DetailTerm, highest, masked, tables
+from .detail_bounds import DetailTerm, highest, masked_terms, tables
 from .lattice import Lattice
 from .tiled import Tiled
 
@@ -69,7 +69,7 @@ class DisplacementLayers:
 
     @property
     def key(self) -> str:
-        """Return a text that identifies the layers."""
+        """Return a hex digest of the layers and their masks, by which surfaces and results are cached."""
         text = repr([(layer.detail.key, layer.mask and layer.mask.digest) for layer in self.layers])
         return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
@@ -78,13 +78,16 @@ Ground = Detail | Tiled | DisplacementLayers
 
 
 def layers_below(ground: Ground | None) -> tuple[DisplacementLayer, ...]:
-    """Return the displacement layers, those without a mask first."""
+    """Return the displacement below the samples as layers, those without a mask first.
+
+    ground: a Detail, a Tiled, layers of them, or None.
+    """
     layers = ground.layers if isinstance(ground, DisplacementLayers) else (DisplacementLayer(ground),) if ground else ()
     return tuple(sorted(layers, key=lambda layer: layer.mask is not None))
 
 
-def parts_of(ground: Ground | None, finest: float, lattice: Lattice) -> list[DetailTerm]:
-    """Return the summands for bounds. `finest`: metres of the shortest edges."""
+def bound_terms(ground: Ground | None, finest: float, lattice: Lattice) -> list[DetailTerm]:
+    """Return all layers' summands, from which bounds are computed. finest: metres of the shortest edges of meshes."""
     return [part for group in _groups(ground, finest, lattice) for part in group]
 
 
@@ -93,7 +96,10 @@ def _groups(ground: Ground | None, finest: float, lattice: Lattice) -> list[list
     layers = layers_below(ground)
     everywhere = [part for layer in layers if layer.mask is None for part in layer.detail.parts(finest)]
     steps = lattice.step_x, lattice.step_y
-    return [everywhere, *(masked(layer.detail.parts(finest), steps) for layer in layers if layer.mask is not None)]
+    return [
+        everywhere,
+        *(masked_terms(layer.detail.parts(finest), steps) for layer in layers if layer.mask is not None),
+    ]
 
 
 def layer_tables(ground: Ground | None, finest: float, lattice: Lattice, meshlet: int) -> np.ndarray:
@@ -134,7 +140,7 @@ def fill_layers(domain: Domain, ground: Ground | None, finest: float, lattice: L
 
     finest: metres of the shortest edges. meshlet: each leaf is drawn as 4**meshlet triangles.
     """
-    parts, levels = parts_of(ground, finest, lattice), mask_levels(lattice)
+    parts, levels = bound_terms(ground, finest, lattice), mask_levels(lattice)
     domain.detailed, domain.max_detail = int(bool(parts)), highest(parts)
     domain.detail = shared(layer_tables(ground, finest, lattice, meshlet).reshape(-1, 2), wp.vec2f)
     domain.masked = sum(int(layer.mask is not None) for layer in layers_below(ground))
@@ -142,8 +148,11 @@ def fill_layers(domain: Domain, ground: Ground | None, finest: float, lattice: L
     domain.mask_first = shared(levels, wp.int64)
 
 
-def packed(ground: Ground | None, finest: float, lattice: Lattice) -> kernels.PackedLayers:
-    """Return the layers as kernels read them. Raises TerrainError for a mask of another raster."""
+def pack_layers(ground: Ground | None, finest: float, lattice: Lattice) -> kernels.PackedLayers:
+    """Return the layers as kernels read them.
+
+    finest: metres of the shortest edges. Raises TerrainError for a mask of another raster.
+    """
     layers, heights, masks, c = [], [], [], kernels.PackedLayers()
     pixels = bytes_ = 0
     for layer in layers_below(ground):

@@ -19,7 +19,10 @@ NO_BORDER = 2**31 - 1
 
 
 def make_domain(field: HeightField, meshlet: int, height_scale: float, height_offset: float) -> Domain:
-    """Return the placed field for leaves of 4**meshlet triangles. Memory is shared, nothing is read."""
+    """Return the field, scaled and shifted in height, as the kernels of a frame read it.
+
+    meshlet: leaves are drawn as 4**meshlet triangles. Memory is shared, nothing is read.
+    """
     lattice = field.lattice
     domain = Domain()
     domain.columns, domain.rows, domain.levels = lattice.columns, lattice.rows, lattice.levels
@@ -48,7 +51,7 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
     domain.range_first, domain.range_pages = shared(base, wp.int64), shared(pages, wp.int32)
     domain.range_cells = base[-2]
     domain.ranges = shared(field.ranges.reshape(-1), wp.uint16)
-    domain.samples = codes.packed(field.samples, field.steps)
+    domain.samples = codes.pack_samples(field.samples, field.steps)
     return domain
 
 

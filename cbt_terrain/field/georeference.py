@@ -79,9 +79,10 @@ def degree_lengths(latitude: float, ellipsoid: tuple[float, float] = WGS84) -> t
 
 
 def border_error(latitude: float, borders: list[float], ellipsoid: tuple[float, float] = WGS84) -> float:
-    """Return the largest relative error of lengths at the latitudes `borders` if degrees are as long as at `latitude`.
+    """Return how wrong lengths become at the latitudes `borders` where the length of a degree at `latitude` is used.
 
-    It is infinite at a pole. Latitudes are in degrees.
+    The result is the largest relative error; all latitudes are degrees. ellipsoid: semi-major axis in metres, and
+    inverse flattening (0 for a sphere).
     """
     used = degree_lengths(latitude, ellipsoid)
     true = [degree_lengths(border, ellipsoid) for border in borders if abs(border) < 90.0]
@@ -190,7 +191,11 @@ def _border_warnings(latitude: float, borders: list[float], ellipsoid: tuple[flo
 
 
 def _rotation_warning(rotation: float, crs: str, geographic: bool) -> str:
-    """Return the warning about a rotated raster, with the remedy."""
+    """Return the warning about a rotated raster, with the remedy.
+
+    rotation: degrees. crs: name of the coordinate system, "" if the file has none. geographic: whether it has
+    degrees instead of metres.
+    """
     straighten = f"import it with --project {crs if _EPSG.fullmatch(crs) and not geographic else 'utm'}"
     if not crs:
         straighten = "write its coordinate system into the file and import it with --project"

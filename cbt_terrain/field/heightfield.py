@@ -15,7 +15,7 @@ from ..errors import TerrainError
 from ..run.locks import caching
 from . import codes
 from .detail_bounds import DetailTerm, highest
-from .displacement_layers import Ground, packed, parts_of
+from .displacement_layers import Ground, bound_terms, pack_layers
 from .lattice import Lattice
 
 INTERPOLATIONS = ("bilinear", "bicubic")
@@ -167,7 +167,7 @@ class HeightField:
 
     @cached_property
     def key(self) -> FieldKey:
-        """Return the identity of the field."""
+        """Return the identity of the field: content of the raster, interpolation and displacement."""
         return FieldKey(self.raster.digest, self.interpolation, self.detail.key if self.detail else "")
 
     @property
@@ -179,17 +179,17 @@ class HeightField:
 
     @cached_property
     def packed_detail(self) -> "PackedLayers | None":
-        """Return the detail as kernels read it; None without one."""
-        return packed(self.detail, self.finest_edge, self.lattice) if self.detail else None
+        """Return the displacement below the samples as kernels read it; None without one."""
+        return pack_layers(self.detail, self.finest_edge, self.lattice) if self.detail else None
 
     @property
     def parts(self) -> list[DetailTerm]:
-        """Return the summands of the detail for bounds; none without a detail."""
-        return parts_of(self.detail, self.finest_edge, self.lattice)
+        """Return the summands of the displacement, from which bounds are computed; none without a displacement."""
+        return bound_terms(self.detail, self.finest_edge, self.lattice)
 
     @property
     def table(self) -> np.ndarray:
-        """Return the metres of the error codes, float32 [groups, 256]."""
+        """Return the metres of all error codes, float32 [groups, 256]."""
         return codes.tables(self.exponents)
 
     def heights(self, *index: int | slice | np.ndarray) -> np.ndarray:
@@ -214,7 +214,7 @@ def with_detail(field: HeightField, detail: Ground | None) -> HeightField:
     with caching:
         surface = surfaces.pop(wanted, None)
         if surface is None:
-            more = highest(parts_of(detail, plain.finest_edge, plain.lattice))
+            more = highest(bound_terms(detail, plain.finest_edge, plain.lattice))
             low, high = plain.min_height - more, plain.max_height + more
             surface = replace(plain, surface=wanted, min_height=low, max_height=high)
             surfaces.setdefault(plain.surface, plain)

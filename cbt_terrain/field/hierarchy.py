@@ -29,14 +29,14 @@ from ...kernels.field import ranges as range_kernels
 from ...kernels.field.layout import Depth
 from ..run import launch
 from ..run.buffers import flat
-from .codes import packed
+from .codes import pack_samples
 from .lattice import Lattice
 
 COLUMN_BLOCK = 64
 
 
 def stored_at(lattice: Lattice, depth: int) -> Depth:
-    """Return the layout of the errors of one depth (1 .. cell_depth)."""
+    """Return where the errors of a depth (1 to cell_depth) are in the error hierarchy."""
     return _layout_of(lattice.extent(depth), *lattice.layout(), lattice.cell_depth - depth)
 
 
@@ -87,14 +87,16 @@ def build_errors(
     on_progress: Callable[[float], None] = lambda _fraction: None,
     measured: np.ndarray | None = None,
 ) -> None:
-    """Fill `errors` (float32 [lattice.node_count], zeroed, metres) for `samples` (float32 [height, width], metres).
+    """Fill `errors` with the error of every diamond of a raster's lattice: float32 [lattice.node_count] metres, zeroed.
 
-    measured: samples with NaN where they do not count; all count by default.
+    samples: float32 [height, width] metres, holes filled. measured: the same with NaN where samples do not count,
+    as in holes; None if all count.
     """
     out = flat(errors, wp.float32)
-    raster, counted = packed(samples, None), packed(samples if measured is None else measured, None)
+    raster, counted = pack_samples(samples, None), pack_samples(samples if measured is None else measured, None)
 
     def spread(kernel: wp.Kernel, count: int, inputs: list, cost: float) -> None:
+        """Launch a kernel over `count` items as the step "error hierarchy", with `errors` as its last argument."""
         launch.spread(kernel, count, [*inputs, out], step="error hierarchy", threads=threads, cost=cost)
 
     cells = stored_at(lattice, lattice.cell_depth)
@@ -182,7 +184,7 @@ def build_ranges(
     if lattice.range_depth == 0:
         return
     finest = ranges_at(lattice, lattice.range_depth)
-    inputs = [packed(samples, None), wp.float64(base), wp.float64(step), finest, flat(ranges, wp.uint16)]
+    inputs = [pack_samples(samples, None), wp.float64(base), wp.float64(step), finest, flat(ranges, wp.uint16)]
     cost = 6.0 * lattice.width
     launch.spread(
         range_kernels.finest_ranges, finest.rows + 1, inputs, step="height ranges", threads=threads, cost=cost
@@ -191,7 +193,7 @@ def build_ranges(
 
 
 def unite_ranges(lattice: Lattice, ranges: np.ndarray, threads: int) -> None:
-    """Fill the ranges above the finest stored depth."""
+    """Fill the ranges of heights above the finest stored depth from those below, level by level."""
     out = flat(ranges, wp.uint16)
     for _, finer, coarser, count in upward(lattice.range_depth, partial(ranges_at, lattice)):
         launch.spread(range_kernels.unite_children, count, [finer, coarser, out], step="height ranges", threads=threads)

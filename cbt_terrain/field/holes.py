@@ -21,7 +21,7 @@ from .lattice import Lattice
 
 
 def holes_leave_ground(valid: np.ndarray) -> bool:
-    """Return whether any cell has all its four samples. valid: bool [height, width]."""
+    """Return whether any cell has all its four samples, so that a mesh remains. valid: bool [height, width]."""
     rows = (south & north for south, north in zip(valid[:-1], valid[1:], strict=True))
     return any((row[:-1] & row[1:]).any() for row in rows)
 

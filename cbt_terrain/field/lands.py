@@ -47,14 +47,17 @@ class BuiltInTerrain:
         launch.spread(self.kernel, len(rows), inputs, step=self.name, threads=threads, cost=self.cost * size)
 
     def heights(self, size: int, seed: int = island.DEFAULT_SEED) -> np.ndarray:
-        """Return heights, float32 [size, size] metres, row 0 south."""
+        """Return the terrain's heights, float32 [size, size] metres, row 0 south."""
         samples = np.empty((size, size), np.float32)
         self.rows(size, 0, samples, seed)
         return samples
 
 
-def _of_ranges(name: str, label: str, about: str, side: float, number: int, preset: str) -> BuiltInTerrain:
-    """Return a terrain that `raise_land` computes. number: which one. side: metres of its square."""
+def _mountain_terrain(name: str, label: str, about: str, side: float, number: int, preset: str) -> BuiltInTerrain:
+    """Return a built-in terrain of mountain ranges, which `raise_land` computes.
+
+    number: of its shape in the kernel. side: metres of its square. preset: name of the stack that shapes it.
+    """
     half = wp.float64(0.5 * side)
     return BuiltInTerrain(
         name, label, about, side, raise_land, lambda size, row, seed: [number, size, row, half, seed], preset
@@ -74,7 +77,9 @@ LANDS: dict[str, BuiltInTerrain] = {
             lambda size, row, seed: [size, row, seed],
             "volcanic_island",
         ),
-        _of_ranges("mountains", "Mountains", "A mountain range with foothills", 24_576.0, MOUNTAINS, "great_range"),
+        _mountain_terrain(
+            "mountains", "Mountains", "A mountain range with foothills", 24_576.0, MOUNTAINS, "great_range"
+        ),
         BuiltInTerrain(
             "dunes",
             "Dunes",
@@ -83,8 +88,8 @@ LANDS: dict[str, BuiltInTerrain] = {
             raise_dunes,
             lambda size, row, seed: [size, row, wp.float64(0.5 * _DUNES), seed],
         ),
-        _of_ranges("canyon", "Canyon", "A plateau of rock layers, cut by a river", 16_384.0, CANYON, "desert"),
-        _of_ranges(
+        _mountain_terrain("canyon", "Canyon", "A plateau of rock layers, cut by a river", 16_384.0, CANYON, "desert"),
+        _mountain_terrain(
             "archipelago",
             "Archipelago",
             "Islands and volcanoes in a shallow sea",

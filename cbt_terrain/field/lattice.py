@@ -84,7 +84,7 @@ class Lattice:
 
     @property
     def square_bits(self) -> int:
-        """Return the levels of the binary tree above the root squares: ceil(log2(squares))."""
+        """Return the levels of the binary tree above the root squares, so that they become leaves of one tree."""
         return (self.squares - 1).bit_length()
 
     @property
@@ -147,7 +147,7 @@ class Lattice:
 
     @property
     def cell_base(self) -> int:
-        """Return the entries of an error hierarchy above the raster's cells, which follow."""
+        """Return the first entry of the raster's cells in an error hierarchy, after those of coarser diamonds."""
         return int(self.layout()[0][-2])
 
     @property
@@ -162,7 +162,7 @@ class Lattice:
 
     @property
     def node_count(self) -> int:
-        """Return the entries of an error hierarchy."""
+        """Return the number of entries of an error hierarchy."""
         return int(self.layout()[0][-1])
 
 

@@ -29,6 +29,6 @@ def _load_or_expand(field: HeightField, meshlet: int) -> np.ndarray:
     errors, expanded = codes.decode(field.lattice, field.error, field.table), np.zeros_like(field.error)
     threads = launch.default_threads()
     hierarchy.expand_errors(field.lattice, errors, meshlet, threads)
-    codes.put(field.lattice, errors, field.table, expanded, threads)
-    store.keep(field, name, expanded)
+    codes.encode_with_table(field.lattice, errors, field.table, expanded, threads)
+    store.cache_derived(field, name, expanded)
     return expanded

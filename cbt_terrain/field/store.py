@@ -120,7 +120,7 @@ def read_json(path: Path, file: Path | None = None) -> dict:
 
 
 def _sum_of(content: dict) -> str:
-    """Return the checksum of all other entries of store.json."""
+    """Return the checksum of all entries of store.json but "sum", a hex digest."""
     others = {name: value for name, value in content.items() if name != "sum"}
     return hashlib.blake2b(json.dumps(others, sort_keys=True).encode(), digest_size=8).hexdigest()
 
@@ -229,7 +229,10 @@ def _shape_of(file: Path, shapes: list[tuple[int, int]]) -> tuple[int, int]:
 
 
 def derived_arrays(lattice: Lattice) -> dict[str, tuple]:
-    """Return shapes and dtypes, by name, of the arrays that a store caches."""
+    """Return shape and dtype of each array that a store caches, by name.
+
+    These can be computed again from samples and errors: errors of meshlets and the arrays of the bicubic surface.
+    """
     plain, cells = lattice.node_count, lattice.node_count - lattice.cell_base
     # The curvatures of the raster's cells follow the errors of a bicubic surface.
     errors = {"error": plain, "error_c": plain + cells}
@@ -253,7 +256,10 @@ def data_folder(field: HeightField) -> Path | None:
 
 
 def load_derived(field: HeightField, name: str, shape: tuple, dtype: DTypeLike) -> np.ndarray | None:
-    """Return the array NAME.npy that was derived from a field, None if there is none."""
+    """Return the cached array NAME.npy of a field's store, mapped.
+
+    It is None without a store, or if the file is missing or damaged.
+    """
     folder = data_folder(field)
     if folder is None:
         return None
@@ -263,8 +269,11 @@ def load_derived(field: HeightField, name: str, shape: tuple, dtype: DTypeLike) 
         return None
 
 
-def keep(field: HeightField, name: str, array: np.ndarray) -> None:
-    """Write an array that was derived from a field as NAME.npy, if its store is writable."""
+def cache_derived(field: HeightField, name: str, array: np.ndarray) -> None:
+    """Write an array that was computed from a field as NAME.npy into its store.
+
+    Nothing is written if the field has no store or that is not writable.
+    """
     folder = data_folder(field)
     if folder is None:
         return
@@ -373,7 +382,7 @@ class Draft:
         return text
 
     def discard_unless_published(self) -> None:
-        """Remove a version that was not published; an earlier store is untouched."""
+        """Remove the draft's files if it was not published. An earlier store at its path is untouched."""
         if self.published:
             return
         os.close(self._lock)

@@ -51,10 +51,14 @@ def file_bytes(nbytes: int) -> int:
 
 
 def checksums(array: np.ndarray, blocks: Sequence[int], threads: int = 1) -> np.ndarray:
-    """Return the checksums of some blocks of a contiguous array, uint32 [len(blocks)]."""
+    """Return the CRC-32 of some blocks of a contiguous array, uint32 [len(blocks)].
+
+    blocks: numbers of blocks of BLOCK_BYTES each.
+    """
     data, found = array.reshape(-1).view(np.uint8).data, np.zeros(len(blocks), np.uint32)
 
     def sum_up(first: int) -> None:
+        """Compute every `threads`-th checksum, from number `first` on."""
         for k in range(first, len(blocks), threads):
             found[k] = zlib.crc32(data[blocks[k] * BLOCK_BYTES : (blocks[k] + 1) * BLOCK_BYTES])
 
@@ -63,7 +67,7 @@ def checksums(array: np.ndarray, blocks: Sequence[int], threads: int = 1) -> np.
 
 
 def all_checksums(array: np.ndarray) -> bytes:
-    """Return the bytes that follow the data of a file."""
+    """Return the checksums of an array as the bytes that follow its data in the file."""
     threads = launch.default_threads()
     return checksums(array, range(block_count(array.nbytes)), threads).astype("<u4").tobytes()
 
@@ -82,10 +86,10 @@ def map_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarra
     Some of its blocks are checked. Raises FileNotFoundError, and TerrainError for any other fault. The walk reads
     single pages, so reading ahead is switched off: it would read ten times as much.
     """
-    array, sums = _mapped(file, shape, dtype)
+    array, sums = _map_unchecked(file, shape, dtype)
     count = len(sums)
     sample = sorted({k * (count - 1) // (SAMPLED - 1) for k in range(SAMPLED)}) if count else []
-    _check(file, array, sums, sample)
+    _check_blocks(file, array, sums, sample)
     mapped = getattr(array.base, "_mmap", None)
     if mapped is not None and hasattr(mmap, "MADV_RANDOM"):
         mapped.madvise(mmap.MADV_RANDOM)
@@ -100,13 +104,16 @@ def is_cut_off(array: np.ndarray) -> bool:
 
 def verify_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> int:
     """Check every block and return their number. Raises as `map_array`."""
-    array, sums = _mapped(file, shape, dtype)
-    _check(file, array, sums, range(len(sums)))
+    array, sums = _map_unchecked(file, shape, dtype)
+    _check_blocks(file, array, sums, range(len(sums)))
     return len(sums)
 
 
-def _mapped(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> tuple[np.ndarray, np.ndarray]:
-    """Return the array and its checksums, uint32, of a file."""
+def _map_unchecked(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> tuple[np.ndarray, np.ndarray]:
+    """Return the array of a file, mapped and copied on write, and its stored checksums, uint32.
+
+    Only header and length are checked.
+    """
     dtype = np.dtype(dtype)
     nbytes = int(np.prod(shape, dtype=object)) * dtype.itemsize
     owned_files.check_no_link(file, AGAIN)
@@ -127,8 +134,8 @@ def _mapped(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> tuple[np.nd
     return array.view(np.ndarray), sums
 
 
-def _check(file: Path, array: np.ndarray, sums: np.ndarray, blocks: Sequence[int]) -> None:
-    """Raise TerrainError if one of these blocks of an array differs from its checksum."""
+def _check_blocks(file: Path, array: np.ndarray, sums: np.ndarray, blocks: Sequence[int]) -> None:
+    """Raise TerrainError if one of some blocks of an array differs from its checksum. blocks: their numbers."""
     threads = launch.default_threads() if len(blocks) > SAMPLED else 1
     wrong = np.flatnonzero(checksums(array, blocks, threads) != sums[list(blocks)])
     if len(wrong):

@@ -24,14 +24,17 @@ def is_data_name(name: str) -> bool:
 
 
 def _is_number(value: JsonValue, low: float = -1e300, high: float = 1e300) -> bool:
+    """Return whether a JSON value is a number (no boolean) within limits."""
     return type(value) in (int, float) and low <= value <= high
 
 
 def _is_count(value: JsonValue, low: int) -> bool:
+    """Return whether a JSON value is a whole number from `low` to MAX_CELLS."""
     return type(value) is int and low <= value <= MAX_CELLS
 
 
 def _is_extent(cells: int, step: JsonValue) -> bool:
+    """Return whether `cells` steps, metres each, are a possible extent."""
     return _is_number(step) and SMALLEST_EXTENT < step * cells < LARGEST_EXTENT
 
 
@@ -76,6 +79,7 @@ LARGEST = 1e39  # metres: above all float32, and without overflow in squares and
 
 
 def _is_exponents(value: JsonValue) -> bool:
+    """Return whether a JSON value is a list of exponents of error codes."""
     return isinstance(value, list) and all(type(e) is int and MIN_EXPONENT <= e <= MAX_EXPONENT for e in value)
 
 
@@ -136,7 +140,7 @@ _OPTIONAL: dict[str, _Entry] = {"layers": (_is_layers, f"an object of at most {M
 
 
 def check_entries(content: dict) -> None:
-    """Raise ValueError that names the first missing or invalid entry."""
+    """Raise ValueError that names the first missing or invalid entry of store.json."""
     for name, (good, expected) in (_ENTRIES | {k: v for k, v in _OPTIONAL.items() if k in content}).items():
         if name not in content:
             raise ValueError(f"{name!r} is missing, expected {expected}")

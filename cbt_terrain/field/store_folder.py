@@ -60,7 +60,7 @@ def check_target(path: str | os.PathLike) -> None:
 
 def is_land(folder: Path) -> bool:
     """Return whether a folder has the name of shaped land, in a folder beside a store (`STORE_land/HASH`)."""
-    return owned_files.derived(folder.absolute()) > 1 and not is_data_name(folder.name)
+    return owned_files.derived_components(folder.absolute()) > 1 and not is_data_name(folder.name)
 
 
 def foreign(folder: Path) -> list[Path]:
@@ -154,7 +154,8 @@ def check_no_description(path: Path) -> None:
         raise TerrainError(f"{path} belongs to a terrain store", fix="choose another folder")
 
 
-def _is_named(path: Path, folder: Path) -> bool:
+def _is_current(path: Path, folder: Path) -> bool:
+    """Return whether a store's JSON file names a folder of arrays, which is then in use."""
     return named_folder(path) == folder
 
 
@@ -177,7 +178,7 @@ def remove_abandoned(path: Path) -> None:
         with suppress(OSError):
             if is_array_folder(folder):
                 token = folder.name.removeprefix(DATA_PREFIX)
-                is_needed = functools.partial(_is_named, path, folder)
+                is_needed = functools.partial(_is_current, path, folder)
                 partial_files.remove_if_abandoned(folder, token, is_needed, is_array_name)
 
 

@@ -58,7 +58,7 @@ class Tiled:
 
     @property
     def key(self) -> str:
-        """Return a text that identifies the detail."""
+        """Return a hex digest of the parameters and the image, by which surfaces and results are cached."""
         text = repr((float(self.amplitude), float(self.size), self.image.digest))
         return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
@@ -71,7 +71,10 @@ class Tiled:
         return nets[number], texel * 2**number
 
     def parts(self, finest: float) -> list[DetailTerm]:
-        """Return the surface as a summand for bounds."""
+        """Return the surface as one summand, from which bounds are computed.
+
+        finest: metres of the shortest edges of meshes.
+        """
         net, texel = self._net(finest)
         a, per = self.amplitude, 1.0 / texel
         splits = tuple(
@@ -102,8 +105,8 @@ def _nets(image: Painted) -> tuple[_Net, ...]:
     heights, off = [first.astype(np.float32)], []
     while all(n % 2 == 0 for n in heights[-1].shape):
         net = heights[-1].astype(np.float64)
-        heights.append(_halved(net).astype(np.float32))
-        off.append(_range(net - _doubled(heights[-1].astype(np.float64))))
+        heights.append(_halve_net(net).astype(np.float32))
+        off.append(_range(net - _double_net(heights[-1].astype(np.float64))))
     smooth = [_bounds(net.astype(np.float64)) for net in heights]
     found = []
     for k, values in enumerate(heights):
@@ -123,16 +126,19 @@ def _range(net: np.ndarray) -> float:
     return float(max(net.max(), 0.0) - min(net.min(), 0.0))
 
 
-def _halved(net: np.ndarray) -> np.ndarray:
-    """Return a net of every other pixel along both axes, near the surface of this one."""
+def _halve_net(net: np.ndarray) -> np.ndarray:
+    """Return control heights with half the pixels along both axes, whose surface is near that of `net`."""
     for axis in (0, 1):
         net = add_up(weight * np.roll(net, 2 - k, axis) for k, weight in enumerate(DOWN))
         net = net[::2] if axis == 0 else net[:, ::2]
     return net
 
 
-def _doubled(net: np.ndarray) -> np.ndarray:
-    """Return the net of twice as many pixels along both axes with the same surface (subdivision of cubic B-splines)."""
+def _double_net(net: np.ndarray) -> np.ndarray:
+    """Return control heights with twice the pixels along both axes and the same surface.
+
+    It is the subdivision of cubic B-splines.
+    """
     for axis in (0, 1):
         before, after = np.roll(net, 1, axis), np.roll(net, -1, axis)
         pairs = np.stack([(before + 6 * net + after) / 8, (net + after) / 2], axis + 1)

@@ -86,12 +86,12 @@ def fit(
             best = fitter.run(error_m)
         if best is not None:
             more = plain.relaxed == 1.0 and (best.triangles, best.bound_m) > (plain.triangles, plain.bound_m)
-            more = more or (max_triangles is not None and len(fitter.ended(best).triangles) > triangle_limit)
+            more = more or (max_triangles is not None and len(fitter.end_at_borders(best).triangles) > triangle_limit)
             if more or best.bound_m > max(plain.bound_m, fitter.within(error_m)):
                 best = None
         if best is None:
-            best = fitter.interpolated(plain, error_m)
-        surface = fitter.ended(best)
+            best = fitter.measure_interpolating(plain, error_m)
+        surface = fitter.end_at_borders(best)
     on_progress(1.0)
     limited = "max_triangles" if best.relaxed > 1.0 else best.limited
     return Fitted(
@@ -163,7 +163,7 @@ def _fit_within(
         step = (low + high) // 2
         factor = 2.0 ** (step / STEPS_PER_OCTAVE)
         mesh = fitter.run(error_m * factor)
-        if mesh is not None and len(fitter.ended(mesh).triangles) <= triangle_limit:
+        if mesh is not None and len(fitter.end_at_borders(mesh).triangles) <= triangle_limit:
             found, high = replace(mesh, relaxed=factor), step
         else:
             low = step

@@ -34,7 +34,7 @@ from ..mesh import borders
 from ..mesh.builder import SurfaceRequest, build_surface
 from ..mesh.surface import Surface
 from ..refine.refinement import MAX_TRIANGLES, refine
-from ..refine.request import RefinementRequest, refinable
+from ..refine.request import RefinementRequest, refinable_domain
 from ..refine.terms import DISPLACEMENT_ERROR, SINGLE_BITS, Rounding, Terms, left_of, rounding
 from ..run import launch
 from ..run.buffers import Buffers, shared
@@ -97,16 +97,19 @@ class Fitter:
         self.scale = abs(self.placement[0])
         self.source = field.source_max * self.scale
         self.depth = max(1, usual_depth(field))
-        self.plain = refinable(field, 0, *self.placement, rounding(field, self.depth, *self.placement))
+        self.plain = refinable_domain(field, 0, *self.placement, rounding(field, self.depth, *self.placement))
 
     def run(self, error_m: float) -> FittedMesh | None:
-        """Return the fit for one error, None if it was given up or the raster has holes, whose filling it would fit."""
+        """Fit a mesh to one error in metres.
+
+        Returns None if that was given up, or if the raster has holes, whose filled samples it would fit.
+        """
         if not self.scale or self.field.valid is not None:
             return None
         field, buffers = self.field, Buffers()
         history = FrameHistory()
         error, table = self._codes(error_m)
-        domain = refinable(replace(field, error=error), 0, *self.placement, Rounding())
+        domain = refinable_domain(replace(field, error=error), 0, *self.placement, Rounding())
         domain.table = shared(table, wp.float32)
         domain.is_raised = 1
         m, criterion, known = self._mesh(error_m), _vertical_criterion(error_m), self._nothing_known()
@@ -120,26 +123,27 @@ class Fitter:
                 self._measure(m, surface)
                 beyond = work.beyond()
                 if not beyond.any():
-                    return self._judged(surface, buffers, error_m, rounds)
+                    return self._bounded_mesh(surface, buffers, error_m, rounds)
             work.link(surface)
             if rounds > 1 and beyond.sum() > FEW * work.triangles:
-                work.look_again(beyond)
+                work.mark_unmeasured(beyond)
             elif rounds > 1:
                 found = work.refine(0.0)
                 if not found["splits"] and not found["pins"]:
-                    return self._judged(surface, buffers, error_m, rounds, found["deepest"] > 0)
-            work.settle()
+                    return self._bounded_mesh(surface, buffers, error_m, rounds, found["deepest"] > 0)
+            work.sweep_and_split()
             self.spread(binding.store_heights, work.vertices, [m, *known])
         return None
 
-    def ended(self, mesh: FittedMesh) -> Surface:
-        """Return the mesh as it is delivered: cut at the raster's border and for its holes."""
+    def end_at_borders(self, mesh: FittedMesh) -> Surface:
+        """Return the surface as it is delivered: cut at the raster's border and at its holes."""
         return borders.end(mesh.surface, self.field, self.plain, threads=self.threads)[0]
 
-    def interpolated(self, update: Update, error_m: float) -> FittedMesh:
+    def measure_interpolating(self, update: Update, error_m: float) -> FittedMesh:
         """Return the interpolating mesh of an update, with its bound measured as for fitted meshes.
 
-        `error_m`: metres. The smaller of the measured bound and the update's is returned, since both hold.
+        Both the measured bound and the update's hold, and the smaller one is returned. error_m: requested error
+        in metres.
         """
         assert update.bound_m is not None and update.terms_m is not None  # its criterion has an error in metres
         if not self.scale:
@@ -152,7 +156,7 @@ class Fitter:
         if self.field.valid is not None:
             worst = buffers.numpy("fit_worst")[: update.triangles]
             worst[borders.in_holes(update.surface, self.field, self.plain, self.threads)] = 0.0
-        mesh = self._judged(update.surface, buffers, error_m, 0)
+        mesh = self._bounded_mesh(update.surface, buffers, error_m, 0)
         if update.bound_m < mesh.bound_m:
             mesh = replace(mesh, bound_m=update.bound_m, limited=update.limited, terms=update.terms_m)
         return replace(mesh, limited=update.limited or mesh.limited, relaxed=update.relaxed)
@@ -166,7 +170,7 @@ class Fitter:
         m = mesh_kernels.FitMesh()
         m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - FINEST)
         left = left_of(error_m, self.source)
-        m.error, m.bound = error_m, left - min(self._shift(error_m) + self._rounded(error_m), left / 2)
+        m.error, m.bound = error_m, left - min(self._shift(error_m) + self._computing_error(error_m), left / 2)
         return m
 
     def _codes(self, error_m: float) -> tuple[np.ndarray, np.ndarray]:
@@ -193,17 +197,18 @@ class Fitter:
         return [shared(np.zeros(vertices, np.float32), wp.float32), shared(np.zeros(vertices, np.uint8), wp.uint8)]
 
     def _measure(self, m: mesh_kernels.FitMesh, surface: Surface) -> None:
+        """Compute the distance of each triangle of `m` from the surface."""
         triangles = len(surface.triangles)
         self.spread(kernels.measure, triangles, [m], cost=self.ns_each(triangles) / 15.0)
 
-    def _judged(
+    def _bounded_mesh(
         self, surface: Surface, buffers: Buffers, error_m: float, rounds: int, deepest: bool = False
     ) -> FittedMesh:
-        """Return a mesh with its bound: the largest measured distance, plus the rounding of the mesh and of the source.
+        """Return a mesh with its bound: the largest measured distance plus the rounding of the mesh and of the source.
 
-        A plane coordinate that is rounded moves a facet sideways, and no facet is steeper than the surface but for
-        twice the distance of its corners over the shortest way between them. The bound is rounded outward, but not over
-        one that holds already.
+        Rounding a plane coordinate moves a facet sideways, and no facet is steeper than the surface but for
+        twice the distance of its corners over the shortest way between them. The bound is rounded up unless it
+        then exceeded one that holds already.
         """
         lattice, triangles = self.field.lattice, len(surface.triangles)
         worst = buffers.numpy("fit_worst")[:triangles]
@@ -211,7 +216,7 @@ class Fitter:
         np.maximum.at(of_level, surface.level, worst)
         steeper = 2.0 * of_level / 2.0 ** (lattice.levels - np.arange(len(of_level)) // 2)  # metres a cell
         far = float(worst.max())
-        shift = self._sideways(float(steeper.max())) + self._rounded(far)
+        shift = self._sideways(float(steeper.max())) + self._computing_error(far)
         parts = far, shift, self.source
         total = add_up(parts)
         bound, limited = total * OUTWARD, ""
@@ -223,11 +228,11 @@ class Fitter:
         terms = Terms.shares(bound, *parts)
         return FittedMesh(surface, bound, parts[0], terms, limited, rounds)
 
-    def _rounded(self, far: float) -> float:
+    def _computing_error(self, far: float) -> float:
         """Return the metres by which a distance computed in float64 may be off.
 
-        Where a border is cut afterwards, its new vertices are rounded to float32 besides, on a mesh that is `far`
-        metres off the surface.
+        Where a border is cut afterwards, its new vertices are rounded to float32 besides, on a mesh that is
+        `far` metres off the surface.
         """
         highest = max(abs(h) for h in (self.field.min_height, self.field.max_height))
         reach = highest * self.scale + abs(self.placement[1])
@@ -263,7 +268,7 @@ class Fitter:
         return shift
 
     def ns_each(self, triangles: int) -> float:
-        """Return the nanoseconds that each of some triangles takes."""
+        """Return the nanoseconds that measuring one of `triangles` takes, by which work is divided over threads."""
         return TRIANGLE_NS + SAMPLE_NS * self.field.samples.size / triangles
 
     def tell_progress(self) -> None:

@@ -46,7 +46,7 @@ class Sweeps:
         self.buffers.numpy("fit_level")[:triangles] = surface.level
         self.buffers.numpy("fit_active")[:triangles] = np.arange(triangles)
         self.buffers.numpy("fit_awake")[:triangles] = -1
-        self.look_again(slice(None))
+        self.mark_unmeasured(slice(None))
         self.fitter.spread(binding.place_vertices, vertices, [self.m, shared(surface.positions, wp.vec3f), *known])
 
     def _reserve(self, triangles: int, vertices: int) -> None:
@@ -66,7 +66,7 @@ class Sweeps:
         self.m.room = triangles - 32  # a list is written in blocks
 
     def link(self, surface: Surface) -> None:
-        """Find the neighbours, before anything is split or moved."""
+        """Find the neighbours of the triangles across their edges, before anything is split or moved."""
         edges = len(surface.edges)
         side = self.buffers.get("fit_side", edges, wp.int32)
         self.buffers.numpy("fit_side")[:edges] = -1
@@ -77,12 +77,15 @@ class Sweeps:
         """Return whether each triangle is farther from the surface than the bound, bool [T]."""
         return self.buffers.numpy("fit_worst")[: self.triangles] > self.m.bound
 
-    def look_again(self, which: np.ndarray | slice) -> None:
-        """Have the next sweep measure triangles."""
+    def mark_unmeasured(self, which: np.ndarray | slice) -> None:
+        """Mark triangles, by index or slice, as not measured, so that the next sweep measures them."""
         self.buffers.numpy("fit_worst")[: self.triangles][which] = mesh_kernels.NOT_MEASURED.value
 
-    def settle(self) -> None:
-        """Sweep and split until no triangle is beyond the bound."""
+    def sweep_and_split(self) -> None:
+        """Move vertices in sweeps and split triangles by turns, until no triangle is beyond the bound.
+
+        It ends early where a new walk of the tree would split better.
+        """
         later = 0
         for rounds in range(1, MAX_ROUNDS + 1):
             self.m.round = rounds
@@ -96,17 +99,17 @@ class Sweeps:
     def _sweep(self) -> int:
         """Move the vertices; returns the number of triangles beyond the bound before the last move."""
         for _ in range(SWEEPS):
-            self._pull()
+            self._measure_pushes()
             inputs = [self.count, self.triangles, self.m, self.found]
             launch.once(kernels.move, inputs, step="fit move", recorded=self.recorded)
             self.count = int(self.found_np[0])
             if not self.found_np[1]:
                 break
-        self._pull()
+        self._measure_pushes()
         return int(self.found_np[1])
 
-    def _pull(self) -> None:
-        """Measure the listed triangles and their pushes."""
+    def _measure_pushes(self) -> None:
+        """Measure the listed triangles, and how far each would push its vertices to err less."""
         pieces = min(self.fitter.threads, int(self.count * self.fitter.ns_each(self.triangles) / 3e5)) or 1
         inputs = [[*piece, self.m] for piece in launch.ranges(self.count, pieces)]
         launch.slices(kernels.measure_pushes, inputs, step="fit pull", recorded=self.recorded)

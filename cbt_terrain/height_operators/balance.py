@@ -17,7 +17,7 @@ HALVINGS = 4, 5, 6
 ROUNDING = 1e-7
 
 
-def balanced(
+def balance_mass(
     deposited: np.ndarray,
     eroded: np.ndarray,
     max_eroded: np.ndarray,
@@ -25,12 +25,17 @@ def balanced(
     net: np.ndarray,
     ground: OperatorGround,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Scale deposits and erosion so that mass is conserved: exactly for a whole raster, for a tile within its window.
+    """Return deposits and erosion scaled so that mass is conserved, both float32 [rows, columns] m.
 
-    All float32 [rows, columns] m. net: the interpolated change of the coarser level, whose sum over that level's
-    samples is 0. change: the same at this level before the correction; it includes `deposited` >= 0, which is scaled
-    first. `eroded` >= 0 changes, up to `max_eroded`, only where too little is deposited nearby, as at a border that all
-    material has left.
+    Mass is conserved exactly for a whole raster, and for a tile within its window. Where too little is deposited
+    nearby, as at a border that all material has left, erosion changes instead.
+
+    Args:
+        deposited: deposits, >= 0, which are scaled first.
+        eroded: erosion, >= 0.
+        max_eroded: limit of erosion.
+        change: change of this level before the correction; it includes `deposited`.
+        net: the coarser level's change, interpolated to this level. Its sum over that level's samples is 0.
     """
     missing = change.sum(dtype=np.float64) - deposited.sum(dtype=np.float64)
     padding = [(first % (1 << HALVINGS[-1]), 0) for first in ground.first]  # aligns the grids of tiles and of the whole
@@ -73,7 +78,7 @@ def _gather(samples: np.ndarray, halvings: int) -> np.ndarray:
 
 
 def _interpolate(samples: np.ndarray, shape: tuple[int, ...], halvings: int) -> np.ndarray:
-    """Apply `finer` several times, up to a shape; float32."""
+    """Interpolate to a level that is `halvings` finer, one level at a time; float32 [shape]."""
     if halvings > 1:
         samples = _interpolate(samples, (shape[0] // 2 + 1, shape[1] // 2 + 1), halvings - 1)
     return finer(samples.astype(np.float32), shape)

@@ -27,7 +27,11 @@ def limit_at_cliffs(
 
 
 def _max_around(samples: np.ndarray, first: tuple[int, int]) -> np.ndarray:
-    """Return the maximum of the coarser samples at or around each sample."""
+    """Return the maximum of the coarser level's samples that surround each sample, or are at it.
+
+    samples: of this level, of which every second one is of the coarser level. first: row and column of the first
+    sample in the whole level.
+    """
     for axis, number in enumerate(first):
         odd, count = number % 2, samples.shape[axis]
         coarser = np.moveaxis(samples, axis, 0)[odd::2]

@@ -79,7 +79,11 @@ class Land:
 
     @classmethod
     def of(cls, source: str, stack: Stack, waits: bool) -> "Land":
-        """Return the land that a stack makes of a source. Raises TerrainError where its folders are links."""
+        """Return the land that a stack makes of the store `source`; nothing is shaped or opened.
+
+        waits: whether the user needs the shaped store (as a render does), so that a preview is not enough.
+        Raises TerrainError if one of its folders is a link.
+        """
         beside = land_folder.folder_beside(source)
         land = cls(source, str(beside / land_name(_source_key(source), stack)), waits, stack)
         owned_files.check_folder(beside, *(Path(some.folder).name for some in (land, land.of_views_alone)))
@@ -97,7 +101,7 @@ class Land:
 
     @property
     def of_views_alone(self) -> "Land":
-        """The same land where only the parts in view are fine."""
+        """The same land where only the parts in view are fine, which is quicker to shape."""
         return replace(self, of_views=True)
 
     @property
@@ -110,7 +114,7 @@ class Land:
 
     @property
     def shown(self) -> str:
-        """Folder of the store that a viewport shows, "" if it shows a preview."""
+        """Folder of the store that a viewport shows, "" if it shows a preview because none is there yet."""
         both = (self, self.of_views_alone)
         return next((land.folder for land in both if land.is_shaped), "")
 
@@ -134,7 +138,7 @@ def use(user: int, land: Land) -> None:
 
 
 def release(user: int) -> None:
-    """Note that a user wants no land."""
+    """Note that a user, by number, wants no land any longer; it may be removed then."""
     _in_use.pop(user, None)
 
 
@@ -144,7 +148,7 @@ def is_in_use(folder: str | os.PathLike) -> bool:
 
 
 def forget() -> None:
-    """Forget all users, previews and checks."""
+    """Forget all users, previews and checks, for another file or a test."""
     for known in (_previews, _in_use, _rebuilds, _verified):
         known.clear()
 
@@ -163,7 +167,7 @@ def raster_of(store: str, land: Land | None, open_field: OpenField, verified: bo
     if land is None:
         return _open(store, open_field)
     if not land.waits and not land.is_shaped:
-        return previewed(land, open_field).field
+        return build_preview(land, open_field).field
     if land.waits and (land.seen or not is_whole(land, open_field)):
         with _shaping:  # two renders of one land shape it once
             _shape(land, open_field)
@@ -192,18 +196,18 @@ def _shape(land: Land, open_field: OpenField) -> None:
             shape_store(land.source, land.stack, land.folder, wanted, tell, tiles=land.tiles)
         finally:
             tell(1.0, "")
-        finish(land, wanted)
+        finish_shaping(land, wanted)
         counts["stores"] += 1
 
 
 def begin_shaping(land: Land, open_field: OpenField, gentle: bool = False) -> tuple[ShapeJob, Tiles | None]:
-    """Begin to shape land in a child process; return the job and the tiles that `finish` needs."""
+    """Begin to shape land in a child process; return the job and the tiles that `finish_shaping` needs."""
     wanted = requested_tiles.with_known(land.folder, wanted_tiles(land, open_field))
     return ShapeJob(land.source, land.stack, land.folder, wanted, tiles=land.tiles, gentle=gentle), wanted
 
 
-def finish(land: Land, wanted: Tiles | None) -> None:
-    """Record the tiles of land that was shaped, and remove old land."""
+def finish_shaping(land: Land, wanted: Tiles | None) -> None:
+    """Record the tiles of land that was just shaped, and remove old land. wanted: the requested tiles, None for all."""
     requested_tiles.note(land.folder, wanted)
     remove_old(land)
 
@@ -225,12 +229,18 @@ def is_whole(land: Land, open_field: OpenField) -> bool:
 
 
 def wanted_tiles(land: Land, open_field: OpenField) -> Tiles | None:
-    """Return the tiles that the land's views need, None for all."""
+    """Return the tiles that the land's views need, None if all land is to be fine.
+
+    open_field: opens a store's height field.
+    """
     return None if land.seen is None else land.seen.tiles(open_field(land.source))
 
 
-def previewed(land: Land, open_field: OpenField) -> Preview:
-    """Return the preview of a land, built on first use; the last MAX_PREVIEWS stay in memory."""
+def build_preview(land: Land, open_field: OpenField) -> Preview:
+    """Return the preview of a land, built on first use; the last MAX_PREVIEWS stay in memory.
+
+    open_field: opens a store's height field.
+    """
     found = _previews.pop(land.folder, None)
     if found is None:
         counts["previews"] += 1
@@ -244,7 +254,7 @@ def previewed(land: Land, open_field: OpenField) -> Preview:
 
 
 def preview_of(land: Land) -> Preview | None:
-    """Return the preview of land if there is one."""
+    """Return the preview of land if it is in memory, None otherwise."""
     return _previews.get(land.folder)
 
 
@@ -268,17 +278,20 @@ def check_after(store: str, error: TerrainError) -> None:
     if (store, changed) not in _verified:
         fault = _remove_damaged(store)
         if fault is not None:
-            raise _damaged(store, fault) from error
+            raise _damaged_error(store, fault) from error
         _verified.add((store, changed))
 
 
 def _open(store: str, open_field: OpenField) -> HeightField:
-    """Open a store, and remove derived land that is damaged so that it is shaped again. Raises TerrainError."""
+    """Open the height field of a store, with `open_field`.
+
+    Raises TerrainError. Shaped land that is damaged is removed, so that it is shaped again.
+    """
     try:
         return open_field(store)
     except TerrainError as error:
         if _remove_damaged(store, error) is not None:
-            raise _damaged(store, error) from error
+            raise _damaged_error(store, error) from error
         if _is_rebuilt_here(store) and not _is_limit(error):
             fix = "check its disk and your rights: it is shaped land that cannot be built again"
             raise TerrainError(error.what, error.where, error.expected, fix) from error
@@ -314,12 +327,12 @@ def _remove_damaged(store: str, fault: TerrainError | None = None) -> TerrainErr
         except OSError:
             return None
         _rebuilds[store] += 1
-        notify(str(_damaged(store, fault)))
+        notify(str(_damaged_error(store, fault)))
     return fault
 
 
-def _damaged(store: str, fault: TerrainError) -> TerrainError:
-    """Return the error for shaped land that is damaged and will be built again."""
+def _damaged_error(store: str, fault: TerrainError) -> TerrainError:
+    """Return the error for shaped land that is damaged and will be built again. fault: how it is damaged."""
     what = f"The shaped land in {store!r} is damaged and is built again from its source ({fault.what})"
     return TerrainError(what, code=DAMAGED)
 
@@ -341,9 +354,14 @@ def _source_key(store: str) -> str:
 
 @functools.lru_cache(maxsize=64)
 def _is_recorded(folder: str, _changed_ns: int, source_key: str) -> bool:
+    """Return whether a folder's store.json says that it was shaped from a source with this key.
+
+    _changed_ns: time of its last change, only for the cache.
+    """
     return land_folder.records(stores.read_json(Path(folder))["provenance"], folder, source_key)
 
 
 @functools.lru_cache(maxsize=64)
 def _key_of(store: str, _changed_ns: int) -> str:
+    """Return the content key in a store's JSON file. _changed_ns: time of its last change, only for the cache."""
     return stores.read_json(Path(store))["key"]

@@ -84,13 +84,13 @@ def _rain(ground: OperatorGround, values: Mapping[str, float]) -> kernels.Drople
     rain, stride = kernels.DropletRain(), min(ground.step_x, ground.step_y)
     rain.height, rain.width = ground.heights.shape
     rain.first_row, rain.first_column = ground.first
-    rain.step_x, rain.step_y, rain.stride, rain.steps = ground.step_x, ground.step_y, stride, _steps(values, stride)
+    rain.step_x, rain.step_y, rain.stride, rain.steps = ground.step_x, ground.step_y, stride, _num_steps(values, stride)
     rain.brush_x, rain.brush_y = (max(1, round(0.5 * BRUSH / step)) for step in (ground.step_x, ground.step_y))
     rain.rows, rain.columns = (
         _tile(rain.steps * stride / step, brush)
         for step, brush in ((ground.step_y, rain.brush_y), (ground.step_x, rain.brush_x))
     )
-    rain.across = -(-_whole(ground)[1] // rain.columns)
+    rain.across = -(-_whole_shape(ground)[1] // rain.columns)
     per_sample = values["droplets"] * 1e-6 * ground.step_x * ground.step_y
     simulated = min(per_sample, MAX_PER_SAMPLE)
     rain.drops = round(simulated * rain.rows * rain.columns)
@@ -103,12 +103,14 @@ def _rain(ground: OperatorGround, values: Mapping[str, float]) -> kernels.Drople
     return rain
 
 
-def _whole(ground: OperatorGround) -> tuple[int, int]:
+def _whole_shape(ground: OperatorGround) -> tuple[int, int]:
+    """Return rows and columns of the whole level, of which the ground may be a tile."""
     rows, columns = np.maximum(ground.whole, np.add(ground.first, ground.heights.shape))
     return int(rows), int(columns)
 
 
-def _steps(values: Mapping[str, float], stride: float) -> int:
+def _num_steps(values: Mapping[str, float], stride: float) -> int:
+    """Return the number of steps that a droplet takes. stride: metres of a step."""
     return max(1, int(values["reach"] / stride))
 
 
@@ -125,7 +127,7 @@ def _tiles(rain: kernels.DropletRain, ground: OperatorGround) -> list[np.ndarray
     numbers, near = [], []
     target = ground.target or [slice(0, n) for n in ground.heights.shape]
     for first, count, whole, side, part in zip(
-        ground.first, ground.heights.shape, _whole(ground), (rain.rows, rain.columns), target, strict=True
+        ground.first, ground.heights.shape, _whole_shape(ground), (rain.rows, rain.columns), target, strict=True
     ):
         last = min(first + count, whole) - 1
         found = np.arange(first // side, last // side + 1)
@@ -143,7 +145,7 @@ def _tiles(rain: kernels.DropletRain, ground: OperatorGround) -> list[np.ndarray
 
 
 def _dilate(tiles: np.ndarray) -> np.ndarray:
-    """Return the tiles and their eight neighbours, bool [rows, columns]."""
+    """Return the flagged tiles and their eight neighbours, bool [rows, columns]."""
     wide = np.pad(tiles, 1)
     tall = wide[:-2] | wide[1:-1] | wide[2:]
     return tall[:, :-2] | tall[:, 1:-1] | tall[:, 2:]

@@ -63,6 +63,7 @@ def check_export(file: str | os.PathLike) -> Path:
 
 
 def _file_of(file: Path, name: str) -> Path:
+    """Return the file of the heights or of a layer, from the file that the user named."""
     return file if name == HEIGHTS else file.with_name(f"{file.stem}_{name}{file.suffix}")
 
 
@@ -77,6 +78,7 @@ def _rows(field: HeightField, name: str, first: int) -> np.ndarray:
 
 
 def _write_exrs(field: HeightField, _store: Path, files: dict[str, Path]) -> None:
+    """Write heights and layers as OpenEXR files. files: by name of the layer."""
     for name, path in files.items():
         _write_exr(field, name, path)
 
@@ -92,12 +94,16 @@ def _write_exr(field: HeightField, name: str, path: Path) -> None:
                     exr.add(_rows(field, name, first)[..., None])
                 exr.close()
             finally:
-                exr.leave()
+                exr.abandon()
     except OSError as reason:
         raise unwritable(str(path), reason) from reason
 
 
 def _write_tiffs(_field: HeightField, store: Path, files: dict[str, Path]) -> None:
+    """Write heights and layers as GeoTIFF files in a child process, since GDAL is not loaded in Blender.
+
+    files: by name of the layer.
+    """
     request = {"store": str(store.absolute()), "files": {name: str(path) for name, path in files.items()}}
     ask(MODULE, request, f"the store {store}")
 
@@ -142,20 +148,23 @@ class RowFile:
         """Complete the file."""
         self._file.close()
 
-    def leave(self) -> None:
-        """Close the file without completing it."""
+    def abandon(self) -> None:
+        """Close the file without completing it, after an error."""
         getattr(self._file, "leave", self._file.close)()
 
 
 def _open_png(path: Path, shape: RasterShape, dtype: np.dtype, pool: Executor) -> RowFile:
+    """Open a PNG file for rows of 8 or 16 bits."""
     return RowFile(PngFile(path, shape.width, 1, 8 * dtype.itemsize, "", pool, shape.height), dtype)
 
 
 def _open_exr(path: Path, shape: RasterShape, dtype: np.dtype, pool: Executor) -> RowFile:
+    """Open an OpenEXR file for rows of float32."""
     return RowFile(ExrFile(path, shape.width, channels=1, depth=32, text="", pool=pool, lines=shape.height), dtype)
 
 
 def _open_raw(path: Path, _shape: RasterShape, dtype: np.dtype, _pool: Executor) -> RowFile:
+    """Open a RAW file, which has rows and nothing else."""
     return RowFile(open(path, "wb"), dtype)
 
 
@@ -204,7 +213,7 @@ WRITERS = {suffix: form.export for suffix, form in FORMATS.items() if form.expor
 
 
 def child_main() -> None:
-    """Answer one request."""
+    """Answer one request on stdin, in a child process that may load GDAL."""
     serve(_answer, lambda request: f"Reading the store {request['store']}")
 
 
@@ -232,7 +241,7 @@ def _answer(request: dict, *_: object) -> list[str]:
 
 
 def _write_tiff(path: Path, bands: Iterable[np.ndarray], shape: RasterShape) -> None:
-    """Write bands of LINES rows to a GeoTIFF. Raises TerrainError."""
+    """Write a raster to a GeoTIFF. bands: arrays of LINES rows, in order. Raises TerrainError."""
     import rasterio
     from rasterio.transform import Affine
     from rasterio.windows import Window

@@ -15,9 +15,9 @@ MIN_RELIEF = 1.0  # metres
 def fitted(stack: Stack, low: float, high: float) -> Stack:
     """Return the stack adapted to land from `low` to `high` metres.
 
-    Heights (the snow line, limits of masks) keep their fraction of the relief above the foot, and uplift is scaled by
-    the relief. The foot of land that reaches below the sea is at 0 m. Without `stack.heights`, or for flat land, the
-    stack stays as it is.
+    Heights (the snow line, limits of masks) keep their fraction of the relief above the foot, and uplift is scaled
+    by the relief. The foot of land that reaches below the sea is at 0 m. Without `stack.heights`, or for flat land,
+    the stack stays as it is.
     """
     foot = max(low, 0.0) if high > 0.0 else low
     if stack.heights is None or high - foot < MIN_RELIEF:
@@ -26,14 +26,17 @@ def fitted(stack: Stack, low: float, high: float) -> Stack:
     ratio = (high - foot) / (designed_top - designed_foot)
 
     def level(metres: float) -> float:
+        """Return the height in this land for a height in the stack's own land, metres."""
         return foot + (metres - designed_foot) * ratio
 
     def adapt_rule(rule: GroundRule) -> GroundRule:
+        """Adapt the limits of a rule if they are heights."""
         if rule.of != HEIGHT:
             return rule
         return replace(rule, low=level(rule.low), high=level(rule.high), edge=rule.edge * ratio)
 
     def adapt_mask(mask: HeightMask | None) -> HeightMask | None:
+        """Adapt the rules of a mask, if there is one."""
         return mask and replace(mask, rules=tuple(map(adapt_rule, mask.rules)))
 
     def adapt_parameters(entry: Entry) -> Mapping[str, float]:

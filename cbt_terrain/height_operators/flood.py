@@ -55,7 +55,7 @@ class Flood:
 
     @property
     def volume(self) -> float:
-        """m^3 of water on the bed and of water that has left."""
+        """Return the m^3 of water on the ground and of water that has left; it is constant without rain."""
         samples = math.fsum(self.water.ravel().tolist()) + self.left
         return samples * self.metres[0] * self.metres[1]
 
@@ -102,8 +102,11 @@ def longest_step(flood: Flood) -> float:
     return math.sqrt((1.0 - 2.0 * kernels.SMOOTHING) / (GRAVITY * deepest * (1.0 / dx**2 + 1.0 / dy**2)))
 
 
-def step(flood: Flood, seconds: float) -> None:
-    """Advance one step in time. Raises TerrainError if it is longer than `longest_step`."""
+def step_once(flood: Flood, seconds: float) -> None:
+    """Advance the flood by one step of time.
+
+    Raises TerrainError if it is longer than `longest_step`, where the method is unstable.
+    """
     longest = longest_step(flood)
     if not 0.0 < seconds <= longest:
         raise TerrainError(
@@ -162,7 +165,7 @@ def speeds(flood: Flood) -> np.ndarray:
 
 
 def _check_time(flood: Flood, seconds: float) -> None:
-    """Raise TerrainError if a flood would take more than MAX_STEPS steps."""
+    """Raise TerrainError if a flood of `seconds` would take more than MAX_STEPS steps."""
     steps = seconds / (SAFE * longest_step(flood))
     if steps > MAX_STEPS:
         raise TerrainError(

@@ -103,7 +103,7 @@ def step(bed: Bed, years: float, values: Mapping[str, float], number: int) -> np
     ground, drainage = bed.heights, bed.drain(_draw(bed, number))
     raised = drainage.heights if not bed.uplift.any() else drainage.heights + np.float32(years) * bed.uplift
     bed.heights = raised.copy()
-    river, filled = _cut(bed, drainage, years, values)
+    river, filled = _incise(bed, drainage, years, values)
     load = None if filled is None else _deposit(bed, drainage, river, raised, filled, years)
     uplift = np.float32(years) * bed.uplift[bed.border]
     bed.heights[bed.border] = raised[bed.border] = ground[bed.border] + uplift  # was raised to outlet_level
@@ -138,7 +138,7 @@ def _creep(bed: Bed, years: float, rate: float, base: np.ndarray, filled: np.nda
 
 
 def vary_rock(bed: Bed, variety: float) -> None:
-    """Multiply the erodibility by noise; `variety`: standard deviation of its logarithm."""
+    """Multiply the erodibility by noise, so that rivers are not alike. variety: standard deviation of its logarithm."""
     grid = grid_of(*bed.shape, bed.step_x, bed.step_y)
     place = [wp.vec2i(*bed.first), wp.vec2d(bed.step_x, bed.step_y), ROCK, ROCK_OCTAVES]
     inputs = [grid, *place, 0.5 * variety, wp.uint32(bed.seed & 0xFFFFFFFF), flat(bed.erodibility, wp.float32)]
@@ -154,10 +154,13 @@ def _draw(bed: Bed, number: int) -> Draw:
     return draw
 
 
-def _cut(
+def _incise(
     bed: Bed, drainage: Drainage, years: float, values: Mapping[str, float]
 ) -> tuple[kernels.River, np.ndarray | None]:
-    """Incise the bed; return the kernel's state and, with deposition, the water's surface."""
+    """Incise the bed for some years, and return the kernels' state and the water's surface, float32 [n] m.
+
+    The surface is None without deposition. values: parameters of the operator. The bed's heights change.
+    """
     r, rate, (rows, columns) = kernels.River(), np.empty_like(bed.heights), bed.shape
     filled = np.empty_like(rate) if values["deposition"] > 0.0 else None
     r.grid, r.lakes, r.deposition = drainage.grid, int(filled is not None), values["deposition"]
@@ -212,17 +215,24 @@ def diffuse(
 def _deposit(
     bed: Bed, drainage: Drainage, river: kernels.River, raised: np.ndarray, filled: np.ndarray, years: float
 ) -> np.ndarray:
-    """Deposit sediment along the rivers and in lakes; return the load of each sample."""
+    """Deposit sediment along the rivers and in lakes, and return each sample's load, float64 [n].
+
+    A load is metres of sediment times samples. raised: heights after uplift, before the incision. filled: water's
+    surface. Both are float32 [n] m.
+    """
     load = np.zeros(len(filled)) if bed.inflow is None else bed.inflow * years
     lake = (filled > bed.heights) & (drainage.base == 0) & (bed.weight > 0.0)
     river.raised, river.load = flat(raised, wp.float32), flat(load, wp.float64)
     launch.once(kernels.deposit, [river], step="rivers")
-    _settle(bed, lake, raised)
+    _level_lake_beds(bed, lake, raised)
     return load
 
 
-def _settle(bed: Bed, lake: np.ndarray, raised: np.ndarray) -> None:
-    """Level the sediment in lakes. lake: bool [n], no sample of the border."""
+def _level_lake_beds(bed: Bed, lake: np.ndarray, raised: np.ndarray) -> None:
+    """Spread the sediment in lakes until their beds are level.
+
+    lake: bool [n], no sample of the border. raised: heights after uplift, before the incision, float32 [n] m.
+    """
     at = np.flatnonzero(lake)
     was = np.maximum(bed.sediment[at] + (bed.heights[at] - raised[at]), np.float32(0.0))
     rock, old, new = (np.zeros(len(lake), np.float32) for _ in range(3))

@@ -31,7 +31,7 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     to = route(surface, 2 * ground.step_x, 2 * ground.step_y, fixed, ground.threads).to.reshape(floor.shape)
     flow = coarser.layers["flow"][every] / np.float32(ground.step_x * ground.step_y)
     found, free = (np.full(bed.shape, np.inf, np.float32) for _ in range(2))
-    heights, y, x = bed.heights.reshape(bed.shape), *_overflows(surface, wet, to, flow)
+    heights, y, x = bed.heights.reshape(bed.shape), *_find_outlets(surface, wet, to, flow)
 
     def lower(half: int, after: Positions) -> None:
         """Lower the path at a sample or halfway to the next; under lakes only where the floor is above the level."""
@@ -63,8 +63,11 @@ def keep_outlets(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     bed.path_level = found.reshape(-1)[bed.path] - np.float32(WALL)
 
 
-def _overflows(surface: np.ndarray, wet: np.ndarray, to: np.ndarray, flow: np.ndarray) -> Positions:
-    """Return rows and columns of outlets: dry samples next to a lake of their height, with its drainage area."""
+def _find_outlets(surface: np.ndarray, wet: np.ndarray, to: np.ndarray, flow: np.ndarray) -> Positions:
+    """Return rows and columns of outlets: dry samples beside a lake of their height, with its drainage area.
+
+    wet: bool. to: direction of the receiver, 4 for none. flow: drainage area in samples.
+    """
     y, x = np.nonzero(~wet & (to != 4) & (flow >= MIN_AREA))
     over = np.zeros(len(y), bool)
     for way in (0, 1, 2, 3, 5, 6, 7, 8):

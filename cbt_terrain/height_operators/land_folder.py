@@ -35,7 +35,7 @@ def folder_beside(source: str) -> Path:
 
 
 def is_of_views(folder: str) -> bool:
-    """Return whether a store is fine only where some views looked."""
+    """Return whether the store in a folder is fine only where some views looked, by the folder's name."""
     return folder.endswith(OF_VIEWS)
 
 
@@ -117,6 +117,6 @@ def bytes_in(folder: Path) -> int:
 
 def remove(folder: Path) -> None:
     """Remove shaped land; what another Blender is writing there stays, and so does what this program did not make."""
-    requested_tiles.forget(str(folder))
+    requested_tiles.remove_record(str(folder))
     with suppress(OSError):
         store_folder.remove_store(folder)

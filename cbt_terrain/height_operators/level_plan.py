@@ -43,7 +43,10 @@ class LevelPlan:
         self.total = add_up(self.costs)
 
     def doubt(self, number: int) -> None:
-        """Mark an entry as doubted from the next finer level on."""
+        """Note that an entry's tiles do not fit the coarser level (see HeightOperator.doubts).
+
+        From the next finer level on it is then applied to whole levels.
+        """
         self.doubted.add(number)
         self._count()
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..field.heightfield import HeightField
 from .height_operator import Change, HeightOperator, OperatorGround
 from .level_plan import LevelPlan
-from .levels import masked
+from .levels import apply_mask
 from .mask import compute_mask
 from .mask_reads import values_of
 from .stack import Entry
@@ -34,7 +34,10 @@ class LevelGround:
 
     @classmethod
     def of(cls, field: HeightField, level: Level) -> "LevelGround":
-        """Return the ground of a level of a height field."""
+        """Return the samples of a height field that a level has, every 2^level-th along both axes, with layers.
+
+        Holes are marked, their heights filled.
+        """
         missing = None if field.valid is None else _samples_of(field.valid, level) == 0
         heights = _samples_of(field.samples, level)
         heights = heights if field.steps is None else field.steps.heights(heights)
@@ -63,7 +66,7 @@ class LandWindow:
     layers: dict[str, np.ndarray]
 
     def crop(self, window: Window) -> "LandWindow":
-        """Return a smaller window of the level as views."""
+        """Return a smaller window of the level, as views. window: in samples of the level."""
         here = within(window, self.window)
         return LandWindow(window, self.total[here], {name: layer[here] for name, layer in self.layers.items()})
 
@@ -91,12 +94,17 @@ class LevelWork:
         return compute_mask(entry.mask, image, self.level, heights, read, land.window)
 
     def _heights(self, land: LandWindow, window: Window) -> np.ndarray:
+        """Return the ground in a window: the source's heights plus the change so far, float32 [rows, columns] m."""
         return self.source.heights[window] + land.total[within(window, land.window)]
 
     def ground(
         self, entry: Entry, land: LandWindow, mask: np.ndarray | None, report: Report, target: Window | None = None
     ) -> OperatorGround:
-        """Return an operator's input. target: window of the level whose change is needed, None for all."""
+        """Return an operator's input in the window of `land`: heights, holes, mask and the layers that it reads.
+
+        target: window of the level whose change is needed (the rest is margin), None for all. report: gets
+        progress, 0 to 1.
+        """
         level, source, window = self.level, self.source, land.window
         names = [name for name in entry.declaration.reads if name in land.layers or name in source.layers]
         return OperatorGround(
@@ -134,7 +142,7 @@ class LevelWork:
         It copies as little as possible: an array of a fine level takes hundreds of megabytes.
         """
         missing = None if self.source.missing is None else self.source.missing[land.window]
-        result = masked(entry.declaration, unpacked(entry.declaration, change), mask)
+        result = apply_mask(entry.declaration, unpacked(entry.declaration, change), mask)
         for layer in entry.declaration.layers:
             array = zero_holes(missing, result.layers[layer.name])
             if layer.per_metre and layer.name in land.layers:
@@ -150,8 +158,11 @@ def zero_holes(missing: np.ndarray | None, samples: np.ndarray) -> np.ndarray:
     return samples if missing is None else np.where(missing, np.float32(0.0), samples)
 
 
-def _key(entry: Entry, ground: OperatorGround, coarser: np.ndarray | None, kind: str) -> str:
-    """Return the digest of an operator's inputs, by which its result is cached."""
+def _result_key(entry: Entry, ground: OperatorGround, coarser: np.ndarray | None, kind: str) -> str:
+    """Return the digest of an operator's inputs, by which its result is cached.
+
+    coarser: its interpolated coarser change, None at the coarsest level. kind: "whole" or "tile".
+    """
     effect = entry.declaration
     method = METHOD, kind, effect.name, effect.version, sorted(entry.values.items()), ground.seed
     position = ground.first, ground.whole, ground.level, ground.step_x, ground.step_y, ground.size, ground.target
@@ -162,12 +173,13 @@ def _key(entry: Entry, ground: OperatorGround, coarser: np.ndarray | None, kind:
 
 
 def within(inner: Window, outer: Window) -> Window:
-    """Return an inner window relative to the first sample of the outer one."""
+    """Return a window relative to the first sample of the window `outer`, which contains it."""
     rows, columns = (slice(i.start - o.start, i.stop - o.start) for i, o in zip(inner, outer, strict=True))
     return rows, columns
 
 
-def _names(effect: HeightOperator) -> list[str]:
+def _layer_names(effect: HeightOperator) -> list[str]:
+    """Return the names of the layers that an operator writes."""
     return [layer.name for layer in effect.layers]
 
 
@@ -177,15 +189,19 @@ def num_arrays(effect: HeightOperator, level: Level) -> int:
 
 
 def unpacked(effect: HeightOperator, change: Arrays) -> Change:
-    """Return a change from its arrays, each float32 [rows, columns], in the order of `num_arrays`."""
+    """Return the change that packed arrays, each float32 [rows, columns], stand for: heights, layers, then state."""
     end = 1 + len(effect.layers)
     state = dict(zip(effect.state, change[end:], strict=True)) if len(change) > end else {}
-    return Change(change[0], dict(zip(_names(effect), change[1:end], strict=True)), state)
+    return Change(change[0], dict(zip(_layer_names(effect), change[1:end], strict=True)), state)
 
 
-def _pack(effect: HeightOperator, change: Change, count: int) -> np.ndarray:
+def _pack_change(effect: HeightOperator, change: Change, count: int) -> np.ndarray:
+    """Return a change as one array [count, rows, columns], for the cache: heights, layers, then state.
+
+    Layers that the operator did not write are 0.
+    """
     none, found = np.zeros_like(change.heights), change.layers | change.state
-    names = [*_names(effect), *effect.state][: count - 1]
+    names = [*_layer_names(effect), *effect.state][: count - 1]
     return np.stack([change.heights, *(found.get(name, none) for name in names)], dtype=np.float32)
 
 
@@ -197,16 +213,21 @@ def apply_whole(
     coarser: np.ndarray | None,
     report: Report,
 ) -> np.ndarray:
-    """Return the change of a whole level, [arrays, rows, columns]. coarser: the interpolated coarser change."""
+    """Apply an operator to a whole level and return its change, packed, float32 [arrays, rows, columns].
+
+    coarser: its change at the next coarser level, interpolated to this one; None at the coarsest. mask: weights 0
+    to 1, None for 1.
+    """
     effect, level = entry.declaration, work.level
     count = num_arrays(effect, level)
     ground = work.ground(entry, land, mask, report)
 
     def compute() -> np.ndarray:
+        """Compute the change, where the cache has none."""
         start = None if coarser is None else unpacked(effect, coarser)
-        return _pack(effect, effect.apply(ground, entry.values, start), count)
+        return _pack_change(effect, effect.apply(ground, entry.values, start), count)
 
-    return work.cache.take(effect.name, _key(entry, ground, coarser, "whole"), (count, *level.shape), compute)
+    return work.cache.take(effect.name, _result_key(entry, ground, coarser, "whole"), (count, *level.shape), compute)
 
 
 def apply_tile(
@@ -227,9 +248,10 @@ def apply_tile(
     ground = work.ground(entry, land, mask, report, target)
 
     def compute() -> np.ndarray:
-        change = _pack(effect, effect.apply(ground, entry.values, unpacked(effect, coarser)), count)
+        """Compute the change of the window, where the cache has none."""
+        change = _pack_change(effect, effect.apply(ground, entry.values, unpacked(effect, coarser)), count)
         rows, columns = within(target, land.window)
         return change[:, rows, columns]
 
     shape = count, *(axis.stop - axis.start for axis in target)
-    return work.cache.take(effect.name, _key(entry, ground, coarser, "tile"), shape, compute)
+    return work.cache.take(effect.name, _result_key(entry, ground, coarser, "tile"), shape, compute)

@@ -54,23 +54,29 @@ def apply_by_levels(effect: HeightOperator, ground: OperatorGround, values: Mapp
     """
     rows, columns = ground.heights.shape
     size = (rows - 1) * ground.step_y, (columns - 1) * ground.step_x
-    change = _unmasked(effect, replace(ground, size=size), values)
-    return masked(effect, change, ground.mask)
+    change = _apply_without_mask(effect, replace(ground, size=size), values)
+    return apply_mask(effect, change, ground.mask)
 
 
-def _unmasked(effect: HeightOperator, ground: OperatorGround, values: Mapping[str, float]) -> Change:
-    """Return the change without its mask, which would otherwise be applied again at each level."""
+def _apply_without_mask(effect: HeightOperator, ground: OperatorGround, values: Mapping[str, float]) -> Change:
+    """Return the change of an operator over all levels, before it is multiplied by its mask.
+
+    The mask would otherwise be applied again at each level.
+    """
     (rows, columns), change = ground.heights.shape, None
     ground = replace(ground, whole=(rows, columns))
     if max(rows, columns) > COARSEST:
-        change = finer_change(_unmasked(effect, _coarser_ground(ground), values), (rows, columns))
+        change = finer_change(_apply_without_mask(effect, _coarser_ground(ground), values), (rows, columns))
     if change is not None and effect.finest and max(rows, columns) > effect.finest:
         return change
     return effect.apply(ground, values, change)
 
 
-def masked(effect: HeightOperator, change: Change, mask: np.ndarray | None) -> Change:
-    """Multiply heights and depths of a change by a mask, unless the operator applies masks itself."""
+def apply_mask(effect: HeightOperator, change: Change, mask: np.ndarray | None) -> Change:
+    """Multiply heights and depths of a change by a mask, unless the operator applies masks itself.
+
+    mask: weights 0 to 1, float32 [rows, columns]; None changes nothing.
+    """
     if mask is None or effect.masks:
         return change
     depths = {layer.name for layer in effect.layers if layer.per_metre}

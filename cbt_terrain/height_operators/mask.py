@@ -43,7 +43,7 @@ class GroundRule:
         keep_plain_numbers(self, "A mask rule's")
 
     def check(self, where: str) -> None:
-        """Raise TerrainError for an invalid rule; `where`: the mask: "The mask of entry 2"."""
+        """Raise TerrainError for an invalid rule. where: subject of the error, as "The mask of entry 2"."""
         if self.of not in LIMITS:
             raise TerrainError(
                 f"{where} has a rule about {shown(repr(self.of))}", expected=f"one of: {', '.join(LIMITS)}"
@@ -77,11 +77,11 @@ class HeightMask:
 
     @property
     def versions(self) -> tuple[int, ...]:
-        """Versions of the attributes that the rules read."""
+        """Versions of the attributes that the rules read, which are parts of keys."""
         return tuple(MASK_ATTRIBUTES[rule.of].version for rule in self.rules if rule.of in MASK_ATTRIBUTES)
 
     def check(self, where: str) -> None:
-        """Raise TerrainError for an invalid mask; `where` names it."""
+        """Raise TerrainError for an invalid mask. where: subject of the error, as "The mask of entry 2"."""
         if not 0.0 <= self.factor <= 1.0:
             raise TerrainError(f"{where} has a factor of {self.factor}", expected="0 to 1")
         for rule in self.rules:
@@ -118,7 +118,11 @@ def compute_mask(
 
 
 def _image_at(image: np.ndarray, level: Level, rows: slice, columns: slice) -> np.ndarray:
-    """Interpolate bilinearly between pixel centres over the raster's extent, as splat layers read painted images."""
+    """Return the image's values at samples of a level, bilinear between pixel centres, float32 [rows, columns].
+
+    The image extends over the whole raster, as painted images of splat layers do. rows, columns: samples of the
+    level.
+    """
     south, north, v = _pixels(np.arange(rows.start, rows.stop), level.rows, image.shape[0])
     west, east, u = _pixels(np.arange(columns.start, columns.stop), level.columns, image.shape[1])
 
@@ -140,7 +144,10 @@ def _pixels(at: np.ndarray, count: int, pixels: int) -> tuple[np.ndarray, np.nda
 def _weigh_ground(
     rules: list[GroundRule], level: Level, rows: slice, window: Window, heights: Callable[[Window], np.ndarray]
 ) -> np.ndarray:
-    """Return the product of rules about height, slope and aspect at some rows of a window of a level."""
+    """Return the product of rules about height, slope and aspect at some rows of a window of a level.
+
+    heights: function that returns the heights in a window. The result is float32 [rows, columns], 0 to 1.
+    """
     wide = slice(max(rows.start - 1, window[0].start), min(rows.stop + 1, window[0].stop))
     ground = heights((wide, window[1]))
     inner = slice(rows.start - wide.start, rows.stop - wide.start)
@@ -150,18 +157,19 @@ def _weigh_ground(
     out = np.ones_like(tangent)
     for rule in rules:
         if rule.of == HEIGHT:
-            out *= _between(ground[inner], rule.low, rule.high, rule.edge)
+            out *= _weigh_interval(ground[inner], rule.low, rule.high, rule.edge)
         elif rule.of == SLOPE:
             out *= _between_mapped(tangent, rule, _tangent)
         else:
             angle = math.radians(rule.direction)
             downhill = -(east * np.float32(math.sin(angle)) + north * np.float32(math.cos(angle)))
             cosine = np.divide(downhill, tangent, out=np.zeros_like(tangent), where=tangent > 0)
-            out *= _between(cosine, rule.low, rule.high, rule.edge)
+            out *= _weigh_interval(cosine, rule.low, rule.high, rule.edge)
     return out
 
 
-def _between(values: np.ndarray, low: float, high: float, edge: float) -> np.ndarray:
+def _weigh_interval(values: np.ndarray, low: float, high: float, edge: float) -> np.ndarray:
+    """Return weights, 1 for values from `low` to `high`, falling to 0 over `edge` around both limits."""
     half = 0.5 * edge
     return _step(values, low - half, low + half) * _step(-values, -high - half, -high + half)
 
@@ -169,7 +177,7 @@ def _between(values: np.ndarray, low: float, high: float, edge: float) -> np.nda
 def _weigh_attribute(rule: GroundRule, values: np.ndarray) -> np.ndarray:
     """Return the weights of attribute values by a rule, 0 to 1; rules give logarithmic ones as powers of ten."""
     if rule.of not in LOGARITHMIC:
-        return _between(values, rule.low, rule.high, rule.edge)
+        return _weigh_interval(values, rule.low, rule.high, rule.edge)
     low, high = (math.log10(limit) if limit > 0.0 else -math.inf for limit in (rule.low, rule.high))
     return _between_mapped(values, replace(rule, low=low, high=high), _power)
 
@@ -188,7 +196,7 @@ def _step_through(values: np.ndarray, knots: list[float]) -> np.ndarray:
     """Return a smooth step that is 0, 0.5 and 1 at three knots; a hard one if they are one number in float32."""
     if not np.float32(knots[0]) < np.float32(knots[2]):
         return (values >= np.float32(knots[1])).astype(np.float32)
-    return _smooth(np.interp(values, knots, (0.0, 0.5, 1.0)).astype(np.float32))
+    return _smoothstep(np.interp(values, knots, (0.0, 0.5, 1.0)).astype(np.float32))
 
 
 def _power(exponent: float) -> float:
@@ -197,6 +205,7 @@ def _power(exponent: float) -> float:
 
 
 def _tangent(degrees: float) -> float:
+    """Return the slope of an angle in degrees; STEEPEST at 90 and more."""
     return math.copysign(STEEPEST, degrees) if abs(degrees) >= 90.0 else math.tan(math.radians(degrees))
 
 
@@ -204,8 +213,11 @@ def _step(values: np.ndarray, first: float, last: float) -> np.ndarray:
     """Return a smooth step from 0 at `first` to 1 at `last`, float32; a hard one if they are one number in float32."""
     if not np.float32(first) < np.float32(last):
         return (values >= np.float32(first)).astype(np.float32)
-    return _smooth(np.clip((values - np.float32(first)) * np.float32(1.0 / (last - first)), 0.0, 1.0, dtype=np.float32))
+    return _smoothstep(
+        np.clip((values - np.float32(first)) * np.float32(1.0 / (last - first)), 0.0, 1.0, dtype=np.float32)
+    )
 
 
-def _smooth(t: np.ndarray) -> np.ndarray:
+def _smoothstep(t: np.ndarray) -> np.ndarray:
+    """Return the smooth step from 0 to 1 of values 0 to 1."""
     return t * t * (3.0 - 2.0 * t)

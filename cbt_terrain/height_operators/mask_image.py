@@ -37,7 +37,7 @@ def load_image(file: str, folder: Path) -> np.ndarray:
 
 
 def child_main() -> None:
-    """Answer one request."""
+    """Answer one request on stdin, in a child process, because a damaged image may crash its library."""
     serve(_read, lambda request: f"Reading the mask {shown(request['file'])}")
 
 

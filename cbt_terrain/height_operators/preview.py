@@ -16,7 +16,7 @@ from ..run.locks import cached
 from .height_operator import OperatorGround
 from .interpolation import add_change, interpolate, interpolate_columns
 from .level_work import LevelGround, zero_holes
-from .levels import masked
+from .levels import apply_mask
 from .mask import HeightMask, compute_mask
 from .mask_reads import values_of
 from .prepare import prepare
@@ -103,7 +103,7 @@ def preview(
     """
     check_by_products(stack, source.layers)
     level = levels_of(source.lattice)[-1]
-    states = _apply(source, level, stack, images or {}, threads, seconds)
+    states = _apply_entries(source, level, stack, images or {}, threads, seconds)
     lattice, positions = source.lattice, _positions(source)
     rows, columns = (at / (1 << level.number) for at in positions)
     heights = add_change(_source_heights(source), states[0].ground.heights, states[-1].change, rows, columns)
@@ -125,10 +125,14 @@ def preview(
     return Preview(result, [state.ms for state in states[1:]], max(level.step_x, level.step_y), without, build_ms)
 
 
-def _apply(
+def _apply_entries(
     source: HeightField, level: Level, stack: Stack, images: Mapping, threads: int, seconds: float
 ) -> list[_Applied]:
-    """Return the states before the first entry and after each active one within the time limit; update the cache."""
+    """Return the states before the first entry and after each active one, as far as the time limit allows.
+
+    States are cached by content, so that a changed entry starts from the one before it. images: values of mask
+    images by file. seconds: the limit.
+    """
     prepare(stack)
     end = time.monotonic() + seconds
 
@@ -146,7 +150,7 @@ def _apply(
             continue
         mask = None
         if entry.mask is not None:
-            mask = _mask(entry.mask, images, level, states[-1].ground, threads)
+            mask = _compute_weights(entry.mask, images, level, states[-1].ground, threads)
         ground = replace(states[-1].ground, seed=entry.seed, threads=threads, mask=mask, progress=check_time)
         try:
             check_time(0.0)
@@ -160,7 +164,13 @@ def _apply(
     return states
 
 
-def _mask(mask: HeightMask, images: Mapping, level: Level, ground: OperatorGround, threads: int) -> np.ndarray:
+def _compute_weights(
+    mask: HeightMask, images: Mapping, level: Level, ground: OperatorGround, threads: int
+) -> np.ndarray:
+    """Return an entry's mask at the preview's level, weights 0 to 1, float32 [rows, columns].
+
+    images: values of mask images by file.
+    """
     names = sorted({rule.of for rule in mask.rules})
     read = values_of(names, level, ground.heights.__getitem__, ground.missing, ground.layers, threads)
     return compute_mask(mask, images.get(mask.image), level, ground.heights.__getitem__, read)
@@ -188,7 +198,7 @@ def _after(before: _Applied, ground: OperatorGround, entry: Entry, key: str) -> 
     `key`: digest of the ground and the entry, by which the result is reused.
     """
     start, effect = time.perf_counter(), entry.declaration
-    change = masked(effect, effect.apply(ground, entry.values, None), ground.mask)
+    change = apply_mask(effect, effect.apply(ground, entry.values, None), ground.mask)
     heights = zero_holes(ground.missing, change.heights)
     layers = merge_layers(ground.layers, change.layers, {layer.name for layer in effect.layers if layer.per_metre})
     after = replace(ground, heights=ground.heights + heights, mask=None, layers=layers)
@@ -204,7 +214,7 @@ def _positions(source: HeightField) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _source_heights(source: HeightField) -> np.ndarray:
-    """Return the source's heights at the preview's samples, float32; cached."""
+    """Return the source's heights at the preview's samples, float32 [rows, columns], bilinear; cached with it."""
     key = (*_FOUND, "shown")
 
     def interpolate_rows() -> np.ndarray:

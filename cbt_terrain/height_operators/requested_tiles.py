@@ -38,14 +38,18 @@ class SeenTiles:
         return tiles_seen(source, self.views, self.placement, self.error_px or 1.0, *scale)
 
 
-def _file(folder: str) -> Path:
+def _record_file(folder: str) -> Path:
+    """Return the file beside a store that records its requested tiles."""
     return Path(f"{folder}.json")
 
 
-def known(folder: str) -> Tiles:
-    """Return the tiles that were requested of a store, [] if the record is missing or damaged."""
+def read_requested(folder: str) -> Tiles:
+    """Return the tiles that were requested of a store, [] if the record is missing or damaged.
+
+    The result is a list of levels from fine to coarse, each with the allowed error in metres by tile.
+    """
     try:
-        digest, text = read_regular(_file(folder), MAX_BYTES, links=False).decode("utf-8").split("\n", 1)
+        digest, text = read_regular(_record_file(folder), MAX_BYTES, links=False).decode("utf-8").split("\n", 1)
         levels = json.loads(text) if digest == _digest(text) else []
     except (OSError, ValueError):
         return []
@@ -53,6 +57,7 @@ def known(folder: str) -> Tiles:
 
 
 def _digest(text: str) -> str:
+    """Return the checksum of a record, by which damage is found."""
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
@@ -60,7 +65,7 @@ def has(folder: str, wanted: Tiles | None) -> bool:
     """Return whether these tiles were requested of a store with at most these errors."""
     if wanted is None:
         return True
-    there = known(folder)
+    there = read_requested(folder)
     return len(there) == len(wanted) and all(
         before.get(tile, np.inf) <= metres
         for before, level in zip(there, wanted, strict=True)
@@ -70,7 +75,7 @@ def has(folder: str, wanted: Tiles | None) -> bool:
 
 def with_known(folder: str, wanted: Tiles | None) -> Tiles | None:
     """Return these tiles with those of earlier requests, so that one frame keeps what another needs."""
-    there = known(folder)
+    there = read_requested(folder)
     if wanted is None or len(there) != len(wanted):
         return wanted
     pairs = zip(there, wanted, strict=True)
@@ -83,12 +88,12 @@ def with_known(folder: str, wanted: Tiles | None) -> Tiles | None:
 def note(folder: str, wanted: Tiles | None) -> None:
     """Record the tiles that were requested of a store, if its folder can be written."""
     if wanted is not None:
-        with suppress(OSError), written_beside(_file(folder)) as partial:
+        with suppress(OSError), written_beside(_record_file(folder)) as partial:
             text = json.dumps([sorted(level.items()) for level in wanted])
             partial.write_text(f"{_digest(text)}\n{text}")
 
 
-def forget(folder: str) -> None:
-    """Remove the record of a store."""
+def remove_record(folder: str) -> None:
+    """Remove the record of a store's requested tiles."""
     with suppress(OSError):
-        owned_files.remove_file(_file(folder))
+        owned_files.remove_file(_record_file(folder))

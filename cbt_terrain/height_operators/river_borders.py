@@ -37,7 +37,7 @@ def neighbour(y: np.ndarray, x: np.ndarray, way: np.ndarray | int) -> Positions:
 
 
 def sides(shape: tuple[int, ...]) -> list[tuple]:
-    """Return indices of the south, north, west and east side."""
+    """Return indices of the south, north, west and east side of an array."""
     every = slice(None)
     return [(0, every), (shape[0] - 1, every), (every, 0), (every, shape[1] - 1)]
 
@@ -210,7 +210,10 @@ def _receivers(seen: _Coarse) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ring(seen: _Coarse, ground: OperatorGround, into: np.ndarray) -> _Ring:
-    """Return the ring, shut where water of dry samples flows into the tile."""
+    """Return the ring of border samples, shut where water would flow into the tile from samples without a lake.
+
+    into: whether the coarser level's water flows into the tile, bool.
+    """
     at, cut = _around(seen.to.shape, ground.rims, 1)
     return _Ring(at, cut, (into & ~seen.wet)[at] & cut, seen.flow[at])
 
@@ -237,7 +240,7 @@ def _lakes(seen: _Coarse, ring: _Ring) -> list[np.ndarray]:
 
 
 def _max_along(flow: np.ndarray, reach: int) -> np.ndarray:
-    """Return the maximum within `reach` samples along the ring."""
+    """Return the maximum of the flow within `reach` samples to both sides along the ring."""
     return np.max([np.roll(flow, n) for n in range(-reach, reach + 1)], axis=0)
 
 

@@ -58,13 +58,16 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
         if step_load is not None and number >= steps // 2:  # the years that the finer level simulates again
             load += step_load
         move_border()
-    return _change(bed, ground, values, origin, load / max(years * (1.0 - steps // 2 / steps), 1e-9))
+    return _change_of_bed(bed, ground, values, origin, load / max(years * (1.0 - steps // 2 / steps), 1e-9))
 
 
-def _change(
+def _change_of_bed(
     bed: Bed, ground: OperatorGround, values: Mapping[str, float], origin: np.ndarray, load: np.ndarray
 ) -> Change:
-    """Return change and layers. load: float64 [n], sediment that came to each sample, metres times samples a year."""
+    """Return the change of the heights since `origin`, with the layers and the state for the next finer level.
+
+    load: float64 [n], sediment that came to each sample, metres times samples a year.
+    """
     drainage, cell = bed.drain(), ground.step_x * ground.step_y
     change = bed.heights - origin
     wear = bed.uplift * np.float32(values["years"]) - change + bed.sediment
@@ -80,7 +83,7 @@ def _change(
 
 
 def doubts(coarser: Change, change: Change, cell: float) -> bool:
-    """Return whether the big rivers of both levels differ; see `HeightOperator.doubts`."""
+    """Return whether the big rivers of two levels run elsewhere; see `HeightOperator.doubts`. cell: m^2 of a sample."""
     coarse, fine = (change.layers["flow"] / np.float32(cell) for change in (coarser, change))
     return max(_elsewhere(coarse, fine), _elsewhere(fine, coarse)) > ELSEWHERE
 
@@ -96,6 +99,10 @@ def _elsewhere(flow: np.ndarray, other: np.ndarray) -> float:
 
 
 def _years_again(ground: OperatorGround, values: Mapping[str, float]) -> float:
+    """Return the years for which a finer level is aged again, after its start from the coarser change.
+
+    It halves with each level, and is limited by the time in which rivers shape the land.
+    """
     shaping = SHAPES_GROWN if values["rise"] > 0.0 else SHAPES_AGED
     longest = shaping / max(values["erodibility"], 1e-12)
     return min(AGAIN * values["years"], longest) * 0.5 ** (_halvings(ground) - 1)
@@ -126,10 +133,10 @@ def _begin(ground: OperatorGround, values: Mapping[str, float], coarser: Change 
     bed.curvature = curvature_of(bed)
     if coarser is not None:
         done = np.float32(1.0 - _years_again(ground, values) / max(values["years"], 1.0))
-        change, sediment = _spread(bed, coarser)
+        change, sediment = _diffused_change(bed, coarser)
         bed.heights = np.where(fixed, origin, np.maximum(origin + done * change, sea))
         bed.sediment = np.where(fixed, np.float32(0.0), done * sediment)
-        _keep_cliffs(bed, ground, values, origin, done * coarser.heights)
+        _restore_cliffs(bed, ground, values, origin, done * coarser.heights)
         set_boundary(bed, ground, coarser)
         keep_outlets(bed, ground, coarser)
     if values["variety"] > 0.0:
@@ -153,8 +160,11 @@ def _fade(ground: OperatorGround) -> np.ndarray:
     return (north[:, None] * east).astype(np.float32)
 
 
-def _spread(bed: Bed, coarser: Change) -> tuple[np.ndarray, np.ndarray]:
-    """Return the coarser change and sediment, diffused over SPREAD; float32 [n]."""
+def _diffused_change(bed: Bed, coarser: Change) -> tuple[np.ndarray, np.ndarray]:
+    """Return the coarser level's change and sediment, diffused over SPREAD, both float32 [n] m.
+
+    Interpolation would leave edges otherwise.
+    """
     still = (bed.fixed | (bed.weight == 0.0)).reshape(bed.shape).astype(np.uint8)
     for side in sides(bed.shape):
         still[side] = 1
@@ -164,10 +174,16 @@ def _spread(bed: Bed, coarser: Change) -> tuple[np.ndarray, np.ndarray]:
     return change, sediment
 
 
-def _keep_cliffs(
+def _restore_cliffs(
     bed: Bed, ground: OperatorGround, values: Mapping[str, float], origin: np.ndarray, change: np.ndarray
 ) -> None:
-    """Limit the bed's heights at cliffs. change: float32 [rows, columns] m, coarser change at the start time."""
+    """Undo the smearing of cliffs, once at the start of a level, by changing the bed.
+
+    `_diffused_change` smears the coarser change over cliffs and so digs trenches at them. Heights are limited to
+    those of the coarser level's samples around them, changed, up and down by one sample's steepest drop. What is
+    raised counts as sediment. change: float32 [rows, columns] m, the coarser level's change before it was diffused.
+    origin: heights before any change.
+    """
     before = origin.reshape(bed.shape)
     after = np.maximum(before + change, np.float32(values["sea"]))
     drop = math.tan(math.radians(values["steepest"])) * max(bed.step_x, bed.step_y)

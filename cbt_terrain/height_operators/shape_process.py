@@ -53,17 +53,18 @@ class ShapeJob(StoreJob):
             "cbt_terrain.height_operators.shape_process",
             store,
             request | {"tiles": None if tiles is None else str(Path(tiles).absolute()), "gentle": gentle},
-            what=_what(str(source)),
+            what=_job_name(str(source)),
             report=finished_before(store, shape_digest(heights, stack, wanted)),
         )
 
     def finish_early(self) -> None:
         """Publish the complete levels and skip the rest. The job runs until they are published."""
         if not self.poll().done:
-            self._say("finish")
+            self._send_line("finish")
 
 
-def _what(source: str) -> str:
+def _job_name(source: str) -> str:
+    """Return the job's name as the subject of a message."""
     return f"Shaping {source}"
 
 
@@ -84,11 +85,14 @@ def shape_store(
 
 def child_main() -> None:
     """Read a request from stdin, shape, and report progress on stdout."""
-    serve(_shape, lambda request: _what(request["source"]), _enough.set)
+    serve(_shape, lambda request: _job_name(request["source"]), _enough.set)
 
 
 def _shape(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
-    """Shape the requested store in the child process and return its report."""
+    """Shape the requested store in the child process and return its report.
+
+    begin: says that the child is ready, so threads may start.
+    """
     begin()
     if request["gentle"] and hasattr(os, "nice"):
         os.nice(GENTLE)

@@ -17,7 +17,7 @@ from ..field.build import build
 from ..field.heightfield import HeightField
 from ..field.store_layers import layer_name
 from ..importing.build_store import finished_before
-from ..importing.drafts import common_report_entries, drafted, room_for
+from ..importing.drafts import common_report_entries, open_draft, store_bytes
 from ..importing.placing import rotation_of
 from ..run import launch
 from .level_plan import MAX_WHOLE
@@ -73,8 +73,8 @@ def run_shape(
     everywhere = wanted is None
     wanted = whole_land(heights.lattice) if wanted is None else wanted
     units = layer_units(heights, stack)
-    with drafted(path, folder, heights.lattice, len(units), ROOM_ELSEWHERE) as draft:
-        room = room_for(heights.lattice, len(units))
+    with open_draft(path, folder, heights.lattice, len(units), ROOM_ELSEWHERE) as draft:
+        room = store_bytes(heights.lattice, len(units))
         tiles = path / store_folder.TILES if tiles is None else Path(tiles)
         cache = TileCache(tiles, room)
         images = {file: load_image(file, tiles) for file in mask_files(stack)}
@@ -97,7 +97,7 @@ def run_shape(
             crs=heights.crs,
             provenance=heights.provenance | {"shaped": _provenance(source, heights, stack, shaped, everywhere)},
         )
-        report = _report(field, source, heights, stack, shaped)
+        report = _shaping_report(field, source, heights, stack, shaped)
         report["seconds"] = round(time.monotonic() - started, 3)
         # A run that finished early does not satisfy the same request later.
         draft.publish(field, "" if shaped.finished_early else digest, report, {name: units[name] for name in layers})
@@ -125,7 +125,7 @@ def shape_digest(heights: HeightField, stack: Stack, wanted: Wanted | None) -> s
 
 
 def mask_files(stack: Stack) -> list[str]:
-    """Return the image files of the stack's masks."""
+    """Return the image files of the stack's masks, sorted."""
     return sorted({entry.mask.image for entry in stack.active if entry.mask is not None and entry.mask.image})
 
 
@@ -138,7 +138,10 @@ def layer_units(heights: HeightField, stack: Stack) -> dict[str, str]:
 def _build(
     heights: HeightField, shaped: Shaped, draft: store.Draft, threads: int, on_progress: Callable[[float], None]
 ) -> HeightField:
-    """Build the height field of the shaped samples in the arrays of a draft."""
+    """Build the height field of the shaped samples in the arrays of a draft.
+
+    Raises TerrainError for a change that is not finite.
+    """
     samples = draft.allocate("samples", shaped.change.shape, np.dtype(np.float32))
     missing = 0
     for row in range(0, len(samples), ROWS):
@@ -201,10 +204,17 @@ def _provenance(
     }
 
 
-def _report(field: HeightField, source: str | os.PathLike, heights: HeightField, stack: Stack, shaped: Shaped) -> dict:
-    """Return the report of a shaping: sizes, effects, levels, and warnings about missing detail.
+def _shaping_report(
+    field: HeightField, source: str | os.PathLike, heights: HeightField, stack: Stack, shaped: Shaped
+) -> dict:
+    """Return the report that the store keeps: sizes, effects, levels, and warnings about missing detail.
 
-    `field`: shaped terrain. `heights`: unshaped terrain of the store `source`.
+    Args:
+        field: the shaped terrain.
+        source: store that was shaped.
+        heights: its field, unshaped.
+        stack: the effects.
+        shaped: changes, computed tiles and what was left out.
     """
     lattice, levels = field.lattice, levels_of(field.lattice)
     built = sum(map(len, shaped.tiles))

@@ -35,10 +35,10 @@ def costs_less_whole(lattice: Lattice, stack: Stack) -> bool:
 
 def costs_less_whole_than(lattice: Lattice, stack: Stack, folder: str, wanted: Wanted) -> bool:
     """Return whether the whole land in one piece costs less than those of some tiles that its folder lacks."""
-    before = requested_tiles.known(folder) or [{} for _ in wanted]
-    pairs = zip(before, wanted, strict=True)
+    before = requested_tiles.read_requested(folder) or [{} for _ in wanted]
     new = [
-        {tile: error for tile, error in level.items() if not known.get(tile, inf) <= error} for known, level in pairs
+        level and {tile: error for tile, error in level.items() if not known.get(tile, inf) <= error}
+        for known, level in zip(before, wanted, strict=True)
     ]
     return _costs_less_whole(lattice, stack, new)
 
@@ -47,7 +47,7 @@ def _costs_less_whole(lattice: Lattice, stack: Stack, tiles: Wanted, part: float
     """Return whether the whole land costs less than a part of the tiles with their margins."""
     if max(lattice.width, lattice.height) > MAX_WHOLE:
         return False
-    return _plan(lattice, stack, whole_land(lattice)).total < part * _plan(lattice, stack, tiles).total
+    return _plan_levels(lattice, stack, whole_land(lattice)).total < part * _plan_levels(lattice, stack, tiles).total
 
 
 def lattice_of(source: str) -> Lattice:
@@ -64,8 +64,8 @@ def estimate_seconds(source: str, stack: Stack, preview: Preview | None, in_tile
     lattice = lattice_of(source)
     if max(lattice.width, lattice.height) > MAX_ESTIMATED:
         return None
-    plan = _plan(lattice, stack, all_tiles(lattice) if in_tiles else whole_land(lattice))
-    rates, rest_s = _measured(_earlier(source))
+    plan = _plan_levels(lattice, stack, all_tiles(lattice) if in_tiles else whole_land(lattice))
+    rates, rest_s = _measured_rates(_earlier(source))
     if rates:
         mean = add_up(rates.values()) / len(rates)
         pairs = zip(stack.active, plan.costs, strict=True)
@@ -78,7 +78,8 @@ def estimate_seconds(source: str, stack: Stack, preview: Preview | None, in_tile
     return add_up(preview.ms) / 1e3 + speed * (PLANNED_NS * plan.total + building) / 1e9
 
 
-def _plan(lattice: Lattice, stack: Stack, wanted: Wanted) -> LevelPlan:
+def _plan_levels(lattice: Lattice, stack: Stack, wanted: Wanted) -> LevelPlan:
+    """Return the plan of shaping a raster of this lattice; wanted: tiles of each level, None for whole levels."""
     return LevelPlan(levels_of(lattice), stack.active, wanted)
 
 
@@ -97,10 +98,10 @@ def _earlier(source: str) -> list[dict]:
     return read
 
 
-def _measured(earlier: Iterable[dict]) -> tuple[dict[str, float], float]:
+def _measured_rates(earlier: Iterable[dict]) -> tuple[dict[str, float], float]:
     """Return measured over planned time of each effect, and the seconds that the last land took besides its effects.
 
-    Only pieces that were not cached count.
+    earlier: contents of store.json of shaped land. Only pieces that were not cached count.
     """
     rates, rest_s = {}, 0.0
     for content in earlier:

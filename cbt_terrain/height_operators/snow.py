@@ -16,7 +16,7 @@ from ..attributes.sky_layer import sweep
 from ..run import launch
 from ..run.buffers import flat
 from ..view.linear import length
-from .balance import balanced
+from .balance import balance_mass
 from .height_operator import Change, Evaluate, HeightOperator, LandLayer, OperatorGround
 from .levels import coarser as halved
 from .levels import finer
@@ -40,13 +40,13 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
         before = coarser.layers["snow"] - coarser.layers["slides"]
         # Adds the influence of ground beyond a tile's halo; it is 0 for the whole level.
         snowfall = np.maximum(snowfall + (before - coarse_snowfall), 0.0)
-        snowfall[_bare(ground) != 0] = 0.0
+        snowfall[_where_bare(ground) != 0] = 0.0
         clinging = np.minimum(clinging, snowfall)
         loose = snowfall - clinging
         start = _transfer_slides(loose, coarser.layers["slides"], before - coarse_clinging, ground)
     ground.progress(0.5)
     sweeps = SWEEPS if coarser is not None else SWEEPS * AT_FIRST
-    slides = _settle(ground, values, clinging, start.copy(), sweeps) - loose
+    slides = _slide_snow(ground, values, clinging, start.copy(), sweeps) - loose
     _smooth_deposits(slides, ground, values)
     snow = np.maximum(snowfall + slides, 0.0)
     return Change(np.float32(values["thickness"]) * snow, {"snow": snow, "slides": slides})
@@ -68,7 +68,11 @@ def _snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.n
         windward = _direction(values["wind"] + gust)
         lee += np.float32(1.0 / len(GUSTS)) * slopes(windward) / np.sqrt(1 + np.square(horizon))
         lee -= np.float32(1.0 / len(GUSTS)) * slopes(-windward) / np.sqrt(1 + np.square(horizon))
-    arrays = [flat(heights, wp.float32), flat(_bare(ground), wp.uint8), *(flat(a, wp.float32) for a in (sky, lee))]
+    arrays = [
+        flat(heights, wp.float32),
+        flat(_where_bare(ground), wp.uint8),
+        *(flat(a, wp.float32) for a in (sky, lee)),
+    ]
     inputs = [_weather(ground, values), *arrays, flat(snowfall, wp.float32), flat(clinging, wp.float32)]
     launch.spread(kernels.fall, rows, inputs, step="snow", threads=ground.threads, cost=5 * columns)
     if ground.mask is not None:
@@ -83,8 +87,8 @@ def _direction(degrees: float) -> np.ndarray:
     return np.array([math.sin(angle), math.cos(angle)]).astype(np.float32).astype(np.float64)
 
 
-def _bare(ground: OperatorGround) -> np.ndarray:
-    """Return 1 for water and holes, uint8 [rows, columns]."""
+def _where_bare(ground: OperatorGround) -> np.ndarray:
+    """Return 1 where no snow stays, which is on water and in holes, uint8 [rows, columns]."""
     depth = ground.layers.get("water_depth")
     bare = np.zeros(ground.heights.shape, bool) if depth is None else depth > WET
     return (bare if ground.missing is None else bare | ground.missing).astype(np.uint8)
@@ -137,14 +141,17 @@ def _transfer_slides(
     deposited = np.maximum(slides, 0.0)
     if ground.missing is not None:  # interpolation spreads deposits into holes
         deposited[ground.missing] = 0.0
-    deposited, eroded = balanced(deposited, eroded, loose, deposited - eroded, slides, ground)
+    deposited, eroded = balance_mass(deposited, eroded, loose, deposited - eroded, slides, ground)
     return loose - eroded + deposited
 
 
-def _settle(
+def _slide_snow(
     ground: OperatorGround, values: Mapping[str, float], clinging: np.ndarray, loose: np.ndarray, sweeps: int
 ) -> np.ndarray:
-    """Return the loose snow after slides have come to rest, float32 [rows, columns] m. Overwrites `loose`."""
+    """Return the loose snow after it has slid to rest, float32 [rows, columns] m.
+
+    Overwrites `loose`. clinging: depth that never slides. sweeps: number of passes over all samples.
+    """
     slides, rest, (rows, columns) = kernels.Slides(), np.zeros_like(loose), loose.shape
     slides.height, slides.width = rows, columns
     steps = ground.step_x, ground.step_y, length((ground.step_x, ground.step_y))
@@ -191,7 +198,8 @@ def _smooth_deposits(slides: np.ndarray, ground: OperatorGround, values: Mapping
             high -= flux
 
 
-def _halo(_values: Mapping[str, float], step: float) -> float:
+def _margin(_values: Mapping[str, float], step: float) -> float:
+    """Return the metres around a tile on which its snow depends. step: metres between samples."""
     return max(HORIZON, REACH * SWEEPS * step)
 
 
@@ -228,7 +236,7 @@ SNOW = HeightOperator(
         LandLayer("slides", "m", "Snow that slides have brought; where negative, taken", signed=True),
     ),
     reads=("water_depth",),
-    halo=_halo,
+    halo=_margin,
     masks=True,
     limit="none: two neighbours at a time come to rest",
     conserves="slides keep the snow, to 2e-8",

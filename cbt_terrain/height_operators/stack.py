@@ -93,11 +93,11 @@ class Stack:
         return tuple(e for e in self.entries if e.on and (e.mask is None or e.mask.factor > 0.0))
 
     def check(self, where: str = "The stack") -> None:
-        """Raise TerrainError for an invalid entry."""
+        """Raise TerrainError for an invalid entry. where: subject of the error."""
         if len(self.entries) > MAX_ENTRIES:
             raise TerrainError(f"{where} has {len(self.entries)} entries", expected=f"at most {MAX_ENTRIES}")
         for number, entry in enumerate(self.entries, 1):
-            _check_entry(_of(f"Entry {number}", where), entry)
+            _check_entry(_part_of(f"Entry {number}", where), entry)
 
     def key(self) -> str:
         """Return a hex digest of everything that determines the stack's result; images count by their content."""
@@ -141,7 +141,7 @@ def check_by_products(stack: Stack, source: Iterable[str]) -> None:
 
 
 def _file_mark(image: str) -> tuple:
-    """Return a value that changes with the content of a file."""
+    """Return a value that changes with the content of an image file, for keys. An unreadable file has its name."""
     if not image:
         return ()
     try:
@@ -159,8 +159,8 @@ def _file_digest(file: str, _size: int, _changed_ns: int) -> str:
         return hashlib.file_digest(handle, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
-def _of(part: str, where: str) -> str:
-    """Return "Entry 2 of the stack" for "Entry 2" and "The stack"."""
+def _part_of(part: str, where: str) -> str:
+    """Return the subject of an error, "Entry 2 of the stack", for a part ("Entry 2") and its owner ("The stack")."""
     return f"{part} of {where[0].lower()}{where[1:]}"
 
 
@@ -185,7 +185,7 @@ def _check_entry(where: str, entry: Entry) -> None:
     if not 0 <= entry.seed <= MAX_SEED:
         raise TerrainError(f"{name} has the seed {shown(entry.seed)}", expected=f"0 to {MAX_SEED}")
     if entry.mask is not None:
-        entry.mask.check(_of("The mask", name))
+        entry.mask.check(_part_of("The mask", name))
 
 
 def read_stack(path: str | os.PathLike) -> Stack:
@@ -201,13 +201,15 @@ def read_stack(path: str | os.PathLike) -> Stack:
 
 def stack_from(content: object, where: str = "The stack", folder: Path | None = None) -> Stack:
     """Return a checked stack from parsed JSON. folder: base of relative image paths. Raises TerrainError."""
-    top = _object(where, content, _TOP)
+    top = _check_object(where, content, _TOP)
     version = top.get("version")
     if version != VERSION or type(version) is not int:
         raise TerrainError(f"{where} has version {shown(repr(version))}", expected=f"{VERSION}")
-    entries = _list(where, "entries", top.get("entries"), MAX_ENTRIES)
+    entries = _check_list(where, "entries", top.get("entries"), MAX_ENTRIES)
     stack = Stack(
-        tuple(_entry(_of(f"Entry {number}", where), entry, folder) for number, entry in enumerate(entries, 1)),
+        tuple(
+            _parse_entry(_part_of(f"Entry {number}", where), entry, folder) for number, entry in enumerate(entries, 1)
+        ),
         _heights(where, top.get("heights")),
     )
     stack.check(where)
@@ -231,40 +233,50 @@ def _heights(where: str, content: object) -> tuple[float, float] | None:
     )
 
 
-def _entry(where: str, content: object, folder: Path | None) -> Entry:
-    """Return the entry in parsed JSON; `folder`: of relative image names. Raises TerrainError."""
-    entry = _object(where, content, _ENTRY)
+def _parse_entry(where: str, content: object, folder: Path | None) -> Entry:
+    """Return the entry that parsed JSON describes.
+
+    Raises TerrainError. where: subject of errors. folder: of relative image names, None if they are relative to the
+    working folder.
+    """
+    entry = _check_object(where, content, _ENTRY)
     parameters = entry.get("parameters", {})
     if not isinstance(parameters, dict):
         raise TerrainError(f"{where} has parameters {shown(repr(parameters))}", expected="an object of numbers")
     mask = entry.get("mask")
     return Entry(
-        effect=_typed(where, entry, "effect", str, "", "a text"),
-        parameters={name: _number(where, {name: value}, name, None) for name, value in parameters.items()},
-        seed=_typed(where, entry, "seed", int, 0, "a whole number"),
-        on=_typed(where, entry, "on", bool, True, "true or false"),
-        name=_typed(where, entry, "name", str, "", "a text"),
-        mask=None if mask is None else _mask(_of("The mask", where), mask, folder),
+        effect=_read_typed(where, entry, "effect", str, "", "a text"),
+        parameters={name: _read_number(where, {name: value}, name, None) for name, value in parameters.items()},
+        seed=_read_typed(where, entry, "seed", int, 0, "a whole number"),
+        on=_read_typed(where, entry, "on", bool, True, "true or false"),
+        name=_read_typed(where, entry, "name", str, "", "a text"),
+        mask=None if mask is None else _parse_mask(_part_of("The mask", where), mask, folder),
     )
 
 
-def _mask(where: str, content: object, folder: Path | None) -> HeightMask:
-    """Return the mask in parsed JSON; `folder`: of relative image names. Raises TerrainError."""
-    mask = _object(where, content, _MASK)
-    image = _typed(where, mask, "image", str, "", "the name of a file")
+def _parse_mask(where: str, content: object, folder: Path | None) -> HeightMask:
+    """Return the mask that parsed JSON describes.
+
+    Raises TerrainError. where: subject of errors. folder: of relative image names.
+    """
+    mask = _check_object(where, content, _MASK)
+    image = _read_typed(where, mask, "image", str, "", "the name of a file")
     if image and folder is not None:
         image = str(folder / image)
-    rules = _list(where, "rules", mask.get("rules", []), MAX_RULES)
-    return HeightMask(image, tuple(_rule(where, rule) for rule in rules), _number(where, mask, "factor", 1.0))
+    rules = _check_list(where, "rules", mask.get("rules", []), MAX_RULES)
+    return HeightMask(
+        image, tuple(_parse_rule(where, rule) for rule in rules), _read_number(where, mask, "factor", 1.0)
+    )
 
 
-def _rule(where: str, content: object) -> GroundRule:
-    rule = _object(where, content, _RULE)
-    numbers = {name: _number(where, rule, name, default) for name, default in _RULE_DEFAULTS.items()}
-    return GroundRule(_typed(where, rule, "of", str, "", "a text"), **numbers)
+def _parse_rule(where: str, content: object) -> GroundRule:
+    """Return the rule that parsed JSON describes. Raises TerrainError. where: subject of errors."""
+    rule = _check_object(where, content, _RULE)
+    numbers = {name: _read_number(where, rule, name, default) for name, default in _RULE_DEFAULTS.items()}
+    return GroundRule(_read_typed(where, rule, "of", str, "", "a text"), **numbers)
 
 
-def _object(where: str, content: object, known: tuple[str, ...]) -> dict:
+def _check_object(where: str, content: object, known: tuple[str, ...]) -> dict:
     """Return `content` if it is a JSON object with `known` keys only. Raises TerrainError."""
     if not isinstance(content, dict):
         raise TerrainError(f"{where} is {shown(repr(content))}", expected=f"an object with {', '.join(known)}")
@@ -273,24 +285,24 @@ def _object(where: str, content: object, known: tuple[str, ...]) -> dict:
     return content
 
 
-def _list(where: str, name: str, content: object, max_length: int) -> list:
-    """Return `content` if it is a list of at most `max_length` items. Raises TerrainError."""
+def _check_list(where: str, name: str, content: object, max_length: int) -> list:
+    """Return `content` if it is a list of at most `max_length` items. Raises TerrainError. name: of the items."""
     if not isinstance(content, list) or len(content) > max_length:
         found = f"{len(content)} {name}" if isinstance(content, list) else f"{name} {shown(repr(content))}"
         raise TerrainError(f"{where} has {found}", expected=f"a list of at most {max_length}")
     return content
 
 
-def _typed(where: str, content: dict, name: str, kind: type[T], default: T, expected: str) -> T:
-    """Return the value `name` of an object, or its default; raise TerrainError if it is not exactly a `kind`."""
+def _read_typed(where: str, content: dict, name: str, kind: type[T], default: T, expected: str) -> T:
+    """Return the value `name` of an object, or its default. Raises TerrainError unless it is exactly of a `kind`."""
     value = content.get(name, default)
     if type(value) is kind:
         return value
     raise TerrainError(f"{where} has {name} {shown(repr(value))}", expected=expected)
 
 
-def _number(where: str, content: dict, name: str, default: float | None) -> float:
-    """Return the number `name` of an object, or its default. Raises TerrainError for text, NaN or over 1e300."""
+def _read_number(where: str, content: dict, name: str, default: float | None) -> float:
+    """Return the number `name` of an object, or its default. Raises TerrainError for text, NaN or more than 1e300."""
     value: Any = content.get(name, default)
     if type(value) not in (int, float) or (name in content and not abs(value) <= 1e300):
         raise TerrainError(f"{where} has {shown(name)} {shown(repr(value))}", expected="a number")
@@ -326,15 +338,15 @@ def write_stack(stack: Stack, path: str | os.PathLike) -> None:
     folder = path.absolute().parent
     try:
         with written_beside(path) as partial:
-            text = json.dumps(stack_content(_relative(stack, folder)), indent=1, allow_nan=False)
+            text = json.dumps(stack_content(_with_relative_images(stack, folder)), indent=1, allow_nan=False)
             partial.write_text(text + "\n", encoding="utf-8")
     except OSError as reason:
         problem = f"The stack {path} cannot be written ({reason.strerror or reason})"
         raise TerrainError(problem, fix="choose another name") from reason
 
 
-def _relative(stack: Stack, folder: Path) -> Stack:
-    """Return the stack with mask images below `folder` named relative to it."""
+def _with_relative_images(stack: Stack, folder: Path) -> Stack:
+    """Return the stack with images of masks in `folder` named relative to it, so that both can be moved together."""
 
     def near(entry: Entry) -> Entry:
         """Return the entry with its image relative to the folder, unchanged if it lies elsewhere."""

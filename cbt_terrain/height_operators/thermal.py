@@ -15,7 +15,7 @@ from ...kernels.land import thermal as kernels
 from ..attributes.attribute import Parameter
 from ..run import launch
 from ..run.buffers import flat
-from .balance import balanced
+from .balance import balance_mass
 from .height_operator import Change, Evaluate, HeightOperator, LandLayer, OperatorGround
 
 # Sweeps of a level in which rock breaks, then sweeps in which scree comes to rest, and their factor at the coarsest
@@ -34,19 +34,19 @@ HALO = 1.6
 def apply(ground: OperatorGround, values: Mapping[str, float], coarse: Change | None) -> Change:
     """Return the change of a level; `coarser`: that of the next coarser level, interpolated to this one."""
     shape = ground.heights.shape
-    breakable, loose = _breakable(ground, values), ground.layers.get("scree", np.zeros(shape, np.float32))
-    left, scree = _start(ground, coarse, breakable, loose)
+    breakable, loose = _breakable_depth(ground, values), ground.layers.get("scree", np.zeros(shape, np.float32))
+    left, scree = _start_level(ground, coarse, breakable, loose)
     base = np.ascontiguousarray(ground.heights - loose - breakable)
     if ground.missing is not None:
         base[ground.missing] = np.nan
     times = AT_FIRST if coarse is None else 1
-    scree = settle(base, breakable, left, scree, ground, values, times)
+    scree = settle_scree(base, breakable, left, scree, ground, values, times)
     wear, deposited = breakable - left, scree - loose
     return Change(deposited - wear, {"scree": deposited, "wear": wear})
 
 
-def _breakable(ground: OperatorGround, values: Mapping[str, float]) -> np.ndarray:
-    """Return the depth of rock that may break off, float32 [rows, columns] m."""
+def _breakable_depth(ground: OperatorGround, values: Mapping[str, float]) -> np.ndarray:
+    """Return the depth of rock that may break off each sample, float32 [rows, columns] m; 0 in holes."""
     breakable = np.full(ground.heights.shape, values["depth"], np.float32)
     if ground.mask is not None:
         breakable *= ground.mask
@@ -55,27 +55,28 @@ def _breakable(ground: OperatorGround, values: Mapping[str, float]) -> np.ndarra
     return breakable
 
 
-def _start(
+def _start_level(
     ground: OperatorGround, coarse: Change | None, breakable: np.ndarray, loose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the breakable rock and the scree in metres after the coarser level.
+    """Return the rock that may still break and the scree at the start of a level, float32 [rows, columns] m.
 
-    Interpolation loses mass at borders and where less rock is breakable here; deposits are scaled to conserve it.
+    Both are the given ones after the coarser level's change `coarse`, None at the coarsest level. Interpolation
+    loses mass at borders and where less rock is breakable here; deposits are scaled to conserve it.
     """
     if coarse is None:
         return breakable.copy(), loose.copy()
-    net = coarse.layers["scree"] - coarse.layers["wear"]
+    coarse_change = coarse.layers["scree"] - coarse.layers["wear"]
     wear, deposited = np.clip(coarse.layers["wear"], 0.0, breakable), coarse.layers["scree"]
     if ground.missing is not None:
         deposited = np.where(ground.missing, np.float32(0.0), deposited)
     scree = np.maximum(loose + deposited, 0.0)
     gain = np.clip(deposited, 0.0, scree)
-    deposited, wear = balanced(gain, wear, breakable, scree - loose - wear, net, ground)
+    deposited, wear = balance_mass(gain, wear, breakable, scree - loose - wear, coarse_change, ground)
     scree += deposited - gain
     return np.ascontiguousarray(breakable - wear), np.ascontiguousarray(np.maximum(scree, 0.0))
 
 
-def settle(
+def settle_scree(
     base: np.ndarray,
     breakable: np.ndarray,
     left: np.ndarray,
@@ -86,9 +87,10 @@ def settle(
 ) -> np.ndarray:
     """Return the scree after `times` the sweeps of one level, and update `left`, the rest of the `breakable` rock.
 
-    All float32 [rows, columns] m, see kernels/land/thermal.py. Overwrites `base` and `scree`.
+    All are float32 [rows, columns] m, see kernels/land/thermal.py. Overwrites `base` (rock that cannot break) and
+    `scree`.
     """
-    slope, rest = slope_of(ground, values, base, left, scree), np.zeros_like(scree)
+    slope, rest = pack_slope(ground, values, base, left, scree), np.zeros_like(scree)
     inputs, cost = [slope, LONGEST, OCTAVES, values["uneven"] * slope.repose], 3.0 * slope.width
     launch.spread(kernels.vary_repose, slope.height, inputs, step="thermal", threads=ground.threads, cost=cost)
     breaking, sweeps = times * BREAKING, times * (BREAKING + RESTING)
@@ -134,10 +136,10 @@ def smooth_wear(left: np.ndarray, breakable: np.ndarray) -> None:
         b -= a - before  # the rounded flux
 
 
-def slope_of(
+def pack_slope(
     ground: OperatorGround, values: Mapping[str, float], base: np.ndarray, left: np.ndarray, scree: np.ndarray
 ) -> kernels.Slope:
-    """Return the parameters of the kernels; they share the memory of the arrays."""
+    """Return parameters and arrays as the kernels read them; the memory of the arrays is shared."""
     slope = kernels.Slope()
     slope.height, slope.width = ground.heights.shape
     slope.first_row, slope.first_column = ground.first

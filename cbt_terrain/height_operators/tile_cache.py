@@ -43,17 +43,20 @@ class TileCache:
             partial_files.remove_abandoned(folder)
 
     def take(self, effect: str, key: str, shape: tuple[int, ...], compute: Callable[[], np.ndarray]) -> np.ndarray:
-        """Return the float32 array of that shape under `key`; compute and cache it if there is none. Read only."""
+        """Return the float32 array of that shape under `key`, from its file or newly computed and cached.
+
+        It is read only. effect: name of the operator, for the counts. compute: makes the array.
+        """
         file = None if self.folder is None else self.folder / f"{key}.npy"
         self._used.add(f"{key}.npy")
-        found = _read(file, shape) if file is not None else None
+        found = _read_cached(file, shape) if file is not None else None
         if found is not None:
             self.kept[effect] += 1
             return found
         array = np.ascontiguousarray(compute(), np.float32)
         self.made[effect] += 1
         if file is not None:
-            _write(file, array, self.room)
+            _write_cached(file, array, self.room)
         return array
 
     def trim(self, max_bytes: int = MAX_BYTES) -> None:
@@ -87,7 +90,7 @@ def compute_digest(*parts: object) -> str:
     return digest.hexdigest()
 
 
-def _read(file: Path, shape: tuple[int, ...]) -> np.ndarray | None:
+def _read_cached(file: Path, shape: tuple[int, ...]) -> np.ndarray | None:
     """Return a cached array, mapped, or None if it is missing, damaged or not finite."""
     try:
         verify_array(file, shape, np.float32)
@@ -98,8 +101,8 @@ def _read(file: Path, shape: tuple[int, ...]) -> np.ndarray | None:
     return found if np.isfinite(found).all() else None
 
 
-def _write(file: Path, array: np.ndarray, room: int) -> None:
-    """Write an array unless fewer than `room` bytes of the disk stay free. Write errors are ignored."""
+def _write_cached(file: Path, array: np.ndarray, room: int) -> None:
+    """Write an array unless fewer than `room` bytes of the disk would stay free. Write errors are ignored."""
     with suppress(OSError):
         with open_folder(file.parent, make=True):  # another Blender may have removed it
             pass

@@ -155,15 +155,16 @@ def tiles_seen(
     placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
     boxes, found = None, []
     for level in levels:
-        boxes = _boxes(level, field, vertical_scale, vertical_offset) if boxes is None else _merged(level, boxes)
+        boxes = _boxes(level, field, vertical_scale, vertical_offset) if boxes is None else _merge_boxes(level, boxes)
         pixels = sizing.footprints(boxes.reshape(-1, 2, 3), views, placement, only_seen=True)
         near = np.flatnonzero(pixels <= PIXEL_SPACINGS * max(level.step_x, level.step_y))
         metres = pixels[near] * pixel_error / max(abs(vertical_scale), 1e-30)
-        found.append({int(tile): _rounded(m) for tile, m in zip(near, metres, strict=True)})
+        found.append({int(tile): _round_error(m) for tile, m in zip(near, metres, strict=True)})
     return found
 
 
-def _rounded(metres: float) -> float:
+def _round_error(metres: float) -> float:
+    """Return an error in metres, rounded down to a quarter of an octave. So small moves of a view change no request."""
     return 2.0 ** (math.floor(math.log2(metres) * 4) / 4) if 0.0 < metres < math.inf else float(metres)
 
 
@@ -175,8 +176,8 @@ def _boxes(level: Level, field: HeightField, vertical_scale: float, vertical_off
     return sizing.boxes(tiling, field, vertical_scale, vertical_offset).reshape(*level.tiles, 2, 3)
 
 
-def _merged(level: Level, boxes: np.ndarray) -> np.ndarray:
-    """Return the boxes of a level, each of which contains four boxes of the next finer one."""
+def _merge_boxes(level: Level, boxes: np.ndarray) -> np.ndarray:
+    """Return the boxes of a level from those of the next finer one, four in each; float64 [rows, columns, 2, 3]."""
     rows, columns = level.tiles
     padded = np.pad(boxes, [(0, 2 * rows - boxes.shape[0]), (0, 2 * columns - boxes.shape[1]), (0, 0), (0, 0)], "edge")
     four = padded.reshape(rows, 2, columns, 2, 2, 3)

@@ -91,7 +91,7 @@ def water_surface(
         wet &= ~missing
     deep, level, wet = _extend_to_shore(heights, depth, wet, min_depth)
     corners, sides = _triangles(deep, wet, missing)
-    used, numbers = _numbered(corners, heights.size)
+    used, numbers = _number_items(corners, heights.size)
     row, column = np.divmod(used, heights.shape[1])
     west, south, _, _ = lattice.rectangle()
     x, y = west + column * lattice.step_x, south + row * lattice.step_y
@@ -105,7 +105,7 @@ def water_surface(
         "water_speed": Attribute(fast.astype(np.float32), POINT, "m/s"),
         LEVEL: Attribute(np.zeros(len(corners) // 3, np.int32), FACE),
     }
-    lines, line_numbers = _numbered(sides, 4 * heights.size)
+    lines, line_numbers = _number_items(sides, 4 * heights.size)
     start, towards = np.divmod(lines, 4)
     width = heights.shape[1]
     ends = np.stack([start, start + np.array([1, width, width + 1, width - 1])[towards]], axis=-1)
@@ -193,8 +193,11 @@ def _triangles(deep: np.ndarray, wet: np.ndarray, missing: np.ndarray | None) ->
     return corners.ravel(), np.where(north_east, north_east_sides, north_west_sides).ravel()
 
 
-def _numbered(items: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the unique items in ascending order, int64, and the index of each item below `end` among them, int32."""
+def _number_items(items: np.ndarray, end: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the unique items in ascending order, int64, and each item's index among them.
+
+    The second is int32 [end]; entries of items that do not occur are meaningless.
+    """
     used = np.zeros(end, bool)
     used[items] = True
     return np.flatnonzero(used), np.cumsum(used, dtype=np.int32) - np.int32(1)

@@ -71,5 +71,5 @@ class Frame:
     result: object = None
 
     def emptied(self) -> "Frame":
-        """Return a frame without facts in the same memory."""
+        """Return a frame in the same memory, without the result and the other facts of this one."""
         return Frame(self.arrays)

@@ -63,7 +63,10 @@ class FrameHistory:
         self.discard()
 
     def discard(self) -> None:
-        """Forget everything. Results of earlier updates stay valid for their holders."""
+        """Forget everything that a later update could reuse.
+
+        Results of earlier updates stay valid for their holders.
+        """
         self.last, self.next = Frame(), Frame()
         self.tree: ConcurrentBinaryTree | None = None
         self._tree_leaves: Leaves | None = None  # the leaves that the tree holds
@@ -96,7 +99,7 @@ class FrameHistory:
 
     @contextmanager
     def writing(self) -> Iterator[Frame]:
-        """Yield the frame to be written and committed in the block; discard everything if the block raises."""
+        """Yield the frame that the block writes and commits; discard everything if the block raises."""
         try:
             yield self.next
         except BaseException:

@@ -19,7 +19,7 @@ from ..field.heightfield import HeightField
 from ..field.lands import LANDS
 from ..field.lattice import lattice_for
 from .archives import is_archive, unpacked
-from .drafts import common_report_entries, drafted
+from .drafts import common_report_entries, open_draft
 from .height_range import fit_heights
 from .plausibility import ValueCheck, relief_warning
 from .raster import ImportSettings, Raster
@@ -86,12 +86,12 @@ def _import_file(
         lattice = lattice_for(width, height, place.step_x, place.step_y, settings.source)
         settings, notes = fit_heights(settings, raster, place.step_x * (width - 1), _blocks)
         raster.warnings += notes
-        with drafted(path, folder, lattice, doubt=DOUBT) as draft:
+        with open_draft(path, folder, lattice, doubt=DOUBT) as draft:
             field, check = _build(settings, raster, place, draft, (height, width), on_progress)
             field = field.with_raster(provenance=_provenance(given, raster))
-            report = _report(field, raster, place)
+            report = _import_report(field, raster, place)
             if settings.source not in LANDS:
-                report["warnings"] += _implausible(raster, settings, place, report, check)
+                report["warnings"] += _value_warnings(raster, settings, place, report, check)
             report["warnings"] = [text.replace(str(file), given.source) for text in report["warnings"]]
             report["seconds"] = round(time.monotonic() - started, 3)
             raster.finish(draft.folder)
@@ -104,7 +104,11 @@ def _import_file(
 def _build(
     settings: ImportSettings, raster: Raster, place: Georeference, draft: store.Draft, shape: tuple, on_progress: Tell
 ) -> tuple[HeightField, ValueCheck]:
-    """Build the height field of a raster in the arrays of a draft. Return it and the check of its values."""
+    """Build the height field of a raster in the arrays of a draft.
+
+    Return it, and the check of its values for marks of missing data. place: georeference. shape: rows and columns
+    of the terrain, row 0 south. on_progress: gets 0 to 1 and a message.
+    """
     steps = codes.steps_of(np.dtype(raster.stored), *_scaling(raster, settings))
     heights = draft.allocate("samples" if steps is None else "raster", shape, np.dtype(np.float32))
     check, begin = ValueCheck(np.dtype(raster.stored)), 0.0
@@ -135,7 +139,7 @@ def _build(
 
 
 def _provenance(settings: ImportSettings, raster: Raster) -> dict:
-    """Return the origin of a store's heights as JSON."""
+    """Return the origin of a store's heights as JSON, with which the import can be repeated."""
     values = dataclasses.asdict(settings)
     values["no_data"] = None if settings.no_data is None else str(settings.no_data)
     return {"settings": values, "format": raster.format, "stored": raster.stored}
@@ -272,7 +276,7 @@ def _read_heights(
             with np.errstate(over="ignore", invalid="ignore"):
                 rows = rows.astype(np.float64) * scale + offset
         if raster.width == 1 or raster.height == 1:
-            rows = cleaning.widen(rows)
+            rows = cleaning.repeat_single_line(rows)
         exact = rows
         rows, absent = cleaning.clean_rows(exact, settings.source)
         missing += absent
@@ -288,10 +292,10 @@ def _read_heights(
     return missing, source_max
 
 
-def _implausible(
+def _value_warnings(
     raster: Raster, settings: ImportSettings, place: Georeference, report: dict, check: ValueCheck
 ) -> list[str]:
-    """Return warnings about values that are probably no heights in metres."""
+    """Return warnings about values that are probably no heights in metres. report: figures of the import."""
     if settings.no_data is not None and np.isnan(settings.no_data):  # every value is a height
         return []
     found = check.warnings()
@@ -307,7 +311,7 @@ def _source_step(raster: Raster, settings: ImportSettings, largest: float) -> fl
     return half_step(tuple(rounding.scaled(*scaling) for rounding in raster.roundings), largest)
 
 
-def _report(field: HeightField, raster: Raster, place: Georeference) -> dict:
+def _import_report(field: HeightField, raster: Raster, place: Georeference) -> dict:
     """Return an import's report: format, sizes, and the warnings of raster, georeference and rounding."""
     warnings = [*raster.warnings, *place.warnings, *place.size_warnings]
     largest = max(abs(field.min_height), abs(field.max_height))

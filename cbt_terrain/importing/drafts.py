@@ -13,7 +13,7 @@ from ..field.lattice import Lattice
 
 
 @contextmanager
-def drafted(
+def open_draft(
     path: Path,
     folder: str | None,
     lattice: Lattice,
@@ -21,15 +21,15 @@ def drafted(
     elsewhere: str = "choose another folder",
     doubt: str = "",
 ) -> Iterator[store.Draft]:
-    """Create a draft of the store at `path` for the block, and remove it afterwards unless the block publishes it.
+    """Yield a draft of the store at `path`, and remove it after the block unless the block publishes it.
+
+    Raises TerrainError for a disk with too little room, before a byte is written, and for any OSError of the block.
 
     Args:
         folder: name of the folder for the new arrays; None for a random one.
         layers: number of layers that will be written.
         elsewhere: remedy if no room can be made, in errors.
         doubt: further remedy if the store is implausibly large, in errors.
-
-    Raises TerrainError for a disk with too little room, before a byte is written, and for any OSError of the block.
     """
     draft = None
     try:
@@ -43,25 +43,25 @@ def drafted(
             draft.discard_unless_published()
 
 
-def room_for(lattice: Lattice, layers: int) -> int:
-    """Return the bytes that a store takes."""
+def store_bytes(lattice: Lattice, layers: int) -> int:
+    """Return the bytes that a store takes on the disk. layers: number of its layers."""
     return (6 + 4 * layers) * lattice.width * lattice.height + 5 * lattice.node_count + 4 * lattice.range_count
 
 
 def _check_room(path: Path, lattice: Lattice, layers: int, elsewhere: str) -> None:
     """Raise TerrainError if a store is larger than the free bytes of its disk; `elsewhere`: remedy in the error."""
-    needed = room_for(lattice, layers)
+    needed = store_bytes(lattice, layers)
     existing = next((p for p in (path, *path.absolute().parents) if p.exists()), Path("."))
     free = shutil.disk_usage(existing).free
     if needed > free:
         raise TerrainError(
-            f"A terrain of {lattice.width} x {lattice.height} samples needs {_size(needed)} in {path}, where "
-            f"{_size(free)} are free",
+            f"A terrain of {lattice.width} x {lattice.height} samples needs {_format_bytes(needed)} in {path}, where "
+            f"{_format_bytes(free)} are free",
             fix=f"make room or {elsewhere}",
         )
 
 
-def _size(count: int) -> str:
+def _format_bytes(count: int) -> str:
     """Return a number of bytes as text, in GB or MB."""
     return f"{count / 1e9:.2f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
 

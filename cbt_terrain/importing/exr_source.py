@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import TerrainError, shown
 from ..run.memory import physical_memory
-from .exr_channels import ExrChannel, likeliest, named
+from .exr_channels import ExrChannel, channels_by_name, likeliest
 from .raster import ImportSettings, Raster, blank, cause
 from .rounding import SourceRounding
 
@@ -34,7 +34,7 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
             for number, header in enumerate(headers)
             for channel in header["channels"]
         ]
-        sizes = [_size(header) for header in headers]
+        sizes = [_part_size(header) for header in headers]
     except Exception as reason:
         raise TerrainError(f"{path} cannot be read as OpenEXR ({cause(reason)})", fix="get the file again") from reason
     channel, also_named = _choose(path, channels, settings.channel)
@@ -46,12 +46,12 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
             expected="at most a quarter of this machine's memory, and no more than a file of this size can hold",
             fix="get the file again, or cut it into tiles",
         )
-    pixels = _pixels(path, channel)
+    pixels = _read_channel(path, channel)
     if pixels.shape != (height, width):
         raise TerrainError(
             f"{path} holds {pixels.shape} pixels", expected=f"{(height, width)} by its header", fix="get the file again"
         )
-    rounding = _rounding(str(pixels.dtype), channel, headers[channel.part]["compression"].name)
+    rounding = _channel_rounding(str(pixels.dtype), channel, headers[channel.part]["compression"].name)
     notes = []
     if len(channels) > 1 and not settings.channel:
         others = [c.full_name for c in channels if c is not channel]
@@ -60,10 +60,11 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
             f"is, name it (--channel): {shown(', '.join(others))}."
         )
     if also_named:
-        named = shown(", ".join(c.full_name for c in also_named))
+        full_names = shown(", ".join(c.full_name for c in also_named))
         notes.append(
             f"The file has {len(also_named) + 1} channels that {shown(settings.channel)!r} may mean; "
-            f"{shown(channel.full_name)} is taken. If another one is meant, give its full name (--channel): {named}."
+            f"{shown(channel.full_name)} is taken. If another one is meant, give its full name (--channel): "
+            f"{full_names}."
         )
     return Raster(
         width=width,
@@ -76,8 +77,8 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
     )
 
 
-def _size(header: dict) -> tuple[int, int]:
-    """Return the width and the height of a part."""
+def _part_size(header: dict) -> tuple[int, int]:
+    """Return the width and the height of a part of an OpenEXR file, from its header."""
     low, high = header["dataWindow"]
     return int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1
 
@@ -89,7 +90,7 @@ def _choose(path: Path, channels: list[ExrChannel], name: str) -> tuple[ExrChann
     """
     if not channels:
         raise TerrainError(f"{path} has no channels", expected="a channel of heights", fix="get the file again")
-    found = named(channels, name) if name else [likeliest(channels, channels)]
+    found = channels_by_name(channels, name) if name else [likeliest(channels, channels)]
     if not found:
         known = ", ".join(c.full_name for c in channels)
         raise TerrainError(f"{path} has no channel {shown(name)!r}", fix=f"choose one of {shown(known, 500)}")
@@ -102,8 +103,8 @@ def _choose(path: Path, channels: list[ExrChannel], name: str) -> tuple[ExrChann
     return channel, others
 
 
-def _pixels(path: Path, channel: ExrChannel) -> np.ndarray:
-    """Return the samples of a channel. Raises TerrainError if they are damaged."""
+def _read_channel(path: Path, channel: ExrChannel) -> np.ndarray:
+    """Return the samples of a channel, [rows, columns]. Raises TerrainError if they are damaged."""
     import OpenEXR
 
     try:
@@ -115,8 +116,8 @@ def _pixels(path: Path, channel: ExrChannel) -> np.ndarray:
         raise TerrainError(f"{path} is damaged or incomplete ({cause(reason)})", fix="get the file again") from reason
 
 
-def _rounding(stored: str, channel: ExrChannel, compression: str) -> SourceRounding:
-    """Return the rounding of a compressed channel."""
+def _channel_rounding(stored: str, channel: ExrChannel, compression: str) -> SourceRounding:
+    """Return how far a channel's samples may be from those before its compression. stored: dtype's name."""
     method = compression.removesuffix("_COMPRESSION")
     bits = PXR24_BITS if method == "PXR24" and stored == "float32" else 0
     lossy = (

@@ -69,7 +69,10 @@ def grid_of(dataset: DatasetReader) -> FileGrid:
 
 
 def _from_control_points(points: list, crs: CRS) -> FileGrid:
-    """Return the straight grid through ground control points, if there is one."""
+    """Return the straight grid through ground control points.
+
+    Without one, the grid has a `problem` that says why. points: rasterio's GroundControlPoints. crs: their system.
+    """
     pixels = np.array([(point.col, point.row, 1.0) for point in points], np.float64)
     ground = np.array([(point.x, point.y) for point in points], np.float64)
     if np.isfinite(pixels).all() and np.isfinite(ground).all():

@@ -27,7 +27,7 @@ from .rasterio_types import DatasetReader
 from .rounding import SourceRounding, band_rounding
 from .sidecars import allow_aux_file, named_crs
 from .source_formats import SourceFormat
-from .tiff_orientation import orientation_notes, orientation_of, oriented
+from .tiff_orientation import orientation_georeference, orientation_notes, orientation_of
 from .units import height_unit
 from .vrt_rounding import mosaic_roundings
 from .vrt_units import mosaic_notes
@@ -143,10 +143,10 @@ def raster_of(
     view, projected_from = None, ""
     sheared = grid.transform is not None and has_shear(grid, dataset.width, dataset.height)
     if settings.project or sheared:
-        from .reproject import reprojected
+        from .reproject import reproject
 
         projected_from = grid.name if settings.project else "a sheared grid"
-        view, grid = reprojected(path, dataset, grid, stored, settings)
+        view, grid = reproject(path, dataset, grid, stored, settings)
         if not settings.project:
             notes.append("The file's rows and columns are not perpendicular: it was resampled onto a straight grid.")
         if float_alpha(dataset, band):
@@ -155,7 +155,7 @@ def raster_of(
     georeference = _georeference(grid, placed.width, placed.height, settings)
     is_sized = georeference is not None
     if georeference is None and driver == "GTiff":
-        georeference = oriented(orientation_of(path))
+        georeference = orientation_georeference(orientation_of(path))
     if georeference is None and mosaic is not None:
         notes += orientation_notes(mosaic.sources)
     return dataclasses.replace(
@@ -234,7 +234,10 @@ def _grid_of(dataset: DatasetReader, settings: ImportSettings) -> FileGrid:
 
 
 def _georeference(grid: FileGrid, width: int, height: int, settings: ImportSettings) -> Georeference | None:
-    """Return the georeference of a raster of `width` x `height` samples, None if the file does not place it."""
+    """Return the georeference of a raster of `width` x `height` samples, None if the file does not place it.
+
+    It is also None if its place cannot be used and the settings give the extent.
+    """
     if grid.transform is None:
         return None
     try:

@@ -31,7 +31,7 @@ def is_plain_raw(path: Path) -> bool:
 
 
 def headless_warning(path: Path) -> str:
-    """Return the warning about a file without its header."""
+    """Return the warning about raw samples that lack their .hdr file."""
     return (
         f"There is no header {shown(path.with_suffix('.hdr').name)} beside the file, so size and type of its samples "
         "are those of the RAW settings (--raw-size, --raw-type, --big-endian), without georeference and no-data value."

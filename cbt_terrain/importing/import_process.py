@@ -81,7 +81,10 @@ def child_main() -> None:
 
 
 def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
-    """Import in the child process, sandboxed, and return the report."""
+    """Import in the child process, sandboxed, and return the report.
+
+    begin: says that the child is ready, so threads may start.
+    """
     settings, path = ImportSettings(**request["settings"]), Path(request["store"])
     guard_import(settings, path)
     begin()  # after the guard: threads started before it could still write elsewhere

@@ -76,14 +76,17 @@ def _passes_edge(grid: FileGrid, width: int, height: int) -> bool:
 
 
 def _direction(east: float, north: float) -> str:
-    """Return the name of the nearest of the four directions."""
+    """Return the name of the nearest of the four directions, for a vector to the east and north."""
     if abs(east) > abs(north):
         return "east" if east > 0.0 else "west"
     return "north" if north > 0.0 else "south"
 
 
 def _remedy(name: str, latitude: float) -> str:
-    """Return the remedy for wrong lengths at a latitude, degrees."""
+    """Return the remedy for wrong lengths.
+
+    name: of the coordinate system, "EPSG:n". latitude: of the raster, degrees.
+    """
     utm = f"EPSG:{32600 if latitude >= 0.0 else 32700}"[:-2]
     if not -80.0 <= latitude <= 84.0:
         polar = "EPSG:32661" if latitude > 0.0 else "EPSG:32761"

@@ -89,7 +89,7 @@ def placing_of(store: str | os.PathLike) -> Placing:
 
 
 def child_main() -> None:
-    """Answer the request on stdin."""
+    """Answer one request on stdin, in a child process that may load PROJ."""
     serve(lambda request, *_: _units(request["store"]), lambda request: f"Reading {request['store']}")
 
 

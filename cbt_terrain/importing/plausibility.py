@@ -26,7 +26,10 @@ class ValueCheck:
         self.low, self.high = math.inf, -math.inf  # range of all other values
 
     def add(self, rows: np.ndarray) -> None:
-        """Search a block of values; NaN and infinities do not count."""
+        """Search a block of values for marks of missing data at the ends of the range; NaN and infinities do not count.
+
+        Other values extend the range.
+        """
         values = rows[np.isfinite(rows)] if rows.dtype.kind == "f" else rows.ravel()
         for end in (np.min, np.max):
             while values.size and self._is_mark(value := float(end(values))):
@@ -43,7 +46,7 @@ class ValueCheck:
         return abs(value) >= HUGE and len(self.marks) < MAX_MARKS  # heights in mm are huge, too, but many
 
     def warnings(self) -> list[str]:
-        """Return a warning for each mark that stands apart from all other values."""
+        """Return a warning for each mark that stands apart from all other values, as undeclared no-data does."""
         spread = self.high - self.low
         if not spread >= 0.0:  # all values are marks
             return []

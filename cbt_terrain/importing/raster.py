@@ -227,5 +227,8 @@ def blank(rows: np.ndarray, no_data: float | None) -> np.ndarray:
 
 
 def cause(reason: BaseException) -> str:
-    """Return a library's message as part of a sentence; rasterio's errors wrap GDAL's."""
+    """Return a library's message without a full stop, as part of a sentence.
+
+    Errors of rasterio wrap GDAL's, which is then returned.
+    """
     return shown(reason.__cause__ or reason, 300).rstrip(".")

@@ -28,19 +28,18 @@ _MERIDIAN = re.compile(r'PRIMEM\["[^"]*",\s*([-+.\deE]+)(?:,AUTHORITY\["[^"]*","
 _CODE = re.compile(r',AUTHORITY\["[^"]*","[^"]*"\]\]$')
 
 
-def reprojected(
+def reproject(
     path: Path, dataset: DatasetReader, grid: FileGrid, stored: np.dtype, settings: ImportSettings
 ) -> tuple[DatasetReader, FileGrid]:
     """Return a resampled view of a rasterio dataset, and its grid.
 
     The view is float64 with NaN for missing samples, north up, and about as dense along each axis as the dataset.
+    Raises TerrainError.
 
     Args:
         grid: grid of the dataset.
         stored: type of its values.
         settings: `project` names the new coordinate system; if empty, the system stays.
-
-    Raises TerrainError.
     """
     from rasterio.crs import CRS
     from rasterio.enums import Resampling
@@ -58,7 +57,7 @@ def reprojected(
             fix="give it one (gdal_edit -a_srs), or import it as it is",
         )
     source = _centred(grid, dataset) if grid.crs is not None else grid._replace(crs=CRS.from_wkt(UNNAMED))
-    crs = _target(path, dataset, source, settings.project) if settings.project else source.crs
+    crs = _target_system(path, dataset, source, settings.project) if settings.project else source.crs
     transform, width, height = _grid(path, dataset, source, crs)
     options = {}
     if settings.no_data is not None:
@@ -107,8 +106,11 @@ def _centred(grid: FileGrid, dataset: DatasetReader) -> FileGrid:
     return FileGrid(CRS.from_wkt(_CODE.sub("]", wkt)), (a, b, c - middle, d, e, f))
 
 
-def _target(path: Path, dataset: DatasetReader, source: FileGrid, name: str) -> CRS:
-    """Return the coordinate system of a name in ImportSettings.project. Raises TerrainError."""
+def _target_system(path: Path, dataset: DatasetReader, source: FileGrid, name: str) -> CRS:
+    """Return the coordinate system that a name in ImportSettings.project means, "utm" or "EPSG:n".
+
+    Raises TerrainError. source: grid of the dataset, whose UTM zone may be needed.
+    """
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
 
@@ -130,7 +132,7 @@ def _utm_zone(path: Path, dataset: DatasetReader, source: FileGrid) -> str:
     from rasterio.crs import CRS
 
     middle = source.positions(np.array([dataset.width / 2]), np.array([dataset.height / 2]))
-    x, y = _transformed(path, source.crs, CRS.from_epsg(4326), *middle)
+    x, y = _transform_points(path, source.crs, CRS.from_epsg(4326), *middle)
     longitude, latitude = float(x[0]), float(y[0])
     if not -80.0 <= latitude <= 84.0:
         raise TerrainError(
@@ -148,10 +150,10 @@ def _grid(path: Path, dataset: DatasetReader, source: FileGrid, crs: CRS) -> tup
     columns, rows = sides.T
     columns = np.concatenate([columns, columns, np.full_like(rows, 0.5), np.full_like(rows, right)])
     rows = np.concatenate([np.full_like(rows, 0.5), np.full_like(rows, bottom), rows, rows])
-    x, y = _transformed(path, source.crs, crs, *source.positions(columns, rows))
+    x, y = _transform_points(path, source.crs, crs, *source.positions(columns, rows))
     column, row = dataset.width / 2, dataset.height / 2
     near = source.positions(np.array([column, column + 1.0, column]), np.array([row, row, row + 1.0]))
-    near_x, near_y = _transformed(path, source.crs, crs, *near)
+    near_x, near_y = _transform_points(path, source.crs, crs, *near)
     step_x, step_y = _steps(near_x[1] - near_x[0], near_x[2] - near_x[0], near_y[1] - near_y[0], near_y[2] - near_y[0])
     width, height = (int(np.ptp(c) / step + 1e-6) + 1 for c, step in ((x, step_x), (y, step_y)))
     name = crs.to_string()[:80]
@@ -185,7 +187,7 @@ def _check_way_back(path: Path, dataset: DatasetReader, source: FileGrid, crs: C
     inner = np.linspace(0.02, 0.98, INNER_SAMPLES)
     columns, rows = (grid.ravel() for grid in np.meshgrid(inner * dataset.width, inner * dataset.height))
     x, y = source.positions(columns, rows)
-    back_x, back_y = _transformed(path, crs, source.crs, *_transformed(path, source.crs, crs, x, y))
+    back_x, back_y = _transform_points(path, crs, source.crs, *_transform_points(path, source.crs, crs, x, y))
     cell = max(length(source.placed[0:4:3]), length(source.placed[1:5:3]))
     if lengths(np.stack([back_x - x, back_y - y])).max() > cell:
         raise TerrainError(
@@ -195,8 +197,10 @@ def _check_way_back(path: Path, dataset: DatasetReader, source: FileGrid, crs: C
         )
 
 
-def _transformed(path: Path, source: CRS, target: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions in another coordinate system, float64 [n] each. Raises TerrainError."""
+def _transform_points(
+    path: Path, source: CRS, target: CRS, x: np.ndarray, y: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions in another coordinate system, x and y, float64 [n] each. Raises TerrainError."""
     from rasterio.warp import transform
 
     try:

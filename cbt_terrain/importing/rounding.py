@@ -45,7 +45,7 @@ class SourceRounding:
         return 0 if kind.kind != "f" else self.bits or np.finfo(kind).nmant + 1
 
     def half_step(self, largest: float) -> float:
-        """Return the largest error of a value, in units after scale. largest: magnitude, after scale."""
+        """Return the largest half step between values of several files, if values are up to `largest`."""
         kind, scale = np.dtype(self.stored), abs(self.scale)
         if scale == 0.0:
             return 0.0
@@ -60,7 +60,7 @@ class SourceRounding:
         return scale * (math.ldexp(1.0 if self.is_cut else 0.5, exponent - self.significant) + error)
 
     def scaled(self, scale: float, offset: float) -> "SourceRounding":
-        """Return the rounding of this one's values times `scale` plus `offset`."""
+        """Return the rounding of the heights, which are values times `scale` plus `offset`."""
         return replace(self, scale=self.scale * scale, offset=self.offset * scale + offset)
 
 
@@ -70,7 +70,10 @@ def half_step(roundings: tuple[SourceRounding, ...], largest: float) -> float:
 
 
 def band_rounding(dataset: DatasetReader, band: int) -> SourceRounding:
-    """Return the rounding of a band of a rasterio dataset of one file."""
+    """Return how far the samples of a file's band may be from those before they were stored or compressed.
+
+    dataset: of rasterio, for one file.
+    """
     of_file, of_band = dataset.tags(ns="IMAGE_STRUCTURE"), dataset.tags(band, ns="IMAGE_STRUCTURE")
     stored = dataset.dtypes[band - 1]
     bits = TIFF_FLOAT_BITS.get(of_band.get("NBITS", ""), 0) if stored == "float32" else 0

@@ -134,7 +134,7 @@ def _readable() -> list[Path]:
 
 
 def _allow(libc: ctypes.CDLL, ruleset: int, path: Path, access: int) -> None:
-    """Add the right `access` below `path` to a Landlock ruleset."""
+    """Add a right to a Landlock ruleset. access: bits of what may be done with `path` and all below."""
     opened = os.open(path, os.O_PATH | os.O_CLOEXEC)
     try:
         call(libc, LANDLOCK_ADD_RULE, ruleset, 1, struct.pack("=Qi", access, opened), 0)

@@ -58,6 +58,7 @@ def read_aux(file: Path) -> str:
     depth, texts, in_system = 0, [], False
 
     def refuse(problem: str) -> None:
+        """Raise TerrainError: the file is not read, because it has a `problem`."""
         raise TerrainError(f"{shown(file)} is not read, because it {problem}", fix="write it again with GDAL")
 
     def start(name: str, attributes: dict[str, str]) -> None:
@@ -72,6 +73,7 @@ def read_aux(file: Path) -> str:
             refuse("names no coordinate system in the place of one")
 
     def end(_name: str) -> None:
+        """Leave an element."""
         nonlocal depth, in_system
         depth, in_system = depth - 1, False
 

@@ -48,15 +48,17 @@ def _version(name: str) -> str:
 
 
 def _ask(request: dict, what: str) -> dict:
+    """Return a child process's answer to a request about a height map. what: subject of errors."""
     return ask("cbt_terrain.importing.source_info", request, what)
 
 
 def child_main() -> None:
-    """Answer one request."""
+    """Answer one request on stdin, in a child process that may load GDAL and OpenEXR."""
     serve(_answer, lambda request: f"Reading {request['settings']['source']}")
 
 
 def _answer(request: dict, *_: object) -> dict:
+    """Return the summary of a height map, or GDAL's versions without settings."""
     settings = request["settings"]
     return _gdal_versions() if settings is None else _describe(ImportSettings(**settings), Path(request["scratch"]))
 

@@ -99,6 +99,7 @@ def _open_land(settings: ImportSettings) -> Raster:
     land, size = LANDS[settings.source], settings.size
 
     def read(first: int, count: int) -> np.ndarray:
+        """Return `count` rows from row `first` on, float32 metres."""
         rows = np.empty((count, size), np.float32)
         land.rows(size, first, rows, settings.seed)
         return rows

@@ -99,7 +99,10 @@ class ChildJob:
             self._start(module, request, variables or {})
 
     def _start(self, module: str, request: dict, variables: dict[str, str]) -> None:
-        """Start the child, send the request and read its answers in a thread. Raises TerrainError."""
+        """Start the child, send the request and read its answers in a thread.
+
+        Raises TerrainError. variables: additions to the child's environment.
+        """
         try:
             self._errors, pipe = tempfile.TemporaryFile(), subprocess.PIPE
             self._process = child.start(module, variables=variables, stdout=pipe, stderr=self._errors)
@@ -114,12 +117,16 @@ class ChildJob:
         self._reader.start()
 
     def _read_lines(self) -> None:
+        """Collect the child's messages until it ends; runs on a thread.
+
+        A later message replaces an earlier one of its kind.
+        """
         while line := self._stdout.readline(MAX_LINE_BYTES):
             self._messages.update(_parse_line(line))
             self._num_lines += 1
 
     def poll(self) -> JobProgress:
-        """Return the job's progress without waiting."""
+        """Return the job's progress without waiting. A child that hangs while it reads a file is stopped here."""
         if self._progress.done:
             return self._progress
         reading = self._progress.message in self._watched
@@ -144,7 +151,7 @@ class ChildJob:
         self.cancelled = True
         self.poll()
 
-    def _say(self, text: str) -> None:
+    def _send_line(self, text: str) -> None:
         """Write a line to the child, if it lives."""
         try:
             self._stdin.write(text.encode() + b"\n")
@@ -211,6 +218,7 @@ class StoreJob(ChildJob):
         return content["report"] if content["data"] == self._folder else None
 
     def _discard(self) -> None:
+        """Remove the incomplete arrays of the child."""
         store_folder.discard(self._store, self._folder, self._new_folders)
 
 
@@ -290,6 +298,7 @@ def serve(work: ChildWork, what: Callable[[dict], str], heard: Callable[[], None
     sent = 0.0
 
     def send(content: dict) -> None:
+        """Write a message to the parent, as one line of JSON."""
         channel.write(json.dumps(content) + "\n")
         channel.flush()
 
@@ -304,9 +313,11 @@ def serve(work: ChildWork, what: Callable[[dict], str], heard: Callable[[], None
             send({"fraction": fraction, "message": message})
 
     def clean_up() -> None:
+        """Remove the arrays of a store that was not completed."""
         store_folder.discard(Path(request["store"]), request["folder"], list(map(Path, request["new_folders"])))
 
     def send_error(error: TerrainError) -> None:
+        """Report an error to the parent."""
         send({"error": error.to_json()})
 
     try:

@@ -89,7 +89,7 @@ def allow_only_listed(libc: ctypes.CDLL) -> None:
 
 
 def keep_limits(libc: ctypes.CDLL) -> None:
-    """Refuse to change a resource limit, on all threads, for good. Raises OSError."""
+    """Refuse changes of a resource limit, on all threads, for good. Raises OSError."""
     number = LIMITS[MACHINES[platform.machine()][1]]
     _install(libc, [*_allow(number, [(4, WORD, (0,)), (5, WORD, (0,))]), (RETURN, 0, 0, ALLOW)])  # no new limit
 

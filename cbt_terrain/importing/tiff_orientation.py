@@ -54,8 +54,11 @@ def orientation_notes(paths: Iterable[Path]) -> list[str]:
     ]
 
 
-def oriented(orientation: int) -> Georeference | None:
-    """Return the directions of rows and columns for a picture without a georeference; None for the usual ones."""
+def orientation_georeference(orientation: int) -> Georeference | None:
+    """Return the directions of rows and columns of a picture without a georeference; None for the usual ones.
+
+    orientation: TIFF tag 274, 1 to 8.
+    """
     if orientation == 1:
         return None
     return Georeference(

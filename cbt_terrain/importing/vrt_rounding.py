@@ -26,7 +26,10 @@ def mosaic_roundings(mosaic: Mosaic, band: int, stored: str, rounding_of: Roundi
 
 
 def _roundings(mosaic: Mosaic, number: int, band: int, rounding_of: RoundingOf) -> dict[SourceRounding, None]:
-    """Return the roundings of the sources of band `band` of text `number`, in order and once."""
+    """Return the roundings of a band's sources, each once, in order, as keys of a dictionary.
+
+    number: of the VRT's text in `mosaic`. rounding_of: returns the rounding of a file's band, None if unknown.
+    """
     found: dict[SourceRounding, None] = {}
     for source, source_band, scaling in sources_of(mosaic, number, band):
         if isinstance(source, int):
@@ -38,7 +41,7 @@ def _roundings(mosaic: Mosaic, number: int, band: int, rounding_of: RoundingOf) 
 
 
 def band_element(mosaic: Mosaic, number: int, band: int) -> ElementTree.Element | None:
-    """Return the element of band `band` of text `number`, None if there is none."""
+    """Return the XML element of a band, None if there is none. number: of the VRT's text in `mosaic`."""
     bands = ElementTree.fromstring(mosaic.texts[number]).findall("VRTRasterBand")
     return next((e for n, e in enumerate(bands, 1) if int(e.get("band", n)) == band), None)
 
@@ -63,7 +66,10 @@ def sources_of(mosaic: Mosaic, number: int, band: int) -> Iterator[tuple[Path | 
 
 
 def _scaling(source: ElementTree.Element) -> tuple[float, float]:
-    """Return the largest scale and offset of a source's values: for a lookup table, those of its steepest segment."""
+    """Return scale and offset that a source's values get.
+
+    For a lookup table they are bounds: those of its steepest segment.
+    """
     pairs = [tuple(map(float, pair.split(":"))) for pair in source.findtext("LUT", "").split(",") if pair.strip()]
     if not pairs:
         return float(source.findtext("ScaleRatio", "1")), float(source.findtext("ScaleOffset", "0"))

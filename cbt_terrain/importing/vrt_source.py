@@ -96,12 +96,15 @@ class Mosaic:
 def read_mosaic(path: Path, suffixes: set[str]) -> Mosaic:
     """Read a VRT and all nested VRTs. suffixes: those that sources may have. Raises TerrainError."""
     mosaic = Mosaic()
-    _add(path.absolute(), suffixes, (), mosaic)
+    _add_file(path.absolute(), suffixes, (), mosaic)
     return mosaic
 
 
-def _add(path: Path, suffixes: set[str], outer: tuple[Path, ...], mosaic: Mosaic) -> int:
-    """Read a VRT and its nested VRTs into `mosaic`, and return its number. outer: VRTs that contain it."""
+def _add_file(path: Path, suffixes: set[str], outer: tuple[Path, ...], mosaic: Mosaic) -> int:
+    """Read a VRT and its nested VRTs into `mosaic`, and return the number of its text.
+
+    suffixes: allowed formats of sources. outer: VRTs that contain it, by which a cycle is found.
+    """
     real = real_path(path)
     if real in outer:
         raise TerrainError(f"{shown(path)} is a VRT that contains itself", expected="sources that hold samples")
@@ -119,7 +122,7 @@ def _add(path: Path, suffixes: set[str], outer: tuple[Path, ...], mosaic: Mosaic
             mosaic.sources[source] = None
             name.text = str(source)
             if source.suffix.lower() == ".vrt":
-                name.text = f"/vsimem/{mosaic.folder}/{_add(source, suffixes, (*outer, real), mosaic)}.vrt"
+                name.text = f"/vsimem/{mosaic.folder}/{_add_file(source, suffixes, (*outer, real), mosaic)}.vrt"
             name.attrib["relativeToVRT"] = "0"
         for element in (*tree.iter("NoDataValue"), *tree.iter("NODATA")):
             element.text = _within_float32(element.text or "")
@@ -189,7 +192,10 @@ class _Reader:
         self.count = self.ignored = self.length = 0
 
     def start(self, name: str, attributes: dict[str, str]) -> None:
-        """Open an element, or skip it if it is ignored. Refuse elements and attributes that are not listed."""
+        """Open an element, or skip it if it is ignored.
+
+        Raises TerrainError for elements and attributes that are not listed.
+        """
         self.count += 1
         if self.count > MAX_ELEMENTS or len(self.open) + self.ignored >= MAX_DEPTH:
             self._refuse(f"more than {MAX_ELEMENTS:,} elements, or elements more than {MAX_DEPTH} deep")
@@ -202,13 +208,13 @@ class _Reader:
         for key, value in attributes.items():
             if key not in ALLOWED.get(name, ((), ()))[0] and (key, value) not in PLAIN:
                 self._refuse(f'{shown(key, 40)}="{shown(value, 40)}" in <{name}>')
-            self._check(name, key, value)
+            self._check_value(name, key, value)
         self.builder.start(name, {key: value for key, value in attributes.items() if (key, value) not in PLAIN})
         self.open.append(name)
         self.pieces, self.length = [], 0
 
     def end(self, name: str) -> None:
-        """Close an element with its text, which is checked."""
+        """Close an element and check its text. Raises TerrainError."""
         if self.ignored:
             self.ignored -= 1
             return
@@ -217,14 +223,14 @@ class _Reader:
             if text:
                 self._refuse(f"the text {shown(text, 40)!r} in <{name}>")
         elif name != "SourceFilename":
-            self._check(name, name, text)
+            self._check_value(name, name, text)
         self.builder.data(text)
         self.builder.end(name)
         self.open.pop()
         self.pieces, self.length = [], 0
 
     def text(self, data: str) -> None:
-        """Collect the text of the open element. Refuse more than MAX_TEXT characters."""
+        """Collect the text of the open element. Raises TerrainError for more than MAX_TEXT characters."""
         if self.ignored:
             return
         self.length += len(data)
@@ -233,10 +239,11 @@ class _Reader:
         self.pieces.append(data)
 
     def doctype(self, *_arguments: object) -> None:
+        """Refuse a document type, which may define entities that grow without limit."""
         self._refuse("a document type, which may define entities")
 
-    def _check(self, element: str, name: str, value: str) -> None:
-        """Refuse a value that does not match the pattern of its name."""
+    def _check_value(self, element: str, name: str, value: str) -> None:
+        """Raise TerrainError for a value of an attribute or text that does not match the pattern of its name."""
         pattern = _PATTERNS.get(name)
         good = pattern is None or pattern.fullmatch(value) is not None
         if good and name in _RECTANGLE:

@@ -43,7 +43,7 @@ class HeightScale(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Return the unit, the scale and the offset as part of a sentence."""
+        """Return unit, scale and offset as part of a sentence: "in ft with a scale of 2 and an offset of 0"."""
         scaled = f"with a scale of {self.scale:.10g} and an offset of {self.offset:.10g}" if self.is_scaled else ""
         return " ".join(filter(None, [f"in {shown(self.unit)}" if self.unit else "", scaled])) or "as metres"
 

@@ -33,7 +33,7 @@ def triangles(lattice: Lattice, ids: np.ndarray, unit_bits: int) -> np.ndarray:
     more.
     """
     corners = np.empty((len(ids), 3, 2), np.int32)
-    _spread(nodes.write_triangles, lattice, ids, [unit_bits, shared(corners.reshape(-1, 2), wp.vec2i)])
+    _launch(nodes.write_triangles, lattice, ids, [unit_bits, shared(corners.reshape(-1, 2), wp.vec2i)])
     return corners
 
 
@@ -43,7 +43,7 @@ def neighbours(lattice: Lattice, ids: np.ndarray) -> np.ndarray:
     uint64 [n, 3]; 0 beyond the lattice. The last one is the other half of the diamond.
     """
     found = np.empty((len(ids), 3), np.uint64)
-    _spread(nodes.write_neighbours, lattice, ids, [flat(found, wp.uint64)])
+    _launch(nodes.write_neighbours, lattice, ids, [flat(found, wp.uint64)])
     return found
 
 
@@ -77,6 +77,7 @@ def merge_conforming(tree: ConcurrentBinaryTree, lattice: Lattice, ids: np.ndarr
     return whole
 
 
-def _spread(kernel: wp.Kernel, lattice: Lattice, ids: np.ndarray, inputs: list) -> None:
+def _launch(kernel: wp.Kernel, lattice: Lattice, ids: np.ndarray, inputs: list) -> None:
+    """Launch a kernel over nodes, by heap id, uint64 [n]. inputs: its arguments after the lattice and the ids."""
     items = shared(np.ascontiguousarray(ids, np.uint64), wp.uint64)
     launch.spread(kernel, len(ids), [grid_of(lattice), items, *inputs], step="leb", cost=NODE_COST)

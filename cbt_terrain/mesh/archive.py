@@ -45,7 +45,7 @@ def write_npz(
         "triangles": surface.triangles,
         "edges": surface.edges,
         "tree": np.frombuffer(tree, np.uint8),
-        "info": np.array(finite_json(dict(info) | {"attributes": about}, str(path), sort_keys=True, default=_plain)),
+        "info": np.array(finite_json(dict(info) | {"attributes": about}, str(path), sort_keys=True, default=_to_json)),
     }
     if clashes := entries.keys() & surface.attributes.keys():
         raise TerrainError(
@@ -109,8 +109,8 @@ def read_npz(path: str | os.PathLike) -> dict:
     return entries | {"info": info}
 
 
-def _plain(value: object) -> object:
-    """Convert a number or an array of numpy for JSON."""
+def _to_json(value: object) -> object:
+    """Convert a number or an array of numpy for JSON. Raises TerrainError for anything else."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     raise TerrainError(f"The info of an .npz holds {shown(repr(value))}", expected="texts, numbers, lists and objects")

@@ -41,11 +41,14 @@ class Attribute:
 
     @property
     def kind(self) -> tuple[str, int]:
-        """Key in TYPES: dtype and numbers an element."""
+        """Key in TYPES: the dtype, and how many numbers an element has."""
         return self.array.dtype.name, math.prod(self.array.shape[1:])
 
     def check(self, name: str, sizes: dict[str, int]) -> None:
-        """Raise TerrainError unless a mesh with `sizes` elements of each domain can carry it."""
+        """Raise TerrainError unless a mesh can carry the attribute.
+
+        sizes: number of elements of the mesh, by domain.
+        """
         what = f"The attribute {name!r} is {self.array.dtype} {list(self.array.shape)} of the domain {self.domain!r}"
         if self.domain not in sizes:
             raise TerrainError(what, expected=f"one of {', '.join(DOMAINS)}")

@@ -16,12 +16,12 @@ from ..field.heightfield import HeightField
 from ..run import launch
 from ..run.buffers import shared
 from ..view.linear import add_up
-from .cut import Room, Side, border_side, copied, cut, drop
+from .cut import Room, Side, border_side, copy_with_room, cut, drop_triangles
 from .surface import Surface
 
 
 def end(
-    surface: Surface, field: HeightField, domain: Domain, *, room: Room = copied, threads: int = 1
+    surface: Surface, field: HeightField, domain: Domain, *, room: Room = copy_with_room, threads: int = 1
 ) -> tuple[Surface, list[np.ndarray]]:
     """Cut the whole surface of the leaves at the raster's border and at its holes. Arguments are those of `cut`.
 
@@ -30,7 +30,7 @@ def end(
     surface, at_border = cut(surface, border_sides(domain), room=room, threads=threads)
     if field.valid is None:
         return surface, [at_border]
-    surface, at_holes = drop(surface, in_holes(surface, field, domain, threads), room=room, threads=threads)
+    surface, at_holes = drop_triangles(surface, in_holes(surface, field, domain, threads), room=room, threads=threads)
     return surface, [at_border, at_holes]
 
 
@@ -48,7 +48,7 @@ def border_sides(domain: Domain) -> list[Side]:
 
 
 def in_holes(surface: Surface, field: HeightField, domain: Domain, threads: int = 1) -> np.ndarray:
-    """Return bool [T]: whether the centroid of each triangle is in a hole."""
+    """Return whether the centroid of each triangle is in a hole, bool [T]. domain: the placed field."""
     triangles = len(surface.level)
     flags = np.zeros(triangles, bool)
     lattice, valid = field.lattice, np.ascontiguousarray(field.valid).reshape(-1)

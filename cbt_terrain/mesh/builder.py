@@ -60,7 +60,7 @@ def build_surface(field: HeightField, request: SurfaceRequest, history: FrameHis
     _check_memory(triangles * 4**meshlet)
     weld(field, domain, history, level_in=arrays if t else scratch)
     # Points are stored slice by slice; those of meshlets in one row, points inside leaves last.
-    point, parts = arrays.get("point", 0, wp.vec2i), _parts(leaves)
+    point, parts = arrays.get("point", 0, wp.vec2i), _point_slices(leaves)
     prefix, built = "leaf_", Vertices(domain, geomorph is not None)
     if t:
         built.leaves, built.first_inner = triangles, vertices + edges * (t.segments - 1)
@@ -102,8 +102,8 @@ def build_surface(field: HeightField, request: SurfaceRequest, history: FrameHis
     return surface.with_arrays({n: history.lend(*memory_of(n), len(a)) for n, a in surface.arrays().items()})
 
 
-def _parts(leaves: Leaves) -> list[tuple[int, int]]:
-    """Return the first entry and the number of each slice's points."""
+def _point_slices(leaves: Leaves) -> list[tuple[int, int]]:
+    """Return the first entry and the number of the points of each slice of leaves."""
     return [(int(base), n) for base, n in zip(leaves.base, leaves.counts[:, 1].tolist(), strict=True)]
 
 
@@ -116,9 +116,10 @@ def _expand(
     t: meshlet_kernels.Template,
     threads: int,
 ) -> tuple[wp.array, int, int, int]:
-    """Expand every leaf to the template's triangles.
+    """Divide every leaf into the triangles of its meshlet, in the arrays of the next frame.
 
-    Return the points and the numbers of triangles, vertices and edges.
+    Return the points, and the numbers of triangles, vertices and edges. parts: first entry and number of each
+    slice's points. leaves, vertices, edges: numbers before.
     """
     scratch, arrays, segments = history.scratch, history.next.arrays, t.segments
     coarse, fine = (scratch.struct(meshlet_kernels.WeldedMesh, slot) for slot in range(2))

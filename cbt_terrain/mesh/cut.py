@@ -56,8 +56,8 @@ class Side:
     rounding: float = 0.0
 
 
-def above(axis: int, at: float) -> Side:
-    """Keep positions whose coordinate `axis` is at least `at` metres, rounded to float32."""
+def above_line(axis: int, at: float) -> Side:
+    """Return the side that keeps positions whose coordinate `axis` is at least `at` metres, rounded to float32."""
     at = float(np.float32(at))
     return Side(lambda positions: np.subtract(positions[:, axis], at, dtype=np.float64), (("positions", axis, at),))
 
@@ -73,23 +73,23 @@ def border_side(axis: int, at: float, rounding: float) -> Side:
     return Side(lambda positions: np.subtract(at, positions[:, axis], dtype=np.float64), known, 0.0, rounding)
 
 
-def copied(_name: str, array: np.ndarray, count: int) -> np.ndarray:
-    """Return a copy of an array in new memory with room for `count` items."""
+def copy_with_room(_name: str, array: np.ndarray, count: int) -> np.ndarray:
+    """Return a copy of an array in new memory with room for `count` items. _name: unused, as of Room."""
     larger = np.empty((count, *array.shape[1:]), array.dtype)
     larger[: len(array)] = array
     return larger
 
 
 def cut(
-    surface: Surface, sides: Sequence[Side], *, room: Room = copied, threads: int = 1
+    surface: Surface, sides: Sequence[Side], *, room: Room = copy_with_room, threads: int = 1
 ) -> tuple[Surface, np.ndarray]:
     """Remove everything outside of `sides`; return the remaining surface and int64 [2, n]: pairs of swapped vertices.
 
     Each edge that changes sign gets one new vertex, so the mesh stays welded; its attributes are interpolated between
     the edge's ends. Elements keep their numbers, except that the last ones fill the gaps of removed ones. `room`
-    allocates the larger arrays for new elements. With another `room` than `copied` the given arrays are overwritten;
-    swapping back restores the earlier vertices. The bytes do not depend on the number of threads. `sides` should be
-    few: each may double the number of listed triangles.
+    allocates the larger arrays for new elements. With another `room` than `copy_with_room` the given arrays are
+    overwritten; swapping back restores the earlier vertices. The bytes do not depend on the number of threads. `sides`
+    should be few: each may double the number of listed triangles.
     """
     if not sides:
         return surface, NONE_SWAPPED
@@ -100,17 +100,17 @@ def cut(
     if not near.any():
         return surface, NONE_SWAPPED
     if any(side.tolerance for side in sides):  # vertices that are moved onto the line may be removed, too
-        near[surface.triangles[_listed(near, surface.corner_verts, threads)]] = True
+        near[surface.triangles[_triangles_near(near, surface.corner_verts, threads)]] = True
     work = _Work(surface, near, len(sides), room, threads)
     for side, value in zip(sides, values, strict=True):
         work.cut(side, value)
     return work.close()
 
 
-def drop(
-    surface: Surface, triangles: np.ndarray, *, room: Room = copied, threads: int = 1
+def drop_triangles(
+    surface: Surface, triangles: np.ndarray, *, room: Room = copy_with_room, threads: int = 1
 ) -> tuple[Surface, np.ndarray]:
-    """Remove `triangles`, bool [T], from a surface. Arguments and results are those of `cut`."""
+    """Remove flagged triangles, bool [T], from a surface. Other arguments, and the result, are those of `cut`."""
     if not triangles.any():
         return surface, NONE_SWAPPED
     near = np.zeros(len(surface.positions), bool)
@@ -135,7 +135,7 @@ class _Work:
         max_removed = int(np.count_nonzero(near))
         near[max(0, len(near) - max_removed) :] = True
         near[surface.edges[max(0, len(surface.edges) - MAX_EDGES * max_removed) :]] = True
-        listed = _listed(near, surface.corner_verts, threads)
+        listed = _triangles_near(near, surface.corner_verts, threads)
         self.corners = surface.triangles[listed]
         # At a side each triangle may become two, with two new vertices and two new edges.
         more = 2 * len(listed) * ((1 << sides) - 1)
@@ -153,7 +153,7 @@ class _Work:
         m.corner_verts = shared(self.arrays["corner_verts"], wp.int32)
         m.corner_edges = shared(self.arrays["corner_edges"], wp.int32)
         m.edges, m.value = shared(self.arrays["edges"], wp.vec2i), shared(self.value, wp.float64)
-        self.listed = copied("", listed, len(listed) + more)
+        self.listed = copy_with_room("", listed, len(listed) + more)
         m.listed = shared(self.listed, wp.int32)
         m.ends, m.parent = shared(self.ends, wp.vec2i), shared(self.parent, wp.int32)
         m.removed, m.counts = shared(self.removed.view(np.uint8), wp.uint8), shared(self.counts, wp.int32)
@@ -212,7 +212,7 @@ class _Work:
         listed = self.listed[: self.counts[kernels.LISTED]]
         listed = listed[~self.removed[kernels.TRIANGLE, listed]]
         removed = np.unique(edges[short])
-        to = _merged(edges[short], self.counts[kernels.VERTEX])
+        to = _merge_numbers(edges[short], self.counts[kernels.VERTEX])
         corners[listed], used = to[corners[listed]], np.unique(sides[listed])
         edges[used] = to[edges[used]]
         flat = listed[(corners[listed] == np.roll(corners[listed], 1, axis=1)).any(axis=1)]
@@ -220,7 +220,7 @@ class _Work:
         points = edges[sides[flat], 0] == edges[sides[flat], 1]
         equal = [e[~p] for e, p in zip(sides[flat], points, strict=True) if p.sum() == 1]
         pairs = np.array(equal, np.int64).reshape(-1, 2)
-        sides[listed] = _merged(pairs, self.counts[kernels.EDGE])[sides[listed]]
+        sides[listed] = _merge_numbers(pairs, self.counts[kernels.EDGE])[sides[listed]]
         self.removed[kernels.TRIANGLE, flat] = True
         self.removed[kernels.VERTEX, np.union1d(removed, corners[flat])] = True
         self.removed[kernels.EDGE, np.union1d(sides[flat], np.union1d(pairs, short))] = True
@@ -256,8 +256,8 @@ class _Work:
         return end, np.stack([end + stays, gaps]), moved
 
 
-def _merged(pairs: np.ndarray, count: int) -> np.ndarray:
-    """Return int64 [count]: the smallest number that chains of pairs, int [n, 2], join each number with."""
+def _merge_numbers(pairs: np.ndarray, count: int) -> np.ndarray:
+    """Return int64 [count]: the smallest number that each number is joined with by chains of pairs, int [n, 2]."""
     joined = np.arange(count)
     for a, b in pairs.tolist():
         smaller, larger = sorted((joined[a], joined[b]))
@@ -266,12 +266,12 @@ def _merged(pairs: np.ndarray, count: int) -> np.ndarray:
 
 
 def swap(array: np.ndarray, swapped: np.ndarray) -> None:
-    """Swap pairs of items, int64 [2, n]; a second call undoes it."""
+    """Exchange pairs of items in place, int64 [2, n]; a second call undoes it."""
     array[swapped] = array[swapped[::-1]]
 
 
-def _listed(near: np.ndarray, corner_verts: np.ndarray, threads: int) -> np.ndarray:
-    """Return int32, ascending: the triangles that have a vertex in `near`."""
+def _triangles_near(near: np.ndarray, corner_verts: np.ndarray, threads: int) -> np.ndarray:
+    """Return the triangles that have a flagged vertex, int32, ascending. near: bool [V]."""
     triangles = len(corner_verts) // 3
     pieces = threads if triangles >= launch.SLICE_ITEMS else 1
     listed, found = np.empty(triangles, np.int32), np.zeros(pieces, np.int32)

@@ -28,7 +28,11 @@ class Geomorph:
     def pack(
         self, layers: "PackedLayers | None", meshlet: int, vertices: int, history: FrameHistory
     ) -> kernels.Morphing:
-        """Pack the kernel's arguments. `layers`: displacement layers, or None."""
+        """Return the arguments of the geomorph kernels.
+
+        layers: packed displacement, None without one. meshlet: exponent of a leaf's triangles. vertices: number
+        of points for which room is needed.
+        """
         packed = kernels.Morphing()
         packed.criterion, ramp = self.criterion, packed.ramp
         ramp.limit, ramp.end2, ramp.steep = (
@@ -46,7 +50,7 @@ class Geomorph:
 
 
 def thread_memories(buffers: Buffers, threads: int) -> list[Memory]:
-    """Return the scratch memory of each of `threads` threads."""
+    """Return the scratch memory that each of `threads` threads needs to move points."""
     arrays = {
         "points": buffers.get("morph_points", threads * int(REMEMBERED), MorphedPoint),
         "pending": buffers.get("morph_pending", threads * int(PENDING), Pending),

@@ -54,6 +54,7 @@ def template(meshlet: int) -> Template:
     sides = np.array([[line(a, b), line(b, c), line(c, a)] for a, b, c in triangles], np.int32)
 
     def table(rows: list, dtype: type, shape: int | tuple[int, int]) -> wp.array:
+        """Return rows of integers as an array for kernels."""
         return wp.array(np.array(rows, np.int32).reshape(shape), dtype=dtype, device="cpu")
 
     t = Template()

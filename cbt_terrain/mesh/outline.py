@@ -68,7 +68,7 @@ def _from_line(line: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _holds_all(lines: np.ndarray, points: np.ndarray) -> bool:
-    """Return whether no point is to the right of a line."""
+    """Return whether no point is to the right of a line, so that the outline is convex."""
     min_distance = -1e3 * SAME * np.abs(points).max()
     return all((_from_line(line, points) >= min_distance).all() for line in lines)
 
@@ -93,7 +93,10 @@ def _distances(triangles: np.ndarray, border: np.ndarray, surface: Surface) -> n
 
 
 def covered(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return bool [n]: whether points, float64 [n, 2], are on any of the counter-clockwise triangles."""
+    """Return whether points, float64 [n, 2], are on any of the triangles, bool [n].
+
+    triangles: float64 [m, 3, 2], counter-clockwise.
+    """
     order = np.argsort(points[:, 0], kind="stable")
     x, y = points[order].T
     found = np.zeros(len(points), bool)

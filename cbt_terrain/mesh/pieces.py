@@ -23,7 +23,10 @@ class Pieces:
 
     @classmethod
     def of(cls, surface: Surface, whole: np.ndarray) -> "Pieces":
-        """Sort the triangles of a surface. `whole` int64 [T]: the whole triangle of each triangle."""
+        """Sort the triangles of a cut surface by the whole triangle of which each is a piece.
+
+        whole: number of that triangle, int64 [T].
+        """
         order = np.argsort(whole, kind="stable")
         return cls(surface, order, whole[order])
 

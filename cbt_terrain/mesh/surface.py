@@ -59,12 +59,12 @@ class Surface:
         return replace(self, attributes=self.attributes | attributes)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return all arrays by name."""
+        """Return all arrays by name: positions, topology and attributes."""
         topology = {name: array for name, array in vars(self).items() if name != "attributes"}
         return topology | {name: attribute.array for name, attribute in self.attributes.items()}
 
     def with_arrays(self, arrays: dict[str, np.ndarray]) -> "Surface":
-        """Return the same mesh with other arrays, all that `arrays()` has, by name."""
+        """Return the mesh with other arrays. arrays: by name, all that `arrays()` has."""
         attributes = {name: replace(a, array=arrays[name]) for name, a in self.attributes.items()}
         return replace(self, attributes=attributes, **{name: arrays[name] for name in arrays.keys() - attributes})
 

@@ -43,7 +43,7 @@ def weld(field: HeightField, domain: Domain, history: FrameHistory, level_in: Bu
     w.columns, w.rows = domain.columns, domain.rows
     bind(
         w,
-        **_tables(leaves, scratch),
+        **_slice_tables(leaves, scratch),
         side_base=side_base,
         code=arrays.get("code", 0, wp.uint16),
         side=scratch.get("side", sides, wp.vec2i),
@@ -71,7 +71,10 @@ def weld(field: HeightField, domain: Domain, history: FrameHistory, level_in: Bu
 
 
 def mesh_arrays(buffers: Buffers, prefix: str, triangles: int, edges: int, level_in: Buffers) -> dict[str, wp.array]:
-    """Return the topology arrays of a mesh, and the levels of its triangles in `level_in`."""
+    """Return the topology arrays of a mesh, and the levels of its triangles, by name.
+
+    The levels are in `level_in`, the others in `buffers`. prefix: of their names there.
+    """
     return {
         "corner_verts": buffers.get(prefix + "corner_verts", 3 * triangles, wp.int32),
         "corner_edges": buffers.get(prefix + "corner_edges", 3 * triangles, wp.int32),
@@ -80,8 +83,8 @@ def mesh_arrays(buffers: Buffers, prefix: str, triangles: int, edges: int, level
     }
 
 
-def _tables(leaves: Leaves, scratch: Buffers) -> dict[str, wp.array]:
-    """Return the kernel's tables of the slices."""
+def _slice_tables(leaves: Leaves, scratch: Buffers) -> dict[str, wp.array]:
+    """Return the numbers and offsets of the slices of leaves as arrays for kernels, by name."""
     return {
         "counts": scratch.table("slice_counts", leaves.counts, wp.int64),
         "leaf_base": scratch.table("slice_base", leaves.base, wp.int64),

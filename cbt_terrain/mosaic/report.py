@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import shown
 from ..field.build import from_array
 from ..field.lattice import fit
-from ..importing.drafts import room_for
+from ..importing.drafts import store_bytes
 from ..importing.file_grid import unit_of
 from ..importing.raster import ImportSettings
 from .composite import Composite
@@ -46,7 +46,7 @@ def describe_mosaic(composite: Composite, settings: ImportSettings) -> dict:
         "gaps_become": "holes" if settings.holes else "filled from the nearest sample",
         **_seams(find_seams(composite), scale),
         "expected_seconds": _expected_seconds(composite),
-        "expected_disk_mb": round(room_for(fit(max(grid.width, 2), max(grid.height, 2)), 0) / 1e6, 1),
+        "expected_disk_mb": round(store_bytes(fit(max(grid.width, 2), max(grid.height, 2)), 0) / 1e6, 1),
         "warnings": datum_warnings(composite),
     }
 

@@ -14,7 +14,7 @@ from ..field.lattice import Lattice
 from ..plain_numbers import plain_number
 from ..run import launch
 from ..run.buffers import shared
-from .surface import blocks_of, packed
+from .surface import blocks_of, pack_surface
 
 
 def box_range(
@@ -42,7 +42,7 @@ def box_range(
             f"The box goes from {west} to {east} m east and from {south} to {north} m north",
             expected="finite numbers, the smaller ones first",
         )
-    surface, lattice = packed(field, vertical_scale, vertical_offset), field.lattice
+    surface, lattice = pack_surface(field, vertical_scale, vertical_offset), field.lattice
     low, high = _in_cells(numbers, lattice)
     if (low > high).any():
         return math.nan, math.nan
@@ -69,4 +69,5 @@ def _in_cells(numbers: list[float], lattice: Lattice) -> tuple[np.ndarray, np.nd
 
 
 def _cells(lattice: Lattice) -> tuple[int, int]:
+    """Return the number of the raster's cells along x and y."""
     return lattice.cells_x, lattice.cells_y

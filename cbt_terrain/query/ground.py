@@ -13,7 +13,7 @@ from ..field.heightfield import HeightField
 from ..plain_numbers import plain_number, vectors
 from ..run import launch
 from ..run.buffers import shared
-from .surface import packed
+from .surface import pack_surface
 
 COST = 3.0  # times dearer than a lookup
 MAX_PLACES = 50_000_000
@@ -60,7 +60,7 @@ def ground_at(
     A point on the border of a hole or of the raster is inside; so is one that float32 has rounded off the border. O(1)
     each.
     """
-    surface, places = packed(field, vertical_scale, vertical_offset), vectors(places, 2, "places")
+    surface, places = pack_surface(field, vertical_scale, vertical_offset), vectors(places, 2, "places")
     count = len(places)
     found = GroundSamples(np.empty(count), np.empty((count, 3)), np.empty(count), np.empty(count, bool))
     kinds = wp.float64, wp.vec3d, wp.float64, wp.bool

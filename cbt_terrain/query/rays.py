@@ -12,7 +12,7 @@ from ..field.heightfield import HeightField
 from ..plain_numbers import vectors
 from ..run import launch
 from ..run.buffers import shared
-from .surface import blocks_of, packed
+from .surface import blocks_of, pack_surface
 
 COST = 50.0  # times dearer than a lookup
 AT_ONCE = 1 << 18  # between two launches the work can be stopped
@@ -39,8 +39,8 @@ def pick(
     begins on the surface hits it there, one that touches it does, one through a hole does not. Exact up to float64
     rounding: on a bilinear surface a root is solved for, on others it is enclosed (kernels/query/crossing.py).
     """
-    origins, directions = _rays(origins, directions)
-    surface = packed(field, vertical_scale, vertical_offset)
+    origins, directions = _checked_rays(origins, directions)
+    surface = pack_surface(field, vertical_scale, vertical_offset)
     distance = np.empty(len(origins))
     blocks = blocks_of(field, surface)
     for first in range(0, len(origins), AT_ONCE):
@@ -59,19 +59,22 @@ def nearest(
     vertical_offset: float = 0.0,
     threads: int | None = None,
 ) -> Hits:
-    """Return the nearest hit on the lines through points, along their directions and against them; arguments as `pick`.
+    """Return the nearest hit on the lines through points, ahead or behind.
 
-    `distance` is negative for a hit against the direction.
+    Arguments as of `pick`. `distance` is negative for a hit against the direction.
     """
-    points, directions = _rays(points, directions)
+    points, directions = _checked_rays(points, directions)
     heights = vertical_scale, vertical_offset, threads
     ahead = pick(field, points, directions, *heights).distance
     behind = pick(field, points, -directions, *heights).distance
     return _hits(points, directions, np.where(behind < ahead, -behind, ahead))
 
 
-def _rays(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Check origins and directions, and return them with directions of length 1."""
+def _checked_rays(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return origins and directions, float64 [n, 3], with directions of length 1.
+
+    Raises TerrainError for other shapes or a direction of length 0.
+    """
     origins, directions = vectors(origins, 3, "origins of rays"), vectors(directions, 3, "directions of rays")
     if len(origins) != len(directions):
         what = f"There are {len(origins)} origins of rays and {len(directions)} directions"
@@ -88,6 +91,7 @@ def _rays(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _hits(origins: np.ndarray, directions: np.ndarray, distance: np.ndarray) -> Hits:
+    """Return the hits at distances along rays; places are NaN where a ray hits nothing, and its distance infinite."""
     hit = np.isfinite(distance)[:, None]
     with np.errstate(invalid="ignore"):
         return Hits(distance, np.where(hit, origins + distance[:, None] * directions, np.nan))

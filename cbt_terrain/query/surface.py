@@ -23,8 +23,8 @@ ROUNDED_HEIGHT = 1e-12
 SPARE = 1e-3
 
 
-def packed(field: HeightField, vertical_scale: float, vertical_offset: float) -> kernels.QueriedSurface:
-    """Return the surface for kernels.
+def pack_surface(field: HeightField, vertical_scale: float, vertical_offset: float) -> kernels.QueriedSurface:
+    """Return the surface as the kernels of queries read it.
 
     Memory is shared, nothing is read. Raises TerrainError for a scale that a mesh cannot have.
     """
@@ -37,8 +37,8 @@ def packed(field: HeightField, vertical_scale: float, vertical_offset: float) ->
     s.border_x, s.border_y = ROUNDED * east / lattice.step_x, ROUNDED * north / lattice.step_y
     s.scale, s.offset = vertical_scale, vertical_offset
     s.bicubic = int(field.interpolation == "bicubic")
-    s.samples = codes.packed(field.samples, field.steps)
-    s.layers = displacement_layers.packed(field.detail, field.finest_edge, lattice)
+    s.samples = codes.pack_samples(field.samples, field.steps)
+    s.layers = displacement_layers.pack_layers(field.detail, field.finest_edge, lattice)
     s.holed = int(field.valid is not None)
     s.valid = flat(np.ones(1, np.uint8) if field.valid is None else field.valid, wp.uint8)
     return s

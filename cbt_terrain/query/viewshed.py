@@ -13,7 +13,7 @@ from ..field.heightfield import HeightField
 from ..plain_numbers import plain_number, vectors
 from ..run import launch
 from ..run.buffers import flat
-from .surface import blocks_of, packed
+from .surface import blocks_of, pack_surface
 
 COST = 50.0
 AT_ONCE = 1 << 17  # samples of one launch: between two the work can be stopped
@@ -48,7 +48,7 @@ def viewshed(
             f"The height of targets is {target_height} m and the radius {radius} m",
             expected="a finite number and one that is not negative",
         )
-    surface = packed(field, vertical_scale, vertical_offset)
+    surface = pack_surface(field, vertical_scale, vertical_offset)
     blocks = blocks_of(field, surface)
     slack = MARGIN * max(abs(blocks.low_z), abs(blocks.high_z), abs(eye[0, 2]))
     seen = np.zeros(field.samples.shape, bool)

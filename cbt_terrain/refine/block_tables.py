@@ -12,10 +12,11 @@ from ...kernels.refine.block import MAX_BISECTIONS, BlockTable
 STATES = 6
 
 
-def bisected(state: int, bisections: int) -> tuple[list[int], list[tuple[int, int]]]:
-    """Return the states of a triangle's leaves after even bisections, in curve order, and its new vertices.
+def bisected_states(state: int, bisections: int) -> tuple[list[int], list[tuple[int, int]]]:
+    """Return the leaves of a triangle after even bisections, as states in curve order, and its new vertices.
 
     A vertex is (a, b): from the apex a and b times 2^-ceil(bisections / 2) of the legs towards left and right.
+    state: of the triangle on the curve.
     """
     leaves: list[int] = []
     legs: list[tuple[int, int]] = []
@@ -44,14 +45,14 @@ def _array(values: list, dtype: type) -> wp.array:
 
 
 @cache
-def blocks() -> BlockTable:
-    """Return the table of all blocks of up to MAX_BISECTIONS: see kernels/refine/block.py."""
+def block_table() -> BlockTable:
+    """Return the table of all blocks of up to MAX_BISECTIONS, which kernels/refine/block.py copies."""
     codes: list[int] = []
     legs: list[tuple[int, int]] = []
     first_leaf, first_vertex, vertices = [], [], []
     for n in range(MAX_BISECTIONS + 1):
         for state in range(STATES):
-            leaves, new = bisected(state, n)
+            leaves, new = bisected_states(state, n)
             first_leaf.append(len(codes))
             first_vertex.append(len(legs))
             vertices.append(len(new))

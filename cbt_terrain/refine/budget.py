@@ -22,15 +22,15 @@ NEAR = 0.5
 FAR_OVER = 64
 
 
-def limit_of(step: int) -> float:
-    """Return the factor on the criterion's squares at a step; infinity beyond MAX_STEP."""
+def limit_at_step(step: int) -> float:
+    """Return the factor on the criterion's squares at a relaxation step; infinity beyond MAX_STEP."""
     return 2.0 ** (2 * step / STEPS_PER_OCTAVE) if step <= MAX_STEP else math.inf
 
 
 @cache
 def _limits(finer_by: int = 0) -> wp.array:
     """Return the limits of all steps, or of steps that are a number of steps finer."""
-    return shared(np.array([limit_of(step - finer_by) for step in range(MAX_STEP + 2)]), wp.float64)
+    return shared(np.array([limit_at_step(step - finer_by) for step in range(MAX_STEP + 2)]), wp.float64)
 
 
 def search(
@@ -60,7 +60,7 @@ def ramp_start(
     of the next coarser one, as the budget lies between the leaves of the step before and of this one. So it is
     continuous where the step changes: there is no jump.
     """
-    last, roots = math.sqrt(limit_of(step)), 2 * lattice.squares
+    last, roots = math.sqrt(limit_at_step(step)), 2 * lattice.squares
     max_splits = max(request.max_leaves, roots)
     if step > MAX_STEP or (step == 0 and leaves < NEAR * max_splits):
         return last
@@ -91,7 +91,7 @@ def count_splits(
     """
     domain, criterion, max_depth, scratch = request.domain, request.criterion, request.max_depth, history.scratch
     cell_bits, steps = max_depth + max_depth % 2, MAX_STEP + 2
-    cuts = _cuts(lattice, history.hints.marks, threads, cell_bits, max_splits)
+    cuts = _cut_tree(lattice, history.hints.marks, threads, cell_bits, max_splits)
     slices, spacing = len(cuts) - 1, max_splits // 64 + 1
     arrays = {
         "limits": _limits(finer_by),
@@ -124,8 +124,12 @@ def count_splits(
     return first + more, splits[more:]
 
 
-def _cuts(lattice: Lattice, marks: np.ndarray, threads: int, cell_bits: int, max_splits: int) -> list[int]:
-    """Return where the quadtree is cut for the threads: evenly by the work of the last count. Results are the same."""
+def _cut_tree(lattice: Lattice, marks: np.ndarray, threads: int, cell_bits: int, max_splits: int) -> list[int]:
+    """Return the cells at which the tree is cut for the threads: evenly by the work of the last count.
+
+    marks: cells between which the last count did equal work. cell_bits: bisections of a square down to cells. Any
+    cut gives the same mesh.
+    """
     end = lattice.squares << cell_bits
     if threads < 2 or max_splits < launch.SLICE_ITEMS or len(marks) < threads:
         return [0, end]

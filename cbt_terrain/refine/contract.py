@@ -145,10 +145,11 @@ class Outcome:
         return self.search(what, threshold) if self.stopped else None
 
     def tighten(self, what: int, finest: float, guaranteed: float, wanted: float) -> tuple[float, Excess | None]:
-        """Return the smaller of two bounds of an error: `guaranteed`, and the worst leaf's; and that leaf's error.
+        """Return the smaller of two bounds of an error, and the worst leaf's error if that was searched.
 
-        The leaves, refined to the tolerance `finest`, are searched only if rounding makes `guaranteed` exceed `wanted`,
-        and not if the depth limit stopped one, which `stopped_above` finds.
+        The bounds are `guaranteed`, and the worst leaf's. Leaves, refined to the tolerance `finest`, are
+        searched only if rounding makes `guaranteed` exceed `wanted`, and not if the depth limit stopped one,
+        which `stopped_above` finds. what: kind of error.
         """
         if self.stopped or guaranteed <= wanted * (1 + MARGIN):
             return guaranteed, None
@@ -157,7 +158,7 @@ class Outcome:
 
 
 def bounds_of(criterion: Criterion, spans: Spans, o: Outcome) -> ReportedBounds:
-    """Return the bounds of a refined mesh."""
+    """Return the bounds of a refined mesh that an update reports, with reasons where they exceed the request."""
     px, metres = bound_px(criterion, spans, o), bound_m(criterion, o)
     edge, area = bound_edge_px(criterion, spans, o), bound_area_px(criterion, spans, o)
     relaxed = factor_of(criterion, o, [px, metres, edge, area])
@@ -203,7 +204,7 @@ def _bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound:
     mean, source = mean_ramp(criterion.morph_until), o.domain.source
     wanted = criterion.error_px * o.factor(ERROR, criterion.error_px / mean)
     finest = wanted / mean
-    min_fixed, max_fixed = o.domain.rounding + source, _fixed(o)
+    min_fixed, max_fixed = o.domain.rounding + source, _rounding_error(o)
     # The source's rounding is a fraction of the fixed error that varies over the ground.
     low, high = (source * fixed.value / metres if metres else 0.0 for metres in (max_fixed, min_fixed))
     guaranteed, limit = (
@@ -216,7 +217,7 @@ def _bound_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound:
     worst_leaf = too_coarse or worst or fixed
     spans_per_metre = worst_leaf.value / worst_leaf.total if worst_leaf.total else 0.0
     value = too_coarse.value + (wanted - finest) if too_coarse else guaranteed
-    found = _bound(
+    found = _limit_bound(
         wanted, value, (worst_leaf.fixed - source) * spans_per_metre, source * spans_per_metre, too_coarse is not None
     )
     if found.value <= criterion.error_px:
@@ -234,7 +235,7 @@ def bound_m(criterion: Criterion, o: Outcome) -> Bound | None:
     """
     if not criterion.error_m:
         return None
-    fixed, source, mean = _fixed(o), o.domain.source, mean_ramp(criterion.morph_until)
+    fixed, source, mean = _rounding_error(o), o.domain.source, mean_ramp(criterion.morph_until)
     finest = weighed_as(criterion.error_m, source, mean)
     factor = o.factor(METRES, finest)
     finest *= factor
@@ -245,7 +246,7 @@ def bound_m(criterion: Criterion, o: Outcome) -> Bound | None:
         (over.fixed if over else fixed) - source,
         over.value + morph_error if over else min(guaranteed + morph_error, limit),
     )
-    return _bound(criterion.error_m * factor, value, precision, source, over is not None)
+    return _limit_bound(criterion.error_m * factor, value, precision, source, over is not None)
 
 
 def bound_edge_px(criterion: Criterion, spans: Spans, o: Outcome) -> Bound | None:
@@ -288,8 +289,8 @@ def factor_of(criterion: Criterion, o: Outcome, bounds: list[Bound | None]) -> f
     return max(1.0, *ratios[:3], *map(math.sqrt, ratios[3:]))
 
 
-def _fixed(o: Outcome) -> float:
-    """Return the largest error, metres, from the rounding of float32 and of the source."""
+def _rounding_error(o: Outcome) -> float:
+    """Return the largest error, metres, that refining cannot remove: the rounding of float32 and of the source."""
     d = o.domain
     return d.rounding + min(d.lean * o.relief, d.max_lean) + d.source
 
@@ -305,8 +306,13 @@ def _guaranteed(weighed: float, fixed: float, source_low: float, source_high: fl
     return max(weighed, 0.8 * weighed + source_high, 0.25 * left + fixed, 1.25 * fixed)
 
 
-def _bound(wanted: float, value: float, precision: float, source: float, stopped: bool) -> Bound:
-    """Return the bound `value` with its reason and terms; it is reduced to `wanted` if only rounding separates them."""
+def _limit_bound(wanted: float, value: float, precision: float, source: float, stopped: bool) -> Bound:
+    """Return a bound with its reason and terms.
+
+    value: the bound; reduced to `wanted`, the request, if only rounding separates them. precision, source: its
+    parts from rounding of float32 and of the source. stopped: whether the depth limit stopped a leaf. All in one
+    unit.
+    """
     if value <= wanted * (1 + MARGIN):
         value, stopped = min(value, wanted), False
     geometric = max(value - precision - source, 0.0)

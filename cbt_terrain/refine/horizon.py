@@ -12,7 +12,7 @@ from ...kernels.refine.hiding import RING_BITS, ROW
 from ...kernels.refine.horizon_map import FINEST, HorizonBlocks, fill_blocks, fill_horizon
 from ...kernels.refine.local_view import LocalView
 from ...kernels.refine.pixels import CriterionArrays
-from ..field.blocks import halvings, stacked
+from ..field.blocks import concatenate_levels, halvings
 from ..field.heightfield import HeightField
 from ..run import launch
 from ..run.buffers import Buffers, flat
@@ -49,7 +49,7 @@ def has_rings(criterion: CriterionArrays) -> bool:
     )
 
 
-def fill(
+def fill_horizons(
     field: HeightField,
     domain: Domain,
     criterion: CriterionArrays,
@@ -58,9 +58,9 @@ def fill(
     buffers: Buffers,
     threads: int,
 ) -> None:
-    """Fill the maps for meshes that satisfy the criterion times `relaxed`, with leaves down to `max_depth`.
+    """Fill the horizon maps of all views, for meshes that satisfy the criterion times `relaxed`.
 
-    With an infinite factor the maps hide nothing.
+    max_depth: of the leaves. With an infinite factor the maps hide nothing.
     """
     views = [(k, view) for k, view in enumerate(criterion.views.numpy()) if view["rings"]["count"]]
     entries = sum(int(view["rings"]["count"] + 1) for _, view in views) * int(ROW)
@@ -71,7 +71,7 @@ def fill(
     blocks = _blocks_of(field, domain, threads)
     grown = 1 << (domain.unit_bits - ((max_depth - 1) >> 1))
     for k, view in views:
-        start = _start(domain, view["near2"], view["cosine2"], view["weight"])
+        start = _max_clip_distance(domain, view["near2"], view["cosine2"], view["weight"])
         inputs = [domain, blocks, criterion, k, start, grown, relaxed]
         launch.spread(fill_horizon, int(ROW), inputs, step="horizon", threads=threads, cost=BIN_COST)
 
@@ -89,14 +89,14 @@ def horizon_of(
     hiding.view_count, hiding.error_px2, hiding.metres2 = len(views), criterion.error_px2, criterion.metres2
     hiding.views = wp.array(views, dtype=LocalView, device=launch.DEVICE)
     if entries:
-        fill(field, domain, hiding, max_depth, off, Buffers(), threads)
+        fill_horizons(field, domain, hiding, max_depth, off, Buffers(), threads)
     return hiding
 
 
 def _blocks_of(field: HeightField, domain: Domain, threads: int) -> HorizonBlocks:
     """Return the blocks of a field's surface; they are computed once and cached in the field."""
     key = "blocks", field.interpolation
-    min_height, first, wide = cached(field.cache.results, key, lambda: _find_blocks(domain, threads))
+    min_height, first, wide = cached(field.cache.results, key, lambda: _height_blocks(domain, threads))
     blocks = HorizonBlocks()
     blocks.min_height, blocks.first, blocks.wide = (
         flat(min_height, wp.float32),
@@ -106,13 +106,16 @@ def _blocks_of(field: HeightField, domain: Domain, threads: int) -> HorizonBlock
     return blocks
 
 
-def _find_blocks(domain: Domain, threads: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute the arrays of `HeightBlocks`; the levels below FINEST are empty."""
+def _height_blocks(domain: Domain, threads: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compute the extremes of heights in blocks of samples, by which rays skip ground: the arrays of HeightBlocks.
+
+    The levels below FINEST are empty.
+    """
     wide, high = (((n - 2) >> FINEST) + 1 for n in (domain.samples.columns, domain.samples.rows))
     finest = np.empty((high, wide, 2), np.float32)
     inputs = [domain, wide, flat(finest, wp.float32)]
     launch.spread(fill_blocks, high, inputs, step="horizon", threads=threads, cost=20.0 * wide)
-    return stacked(halvings(finest, np.minimum), int(FINEST))
+    return concatenate_levels(halvings(finest, np.minimum), int(FINEST))
 
 
 def _rings_of(domain: Domain, view: LocalView) -> tuple[int, int]:
@@ -128,16 +131,17 @@ def _rings_of(domain: Domain, view: LocalView) -> tuple[int, int]:
     for eye, low, step, count in sides:
         high = low + count * unit * step
         near, far = max(near, low - eye, eye - high), max(far, eye - low, high - eye)
-    start = _start(domain, view.near2, view.cosine2, view.weight)
+    start = _max_clip_distance(domain, view.near2, view.cosine2, view.weight)
     first = max(ring_of(max(near, unit * min(domain.unit_x, domain.unit_y))), ring_of(start) + 1)
     return first, ring_of(far) + 1 - first
 
 
-def _start(domain: Domain, near2: float, cosine2: float, weight: Sequence[float]) -> float:
-    """Return the distance max(|x|, |y|) from the eye, metres in terrain space, that the clip start cannot exceed.
+def _max_clip_distance(domain: Domain, near2: float, cosine2: float, weight: Sequence[float]) -> float:
+    """Return a distance max(|x|, |y|) from the eye, metres in terrain space, that is not less than the clip start.
 
-    near2 holds the square of half the clip start, which is measured along the view; dividing by the cosine gives the
-    distance.
+    near2: square of half the clip start, which is measured along the view; dividing by the cosine gives the
+    distance. cosine2: smallest square of the cosine between a ray and the view. weight: squared scale along x, y,
+    z.
     """
     nearest = 2.0 * math.sqrt(float(near2) / (float(cosine2) * min(float(weight[0]), float(weight[1]))))
     return max(nearest, domain.unit_x, domain.unit_y)

@@ -22,8 +22,8 @@ from ..run import launch
 from ..run.buffers import shared
 from ..tree.concurrent_binary_tree import LeafPart
 from ..tree.saved import MIN_DEPTH
-from .budget import limit_of, ramp_start, search
-from .horizon import fill, has_rings
+from .budget import limit_at_step, ramp_start, search
+from .horizon import fill_horizons, has_rings
 from .request import RefinementRequest
 from .slices import Slices
 from .step_search import Found
@@ -52,9 +52,9 @@ def refine(
     hides, slices = has_rings(criterion), None
     for relaxed in RELAXED[request.is_limited] if hides else (math.inf,):
         if hides:
-            max_factor = relaxed * (request.morph_until * math.sqrt(limit_of(1)) if morphs else 1.0)
-            fill(field, domain, criterion, depth, max_factor, history.scratch, threads)
-        slices, step = _limited(field, request, history, threads, relaxed)
+            max_factor = relaxed * (request.morph_until * math.sqrt(limit_at_step(1)) if morphs else 1.0)
+            fill_horizons(field, domain, criterion, depth, max_factor, history.scratch, threads)
+        slices, step = _refine_to_limit(field, request, history, threads, relaxed)
         if slices is not None:
             break
     assert slices is not None, "no limit applies to the last attempt"
@@ -64,12 +64,12 @@ def refine(
     return leaves, factor
 
 
-def _limited(
+def _refine_to_limit(
     field: HeightField, request: RefinementRequest, history: FrameHistory, threads: int, relaxed: float
 ) -> tuple[Slices | None, int]:
-    """Return the finest walk that keeps to the limit, and its step.
+    """Return the finest walk that keeps to the triangle limit, and its relaxation step.
 
-    No walk if that relaxes the criterion by more than `relaxed`.
+    There is no walk (None) if that relaxes the criterion by more than `relaxed`.
     """
     criterion, roots, hints = request.criterion, 2 * field.lattice.squares, history.hints
     max_leaves = max(request.max_leaves, roots)
@@ -84,7 +84,7 @@ def _limited(
     while slices is None:
         near = start if start and start.step else None
         found = hints.step = search(field.lattice, request, history, threads, max_leaves, near, low)
-        criterion.limit, low = limit_of(found.step), found.step + 1
+        criterion.limit, low = limit_at_step(found.step), found.step + 1
         if criterion.limit > relaxed * relaxed:
             break
         slices = _walk(field, request, history, threads, max_leaves, found.splits + roots)
@@ -189,12 +189,12 @@ def _end(history: FrameHistory, slices: Slices, lattice: Lattice) -> Leaves:
         work=(counts[:, 0] - (1 - REUSED_COST) * slices.reused)[used],
         stopped=bool(counts[:, 3].any()),
     )
-    leaves.changed = history.set_tree(leaves, _parts(history, slices, lattice), cell_bits)
+    leaves.changed = history.set_tree(leaves, _tree_parts(history, slices, lattice), cell_bits)
     return leaves
 
 
-def _parts(history: FrameHistory, slices: Slices, lattice: Lattice) -> list[LeafPart]:
-    """Return the parts of the tree that the slices have written."""
+def _tree_parts(history: FrameHistory, slices: Slices, lattice: Lattice) -> list[LeafPart]:
+    """Return the parts of the tree that the slices have written, and one for the unused squares."""
     parts, unused = slices.leaf_parts(), (1 << lattice.square_bits) - lattice.squares
     if unused and history.tree:  # numbers after the last square, up to a power of two, are a leaf each
         codes = shared(np.zeros(unused, np.uint16), wp.uint16)

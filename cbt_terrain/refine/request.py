@@ -38,10 +38,13 @@ class RefinementRequest:
     morph_until: float = 1.0
 
 
-def refinable(
+def refinable_domain(
     field: HeightField, meshlet: int, height_scale: float, height_offset: float, rounding: Rounding
 ) -> Domain:
-    """Return the placed field for a refinement. rounding: errors of float32 positions, see `terms.rounding`."""
+    """Return the placed field as a refinement reads it.
+
+    rounding: errors of float32 positions, see `terms.rounding`. meshlet: leaves are drawn as 4**meshlet triangles.
+    """
     domain = make_domain(field, meshlet, height_scale, height_offset)
     domain.rounding, domain.lean, domain.max_lean = rounding.height, rounding.lean, rounding.max_lean
     domain.enough = ENOUGH * (domain.rounding + domain.source)

@@ -16,7 +16,7 @@ from ..field.lattice import Lattice
 from ..history.frame_history import FrameHistory
 from ..run.buffers import bind
 from ..tree.concurrent_binary_tree import LeafPart
-from .block_tables import blocks
+from .block_tables import block_table
 
 # Fraction by which pixel footprints may change before a cached subtree has to be walked anew.
 SLACK = 0.05
@@ -40,9 +40,10 @@ class Slices:
 
     @classmethod
     def of(cls, history: FrameHistory, lattice: Lattice, cuts: list[int], max_depth: int, max_leaves: int) -> "Slices":
-        """Bind the walks between `cuts` (deepest cells) to the next frame's arrays; max_depth: bisections of a square.
+        """Return the walks between `cuts`, bound to the next frame's arrays.
 
-        A walk with more leaves than fit into its part of the arrays counts the others; above `max_leaves` it may stop.
+        cuts: deepest cells of the tree. max_depth: bisections of a square. A walk with more leaves than fit
+        into its part of the arrays counts the others; above `max_leaves` it may stop.
         """
         assert history.tree is not None, "refine and replay have a tree"
         count, squares, capacity = len(cuts) - 1, lattice.squares, history.hints.capacity
@@ -54,7 +55,7 @@ class Slices:
             "stack": scratch.get("walk_stack", count * STACK, wp.vec4i),
             "aside": scratch.get("walk_aside", count * STACK, wp.int32),
             "intervals": scratch.get("walk_intervals", count * STACK, LodInterval),
-            "blocks": blocks(),
+            "blocks": block_table(),
             "sides": scratch.get("sides", count * 4 * squares, wp.int32),
             "counts": scratch.get("counts", count * 4, wp.int64),
             "ends": scratch.get("ends", count, wp.uint64),

@@ -96,11 +96,11 @@ class _Search:
         """
         if self.high > MAX_STEP:  # no step is known to fit
             return beyond, MAX_STEP
-        finest = max(beyond, min(self._predicted(goal) - 1, self.high - stride))
+        finest = max(beyond, min(self._predict_step(goal) - 1, self.high - stride))
         return finest, min(self.high, finest + stride * reach)
 
-    def _predicted(self, goal: int) -> int:
-        """Predict the step, finer than `high`, with `goal` splits from the growth of the known counts."""
+    def _predict_step(self, goal: int) -> int:
+        """Return the step, finer than `high`, that probably has `goal` splits, from the growth of the known counts."""
         more = max(goal / max(self._reached, 1), 1)
         known = self.known[self.high :]
         fewer = np.flatnonzero((known > 0) & (known <= min(max(1 / more, 0.5), 0.9) * known[0]))

@@ -55,7 +55,7 @@ class Rounding:
 
     @property
     def max_total(self) -> float:
-        """Return the largest sum of both terms, metres."""
+        """Return the largest sum of both terms, metres: of heights, and of facets that move sideways."""
         return self.height + self.max_lean
 
 

@@ -23,7 +23,10 @@ _NUMPY = {
 
 
 def shared(array: np.ndarray, dtype: Any) -> wp.array:
-    """Return a Warp array over the memory of a numpy array of the same layout."""
+    """Return a Warp array over the memory of a numpy array of the same layout.
+
+    dtype: of Warp, as wp.vec3f for [n, 3].
+    """
     return wp.array(array, dtype=dtype, device="cpu", copy=False)
 
 
@@ -40,7 +43,7 @@ def bind(struct: Any, **values: Any) -> None:
             setattr(struct, name, value)
 
 
-def _scalar(dtype: Any) -> np.dtype:
+def _numpy_dtype(dtype: Any) -> np.dtype:
     """Return the numpy dtype of a Warp scalar or struct."""
     return dtype.numpy_dtype() if hasattr(dtype, "numpy_dtype") else wp.dtype_to_numpy(dtype)
 
@@ -76,7 +79,7 @@ class Loans:
             buffers.replace(in_use, spare, copy=buffers in copied)
 
     def memory(self) -> list[np.ndarray]:
-        """List the memory that was lent."""
+        """Return the arrays of which a part was lent, so that they are counted."""
         return [memory for memory, _ in self._lent]
 
 
@@ -98,7 +101,7 @@ class Buffers:
         """
         existing = self._arrays.get(name)
         if existing is None or len(existing[0]) < count:
-            scalar, columns = _NUMPY.get(dtype) or (_scalar(dtype), 1)
+            scalar, columns = _NUMPY.get(dtype) or (_numpy_dtype(dtype), 1)
             capacity = count if existing is None else max(count, int(1.25 * len(existing[0])))
             array = np.empty((capacity, columns) if columns > 1 else capacity, scalar)
             self._arrays[name] = existing = (array, shared(array, dtype))
@@ -111,7 +114,7 @@ class Buffers:
         return self._structs[kind, slot]
 
     def table(self, name: str, values: np.ndarray, dtype: Any) -> wp.array:
-        """Return a buffer that begins with `values`."""
+        """Return the buffer `name` with `values` at its beginning. It may be longer, because buffers only grow."""
         table = self.get(name, values.size, dtype)
         self.numpy(name)[: values.size] = values.reshape(-1)
         return table
@@ -134,11 +137,11 @@ class Buffers:
                     buffers._arrays[name] = held
 
     def numpy(self, name: str) -> np.ndarray:
-        """Return the memory of a buffer that `get` has made."""
+        """Return the memory of a buffer that `get` has made, as numpy array. It may be longer than was requested."""
         return self._arrays[name][0]
 
     def memory(self) -> list[np.ndarray]:
-        """List the memory of all buffers."""
+        """Return the memory of all buffers, so that it is counted."""
         return [array for array, _ in self._arrays.values()]
 
     @property

@@ -88,6 +88,7 @@ def kill(process: subprocess.Popen) -> None:
 
 
 def _kill_group(process: subprocess.Popen) -> None:
+    """Kill a child process and all processes that it has started."""
     if hasattr(os, "killpg"):
         with suppress(OSError):
             os.killpg(process.pid, signal.SIGKILL)  # the child is the leader of a session: see `start`
@@ -104,7 +105,7 @@ def end_with_parent(clean_up: Callable[[], None] = lambda: None, heard: Callable
         """Read the pipe from the parent until it closes, ask to stop, and exit after the time of grace."""
         while os.read(0, 1024):
             heard()
-        stopping.ask(signal.SIGTERM)
+        stopping.request_stop(signal.SIGTERM)
         time.sleep(stopping.GRACE_SECONDS)
         clean_up()
         os._exit(1)

@@ -31,13 +31,13 @@ def load(name: str) -> None:
         _load(name)
     except Exception as reason:  # Warp raises many kinds for its cache and its compiler
         if has_temporary_cache():
-            raise _error(name, reason) from reason
+            raise _compile_error(name, reason) from reason
         _leave_cache(reason)
         wp.get_module(name).mark_modified()  # otherwise Warp does not retry a module that has failed
         try:
             _load(name)
         except Exception as again:
-            raise _error(name, again) from again
+            raise _compile_error(name, again) from again
 
 
 def compiled_file(name: str) -> Path:
@@ -72,7 +72,7 @@ def _leave_cache(reason: Exception) -> None:
         ) from failed
 
 
-def _error(name: str, reason: Exception) -> TerrainError:
+def _compile_error(name: str, reason: Exception) -> TerrainError:
     """Return the error of a module that cannot be compiled, with the cause."""
     return TerrainError(
         f"The kernels of {name} cannot be compiled in {wp.config.kernel_cache_dir} ({shown(reason)})",
@@ -124,7 +124,7 @@ def _publish(built: Path, file: Path) -> None:
 
 
 def _is_whole(file: Path) -> bool:
-    """Return whether an object and its description match their checksum."""
+    """Return whether a compiled object and its description match the checksum beside them."""
     try:
         return read_regular(file.with_suffix(CHECKSUM), 100).decode("ascii") == _checksum(file)
     except (OSError, ValueError):

@@ -57,7 +57,7 @@ def stopwatch() -> Iterator[dict[str, float]]:
 
 @contextmanager
 def timed(step: str) -> Iterator[None]:
-    """Add the elapsed time of the block to `step` of the current stopwatch, if there is one."""
+    """Add the milliseconds that the block takes to `step` of the thread's stopwatch, if it has one."""
     start = time.perf_counter()
     try:
         yield
@@ -116,7 +116,11 @@ def _wait_for(futures: Sequence[Future]) -> None:
 
 
 def once(kernel: wp.Kernel, inputs: list, *, step: str, recorded: dict | None = None) -> None:
-    """Launch a serial kernel on one thread."""
+    """Launch a kernel that is one serial loop, on the calling thread.
+
+    recorded: commands of earlier launches, which are launched again without packing the arguments; None to pack
+    them.
+    """
     slices(kernel, [inputs], step=step, recorded=recorded)
 
 

@@ -64,6 +64,7 @@ def in_forked_child(reset: Callable[[], None]) -> None:
 
 
 def _free_all() -> None:
+    """Free all locks, in a forked child: their owners are threads that it lacks."""
     for lock in list(_locks):
         lock.free()
 

@@ -43,7 +43,7 @@ def open_regular(file: str | os.PathLike, links: bool = False) -> BufferedReader
 def read_regular(file: str | os.PathLike, max_bytes: int, links: bool = True) -> bytes:
     """Return the content of a regular file. Raises OSError, and ValueError for more than `max_bytes`."""
     with open_regular(file, links) as handle:
-        return _content(handle, max_bytes)
+        return _read_limited(handle, max_bytes)
 
 
 def read_named(
@@ -62,7 +62,7 @@ def read_named(
     try:
         if descriptors and os.fspath(file).startswith(DESCRIPTORS):
             with Path(file).open("rb") as handle:
-                return _content(handle, max_bytes)
+                return _read_limited(handle, max_bytes)
         return read_regular(file, max_bytes, links)
     except (OSError, ValueError) as reason:
         raise TerrainError(f"{what} {shown(file)} cannot be read ({cause(reason)})", expected=expected) from None
@@ -82,8 +82,8 @@ def blocks_reader(path: str | os.PathLike) -> bool:
     return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
-def _content(handle: BinaryIO, max_bytes: int) -> bytes:
-    """Read a file to its end. Raises ValueError for more than `max_bytes`."""
+def _read_limited(handle: BinaryIO, max_bytes: int) -> bytes:
+    """Return a file's content from here to its end. Raises ValueError for more than `max_bytes`."""
     content = bytearray()
     while block := handle.read(BLOCK_BYTES):
         content += block

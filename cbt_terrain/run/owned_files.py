@@ -5,9 +5,9 @@ A project may come from a stranger. A link in it could redirect a write or a rem
 this module does all deleting of the product, and opens the folders that the program derives from a user's path.
 
 Components of a path that the user chose may be links (`/home`, the project folder, the folder of an export). Those that
-the program derives may not (`derived`): `STORE_land` and everything below it, `STORE_maps`, `tiles`, `masks`, `data-*`
-and `.partial-*`. The last component of a store that is written or removed may not be a link either: a store is read and
-cached through a link, but never replaced.
+the program derives may not (`derived_components`): `STORE_land` and everything below it, `STORE_maps`, `tiles`,
+`masks`, `data-*` and `.partial-*`. The last component of a store that is written or removed may not be a
+link either: a store is read and cached through a link, but never replaced.
 
 Each folder is opened relative to the descriptor of the one above it (`O_NOFOLLOW | O_DIRECTORY`, `dir_fd`), and its
 entries are created, renamed and removed relative to that descriptor. So a link that appears between a check and a use
@@ -59,7 +59,7 @@ class OpenFolder(NamedTuple):
         return {"path": name, "dir_fd": self.descriptor}
 
     def find(self, name: str) -> os.stat_result | None:
-        """Return the `lstat` of an entry, None if it is missing. Raises OSError."""
+        """Return the `lstat` of an entry of the folder, None if it is missing. Raises OSError."""
         try:
             return os.stat(**self.at(name), follow_symlinks=False)
         except FileNotFoundError:
@@ -77,7 +77,7 @@ class OpenFolder(NamedTuple):
 
     @contextmanager
     def open_inner(self, name: str, make: bool = False) -> Iterator["OpenFolder"]:
-        """Open a real folder in this one. Raises as `open_folder`."""
+        """Open a real folder in this one for the block. make: create it if it is missing. Raises as `open_folder`."""
         inner = _open_below(self, name, make)
         try:
             yield inner
@@ -91,14 +91,14 @@ class OpenFolder(NamedTuple):
         replaced.
         """
         found = self.find(name)
-        if found is not None and derived(self.path) and (is_link(found) or not stat.S_ISREG(found.st_mode)):
+        if found is not None and derived_components(self.path) and (is_link(found) or not stat.S_ISREG(found.st_mode)):
             raise _not_ours(self.path / name, found, "a file")
         moved, placed = source.at(source_name), self.at(name)
         os.replace(moved["path"], placed["path"], src_dir_fd=moved["dir_fd"], dst_dir_fd=placed["dir_fd"])
 
 
-def derived(path: Path) -> int:
-    """Return the number of components at the end of an absolute path that the program derives, see above."""
+def derived_components(path: Path) -> int:
+    """Return how many components at the end of an absolute path this program named, see the module's docstring."""
     parts, count = path.parts, 0
     while count < len(parts) - 1 and _DERIVED.fullmatch(parts[-1 - count]):
         count += 1
@@ -118,7 +118,7 @@ def open_folder(path: str | os.PathLike, make: bool = False, may_be_link: bool =
     Raises NotOursError if a component is a link or no folder, FileNotFoundError if one is missing, and other OSErrors.
     """
     path = Path(path).absolute()
-    count = min(max(derived(path), not may_be_link), len(path.parts) - 1)
+    count = min(max(derived_components(path), not may_be_link), len(path.parts) - 1)
     names = path.parts[len(path.parts) - count :]
     above = Path(*path.parts[: len(path.parts) - count])
     if make:
@@ -135,12 +135,13 @@ def open_folder(path: str | os.PathLike, make: bool = False, may_be_link: bool =
 
 
 def _close(folder: OpenFolder) -> None:
+    """Close the folder's descriptor, which Windows has not."""
     if folder.descriptor is not None:
         os.close(folder.descriptor)
 
 
 def _open_below(folder: OpenFolder, name: str, make: bool) -> OpenFolder:
-    """Open a real folder inside an open one. Raises as `open_folder`."""
+    """Open a real folder inside an open one. make: create it if it is missing. Raises as `open_folder`."""
     found = folder.find(name)
     if found is None and make:
         with suppress(FileExistsError):  # another process has just created it
@@ -294,17 +295,18 @@ def _check_removable(folder: OpenFolder, name: str, may_remove: Callable[[str, b
         return
     is_folder = stat.S_ISDIR(found.st_mode)
     if is_link(found) or not (is_folder or stat.S_ISREG(found.st_mode)) or not may_remove(name, is_folder):
-        raise _foreign(f"{shown(folder.path, 1000)} holds {shown(name)!r}")
+        raise _foreign_error(f"{shown(folder.path, 1000)} holds {shown(name)!r}")
 
 
-def _foreign(what: str) -> NotOursError:
+def _foreign_error(what: str) -> NotOursError:
+    """Return the error for a file or folder that this program did not make and so does not remove."""
     return NotOursError(what, expected="only files that Adaptive Terrain made", fix="move them away and try again")
 
 
 def _remove_entry(folder: OpenFolder, name: str, depth: int = 0) -> None:
     """Remove an entry, or a link itself. Entries that another process removes meanwhile are no error."""
     if depth > MAX_DEPTH:
-        raise _foreign(f"{shown(folder.path, 1000)} is more than {MAX_DEPTH} folders deep")
+        raise _foreign_error(f"{shown(folder.path, 1000)} is more than {MAX_DEPTH} folders deep")
     with suppress(FileNotFoundError):
         found = os.stat(**folder.at(name), follow_symlinks=False)
         if not stat.S_ISDIR(found.st_mode) or is_link(found):

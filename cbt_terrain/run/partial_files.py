@@ -162,7 +162,7 @@ def _make_locked(folder: Path, mode: int, parents: bool, may_exist: bool) -> int
 
 
 def end_work(folder: Path, lock: int) -> None:
-    """Release and remove the lock of a folder, which stays."""
+    """Release and remove the lock of a folder, which stays. lock: descriptor of the open lock."""
     os.close(lock)
     owned_files.remove_file(folder / LOCK)
 

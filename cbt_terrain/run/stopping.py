@@ -32,14 +32,14 @@ class Stopped(KeyboardInterrupt):
     """The process received a request to stop, and has stopped between two steps."""
 
 
-def ask(number: int) -> None:
-    """Let the next `check` raise; for any thread. number: number of the signal."""
+def request_stop(number: int) -> None:
+    """Let the next `check` raise Stopped, from any thread. number: number of the signal."""
     global _requested
     _requested = number
 
 
 def check() -> None:
-    """Raise Stopped on the main thread after a request to stop, outside of `held`."""
+    """Raise Stopped on the main thread after a request to stop, unless the work is inside `held`."""
     if _requested is not None and not _held and threading.current_thread() is threading.main_thread():
         raise Stopped
 
@@ -74,11 +74,11 @@ def held() -> Iterator[None]:
 
 @contextmanager
 def listening() -> Iterator[None]:
-    """Turn SIGINT and SIGTERM into requests to stop until the block ends. Then send an unanswered signal again.
+    """Turn SIGINT and SIGTERM into requests to stop until the block ends.
 
-    A second signal, or a step that takes longer than GRACE_SECONDS, ends the process at once with the code 128 + the
-    signal's number; the next run removes its leftovers. Inside another such block, and on any thread except the main
-    one, this does nothing.
+    Then send an unanswered signal again. A second signal, or a step that takes longer than GRACE_SECONDS, ends the
+    process at once with the code 128 + the signal's number; the next run removes its leftovers. Inside another such
+    block, and on any thread except the main one, this does nothing.
     """
     global _listening
     if _listening or threading.current_thread() is not threading.main_thread():
@@ -132,7 +132,7 @@ def _listen(reader: int) -> None:
     while number := os.read(reader, 1)[0]:
         if first is None:
             first = time.monotonic()
-            ask(number)
+            request_stop(number)
             end = threading.Timer(GRACE_SECONDS, _end, (number,))
             end.daemon = True
             end.start()

@@ -131,7 +131,7 @@ _tried: set[ModuleType] = set()  # modules that are not prepared again, even if 
 
 
 def start() -> None:
-    """Start to prepare the kernels of a frame and of the overlay, if that was not started before."""
+    """Start to prepare the kernels of a frame and of the overlay in the background, unless that was started before."""
     global _current
     if _current is None:
         _current = _Preparation(kernel_modules(), overlay_modules())
@@ -204,7 +204,7 @@ def overlay_modules() -> list[ModuleType]:
 
 
 def other_modules() -> list[ModuleType]:
-    """Return the modules that are compiled on first use."""
+    """Return the modules of kernels that are not prepared, but compiled on first use."""
     rare = [importlib.import_module(name) for name in sorted(RARE)]
     return [*(module for room in OTHERS for module in modules_of(room)), *rare]
 
@@ -217,6 +217,7 @@ def modules_of(package: ModuleType) -> list[ModuleType]:
 
 
 def _kernels_of(module: ModuleType) -> list[wp.Kernel]:
+    """Return the kernels that a module defines, without imported ones."""
     found = [value for value in vars(module).values() if isinstance(value, wp.Kernel)]
     return [kernel for kernel in found if kernel.module.name == module.__name__]
 
@@ -233,7 +234,7 @@ def load(module: ModuleType) -> None:
 
 
 def child_main(*names: str) -> None:
-    """Fill Warp's cache with these modules."""
+    """Compile modules into Warp's cache; runs in a child process. names: of the modules, below the package."""
     child.end_with_parent()
     if hasattr(os, "nice"):
         os.nice(5)  # the window and an import come first

@@ -71,5 +71,6 @@ class Candidates:
         self._used += int(count.sum())
 
     def _allocate(self, capacity: int) -> None:
+        """Make room for `capacity` candidates."""
         self.positions, self.normals = np.empty((capacity, 3), np.float32), np.empty((capacity, 3), np.float32)
         self.density = np.empty(capacity, np.float32)

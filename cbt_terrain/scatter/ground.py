@@ -24,7 +24,7 @@ from ..mesh.outline import counter_clockwise, covered
 from ..plain_numbers import vertical
 from ..run import launch
 from ..run.buffers import flat, shared
-from ..view.linear import settled
+from ..view.linear import round_last_bits
 from ..view.view import View
 from .candidates import Candidates
 from .scatter import MAX_TILES, Scatter
@@ -73,17 +73,20 @@ class ScatterGround:
 
     @classmethod
     def of(cls, field: HeightField, request: ScatterRequest) -> "ScatterGround":
-        """Return the ground of a ScatterRequest without candidates."""
+        """Return the ground of a ScatterRequest: the pattern of candidates over the placed field.
+
+        None is placed yet.
+        """
         scale = vertical(request.vertical_scale, request.vertical_offset)
         valid = np.empty(0, np.uint8) if field.valid is None else field.valid
         box, domain = box_of(field, *scale), make_domain(field, 0, *scale)
-        detail = displacement_layers.packed(field.detail, field.finest_edge, field.lattice)
+        detail = displacement_layers.pack_layers(field.detail, field.finest_edge, field.lattice)
         pattern, tiles = _pattern(field, request.scatter)
         flags, style = flat(np.ascontiguousarray(valid), wp.uint8), _style(request.scatter, tiles)
         return cls(field, request.scatter, scale, request.boundary, box, domain, detail, flags, pattern, tiles, style)
 
     def is_of(self, field: HeightField, request: ScatterRequest) -> bool:
-        """Return whether this is the ground of a ScatterRequest."""
+        """Return whether this is the ground of a ScatterRequest, so that its candidates can be reused."""
         scale, one, other = (request.vertical_scale, request.vertical_offset), self.boundary, request.boundary
         same = field is self.field and request.scatter == self.scatter and scale == self.scale
         return same and (one is other or (one is not None and other is not None and np.array_equal(one, other)))
@@ -114,7 +117,7 @@ class ScatterGround:
 
     def _place(self, runs: np.ndarray, where: slice, threads: int) -> None:
         """Compute positions, normals and densities of the candidates of runs; `where`: their slice of the arrays."""
-        inputs = [self.domain, self.detail, self.valid, self.pattern, listed_runs(runs), self.candidates.packed()]
+        inputs = [self.domain, self.detail, self.valid, self.pattern, pack_runs(runs), self.candidates.packed()]
         launch.slices(
             kernels.place_candidates, [[*piece, *inputs] for piece in pieces_of(runs["count"], threads)], step="place"
         )
@@ -140,8 +143,8 @@ def pieces_of(counts: np.ndarray, threads: int) -> list[tuple[int, int]]:
     return list(zip([0, *cuts], [*cuts, len(counts)], strict=True))
 
 
-def listed_runs(runs: np.ndarray) -> wp.array:
-    """Return runs for kernels."""
+def pack_runs(runs: np.ndarray) -> wp.array:
+    """Return runs of candidates as an array for kernels."""
     return wp.array(runs, dtype=kernels.CandidateRun, device=launch.DEVICE, copy=False)
 
 
@@ -176,5 +179,7 @@ def _style(scatter: Scatter, tiles: int) -> kernels.ScatterStyle:
     style.size, style.variation, style.align = scatter.size, scatter.variation, scatter.align
     half = [math.pi * k / int(kernels.TURNS) for k in range(int(kernels.TURNS))]
     for name, function in (("cosine", math.cos), ("sine", math.sin)):
-        setattr(style, name, flat(np.array([settled(function(angle)) for angle in half], np.float32), wp.float32))
+        setattr(
+            style, name, flat(np.array([round_last_bits(function(angle)) for angle in half], np.float32), wp.float32)
+        )
     return style

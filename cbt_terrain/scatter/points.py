@@ -28,9 +28,9 @@ from ..view.criterion import Criterion
 from ..view.linear import lengths, solve
 from ..view.local_view import localise
 from ..view.view import View, listed_views
-from .ground import ScatterGround, ScatterRequest, listed_runs, pieces_of
+from .ground import ScatterGround, ScatterRequest, pack_runs, pieces_of
 from .scatter import Scatter
-from .squares import squares_in_view, too_many
+from .squares import squares_in_view, too_many_error
 
 ARRAYS = {
     "positions": wp.vec3f,
@@ -71,7 +71,10 @@ class ScatterPoints:
 def scatter_points(
     field: HeightField, scatter: Scatter, views: Iterable[View] = (), threads: int | None = None, **placed: Any
 ) -> ScatterPoints:
-    """Return the points that views see, or without views all points at full density. placed: see ScatterRequest."""
+    """Return the points that views see, or without views all points at full density.
+
+    placed: further fields of ScatterRequest, as `placement`.
+    """
     return place_points(field, ScatterRequest(scatter, views, **placed), FrameHistory(), threads)
 
 
@@ -104,12 +107,12 @@ def _points(
     are known. Raises TerrainError for more than `request.max_points`.
     """
     scratch = history.scratch
-    seen, pattern, scatter = _seen(request, views, ground), ground.pattern, request.scatter
+    seen, pattern, scatter = _pack_views(request, views, ground), ground.pattern, request.scatter
     placed = pattern.west, pattern.south, pattern.side, scatter.seed
     max_density = min(scatter.where.strength, 1.0)  # where all rules hold
     squares = squares_in_view(ground.field, ground.domain, seen, *placed, max_density, threads)
     runs, tested = ground.runs(squares, len(views), threads), int(squares.count.sum())
-    listed, candidates = listed_runs(runs), ground.candidates.packed()
+    listed, candidates = pack_runs(runs), ground.candidates.packed()
     chosen = kernels.Chosen()
     chosen.which, chosen.rank = scratch.get("which", tested, wp.int32), scratch.get("rank", tested, wp.int32)
     chosen.grown, chosen.counts = scratch.get("grown", tested, wp.float32), scratch.get("counts", len(runs), wp.int32)
@@ -118,16 +121,16 @@ def _points(
     counts = scratch.numpy("counts")[: len(runs)].astype(np.int64)
     if request.max_points is not None and counts.sum() > request.max_points[0]:
         limit, limit_name = request.max_points
-        raise too_many(f"{counts.sum():,}", f"at most {limit:,}, {limit_name}")
+        raise too_many_error(f"{counts.sum():,}", f"at most {limit:,}, {limit_name}")
     total = int(counts.sum())
     first = flat((np.cumsum(counts) - counts).astype(np.int32), wp.int32)
-    inputs = [listed, first, candidates, chosen, ground.style, _room(history, total)]
+    inputs = [listed, first, candidates, chosen, ground.style, _point_arrays(history, total)]
     launch.slices(kernels.fill_points, [[*piece, *inputs] for piece in pieces_of(counts, threads)], step="tell")
     return ScatterPoints(**{name: history.lend(history.points, name, total) for name in ARRAYS}, tested=tested)
 
 
-def _seen(request: ScatterRequest, views: list[View], ground: ScatterGround) -> Views:
-    """Return the views for kernels: frusta in the terrain's space, widened by the scatter's margins.
+def _pack_views(request: ScatterRequest, views: list[View], ground: ScatterGround) -> Views:
+    """Return the views as kernels read them: frusta in the terrain's space, widened by the scatter's margins.
 
     Also the horizon that hides points, and the square of the distance in metres up to which density is full.
     """
@@ -141,7 +144,7 @@ def _seen(request: ScatterRequest, views: list[View], ground: ScatterGround) -> 
         found.planes = planes
         local.append(found)
     if horizon is not None:
-        _hide(local, horizon)
+        _take_horizon(local, horizon)
         seen.slopes, linear = horizon.slopes, placement[:3, :3]
         # The box of the ellipsoid that a ball of the world is in the terrain's space.
         seen.reach = scatter.margin_m * lengths(solve(linear, np.eye(3)).T) * (1 + 1e-9)
@@ -164,8 +167,11 @@ def on_mesh(points: ScatterPoints, terrain: Terrain, surface: Surface) -> Scatte
     return replace(points, positions=positions)
 
 
-def _hide(views: list[LocalView], horizon: CriterionArrays) -> None:
-    """Set the horizon rings of views. Raises TerrainError for the horizon of other views."""
+def _take_horizon(views: list[LocalView], horizon: CriterionArrays) -> None:
+    """Give each view its part of the horizon map, by which points behind ground are left out.
+
+    Raises TerrainError if the map was made for other views.
+    """
     others = horizon.views.numpy()[: horizon.view_count]
     if len(others) != len(views) or any(list(v.eye) != o["eye"].tolist() for v, o in zip(views, others, strict=True)):
         raise TerrainError("The horizon is one of other views", fix="update the terrain for the scatter's views first")
@@ -173,8 +179,8 @@ def _hide(views: list[LocalView], horizon: CriterionArrays) -> None:
         view.rings.first, view.rings.count, view.rings.at = (int(number) for number in other["rings"])
 
 
-def _room(history: FrameHistory, count: int) -> kernels.PointArrays:
-    """Return memory for `count` points that no caller reads."""
+def _point_arrays(history: FrameHistory, count: int) -> kernels.PointArrays:
+    """Return memory for `count` points, for kernels to fill; it is reused and no result refers to it."""
     room, arrays = kernels.PointArrays(), history.room_for_points()
     for name, dtype in ARRAYS.items():
         setattr(room, name, arrays.get(name, count, dtype))

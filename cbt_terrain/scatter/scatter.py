@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from ..attributes.attribute import GEOMETRY, AttributeRequest
 from ..attributes.splat import NAMES
-from ..attributes.splat_rules import Layer, check
+from ..attributes.splat_rules import Layer, check_layers
 from ..errors import TerrainError, check_number, check_seed
 from ..plain_numbers import keep_plain_numbers
 from .tile import POINTS
@@ -64,9 +64,9 @@ class Scatter:
         if not -1 <= self.on < len(self.layers):
             problem = f"The scatter stands on splat layer {self.on}, and there are {len(self.layers)}"
             raise TerrainError(problem, fix="choose one of them")
-        check(self._density_layers())
+        check_layers(self._density_layers())
         if self.layers:
-            check(self.layers)
+            check_layers(self.layers)
 
     @property
     def tile_side(self) -> float:
@@ -88,4 +88,5 @@ class Scatter:
 
 
 def _splat(number: int, layers: tuple[Layer, ...]) -> AttributeRequest:
+    """Return the request for the splat attribute `number` of these layers, 0 for splat_1."""
     return AttributeRequest(NAMES[number], ("a scatter",), GEOMETRY, (("layers", layers),))

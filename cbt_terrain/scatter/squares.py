@@ -50,8 +50,8 @@ class Squares:
         return tiles, tile().windows(self.halvings, inside, shifts(tiles, seed))
 
 
-def too_many(count: str, expected: str = "") -> TerrainError:
-    """Return the error for too many points in view."""
+def too_many_error(count: str, expected: str = "") -> TerrainError:
+    """Return the error for too many points in view. count: text for their number."""
     fix = "increase its spacing, or let its full density end nearer to the camera (Full Until; at 0 it never ends)"
     return TerrainError(f"The scatter has {count} points in view", expected=expected, fix=fix)
 
@@ -78,7 +78,7 @@ def squares_in_view(
     numbers, found = np.zeros((1, 2), np.int32), []
     while len(numbers):
         wanted = np.empty((len(numbers), 2))
-        q = _packed(field, west, south, side * 2.0**-halvings)
+        q = _pack_squares(field, west, south, side * 2.0**-halvings)
         arrays = [shared(numbers, wp.vec2i), wp.array(wanted, dtype=wp.vec2d, device=launch.DEVICE, copy=False)]
         inputs = [domain, views, q, wp.float64(east), wp.float64(north), *arrays]
         launch.spread(kernels.density_range, len(numbers), inputs, step="squares", threads=threads, cost=10.0)
@@ -94,23 +94,27 @@ def squares_in_view(
             final = ~divided & (count > 0)
             found.append((depth[final], numbers[final], count[final], low[final] > 0))
         if divided.sum() > MAX_DIVIDED:
-            raise too_many(f"more than {MAX_CANDIDATES:,}")
-        numbers = _children(numbers[divided])
+            raise too_many_error(f"more than {MAX_CANDIDATES:,}")
+        numbers = _quarter(numbers[divided])
         halvings += 1
     squares = Squares(*map(np.concatenate, zip(NOTHING, *found, strict=True)))
     if squares.count.sum() > MAX_CANDIDATES:
-        raise too_many(f"more than {MAX_CANDIDATES:,}")
+        raise too_many_error(f"more than {MAX_CANDIDATES:,}")
     return squares
 
 
-def _children(numbers: np.ndarray) -> np.ndarray:
-    """Return the quarters of squares, int32 [4 n, 2]."""
+def _quarter(numbers: np.ndarray) -> np.ndarray:
+    """Return the quarters of squares, int32 [4 n, 2]. numbers: column and row of each square, int32 [n, 2]."""
     quarters = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], np.int32)
     return (2 * numbers[:, None] + quarters).reshape(-1, 2)
 
 
-def _packed(field: HeightField, west: float, south: float, side: float) -> kernels.ScatterSquares:
-    """Return squares of a size for kernels, with the height ranges of the smallest lattice cells that are as large."""
+def _pack_squares(field: HeightField, west: float, south: float, side: float) -> kernels.ScatterSquares:
+    """Return squares of a size as kernels read them, with ranges of heights.
+
+    The ranges are of the smallest lattice cells that are as large as a square. west, south: corner of square 0,
+    metres. side: metres.
+    """
     lattice, q = field.lattice, kernels.ScatterSquares()
     q.west, q.south, q.side, q.low, q.high = west, south, side, field.min_height, field.max_height
     cells = max(side / min(lattice.step_x, lattice.step_y), 4.0)  # ranges are of 4 x 4 cells and more

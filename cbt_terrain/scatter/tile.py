@@ -41,7 +41,7 @@ class Tile:
 
     @property
     def length(self) -> int:
-        """Number of ranks in `order`, all halvings concatenated."""
+        """Number of ranks in `order`, which is stored for all halvings of the tile one after the other."""
         return sum(map(len, self.order))
 
     def windows(self, halvings: np.ndarray, square: np.ndarray, shift: np.ndarray) -> np.ndarray:
@@ -52,7 +52,7 @@ class Tile:
 
     def count(self, halvings: int, window: np.ndarray, ranks: np.ndarray) -> np.ndarray:
         """Return the number of points of each window with a rank below `ranks`, int64 [n]."""
-        return np.searchsorted(self.keys[halvings], _key(window, ranks)) - self.first[halvings][window]
+        return np.searchsorted(self.keys[halvings], _rank_key(window, ranks)) - self.first[halvings][window]
 
     def runs(self, halvings: np.ndarray, window: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the first index of each window in all of `order`, and its number of ranks, int64 [n] each."""
@@ -76,9 +76,9 @@ def tile() -> Tile:
         # Each point is in several windows, one for each step between starts inside a window.
         column, row = (place[:, :, None] * starts // UNITS - np.arange(starts >> halvings)).transpose(1, 0, 2) % starts
         window = (row[:, :, None] * starts + column[:, None, :]).reshape(-1).astype(np.int64)
-        keys.append(np.sort(_key(window, np.repeat(np.arange(POINTS), (starts >> halvings) ** 2))))
+        keys.append(np.sort(_rank_key(window, np.repeat(np.arange(POINTS), (starts >> halvings) ** 2))))
         order.append((keys[-1] % (POINTS + 1)).astype(np.int32))
-        first.append(np.searchsorted(keys[-1], _key(np.arange(starts**2 + 1), 0)).astype(np.int64))
+        first.append(np.searchsorted(keys[-1], _rank_key(np.arange(starts**2 + 1), 0)).astype(np.int64))
     return Tile(place, order, first, keys)
 
 
@@ -90,5 +90,6 @@ def shifts(tiles: np.ndarray, seed: int) -> np.ndarray:
     return found
 
 
-def _key(window: np.ndarray, rank: np.ndarray | int) -> np.ndarray:
+def _rank_key(window: np.ndarray, rank: np.ndarray | int) -> np.ndarray:
+    """Return one number that sorts points by window and then by rank."""
     return window * (POINTS + 1) + rank

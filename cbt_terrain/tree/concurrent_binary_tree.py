@@ -76,7 +76,7 @@ class ConcurrentBinaryTree:
 
     @property
     def leaf_count(self) -> int:
-        """Leaves of the tree, at least 1."""
+        """Number of leaves of the tree, at least 1."""
         return int(self._arrays["counts"][SLOTS]) + 1
 
     @property
@@ -93,7 +93,7 @@ class ConcurrentBinaryTree:
         if low < 0 or high >= self.leaf_count:
             raise TerrainError(f"The tree has no leaves {low} .. {high}", expected=f"0 .. {self.leaf_count - 1}")
         ids = np.empty(len(numbers), np.uint64)
-        self._spread(queries.decode_leaves, len(ids), [shared(numbers, wp.int32), shared(ids, wp.uint64)])
+        self._launch(queries.decode_leaves, len(ids), [shared(numbers, wp.int32), shared(ids, wp.uint64)])
         return ids
 
     def find(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -101,7 +101,7 @@ class ConcurrentBinaryTree:
         cells = np.ascontiguousarray(cells, np.uint64)
         numbers, ids = np.empty(len(cells), np.int32), np.empty(len(cells), np.uint64)
         arrays = shared(cells, wp.uint64), shared(numbers, wp.int32), shared(ids, wp.uint64)
-        self._spread(queries.find_leaves, len(cells), [*arrays])
+        self._launch(queries.find_leaves, len(cells), [*arrays])
         return numbers, ids
 
     def is_leaf(self, heap_ids: np.ndarray) -> np.ndarray:
@@ -116,12 +116,12 @@ class ConcurrentBinaryTree:
     # Edit: O(depth) a node
 
     def split(self, heap_ids: np.ndarray) -> None:
-        """Give leaves above the deepest level their two children."""
+        """Replace leaves above the deepest level by their two children each. heap_ids: of the leaves, uint64."""
         ids = np.ascontiguousarray(heap_ids, np.uint64)
         self.edit(edits.split_leaves, len(ids), [shared(ids, wp.uint64)])
 
     def merge(self, heap_ids: np.ndarray) -> None:
-        """Take the two children of nodes away, which must be leaves: undoes `split`."""
+        """Remove the two children of nodes, which must be leaves; the nodes become leaves. It undoes `split`."""
         ids = np.ascontiguousarray(heap_ids, np.uint64)
         self.edit(edits.merge_leaves, len(ids), [shared(ids, wp.uint64)])
 
@@ -135,11 +135,11 @@ class ConcurrentBinaryTree:
             self._clear(self.bits.num_pages)
             self.set_depths(depths)
         self._state[bitfield.REPEATS] = 0
-        self._spread(kernel, count, inputs)
+        self._launch(kernel, count, inputs)
         while self._state[bitfield.IS_FULL]:
             self._resize(2 * self.bits.num_pages)
             self._state[bitfield.REPEATS] = 1
-            self._spread(kernel, count, inputs)
+            self._launch(kernel, count, inputs)
         self._reduce()
 
     # Write all leaves: O(leaves)
@@ -220,9 +220,11 @@ class ConcurrentBinaryTree:
 
     @property
     def _pages_used(self) -> int:
+        """Number of pages of the pool that hold words of the bitfield."""
         return int(self._state[bitfield.PAGES_USED])
 
-    def _spread(self, kernel: wp.Kernel, count: int, inputs: list) -> None:
+    def _launch(self, kernel: wp.Kernel, count: int, inputs: list) -> None:
+        """Launch a kernel over `count` items on the tree's threads; inputs: its arguments after the tree's arrays."""
         launch.spread(kernel, count, [self.bits, *inputs], step="tree", threads=self.threads, cost=DECODE_COST)
 
     def _reduce(self) -> None:
@@ -230,7 +232,7 @@ class ConcurrentBinaryTree:
         changed = int(self._state[bitfield.NUM_CHANGED])
         if changed > FEW_CHANGED:
             for level in range(self.bits.top + 1):
-                self._spread(reduction.reduce_level, changed, [level])
+                self._launch(reduction.reduce_level, changed, [level])
             self._state[bitfield.NUM_CHANGED] = 0
         elif changed:
             launch.once(reduction.reduce_words, [self.bits], step="tree", recorded=self._recorded)

@@ -45,7 +45,7 @@ class CameraPath:
     clip: tuple[float, float]
 
     def view(self, frame: float, resolution: tuple[int, int]) -> View:
-        """Return the view at a frame, for a picture of `resolution` pixels."""
+        """Return the view at a frame, interpolated, for a picture of `resolution` pixels. Raises TerrainError."""
         with np.errstate(all="ignore"):  # the result is checked below
             values = hermite(self.frames, self.values, frame)
             away = length(values[:3] - values[3:6])
@@ -90,27 +90,28 @@ def read_camera_path(path: Path) -> CameraPath:
         raise TerrainError(f"The camera path {path} cannot be read ({shown(error)})", expected=EXPECTED) from None
     if not isinstance(data, dict) or not isinstance(data.get("keyframes"), list) or not data["keyframes"]:
         raise TerrainError(f"The camera path {path} has no keyframes", expected='{"keyframes": [{"frame": 1, ...}]}')
-    _only(path, "the file", data, TOP_KEYS)
+    _check_names(path, "the file", data, TOP_KEYS)
     clip = _clip(path, data)
-    sensor = _number(path, "the file", data, "sensor", 36.0)
+    sensor = _read_number(path, "the file", data, "sensor", 36.0)
     frames, values = [], []
     for number, key in enumerate(data["keyframes"], 1):
         where = f"keyframe {number}"
         if not isinstance(key, dict):
-            raise _fault(path, f"{where} is {key!r}", "an object with frame, eye, target")
-        _only(path, where, key, KEY_KEYS)
-        frames.append(_number(path, where, key, "frame"))
+            raise _path_error(path, f"{where} is {key!r}", "an object with frame, eye, target")
+        _check_names(path, where, key, KEY_KEYS)
+        frames.append(_read_number(path, where, key, "frame"))
         eye, target = _numbers(path, where, key, "eye", 3), _numbers(path, where, key, "target", 3)
         if eye == target:
-            raise _fault(path, f"{where} has its eye at its target", "different points")
-        fov = _fov(path, where, key if {"fov", "lens"} & set(key) else data, sensor)
+            raise _path_error(path, f"{where} has its eye at its target", "different points")
+        fov = _field_of_view(path, where, key if {"fov", "lens"} & set(key) else data, sensor)
         values.append([*eye, *target, math.log(math.tan(math.radians(fov) / 2))])
     if any(a >= b for a, b in pairwise(frames)):
-        raise _fault(path, f"the frames are {frames}", "each larger than the one before")
+        raise _path_error(path, f"the frames are {frames}", "each larger than the one before")
     return CameraPath(np.array(frames), np.array(values), clip)
 
 
-def _fault(path: Path, what: str, expected: str) -> TerrainError:
+def _path_error(path: Path, what: str, expected: str) -> TerrainError:
+    """Return the error about a camera path's file; what: its fault, after "In the camera path ...,"."""
     return TerrainError(f"In the camera path {path}, {what}", expected=expected)
 
 
@@ -121,41 +122,46 @@ def _clip(path: Path, data: dict) -> tuple[float, float]:
     """
     start, end = _numbers(path, "the file", {"clip": [0.1, 1e6]} | data, "clip", 2)
     if start == end or not math.isfinite(2 * start * end / (start - end)):
-        raise _fault(path, f"the file has clip {[start, end]!r}", "two different distances (m)")
+        raise _path_error(path, f"the file has clip {[start, end]!r}", "two different distances (m)")
     return start, end
 
 
-def _fov(path: Path, where: str, data: dict, sensor: float) -> float:
-    """Return the field of view in degrees: `fov`, else computed from `lens`, else 50."""
+def _field_of_view(path: Path, where: str, data: dict, sensor: float) -> float:
+    """Return the field of view in degrees: `fov`, else computed from `lens`, else 50.
+
+    where: subject of errors. data: JSON object. sensor: width in millimetres.
+    """
     if "lens" in data and "fov" not in data:
-        lens = _number(path, where, data, "lens")
+        lens = _read_number(path, where, data, "lens")
         fov = math.degrees(2 * math.atan2(sensor / 2, lens))
     else:
-        fov = _number(path, where, data, "fov", 50.0)
+        fov = _read_number(path, where, data, "fov", 50.0)
     if not SMALLEST_FOV <= fov <= LARGEST_FOV:
         expected = f"between {SMALLEST_FOV:g} and {LARGEST_FOV:.9g}"
-        raise _fault(path, f"{where} has a field of view of {fov:g} degrees", expected)
+        raise _path_error(path, f"{where} has a field of view of {fov:g} degrees", expected)
     return fov
 
 
-def _only(path: Path, where: str, data: dict, known: set[str]) -> None:
+def _check_names(path: Path, where: str, data: dict, known: set[str]) -> None:
+    """Raise TerrainError for an entry that is not `known`. where: subject of the error."""
     if unknown := sorted(set(data) - known):
-        raise _fault(path, f"{where} has {unknown[0]!r}", ", ".join(sorted(known)))
+        raise _path_error(path, f"{where} has {unknown[0]!r}", ", ".join(sorted(known)))
 
 
-def _number(path: Path, where: str, data: dict, name: str, default: float | None = None) -> float:
+def _read_number(path: Path, where: str, data: dict, name: str, default: float | None = None) -> float:
+    """Return the number `name` of a JSON object, or its default. Raises TerrainError. where: subject of the error."""
     return _numbers(path, where, {name: [data.get(name, default)]}, name, 1)[0]
 
 
 def _numbers(path: Path, where: str, data: dict, name: str, count: int) -> list[float]:
     """Return the list of `count` finite numbers under a name, or raise the error that names file and keyframe.
 
-    A single number comes as a list of one, from `_number`. where: the keyframe, in errors.
+    A single number comes as a list of one, from `_read_number`. where: the keyframe, in errors.
     """
     value: Any = data.get(name)
     good = isinstance(value, list) and len(value) == count
     if not good or not all(type(v) in (int, float) and abs(v) <= sys.float_info.max for v in value):
         shown = value[0] if isinstance(value, list) and count == 1 else value
         expected = "a number" if count == 1 else f"{count} numbers"
-        raise _fault(path, f"{where} has {name} {shown!r}", expected)
+        raise _path_error(path, f"{where} has {name} {shown!r}", expected)
     return [float(v) for v in value]

@@ -94,6 +94,6 @@ def min_stretch(matrix: np.ndarray) -> float:
     return min(length(column) for column in columns)
 
 
-def settled(value: float) -> float:
-    """Round to 12 digits: only the last bits of sines, exponentials and the like depend on the processor."""
+def round_last_bits(value: float) -> float:
+    """Round to 12 digits, because the last bits of sines, exponentials and the like depend on the processor."""
     return float(f"{value:.12g}")

@@ -8,7 +8,7 @@ import numpy as np
 from ...kernels.refine.local_view import MAX_PLANES, LocalView
 from ..errors import TerrainError
 from .criterion import LARGEST, Criterion
-from .linear import length, lengths, min_stretch, product, settled, solve
+from .linear import length, lengths, min_stretch, product, round_last_bits, solve
 from .spans import secant_of, slant_rows, slants_of
 from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
@@ -112,7 +112,7 @@ def guard_margins(view: View, guard_deg: float) -> tuple[float, float]:
     """
     if view.kind != PERSPECTIVE:
         return guard_deg, guard_deg
-    fields = [settled(math.degrees(math.atan(high) - math.atan(low))) for low, high in view.bounds()]
+    fields = [round_last_bits(math.degrees(math.atan(high) - math.atan(low))) for low, high in view.bounds()]
     margin_x, margin_y = (guard_deg * min(1.0, field / NORMAL_FOV) for field in fields)
     return margin_x, margin_y
 
@@ -122,7 +122,7 @@ def _narrowness(view: View) -> float:
     if view.kind != PERSPECTIVE:
         return 1.0
     half = max(high - low for low, high in view.bounds()) / 2
-    return min(1.0, half / settled(math.tan(math.radians(NORMAL_FOV / 2))))
+    return min(1.0, half / round_last_bits(math.tan(math.radians(NORMAL_FOV / 2))))
 
 
 def frustum_planes(view: View, margins: tuple[float, float]) -> np.ndarray:
@@ -136,7 +136,7 @@ def frustum_planes(view: View, margins: tuple[float, float]) -> np.ndarray:
     planes = [[0, 0, -1, 0], [0, 0, 1, view.clip[1]]]
     for axis, (low, high) in enumerate(view.bounds()):
         guard = math.radians(min(margins[axis], 89.0))
-        sine, cosine = settled(math.sin(guard)), settled(math.cos(guard))
+        sine, cosine = round_last_bits(math.sin(guard)), round_last_bits(math.cos(guard))
         unit = np.eye(3)[axis]
         if view.kind == ORTHOGRAPHIC:
             margin = (high - low) / 2 * sine / cosine

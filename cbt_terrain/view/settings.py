@@ -62,7 +62,7 @@ class CriterionSetting:
 
     @property
     def expected(self) -> str:
-        """Return the range as the end of a sentence: "a number from 0 to 1"."""
+        """Return the range as the end of a sentence, as "a number from 0 to 1"."""
         number = "a whole number" if self.whole else "a finite number" if self.max == FINITE else "a number"
         if self.max < FINITE:
             return f"{number} from {self.min:g} to {self.max:,.10g}"

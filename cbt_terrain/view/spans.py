@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .criterion import LARGEST, Criterion
-from .linear import add_up, length, lengths, product, settled
+from .linear import add_up, length, lengths, product, round_last_bits
 from .view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE, View
 
 # Relative; far above the rounding of pixels and metres, far below a visible difference.
@@ -74,7 +74,10 @@ class Spans:
 
 
 def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray, plan: PlanUnits) -> Spans:
-    """Compute the spans of views of a terrain at `placement`."""
+    """Return the spans (pixel footprints in the kernels' measure) of views of a terrain at `placement`.
+
+    plan: units of the plan, for limits of edges and areas on screen.
+    """
     slants = [slants_of(view, placement, criterion) for view in views]
     wholes = [whole_of(view, placement, smallest) for view, (_, smallest) in zip(views, slants, strict=True)]
     wide = [widening(view, whole, criterion.error_px) for view, whole in zip(views, wholes, strict=True)]
@@ -142,7 +145,7 @@ def _up(view: View, placement: np.ndarray) -> np.ndarray:
 
 
 def _aspect(view: View) -> tuple[float, float]:
-    """Return pixels across and along the view, in parts of `pixels_per_unit`."""
+    """Return width and height of a pixel as parts of `pixels_per_unit`."""
     assert view.projection is not None, "a panorama has no frame"
     scales, unit = view.projection, view.pixels_per_unit
     across, along = (abs(float(scales[k, k])) * view.resolution[k] / 2 / unit for k in (0, 1))
@@ -173,9 +176,9 @@ def as_seen(view: View, whole: float, pixels: float) -> float:
     if view.kind == PANORAMIC:
         slant, part = whole / view.pixels_per_unit, pixels / whole
         steep = math.sqrt(max(0.0, 1 - slant * slant))
-        angle = settled(math.asin(part)) if part < 1 else math.pi
+        angle = round_last_bits(math.asin(part)) if part < 1 else math.pi
         if part < steep:
-            angle = settled(math.atan2(part * slant, 1 - part * steep))
+            angle = round_last_bits(math.atan2(part * slant, 1 - part * steep))
         return view.pixels_per_unit * angle
     return pixels
 
@@ -191,7 +194,7 @@ def widening(view: View, whole: float, error_px: float) -> float:
     if view.kind == PANORAMIC:
         slant, angle = whole / view.pixels_per_unit, error_px / view.pixels_per_unit
         steep = math.sqrt(max(0.0, 1 - slant * slant))
-        sine, cosine = (settled(f(min(angle, math.pi / 2))) for f in (math.sin, math.cos))
+        sine, cosine = (round_last_bits(f(min(angle, math.pi / 2))) for f in (math.sin, math.cos))
         part = sine if sine > steep else sine / (slant * cosine + steep * sine)  # of the distance, see `as_seen`
         return angle / (part * slant) * (1 + ROUNDING)
     return (1 + error_px / whole) * (1 + ROUNDING)
@@ -229,6 +232,7 @@ def _to_camera(view: View, placement: np.ndarray) -> np.ndarray:
 
 
 def _squared(vector: np.ndarray) -> float:
+    """Return the squared length of a vector of three numbers."""
     x, y, z = vector.tolist()
     return x * x + y * y + z * z
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import TerrainError, shown
 from ..plain_numbers import keep_plain_numbers, plain_number, vectors
-from .linear import length, product, settled
+from .linear import length, product, round_last_bits
 
 PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC = "PERSPECTIVE", "ORTHOGRAPHIC", "PANORAMIC"
 KINDS = (PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC)
@@ -133,7 +133,7 @@ class View:
         right /= length(right)
         up = np.cross(back, right)
         turn = math.radians(roll_deg)
-        cosine, sine = settled(math.cos(turn)), settled(math.sin(turn))
+        cosine, sine = round_last_bits(math.cos(turn)), round_last_bits(math.sin(turn))
         right, up = cosine * right + sine * up, cosine * up - sine * right
         matrix = np.eye(4)
         matrix[:3, :3] = right, up, back
@@ -145,7 +145,7 @@ class View:
         if start == end:
             raise TerrainError(f"The clip range is {clip}", expected="a start before its end, in metres")
         if kind == PERSPECTIVE:
-            focal = 1.0 / settled(math.tan(math.radians(fov_deg) / 2))
+            focal = 1.0 / round_last_bits(math.tan(math.radians(fov_deg) / 2))
             projection[0, 0], projection[1, 1] = focal * larger / width, focal * larger / height
             projection[2, 2:], projection[3, 2] = ((start + end) / (start - end), 2 * start * end / (start - end)), -1.0
         else:

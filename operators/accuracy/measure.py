@@ -10,7 +10,7 @@ from ...cbt_terrain.accuracy import Measurement, measure
 from ...cbt_terrain.accuracy.cost_curve import CostCurve
 from ...cbt_terrain.accuracy.sweep import is_unsteady, spread_of, unsteady_text, worst
 from ...cbt_terrain.accuracy.sweep_settings import PIXELS, metre_steps
-from ...cbt_terrain.accuracy.timed_runs import TimedFrame, fastest, timed_runs
+from ...cbt_terrain.accuracy.timed_runs import TimedFrame, fastest_run, timed_runs
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.terrain import Terrain
 from ...cbt_terrain.view.criterion import requested_unit
@@ -109,7 +109,7 @@ def measure_request(field, request: Request, on_progress) -> Result:
                 break
         else:
             no_curve = no_curve or f"No curve of errors against time: {unsteady_text(f'{error:g} {unit}', spread)}"
-        points.append((error, update.triangles, fastest(runs)["total"]))
+        points.append((error, update.triangles, fastest_run(runs)["total"]))
     if len(points) < 2:
         raise TerrainError(
             f"An error of {errors[len(points)]:g} {unit} takes more than {MAX_TRIANGLES:,} triangles with these "

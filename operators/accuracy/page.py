@@ -176,7 +176,7 @@ def front_blocks(subject, prefix: str) -> list:
     """
     rows = subject.rows
     current = next((row for row in rows if row.setting == subject.current), None)
-    shown = current or next((row for row in rows if row.setting.plain), rows[0])
+    shown = current or next((row for row in rows if row.setting.is_plain), rows[0])
     frames = f", frame{'s' * (len(subject.numbers) > 1)} {', '.join(map(str, subject.numbers))}"
     lattice = subject.heights.lattice
     across, up = (lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y
@@ -231,7 +231,7 @@ def picture_strip(subject, prefix: str) -> list[PictureStrip]:
 
 def strip_rows(subject) -> list[Row]:
     """Return the rows that the strip shows in pictures, the coarsest first."""
-    plain = {row.setting: row for row in subject.rows if row.setting.plain}
+    plain = {row.setting: row for row in subject.rows if row.setting.is_plain}
     settings = [Setting("px", error, interpolation=subject.heights.interpolation) for error in STRIP_PX]
     return [plain[setting] for setting in settings if setting in plain]
 

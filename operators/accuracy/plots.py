@@ -54,7 +54,7 @@ def plot_curves(rows: list[Row], cost: str, current: Row | None) -> list[Curve]:
         return row.bound if row.bound < LARGEST else math.inf  # which has no place in the plot
 
     interpolation = rows[0].setting.interpolation
-    all_plain = [row for row in rows if row.setting.plain]
+    all_plain = [row for row in rows if row.setting.is_plain]
     plain, other = ([r for r in all_plain if (r.setting.interpolation == interpolation) == is_] for is_ in (1, 0))
     fitted = [row for row in rows if row.setting.fitted]
     other_name = other[0].setting.interpolation if other else ""

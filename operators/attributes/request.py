@@ -10,7 +10,7 @@ import numpy as np
 from ...cbt_terrain.attributes.attribute import GEOMETRY, PICTURE, AttributeRequest
 from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
 from ...cbt_terrain.attributes.evaluate import Ran
-from ...cbt_terrain.attributes.layers import lacks
+from ...cbt_terrain.attributes.layers import why_missing
 from ...cbt_terrain.attributes.plan import AttributePlan
 from ...cbt_terrain.attributes.splat import NAMES
 from ...cbt_terrain.field.heightfield import HeightField
@@ -115,7 +115,7 @@ def statuses(
 
 def _note_on(step: AttributeRequest, heights: HeightField) -> str:
     """Return why an attribute is 0 where one may not expect it, or ""."""
-    if why := lacks(heights, step.name):
+    if why := why_missing(heights, step.name):
         return f"0, since {why}"
     given = dict(step.parameters)
     if given.get("suns") == ():

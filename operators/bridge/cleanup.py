@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.mesh.cut import above, cut
+from ...cbt_terrain.mesh.cut import above_line, cut
 from ...cbt_terrain.mesh.outline import inside
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
@@ -41,7 +41,7 @@ def clean_up(surface: Surface, cleanup: Cleanup) -> Surface:
     """
     threads = launch.default_threads()
     if cleanup.below is not None:
-        surface, _ = cut(surface, [above(2, cleanup.below)], threads=threads)
+        surface, _ = cut(surface, [above_line(2, cleanup.below)], threads=threads)
     if cleanup.boundary is not None:
         for side in inside(cleanup.boundary, surface):
             surface, _ = cut(surface, [side], threads=threads)

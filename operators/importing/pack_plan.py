@@ -51,7 +51,7 @@ def _copy_land(source: str, target: str, on_progress: OnProgress) -> None:
     """Copy a shaped store, with the record of the tiles that it was made for. Raises TerrainError."""
     if not stores.changed_ns(target):  # else another terrain has the same land there
         copy_store(source, target, on_progress)
-        requested_tiles.note(target, requested_tiles.known(source) or None)
+        requested_tiles.note(target, requested_tiles.read_requested(source) or None)
 
 
 def _copy_maps(source: str, target: str, on_progress: OnProgress) -> None:

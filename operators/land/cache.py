@@ -50,7 +50,7 @@ def _sources(store: str) -> list[str]:
     return [store]
 
 
-def size_lines(store: str) -> list[str]:
+def describe_cache(store: str) -> list[str]:
     """Return the lines of the dialog: the folders, and the size of each kind of data."""
     parts, messages = stored_land(store), [str(folder_beside(source)) for source in _sources(store)]
     for what, about in (
@@ -89,7 +89,7 @@ class ClearLandCache(bpy.types.Operator):
     def invoke(self, context, _event):
         """Ask before anything is removed, in a dialog with the sizes."""
         try:
-            self.messages = size_lines(self._store(context))
+            self.messages = describe_cache(self._store(context))
         except TerrainError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -181,7 +181,7 @@ def _shape_in_steps(job: jobs.BackgroundJob, begun: Future) -> jobs.Steps:
         return False
     child, wanted, land = begun.result()
     yield from jobs.run_in_child(job, child)
-    derived_store.finish(land, wanted)
+    derived_store.finish_shaping(land, wanted)
     return True
 
 

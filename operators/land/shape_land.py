@@ -96,7 +96,7 @@ class _Shaping(JobOperator):
         derived_store.counts["stores"] += 1
         yield from jobs.run_in_child(job, child)
         yield from jobs.wait_for_kernels(job)  # the end of shaping may update the mesh
-        derived_store.finish(land, wanted)
+        derived_store.finish_shaping(land, wanted)
         return land
 
     def finish(self, _context, obj, _land: Land | None = None) -> None:

@@ -214,7 +214,7 @@ def layers_of(settings) -> tuple[rules.Layer, ...]:
     """
     found = tuple(_layer_of(settings.layers, number) for number in range(len(settings.layers)))
     if found:
-        rules.check(found)
+        rules.check_layers(found)
     return found
 
 
@@ -243,7 +243,7 @@ def _layer_of(layers, number: int) -> rules.Layer:
     alone = layer_alone(settings)
     if not settings.mask:
         return alone
-    return replace(alone, rules=(*alone.rules, rules.covering(_find_mask(layers, settings.mask, number))))
+    return replace(alone, rules=(*alone.rules, rules.cover_rule(_find_mask(layers, settings.mask, number))))
 
 
 def layer_alone(settings) -> rules.Layer:
@@ -257,7 +257,7 @@ def layer_alone(settings) -> rules.Layer:
         aspect = settings.aspect
         found.append(rules.Rule(rules.ASPECT, math.cos(aspect.within), edge=aspect.edge, direction=aspect.direction))
     if settings.image is not None:
-        found.append(rules.painted(painted_of(settings.image)))
+        found.append(rules.image_rule(painted_of(settings.image)))
     numbers = settings.strength, settings.on_top, settings.noise_size, settings.ragged
     return rules.Layer(settings.name, tuple(found), *numbers, settings.seed)
 

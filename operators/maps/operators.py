@@ -4,7 +4,7 @@
 import bpy
 
 from ...cbt_terrain.attributes.bake import Baked
-from ...cbt_terrain.attributes.folder import files_of
+from ...cbt_terrain.attributes.folder import image_files
 from ...cbt_terrain.height_operators.derived_store import raster_of
 from .. import jobs
 from ..job_operator import JobOperator
@@ -49,4 +49,4 @@ def _shape_and_bake(request: MapRequest, job: jobs.BackgroundJob) -> Baked:
 
 def _image_files(baked: Baked) -> set[str]:
     """Return the file names by which Blender's images may show the maps: of single tiles, and patterns of all tiles."""
-    return files_of(baked.index) | {entry["file"] for entry in baked.index["maps"].values()}
+    return image_files(baked.index) | {entry["file"] for entry in baked.index["maps"].values()}

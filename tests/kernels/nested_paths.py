@@ -4,7 +4,7 @@
 import warp as wp
 
 from ..field.domain import Domain
-from .excess import half, root
+from .excess import half_of, root_triangle
 from .interval import measure_diamond, too_coarse
 from .pixels import CriterionArrays, coarsest
 from .stored_errors import error_at
@@ -19,7 +19,7 @@ def nested_paths(
     coarser pixel than an ancestor allows."""
     for n in range(ways.shape[0]):
         way = ways[n]
-        t = root(domain, wp.int32(way % wp.uint64(2 * domain.columns * domain.rows)), 0, wp.uint64(1))
+        t = root_triangle(domain, wp.int32(way % wp.uint64(2 * domain.columns * domain.rows)), 0, wp.uint64(1))
         pixel2 = wp.float64(0.0)
         edge2 = wp.float64(0.0)
         metres2 = wp.float64(wp.inf)
@@ -47,4 +47,4 @@ def nested_paths(
             metres2 = m.metres2
             coarse2 = wp.min(below, coarse2)
             coarse_edge2 = wp.min(edge_below, coarse_edge2)
-            t = half(t, wp.int32((way >> wp.uint64(depth)) & wp.uint64(1)))
+            t = half_of(t, wp.int32((way >> wp.uint64(depth)) & wp.uint64(1)))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import warp as wp
 from adaptive_terrain.cbt_terrain.field.build import from_array
-from adaptive_terrain.cbt_terrain.field.codes import packed
+from adaptive_terrain.cbt_terrain.field.codes import pack_samples
 from adaptive_terrain.cbt_terrain.field.heightfield import HeightField
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.kernels.accuracy.cubic import cubic_at, heights_about
@@ -51,7 +51,7 @@ def surfaces(field: HeightField, cell: np.ndarray, place: np.ndarray) -> tuple[n
     found, measured = np.zeros((len(cell), 3)), np.zeros((len(cell), 3))
     arrays = [(np.ascontiguousarray(cell, np.int32), wp.vec2i), (np.ascontiguousarray(place, np.float64), wp.vec2d)]
     arrays += [(found, wp.vec3d), (measured, wp.vec3d)]
-    inputs = [packed(field.samples, field.steps)]
+    inputs = [pack_samples(field.samples, field.steps)]
     inputs += [wp.array(array, dtype=dtype, device="cpu", copy=False) for array, dtype in arrays]
     launch.spread(evaluate, len(cell), inputs, step="test")
     return found, measured
@@ -103,7 +103,7 @@ def test_the_gradient_at_samples_is_the_central_difference(shape):
     field = random_field(shape, 3)
     rows, columns = shape
     expected = np.zeros((rows * columns, 3))
-    samples = packed(field.samples, field.steps)
+    samples = pack_samples(field.samples, field.steps)
     inputs = [samples, wp.array(expected, dtype=wp.vec3d, device="cpu", copy=False)]
     launch.spread(at_samples, rows * columns, inputs, step="test")
     j, i = np.divmod(np.arange(rows * columns), columns)

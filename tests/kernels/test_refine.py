@@ -12,7 +12,7 @@ from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
 from adaptive_terrain.cbt_terrain.history.frame_history import FrameHistory
 from adaptive_terrain.cbt_terrain.refine import refinement
-from adaptive_terrain.cbt_terrain.refine.block_tables import blocks
+from adaptive_terrain.cbt_terrain.refine.block_tables import block_table
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
@@ -127,7 +127,7 @@ def test_the_table_of_even_blocks_is_read(monkeypatch):
     view = View.look((0.0, 0.0, 2.0), (1.0, 0.0, 2.0), kind=PANORAMIC, fov_deg=360)
     field = from_array(np.zeros((257, 257), np.float32))
     surface = Terrain(field, 1).update(Criterion(error_px=8.0), [view]).surface
-    code, found = blocks().code.numpy(), []
+    code, found = block_table().code.numpy(), []
     for bit in (0, 1):  # of the state
         terrain = Terrain(field, 1)
         monkeypatch.setattr(terrains, "build_surface", lambda *_: surface)  # of words that are wrong

@@ -14,7 +14,7 @@ from adaptive_terrain.cbt_terrain.accuracy.timed_runs import (
     RUNS,
     SHORT_UPDATES,
     TimedFrame,
-    fastest,
+    fastest_run,
     median_by_step,
     timed_runs,
 )
@@ -70,12 +70,12 @@ def test_steps_in_metres_are_powers_of_two():
 def test_a_sweep_with_a_camera_varies_every_kind_of_setting(field):
     settings = settings_for(field, TimedFrame([SEEN]))
     own, other = ([s for s in settings if s.interpolation == name] for name in ("bilinear", "bicubic"))
-    assert [s.error for s in own if s.unit == "px" and s.plain] == list(PIXELS)
-    assert [s.error for s in other if s.unit == "px"] == list(PIXELS[::2]) and all(s.plain for s in other)
+    assert [s.error for s in own if s.unit == "px" and s.is_plain] == list(PIXELS)
+    assert [s.error for s in other if s.unit == "px"] == list(PIXELS[::2]) and all(s.is_plain for s in other)
     assert [s.max_depth for s in settings if s.max_depth] == [7, 9, 11, 13]  # cells are split at depth 13
     assert [s.meshlet for s in settings if s.meshlet] == [1, 2, 3, 4]
     metres = [s for s in own if s.unit == "m"]
-    assert [s.error for s in metres if s.plain] == metre_steps(field.max_height - field.min_height)
+    assert [s.error for s in metres if s.is_plain] == metre_steps(field.max_height - field.min_height)
     assert [s for s in settings_for(field, TimedFrame()) if s.unit == "px"] == []
     scaled = settings_for(field, TimedFrame(vertical_scale=-2.0))
     assert scaled[0].error == 2 * metres[0].error
@@ -84,15 +84,15 @@ def test_a_sweep_with_a_camera_varies_every_kind_of_setting(field):
 def test_a_sweep_of_a_smooth_surface_includes_the_bilinear_one(field):
     settings = settings_for(interpolated(field, "bicubic"), TimedFrame([SEEN]))
     smooth, flat = ([s for s in settings if s.interpolation == name] for name in ("bicubic", "bilinear"))
-    assert [s.error for s in smooth if s.unit == "px" and s.plain] == list(PIXELS)
-    assert all(s.plain or s.fitted for s in flat) and not any(s.fitted for s in smooth)
+    assert [s.error for s in smooth if s.unit == "px" and s.is_plain] == list(PIXELS)
+    assert all(s.is_plain or s.fitted for s in flat) and not any(s.fitted for s in smooth)
 
 
 def test_transitions_are_measured_with_and_without_geomorph(field):
     moving = TimedFrame([SEEN], after=TimedFrame([FURTHER]))
     for own, other in ((1.0, SMOOTH), (SMOOTH, 1.0), (2.5, 1.0)):
         changed = [s for s in settings_for(field, moving, own) if s.morph is not None]
-        assert [s.error for s in changed] == [4.0, 2.0, 1.0, 0.5] and not any(s.plain for s in changed)
+        assert [s.error for s in changed] == [4.0, 2.0, 1.0, 0.5] and not any(s.is_plain for s in changed)
         assert {s.criterion(Criterion(morph=own)).morph for s in changed} == {other}
         assert Setting("px", 1.0).criterion(Criterion(morph=own)).morph == own
     assert not any(s.morph for s in settings_for(field, TimedFrame([SEEN])))
@@ -185,12 +185,12 @@ def test_no_timed_run_finds_the_mesh_done_already(relief, frame):
 def test_runs_are_compared_by_processor_time(field):
     runs = timed_runs(Terrain(field), Criterion(error_px=0, error_m=4.0), TimedFrame(), 4, write=lambda surface: 7.0)
     assert len(runs) == 4 and all(run["ingest"] == 7.0 and run["cpu"] > 0.0 for run in runs)
-    assert fastest(runs)["cpu"] == min(run["cpu"] for run in runs)
+    assert fastest_run(runs)["cpu"] == min(run["cpu"] for run in runs)
     # A sleep takes elapsed time, and no time of a processor.
     slow = timed_runs(
         Terrain(field), Criterion(error_px=0, error_m=4.0), TimedFrame(), 2, write=lambda _: time.sleep(0.05) or 50.0
     )
-    assert fastest(slow)["cpu"] < 30.0
+    assert fastest_run(slow)["cpu"] < 30.0
 
 
 def test_a_curve_needs_runs_that_agree():

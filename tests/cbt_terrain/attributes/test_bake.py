@@ -203,7 +203,7 @@ def test_a_store_of_16_bit_numbers(tmp_path):
 def test_files_say_what_they_are_only_when_complete(tmp_path):
     field = rough(40, 50)
     bake(field, [SLOPE, BENT], tmp_path, [64])
-    for file, text_of in ((tmp_path / "slope.png", png.text_of), (tmp_path / "mean_curvature.exr", exr.text_of)):
+    for file, text_of in ((tmp_path / "slope.png", png.comment_of), (tmp_path / "mean_curvature.exr", exr.comment_of)):
         assert len(text_of(file)) == 32
         whole = file.read_bytes()
         for part in (b"", whole[:100], whole[: len(whole) // 2], whole[:-1], b"x" + whole[1:]):

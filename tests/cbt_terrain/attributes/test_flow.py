@@ -16,9 +16,9 @@ from rasters import hills, imported
 
 @pytest.fixture(autouse=True)
 def nothing_kept():
-    whole.forget()
+    whole.forget_results()
     yield
-    whole.forget()
+    whole.forget_results()
 
 
 def places_of(field, level=0.0, scale=1.0, threads=1, count=500):
@@ -109,7 +109,7 @@ def test_a_larger_raster_is_routed_at_a_coarser_level(monkeypatch):
 def test_any_slices_and_threads_give_the_same_bytes():
     field = from_array(hills(400, 300), 10.0)
     whole_run = flow_at(places_of(field, 0.625, threads=1, count=60_000))
-    whole.forget()
+    whole.forget_results()
     places = places_of(field, 0.625, threads=3, count=60_000)
     assert np.array_equal(flow_at(places), whole_run)
     part = np.arange(3, 60_000, 7)
@@ -142,7 +142,7 @@ def test_a_result_is_computed_once(stored, monkeypatch):
     monkeypatch.setattr(flow, "route", lambda *given: runs.append(1) or route(*given))
     first = flow_at(places_of(stored))
     assert np.array_equal(flow_at(places_of(stored, scale=2.5)), first) and len(runs) == 1, "in memory"
-    whole.forget()
+    whole.forget_results()
     again = open_store(stored.path)
     assert np.array_equal(flow_at(places_of(again)), first) and len(runs) == 1, "in the store"
     other = from_array(hills(64, 64), 10.0)
@@ -165,15 +165,15 @@ def test_a_damaged_file_is_computed_again(stored, damage):
     if damage in ("nan", "folder"):
         file.unlink()
     if damage == "nan":
-        store.keep(stored, file.stem, np.full((60, 80), np.nan, np.float32))
+        store.cache_derived(stored, file.stem, np.full((60, 80), np.nan, np.float32))
     elif damage == "folder":
         file.mkdir()
     else:
         file.write_bytes(content)
-    whole.forget()
+    whole.forget_results()
     assert np.array_equal(flow_at(places_of(stored)), first)
     if damage != "folder":
-        whole.forget()
+        whole.forget_results()
         assert np.isfinite(np.load(file)).all()
 
 

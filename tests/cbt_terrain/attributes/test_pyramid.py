@@ -5,7 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.attributes.pyramid import ground, level_of, shapes
+from adaptive_terrain.cbt_terrain.attributes.pyramid import level_of, scaled_pyramid, shapes
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.codes import Steps
@@ -49,11 +49,11 @@ def test_planes_stay_planes_to_the_last_sample(shape):
 
 def test_a_pyramid_is_computed_once_in_a_third_of_the_memory():
     one, two = from_array(raster(300, 200), 10.0), from_array(raster(300, 200), 10.0)
-    ground(one.raster, 1.0, 0.0, 1), ground(two.raster, 1.0, 0.0, 3)
+    scaled_pyramid(one.raster, 1.0, 0.0, 1), scaled_pyramid(two.raster, 1.0, 0.0, 3)
     [made] = one.cache.pyramid
     assert made.tobytes() == two.cache.pyramid[0].tobytes()
     assert made.nbytes < 0.36 * one.samples.nbytes
-    ground(interpolated(one, "bicubic").raster, 2.0, 5.0, 1)
+    scaled_pyramid(interpolated(one, "bicubic").raster, 2.0, 5.0, 1)
     assert one.cache.pyramid[0] is made and interpolated(one, "bicubic").cache.pyramid[0] is made
 
 

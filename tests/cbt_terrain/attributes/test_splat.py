@@ -17,11 +17,11 @@ from adaptive_terrain.cbt_terrain.attributes.splat_rules import (
     Layer,
     Painted,
     Rule,
-    check,
-    covering,
+    attributes_of_rules,
+    check_layers,
+    cover_rule,
     covers_nothing,
-    painted,
-    reads,
+    image_rule,
 )
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -155,7 +155,7 @@ def test_level_ground_is_all_at_its_lowest_place(height):
 
 def test_a_painted_image_is_read_over_the_rasters_extent():
     pixels = np.random.default_rng(0).uniform(size=(7, 13)).astype(np.float32)
-    found = share_on_top(Layer("x", (painted(pixels),), on_top=True), places := places_of(FIELD), {})
+    found = share_on_top(Layer("x", (image_rule(pixels),), on_top=True), places := places_of(FIELD), {})
     west, south, east, north = FIELD.lattice.rectangle()
     x = np.clip((places.positions[:, 0].astype(np.float64) - west) / (east - west) * 13 - 0.5, 0, 12)
     y = np.clip((places.positions[:, 1].astype(np.float64) - south) / (north - south) * 7 - 0.5, 0, 6)
@@ -164,14 +164,14 @@ def test_a_painted_image_is_read_over_the_rasters_extent():
     low, high = pixels[j, i] * (1 - u) + pixels[j, k] * u, pixels[m, i] * (1 - u) + pixels[m, k] * u
     assert np.allclose(found, low * (1 - v) + high * v, atol=1e-6)
     corner = SamplePoints(FIELD, np.array([[west, south, 0]], np.float32), np.zeros(1, np.float32))
-    assert share_on_top(Layer("x", (painted(pixels),), on_top=True), corner, {}) == pytest.approx(
+    assert share_on_top(Layer("x", (image_rule(pixels),), on_top=True), corner, {}) == pytest.approx(
         pixels[0, 0], abs=1e-7
     )
 
 
 def test_images_of_several_sizes_lie_beside_each_other():
     dark, light = np.full((3, 5), 0.25, np.float32), np.full((8, 2), 0.75, np.float32)
-    layers = [Layer("a"), Layer("b", (painted(dark),), on_top=True), Layer("c", (painted(light),), on_top=True)]
+    layers = [Layer("a"), Layer("b", (image_rule(dark),), on_top=True), Layer("c", (image_rule(light),), on_top=True)]
     found = weights(places_of(FIELD), layers, {})
     assert np.allclose(found[:, :3], (0.75 * 0.25, 0.25 * 0.25, 0.75), atol=1e-7)
     assert Painted(dark) == Painted(dark.copy()) != Painted(light) and hash(Painted(dark)) == hash(Painted(dark.copy()))
@@ -182,7 +182,7 @@ def test_layers_share_cover_and_mask():
     slope = band(read["slope"].astype(np.float64), 0.5, np.inf, 0.4)
     high = band(read["height"].astype(np.float64), 500, np.inf, 100)
     rock = Layer("rock", (Rule("slope", 0.5, edge=0.4),), strength=2.0)
-    moss = Layer("moss", (covering(1), Rule("height", high=800.0, edge=50.0)), strength=0.5)
+    moss = Layer("moss", (cover_rule(1), Rule("height", high=800.0, edge=50.0)), strength=0.5)
     snow = Layer("snow", (Rule("height", 500.0, edge=100.0),), on_top=True)
     found = weights(places_of(FIELD), [Layer("ground"), rock, moss, snow], read)
     cover = 2 * slope
@@ -195,7 +195,7 @@ def test_layers_share_cover_and_mask():
 
 def test_bare_ground_is_the_first_layers():
     never = Rule("slope", 9.0)
-    half = painted(np.full((1, 1), 0.5))
+    half = image_rule(np.full((1, 1), 0.5))
     layers = [Layer("a", (never,)), Layer("b", (never,)), Layer("c", (half,), on_top=True), Layer("d", (never,))]
     assert (weights(places_of(FIELD), layers, random_values())[:, :4] == (0.5, 0.0, 0.5, 0.0)).all()
     assert (weights(places_of(FIELD), layers[:2], random_values())[:, :2] == (1.0, 0.0)).all()
@@ -244,7 +244,7 @@ def random_layers(rng):
             for kind in rng.choice(kinds, rng.integers(0, 4))
         ]
         if number and rng.uniform() < 0.3:
-            rules.append(covering(int(rng.integers(number))))
+            rules.append(cover_rule(int(rng.integers(number))))
         numbers = float(10 ** rng.uniform(-3, 2)), bool(rng.integers(2)), float(rng.choice([0.0, 30.0])), rng.uniform()
         layers.append(Layer(f"{number}", tuple(rules), *numbers, seed=number))
     return tuple(layers)
@@ -280,7 +280,7 @@ def test_weights_do_not_depend_on_other_requests():
 def test_only_attributes_of_rules_are_read():
     ground = Layer("ground")
     flow = Layer("river", (Rule("flow", 1e6),), on_top=True)
-    assert reads((ground,)) == () and reads((ground, flow)) == ("flow",)
+    assert attributes_of_rules((ground,)) == () and attributes_of_rules((ground, flow)) == ("flow",)
 
     def steps(*layers):
         return [
@@ -291,7 +291,7 @@ def test_only_attributes_of_rules_are_read():
     assert steps(ground) == ["splat_2"] and steps(ground, flow) == ["flow", "splat_2"]
     default = [step.name for step in plan([AttributeRequest("splat_1", ("material",))]).steps]
     assert sorted(default) == ["height", "slope", "splat_1"] and default[-1] == "splat_1"
-    assert set(reads(DEFAULT)) < set(ATTRIBUTES["splat_1"].reads)
+    assert set(attributes_of_rules(DEFAULT)) < set(ATTRIBUTES["splat_1"].reads)
 
 
 def test_two_lists_of_layers_do_not_mix():
@@ -310,13 +310,13 @@ def test_two_lists_of_layers_do_not_mix():
         ((Layer("a", (Rule("steepness"),)),), "a rule about 'steepness'; expected one of"),
         ((Layer("a", (Rule("slope", math.nan),)),), "from nan"),
         ((Layer("a", (Rule("slope", edge=-1.0),)),), "edge of -1"),
-        ((Layer("a", (covering(0),)),), "a rule about layer 0; expected an earlier layer: move"),
+        ((Layer("a", (cover_rule(0),)),), "a rule about layer 0; expected an earlier layer: move"),
         ((Layer("a", (Rule("image"),)),), "painted rule without an image"),
     ],
 )
 def test_invalid_layers_are_refused(layers, said):
     with pytest.raises(TerrainError, match=said):
-        check(layers)
+        check_layers(layers)
     with pytest.raises(TerrainError):
         weights(places_of(FIELD), layers, random_values())
 
@@ -324,7 +324,7 @@ def test_invalid_layers_are_refused(layers, said):
 @pytest.mark.parametrize("image", [np.zeros(4), np.zeros((0, 4)), np.full((2, 2), np.nan)])
 def test_invalid_images_are_refused(image):
     with pytest.raises(TerrainError, match="painted image"):
-        painted(image)
+        image_rule(image)
 
 
 def test_hostile_numbers_leave_finite_weights():

@@ -31,7 +31,7 @@ def test_tiles_cover_the_ground_and_can_be_numbered(size, steps):
     assert tiles.columns <= 10 and tiles.rows <= 99
     assert tiles.box(0)[:2] == (west, south)
     assert np.allclose(tiles.box(len(tiles) - 1)[2:], (east, north))
-    numbers = [tiles.number(tile) for tile in range(len(tiles))]
+    numbers = [tiles.udim_number(tile) for tile in range(len(tiles))]
     assert numbers[0] == 1001 and len(set(numbers)) == len(tiles) and max(numbers) < 2001
 
 

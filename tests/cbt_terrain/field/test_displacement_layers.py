@@ -88,7 +88,9 @@ def test_bounds_of_masked_details_hold_inside_cells():
     lattice = from_array(np.zeros((13, 18), np.float32), *steps).lattice
     for tiled, near in ((Tiled(0.3, 5.0, IMAGES["rough"]), 6.0), (Tiled(1.0, 60.0, IMAGES["smooth"]), 20.0)):
         covered, ratios = mask((13, 18)), []
-        table = bounds.tables(bounds.masked(tiled.parts(1e-4), steps), steps, lattice.levels, 0, 2 * lattice.levels + 1)
+        table = bounds.tables(
+            bounds.masked_terms(tiled.parts(1e-4), steps), steps, lattice.levels, 0, 2 * lattice.levels + 1
+        )
         for depth in range(2 * lattice.levels + 1, 2 * lattice.levels + 14):
             half = np.array(steps) * 2.0 ** (lattice.levels - (depth - 1) // 2) / 2
             shape = np.array(TRIANGLES[depth % 2]) * half

@@ -138,7 +138,7 @@ def test_a_kept_array_is_not_written_through_a_link(tmp_path, precious):
     data, before = write(tmp_path / "st"), content(precious)
     (data / "error_m1.npy").symlink_to(precious / "notes.txt")
     with pytest.raises(NotOursError, match="error_m1.npy is a link"):
-        stores.keep(open_store(tmp_path / "st"), "error_m1", np.zeros(3, np.uint8))
+        stores.cache_derived(open_store(tmp_path / "st"), "error_m1", np.zeros(3, np.uint8))
     assert content(precious) == before
 
 

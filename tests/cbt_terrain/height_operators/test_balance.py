@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.height_operators.balance import balanced
+from adaptive_terrain.cbt_terrain.height_operators.balance import balance_mass
 from adaptive_terrain.cbt_terrain.height_operators.height_operator import OperatorGround
 from adaptive_terrain.cbt_terrain.height_operators.levels import finer
 
@@ -23,7 +23,9 @@ def moved(rows, columns, seed=0):
 @pytest.mark.parametrize("shape", [(301, 420), (300, 421), (33, 31), (16, 64), (3, 300)])
 def test_the_sum_of_a_whole_raster_is_kept(shape):
     net, taken, displaced = moved(*shape)
-    made, took = balanced(displaced, taken, taken, displaced - taken, net, OperatorGround(net, 5.0, 9.0, whole=shape))
+    made, took = balance_mass(
+        displaced, taken, taken, displaced - taken, net, OperatorGround(net, 5.0, 9.0, whole=shape)
+    )
     assert (took == taken).all()
     total = math.fsum((made - taken).ravel().tolist())
     assert abs(total) < 1e-7 * taken.sum() < 1e-3 * abs(math.fsum((displaced - taken).ravel().tolist()))
@@ -36,7 +38,7 @@ def test_a_loss_is_made_up_for_nearby():
     net[90:120, 98:104], net[90:120, 104:110], net[100, 30], net[100, 170] = -4.0, 4.0, 2.0, -2.0
     taken, displaced = np.maximum(-net, 0), np.maximum(net, 0)
     taken[90:120, 98:104] = 3.0
-    made, took = balanced(
+    made, took = balance_mass(
         displaced, taken, 2 * taken, displaced - taken, net, OperatorGround(net, 5.0, 5.0, whole=net.shape)
     )
     assert (took == taken).all()
@@ -48,11 +50,13 @@ def test_a_loss_is_made_up_for_nearby():
 def test_a_tile_has_the_deposits_of_the_whole(first):
     """32 samples inside the cut they agree but for rounding, at the border of the whole too."""
     net, taken, displaced = moved(301, 420)
-    whole, _ = balanced(displaced, taken, taken, displaced - taken, net, OperatorGround(net, 5.0, 9.0, whole=net.shape))
+    whole, _ = balance_mass(
+        displaced, taken, taken, displaced - taken, net, OperatorGround(net, 5.0, 9.0, whole=net.shape)
+    )
     window = tuple(slice(f, f + n) for f, n in zip(first, (150, 180), strict=True))
     ground = OperatorGround(net[window], 5.0, 9.0, first=first, whole=net.shape)
     some = displaced[window], taken[window]
-    part, _ = balanced(*some, some[1], some[0] - some[1], net[window], ground)
+    part, _ = balance_mass(*some, some[1], some[0] - some[1], net[window], ground)
     south = 0 if first[0] == 0 else 32
     off = abs(part - whole[window])[south:-32, 32:-32]
     assert off.max() < 1e-3 < 0.05 < abs(whole - displaced).max()
@@ -68,7 +72,7 @@ def test_erosion_at_a_border_balances_distant_deposits(width):
     net = finer(coarse, shape)
     displaced, taken = np.maximum(net, 0), np.maximum(-net, 0)
     room = np.where(taken > 0, taken + np.float32(1.0), taken)
-    laid_there, took = balanced(
+    laid_there, took = balance_mass(
         displaced, taken, room, displaced - taken, net, OperatorGround(net, 5.0, 9.0, whole=shape)
     )
     assert abs(laid_there - displaced)[50:-50].max() < 1e-4 and 0.01 < abs(took - taken).max() < 1.0
@@ -77,5 +81,5 @@ def test_erosion_at_a_border_balances_distant_deposits(width):
     assert abs(total) < 1e-6 * taken.sum() < 1e-3 * abs(math.fsum((displaced - taken).ravel().tolist()))
     cut = np.s_[:, 200:]
     ground = OperatorGround(net[cut], 5.0, 9.0, first=(0, 200), whole=shape)
-    _, its = balanced(displaced[cut], taken[cut], room[cut], (displaced - taken)[cut], net[cut], ground)
+    _, its = balance_mass(displaced[cut], taken[cut], room[cut], (displaced - taken)[cut], net[cut], ground)
     assert abs(its - took[cut]).max() < 1e-6

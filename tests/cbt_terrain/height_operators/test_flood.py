@@ -56,9 +56,9 @@ def test_a_step_that_is_too_long_is_refused():
     before = water.water.copy()
     for seconds in (1.05 * longest, 0.0, -1.0, math.nan):
         with pytest.raises(TerrainError, match=r"at most 0\.\d+ s where water is 5 m deep"):
-            flood.step(water, seconds)
+            flood.step_once(water, seconds)
     assert np.array_equal(water.water, before)
-    flood.step(water, longest)
+    flood.step_once(water, longest)
 
 
 def test_time_is_divided_into_equal_steps_of_at_most_the_limit():

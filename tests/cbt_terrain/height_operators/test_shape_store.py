@@ -9,7 +9,7 @@ import shutil
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.attributes.attribute import AttributeRequest, SamplePoints
-from adaptive_terrain.cbt_terrain.attributes.layers import LAYERS, NAMES, lacks, make
+from adaptive_terrain.cbt_terrain.attributes.layers import LAYERS, NAMES, make, why_missing
 from adaptive_terrain.cbt_terrain.attributes.plan import plan
 from adaptive_terrain.cbt_terrain.attributes.splat_rules import Layer, Rule
 from adaptive_terrain.cbt_terrain.errors import TerrainError
@@ -213,7 +213,11 @@ def test_attributes_read_layers_at_points_and_scales(source, tmp_path, monkeypat
             there = SamplePoints(surface, places, np.full(100, level, np.float32))
             made = make(there, {"snow": {}, "scree": {}}, {})
             assert abs(made["snow"] - (places[:, 0] - west)).max() < 0.01 and not made["scree"].any()
-    assert lacks(field, "snow") == "" and "no layer scree" in lacks(field, "scree") and lacks(field, "slope") == ""
+    assert (
+        why_missing(field, "snow") == ""
+        and "no layer scree" in why_missing(field, "scree")
+        and why_missing(field, "slope") == ""
+    )
 
 
 def test_a_foreign_folder_of_tiles_is_refused(source, tmp_path):

@@ -76,7 +76,7 @@ def test_sweeps_have_the_bits_of_plain_numpy(shape, first, threads, monkeypatch)
     base[shape[0] // 2, shape[1] // 2] = np.nan
     scree = (3.0 * rng.random(shape)).astype(np.float32)
     left, plain_left, plain = room.copy(), room.copy(), scree.copy()
-    slope = thermal.slope_of(ground, values(), base, left, scree)
+    slope = thermal.pack_slope(ground, values(), base, left, scree)
     for number in range(6):
         list(thermal.sweep(slope, number, threads))
         plain_scree.sweep(slope, number, base, plain_left, plain)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.mesh.attributes import EDGE, Attribute
-from adaptive_terrain.cbt_terrain.mesh.cut import TOLERANCE, Side, above, border_side, cut, drop, swap
+from adaptive_terrain.cbt_terrain.mesh.cut import TOLERANCE, Side, above_line, border_side, cut, drop_triangles, swap
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
@@ -119,7 +119,7 @@ def test_a_coast_is_on_its_level_to_a_few_steps_of_float32():
     level = float(np.median(surface.positions[:, 2]))
     near = np.arange(0, len(surface.positions), 3)
     surface.positions[near, 2] = np.float32(level) + np.linspace(-1e-4, 1e-4, len(near), dtype=np.float32)
-    result, _ = cut(surface, [above(2, level)])
+    result, _ = cut(surface, [above_line(2, level)])
     border = assert_welded(result)
     inner = (np.abs(result.positions[border][:, :, :2]) < (319, 159)).all(axis=(1, 2))
     ends = surface.positions[surface.edges].astype(np.float64)
@@ -142,16 +142,18 @@ def test_cuts_of_the_finest_triangles_leave_none_flat_or_flipped(seed):
     ends = surface.positions[surface.edges].astype(np.float64)
     assert np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).min() < 400 * np.spacing(np.float32(x))
     for _ in range(8):
-        assert_welded(cut(surface, [above(2, z + rng.normal(0.0, 0.01))])[0])
-        assert_welded(cut(surface, [above(0, x + rng.normal(0.0, 0.03)), above(1, y + rng.normal(0.0, 0.03))])[0])
+        assert_welded(cut(surface, [above_line(2, z + rng.normal(0.0, 0.01))])[0])
+        assert_welded(
+            cut(surface, [above_line(0, x + rng.normal(0.0, 0.03)), above_line(1, y + rng.normal(0.0, 0.03))])[0]
+        )
 
 
 @pytest.mark.parametrize("threads", [2, 3])
 def test_any_number_of_threads_gives_the_same_bytes(threads):
     surface = surface_of(4, 0.2, 2)
     assert len(surface.level) > 20_000
-    one, _ = cut(surface, [border_side(0, 95.0, 1e-3), above(2, 3.0)])
-    more, _ = cut(surface, [border_side(0, 95.0, 1e-3), above(2, 3.0)], threads=threads)
+    one, _ = cut(surface, [border_side(0, 95.0, 1e-3), above_line(2, 3.0)])
+    more, _ = cut(surface, [border_side(0, 95.0, 1e-3), above_line(2, 3.0)], threads=threads)
     assert all(getattr(one, name).tobytes() == getattr(more, name).tobytes() for name in ARRAYS)
 
 
@@ -164,7 +166,7 @@ def test_elements_keep_their_numbers_and_a_swap_undoes_a_cut():
         held[name] = np.concatenate([array, np.zeros((count - len(array), *array.shape[1:]), array.dtype)])
         return held[name]
 
-    result, swapped = cut(surface, [above(0, -250.0)], room=in_place)
+    result, swapped = cut(surface, [above_line(0, -250.0)], room=in_place)
     assert np.array_equal(before, surface.positions) and np.shares_memory(result.positions, held["positions"])
     same = (result.positions[: len(before)] == before[: len(result.positions)]).all(axis=1)
     assert same[~np.isin(np.arange(len(same)), swapped)].all() and same.mean() > 0.5
@@ -176,7 +178,7 @@ def test_elements_keep_their_numbers_and_a_swap_undoes_a_cut():
 def test_triangles_that_are_dropped_leave_the_others_as_they_are(share):
     surface = surface_of(6, 5.0, 1)
     gone = np.random.default_rng(6).random(len(surface.level)) < share
-    result, _ = drop(surface, gone)
+    result, _ = drop_triangles(surface, gone)
     if share < 1:
         assert_welded(result)
 

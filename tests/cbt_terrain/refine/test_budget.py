@@ -11,7 +11,7 @@ from adaptive_terrain.cbt_terrain import terrain as terrains
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS
-from adaptive_terrain.cbt_terrain.refine.budget import count_splits, limit_of
+from adaptive_terrain.cbt_terrain.refine.budget import count_splits, limit_at_step
 from adaptive_terrain.cbt_terrain.refine.request import RefinementRequest
 from adaptive_terrain.cbt_terrain.refine.slices import Slices
 from adaptive_terrain.cbt_terrain.refine.step_search import MAX_STEP, Found, lowest
@@ -92,7 +92,7 @@ def called(monkeypatch):
 def walked(terrain: Terrain, request: RefinementRequest, step: int) -> int:
     """Count the leaves of a refinement at a step by the walk itself."""
     lattice, history = terrain.field.lattice, terrain.history
-    request.criterion.limit = limit_of(step)
+    request.criterion.limit = limit_at_step(step)
     history.hints.capacity = 0
     end = lattice.squares << history.tree.max_depth - lattice.square_bits
     slices = Slices.of(history, lattice, [0, end], request.max_depth, 1 << 30)

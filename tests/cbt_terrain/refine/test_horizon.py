@@ -14,7 +14,7 @@ from adaptive_terrain.cbt_terrain.field.detail import Detail
 from adaptive_terrain.cbt_terrain.field.domain import box_of
 from adaptive_terrain.cbt_terrain.field.heightfield import with_detail
 from adaptive_terrain.cbt_terrain.refine import refinement
-from adaptive_terrain.cbt_terrain.refine.horizon import RAMP, fill, place_rings
+from adaptive_terrain.cbt_terrain.refine.horizon import RAMP, fill_horizons, place_rings
 from adaptive_terrain.cbt_terrain.refine.request import pack
 from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.run.buffers import Buffers
@@ -119,7 +119,7 @@ def horizon_map(field, eye: np.ndarray, depth: int) -> tuple[np.ndarray, np.ndar
     )
     local = localise(view, np.eye(4), box_of(field, *placed), criterion, spans.scales[0])
     place_rings(domain, [local], 8.0, RAMP)
-    fill(field, domain, asked := pack(criterion, [local], spans, 0.0), depth, 1.0, buffers, 1)
+    fill_horizons(field, domain, asked := pack(criterion, [local], spans, 0.0), depth, 1.0, buffers, 1)
     rings = np.arange(local.rings.first, local.rings.first + local.rings.count).astype(np.int64)
     slopes = buffers.numpy("horizons")[int(ROW) : (len(rings) + 1) * int(ROW)]
     assert asked.view_count == 1

@@ -55,7 +55,7 @@ def content(folder: Path) -> dict[str, str]:
     ],
 )
 def test_derived_components_are_counted(path, count):
-    assert owned_files.derived(Path(path)) == count
+    assert owned_files.derived_components(Path(path)) == count
 
 
 @links

@@ -93,7 +93,7 @@ def test_other_threads_are_left_alone():
 
     with listening():
         inside = signal.getsignal(signal.SIGINT)
-        stopping.ask(signal.SIGINT)
+        stopping.request_stop(signal.SIGINT)
         thread = threading.Thread(target=work)
         thread.start()
         thread.join()

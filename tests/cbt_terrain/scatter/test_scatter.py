@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.attributes.splat_rules import Layer, Rule, painted
+from adaptive_terrain.cbt_terrain.attributes.splat_rules import Layer, Rule, image_rule
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
@@ -137,7 +137,7 @@ def test_density_follows_rules_layers_and_paint(field):
     image[:, 4:] = 1.0
     base = Scatter(spacing=2.0, variation=0.0)
     everywhere = len(scatter_points(field, base))
-    half = scatter_points(field, replace(base, where=Layer("East", (painted(image),))))
+    half = scatter_points(field, replace(base, where=Layer("East", (image_rule(image),))))
     assert half.positions[:, 0].min() > -0.07 * 1000
     assert len(half) == pytest.approx(everywhere / 2, rel=0.03)
     thin = scatter_points(field, replace(base, where=Layer("Thin", strength=0.3)))

@@ -43,7 +43,7 @@ def test_the_plot_rings_the_pareto_front_and_crosses_the_current(unit, cost, fro
     assert [y for _, y in curves["bicubic, measured"].points] == [smooth.error]
     assert accuracy_plots.setting_label(smooth.setting).endswith(", bicubic")
     plain = curves["measured"].points
-    assert [y for _, y in plain] == [row.error for row in rows if row.setting.plain]
+    assert [y for _, y in plain] == [row.error for row in rows if row.setting.is_plain]
     assert [x for x, _ in curves["asked"].points] == [x for x, _ in plain]
 
 
@@ -149,7 +149,7 @@ def test_curves_without_a_place_on_logarithmic_axes_are_left_out():
 
 
 def test_a_time_curve_of_runs_that_disagree_is_left_out():
-    rows = [row for row in known_rows() if row.setting.plain]
+    rows = [row for row in known_rows() if row.setting.is_plain]
     field = from_array(np.zeros((5, 5), np.float32))
     torn = [dataclasses.replace(rows[0], spread_ms=(10.0, 25.0), cpu_ms=10.0), *rows[1:]]
     subject = AccuracySubject("rough", field, [TimedFrame()], [], "as a whole", None, rows=torn)
@@ -165,7 +165,7 @@ def test_a_time_curve_of_runs_that_disagree_is_left_out():
 
 def test_there_is_no_curve_if_the_limit_stopped_all_rows():
     """A sweep in metres of a rough raster of 4097 x 4097 samples: its measurements are written all the same."""
-    rows = [row for row in known_rows() if row.setting.plain]
+    rows = [row for row in known_rows() if row.setting.is_plain]
     held = [dataclasses.replace(row, limited=("max_triangles",)) for row in rows]
     field = from_array(np.zeros((5, 5), np.float32))
     subject = AccuracySubject("rough", field, [TimedFrame()], [], "as a whole", None, rows=[rows[0], *held[1:]])

@@ -78,7 +78,7 @@ def test_land_of_a_shot_is_packed_with_its_tiles(terrain, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here" / "valley.blend"))
     assert bpy.ops.adaptive_terrain.pack_store() == {"FINISHED"}
     packed = land_folder.folder_beside(str(absolute(terrain))) / folder.name
-    assert open_store(packed) and requested_tiles.known(str(packed)) == tiles
+    assert open_store(packed) and requested_tiles.read_requested(str(packed)) == tiles
 
 
 def test_baked_maps_are_packed_and_their_images_name_the_copies(terrain, tmp_path):

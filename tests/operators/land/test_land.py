@@ -192,7 +192,7 @@ def test_the_cache_says_what_it_holds_and_is_cleared(terrain):
     shown = shaped_land.store_of(terrain)
     [other] = other_stores(shown, "0" * 16)
     beside = land_folder.folder_beside(terrain.adaptive_terrain.store)
-    said = land_cache.size_lines(terrain.adaptive_terrain.store)
+    said = land_cache.describe_cache(terrain.adaptive_terrain.store)
     assert said[0] == str(beside) and said[1].endswith(" MB, stores: 1") and " 0 MB" not in "".join(said)
     assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
     assert Path(shown).exists() and not Path(other).exists() and not (beside / "tiles").exists()
@@ -228,7 +228,7 @@ def test_the_cache_drops_the_land_of_a_removed_terrain(terrain, add_terrain):
     other.adaptive_terrain.store = source
     bpy.data.objects.remove(terrain)
     bpy.context.view_layer.objects.active = other
-    assert land_cache.size_lines(source)[1].endswith(" 0 MB, stores: 0")
+    assert land_cache.describe_cache(source)[1].endswith(" 0 MB, stores: 0")
     assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"} and not Path(folder).exists()
 
 
@@ -241,7 +241,7 @@ def test_baked_land_needs_no_stack(terrain):
     assert baked == source + "_baked" and not terrain.adaptive_terrain.land.entries
     assert open_store(source).key == before != open_store(baked).key
     beside = land_folder.folder_beside(source)
-    assert (beside / "tiles").is_dir() and str(beside) in land_cache.size_lines(baked), "for Undo"
+    assert (beside / "tiles").is_dir() and str(beside) in land_cache.describe_cache(baked), "for Undo"
     assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}
     assert not land_folder.shaped_stores(source) and not (beside / "tiles").exists() and Path(source).is_dir()
     session.update_object(terrain)

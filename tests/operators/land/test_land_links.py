@@ -186,10 +186,10 @@ def test_use_of_land_does_not_touch_what_a_link_leads_to(terrain, precious):
 def test_a_note_of_tiles_behind_a_link_is_not_read(tmp_path):
     requested_tiles.note(str(tmp_path / "other"), [{3: 0.5}])
     (tmp_path / "land.json").symlink_to(tmp_path / "other.json")
-    assert requested_tiles.known(str(tmp_path / "land")) == []
+    assert requested_tiles.read_requested(str(tmp_path / "land")) == []
     with pytest.raises(session.TerrainError, match="land.json is a link"):
-        requested_tiles.forget(str(tmp_path / "land"))
-    assert requested_tiles.known(str(tmp_path / "other")) == [{3: 0.5}]
+        requested_tiles.remove_record(str(tmp_path / "land"))
+    assert requested_tiles.read_requested(str(tmp_path / "other")) == [{3: 0.5}]
 
 
 def test_a_mask_behind_a_link_is_not_read(terrain, precious):

@@ -81,7 +81,7 @@ def test_settings_become_rules(layers, terrain):
     height, aspect, mask = white.rules
     assert height == rules.Rule("height", 250.0, math.inf, 50.0)
     assert aspect == rules.Rule("aspect", aspect.low, math.inf, 0.5, direction=0.5) and aspect.low == pytest.approx(0.5)
-    assert mask == rules.covering(1)
+    assert mask == rules.cover_rule(1)
 
 
 @pytest.mark.parametrize("kind", BANDS)
@@ -101,7 +101,7 @@ def test_a_mask_that_is_no_layer_above_is_refused(layers, terrain):
     with pytest.raises(TerrainError, match="'Grass' is masked by 'Rock'; expected a layer above"):
         layers_of(terrain.adaptive_terrain)
     assert bpy.ops.adaptive_terrain.layer_move(by=1) == {"FINISHED"}
-    assert layers_of(terrain.adaptive_terrain)[1].rules == (rules.covering(0),)
+    assert layers_of(terrain.adaptive_terrain)[1].rules == (rules.cover_rule(0),)
 
 
 def test_the_list_is_added_to_removed_from_and_moved(layers, terrain):

@@ -244,7 +244,8 @@ class TerrainSettings(bpy.types.PropertyGroup):
     render: PointerProperty(type=RenderDetail)
     live: BoolProperty(
         name="Live Update",
-        description="Keep the mesh up to date while the camera moves, without blocking Blender. It pauses in Edit Mode",
+        description="Keep the mesh up to date while the camera moves, and shape finer land while nothing changes, "
+        "without blocking Blender. It pauses in Edit Mode",
         default=True, update=changed,
     )  # fmt: skip
     frozen: StringProperty(

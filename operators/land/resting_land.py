@@ -3,7 +3,7 @@
 
 This refines the land of terrains with Live Update, at a low priority and only for the tiles that their views need, or
 all of the land where that costs less. A change of the land's settings ends it at once; another view gets its tiles when
-it rests in turn. *Shape Now* and renders reuse what was made.
+it rests in turn. *Shape Now* and renders reuse the result.
 """
 
 import time

@@ -18,8 +18,8 @@ CONES = "CONES"
 
 
 class AddScatter(TerrainObjectOperator, bpy.types.Operator):
-    """Add points that stay at the same places on the terrain, as many as the camera can see. Then choose a collection
-    whose objects stand on them"""
+    """Add points that stay at the same places on the terrain, in a number that suits the camera. Then choose a
+    collection whose objects stand on them"""
 
     bl_idname = "adaptive_terrain.scatter_add"
     bl_label = "Add Scatter"

@@ -42,10 +42,13 @@ def _angle(degrees, digits):
     return f"{seconds // 3600:03d}{seconds // 60 % 60:02d}{seconds % 60:02d}{letter}"
 
 
-def write_netcdf(path, heights, west, south, step, names=("x", "y", "z"), units=None, attributes=(), south_first=True):
-    """Write a classic netCDF (CDF-1) grid as GMT does: float coordinates of samples, and z with its own attributes.
+def write_netcdf(
+    path, heights, west, south, step, names=("x", "y", "z"), units=None, attributes=(), south_first=True, offset=None
+):
+    """Write a classic netCDF (CDF-1) grid as GMT does: coordinates of samples, and z with its own attributes.
 
-    units: of the three variables; attributes: further ones of z, pairs of a name and a text or a float.
+    units: of the three variables; attributes: further ones of z, pairs of a name and a text or a float; offset: 0 or 1,
+    GMT's node_offset, with the actual ranges of nodes or of pixels' sides.
     """
     rows, columns = heights.shape
     x, y = west + step * np.arange(columns), south + step * np.arange(rows)
@@ -59,18 +62,26 @@ def write_netcdf(path, heights, west, south, step, names=("x", "y", "z"), units=
     def attribute(name, value):
         if isinstance(value, str):
             return text(name) + struct.pack(">I", 2) + text(value)
+        if isinstance(value, int):
+            return text(name) + struct.pack(">IIi", 4, 1, value)
+        if isinstance(value, tuple):
+            return text(name) + struct.pack(">II2d", 6, 2, *value)
         return text(name) + struct.pack(">IIf", 5, 1, value)
 
     def listed(tag, items):
         return struct.pack(">II", tag if items else 0, len(items)) + b"".join(items)
 
     dimensions = listed(10, [text(names[0]) + struct.pack(">I", columns), text(names[1]) + struct.pack(">I", rows)])
-    of_file = listed(12, [attribute("Conventions", "CF-1.7")])
+    of_file = [attribute("Conventions", "CF-1.7"), *([attribute("node_offset", offset)] if offset is not None else [])]
+    of_file = listed(12, of_file)
 
     def head(offsets):
         variables = []
         for n, (axes, kind) in enumerate((((0,), 6), ((1,), 6), ((1, 0), 5))):
             own = [attribute("units", units[n])] if units and units[n] else []
+            if offset is not None and n < 2:
+                ends, half = (x, y)[n][[0, -1]], offset * step / 2
+                own.append(attribute("actual_range", (ends[0] - half, ends[1] + half)))
             own += [attribute("_FillValue", float("nan")), *(attribute(*pair) for pair in attributes)] if n == 2 else []
             axes = struct.pack(f">I{len(axes)}I", len(axes), *axes)
             layout = struct.pack(">III", kind, sizes[n], offsets[n])

@@ -98,11 +98,13 @@ def test_a_geopotential_becomes_a_height():
     assert (facts.unit, facts.factor) == ("m", pytest.approx(1 / 9.80665))
 
 
+@pytest.mark.parametrize("offset", [None, 0, 1])
 @pytest.mark.parametrize("south_first", [True, False])
 @pytest.mark.parametrize("names", [("x", "y", "z"), ("lon", "lat", "elevation"), ("easting", "northing", "h")])
-def test_grids_of_gmt_keep_position_and_direction(tmp_path, names, south_first):
+def test_grids_of_gmt_keep_position_and_direction(tmp_path, names, south_first, offset):
+    """Both registrations of GMT have samples at their coordinates, by nodes or in the middle of pixels."""
     place = DEGREES if names[0] == "lon" else METRES
-    source = write_netcdf(tmp_path / "a.nc", heights(), *place, names=names, south_first=south_first)
+    source = write_netcdf(tmp_path / "a.nc", heights(), *place, names=names, south_first=south_first, offset=offset)
     raster, rows = raster_of(source)
     rows = rows[::-1] if raster.georeference.first_row_south else rows
     assert np.array_equal(rows, heights(), equal_nan=True)

@@ -43,3 +43,26 @@ def test_long_numbers_are_refused_at_once(tmp_path):
         (tmp_path / "a.vrt").write_text(vrt("").replace("<VRTR", f"<GeoTransform>{text}</GeoTransform><VRTR"))
         with pytest.raises(TerrainError, match="for GeoTransform in <GeoTransform>"):
             read_mosaic(tmp_path / "a.vrt", MOSAIC_SUFFIXES)
+
+
+def test_a_mosaic_that_is_too_large_opens_no_source(tmp_path):
+    """A header of 100,352 x 100,352 samples is refused before a source, here a missing one, is looked at."""
+    text = vrt(source("gone.tif")).replace('"65"', '"100352"').replace('"33"', '"100352"')
+    (tmp_path / "a.vrt").write_text(text)
+    with pytest.raises(TerrainError, match="a.vrt has 100352 x 100352 samples, more than an index of 31 bits"):
+        read_mosaic(tmp_path / "a.vrt", MOSAIC_SUFFIXES)
+
+
+def test_an_image_that_is_too_large_is_refused_unread(tmp_path, monkeypatch):
+    """Heights of an image are fitted to its lowest and highest value only after its size was checked."""
+    from adaptive_terrain.cbt_terrain.importing import build_store
+    from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings, Raster
+
+    def read(_first, _count):
+        raise AssertionError("a row was read")
+
+    (tmp_path / "a.png").write_bytes(b"a")
+    raster = Raster(40_000, 40_000, read, "uint16", "PNG")
+    monkeypatch.setattr(build_store, "open_source", lambda _settings: raster)
+    with pytest.raises(TerrainError, match="40000 x 40000 samples, more than an index"):
+        build_store.run_import(ImportSettings(str(tmp_path / "a.png")), tmp_path / "store")

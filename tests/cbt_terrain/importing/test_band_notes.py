@@ -35,7 +35,9 @@ def test_colours_that_may_hold_packed_heights_warn(tmp_path):
     colours = [np.full((30, 40), value, np.uint8) for value in (1, 134, 160)]
     for name in ("a.png", "a.tif"):
         warning = imported(tmp_path, write_bands(tmp_path / name, *colours), **SIZE)[1]["warnings"][0]
-        assert "Terrain-RGB" in warning and "unpack them into a GeoTIFF" in warning
+        assert "coded in its colours" in warning and "--encoding terrarium or mapbox" in warning
+        report = imported(tmp_path, tmp_path / name, encoding="mapbox", **SIZE)[1]  # sea level
+        assert (report["lowest_m"], report["highest_m"]) == (0.0, 0.0) and "coded" not in " ".join(report["warnings"])
 
 
 @pytest.mark.parametrize("kind", ["float32", "uint16"])
@@ -89,7 +91,8 @@ def test_no_data_near_the_largest_float_is_no_data(tmp_path, text):
         ("a.asc", b"\xef\xbb\xbfncols 2\nnrows 2\n", "save it as plain text"),
         ("a.tif", b"II*\0" + bytes(64), "expected a whole file of that kind"),
         ("N46E007.hgt", bytes(601 * 601 * 2), "1201 x 1201 or 3601 x 3601"),
-        ("a.zip", b"PK\x03\x04", "unpack an archive, and convert other kinds to GeoTIFF"),
+        ("a.zip", b"PK\x03\x04", "cannot be unpacked (File is not a zip file)"),
+        ("a.rar", b"Rar!", "unpack an archive, and convert other kinds to GeoTIFF"),
     ],
 )
 def test_files_of_another_kind_are_named(tmp_path, name, content, said):

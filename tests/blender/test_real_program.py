@@ -63,15 +63,17 @@ def test_height_maps_are_read_in_a_sandboxed_process(program, dem, tmp_path):
         ["info", "--versions"],
         ["info", dem["exr"]],
         ["import", dem["tif"], "--project", "utm", "--store", tmp_path / "utm.store"],
+        ["import", dem["tif"], dem["whole"], "--project", "utm", "--store", tmp_path / "two.store"],
         ["import", attack, "--store", tmp_path / "bad.store"],
     ]
     main = "from bl_ext.user_default.adaptive_terrain.operators.cli.command_line import main"
     listed = [[str(word) for word in command] for command in commands]
     report = program.run("-b", "--python-expr", f"{main}; print('CODES', [main(c) for c in {listed}])")
-    assert "CODES [0, 0, 0, 1]" in report and "Traceback" not in report
+    assert "CODES [0, 0, 0, 0, 1]" in report and "Traceback" not in report
     assert "GDAL drivers: AAIGrid, GTiff, PNG, SRTMHGT, VRT" in report and "Blender: " in report
     assert sys.platform != "linux" or "writes: dropped" in report or "kept: this kernel" in report
     assert "format: OpenEXR channel Y" in report
+    assert "files: 2" in report and "bounds_against: the mosaic as resampled to EPSG:32616, bilinear" in report
     assert "crs: EPSG:32616" in report and "bounds_against: the raster as reprojected from EPSG:4326" in report
     [line] = [line for line in report.splitlines() if "error: " in line]
     assert "is no regular file here" in line and not (tmp_path / "bad.store").exists()

@@ -6,7 +6,7 @@ rank decides. Samples in the cell between two tiles without a common lattice are
 """
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import warp as wp
@@ -47,6 +47,7 @@ class Composite:
         stored: type of the samples; float64 if any are interpolated or converted.
         scale, offset: a height is value * scale + offset metres.
         resamples: whether samples of some files are interpolated.
+        on_piece: is called before each piece that is read, because reading many files may take long.
         boxes: float64 [tiles, 4], lowest column and row of the grid and highest ones of each tile's outer samples.
         reach: float64 [tiles, 2], columns and rows of the grid beyond its box that a tile may have a part in.
     """
@@ -57,6 +58,7 @@ class Composite:
         """Prepare the tiles; `found`: their footprints in the grid's system. No file is opened."""
         order = ranked(tiles, found, settings)
         self.grid, self._settings = grid, settings
+        self.on_piece: Callable[[], None] = lambda: None
         self.tiles = [tiles[n] for n in order]
         self.lattices = find_lattices(self.tiles)
         boxes, steps = found.boxes[order], found.steps[order]
@@ -109,6 +111,7 @@ class Composite:
 
     def _fill(self, piece: GridPiece, values: np.ndarray) -> float:
         """Fill the values of a piece, and return the largest difference made by positions."""
+        self.on_piece()
         column, row = piece.column, piece.row
         meets = (self._near[:, 0] < column + piece.columns) & (self._near[:, 2] >= column)
         meets &= (self._near[:, 1] < row + piece.rows) & (self._near[:, 3] >= row)

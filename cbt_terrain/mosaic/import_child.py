@@ -35,9 +35,17 @@ def run_mosaic_import(
     settings: ImportSettings, path: Path, on_progress: Tell = lambda *_: None, folder: str | None = None
 ) -> dict:
     """Import a mosaic in this process and return the report; as `run_import` for one file. Raises TerrainError."""
+    reached: tuple = (0.0, READING)
+
+    def tell(done: float, message: str) -> None:
+        """Pass progress on, and keep it for pieces of the mosaic that take long."""
+        nonlocal reached
+        reached = SCANNED + (1.0 - SCANNED) * done, message
+        on_progress(*reached)
 
     def open_mosaic(settings: ImportSettings) -> Raster:
         composite = open_composite(settings, path, lambda done: on_progress(SCANNED * done, READING))
+        composite.on_piece = lambda: on_progress(*reached)
         raster = mosaic_raster(composite, settings)
         if finished_before(path, source_digest(settings, raster.sources)) is None:
             details = describe_mosaic(composite, settings)
@@ -46,13 +54,7 @@ def run_mosaic_import(
             raster.details |= {name: details[name] for name in IMPORT_ENTRIES if name in details}
         return raster
 
-    return run_import(
-        settings,
-        path,
-        lambda done, message, *more: on_progress(SCANNED + (1.0 - SCANNED) * done, message, *more),
-        folder,
-        open_mosaic,
-    )
+    return run_import(settings, path, tell, folder, open_mosaic)
 
 
 def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:

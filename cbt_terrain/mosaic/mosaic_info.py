@@ -5,13 +5,14 @@ import dataclasses
 from typing import Any
 
 from ...kernels.mosaic import resample
+from ..importing.build_store import READING
 from ..importing.guard import guard_import
 from ..importing.import_process import what_of
 from ..importing.raster import ImportSettings
 from ..importing.source_list import files_of
-from ..importing.store_job import ask, serve
+from ..importing.store_job import Tell, ask, serve
 from ..run import child
-from .import_child import paths_of
+from .import_child import SCANNED, paths_of
 from .mosaic_source import check_settings, georeference_of, mosaic_raster, open_composite
 from .report import describe_mosaic
 
@@ -29,12 +30,13 @@ def child_main() -> None:
     serve(_describe, lambda request: f"Reading {request['settings']['source']}")
 
 
-def _describe(request: dict, *_: Any) -> dict:
+def _describe(request: dict, on_progress: Tell, *_: Any) -> dict:
     """Return the report, in a child process that first gives up its rights."""
     settings = ImportSettings(**request["settings"])
     guard_import(settings, None, paths_of(settings), (resample,))
     child.end_with_parent()
-    composite = open_composite(settings, None)
+    composite = open_composite(settings, None, lambda done: on_progress(SCANNED * done, READING))
+    composite.on_piece = lambda: on_progress(SCANNED, READING)
     try:
         raster = mosaic_raster(composite, settings)
         report = describe_mosaic(composite, settings)

@@ -44,6 +44,7 @@ def find_seams(composite: Composite) -> SeamReport:
     steps, places, numbers = [], [], []
     names: list[tuple[str, str]] = []
     for lower, upper in chosen:
+        composite.on_piece()
         found, place = _seam_of(composite, lower, upper)
         if len(found):
             steps.append(found)

@@ -115,7 +115,8 @@ def footprints(tiles: Sequence[SourceTile], crs: str) -> Footprints:
             if period:
                 anchor = float(x[at, 0]) if anchor is None else anchor
                 x[at] -= period * np.round((x[at] - anchor) / period)
-            boxes[n] = x[at].min(), y[at].min(), x[at].max(), y[at].max()
+            border_x, border_y = x[at, :-3], y[at, :-3]
+            boxes[n] = border_x.min(), border_y.min(), border_x.max(), border_y.max()
             steps[n] = _steps(x[at, -3:], y[at, -3:])
     return Footprints(boxes, steps)
 

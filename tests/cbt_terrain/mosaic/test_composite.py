@@ -246,3 +246,27 @@ def test_turned_and_mirrored_files_keep_their_ground(tmp_path):
     column = round((EAST + 2005 - grid.x0) / 10) - grid.column
     row = round((grid.y0 - (NORTH - 5)) / 10) - grid.row
     assert np.array_equal(heights[row : row + 25, column : column + 60], vrt_part)
+
+
+@pytest.mark.parametrize(
+    ("west", "rows", "columns", "size"), [(200, 1, 1, (21, 20)), (200, 20, 1, (21, 20)), (0, 1, 20, (20, 21))]
+)
+def test_files_of_one_row_or_one_sample_fit(tmp_path, west, rows, columns, size):
+    whole = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 20, 20)
+    small = sheet(UTM32, EAST + west, NORTH - (0 if west else 200), 10.0, 10.0, columns, rows)
+    files = [str(whole.write(tmp_path / "a.tif")), str(small.write(tmp_path / "b.tif"))]
+    composite = open_composite(settings_of(files), None)
+    heights, _ = composite.read(0, composite.grid.height)
+    assert (composite.grid.width, composite.grid.height) == size
+    assert np.array_equal(heights[:20, :20], whole.heights)
+    assert np.isnan(heights).sum() == heights.size - 400 - rows * columns
+
+
+def test_a_file_without_any_height_changes_nothing(tmp_path):
+    whole = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 20, 20)
+    empty = sheet(UTM32, EAST + 50, NORTH - 50, 10.0, 10.0, 10, 10)
+    empty.heights[:] = np.nan
+    files = [str(whole.write(tmp_path / "a.tif")), str(empty.write(tmp_path / "b.tif"))]
+    composite = open_composite(settings_of(files), None)
+    heights, _ = composite.read(0, composite.grid.height)
+    assert np.array_equal(heights, whole.heights)

@@ -46,15 +46,14 @@ class SourcePanel(TerrainSubpanel):
         """Draw the options of an import, those that the kind of source has."""
         column = self._columns()
         settings = session.shown_terrain(context).adaptive_terrain
+        several = settings.source == FILE and import_terrain.has_several_files(settings)
         if settings.source == FILE:
             column.operator("adaptive_terrain.add_tiles", icon="ADD")
-            if import_terrain.has_several_files(settings):
-                _draw_mosaic(column, settings)
-            else:
-                _draw_file(column, settings)
+            (_draw_mosaic if several else _draw_file)(column, settings)
         else:
             column.prop(settings, "island_size")
-        draw_switched(column, settings, "use_extent", "extent")
+        if not several or settings.use_extent:  # an import of several files refuses an extent
+            draw_switched(column, settings, "use_extent", "extent")
         _draw_heights(column, settings)
 
 

@@ -130,6 +130,22 @@ def test_images_and_height_maps_from_outside_are_listed(submit, tmp_path, scene,
     assert {str(tmp_path / name) for name in ("textures/rock.PNG", "dunes.npy")} <= set(inputs["filenames"])
 
 
+def test_all_files_of_a_mosaic_go_with_the_job(submit, tmp_path, scene, add_terrain):
+    (tmp_path / "tiles").mkdir()
+    for name in ("a.tif", "b.tif", "b.tfw", "city.tif", "key.pem"):
+        (tmp_path / ("tiles" if name != "city.tif" else "") / name).write_bytes(b"samples")
+    settings = add_terrain("Valley").adaptive_terrain
+    settings.store, settings.source, settings.source_path = "//valley", "FILE", str(tmp_path / "tiles")
+    settings.more_sources.add().path = str(tmp_path / "city.tif")
+    code, output, inputs = submit()
+    wanted = {str(tmp_path / name) for name in ("tiles/a.tif", "tiles/b.tif", "tiles/b.tfw", "city.tif")}
+    assert code == 0 and wanted <= set(inputs["filenames"]) and not any("key" in name for name in inputs["filenames"])
+    bpy.data.objects["Valley"].adaptive_terrain.more_sources[0].path = str(tmp_path / "index.gti")
+    (tmp_path / "index.gti").write_bytes(b"paths")
+    code, output, _ = submit()
+    assert code == 1 and "a tile index names its height maps: import it before you submit" in output
+
+
 def test_of_many_files_ten_are_named(submit, tmp_path):
     for number in range(13):
         load_text(tmp_path / f"script_{number:02d}.py")

@@ -123,6 +123,7 @@ class ExportTileset(LandOperator, bpy.types.Operator, ExportHelper):
     bl_idname = "adaptive_terrain.export_tileset"
     bl_label = "Export 3D Tiles"
 
+    name_end = "_tileset"  # height tiles have NAME.json
     filename_ext = ".json"
     filter_glob: bpy.props.StringProperty(default="*.json", options={"HIDDEN"})
     error_m: bpy.props.FloatProperty(

@@ -22,7 +22,12 @@ GLOB = ";".join(f"*{suffix}" for suffix in WRITERS)
 
 
 class LandOperator(TerrainObjectOperator):
-    """Base of operators that need land that is shaped at all levels; a subclass has `_carry_out`."""
+    """Base of operators that need land that is shaped at all levels; a subclass has `_carry_out`.
+
+    One that writes a file proposes the name of the terrain, `name_end` and its suffix.
+    """
+
+    name_end = ""
 
     def invoke(self, context, event):
         """Refuse land that is not shaped yet: shaping it here would block the window.
@@ -34,7 +39,12 @@ class LandOperator(TerrainObjectOperator):
         except TerrainError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        return super().invoke(context, event) if isinstance(self, ExportHelper) else self.execute(context)
+        if not isinstance(self, ExportHelper):
+            return self.execute(context)
+        if not self.filepath:
+            name = bpy.path.clean_name(context.object.name) + self.name_end + self.filename_ext
+            self.filepath = str(Path(bpy.data.filepath).with_name(name)) if bpy.data.filepath else name
+        return super().invoke(context, event)
 
     @cancelled_by_errors
     def execute(self, context):

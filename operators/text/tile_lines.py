@@ -7,15 +7,20 @@ from .shown_bounds import bound_text
 def height_tiles_line(name: str, index: dict) -> str:
     """Describe height tiles by the content of their JSON file."""
     across, down = index["num_tiles"]
-    masks = f", {len(index['masks'])} masks" if index["masks"] else ""
+    masks = f", {_counted(len(index['masks']), 'mask')}" if index["masks"] else ""
     error = bound_text(index["heights"]["max_error"], "m")
-    return f"{name}.json: {across * down:,} tiles ({across} x {down}){masks}, heights at most {error} off"
+    return f"{name}.json: {_counted(across * down, 'tile')} ({across} x {down}){masks}, heights at most {error} off"
 
 
 def tileset_line(name: str, report) -> str:
     """Describe a tileset by its TilesetReport."""
     bounds = " to ".join(bound_text(bound, "m") for bound in dict.fromkeys((report.bounds[-1], report.bounds[0])))
     place = "on the globe" if report.is_on_globe else "in metres from the terrain's middle"
-    levels = f"{len(report.bounds)} level{'s' if len(report.bounds) > 1 else ''}"
-    counts = f"{report.num_tiles:,} tiles in {levels}, {report.num_triangles:,} triangles"
+    tiles, levels = _counted(report.num_tiles, "tile"), _counted(len(report.bounds), "level")
+    counts = f"{tiles} in {levels}, {report.num_triangles:,} triangles"
     return f"{name}: {counts}, {place}, bounds {bounds}"
+
+
+def _counted(number: int, noun: str) -> str:
+    """Return a number with its noun, in the plural unless it is 1."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"

@@ -2,12 +2,17 @@
 """The operators and commands that write tiles for other programs."""
 
 import json
+from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.operators.cli import command_line
+from adaptive_terrain.operators.export.export_tiles import ExportTileset
+from adaptive_terrain.operators.land.bake_land import LandOperator
+from bpy_extras.io_utils import ExportHelper
 from land_scenes import add
 from tilesets import read_tileset
 
@@ -36,7 +41,7 @@ def test_an_unknown_suffix_is_refused(terrain, tmp_path):
 def test_the_command_writes_height_tiles(terrain, tmp_path, capsys):
     argv = ["tiles", "--store", terrain.adaptive_terrain.store, "--out", str(tmp_path / "new"), "--size", "17"]
     assert command_line.main([*argv, "--tiles", "3x1", "--overlap", "0", "--masks", "slope"]) == 0
-    assert "3 tiles (3 x 1), 1 masks, heights at most" in capsys.readouterr().out
+    assert "3 tiles (3 x 1), 1 mask, heights at most" in capsys.readouterr().out
     assert len(list((tmp_path / "new").glob("terrain*_x?_y0.png"))) == 6
     assert command_line.main([*argv, "--pattern", "same"]) == 1
     assert "expected {name}, {x} and {y}" in capsys.readouterr().err
@@ -55,3 +60,19 @@ def test_the_operator_and_the_command_write_the_same_tileset(terrain, tmp_path, 
     for file in tmp_path.glob("a*"):
         assert (tmp_path / "new" / file.name).read_bytes() == file.read_bytes()
     assert command_line.main([*argv, str(tmp_path / "none" / "a.json")]) == 1
+
+
+@pytest.mark.parametrize(("end", "expected"), [("", "Terrain.json"), (ExportTileset.name_end, "Terrain_tileset.json")])
+def test_the_dialog_proposes_the_name_of_the_terrain(terrain, end, expected):
+    """So the JSON files of height tiles and of a tileset have different names."""
+    proposing = type(
+        "Proposing", (LandOperator, ExportHelper), {"filepath": "", "filename_ext": ".json", "name_end": end}
+    )
+    context = SimpleNamespace(
+        object=terrain,
+        evaluated_depsgraph_get=bpy.context.evaluated_depsgraph_get,
+        window_manager=SimpleNamespace(fileselect_add=lambda _operator: None),
+        blend_data=bpy.data,
+    )
+    operator = proposing()
+    assert operator.invoke(context, None) == {"RUNNING_MODAL"} and Path(operator.filepath).name == expected

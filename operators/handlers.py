@@ -41,6 +41,7 @@ def _unless_paused(handler):
     @persistent
     @wraps(handler)
     def unless_paused(scene, depsgraph=None):
+        """Call the handler, unless updates are paused; a request to stop waits until it returns."""
         _note_scene_change(depsgraph)
         if not pauses.is_paused():
             with stopping.held():

@@ -210,6 +210,7 @@ def run_on_thread(job: BackgroundJob, work: Callable[[], object]) -> Steps:
     outcome = Future()
 
     def run() -> None:
+        """Do the work and keep its result or its exception for the caller."""
         try:
             outcome.set_result(work())
         except BaseException as error:

@@ -61,13 +61,14 @@ def _cut_edges(mesh: TileMesh, pairs: np.ndarray, axis: int, at: float) -> TileM
     ends = mesh.positions[pairs].astype(np.float64)
     part = ((at - ends[:, 0, axis]) / (ends[:, 1, axis] - ends[:, 0, axis]))[:, None]
 
-    def mix(values: np.ndarray) -> np.ndarray:
+    def interpolate_ends(values: np.ndarray) -> np.ndarray:
+        """Interpolate values of the vertices to the places where edges are cut, float32."""
         first, last = values[pairs[:, 0]].astype(np.float64), values[pairs[:, 1]].astype(np.float64)
         return (first + part * (last - first)).astype(np.float32)
 
-    positions = mix(mesh.positions)
+    positions = interpolate_ends(mesh.positions)
     positions[:, axis] = at
-    return TileMesh(positions, mix(mesh.normals), mix(mesh.uv), mesh.triangles[:0])
+    return TileMesh(positions, interpolate_ends(mesh.normals), interpolate_ends(mesh.uv), mesh.triangles[:0])
 
 
 def part_of(mesh: TileMesh, which: np.ndarray) -> tuple[TileMesh, np.ndarray]:

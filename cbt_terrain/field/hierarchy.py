@@ -137,6 +137,7 @@ def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: i
     before.base = 0
 
     def spread(kernel: wp.Kernel, count: int, inputs: list) -> None:
+        """Launch a kernel over `count` items as the step "meshlet errors", with the result as its last argument."""
         launch.spread(kernel, count, [*inputs, out], step="meshlet errors", threads=threads)
 
     for step in range(2 * meshlet):

@@ -251,9 +251,9 @@ class Fitter:
         return self._sideways(2.0 * error_m * finer)
 
     def _sideways(self, steeper: float) -> float:
-        """Return the same for facets that are `steeper` metres a cell steeper than the surface.
+        """Return the metres of error that rounded plane coordinates add, for facets steeper than the surface.
 
-        New vertices of a border are between two that are rounded, and are rounded again.
+        steeper: by how many metres a cell they may exceed its slope.
         """
         lattice, shift = self.field.lattice, 0.0
         times = 2.0 if lattice.is_padded else 1.0

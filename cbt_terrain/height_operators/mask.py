@@ -126,11 +126,12 @@ def _image_at(image: np.ndarray, level: Level, rows: slice, columns: slice) -> n
     south, north, v = _pixels(np.arange(rows.start, rows.stop), level.rows, image.shape[0])
     west, east, u = _pixels(np.arange(columns.start, columns.stop), level.columns, image.shape[1])
 
-    def along(row: np.ndarray) -> np.ndarray:
+    def interpolate_row(row: np.ndarray) -> np.ndarray:
+        """Interpolate some rows of the image at the columns of the level."""
         line = image[row]
         return line[:, west] + (line[:, east] - line[:, west]) * u
 
-    low, high = along(south), along(north)
+    low, high = interpolate_row(south), interpolate_row(north)
     return low + (high - low) * v[:, None]
 
 

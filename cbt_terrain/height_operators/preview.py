@@ -137,6 +137,7 @@ def _apply_entries(
     end = time.monotonic() + seconds
 
     def check_time(_fraction: float) -> None:
+        """Raise _TooSlow after the time limit; operators call it as their progress."""
         if time.monotonic() > end:
             raise _TooSlow
 

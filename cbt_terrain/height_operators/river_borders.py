@@ -64,11 +64,12 @@ def border_motion(bed: Bed, origin: np.ndarray, coarser: Change | None, years: f
     inner = np.clip(j, 1, max(rows - 2, 0)) * columns + np.clip(i, 1, max(columns - 2, 0))
     lowest = origin[at].min()
 
-    def fall() -> None:
+    def lower_border() -> None:
+        """Lower the border by as much as the samples inside of it have sunk since the start, down to `lowest`."""
         change = np.minimum(bed.heights[inner] - origin[inner], np.float32(0.0))
         bed.heights[at] = np.maximum(origin[at] + change, lowest)
 
-    return fall
+    return lower_border
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +119,10 @@ def set_boundary(bed: Bed, ground: OperatorGround, coarser: Change) -> None:
     cell_weight, load = np.ones(bed.shape), np.zeros(bed.shape)
 
     def add_inflow(some: np.ndarray, y: np.ndarray, x: np.ndarray, sign: float = 1.0) -> None:
+        """Add water and sediment that come from some coarser samples to this level's samples.
+
+        some: indices of the ring. y, x: the coarser samples. sign: -1 to take them away.
+        """
         fine = 2 * y[some] + seen.odd[0], 2 * x[some] + seen.odd[1]
         np.add.at(cell_weight, fine, sign * seen.flow[some])
         np.add.at(load, fine, sign * seen.load[some])

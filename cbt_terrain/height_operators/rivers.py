@@ -151,12 +151,13 @@ def _fade(ground: OperatorGround) -> np.ndarray:
     sizes = ground.size or tuple((whole - 1) * spacings)
     wide = FADE * min(sizes)
 
-    def fade(first: int, count: int, spacing: float, size: float) -> np.ndarray:
+    def fade_along(first: int, count: int, spacing: float, size: float) -> np.ndarray:
+        """Return weights along one axis: 1 inside, smoothly to 0 at both borders of the raster, float64 [count]."""
         at = np.arange(first, first + count) * spacing
         t = np.clip(np.minimum(at, size - at) / max(wide, spacing), 0.0, 1.0)
         return t * t * (3.0 - 2.0 * t)
 
-    north, east = map(fade, ground.first, ground.heights.shape, spacings, sizes)
+    north, east = map(fade_along, ground.first, ground.heights.shape, spacings, sizes)
     return (north[:, None] * east).astype(np.float32)
 
 

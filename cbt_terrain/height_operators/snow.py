@@ -109,19 +109,20 @@ def _coarse_snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tup
     """Return `_snowfall` of the coarser level computed from these samples alone, interpolated to this level."""
     odd = [n % 2 for n in ground.first]
 
-    def coarse(samples: np.ndarray) -> np.ndarray:
+    def halve_samples(samples: np.ndarray) -> np.ndarray:
+        """Return every array at the next coarser level, aligned with the whole level's samples; None for None."""
         return halved(np.pad(samples, [(n, 0) for n in odd], mode="edge"))
 
     below = OperatorGround(
-        heights=coarse(ground.heights),
+        heights=halve_samples(ground.heights),
         step_x=2 * ground.step_x,
         step_y=2 * ground.step_y,
         first=(ground.first[0] // 2, ground.first[1] // 2),
         whole=ground.whole,
         level=ground.level + 1,
-        missing=None if ground.missing is None else coarse(ground.missing),
-        mask=None if ground.mask is None else coarse(ground.mask),
-        layers={name: coarse(a) for name, a in ground.layers.items() if name == "water_depth"},
+        missing=None if ground.missing is None else halve_samples(ground.missing),
+        mask=None if ground.mask is None else halve_samples(ground.mask),
+        layers={name: halve_samples(a) for name, a in ground.layers.items() if name == "water_depth"},
         seed=ground.seed,
         threads=ground.threads,
     )

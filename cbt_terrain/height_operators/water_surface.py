@@ -49,14 +49,15 @@ def water_of(field: HeightField, threads: int = 1, sea: float | None = None) -> 
     while (max(field.lattice.width, field.lattice.height) - 1) // every >= MAX_SAMPLES:
         every *= 2
 
-    def reduced(samples: np.ndarray) -> np.ndarray:
+    def thin_out(samples: np.ndarray) -> np.ndarray:
+        """Return every `every`-th sample along both axes."""
         return np.ascontiguousarray(samples[::every, ::every])
 
-    lattice, heights = field.lattice, reduced(field.heights())
+    lattice, heights = field.lattice, thin_out(field.heights())
     steps = lattice.step_x * every, lattice.step_y * every
-    missing = None if field.valid is None else reduced(field.valid) == 0
+    missing = None if field.valid is None else thin_out(field.valid) == 0
     if sea is None and DEPTH.name in field.layers:
-        layers = {name: reduced(field.layers[name]) for name in NAMES if name in field.layers}
+        layers = {name: thin_out(field.layers[name]) for name in NAMES if name in field.layers}
     else:
         values = WATER.defaults() | ({} if sea is None else {"sea": sea})
         layers = WATER.apply(OperatorGround(heights, *steps, missing=missing, threads=threads), values, None).layers

@@ -171,6 +171,7 @@ def _from_array(values: np.ndarray, settings: ImportSettings, format_name: str) 
     """Return an array, [rows, columns] with the north first, as a raster that is read in bands."""
 
     def read(first: int, count: int) -> np.ndarray:
+        """Return `count` rows from row `first` on, in the array's type; NaN for the no-data value."""
         rows = np.asarray(values[first : first + count])
         return blank(rows.astype(rows.dtype.newbyteorder("=")), settings.no_data)
 

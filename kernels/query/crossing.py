@@ -183,9 +183,10 @@ def half_curvature_along(
 
 @wp.func
 def in_curved(surface: QueriedSurface, blocks: HeightRanges, ray: Ray, part: RaySegment):
-    """Return the same as `in_bilinear` for a bicubic surface or one with detail.
+    """Return t where the ray is `slack` beyond a bicubic or displaced surface, and its side at the end.
 
-    The ray advances by steps in which the bounded second derivative rules out a crossing, until it meets the surface.
+    t is infinite if that is nowhere in the segment `part`, which is in one raster cell. The ray advances by steps in
+    which the bounded second derivative rules out a crossing, until it meets the surface.
     """
     zero = wp.float64(0.0)
     curvature = half_curvature_along(surface, blocks, ray, part.i, part.j)

@@ -94,6 +94,7 @@ def measure_request(field, request: Request, on_progress) -> Result:
     for i, error in enumerate(errors):
 
         def on_run(_surface=None, done: int = i, error: float = error) -> float:
+            """Report progress before a timed run of an update; return 0 ms for what Blender would add."""
             on_progress(done / steps, f"time at {error:.3g} {unit}")
             return 0.0  # nothing is written
 

@@ -89,6 +89,7 @@ def measure_look(look: Look, through: str, job: BackgroundJob) -> AccuracySubjec
     settings = subject.settings
 
     def on_progress(fraction: float) -> None:
+        """Show the setting that is being measured, from the fraction that is done."""
         at = min(int(fraction * len(settings)), len(settings) - 1)
         job.progress(fraction, f"Report: {setting_label(settings[at])}")
 

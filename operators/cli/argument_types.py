@@ -18,6 +18,7 @@ def argument(parse):
     """
 
     def checked(text: str):
+        """Parse a text; argparse prints the error of a bad one."""
         try:
             return parse(text)
         except (ValueError, TerrainError) as error:
@@ -30,6 +31,7 @@ def positive(max_value: float):
     """Return a parser of numbers above 0 and up to `max_value`, for argparse."""
 
     def number(text: str) -> float:
+        """Parse a number above 0, up to the limit."""
         try:
             value = float(text)
         except ValueError:
@@ -84,6 +86,7 @@ def pair(separator: str, kind, max_value: float):
     """
 
     def checked(text: str):
+        """Parse "A<separator>B" as two numbers above 0."""
         try:
             first, second = (kind(part) for part in text.lower().split(separator))
         except ValueError:
@@ -133,6 +136,7 @@ def setting_value(setting: CriterionSetting):
     """Return a parser for argparse of the numbers that a criterion's setting accepts."""
 
     def number(text: str) -> float:
+        """Parse a number that the criterion's setting accepts."""
         try:
             value = int(text) if setting.whole else float(text)
         except ValueError:

@@ -155,6 +155,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def _add_import(subparsers) -> None:
+    """Add the verb `import` and its arguments."""
     from ...cbt_terrain.field.island import DEFAULT_SEED, DEFAULT_SIZE
     from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.importing.raster import ENCODINGS
@@ -197,6 +198,7 @@ def _add_import(subparsers) -> None:
 
 
 def _add_info(subparsers) -> None:
+    """Add the verb `info` and its arguments."""
     verb = _add_verb(subparsers, "info", "describe a store, a height map or an exported .npz", verbs.run_info)
     about = "a store, a height map or an .npz; several height maps or a folder of them are described as one terrain"
     verb.add_argument("paths", type=path_text, nargs="*", metavar="PATH", help=about)
@@ -209,6 +211,7 @@ def _add_info(subparsers) -> None:
 
 
 def _add_bake(subparsers) -> None:
+    """Add the verb `bake` and its arguments."""
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
     from ..export.formats import FORMATS
 
@@ -224,6 +227,7 @@ def _add_bake(subparsers) -> None:
 
 
 def _add_export(subparsers) -> None:
+    """Add the verb `export` and its arguments."""
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
     from ..export.formats import FORMATS, parse_formats
 
@@ -245,6 +249,7 @@ def _add_export(subparsers) -> None:
 
 
 def _add_maps(subparsers) -> None:
+    """Add the verb `maps` and its arguments."""
     from ...cbt_terrain.attributes.coding import FORMS as MAP_FORMS
 
     verb = _add_verb(
@@ -260,6 +265,7 @@ def _add_maps(subparsers) -> None:
 
 
 def _add_accuracy(subparsers) -> None:
+    """Add the verb `accuracy` and its arguments."""
     verb = _add_verb(
         subparsers, "accuracy", "measure errors, and what they cost in time and triangles", verbs.run_accuracy
     )
@@ -268,6 +274,7 @@ def _add_accuracy(subparsers) -> None:
 
 
 def _add_effects(subparsers) -> None:
+    """Add the verb `effects` and its arguments."""
     verb = _add_verb(
         subparsers, "effects", "list the effects; what they take on a store, which a scene reads", verbs.run_effects
     )
@@ -278,6 +285,7 @@ def _add_effects(subparsers) -> None:
 
 
 def _add_shape(subparsers) -> None:
+    """Add the verb `shape` and its arguments."""
     from ..export.formats import parse_frames
 
     verb = _add_verb(
@@ -304,6 +312,7 @@ def _add_shape(subparsers) -> None:
 
 
 def _add_query(subparsers) -> None:
+    """Add the verb `query` and its arguments."""
     verb = _add_verb(subparsers, "query", "heights, slopes and normals of a store at points, as CSV", verbs.run_query)
     verb.add_argument("--store", type=path, required=True, metavar="DIR")
     columns = "with columns x and y: in the store's coordinate system, or metres from the terrain's middle"
@@ -315,11 +324,13 @@ def _add_query(subparsers) -> None:
 
 
 def _add_demo(subparsers) -> None:
+    """Add the verb `demo` and its arguments."""
     verb = _add_verb(subparsers, "demo", "the built-in island: 24 frames, pictures and a page", verbs.run_demo)
     verb.add_argument("--out", type=path, default=Path("demo"), metavar="DIR", help="folder to write (demo)")
 
 
 def _add_farm(subparsers) -> None:
+    """Add the verbs with which a render farm is used, `submit` and others, and their arguments."""
     from ..export.formats import parse_formats, parse_frames
 
     formats, frames = argument(parse_formats), argument(parse_frames)
@@ -366,6 +377,7 @@ def _add_farm(subparsers) -> None:
 
 
 def _add_bench(subparsers) -> None:
+    """Add the verb `bench` and its arguments."""
     verb = _add_verb(
         subparsers, "bench", "what everything costs on this machine, beside two baselines", verbs.run_bench
     )

@@ -102,6 +102,7 @@ def _split_into_cells(text: str, name: str) -> tuple[list[tuple[int, list[str]]]
     header = next((line for line in text.split("\n") if line.strip()), "")
 
     def num_found(delimiter: str) -> int:
+        """Count the names of coordinates in the header, if it is split at `delimiter`."""
         cells = next(csv.reader([header], delimiter=delimiter, skipinitialspace=True), [])
         return sum(cell.strip().casefold() in known for cell in cells)
 

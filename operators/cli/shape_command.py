@@ -61,6 +61,7 @@ def run(
         return job
 
     def on_progress(fraction: float, _message: str) -> None:
+        """Move the progress bar, and let the job finish early once its time is over."""
         nonlocal finish_early_s
         bar.to(fraction)
         if finish_early_s is not None and time.monotonic() - started > finish_early_s:

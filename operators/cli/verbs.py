@@ -185,6 +185,7 @@ def frame_reporter(arguments, label: str):
     counter = iter(range(1, len(arguments.frames) + 1))
 
     def on_frame(frame: int, summary: dict, skipped: bool) -> None:
+        """Print a line about an exported frame and move the progress bar. skipped: the frame was complete before."""
         line = summary_line(f"frame {frame}", summary["terrains"], summary["elapsed_ms"])
         bar.say(f"{line}, complete before" if skipped else line)
         bar.to(next(counter), worked=not skipped)

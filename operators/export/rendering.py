@@ -120,6 +120,7 @@ def _collect_figures(terrains: list[dict], objects: list):
     """
 
     def note(_scene, _unused=None) -> None:
+        """Note the figures of all terrains that the render has updated; a handler of Blender."""
         shown = {obj.name: session.record_of(obj).status for obj in objects}
         terrains[:] = [_figures(name, status) for name, status in shown.items() if status.mode == RENDER]
 

@@ -59,6 +59,7 @@ class PackStore(JobOperator, bpy.types.Operator):
         copies = planned.copies()
 
         def copy_all() -> PackPlan:
+            """Copy all stores, on a thread, and report progress."""
             for number, copy in enumerate(copies):
                 copy(lambda done, number=number: job.progress((number + done) / len(copies)))
             return planned

@@ -116,6 +116,7 @@ class ShapeLand(_Shaping, bpy.types.Operator):
     bl_options = {"REGISTER"}
 
     def stops_on_escape(self) -> bool:
+        """Return whether Esc cancels: only while the scene's frames are visited, not while a child process shapes."""
         return self.job.child is None  # the scene's frames are being visited
 
     def execute(self, context):

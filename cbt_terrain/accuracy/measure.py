@@ -167,7 +167,8 @@ def popping(
     """Return by how many pixels points jump on screen where mesh `after` takes the place of `before` under one view.
 
     Points are those of the screen error: the visible samples and the point of the reference in each pixel, each moving
-    from the height that one mesh has there to that of the other. `sight` as in `measure`.
+    from the height that one mesh has there to that of the other. `sight`: from `look` for the same view, None to
+    compute it.
     """
     sight = _checked_sight(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
     meshes = [MeasuredMesh(sight.ground, surface) for surface in (before, after)]
@@ -191,7 +192,8 @@ def shading_change(
     """Return by how much the shading of pixels changes where mesh `after` takes the place of `before`, in 255ths.
 
     The change at the point of the reference in each pixel is 255 times the distance between the two unit normals that
-    the meshes have there. No light changes Lambert's shading of white ground by more. `sight` as in `measure`.
+    the meshes have there. No light changes Lambert's shading of white ground by more. `sight`: from `look` for
+    the same view, None to compute it.
     """
     sight = _checked_sight(sight, look(field, view, placement, vertical_scale, vertical_offset, threads=threads))
     points = sight.visible_points()

@@ -202,7 +202,7 @@ class MeasuredMesh:
     def normals_at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the unit vertex normals interpolated at points, and the triangle that covers each.
 
-        float64 [n, 3], with points as in `differences_at`; int32 [n], -1 in a hole.
+        float64 [n, 3], and int32 [n], -1 in a hole. points: int64 [n, 2], in units of 2^-(bits + 7) cells.
         """
         _, owner = self.differences_at(points)
         packed, s = self.ground.packed, self._surface

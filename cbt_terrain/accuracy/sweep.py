@@ -375,7 +375,7 @@ def _transitions(
     threads: int | None,
     sight: LookUp,
 ) -> list[list[Errors]]:
-    """Measure popping and changes of shading from one frame to the next, in pixels, for each view.
+    """Measure popping (pixels) and changes of shading (255ths) from one frame to the next, for each view.
 
     before: surface of the first frame; the terrain is updated to `frame`, the next one. sight: function that makes
     the Sight of a view, cached by the caller.

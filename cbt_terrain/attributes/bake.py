@@ -134,7 +134,7 @@ class _Place:
     def image_level(self, side: int) -> float:
         """Return the level at which decals are sampled, for images of `side` texels.
 
-        It is log2 of the texel over the sample spacing, below 0 for texels finer than samples.
+        It is about log2 of the texel over the sample spacing, below 0 for texels finer than samples.
         """
         lattice = self.field.lattice
         finer = max(self.tiling.texel(side)) / max(lattice.step_x, lattice.step_y)

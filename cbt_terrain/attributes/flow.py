@@ -39,7 +39,7 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
     steps = lattice.step_x * 2**level, lattice.step_y * 2**level
 
     def make() -> np.ndarray:
-        """Compute the attribute flow at points: ln of the drainage area in m^2, from one result for the whole raster.
+        """Compute the attribute flow at points: the drainage area in m^2, from one result for the whole raster.
 
         wanted, read: unused, flow has no parameters and reads no attribute. Returns {"flow": float32 [n]}.
         """

@@ -54,7 +54,8 @@ class Bed:
         erodibility: float32, factor on K: the mask times the rock's variation.
         uplift: float32, U in m/year.
         cell_weight: float64, upstream samples a sample stands for, including those outside the tile.
-        first, seed: of the noise, as in `Ground`.
+        first: row and column of the first sample in the whole level, which places the noise.
+        seed: of the noise.
         curvature: float32 1/m, see `curvature_of`, or 0.
         border, outlet_level: indices of border samples, and the float32 level in metres where water leaves there.
         inflow: float64, sediment that enters the tile, metres times samples a year, or None.

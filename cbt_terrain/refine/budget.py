@@ -127,8 +127,8 @@ def count_splits(
 def _cut_tree(lattice: Lattice, marks: np.ndarray, threads: int, cell_bits: int, max_splits: int) -> list[int]:
     """Return the cells at which the tree is cut for the threads: evenly by the work of the last count.
 
-    marks: cells between which the last count did equal work. cell_bits: bisections of a square down to cells. Any
-    cut gives the same mesh.
+    marks: positions along the curve, in root squares, between which the last count did equal work. cell_bits:
+    bisections of a square down to cells. Any cut gives the same mesh.
     """
     end = lattice.squares << cell_bits
     if threads < 2 or max_splits < launch.SLICE_ITEMS or len(marks) < threads:

@@ -112,7 +112,7 @@ def min_over(
 def to_scaled(domain: Domain, min_height: wp.float64, sign: wp.float64) -> wp.float64:
     """Convert a minimum of the raster's heights to one of the displaced surface, metres after scaling.
 
-    sign: as in `min_over`.
+    sign: 1 for a minimum of heights, -1 for one of negated heights.
     """
     if domain.detailed == 1:
         min_height -= domain.max_detail

@@ -296,7 +296,8 @@ def ratio2_at(
 ) -> wp.float64:
     """Return the largest squared ratio of a diamond at `depth` to the criteria.
 
-    pixel2, edge2, metres2: as in `too_coarse_at`. climb2: squared height difference along its edges, metres.
+    All arguments are squared. pixel2, edge2: footprints of heights and of edges, metres. metres2: weighed error.
+    climb2: height difference along its edges, metres.
     """
     found = larger(metres2 / criterion.metres2, metres2 / (pixel2 * criterion.error_px2))
     if criterion.measures_edges == 1:

@@ -41,7 +41,8 @@ def render_frames(
 ) -> None:
     """Render every frame of the open scene into `out`: `frame_FRAME` with the suffix of the scene's format.
 
-    resume, on_frame: as for `export_frames`. Raises TerrainError if a frame would show a stale mesh.
+    resume: skip frames that are complete. on_frame: called with the frame, its summary and whether it was skipped.
+    Raises TerrainError if a frame would show a stale mesh.
     """
     render = source.scene.render
     if render.is_movie_format:

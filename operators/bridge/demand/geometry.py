@@ -85,7 +85,7 @@ def read_particles(found: Demand, system, words: str) -> None:
 def _read_nodes(found: Demand, modifier, words: str, trees: Trees, viewers: bool) -> Sources:
     """Add the attributes that a geometry-nodes modifier reads, and return its sources.
 
-    Arguments as in `read_modifier`.
+    words: the modifier's name for the user. viewers: viewer nodes count as outputs.
     """
     values, attributes = _inputs(modifier)
     for label, name in attributes:

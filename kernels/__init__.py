@@ -86,7 +86,7 @@ def remove_temporary_cache() -> None:
 
 
 def _switch_gradients_off() -> None:
-    """Set Warp to compile no derivatives of our kernels, which nobody needs; that halves the compile time.
+    """Set Warp to compile no derivatives of our kernels, which are not used; that halves the compile time.
 
     Other add-ons' kernels keep their settings.
     """

@@ -92,7 +92,7 @@ def packages_imported(path: Path) -> set[str]:
 
 
 def layer_of(rooms: list, room: str) -> int:
-    """Return the position of a room, which may stand in a set of rooms that import from each other."""
+    """Return the position of a room, or of the set with the rooms that it imports from and that import it."""
     [position] = [k for k, layer in enumerate(rooms) if room == layer or isinstance(layer, frozenset) and room in layer]
     return position
 

@@ -214,7 +214,7 @@ def _shaping_report(
         source: store that was shaped.
         heights: its field, unshaped.
         stack: the effects.
-        shaped: changes, computed tiles and what was left out.
+        shaped: changes, computed tiles and levels that were left out.
     """
     lattice, levels = field.lattice, levels_of(field.lattice)
     built = sum(map(len, shaped.tiles))
@@ -233,7 +233,7 @@ def _shaping_report(
         "rotation_deg": rotation_of(source),
         "bounds_against": "the surface as shaped",
         "effects": [entry.effect for entry in stack.active],
-        "layers": sorted(field.layers) or sorted(layer_units(heights, stack)),
+        "layers": sorted(layer_units(heights, stack)),
         "tiles_built": built,
         "tiles_there_are": sum(map(int, shaped.tile_counts)),
         "finest_spacing_m": max(levels[shaped.level].step_x, levels[shaped.level].step_y),

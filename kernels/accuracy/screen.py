@@ -120,7 +120,7 @@ def apart_px(eye: Eye, truth: wp.vec3d, a: wp.vec3d, b: wp.vec3d) -> wp.float64:
 def is_hidden(
     ground: Reference, blocks: HeightBlocks, eye: Eye, u: wp.float64, v: wp.float64, z: wp.float64, camera: wp.vec3d
 ):
-    """Return whether the surface hides one of its own points from the eye.
+    """Return whether the surface hides one of its points from the eye.
 
     The surface in front of the clip start hides nothing. (u, v, z): the point in cells and metres. camera: the same
     point in camera space.

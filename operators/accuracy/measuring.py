@@ -36,9 +36,7 @@ class MeasuringOperator(JobOperator):
     poll_s = jobs.CALL_S
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
-        """Prepare the measurement, wait for kernels, and measure on a thread; return what the measuring
-        function returns.
-        """
+        """Prepare the measurement, wait for kernels, and measure on a thread; return its result."""
         if is_rendering():
             raise error_while_rendering()
         measure = self.prepare(context)

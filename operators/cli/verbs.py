@@ -229,7 +229,7 @@ def _export_source(arguments):
 
 
 def run_effects(arguments) -> None:
-    """Run the verb `effects`: describe the attributes, and print what they take on a store or who reads them in a
+    """Run the verb `effects`: describe the attributes, and print their cost on a store or their readers in a
     scene.
     """
     from ..blender import need_bpy

@@ -266,7 +266,7 @@ def test_low_land_gets_layers_without_snow(factory, add_terrain):
 
 
 def test_the_view_across_shows_water_and_hides_the_border():
-    """A lake lies in a bowl of mountains that is open to the south."""
+    """A lake lies in a bowl of mountains with an opening in the south."""
     x = np.linspace(-5000.0, 5000.0, 129)
     east_m, north_m = np.meshgrid(x, x)
     rim = np.minimum(np.hypot(east_m, np.maximum(north_m, 0.0)) / 5000.0, 1.0) ** 3

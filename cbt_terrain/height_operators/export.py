@@ -150,7 +150,7 @@ class RowFile:
 
     def abandon(self) -> None:
         """Close the file without completing it, after an error."""
-        getattr(self._file, "leave", self._file.close)()
+        getattr(self._file, "abandon", self._file.close)()
 
 
 def _open_png(path: Path, shape: RasterShape, dtype: np.dtype, pool: Executor) -> RowFile:

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The panels of the height map: the import's options, the imported store, and its surface in the scene."""
 
-import bpy
-
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.importing.source_formats import BAND, CELL, CHANNEL, ENCODING
 from ..session import session
 from ..terrain.properties import FILE
+from ..text.translations import phrase
 from ..ui.panel_parts import TerrainSubpanel, draw_figures, draw_ground, draw_message, draw_switched
 from . import import_terrain, store_paths
 from .import_terrain import has_option
@@ -32,7 +31,7 @@ def _draw_more(column, settings) -> None:
     """Draw the further files, the last ones of many."""
     count = len(settings.more_sources)
     if count > SHOWN_FILES:
-        column.label(text=bpy.app.translations.pgettext_iface("{} more files").format(count - SHOWN_FILES))
+        column.label(text=phrase("{} more files", count - SHOWN_FILES))
     for item in settings.more_sources[max(0, count - SHOWN_FILES) :]:
         column.prop(item, "path")
 

@@ -20,7 +20,13 @@ KINDS = {
     "GRASS": ("Grass", "Grass", starter_forms.grass, (1.0, 0.85, 0.7)),
     "ROCKS": ("Rocks", "Rock", starter_forms.rock, (2.0, 1.2, 0.7, 0.3)),
 }
-KIND_ITEMS = [(kind, KINDS[kind][0], "") for kind in KINDS]
+KIND_ITEMS = [
+    ("CONIFERS", "Conifers", "Woods of spruces below the tree line, on ground up to 30° steep"),
+    ("BROADLEAVES", "Broadleaves", "Woods of round trees below the tree line, on ground up to 30° steep"),
+    ("BUSHES", "Bushes", "Low bushes below the tree line, on ground up to 30° steep"),
+    ("GRASS", "Grass", "Tufts of grass, for ground near the camera"),
+    ("ROCKS", "Rocks", "Rocks of four sizes"),
+]
 # Linear RGB inside and at the tips, and roughness.
 MATERIALS = {
     "Bark": ((0.03, 0.022, 0.016), (0.075, 0.055, 0.04), 0.9),

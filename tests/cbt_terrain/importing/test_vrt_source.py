@@ -53,7 +53,7 @@ def test_a_mosaic_that_is_too_large_opens_no_source(tmp_path):
         read_mosaic(tmp_path / "a.vrt", MOSAIC_SUFFIXES)
 
 
-def test_an_image_that_is_too_large_is_refused_unread(tmp_path, monkeypatch):
+def test_an_image_that_is_too_large_is_refused_unread(tmp_path):
     """Heights of an image are fitted to its lowest and highest value only after its size was checked."""
     from adaptive_terrain.cbt_terrain.importing import build_store
     from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings, Raster
@@ -63,6 +63,7 @@ def test_an_image_that_is_too_large_is_refused_unread(tmp_path, monkeypatch):
 
     (tmp_path / "a.png").write_bytes(b"a")
     raster = Raster(40_000, 40_000, read, "uint16", "PNG")
-    monkeypatch.setattr(build_store, "open_source", lambda _settings: raster)
     with pytest.raises(TerrainError, match="40000 x 40000 samples, more than an index"):
-        build_store.run_import(ImportSettings(str(tmp_path / "a.png")), tmp_path / "store")
+        build_store.run_import(
+            ImportSettings(str(tmp_path / "a.png")), tmp_path / "store", open_raster=lambda _settings: raster
+        )

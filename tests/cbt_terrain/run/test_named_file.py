@@ -20,6 +20,7 @@ OWN = {
     ("cbt_terrain/field/store.py", "np.load(file, mmap_mode='r+')"),
     ("cbt_terrain/run/partial_files.py", "_BOOT.read_text()"),
     ("cbt_terrain/run/named_file.py", "Path(file).open('rb')"),
+    ("cbt_terrain/importing/archives.py", "gzip.open(file)"),
     ("cbt_terrain/exporting/globe.py", "np.load(path)"),
     ("cbt_terrain/exporting/globe.py", "np.load(request['path'])"),
     ("cbt_terrain/exporting/height_tiles.py", "layer.form.open(partial, shape, layer.form.dtype, pool)"),
@@ -81,7 +82,8 @@ def reads_of(path: Path) -> set[str]:
         if name in READS or method in READS:
             found.add(ast.unparse(node))
         elif name == "open" or (
-            method == "open" and not name.startswith(("os.", "rasterio.", "archive.", "webbrowser."))
+            method == "open"
+            and not name.startswith(("os.", "rasterio.", "memory.", "laspy.", "archive.", "webbrowser."))
         ):
             modes = [a.value for a in node.args[name == "open" :] if isinstance(a, ast.Constant)]
             if not modes or modes[0] in ("r", "rb"):

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import bpy
 import pytest
 from adaptive_terrain.cbt_terrain.importing.source_formats import FORMATS
+from adaptive_terrain.cbt_terrain.importing.source_list import INDEX_SUFFIXES
 from adaptive_terrain.operators.farm.outside_files import HEIGHT_MAP_SUFFIXES
 from adaptive_terrain.operators.importing import menus
 from adaptive_terrain.operators.importing.add_terrain import AddTerrain
@@ -50,7 +51,7 @@ def test_every_format_can_be_dropped(scene):
     assert menus.HeightMapDropped.bl_file_extensions.split(";") == list(FORMATS)
     assert {".tif", ".r16", ".nc", ".laz", ".zip"} <= set(FORMATS) <= HEIGHT_MAP_SUFFIXES
     offered = bpy.ops.mesh.adaptive_terrain_from_file.get_rna_type().properties["filter_glob"].default
-    assert offered.split(";") == [f"*{suffix}" for suffix in FORMATS]
+    assert offered.split(";") == [f"*{suffix}" for suffix in (*FORMATS, *INDEX_SUFFIXES)]
 
 
 def test_the_object_menu_has_every_operator(scene):

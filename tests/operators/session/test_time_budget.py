@@ -109,7 +109,7 @@ def draw(terrain):
 
 def test_the_panel_says_which_error_fits_or_what_is_missing(terrain):
     assert draw(terrain) == [f"Finest error that fits: {CURVE.error_for_ms(2.0):.4g} px", ""], "always two lines"
-    detail, beyond = terrain.adaptive_terrain.viewport, "Beyond what was measured"
+    detail, beyond = terrain.adaptive_terrain.viewport, "Beyond the measured errors"
     detail.max_ms = 1e5
     assert draw(terrain) == [f"Finest error that fits: {CURVE.error[-1] / 4:.4g} px.", beyond]
     detail.max_ms = 1e-3

@@ -9,9 +9,7 @@ from ui_labels import collect_tooltips
 
 MAX_SENTENCES, MAX_LENGTH = 3, 260
 # Rows that no panel names, and properties that Blender's own classes bring.
-WITHOUT = re.compile(
-    r"\.(active|active_layer|align|location|rotation|filepath)$|^CancelJob\.|^AddStarterCollection\.kind\."
-)
+WITHOUT = re.compile(r"\.(active|active_layer|align|location|rotation|filepath)$|^CancelJob\.")
 # Words that only papers and the code use.
 PRIVATE = re.compile(
     r"\b(splat|lattice|bisect\w*|diamond|stack|halo|digest|meshlets?|effects on heights|samples a side|thereof|whereto|"

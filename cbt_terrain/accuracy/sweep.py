@@ -253,7 +253,7 @@ def _row(
     in_pixels = setting.unit == "px"
     if not in_pixels:
         frames = [dataclasses.replace(frames[0], views=(), after=None)]
-    num_views = sum(max(1, len(frame.views)) for frame in frames)
+    num_views = sum(int(max(1, len(frame.views))) for frame in frames)
     bounds, limited, sizes, changes, runs, spreads = [], set(), [], [], [], []
     measured: list[Measurement] = []
     for frame in frames:

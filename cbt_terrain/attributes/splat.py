@@ -95,7 +95,7 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> tuple[w
         struct.seed = wp.uint32(layer.seed * 0x85EBCA6B & 0xFFFFFFFF)
         structs.append(struct)
         for rule in layer.rules:
-            at = rule.other if rule.of == splat_rules.LAYER else sum(image.size for image in images)
+            at = rule.other if rule.of == splat_rules.LAYER else sum(int(image.size) for image in images)
             at = rows[READ_FROM[rule.of]] if rule.of in READ_FROM else at
             rules.append(_rule(rule, at, lowest, highest))
             if rule.of == splat_rules.IMAGE and rule.image is not None:

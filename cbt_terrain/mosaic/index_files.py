@@ -102,9 +102,9 @@ def _names_in_table(path: Path, column: str) -> list[str]:
             names.append(fields[at : at + 11].split(b"\0")[0].decode("latin-1"))
             sizes.append(fields[at + 16])
         found = _column(names, column)
-        if found is None or row_bytes != 1 + sum(sizes):
+        if found is None or row_bytes != 1 + sum(map(int, sizes)):
             raise ValueError(f"it has no column {column or COLUMNS[0]!r}")
-        first = 1 + sum(sizes[:found])
+        first = 1 + sum(map(int, sizes[:found]))
         rows = [file.read(row_bytes) for _ in range(min(count, MAX_FILES + 1))]
     texts = [row[first : first + sizes[found]] for row in rows if len(row) == row_bytes and row[:1] != b"*"]
     return _few([text.decode("utf-8", "replace").strip(" \0") for text in texts])

@@ -54,8 +54,8 @@ def steps():
     scene = bpy.context.scene
     for name in ("render_complete", "render_cancel"):
         getattr(bpy.app.handlers, name).append(lambda *_, name=name: result["ended"].append(name))
-    pop_up = stale_renders._pop_up
-    stale_renders._pop_up = lambda: result["said"].append(list(stale_renders._messages)) or pop_up()
+    pop_up = stale_renders._show_popup
+    stale_renders._show_popup = lambda: result["said"].append(list(stale_renders._messages)) or pop_up()
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     run(bpy.ops.mesh.adaptive_terrain_add, "INVOKE_DEFAULT", size=SIDE)
     yield from until(lambda: terrain() is not None and len(terrain().data.polygons) > 0)

@@ -5,7 +5,7 @@ import json
 import sys
 
 import bpy
-from bl_ext.user_default.adaptive_terrain.operators.bridge.demand.demand import demand
+from bl_ext.user_default.adaptive_terrain.operators.bridge.demand.demand import find_demand
 
 [support] = sys.argv[sys.argv.index("--") + 1 :]
 sys.path.insert(0, support)
@@ -13,7 +13,7 @@ from demand_cases import CASES  # noqa: E402
 
 
 def demanded(obj, mode="RENDER", exports=()):
-    return demand(obj, bpy.context.evaluated_depsgraph_get(), mode, exports)
+    return find_demand(obj, bpy.context.evaluated_depsgraph_get(), mode, exports)
 
 
 held, failed = 0, []

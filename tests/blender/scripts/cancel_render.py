@@ -59,7 +59,8 @@ def steps():
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     run(bpy.ops.mesh.adaptive_terrain_add, "INVOKE_DEFAULT", size=SIDE)
     yield from until(lambda: terrain() is not None and len(terrain().data.polygons) > 0)
-    run(bpy.ops.adaptive_terrain.land_add, effect="rivers")
+    for effect in ("rivers", "droplets", "droplets"):  # rivers alone would be done before Esc
+        run(bpy.ops.adaptive_terrain.land_add, effect=effect)
     yield from until(lambda: shaped_land.state_of(terrain()).shown == "Preview")
     scene.render.engine, scene.cycles.samples, scene.render.resolution_percentage = "CYCLES", 1, 10
     scene.cycles.use_denoising = False

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Conversion of a raster's georeference to metres: steps between samples and the position of its middle."""
+"""Steps between samples in metres, and the position of a raster's middle in units of its CRS, from a georeference."""
 
 import math
 import re
@@ -136,6 +136,8 @@ def from_transform(
             y = d col + e row + f.
         degrees: degrees in the CRS's unit if that is an angle, else 0.
         metres: metres in the CRS's unit if it is a length.
+        crs: its name, "" if the file has none.
+        ellipsoid: semi-major axis in metres, and inverse flattening (0: a sphere).
     """
     a, b, c, d, e, f = without_dust(transform)
     x, y = a * width / 2 + b * height / 2 + c, d * width / 2 + e * height / 2 + f

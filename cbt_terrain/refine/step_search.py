@@ -92,7 +92,8 @@ class _Search:
     def window(self, goal: int, beyond: int, stride: int, reach: int) -> tuple[int, int]:
         """Return the first and last step between which to search for `goal` splits.
 
-        beyond: a step that has more splits. stride: the factor on the window after failures. reach: steps in a window.
+        beyond: every finer step has more splits. stride: grows after failures; the window begins at least this many
+        steps finer than `high` and has `stride` * `reach` steps.
         """
         if self.high > MAX_STEP:  # no step is known to fit
             return beyond, MAX_STEP

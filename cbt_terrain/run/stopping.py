@@ -143,7 +143,10 @@ def _listen(reader: int) -> None:
 
 
 def _end(number: int) -> None:
-    """End the process at once. This is safe, because no incomplete file has a final name."""
+    """End the process at once, after a second signal or if a step outlasts the first; exit code 128 + its `number`.
+
+    This is safe, because no incomplete file has a final name.
+    """
     if sys.stderr is not None:
         os.write(2, b"adaptive-terrain: stopped at once; the next run removes the leftovers\n")
     os._exit(128 + number)

@@ -126,7 +126,7 @@ def neighbours_of(grid: SquareGrid, node: LebNode):
     They may not be leaves; beyond the grid they have id 0. libleb names them "left", "right" and "edge".
     """
     depth = highest_bit(node.heap_id)
-    start = wp.min(depth, 2)
+    start = wp.min(depth, 2)  # from which on neighbours are mirrored
     heap_id = wp.int32(node.heap_id >> wp.uint64(depth - start))
     left = first_neighbour(grid, node, heap_id, 0)
     right = first_neighbour(grid, node, heap_id, 1)

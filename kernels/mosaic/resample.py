@@ -36,6 +36,19 @@ def at_node(
 
 
 @wp.func
+def split_position(u: wp.float64) -> wp.vec2d:
+    """Return the source sample before a position, and the fraction of the cell behind it: 0 within SNAP of a sample."""
+    before = wp.floor(u)
+    fraction = u - before
+    if fraction < SNAP:
+        fraction = wp.float64(0.0)
+    if fraction > wp.float64(1.0) - SNAP:
+        fraction = wp.float64(0.0)
+        before += wp.float64(1.0)
+    return wp.vec2d(before, fraction)
+
+
+@wp.func
 def steepest(values: wp.array(dtype=wp.float64), at: int, along: int, across: int) -> wp.float64:
     """Return the largest step between neighbours along one axis in the 4 x 4 samples around a cell; NaN is ignored."""
     largest = wp.float64(0.0)
@@ -96,22 +109,12 @@ def resample_rows(
         v = at_node(nodes_v, stride, column, row, s, t)
         if not (wp.abs(u) < FAR and wp.abs(v) < FAR):  # nor NaN, where a system has no such position
             continue
-        floor_u = wp.floor(u)
-        floor_v = wp.floor(v)
-        f = u - floor_u
-        g = v - floor_v
-        if f < SNAP:
-            f = wp.float64(0.0)
-        if f > wp.float64(1.0) - SNAP:
-            f = wp.float64(0.0)
-            floor_u += wp.float64(1.0)
-        if g < SNAP:
-            g = wp.float64(0.0)
-        if g > wp.float64(1.0) - SNAP:
-            g = wp.float64(0.0)
-            floor_v += wp.float64(1.0)
-        p = wp.int32(floor_u) - left
-        q = wp.int32(floor_v) - top
+        at_u = split_position(u)
+        at_v = split_position(v)
+        f = at_u[1]
+        g = at_v[1]
+        p = wp.int32(at_u[0]) - left
+        q = wp.int32(at_v[0]) - top
         if p < 1 or q < 1 or p + 2 >= width or q + 2 >= height:
             continue
         k = q * width + p

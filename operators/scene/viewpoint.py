@@ -67,9 +67,10 @@ def across(obj) -> Matrix:
 
 
 def _heights(obj) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Return samples of a terrain in its own space, x [n], y [m] and height [m, n], and the level of its low ground.
+    """Return samples of a terrain in its own space, x [n], y [m] and height [m, n], and the level of water.
 
-    Metres of the height map. Holes have the lowest height.
+    Ground up to this level counts as water that a view should show: the sea, or inland the lowest part (INLAND). Metres
+    of the height map. Holes have the lowest height.
     """
     field = session.open_field(shaped_land.store_of(obj))
     lattice = field.lattice

@@ -62,6 +62,7 @@ SERVICES = (translations, store_paths, asset_library, render_wait, shape_land, o
 
 
 def register() -> None:
+    """Add classes, settings, handlers, menus and presets to Blender, and start the services."""
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     for owner, name, group in SETTINGS:
@@ -83,6 +84,7 @@ def register() -> None:
 
 
 def unregister() -> None:
+    """Undo `register` in the opposite order; jobs are cancelled first."""
     atexit.unregister(unregister)
     jobs.stop_all()
     for service in reversed(SERVICES):

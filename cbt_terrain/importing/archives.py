@@ -137,6 +137,7 @@ def _damaged(path: Path, reason: Exception) -> TerrainError:
 
 
 def _too_large(path: Path, name: str, limit: int) -> TerrainError:
+    """Return the error for a member of an archive that is larger than `limit` bytes."""
     return TerrainError(
         f"{shown(path)} unpacks {shown(name)!r} to more than {limit / 1e6:,.0f} MB",
         expected="a height map that fits on the disk of the store",

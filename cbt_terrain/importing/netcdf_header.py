@@ -68,6 +68,7 @@ class _Header:
         self.number(self.count_code)
 
     def attribute(self) -> None:
+        """Skip an attribute: its name, the type of its values and the values. Raises ValueError for an unknown type."""
         self.skip(self.count())
         size = SIZES.get(self.number())
         if size is None:

@@ -58,6 +58,10 @@ def open_points(path: Path, settings: ImportSettings) -> Raster:
 
 
 def _open(path: Path, settings: ImportSettings) -> Raster:
+    """Return the ground points of a LAS or LAZ file as a raster.
+
+    Raises TerrainError for a damaged file or one in degrees.
+    """
     from .file_grid import FileGrid, unit_of
     from .gdal_source import raster_of
 

@@ -110,6 +110,7 @@ def _suffix(name: str) -> str:
 
 
 def _is_folder(source: str) -> bool:
+    """Return whether a source is a folder; a name that no file can have is none."""
     try:
         return os.path.isdir(source)
     except ValueError:  # a NUL in the name

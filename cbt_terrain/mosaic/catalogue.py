@@ -161,6 +161,7 @@ def _belonging(path: Path) -> list[Path]:
 
 
 def _stat(path: str | Path) -> tuple[str, int, int] | None:
+    """Return path, size and modification time of a file; None if it cannot be read."""
     try:
         return file_stat(path)
     except OSError:

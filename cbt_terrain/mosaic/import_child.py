@@ -44,6 +44,7 @@ def run_mosaic_import(
         on_progress(*reached)
 
     def open_mosaic(settings: ImportSettings) -> Raster:
+        """Return the composite of the sources as a raster; report on it first, unless the store has it already."""
         composite = open_composite(settings, path, lambda done: on_progress(SCANNED * done, READING))
         composite.on_piece = lambda: on_progress(*reached)
         raster = mosaic_raster(composite, settings)

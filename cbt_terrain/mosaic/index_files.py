@@ -111,6 +111,7 @@ def _names_in_table(path: Path, column: str) -> list[str]:
 
 
 def _few(names: list[str]) -> list[str]:
+    """Return the names. Raises ValueError if there are more than MAX_FILES."""
     if len(names) > MAX_FILES:
         raise ValueError(f"it names more than {MAX_FILES:,} files")
     return names

@@ -95,6 +95,7 @@ def _turn() -> float | None:
 
 
 def start() -> None:
+    """Offer the asset library to Blender, and build it in the background if it is missing or old."""
     folder = library_folder()
     if folder is None:
         return
@@ -105,6 +106,7 @@ def start() -> None:
 
 
 def stop() -> None:
+    """Stop building the library and take it out of Blender's preferences."""
     global _process
     if bpy.app.timers.is_registered(_turn):
         bpy.app.timers.unregister(_turn)

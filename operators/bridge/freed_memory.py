@@ -61,6 +61,7 @@ def _give_back_when_idle() -> float | None:
 
 
 def unregister() -> None:
+    """Stop the timer and return freed memory to the system at once."""
     if bpy.app.timers.is_registered(_give_back_when_idle):
         bpy.app.timers.unregister(_give_back_when_idle)
     give_back()

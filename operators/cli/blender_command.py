@@ -20,6 +20,7 @@ def register() -> None:
 
 
 def unregister() -> None:
+    """Remove the command from Blender's command line."""
     atexit.unregister(unregister)
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())

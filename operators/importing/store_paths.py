@@ -159,6 +159,7 @@ def start() -> None:
 
 
 def stop() -> None:
+    """Stop looking for stores that have moved, and forget the notices."""
     if bpy.app.timers.is_registered(find_moved_stores):
         bpy.app.timers.unregister(find_moved_stores)
     notices.clear()

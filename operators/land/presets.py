@@ -111,6 +111,7 @@ class AddLandPreset(TerrainOperator, AddPresetBase, bpy.types.Operator):
         return {"FINISHED"}
 
     def _remove(self, found: str | None):
+        """Remove a preset's file. Raises TerrainError unless it is one of the user's own."""
         user = bpy.utils.user_resource("SCRIPTS", path="presets")
         if not found or not Path(found).is_relative_to(user):
             raise TerrainError(f"The preset {self.name!r} cannot be removed", expected="one of your own presets")

@@ -144,6 +144,7 @@ def _draw_over_render() -> None:
 
 
 def start() -> None:
+    """Draw the progress of shaping over the image editor while a render waits for land."""
     global _handle
     derived_store.on_shaping = _on_shaping
     if not bpy.app.background:
@@ -151,6 +152,7 @@ def start() -> None:
 
 
 def stop() -> None:
+    """Stop drawing, and forget the land that a render waits for."""
     global _handle, waiting
     if _handle is not None:
         bpy.types.SpaceImageEditor.draw_handler_remove(_handle, "WINDOW")

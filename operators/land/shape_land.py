@@ -86,6 +86,7 @@ class _Shaping(JobOperator):
         return frames_of(scene)
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
+        """Shape the land of the frames in a child process: the steps of a background job, which returns the land."""
         obj, scene, depsgraph = self.subject(context), context.scene, context.evaluated_depsgraph_get()
         _check_is_visible(obj, depsgraph)
         visits = _visit_views(obj, scene, wanted_land(obj, depsgraph), self.frames(scene))
@@ -166,6 +167,7 @@ class ShapeAndRender(_Shaping, bpy.types.Operator):
         window, animation, other = context.window, self.animation, next_unshaped(context)
 
         def go_on() -> None:
+            """Render, or shape the next terrain and then render."""
             operator = bpy.ops.adaptive_terrain.shape_and_render if other not in (None, obj) else bpy.ops.render.render
             with bpy.context.temp_override(window=window):
                 operator("INVOKE_DEFAULT", animation=animation)

@@ -35,6 +35,7 @@ class BakeMaps(JobOperator, bpy.types.Operator):
         return (yield from jobs.run_on_thread(job, lambda: _shape_and_bake(request, job)))
 
     def finish(self, _context, obj, baked: Baked) -> None:
+        """Load the baked images and report on them."""
         map_images.reserve_folder(obj)  # an undo may have removed it
         map_images.reload(map_images.map_folder(obj), _image_files(baked))
         self.report({"INFO"}, summary(baked, obj.name))

@@ -65,6 +65,7 @@ def start() -> None:
 
 
 def stop() -> None:
+    """Free the swatches of the legend."""
     global _swatches
     bpy.utils.previews.remove(_swatches)
     _swatches = None

@@ -58,6 +58,7 @@ def _stands_alone(obj) -> bool:
 
 
 def _is_cube(obj) -> bool:
+    """Return whether an object is the default scene's cube, not edited."""
     if obj.type != "MESH" or obj.data.users > 1 or len(obj.data.vertices) != len(CORNERS):
         return False
     corners = sorted(tuple(vertex.co) for vertex in obj.data.vertices)
@@ -65,6 +66,7 @@ def _is_cube(obj) -> bool:
 
 
 def _is_lamp(obj) -> bool:
+    """Return whether an object is the default scene's lamp, not edited."""
     if obj.type != "LIGHT" or obj.data.users > 1 or obj.data.type != "POINT" or obj.data.animation_data is not None:
         return False
     return obj.data.energy == LAMP_WATTS and np.allclose(obj.data.color, 1.0) and not _has_nodes(obj.data)

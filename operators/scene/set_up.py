@@ -133,6 +133,7 @@ class SetUpScene(bpy.types.Operator):
 
 
 def _add_camera(scene):
+    """Add a camera to a scene and return it."""
     camera = bpy.data.objects.new(CAMERA, bpy.data.cameras.new(CAMERA))
     scene.collection.objects.link(camera)
     return camera

@@ -302,6 +302,7 @@ def _on_draw() -> None:
 
 
 def start() -> None:
+    """Start the worker thread, and in a window the timer and the callback that notice changed views."""
     global _worker, _draw_handle
     _worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="adaptive_terrain_live")
     if not bpy.app.background:
@@ -311,6 +312,7 @@ def start() -> None:
 
 
 def stop() -> None:
+    """Stop timer, callback and worker, after the update that is running."""
     global _worker, _job, _dirty, _draw_handle
     warmup.stop()
     if bpy.app.timers.is_registered(tick):

@@ -122,6 +122,10 @@ def update_object(obj, depsgraph=None, mode: str = VIEWPORT, **options):
 
 
 def _update(obj, record: Record, depsgraph, mode: str, options: dict):
+    """Refine and show a terrain's mesh in this thread, and return its Update.
+
+    mode: VIEWPORT or RENDER. options: of `gather`.
+    """
     request = gather(obj, depsgraph or bpy.context.evaluated_depsgraph_get(), mode, **options)
     with engine_lock:
         update = solve(record, request)
@@ -162,6 +166,10 @@ def solve(record: Record, request: Request):
 
 
 def _refine(record: Record, request: Request, heights: HeightField):
+    """Return the Update for a request, or that of frozen detail.
+
+    The attributes and scatter points that the scene reads are made for it.
+    """
     if record.terrain is None or record.field is not heights:
         record.terrain, record.field, record.serial = Terrain(heights), heights, record.serial + 1
     placed = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
@@ -292,6 +300,7 @@ def shown_surface(record: Record, update) -> Surface:
 
 
 def _what_is_shown(mesh, record: Record, request: Request) -> tuple:
+    """Return a key that changes whenever the mesh in Blender is no longer what the record has written."""
     counts = len(mesh.vertices), len(mesh.edges), len(mesh.polygons)
     attributes = tuple(name in mesh.attributes for name in record.effects)  # a user may remove some
     serials = record.serial, record.overlay_key, record.effects_serial, attributes

@@ -68,12 +68,14 @@ def _redraw_if_changed() -> None:
 
 
 def start() -> None:
+    """Show the progress of jobs in the status bar of a window."""
     if not bpy.app.background:
         bpy.types.STATUSBAR_HT_header.prepend(_draw_progress)
         bpy.app.timers.register(_tick, first_interval=TURN_S, persistent=True)
 
 
 def stop() -> None:
+    """Remove the progress from the status bar."""
     global _shown
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)

@@ -140,6 +140,7 @@ class ShowMessage(bpy.types.Operator):
         texts = error_lines(session.record_of(terrain).status)
 
         def draw(popup, _context):
+            """Draw the texts as lines of the popup."""
             for text, icon in texts:
                 for number, line in enumerate(wrap_words(text, POPUP_LINE)):
                     popup.layout.label(text=line, icon=icon if number == 0 and icon != "ERROR" else "NONE")

@@ -29,6 +29,7 @@ def phrase(template: str, *values: object) -> str:
 
 
 def start() -> None:
+    """Register the translations of all labels with Blender."""
     tables = {
         locale: {(context, label): text for label, text in labels.items() for context in CONTEXTS}
         for locale, labels in LANGUAGES.items()

@@ -190,7 +190,7 @@ class MeasuredMesh:
         x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
         key = np.zeros(count, np.int64)
         inputs = [*g.point_ends, *(shared(a, wp.int64) for a in (x, y, key))]
-        launch.spread(point_kernels.sort_keys, count, inputs, step="measure", threads=g.threads)
+        launch.spread(point_kernels.compute_morton_keys, count, inputs, step="measure", threads=g.threads)
         order = np.argsort(key)
         key = key[order]
         p = point_kernels.MeasuredPoints()

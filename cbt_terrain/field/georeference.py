@@ -138,6 +138,9 @@ def from_transform(
         metres: metres in the CRS's unit if it is a length.
         crs: its name, "" if the file has none.
         ellipsoid: semi-major axis in metres, and inverse flattening (0: a sphere).
+
+    Warnings about sizes are separate (`size_warnings`), since they do not apply to an extent that the user gives.
+    Raises TerrainError for cells without an area, and for a middle that is not finite or lies near a pole.
     """
     a, b, c, d, e, f = without_dust(transform)
     x, y = a * width / 2 + b * height / 2 + c, d * width / 2 + e * height / 2 + f

@@ -12,8 +12,9 @@ from .heightfield import HeightField
 def error_for(field: HeightField, meshlet: int) -> np.ndarray:
     """Return the error hierarchy for leaves that are drawn as 4**meshlet triangles.
 
-    The result is uint8 [node_count], codes of the field's table. It is computed once for each `meshlet`, and cached in
-    the field's store, if it has one.
+    The result is uint8 [node_count]: a code for each diamond, which the field's table turns into metres. Errors are
+    smaller than those of `field.error`, so the refinement needs fewer leaves. It is computed once for each `meshlet`,
+    and cached in the field's store, if it has one.
     """
     if meshlet == 0:
         return field.error

@@ -127,7 +127,10 @@ def _range(net: np.ndarray) -> float:
 
 
 def _halve_net(net: np.ndarray) -> np.ndarray:
-    """Return control heights with half the pixels along both axes, whose surface is near that of `net`."""
+    """Return control heights with half the pixels along both axes, whose surface is near that of `net`.
+
+    It lacks the waves of two pixels; meshes with long edges show it in place of `net`. Both sides of `net` are even.
+    """
     for axis in (0, 1):
         net = add_up(weight * np.roll(net, 2 - k, axis) for k, weight in enumerate(DOWN))
         net = net[::2] if axis == 0 else net[:, ::2]

@@ -53,7 +53,8 @@ _verified: set[tuple[str, int]] = set()  # stores, with their time of change, wh
 def on_shaping(_land: "Land", _fraction: float, _message: str) -> None:
     """Report the progress of shaping that the caller waits for: the finished fraction, 1 at the end, and a text.
 
-    Blender's part replaces this function, which does nothing.
+    Blender's part replaces this function, which does nothing. It may be called on any thread, and cancels the shaping
+    by raising TerrainError before the fraction is 1.
     """
 
 

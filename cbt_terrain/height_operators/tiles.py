@@ -177,7 +177,11 @@ def _boxes(level: Level, field: HeightField, vertical_scale: float, vertical_off
 
 
 def _merge_boxes(level: Level, boxes: np.ndarray) -> np.ndarray:
-    """Return the boxes of a level from those of the next finer one, four in each; float64 [rows, columns, 2, 3]."""
+    """Return the bounding boxes of a level's tiles, each around up to four tiles of the next finer level.
+
+    boxes: those of the finer level, see `_boxes`. The result is float64 [rows, columns, lowest and highest, x y z],
+    metres.
+    """
     rows, columns = level.tiles
     padded = np.pad(boxes, [(0, 2 * rows - boxes.shape[0]), (0, 2 * columns - boxes.shape[1]), (0, 0), (0, 0)], "edge")
     four = padded.reshape(rows, 2, columns, 2, 2, 3)

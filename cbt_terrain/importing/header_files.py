@@ -24,8 +24,8 @@ def header_of(path: Path) -> Path | None:
     return found[0] if found and form is not None and form.has_header else None
 
 
-def is_plain_raw(path: Path) -> bool:
-    """Return whether a file holds raw samples by its suffix and has no header beside it."""
+def lacks_header(path: Path) -> bool:
+    """Return whether a file such as .bil or .flt lacks its header, so that its samples are read as RAW."""
     form = FORMATS.get(path.suffix.lower())
     return form is not None and form.is_raw_alone and header_of(path) is None
 

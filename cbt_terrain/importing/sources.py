@@ -13,7 +13,7 @@ from ..field.georeference import Georeference
 from ..field.lands import LANDS
 from ..run.named_file import blocks_reader
 from .format_choice import format_of
-from .header_files import headless_warning, is_plain_raw
+from .header_files import headless_warning, lacks_header
 from .raster import ImportSettings, Raster, blank
 from .source_formats import FORMATS
 
@@ -30,7 +30,7 @@ def open_source(settings: ImportSettings) -> Raster:
     path = Path(settings.source)
     check_file(path)
     try:
-        if is_plain_raw(path):
+        if lacks_header(path):
             return open_raw(path, settings)
         form = format_of(path)
         if form is not None:
@@ -110,7 +110,11 @@ def _open_land(settings: ImportSettings) -> Raster:
 
 
 def open_raw(path: Path, settings: ImportSettings) -> Raster:
-    """Open samples without a header, with the size and type in the settings. Raises TerrainError."""
+    """Open samples without a header.
+
+    Size, type and byte order are those of the settings. A suffix that implies a type, as .r32 does, wins over a type of
+    another length. Raises TerrainError.
+    """
     if settings.project:
         raise TerrainError(
             f"{shown(path)} has no header beside it, so no coordinate system, and cannot be reprojected",
@@ -124,14 +128,14 @@ def open_raw(path: Path, settings: ImportSettings) -> Raster:
     width, height = settings.raw_size or (math.isqrt(samples), math.isqrt(samples))
     if width * height * kind.itemsize != size or rest:
         needed = f"{width} x {height} samples of {kind.name} need {width * height * kind.itemsize}"
-        hint = f", or put its header {shown(path.with_suffix('.hdr').name)} beside it" if is_plain_raw(path) else ""
+        hint = f", or put its header {shown(path.with_suffix('.hdr').name)} beside it" if lacks_header(path) else ""
         raise TerrainError(
             f"{path} has {size} bytes, but {needed}",
             fix=f"give its true size and type (on the command line --raw-size WxH and --raw-type){hint}",
         )
     values = np.memmap(path, kind, "r", shape=(height, width))
     raster = _from_array(values, settings, "RAW")
-    if is_plain_raw(path):
+    if lacks_header(path):
         raster.warnings.append(headless_warning(path))
     raster.warnings += _byte_order_warnings(values)
     return raster

@@ -114,7 +114,10 @@ def _note(scale: HeightScale, has_unit: bool, has_scale: bool) -> str:
 
 
 def _vrt_scale(mosaic: Mosaic, number: int, band: int) -> HeightScale:
-    """Return the conversion to heights that text `number` of a mosaic defines for a band."""
+    """Return the conversion to heights that VRT `number` of a mosaic (`Mosaic.texts`) defines for a band.
+
+    The unit is the band's, or that of the coordinate system's vertical axis. Without such a band it is metres.
+    """
     element = band_element(mosaic, number, band)
     if element is None:
         return HeightScale()

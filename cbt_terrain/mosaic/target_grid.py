@@ -180,7 +180,10 @@ def _target_crs(tiles: Sequence[SourceTile], settings: ImportSettings) -> str:
 
 
 def _utm_zone(tiles: Sequence[SourceTile]) -> str:
-    """Return the WGS 84 UTM zone of the middle of all tiles, as EPSG:n."""
+    """Return the zone that the projection `utm` means, as EPSG:n: the WGS 84 UTM zone of the middle of all tiles.
+
+    Raises TerrainError beyond the latitudes of UTM.
+    """
     boxes = footprints(tiles, "EPSG:4326").boxes
     longitude, latitude = (float(boxes[:, k].min() + boxes[:, k + 2].max()) / 2 for k in (0, 1))
     if not -80.0 <= latitude <= 84.0:

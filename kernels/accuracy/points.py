@@ -44,7 +44,7 @@ def morton(x: wp.int64, y: wp.int64) -> wp.int64:
 
 
 @wp.kernel
-def sort_keys(
+def compute_morton_keys(
     offset: wp.int32,
     end_x: wp.int64,
     end_y: wp.int64,

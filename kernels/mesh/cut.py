@@ -239,7 +239,10 @@ def remove_flagged(flagged: wp.array(dtype=wp.uint8), m: Cut):
 
 @wp.kernel
 def keep_used(m: Cut):
-    """Clear the marks of vertices and edges that remaining triangles use, so that only unused ones are removed."""
+    """Clear the marks of vertices and edges that remaining triangles use, so that only unused ones are removed.
+
+    One thread. Listed triangles suffice: every triangle that shares a vertex with a removed one is listed.
+    """
     for i in range(m.counts[LISTED]):
         t = m.listed[i]
         if m.removed[TRIANGLE, t] == wp.uint8(0):

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Joining of welded slices: each import is resolved, slice by slice, and replaced by its number."""
+"""Joining of welded slices: each import is resolved, slice by slice, and replaced by its number.
+
+An import is a vertex or an edge that an earlier slice has made (weld_state.py). The front, the stacks of open edges and
+the shared sides are those of weld.py. A slice whose two leaves at an edge give it different levels is marked TORN.
+"""
 
 import warp as wp
 

@@ -151,8 +151,8 @@ def expand(
 
 @wp.kernel
 def find_common_points(
-    before: wp.int32,
-    now: wp.int32,
+    last_leaves: wp.int32,
+    leaves: wp.int32,
     last_level: wp.array(dtype=wp.int32),
     level: wp.array(dtype=wp.int32),
     last_first: wp.int32,
@@ -161,10 +161,12 @@ def find_common_points(
     runs: wp.array(dtype=Run),
     count: wp.array(dtype=wp.int64),
 ):
-    """List the runs of points inside leaves that this and the last mesh both have, and their number.
+    """Write the runs of points inside leaves that this and the last mesh both have, and count[0], the number of runs.
 
     One thread. Levels in curve order locate every leaf: overlapping leaves of equal level are the same leaf.
-    points: points inside one leaf. last_first, first: number of the first such point of either mesh.
+    last_leaves, leaves: number of leaves of either mesh. last_level, level: their levels. points: points inside one
+    leaf. last_first, first: number of the first such point of either mesh. Footprints and the frustum of the runs are
+    not known, so geomorphing computes their points again.
     """
     i = wp.int32(0)
     j = wp.int32(0)
@@ -172,10 +174,10 @@ def find_common_points(
     end_j = wp.int64(0)
     found = wp.int64(0)
     goes_on = wp.bool(False)  # whether the run of the previous leaf goes on
-    if now > 0 and before > 0:
+    if leaves > 0 and last_leaves > 0:
         end_i = wp.int64(1) << wp.int64(DEEPEST - level[0])
         end_j = wp.int64(1) << wp.int64(DEEPEST - last_level[0])
-    while i < now and j < before:
+    while i < leaves and j < last_leaves:
         stays = level[i] == last_level[j]
         if stays:
             if not goes_on:
@@ -191,10 +193,10 @@ def find_common_points(
         next_j = end_j <= end_i
         if next_i:
             i += 1
-            if i < now:
+            if i < leaves:
                 end_i += wp.int64(1) << wp.int64(DEEPEST - level[i])
         if next_j:
             j += 1
-            if j < before:
+            if j < last_leaves:
                 end_j += wp.int64(1) << wp.int64(DEEPEST - last_level[j])
     count[0] = found

@@ -137,7 +137,7 @@ class Look:
 
         size = " x ".join(f"{pixels:g}" for pixels in self.frames[0].views[0].resolution)
         request, seen = self.request, f"through {through}, {size} pixels"
-        heights, current = session.field_of(request), current_setting(request)
+        heights, current = session.field_of(request), setting_of_request(request)
         found = AccuracySubject(self.name, heights, self.frames, self.numbers, seen, current, request.criterion)
         found.called, found.effects = self.name, plan(request.effects.requests)
         found.notes += omission_notes(request.criterion)
@@ -175,8 +175,12 @@ def gather_views(scene, view_layer, objects, numbers: Sequence[int], **look) -> 
     ]
 
 
-def current_setting(request) -> Setting | None:
-    """Return the part of a request that a sweep varies: its error, limits and interpolation; None without an error."""
+def setting_of_request(request) -> Setting | None:
+    """Return a request's own setting, which a report measures beside others and marks.
+
+    It is the error in pixels, or in metres if that alone is limited, with limits and interpolation; None without an
+    error.
+    """
     criterion = request.criterion
     unit = requested_unit(criterion)
     if not unit:

@@ -90,7 +90,7 @@ def _draw_details(box, name: str, status) -> None:
 
 
 def about_text(name: str) -> str:
-    """Return the description of an attribute, with its unit: `Slope (rad): how steep ...`."""
+    """Return an attribute's translated title, its unit and its description: `Slope (rad): how steep ...`."""
     unit = ATTRIBUTES[name].unit
     return (
         f"{phrase(title_of(name))}{f' ({unit_text(unit)})' if unit not in ('', '1') else ''}: {ATTRIBUTES[name].about}"

@@ -125,7 +125,7 @@ def view_from_region(space, region, region_3d) -> View:
 def viewports(window_manager) -> list[tuple]:
     """Return window, area, region and the region's own view (RegionView3D) of every 3D viewport that is shown.
 
-    Viewports too small to show anything are left out.
+    They are refined, framed, and searched for the mouse. Viewports too small to show anything are left out.
     """
     found = []
     for window in window_manager.windows:
@@ -134,7 +134,7 @@ def viewports(window_manager) -> list[tuple]:
                 continue
             space = area.spaces.active
             regions = [region for region in area.regions if region.type == "WINDOW"]
-            # A viewport split in four has four window regions and keeps their views in a separate list.
+            # A viewport split in four lists the views of its last four window regions separately, in the same order.
             parts = list(space.region_quadviews) or [space.region_3d]
             pairs = zip(regions[-len(parts) :], parts, strict=False)
             found += [(window, area, region, part) for region, part in pairs if min(region.width, region.height) > 1]

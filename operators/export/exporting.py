@@ -192,8 +192,9 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_files(folder: Path, contents: dict[str, str | bytes]) -> None:
-    """Write files by their names into a folder: all replace the old ones at the end, or none does.
+    """Write small files, such as those of a report, into a folder; contents: UTF-8 text or bytes by file name.
 
+    They are written to private folders first and renamed at the end, so an error while writing changes no file.
     Raises TerrainError.
     """
     with ExitStack() as stack:

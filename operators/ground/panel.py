@@ -6,10 +6,13 @@ from ..text.numbers import length_text
 from ..text.translations import phrase
 from ..ui.panel_parts import draw_message
 from . import add_collider, keep_ground
+from .pick_ground import OBJECT
 from .properties import ON
 
 
 class GroundPanel:
+    """Operators on the ground, the settings of a kept object, and a terrain's collider."""
+
     bl_idname = "ADAPTIVE_TERRAIN_PT_on_ground"
     bl_label = "Ground"
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_main"
@@ -30,7 +33,7 @@ class GroundPanel:
             self._draw_keeping(layout.box(), obj)
         row = layout.row(align=True)
         row.operator("adaptive_terrain.pick_ground", icon="EYEDROPPER")
-        row.operator("adaptive_terrain.pick_ground", text="", icon="OBJECT_ORIGIN").moves = "OBJECT"
+        row.operator("adaptive_terrain.pick_ground", text="", icon="OBJECT_ORIGIN").moves = OBJECT  # not the 3D cursor
         column = layout.column(align=True)
         column.operator("adaptive_terrain.profile", icon="IPO_EASE_IN_OUT")
         column.operator("adaptive_terrain.viewshed", icon="HIDE_OFF")

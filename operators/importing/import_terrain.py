@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.importing.header_files import is_plain_raw
+from ...cbt_terrain.importing.header_files import lacks_header
 from ...cbt_terrain.importing.import_process import ImportJob
 from ...cbt_terrain.importing.raster import ImportSettings
 from ...cbt_terrain.importing.source_formats import BAND, CELL, ENCODING, RAW, suffixes_with
@@ -85,7 +85,7 @@ def _files_of(settings) -> ImportSettings:
 
 def is_raw(path: str) -> bool:
     """Return whether a file has samples without a header, so that the panel must ask for their size and type."""
-    return path.lower().endswith(suffixes_with(RAW)) or is_plain_raw(Path(absolute_path(path)))
+    return path.lower().endswith(suffixes_with(RAW)) or lacks_header(Path(absolute_path(path)))
 
 
 def has_option(path: str, option: str) -> bool:

@@ -73,7 +73,7 @@ class BakeLand(LandOperator, bpy.types.Operator):
     def poll(cls, context):
         if not super().poll(context):
             return False
-        cls.poll_message_set("There is nothing to bake: the stack is empty or switched off")
+        cls.poll_message_set("There is nothing to bake: the list is empty, or all its entries are switched off")
         return any(entry.on for entry in context.object.adaptive_terrain.land.entries)
 
     def _carry_out(self, obj, depsgraph):

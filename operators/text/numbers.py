@@ -23,7 +23,7 @@ def time_text(ms: float | None) -> str:
         return "-"
     if 0.0 < ms < SHORTEST_MS:
         return f"< {SHORTEST_MS:g} ms"
-    return f"{plain(ms)} ms" if ms < 1000.0 else f"{plain(ms / 1000.0)} s"
+    return f"{plain(ms)} ms" if ms < 999.5 else f"{plain(ms / 1000.0)} s"
 
 
 def unit_text(unit: str) -> str:

@@ -227,18 +227,20 @@ def asking(criterion: Criterion, interpolation: str = "bilinear") -> SimpleNames
 
 def test_a_sweep_reports_omitted_settings():
     plain = Criterion(error_px=2.0, meshlet=1)
-    assert accuracy_subject.current_setting(asking(plain)) == Setting("px", 2.0, meshlet=1)
+    assert accuracy_subject.setting_of_request(asking(plain)) == Setting("px", 2.0, meshlet=1)
     smooth = Setting("px", 2.0, meshlet=1, interpolation="bicubic")
-    assert accuracy_subject.current_setting(asking(plain, "bicubic")) == smooth
+    assert accuracy_subject.setting_of_request(asking(plain, "bicubic")) == smooth
     assert accuracy_subject.omission_notes(plain) == []
     metres = Criterion(error_px=0, error_m=0.5, max_triangles=1000, max_depth=9)
-    assert accuracy_subject.current_setting(asking(metres)) == Setting("m", 0.5, max_depth=9)
+    assert accuracy_subject.setting_of_request(asking(metres)) == Setting("m", 0.5, max_depth=9)
     assert (
         len(accuracy_subject.omission_notes(metres)) == 1
         and "limits of triangles" in accuracy_subject.omission_notes(metres)[0]
     )
     edges = Criterion(error_px=0, edge_px=4)
-    assert accuracy_subject.current_setting(asking(edges)) is None and len(accuracy_subject.omission_notes(edges)) == 2
+    assert (
+        accuracy_subject.setting_of_request(asking(edges)) is None and len(accuracy_subject.omission_notes(edges)) == 2
+    )
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,8 @@ are checked before anything is unpacked. A .zip holds one height map; files with
 """
 
 import gzip
+import os
+import re
 import shutil
 import stat
 import zipfile
@@ -27,6 +29,7 @@ from .source_formats import FORMATS, SourceFormat
 MAX_MEMBERS = 10_000
 MAX_BYTES = 1 << 33  # of an unpacked file: more than the largest raster
 MAX_SIDECAR_BYTES = 16 << 20
+MAX_UNPACKED_BYTES = 1 << 31  # of the unpacked files of a mosaic: more than a row of tiles across the largest raster
 PIECE = 1 << 20
 IGNORED = ("__MACOSX/",)
 FAULTS = (OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error)
@@ -75,23 +78,65 @@ def open_archive(path: Path, _settings: ImportSettings) -> None:
     raise TerrainError(f"{shown(path)} is an archive", expected="a height map here", fix="unpack it first")
 
 
-@contextmanager
-def unpacked(path: Path, folder: Path) -> Iterator[Path]:
-    """Yield the height map of an archive, unpacked into a new folder of arrays that is removed after the block.
+class UnpackedFiles:
+    """Height maps of archives, unpacked into a private folder when they are first needed.
 
-    Any other path is yielded as it is. Errors and names in them are those of the archive. Raises TerrainError.
+    Beyond `MAX_UNPACKED_BYTES` the files that were used least recently are removed, and unpacked again on demand.
     """
-    if not is_archive(path):
-        yield path
-        return
+
+    def __init__(self, folder: Path | None = None) -> None:
+        """Unpack into `folder`; without one, archives are not unpacked."""
+        self._folder = folder
+        self._archives: list[Path] = []  # by the number of the inner folder
+        self._kept: dict[Path, tuple[Path, int]] = {}  # archive: its height map and the bytes, the latest last
+
+    def path_of(self, path: Path) -> Path:
+        """Return the height map of an archive, unpacked; any other path as it is. Raises TerrainError."""
+        if self._folder is None or not is_archive(path):
+            return path
+        if path not in self._kept:
+            inner = self._folder / str(len(self._archives))
+            self._archives.append(path)
+            inner.mkdir()
+            file = _unpack(path, inner)
+            self._kept[path] = file, sum(entry.stat().st_size for entry in inner.iterdir())
+            self._remove_oldest()
+        self._kept[path] = self._kept.pop(path)
+        return self._kept[path][0]
+
+    def with_names(self, text: str) -> str:
+        """Return a text in which the folders of unpacked files have the names of their archives."""
+        if self._folder is None:
+            return text
+        inner = re.compile(re.escape(f"{self._folder}{os.sep}") + r"(\d+)")
+        return inner.sub(lambda found: str(self._archives[int(found[1])]), text)
+
+    def _remove_oldest(self) -> None:
+        """Remove files until at most MAX_UNPACKED_BYTES remain, but not the latest one.
+
+        A file that is open stays readable; where the system cannot remove it, it stays until the end.
+        """
+        while len(self._kept) > 1 and sum(size for _, size in self._kept.values()) > MAX_UNPACKED_BYTES:
+            file, _ = self._kept.pop(next(iter(self._kept)))
+            with suppress(OSError, NotOursError):
+                owned_files.remove_tree(file.parent, may_be_link=True)
+
+
+@contextmanager
+def unpacking(folder: Path) -> Iterator[UnpackedFiles]:
+    """Yield files that are unpacked below `folder`, a new folder of arrays that is removed after the block.
+
+    Errors of the block and names in them are those of the archives. Raises TerrainError.
+    """
     new_folders = store_folder.missing_folders(folder.parent)
     lock = partial_files.make_folder(folder, parents=True)
     try:
         with partial_files.private_folder(folder) as inner:
+            files = UnpackedFiles(inner)
             try:
-                yield _unpack(path, inner)
+                yield files
             except TerrainError as error:
-                raise TerrainError(*(text.replace(str(inner), str(path)) for text in error.args)) from error
+                raise TerrainError(*map(files.with_names, error.args)) from error
     finally:
         partial_files.end_work(folder, lock)
         with suppress(OSError, NotOursError):
@@ -99,6 +144,16 @@ def unpacked(path: Path, folder: Path) -> Iterator[Path]:
         with suppress(OSError, NotOursError):
             for parent in new_folders:
                 owned_files.remove_empty(parent)
+
+
+@contextmanager
+def unpacked(path: Path, folder: Path) -> Iterator[Path]:
+    """Yield the height map of an archive, unpacked as by `unpacking`; any other path as it is."""
+    if not is_archive(path):
+        yield path
+        return
+    with unpacking(folder) as files:
+        yield files.path_of(path)
 
 
 def _unpack(path: Path, folder: Path) -> Path:

@@ -42,15 +42,13 @@ def run_import(
     path: str | os.PathLike,
     on_progress: Callable[[float, str], None] = lambda _fraction, _message: None,
     folder: str | None = None,
-    open_raster: Callable[[ImportSettings], Raster] = open_source,
 ) -> dict:
-    """Import in this process and return the report; the store at `path` changes at the very end or not at all.
+    """Import one file in this process and return the report; the store at `path` changes at the very end or not at all.
 
     This process keeps its rights, so import untrusted files with import_process.py.
 
     Args:
         folder: name of the folder for the new arrays; None for a random one.
-        open_raster: opens the source of the settings.
 
     Raises TerrainError.
     """
@@ -60,20 +58,23 @@ def run_import(
     if is_archive(source):
         check_file(source)
     with unpacked(source, path / store_folder.scratch_name(folder)) as file:
-        return _import_file(settings, file, path, folder, on_progress, open_raster)
+        return import_raster(settings, file, path, folder, on_progress)
 
 
-def _import_file(
+def import_raster(
     given: ImportSettings,
     file: Path,
     path: Path,
     folder: str,
     on_progress: Callable[[float, str], None],
-    open_raster: Callable[[ImportSettings], Raster],
+    open_raster: Callable[[ImportSettings], Raster] = open_source,
 ) -> dict:
-    """Import a file, which may be unpacked from the source that the settings name."""
+    """Import the raster of the settings in this process, and return the report; see `run_import`.
+
+    file: the source, or its unpacked height map. open_raster: opens the source of the settings.
+    """
     started = time.monotonic()
-    settings = dataclasses.replace(given, source=str(file)) if is_archive(Path(given.source)) else given
+    settings = dataclasses.replace(given, source=str(file)) if file != Path(given.source) else given
     raster = open_raster(settings)
     try:
         digest = source_digest(given, raster.sources)

@@ -8,6 +8,7 @@ from pathlib import Path
 from ..errors import TerrainError, check_path, shown
 from ..field.lands import LANDS
 from ..field.store_folder import JSON_NAME
+from .coded_heights import HALF_WORLD, tile_of
 from .raster import ImportSettings
 from .source_formats import FORMATS
 
@@ -15,6 +16,7 @@ from .source_formats import FORMATS
 INDEX_SUFFIXES = (".gti", ".gpkg", ".shp")
 # A picture in a folder of tiles is a height map only if one of these files places it.
 PICTURE, WORLD_FILES = ".png", (".pgw", ".pngw", ".wld", ".png.aux.xml")
+WEB_SUFFIXES = (".png", ".webp")  # of web map tiles
 # In a folder these would name the same heights again.
 NOT_IN_FOLDERS = (".vrt",)
 MAX_FILES = 1_000_000
@@ -40,7 +42,7 @@ def files_of(settings: ImportSettings) -> list[Path]:
             what = f"The built-in terrain {source} cannot be one of several sources"
             raise TerrainError(what, fix="import it by itself")
         check_path("The source", source)
-        for path in _files_of_one(source):
+        for path in _files_of_one(source, settings.step):
             found.pop(path, None)
             found[path] = None
     if len(found) > MAX_FILES:
@@ -51,7 +53,7 @@ def files_of(settings: ImportSettings) -> list[Path]:
 
 def holds_height_maps(folder: str) -> bool:
     """Return whether a folder is no store and holds height maps with a position."""
-    return not os.path.lexists(os.path.join(folder, JSON_NAME)) and bool(_files_in(Path(folder).absolute()))
+    return not os.path.lexists(os.path.join(folder, JSON_NAME)) and bool(_files_in(Path(folder).absolute(), None))
 
 
 def file_stat(path: str | os.PathLike) -> tuple[str, int, int]:
@@ -60,10 +62,15 @@ def file_stat(path: str | os.PathLike) -> tuple[str, int, int]:
     return str(path), stat.st_size, stat.st_mtime_ns
 
 
-def _files_of_one(source: str) -> list[Path]:
-    """Return the files of one source."""
+def has_archives(settings: ImportSettings) -> bool:
+    """Return whether one of the files that the sources name is an archive."""
+    return any(_is_archive(_suffix(path.name)) for path in files_of(settings))
+
+
+def _files_of_one(source: str, step: float | None) -> list[Path]:
+    """Return the files of one source. step: of the settings."""
     if _is_folder(source):
-        found = _files_in(Path(source).absolute())
+        found = _files_in(Path(source).absolute(), step)
         if not found:
             raise TerrainError(
                 f"The folder {shown(source)} holds no height map with a position",
@@ -81,10 +88,10 @@ def _files_of_one(source: str) -> list[Path]:
     return [Path(source).absolute()]
 
 
-def _files_in(folder: Path) -> list[Path]:
-    """Return the height maps of a folder that may have a position, sorted by name; inner folders are not searched.
+def _files_in(folder: Path, step: float | None) -> list[Path]:
+    """Return the height maps of a folder that may have a position, sorted by name.
 
-    A link counts as the file that it leads to.
+    Inner folders are searched for web map tiles, if there is nothing else. A link counts as the file that it leads to.
     """
     try:
         with os.scandir(folder) as entries:
@@ -93,16 +100,51 @@ def _files_in(folder: Path) -> list[Path]:
         what = f"The folder {shown(folder)} cannot be read ({reason.strerror or reason})"
         raise TerrainError(what, fix="change its permissions") from reason
     lower = {name.lower() for name in names}
-    return [folder / name for name in sorted(names) if _is_tile(name, lower)]
+    return [folder / name for name in sorted(names) if _is_tile(name, lower)] or _web_tiles(folder, step)
+
+
+def _web_tiles(folder: Path, step: float | None) -> list[Path]:
+    """Return the web map tiles z/x/y.png in a folder, or x/y.png in a folder named z, of one zoom level.
+
+    The level is the coarsest one with pixels of at most `step` metres (of web mercator), or else the finest one.
+    """
+    levels: dict[int, list[tuple]] = {}
+    for pattern in ("[0-9]*/[0-9]*/[0-9]*", "[0-9]*/[0-9]*"):
+        for path in folder.glob(pattern):
+            place = tile_of(path) if path.suffix.lower() in WEB_SUFFIXES and os.path.isfile(path) else None
+            if place is not None:
+                levels.setdefault(place[0], []).append((*place, path))
+        if levels:
+            break
+    fine_enough = [zoom for zoom in levels if step is not None and 2.0 * HALF_WORLD / (256 << zoom) <= step]
+    chosen = min(fine_enough, default=max(levels, default=0))
+    return [path for *_, path in sorted(levels.get(chosen, ()))]
 
 
 def _is_tile(name: str, lower: set[str]) -> bool:
     """Return whether a file of a folder may hold a part of the terrain. lower: names of all files in small letters."""
     suffix = _suffix(name)
-    if suffix not in FORMATS or not FORMATS[suffix].driver or suffix in NOT_IN_FOLDERS:
-        return False
     stem = name.lower().removesuffix(suffix)
+    if _is_archive(suffix):
+        return (suffix != ".gz" or _has_driver(stem)) and not _is_beside(stem, lower)
+    if not _has_driver(name):
+        return False
     return suffix != PICTURE or any(stem + world in lower for world in WORLD_FILES)
+
+
+def _is_archive(suffix: str) -> bool:
+    return suffix in FORMATS and FORMATS[suffix].is_archive
+
+
+def _has_driver(name: str) -> bool:
+    """Return whether a file may be a raster with a position, and is none of NOT_IN_FOLDERS, by its name."""
+    suffix = _suffix(name)
+    return suffix in FORMATS and bool(FORMATS[suffix].driver) and suffix not in NOT_IN_FOLDERS
+
+
+def _is_beside(stem: str, lower: set[str]) -> bool:
+    """Return whether a folder holds the height map of an archive unpacked, by the archive's name without its suffix."""
+    return stem in lower or any(_has_driver(stem + suffix) and stem + suffix in lower for suffix in FORMATS)
 
 
 def _suffix(name: str) -> str:

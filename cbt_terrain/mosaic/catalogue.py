@@ -20,7 +20,9 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..field.georeference import Transform
 from ..field.store_folder import named_folder
-from ..importing.raster import ImportSettings, Raster
+from ..importing.archives import UnpackedFiles
+from ..importing.coded_heights import tile_of
+from ..importing.raster import ORDER, ImportSettings, Raster
 from ..importing.rounding import SourceRounding
 from ..importing.sidecars import sidecars
 from ..importing.source_list import INDEX_SUFFIXES, file_stat, files_of
@@ -114,12 +116,14 @@ def build_catalogue(
     settings: ImportSettings,
     store: Path | None,
     on_progress: Callable[[float], None] = lambda _fraction: None,
+    unpacked: UnpackedFiles | None = None,
 ) -> list[SourceTile]:
     """Return the tiles of all files that the settings' sources name, in their order.
 
-    store: its kept catalogue is used where files have not changed; None for none. Raises TerrainError for a file that
-    cannot be a part of a mosaic.
+    store: its kept catalogue is used where files have not changed; None for none. unpacked: height maps of archives.
+    Raises TerrainError for a file that cannot be a part of a mosaic.
     """
+    unpacked = unpacked or UnpackedFiles()
     paths: dict[Path, None] = {}
     for path in files_of(settings):
         for file in paths_in(path) if path.suffix.lower() in INDEX_SUFFIXES else [path]:
@@ -131,17 +135,18 @@ def build_catalogue(
         tile = stored.get(str(path))
         unchanged = tile is not None and tuple(map(_stat, _belonging(path))) == tile.files[: len(_belonging(path))]
         if tile is None or not unchanged or any(_stat(entry[0]) != entry for entry in tile.files):
-            tile = _read_tile(path, settings)
+            tile = _read_tile(path, settings, unpacked)
         tiles.append(tile)
         on_progress((number + 1) / len(paths))
     return tiles
 
 
-def open_tile(path: str, settings: ImportSettings) -> Raster:
-    """Open one file of a mosaic. Its samples are as the file stores them. Raises TerrainError."""
+def open_tile(path: Path, settings: ImportSettings) -> Raster:
+    """Open one file of a mosaic, unpacked. Its samples are as the file stores them. Raises TerrainError."""
     from rasterio.env import setenv
 
-    raster = open_source(ImportSettings(path, band=settings.band, no_data=settings.no_data, encoding=settings.encoding))
+    of_one = dataclasses.replace(settings, source=str(path), more_sources=(), priority=ORDER, step=None, project="")
+    raster = open_source(of_one)
     # For sources that a VRT opens while it is read.
     setenv(GDAL_PAM_ENABLED="NO", GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")
     return raster
@@ -168,11 +173,11 @@ def _stat(path: str | Path) -> tuple[str, int, int] | None:
         return None
 
 
-def _read_tile(path: Path, settings: ImportSettings) -> SourceTile:
+def _read_tile(path: Path, settings: ImportSettings, unpacked: UnpackedFiles) -> SourceTile:
     """Read the header of one file. Raises TerrainError for a file that cannot be a part of a mosaic."""
     check_named(path)
     files = tuple(map(file_stat, _belonging(path)))
-    raster = open_tile(str(path), settings)
+    raster = open_tile(unpacked.path_of(path), settings)
     try:
         grid = raster.grid
         if grid is None or raster.window is None or grid.transform is None:
@@ -181,7 +186,9 @@ def _read_tile(path: Path, settings: ImportSettings) -> SourceTile:
             raise TerrainError(
                 f"{shown(path)} cannot be a part of a mosaic ({problem})",
                 expected="a coordinate system and the position of its samples",
-                fix="place it first (gdal_translate -a_ullr, gdalwarp), or import it by itself",
+                fix="name the encoding of its colours (--encoding)"
+                if tile_of(path)
+                else "place it first (gdal_translate -a_ullr, gdalwarp), or import it by itself",
             )
         crs, datum = names_of(grid.crs) if grid.crs is not None else ("", "")
         return SourceTile(
@@ -198,7 +205,7 @@ def _read_tile(path: Path, settings: ImportSettings) -> SourceTile:
             offset=float(raster.offset),
             block_rows=int(raster.block_rows),
             roundings=tuple(raster.roundings),
-            warnings=tuple(raster.warnings),
+            warnings=tuple(map(unpacked.with_names, raster.warnings)),
         )
     finally:
         raster.close()
@@ -212,7 +219,7 @@ def _transform_of(numbers: Sequence[float]) -> Transform:
 
 def _header_settings(settings: ImportSettings) -> list:
     """Return the settings that headers are read with; no-data as a text, which NaN is too."""
-    return [settings.band, str(settings.no_data)]
+    return [settings.band, str(settings.no_data), settings.encoding, settings.cell]
 
 
 def _sum(text: str) -> str:

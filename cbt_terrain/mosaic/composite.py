@@ -7,11 +7,13 @@ rank decides. Samples in the cell between two tiles without a common lattice are
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 import warp as wp
 
 from ...kernels.mosaic import resample
+from ..importing.archives import UnpackedFiles
 from ..importing.raster import NEWEST, RESOLUTION, ImportSettings, Raster
 from ..run import launch
 from ..run.buffers import flat
@@ -53,11 +55,16 @@ class Composite:
     """
 
     def __init__(
-        self, tiles: Sequence[SourceTile], grid: TargetGrid, found: Footprints, settings: ImportSettings
+        self,
+        tiles: Sequence[SourceTile],
+        grid: TargetGrid,
+        found: Footprints,
+        settings: ImportSettings,
+        unpacked: UnpackedFiles,
     ) -> None:
         """Prepare the tiles; `found`: their footprints in the grid's system. No file is opened."""
         order = ranked(tiles, found, settings)
-        self.grid, self._settings = grid, settings
+        self.grid, self._settings, self._unpacked = grid, settings, unpacked
         self.on_piece: Callable[[], None] = lambda: None
         self.tiles = [tiles[n] for n in order]
         self.lattices = find_lattices(self.tiles)
@@ -194,7 +201,7 @@ class Composite:
         if rank not in self._open:
             tile = self.tiles[rank]
             tile.check_unchanged()
-            raster = self._open[rank] = open_tile(tile.path, self._settings)
+            raster = self._open[rank] = open_tile(self._unpacked.path_of(Path(tile.path)), self._settings)
             tile.check_header(raster)
             if len(self._open) > MAX_OPEN:
                 self._open.popitem(last=False)[1].close()

@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Import of a mosaic in a child process, sandboxed before it opens a file."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from ...kernels.mosaic import resample
-from ..importing.build_store import READING, finished_before, run_import, source_digest
+from ..field import store_folder
+from ..importing.archives import UnpackedFiles, unpacking
+from ..importing.build_store import READING, finished_before, import_raster, source_digest
 from ..importing.guard import guard_import
 from ..importing.import_process import what_of
 from ..importing.raster import ImportSettings, Raster
 from ..importing.source_formats import FORMATS
-from ..importing.source_list import INDEX_SUFFIXES, files_of
+from ..importing.source_list import INDEX_SUFFIXES, files_of, has_archives
 from ..importing.store_job import Tell, serve
 from .mosaic_source import mosaic_raster, open_composite
 from .report import IMPORT_ENTRIES, describe_mosaic
@@ -31,10 +34,23 @@ def paths_of(settings: ImportSettings) -> list[Path]:
     return paths
 
 
+@contextmanager
+def unpacked_sources(settings: ImportSettings, folder: Path) -> Iterator[UnpackedFiles]:
+    """Yield the unpacked height maps of the settings' archives; `folder` is made for the block if there are any."""
+    if has_archives(settings):
+        with unpacking(folder) as files:
+            yield files
+    else:
+        yield UnpackedFiles()
+
+
 def run_mosaic_import(
     settings: ImportSettings, path: Path, on_progress: Tell = lambda *_: None, folder: str | None = None
 ) -> dict:
     """Import a mosaic in this process and return the report; as `run_import` for one file. Raises TerrainError."""
+    store_folder.check_target(path)
+    settings.check()
+    folder = folder or store_folder.new_data_name()
     reached: tuple = (0.0, READING)
 
     def tell(done: float, message: str) -> None:
@@ -45,7 +61,7 @@ def run_mosaic_import(
 
     def open_mosaic(settings: ImportSettings) -> Raster:
         """Return the composite of the sources as a raster; report on it first, unless the store has it already."""
-        composite = open_composite(settings, path, lambda done: on_progress(SCANNED * done, READING))
+        composite = open_composite(settings, path, lambda done: on_progress(SCANNED * done, READING), files)
         composite.on_piece = lambda: on_progress(*reached)
         raster = mosaic_raster(composite, settings)
         if finished_before(path, source_digest(settings, raster.sources)) is None:
@@ -55,7 +71,8 @@ def run_mosaic_import(
             raster.details |= {name: details[name] for name in IMPORT_ENTRIES if name in details}
         return raster
 
-    return run_import(settings, path, tell, folder, open_mosaic)
+    with unpacked_sources(settings, path / store_folder.scratch_name(folder)) as files:
+        return import_raster(settings, Path(settings.source), path, folder, tell, open_mosaic)
 
 
 def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:

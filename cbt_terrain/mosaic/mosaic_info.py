@@ -2,17 +2,21 @@
 """The report on a mosaic that is not imported; a sandboxed child process reads the files."""
 
 import dataclasses
+import tempfile
+from pathlib import Path
 from typing import Any
 
 from ...kernels.mosaic import resample
+from ..field import store_folder
+from ..importing.archives import UnpackedFiles
 from ..importing.build_store import READING
 from ..importing.guard import guard_import
 from ..importing.import_process import what_of
 from ..importing.raster import ImportSettings
-from ..importing.source_list import files_of
+from ..importing.source_list import files_of, has_archives
 from ..importing.store_job import Tell, ask, serve
 from ..run import child
-from .import_child import SCANNED, paths_of
+from .import_child import SCANNED, paths_of, unpacked_sources
 from .mosaic_source import check_settings, georeference_of, mosaic_raster, open_composite
 from .report import describe_mosaic
 
@@ -21,8 +25,10 @@ def describe_sources(settings: ImportSettings) -> dict:
     """Return the report on a mosaic of the settings' sources. Raises TerrainError for files that cannot form one."""
     check_settings(settings)
     files_of(settings)
-    request = {"settings": dataclasses.asdict(settings)}
-    return ask("cbt_terrain.mosaic.mosaic_info", request, what_of(settings.sources).removeprefix("The import of "))
+    what = what_of(settings.sources).removeprefix("The import of ")
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:  # the child cannot remove it
+        request = {"settings": dataclasses.asdict(settings), "scratch": scratch}
+        return ask("cbt_terrain.mosaic.mosaic_info", request, what)
 
 
 def child_main() -> None:
@@ -32,10 +38,16 @@ def child_main() -> None:
 
 def _describe(request: dict, on_progress: Tell, *_: Any) -> dict:
     """Return the report, in a child process that first gives up its rights."""
-    settings = ImportSettings(**request["settings"])
-    guard_import(settings, None, paths_of(settings), (resample,))
+    settings, scratch = ImportSettings(**request["settings"]), Path(request["scratch"])
+    guard_import(settings, scratch if has_archives(settings) else None, paths_of(settings), (resample,))
     child.end_with_parent()
-    composite = open_composite(settings, None, lambda done: on_progress(SCANNED * done, READING))
+    with unpacked_sources(settings, scratch / store_folder.new_data_name()) as files:
+        return _report(settings, on_progress, files)
+
+
+def _report(settings: ImportSettings, on_progress: Tell, files: UnpackedFiles) -> dict:
+    """Return the report. files: the unpacked height maps of archives."""
+    composite = open_composite(settings, None, lambda done: on_progress(SCANNED * done, READING), files)
     composite.on_piece = lambda: on_progress(SCANNED, READING)
     try:
         raster = mosaic_raster(composite, settings)

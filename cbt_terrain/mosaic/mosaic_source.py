@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import TerrainError, shown
 from ..field.georeference import Georeference, from_transform
+from ..importing.archives import UnpackedFiles
 from ..importing.file_grid import FileGrid, unit_of
 from ..importing.length_scale import length_warnings, mirror_warnings
 from ..importing.raster import ImportSettings, Raster
@@ -22,13 +23,20 @@ MAX_WARNINGS = 3  # of files
 
 
 def open_composite(
-    settings: ImportSettings, store: Path | None, on_progress: Callable[[float], None] = lambda _fraction: None
+    settings: ImportSettings,
+    store: Path | None,
+    on_progress: Callable[[float], None] = lambda _fraction: None,
+    unpacked: UnpackedFiles | None = None,
 ) -> Composite:
-    """Open the mosaic of the settings' sources. store: its kept catalogue is used. Raises TerrainError."""
+    """Open the mosaic of the settings' sources. Raises TerrainError.
+
+    store: its kept catalogue is used. unpacked: height maps of archives.
+    """
     check_settings(settings)
-    tiles = build_catalogue(settings, store, on_progress)
+    unpacked = unpacked or UnpackedFiles()
+    tiles = build_catalogue(settings, store, on_progress, unpacked)
     grid = choose_grid(tiles, settings)
-    return Composite(tiles, grid, footprints(tiles, grid.crs), settings)
+    return Composite(tiles, grid, footprints(tiles, grid.crs), settings, unpacked)
 
 
 def check_settings(settings: ImportSettings) -> None:

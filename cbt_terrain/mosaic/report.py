@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import shown
 from ..field.build import from_array
 from ..field.lattice import fit
+from ..importing.archives import MAX_UNPACKED_BYTES, is_archive
 from ..importing.drafts import store_bytes
 from ..importing.file_grid import unit_of
 from ..importing.raster import ImportSettings
@@ -46,7 +47,7 @@ def describe_mosaic(composite: Composite, settings: ImportSettings) -> dict:
         "gaps_become": "holes" if settings.holes else "filled from the nearest sample",
         **_seams(find_seams(composite), scale),
         "expected_seconds": _expected_seconds(composite),
-        "expected_disk_mb": round(store_bytes(fit(max(grid.width, 2), max(grid.height, 2)), 0) / 1e6, 1),
+        "expected_disk_mb": round(_expected_bytes(composite) / 1e6, 1),
         "warnings": datum_warnings(composite),
     }
 
@@ -119,6 +120,17 @@ def _seams(seams: SeamReport, scale: float) -> dict:
         "seam_max_at": [float(c) for c in seams.places[worst]],
         "seam_max_between": [Path(path).name for path in seams.names[seams.numbers[worst]]],
     }
+
+
+def _expected_bytes(composite: Composite) -> int:
+    """Return the bytes of the store, and those of the unpacked files beside it while it is written."""
+    grid = composite.grid
+    unpacked = sum(
+        tile.width * tile.height * np.dtype(tile.stored).itemsize
+        for tile in composite.tiles
+        if is_archive(Path(tile.path))
+    )
+    return store_bytes(fit(max(grid.width, 2), max(grid.height, 2)), 0) + min(unpacked, MAX_UNPACKED_BYTES)
 
 
 def _expected_seconds(composite: Composite) -> float:

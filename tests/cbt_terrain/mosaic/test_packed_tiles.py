@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Mosaics of zipped tiles, and of folders of web map tiles."""
+
+import gzip
+import zipfile
+
+import numpy as np
+import pytest
+import rasterio
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.importing import archives
+from adaptive_terrain.cbt_terrain.importing.import_process import import_source
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.importing.source_list import files_of
+from adaptive_terrain.cbt_terrain.mosaic.catalogue import FILE_NAME
+from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
+from adaptive_terrain.cbt_terrain.mosaic.mosaic_info import describe_sources
+from mosaic_files import EAST, NORTH, UTM32, sheet
+from rasters import write_raster
+
+
+def zipped(path, files):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return path
+
+
+@pytest.fixture
+def packed(tmp_path):
+    """Write four tiles, plain and packed: three zips with members of one name, and a .tif.gz."""
+    whole = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 80, 20)
+    for n in range(4):
+        content = whole.write(tmp_path / "plain" / f"t{n}.tif", first_column=20 * n, columns=20).read_bytes()
+        zipped(tmp_path / "packed" / f"t{n}.zip", {"in/dem.tif": content, "readme.txt": b"a"})
+    (tmp_path / "packed" / "t3.zip").unlink()
+    (tmp_path / "packed" / "t3.tif.gz").write_bytes(gzip.compress(content))
+    return whole
+
+
+def test_packed_tiles_give_the_store_of_plain_ones(packed, tmp_path, monkeypatch):
+    """A folder and a list give the plain tiles' samples; unpacked files are removed, also when few may be kept."""
+    run_mosaic_import(ImportSettings(str(tmp_path / "plain")), tmp_path / "one")
+    wanted = open_store(tmp_path / "one")
+    assert np.abs(np.asarray(wanted.samples)[::-1] - packed.heights).max() == 0.0
+    report = import_source(ImportSettings(str(tmp_path / "packed")), tmp_path / "two")
+    assert report["files"] == 4 and open_store(tmp_path / "two").raster.digest == wanted.raster.digest
+    (folder,) = [entry for entry in (tmp_path / "two").iterdir() if entry.is_dir()]
+    assert {entry.suffix for entry in folder.iterdir()} == {".npy", ".json"}
+    assert ".partial" not in (folder / FILE_NAME).read_text()
+    names = sorted(map(str, (tmp_path / "packed").iterdir()))
+    monkeypatch.setattr(archives, "MAX_UNPACKED_BYTES", 1)
+    unpacks, real = [], archives._unpack
+    monkeypatch.setattr(archives, "_unpack", lambda path, *more: unpacks.append(path.name) or real(path, *more))
+    run_mosaic_import(ImportSettings(names[0], more_sources=tuple(names[1:])), tmp_path / "three")
+    assert open_store(tmp_path / "three").raster.digest == wanted.raster.digest
+    assert len(unpacks) > 4, "files that were removed are unpacked again"
+    assert len(list((tmp_path / "three").iterdir())) == 2
+    unpacks.clear()
+    again = run_mosaic_import(ImportSettings(names[0], more_sources=tuple(names[1:])), tmp_path / "three")
+    assert again["unchanged"] and not unpacks, "the kept catalogue has the headers"
+
+
+def test_info_reads_packed_tiles(packed, tmp_path):
+    report = describe_sources(ImportSettings(str(tmp_path / "packed")))
+    plain = describe_sources(ImportSettings(str(tmp_path / "plain")))
+    assert report["raster"] == [80, 20] and report["west_south_east_north"] == plain["west_south_east_north"]
+    more_mb = report["expected_disk_mb"] - plain["expected_disk_mb"]
+    assert more_mb == pytest.approx(4 * 20 * 20 * 4 / 1e6, abs=0.11)
+
+
+def test_an_archive_beside_its_content_is_left_out(packed, tmp_path):
+    folder = tmp_path / "packed"
+    for name in ("t0.tif", "t3.tif"):
+        (folder / name).write_bytes((tmp_path / "plain" / name).read_bytes())
+    (folder / "notes.txt.gz").write_bytes(gzip.compress(b"a"))
+    assert [path.name for path in files_of(ImportSettings(str(folder)))] == ["t0.tif", "t1.zip", "t2.zip", "t3.tif"]
+
+
+def test_a_bad_archive_among_tiles_is_one_error_about_it(packed, tmp_path, monkeypatch):
+    tif = (tmp_path / "plain" / "t1.tif").read_bytes()
+    bad = tmp_path / "packed" / "t1.zip"
+    for files, said in (
+        ({"a.tif": tif, "b.tif": tif}, "t1.zip holds 2 height maps"),
+        ({"../a.tif": tif}, "whose name leads out"),
+        ({"a.tif": tif[:-500]}, "t1.zip/a.tif is damaged or incomplete"),
+        ({"a.npy": b"\x93NUMPY"}, "t1.zip/a.npy is not a whole .npy"),
+    ):
+        zipped(bad, files)
+        with pytest.raises(TerrainError, match=said) as caught:
+            run_mosaic_import(ImportSettings(str(tmp_path / "packed")), tmp_path / "store")
+        assert "\n" not in str(caught.value) and ".partial" not in str(caught.value)
+    zipped(bad, {"a.tif": tif})
+    monkeypatch.setattr(archives, "MAX_BYTES", 1000)
+    with pytest.raises(TerrainError, match="unpacks '.*' to more than 0 MB"):
+        run_mosaic_import(ImportSettings(str(tmp_path / "packed")), tmp_path / "store")
+    assert not (tmp_path / "store").exists()
+
+
+SIDE = 16
+
+
+def web_tile(folder, zoom, column, row, height):
+    """Write a Terrarium tile of one height, metres."""
+    code = round((height + 32768.0) * 256)
+    bands = np.empty((3, SIDE, SIDE), np.uint8)
+    bands[:] = np.array([code >> 16, code >> 8 & 255, code & 255])[:, None, None]
+    path = folder / str(zoom) / str(column) / f"{row}.png"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with rasterio.open(path, "w", driver="PNG", width=SIDE, height=SIDE, count=3, dtype="uint8") as file:
+        file.write(bands)
+    return path
+
+
+def test_a_folder_of_web_map_tiles_is_a_source(tmp_path):
+    """The finest level counts, or the one that a step names; a missing tile is a gap."""
+    for column in (2133, 2134):
+        for row in (1457, 1458):
+            if (column, row) != (2134, 1458):
+                web_tile(tmp_path / "tiles", 12, column, row, column - 2000 + row / 100)
+    web_tile(tmp_path / "tiles", 11, 1066, 728, 7.0)
+    web_tile(tmp_path / "tiles", 11, 1067, 728, 8.0)
+    settings = ImportSettings(str(tmp_path / "tiles"), encoding="terrarium", holes=True)
+    report = import_source(settings, tmp_path / "store")
+    field = open_store(tmp_path / "store")
+    heights = np.asarray(field.heights(slice(None), slice(None)))[::-1]
+    assert report["files"] == 3 and heights.shape == (2 * SIDE, 2 * SIDE) and report["crs"] == "EPSG:3857"
+    wanted = [heights[0, 0], heights[0, -1], heights[-1, 0]]
+    assert wanted == pytest.approx([147.57, 148.57, 147.58], abs=1 / 256)
+    assert report["cut_out"] == SIDE**2 and report["gap_percent"] == pytest.approx(25.0, abs=1.0)
+    size = 2 * np.pi * 6378137.0 / 2**12
+    assert field.origin[0] == pytest.approx((2134 - 2**11) * size)
+    assert field.lattice.step_x == pytest.approx(size / SIDE)
+    # A tile counts as 256 samples wide: zoom 11 has 76 m.
+    chosen = {step: files_of(ImportSettings(settings.source, step=step)) for step in (None, 30.0, 80.0, 500.0)}
+    assert {step: (len(files), files[0].parts[-3]) for step, files in chosen.items()} == {
+        None: (3, "12"),
+        30.0: (3, "12"),
+        80.0: (2, "11"),
+        500.0: (2, "11"),
+    }
+    inner = files_of(ImportSettings(str(tmp_path / "tiles" / "11")))
+    assert [path.parts[-3:] for path in inner] == [("11", "1066", "728.png"), ("11", "1067", "728.png")]
+
+
+def test_a_picture_among_web_map_tiles_is_refused(tmp_path):
+    web_tile(tmp_path / "tiles", 12, 2133, 1457, 300.0)
+    picture = tmp_path / "tiles" / "12" / "2133" / "1458.png"
+    write_raster(picture, np.random.default_rng(1).integers(0, 255, (SIDE, SIDE), np.uint8))
+    with pytest.raises(TerrainError, match=r"1458.png cannot be a part .*name the encoding of its colours"):
+        run_mosaic_import(ImportSettings(str(tmp_path / "tiles")), tmp_path / "store")
+    with pytest.raises(TerrainError, match="holds 1 band.* so no heights coded as terrarium"):
+        run_mosaic_import(ImportSettings(str(tmp_path / "tiles"), encoding="terrarium"), tmp_path / "store")
+    picture.unlink()
+    assert run_mosaic_import(ImportSettings(str(tmp_path / "tiles")), tmp_path / "store")["crs"] == "EPSG:3857"

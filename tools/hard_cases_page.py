@@ -84,7 +84,22 @@ CASES = {
     71: "What nearer ground hides",
     72: "What a scene reads: mutes, groups used twice, constant factors, drivers, computed names",
     73: "Scatter over a flight: no point moves, none appears full-grown",
+    75: "Files that share border rows, columns and corners",
+    76: "Files of one sample, one row, one column",
+    77: "Files without any height",
+    78: "Thousands of tiny files",
+    79: "Links in a folder of files",
+    80: "A file that changes during the import",
+    81: "Files at the date line",
+    82: "Polar files, and the pole",
+    83: "Different units, scales and types",
+    84: "Duplicated files",
     85: "Damaged height maps of every format, in the sandbox",
+    86: "Files with different bands",
+    87: "Two small files 3,000 km apart",
+    88: "A bad file in a folder",
+    89: "Names with odd characters",
+    90: "Tile indexes that lead elsewhere",
 }
 
 HEAD = """\

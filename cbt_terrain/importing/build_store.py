@@ -84,7 +84,7 @@ def import_raster(
             return report
         place = _place(settings, raster)
         width, height = (max(count, 2) for count in _size(raster, place))
-        lattice = lattice_for(width, height, place.step_x, place.step_y, settings.source)
+        lattice = lattice_for(width, height, place.step_x, place.step_y, settings.name)
         settings, notes = fit_heights(settings, raster, place.step_x * (width - 1), _blocks)
         raster.warnings += notes
         with open_draft(path, folder, lattice, doubt=DOUBT) as draft:
@@ -128,7 +128,7 @@ def _build(
         missing=missing,
         holes=settings.holes,
         source_max=source_max,
-        name=settings.source,
+        name=settings.name,
         allocate=draft.allocate,
         on_progress=lambda f: on_progress(0.5 + 0.49 * f, "Measuring errors"),
     )
@@ -211,7 +211,7 @@ def _place(settings: ImportSettings, raster: Raster) -> Georeference:
         extent = place.step_x * max(width - 1, 1), place.step_y * max(height - 1, 1)
         if not all(SMALLEST_EXTENT < e < LARGEST_EXTENT for e in extent):
             raise TerrainError(
-                f"{settings.source} is {extent[0]:g} x {extent[1]:g} m large by its georeference",
+                f"{settings.name} is {extent[0]:g} x {extent[1]:g} m large by its georeference",
                 expected=f"lengths between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} m",
                 fix="give the extent in metres",
             )
@@ -279,7 +279,7 @@ def _read_heights(
         if raster.width == 1 or raster.height == 1:
             rows = cleaning.repeat_single_line(rows)
         exact = rows
-        rows, absent = cleaning.clean_rows(exact, settings.source)
+        rows, absent = cleaning.clean_rows(exact, settings.name)
         missing += absent
         if absent < rows.size:
             largest = max(largest, float(np.nanmax(np.abs(rows))))

@@ -7,7 +7,7 @@
 
 import dataclasses
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 from ..field import store_folder
@@ -40,7 +40,7 @@ class ImportJob(StoreJob):
             MOSAIC if several else "cbt_terrain.importing.import_process",
             store,
             {"settings": dataclasses.asdict(settings)},
-            what=what_of(settings.sources),
+            what=f"The import of {settings.name}",
             fix=CHECK_FILE,
             reading=settings.source,
             watched=(JobProgress.message, READING),
@@ -48,12 +48,6 @@ class ImportJob(StoreJob):
             # The files that a tile index names are known to the child alone.
             report=None if several else finished_before(store, source_digest(settings)),
         )
-
-
-def what_of(sources: Sequence[str]) -> str:
-    """Return the import of some sources as a noun, for errors."""
-    more = f" and {len(sources) - 1:,} more" if len(sources) > 1 else ""
-    return f"The import of {sources[0]}{more}"
 
 
 def import_source(
@@ -77,7 +71,7 @@ def import_source(
 
 def child_main() -> None:
     """Import the source in the request on stdin, and report on stdout."""
-    serve(_import, lambda request: what_of([request["settings"]["source"]]))
+    serve(_import, lambda request: f"The import of {request['settings']['source']}")
 
 
 def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:

@@ -90,6 +90,11 @@ class ImportSettings:
         """Return all sources in order."""
         return self.source, *self.more_sources
 
+    @property
+    def name(self) -> str:
+        """Return the sources as a noun, for errors."""
+        return f"{self.source} and {len(self.more_sources):,} more" if self.more_sources else self.source
+
     def check(self) -> None:
         """Raise TerrainError for settings that cannot be used."""
         if self.extent is not None and not all(SMALLEST_EXTENT < e < LARGEST_EXTENT for e in self.extent):

@@ -95,7 +95,7 @@ def _files_in(folder: Path, step: float | None) -> list[Path]:
     """
     try:
         with os.scandir(folder) as entries:
-            names = {entry.name for entry in entries if _suffix(entry.name) and entry.is_file()}
+            names = {entry.name for entry in entries if _suffix(entry.name) and os.path.isfile(entry.path)}
     except OSError as reason:
         what = f"The folder {shown(folder)} cannot be read ({reason.strerror or reason})"
         raise TerrainError(what, fix="change its permissions") from reason

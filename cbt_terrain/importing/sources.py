@@ -91,7 +91,7 @@ def check_neighbours(path: Path) -> None:
 def _blocking_in(folder: str, _changed_ns: int) -> list[str]:
     """Return the pipes, sockets and devices in a folder; a mosaic of n tiles would search its folder n times."""
     with os.scandir(folder) as entries:
-        return [e.path for e in entries if not e.is_dir() and blocks_reader(e.path)]
+        return [e.path for e in entries if not e.is_file(follow_symlinks=False) and blocks_reader(e.path)]
 
 
 def _open_land(settings: ImportSettings) -> Raster:

@@ -10,7 +10,6 @@ from ..field import store_folder
 from ..importing.archives import UnpackedFiles, unpacking
 from ..importing.build_store import READING, finished_before, import_raster, source_digest
 from ..importing.guard import guard_import
-from ..importing.import_process import what_of
 from ..importing.raster import ImportSettings, Raster
 from ..importing.source_formats import FORMATS
 from ..importing.source_list import INDEX_SUFFIXES, files_of, has_archives
@@ -23,7 +22,7 @@ SCANNED = 0.05  # of the progress: headers are read
 
 def child_main() -> None:
     """Import the sources in the request on stdin, and report on stdout."""
-    serve(_import, lambda request: what_of(ImportSettings(**request["settings"]).sources))
+    serve(_import, lambda request: f"The import of {ImportSettings(**request['settings']).name}")
 
 
 def paths_of(settings: ImportSettings) -> list[Path]:

@@ -11,7 +11,6 @@ from ..field import store_folder
 from ..importing.archives import UnpackedFiles
 from ..importing.build_store import READING
 from ..importing.guard import guard_import
-from ..importing.import_process import what_of
 from ..importing.raster import ImportSettings
 from ..importing.source_list import files_of, has_archives
 from ..importing.store_job import Tell, ask, serve
@@ -25,10 +24,9 @@ def describe_sources(settings: ImportSettings) -> dict:
     """Return the report on a mosaic of the settings' sources. Raises TerrainError for files that cannot form one."""
     check_settings(settings)
     files_of(settings)
-    what = what_of(settings.sources).removeprefix("The import of ")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:  # the child cannot remove it
         request = {"settings": dataclasses.asdict(settings), "scratch": scratch}
-        return ask("cbt_terrain.mosaic.mosaic_info", request, what)
+        return ask("cbt_terrain.mosaic.mosaic_info", request, settings.name)
 
 
 def child_main() -> None:

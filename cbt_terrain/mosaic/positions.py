@@ -14,7 +14,7 @@ from .systems import period_of, projected
 from .target_grid import TargetGrid
 
 BLOCK = 1024  # samples of a side
-SPACINGS = (32, 16, 8, 4, 2, 1)  # samples between nodes, the first whose error is small enough
+SPACINGS = (32, 16, 8, 4, 2)  # samples between nodes, the first whose error is small enough, else 1
 # Largest error of an interpolated position, source samples, for which wider nodes are used.
 MAX_ERROR = 0.01
 # Bilinear interpolation is off by at most the sum of the errors in the middles of a cell's sides, plus the change of
@@ -45,15 +45,13 @@ def nodes_of(lattice: TileLattice, grid: TargetGrid, column: int, row: int) -> B
         error = lattice.off_grid + (0.0 if is_congruent(lattice, grid) else SNAPPED)
         return BlockNodes(*_exact(lattice, grid, column, row, BLOCK), BLOCK, error, error)
     for spacing in SPACINGS:
-        half = max(spacing // 2, 1)
-        u, v = _exact(lattice, grid, column, row, half)
-        if spacing == 1:
-            error_u = error_v = 0.0
-            break
-        error_u, error_v = _error(u), _error(v)
-        u, v = u[::2, ::2], v[::2, ::2]
+        exact_u, exact_v = _exact(lattice, grid, column, row, spacing // 2)
+        error_u, error_v = _error(exact_u), _error(exact_v)
+        u, v = exact_u[::2, ::2], exact_v[::2, ::2]
         if max(error_u, error_v) <= MAX_ERROR:
             break
+    else:  # the last spacing has computed every sample
+        spacing, u, v, error_u, error_v = 1, exact_u, exact_v, 0.0, 0.0
     more = lattice.off_grid + SNAPPED
     u, v = np.ascontiguousarray(u), np.ascontiguousarray(v)
     return BlockNodes(u, v, spacing, MARGIN * error_u + more, MARGIN * error_v + more)

@@ -10,13 +10,21 @@ def distances(raster, step_x, step_y, positions, corner_verts, parts=4):
     raster: heights, row 0 south, its middle at the origin of `positions`. Triangles may reach beyond it.
     """
     height, width = raster.shape
+    far = np.full(((height - 1) * parts + 1, (width - 1) * parts + 1), np.nan)
+    for x, y, mesh in mesh_points(raster.shape, step_x, step_y, positions, corner_verts, parts):
+        np.fmax.at(far, (y, x), np.abs(mesh - bilinear(raster, x / parts, y / parts)))
+    return far
+
+
+def mesh_points(shape, step_x, step_y, positions, corner_verts, parts=4):
+    """Yield columns and rows of points, `parts` a cell of a raster of this shape, and the mesh's heights there."""
+    height, width = shape
     across, up = (width - 1) * parts, (height - 1) * parts
     xy = positions[:, :2].astype(np.float64) / (step_x / parts, step_y / parts) + (across / 2, up / 2)
     z = positions[:, 2].astype(np.float64)
     triangles = np.asarray(corner_verts).reshape(-1, 3)
     low = np.maximum(np.ceil(xy[triangles].min(1) - 1e-6).astype(int), 0)
     high = np.minimum(np.floor(xy[triangles].max(1) + 1e-6).astype(int), (across, up))
-    far = np.full((up + 1, across + 1), np.nan)
     sizes = high - low + 1
     for size in np.unique(sizes[(sizes > 0).all(1)], axis=0):
         chosen = np.flatnonzero((sizes == size).all(1))
@@ -29,11 +37,7 @@ def distances(raster, step_x, step_y, positions, corner_verts, parts=4):
             v = ((b - a)[..., 0] * (y - a[..., 1]) - (b - a)[..., 1] * (x - a[..., 0])) / area
             inside = (u >= -1e-6) & (v >= -1e-6) & (u + v <= 1 + 1e-6)
             za, zb, zc = (z[triangles[few, k]][:, None] for k in range(3))
-            mesh = (za + (zb - za) * u + (zc - za) * v)[inside]
-            x, y = x[inside], y[inside]
-            off = np.abs(mesh - bilinear(raster, x / parts, y / parts))
-            np.fmax.at(far, (y, x), off)
-    return far
+            yield x[inside], y[inside], (za + (zb - za) * u + (zc - za) * v)[inside]
 
 
 def bilinear(raster, x, y):

@@ -1,15 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Forty tiles of five kinds form one terrain: heights, coverage and seams against an independent sampler."""
+"""Forty tiles of five kinds, some zipped, form one terrain: heights, seams, coverage and a flight, measured apart."""
 
 import dataclasses
+import gzip
+import os
+import zipfile
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import View
+from invariants import assert_invariants
 from mosaic_files import DEGREES, UTM32, UTM33, land, moved, sheet, top
+from own_surface import mesh_points
 
+# Frames of the flight, and samples along each axis of which one is tested.
+FRAMES, EVERY = (60, 1) if int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) >= 10_000 else (2, 4)
 SECOND = 1 / 3600
 WEST, LATITUDE = 10.005, 50.0  # where two bands of Copernicus widths meet
 MISSING = slice(24, 48), slice(54, 72)  # of the southern band, a tile that is not there
@@ -52,6 +62,13 @@ def mosaic(tmp_path_factory):
     for file in folder.glob("e_feet*.tif"):
         with rasterio.open(file, "r+") as opened:
             opened.units = ("ft",)
+    for file in folder.glob("d_32*.tif"):
+        with zipfile.ZipFile(file.with_suffix(".zip"), "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.write(file, "tile.tif")
+        file.unlink()
+    for file in folder.glob("[ef]_*.tif"):
+        file.with_suffix(".tif.gz").write_bytes(gzip.compress(file.read_bytes()))
+        file.unlink()
     previews = []
     settings = ImportSettings(str(folder), project=UTM32)
     report = run_mosaic_import(settings, folder / "store", lambda *state: previews.extend(state[2:]))
@@ -128,3 +145,40 @@ def test_the_gap_is_reported_and_filled(mosaic):
     assert report["overlap_percent"] == pytest.approx(100 * np.mean(covered > 1), abs=0.5)
     assert report["filled"] == pytest.approx(np.mean(covered == 0) * field.samples.size, rel=0.02)
     assert previews[0]["expected_disk_mb"] > 0 and previews[0]["expected_seconds"] > 0
+
+
+def on_screen(points, eye, target, width=1920.0, fov_deg=50.0):
+    """Return pixels across and up from the picture's middle, and depths in metres, of points [n, 3]."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    seen = points - eye
+    depth = seen @ forward
+    focal = width / 2 / np.tan(np.radians(fov_deg) / 2)
+    return focal * (seen @ right) / depth, focal * (seen @ np.cross(right, forward)) / depth, depth, focal
+
+
+def test_a_flight_has_no_cracks_and_keeps_its_bound(mosaic):
+    """Every frame is one sheet, and no sample in view is further than 1 px from the files' own surfaces on screen."""
+    field, _, _, sheets, _ = mosaic
+    x, y = positions(field, EVERY)
+    wanted = top(sheets, UTM32, x, y)
+    wanted = np.where(np.isnan(wanted), np.asarray(field.samples)[::EVERY, ::EVERY], wanted)
+    middle = np.array([x.min() + x.max(), y.min() + y.max(), 0.0]) / 2 - field.origin
+    terrain, worst = Terrain(field, 2), []
+    for frame in range(FRAMES):
+        t = frame / (FRAMES - 1)
+        eye = np.array([500.0 * t - 600.0, -700.0 + 900.0 * t, 1150.0 - 180.0 * t])
+        target = np.array([100.0 + 200.0 * t, 300.0 - 500.0 * t, 800.0])
+        update = terrain.update(Criterion(error_px=1.0), [View.look(tuple(eye), tuple(target), clip=(1.0, 1e6))])
+        assert_invariants(update.surface, field.lattice)
+        assert update.bound_px <= 1.0
+        shifted = update.surface.positions - middle
+        for u, v, mesh in mesh_points(wanted.shape, EVERY, EVERY, shifted, update.surface.corner_verts, 1):
+            place = np.stack([x[v, u], y[v, u]], axis=1) - field.origin[:2]
+            across, up, depth, focal = on_screen(np.column_stack([place, wanted[v, u]]), eye, target)
+            inside = (depth > 1.0) & (np.abs(across) < 960) & (np.abs(up) < 540)
+            other = on_screen(np.column_stack([place, mesh]), eye, target)
+            off = np.hypot(across - other[0], up - other[1]) - focal * field.source_max / depth
+            worst.append(off[inside].max(initial=0.0))
+    assert 0.5 < max(worst) <= 1.0

@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -102,11 +102,14 @@ class SourceTile:
                 )
 
     def check_header(self, raster: Raster) -> None:
-        """Raise TerrainError if the opened file has another size than the catalogue says."""
-        if (raster.width, raster.height) != (self.width, self.height):
+        """Raise TerrainError if the opened file has another size, place, type or unit than the catalogue says."""
+        place = raster.grid.transform if raster.grid is not None else None
+        header = raster.width, raster.height, raster.stored, float(raster.scale), float(raster.offset)
+        wanted = self.width, self.height, self.stored, self.scale, self.offset
+        if header != wanted or place is None or _transform_of(place) != self.transform:
             raise TerrainError(
-                f"{shown(self.path)} has {raster.width} x {raster.height} samples",
-                expected=f"{self.width} x {self.height} as before",
+                f"{shown(self.path)} has {raster.width} x {raster.height} samples of {raster.stored} at {place}",
+                expected=f"{self.width} x {self.height} of {self.stored} at {self.transform} as before",
                 fix="import again when it is complete",
                 code="source.changed",
             )
@@ -252,20 +255,49 @@ def _tile_of(entry: dict) -> SourceTile:
     values["roundings"] = tuple(_rounding_of(rounding) for rounding in entry["roundings"])
     values["warnings"] = tuple(map(shown, entry["warnings"]))
     tile = SourceTile(**values)
-    numbers = (*tile.transform, float(tile.scale), float(tile.offset))
+    if not tile.files or not tile.roundings:
+        raise ValueError("a tile lacks files or roundings")
+    _check_types([tile.path, tile.crs, tile.datum, tile.format, *(entry[0] for entry in tile.files)], str)
+    _check_numbers(*tile.transform, tile.scale, tile.offset)
+    _check_kind(tile.stored)
     counts = tile.width, tile.height, tile.block_rows
-    if not all(map(math.isfinite, numbers)) or not tile.files or not tile.roundings:
-        raise ValueError("numbers of a tile are not finite")
-    if not all(type(count) is int and 0 < count <= MAX_SIDE for count in counts):
+    _check_types(counts, int)
+    if not all(0 < count <= MAX_SIDE for count in counts):
         raise ValueError("a tile has an impossible size")
     # GDAL's other notations for a coordinate system may name a file.
     if not _SYSTEM.fullmatch(tile.crs):
         raise ValueError("a coordinate system is neither a code nor WKT")
-    np.dtype(tile.stored)
     return tile
 
 
 def _rounding_of(entry: dict) -> SourceRounding:
     """Return a rounding of a catalogue's entry."""
     before = _rounding_of(entry["before"]) if entry["before"] is not None else None
-    return SourceRounding(**{**entry, "before": before})
+    rounding = SourceRounding(**{**entry, "before": before})
+    _check_kind(rounding.stored)
+    _check_numbers(rounding.error, rounding.scale, rounding.offset)
+    _check_types([rounding.bits], int)
+    _check_types([rounding.lossy], str)
+    if not 0 <= rounding.bits <= 64 or rounding.error < 0.0:
+        raise ValueError("a rounding is negative")
+    return rounding
+
+
+def _check_types(values: Iterable, kind: type) -> None:
+    """Raise ValueError unless all values have a type."""
+    if not all(type(value) is kind for value in values):
+        raise ValueError("a value has another type")
+
+
+def _check_numbers(*numbers: float) -> None:
+    """Raise ValueError unless all numbers are finite floats."""
+    _check_types(numbers, float)
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError("a number is not finite")
+
+
+def _check_kind(stored: str) -> None:
+    """Raise ValueError unless a text names a type of real numbers."""
+    _check_types([stored], str)
+    if np.dtype(stored).kind not in "iuf":
+        raise ValueError("samples are no real numbers")

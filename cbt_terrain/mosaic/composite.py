@@ -19,6 +19,7 @@ from ..run import launch
 from ..run.buffers import flat
 from .bridges import bridge
 from .catalogue import SourceTile, open_tile
+from .datums import find_shifts
 from .lattices import TileLattice, find_lattices
 from .positions import BLOCK, BlockNodes, is_congruent, nodes_of
 from .target_grid import Footprints, TargetGrid
@@ -49,6 +50,7 @@ class Composite:
         stored: type of the samples; float64 if any are interpolated or converted.
         scale, offset: a height is value * scale + offset metres.
         resamples: whether samples of some files are interpolated.
+        shifts: conversion of heights to one vertical datum, None for none.
         on_piece: is called before each piece that is read, because reading many files may take long.
         boxes: float64 [tiles, 4], lowest column and row of the grid and highest ones of each tile's outer samples.
         reach: float64 [tiles, 2], columns and rows of the grid beyond its box that a tile may have a part in.
@@ -79,7 +81,8 @@ class Composite:
         kinds = {tile.stored for tile in self.tiles}
         is_copied = all(lattice.crs == grid.crs and is_congruent(lattice, grid) for lattice in self.lattices)
         self.resamples = not is_copied
-        self._converts = len(scales) > 1
+        self.shifts = find_shifts(tiles)
+        self._converts = len(scales) > 1 or self.shifts is not None
         self.scale: float
         self.offset: float
         self.scale, self.offset = (1.0, 0.0) if self._converts else next(iter(scales))
@@ -194,7 +197,10 @@ class Composite:
         raster, tile = self._raster(rank), self.tiles[rank]
         assert raster.window is not None, "the catalogue has only tiles that are read by windows"
         heights = raster.window(row, rows, column, columns).astype(np.float64)
-        return heights * tile.scale + tile.offset if self._converts else heights
+        if not self._converts:
+            return heights
+        shift = self.shifts.window(tile, row, rows, column, columns) if self.shifts is not None else 0.0
+        return heights * tile.scale + tile.offset + shift
 
     def _raster(self, rank: int) -> Raster:
         """Return the raster of a tile, opened. Raises TerrainError if its file has changed."""

@@ -61,6 +61,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
     """Return a composite as the raster of an import."""
     grid = composite.grid
     place = FileGrid(crs_of(grid.crs) if grid.crs else None, grid.transform)
+    grids = composite.shifts.grids(composite.tiles) if composite.shifts is not None else []
     raster = Raster(
         width=grid.width,
         height=grid.height,
@@ -77,14 +78,18 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         roundings=composite.rounded(),
         warnings=[*file_warnings(composite.tiles), *mirror_warnings(place, grid.width, grid.height)],
         details={"bounds_against": f"the mosaic as resampled to {grid.crs}, bilinear"} if composite.resamples else {},
-        sources=tuple(Path(entry[0]) for tile in composite.tiles for entry in tile.files),
+        sources=(*(Path(entry[0]) for tile in composite.tiles for entry in tile.files), *grids),
         close=composite.close,
     )
 
+    max_moved = 0.0
+
     def window(first: int, count: int, column: int, columns: int) -> np.ndarray:
-        """Read a window, and keep the largest difference that positions have made so far."""
+        """Read a window, and keep the largest difference that positions and shifts of datums have made so far."""
+        nonlocal max_moved
         values, moved = composite.read(first, count, column, columns)
-        raster.moved = max(raster.moved, moved)
+        max_moved = max(max_moved, moved)
+        raster.moved = max_moved + (composite.shifts.error_m if composite.shifts is not None else 0.0)
         return values
 
     def finish(folder: Path) -> None:

@@ -46,7 +46,7 @@ def nodes_of(lattice: TileLattice, grid: TargetGrid, column: int, row: int) -> B
         return BlockNodes(*_exact(lattice, grid, column, row, BLOCK), BLOCK, error, error)
     for spacing in SPACINGS:
         exact_u, exact_v = _exact(lattice, grid, column, row, spacing // 2)
-        error_u, error_v = _error(exact_u), _error(exact_v)
+        error_u, error_v = interpolation_error(exact_u), interpolation_error(exact_v)
         u, v = exact_u[::2, ::2], exact_v[::2, ::2]
         if max(error_u, error_v) <= MAX_ERROR:
             break
@@ -87,7 +87,7 @@ def _exact(lattice: TileLattice, grid: TargetGrid, column: int, row: int, step: 
     return u.reshape(columns.shape), v.reshape(columns.shape)
 
 
-def _error(exact: np.ndarray) -> float:
+def interpolation_error(exact: np.ndarray) -> float:
     """Return the largest difference of interpolated from exact values at the odd rows and columns, as a sum by axis.
 
     exact: [2 n + 1, 2 n + 1], of which the even rows and columns are nodes.

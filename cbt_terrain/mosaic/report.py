@@ -90,9 +90,13 @@ def datum_warnings(composite: Composite) -> list[str]:
         return []
     names = ", ".join(f"{shown(datum, 60)} in {count:,}" for datum, count in known.items())
     more = f", and {counts['']:,} name none" if counts[""] else ""
+    text = f"The files' heights refer to different surfaces ({names}{more})"
+    if composite.shifts is not None:
+        return [f"{text}: they were converted to {shown(composite.shifts.reference.datum, 60)}, by PROJ's grids."]
     return [
-        f"The files' heights refer to different surfaces ({names}{more}), which may be tens of metres apart. They were "
-        "not converted: convert them to one first (gdalwarp with -s_srs and -t_srs and PROJ's grids)."
+        f"{text}, which may be tens of metres apart. They were not converted, because a grid of PROJ is missing: get "
+        "the grids (projsync, or the package proj-data) and name their folder in PROJ_DATA, or convert the files first "
+        "(gdalwarp with -s_srs and -t_srs)."
     ]
 
 
@@ -123,7 +127,7 @@ def _seams(seams: SeamReport, scale: float) -> dict:
 
 
 def _expected_bytes(composite: Composite) -> int:
-    """Return the bytes of the store, and those of the unpacked files beside it while it is written."""
+    """Return the bytes of the store, and those of unpacked files during the import."""
     grid = composite.grid
     unpacked = sum(
         tile.width * tile.height * np.dtype(tile.stored).itemsize

@@ -34,6 +34,8 @@ main(*sys.argv[4:])
 PACKAGE = __package__.rsplit(".", 2)[0]
 # The host's GDAL or PROJ database does not match the child's library.
 FOREIGN_VARIABLES = ("GDAL_DATA", "GDAL_DRIVER_PATH", "PROJ_LIB", "PROJ_DATA", "PYTHONHOME", "PYTHONSTARTUP")
+# The child's variable with the folders of the user's PROJ, which may hold grids.
+GRID_FOLDERS = "ADAPTIVE_TERRAIN_PROJ_GRIDS"
 
 
 def start(module: str, *arguments: str, variables: dict[str, str] | None = None, **streams: Any) -> subprocess.Popen:
@@ -59,6 +61,7 @@ def bootstrap_arguments(module: str, *arguments: str) -> list[str]:
 def start_program(command: list[str], variables: dict[str, str] | None = None, **streams: Any) -> subprocess.Popen:
     """Start a program as `start` does."""
     environment = {k: v for k, v in os.environ.items() if k not in FOREIGN_VARIABLES}
+    environment[GRID_FOLDERS] = os.pathsep.join(filter(None, map(os.environ.get, ("PROJ_DATA", "PROJ_LIB"))))
     return subprocess.Popen(
         command,
         env=environment | (variables or {}),

@@ -56,7 +56,7 @@ def refusal(*sources, folder, **more):
     return text
 
 
-def test_case_75_a_shared_border_has_the_samples_of_the_later_file(tmp_path):
+def test_case_75_a_shared_border_has_samples_of_the_later_file(tmp_path):
     """Four files share a row, a column and one corner; there the later file counts, elsewhere each its own samples."""
     values = np.arange(4 * 81, dtype=np.float32).reshape(4, 9, 9)
     places = [(0, 0), (8, 0), (0, 8), (8, 8)]
@@ -125,7 +125,7 @@ def test_case_79_links_count_as_the_files_that_they_lead_to(tmp_path):
 
 
 @pytest.mark.parametrize("change", ["rewritten", "linked", "removed", "piped"])
-def test_case_80_a_file_that_changes_during_the_import_is_one_error(tmp_path, change):
+def test_case_80_a_file_that_changes_meanwhile_is_one_error(tmp_path, change):
     """A file that is rewritten, swapped for a link or a pipe, or removed meanwhile ends the import without a store."""
     whole = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 40, 20)
     files = [whole.write(tmp_path / f"{n}.tif", first_column=20 * n, columns=20) for n in range(2)]

@@ -49,7 +49,7 @@ def tiles(tmp_path):
 
 
 def outcome(folder, store):
-    """Return "read", or "error" for one sentence; reads the first rows of what was composed, and reports on it."""
+    """Return "read", or "error" for one sentence; reads the first rows of the composite, and reports on it."""
     composite = None
     try:
         settings = ImportSettings(str(folder))

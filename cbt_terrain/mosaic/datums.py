@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Heights above different vertical datums as heights above one of them, by PROJ's grids of geoids.
+
+rasterio's wheel has no grids. They are searched in the folders of the user's own PROJ, and used for heights alone, of
+which the report tells: grids for positions would make a terrain depend on the machine.
+"""
+
+import math
+import os
+import sys
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import TerrainError, shown
+from ..run.child import GRID_FOLDERS
+from .catalogue import SourceTile
+from .positions import interpolation_error
+from .systems import ELLIPSOID, crs_of, projected
+
+GEOGRAPHIC, GEOGRAPHIC_3D = "EPSG:4326", "EPSG:4979"  # the second with heights above the ellipsoid of WGS 84
+# PROJ's files with heights of a geoid above that ellipsoid, by the name of the datum.
+GRIDS = {
+    "EGM84": ("us_nga_egm84_30.tif", "egm84_30.gtx"),
+    "EGM96": ("us_nga_egm96_15.tif", "egm96_15.gtx"),
+    "EGM2008": ("us_nga_egm08_25.tif", "egm08_25.gtx"),
+}
+GEOID = (
+    'COMPD_CS["geoid",{plane},VERT_CS["geoid",VERT_DATUM["geoid",2005,EXTENSION["PROJ4_GRIDS","{grid}"]],'
+    'UNIT["metre",1],AXIS["Up",UP]]]'
+)
+SPACINGS = (32, 16, 8)  # samples between nodes at most, the first whose error is small enough, or the last
+MAX_ERROR_M = 0.01
+MARGIN = 2.0  # the true error by that at half a spacing: grids have kinks, at any place between two nodes
+USER_FOLDERS = {"darwin": "~/Library/Application Support/proj", "win32": "~/AppData/Local/proj"}
+SYSTEM_FOLDERS = ("/usr/share/proj", "/usr/local/share/proj")
+
+
+class ShiftNodes(NamedTuple):
+    """Metres to add to a tile's heights, at nodes evenly spread from its first to its last samples.
+
+    Attributes:
+        metres: float64 [rows, columns] of nodes.
+        size: rows and columns of the tile's samples.
+        error_m: largest error between nodes.
+    """
+
+    metres: np.ndarray
+    size: tuple[int, int]
+    error_m: float
+
+    def window(self, row: int, rows: int, column: int, columns: int) -> np.ndarray:
+        """Return the metres at a window of samples; a sample's value does not depend on the window."""
+        (i, t), (j, s) = self._places(0, row, rows), self._places(1, column, columns)
+        nodes = self.metres[i] * (1.0 - t)[:, None] + self.metres[i + 1] * t[:, None]
+        return nodes[:, j] * (1.0 - s) + nodes[:, j + 1] * s
+
+    def _places(self, axis: int, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the nodes before samples, and the fractions of the way to the next nodes."""
+        cells = self.metres.shape[axis] - 1
+        places = np.arange(first, first + count) * cells / max(self.size[axis] - 1, 1)
+        nodes = np.minimum(places.astype(np.int64), cells - 1)
+        return nodes, places - nodes
+
+
+class DatumShifts:
+    """Conversion of a mosaic's tiles to the datum of `reference`.
+
+    Attributes:
+        reference: the first tile that names a datum.
+        error_m: largest error of the shifts that were used.
+    """
+
+    def __init__(self, reference: SourceTile) -> None:
+        """Convert to the datum of a tile."""
+        self.reference, self.error_m = reference, 0.0
+        self._nodes: dict[str, ShiftNodes] = {}
+
+    def window(self, tile: SourceTile, row: int, rows: int, column: int, columns: int) -> np.ndarray | float:
+        """Return metres to add to a window of a tile's heights. Raises TerrainError where a grid ends."""
+        if tile.datum in ("", self.reference.datum):
+            return 0.0
+        if tile.path not in self._nodes:
+            self._nodes[tile.path] = self._nodes_of(tile)
+        nodes = self._nodes[tile.path]
+        self.error_m = max(self.error_m, nodes.error_m)
+        return nodes.window(row, rows, column, columns)
+
+    def _nodes_of(self, tile: SourceTile) -> ShiftNodes:
+        """Return the nodes of a tile."""
+        for spacing in SPACINGS:
+            down, across = (
+                np.linspace(0.0, count - 1, 2 * max(math.ceil((count - 1) / spacing), 1) + 1)
+                for count in (tile.height, tile.width)
+            )
+            columns, rows = np.meshgrid(across, down)
+            exact = self.at(tile, columns.ravel(), rows.ravel()).reshape(columns.shape)
+            if not np.isfinite(exact).all():
+                what = f"PROJ's grid for {shown(tile.datum, 60)} or {shown(self.reference.datum, 60)} ends in"
+                raise TerrainError(
+                    f"{what} {shown(tile.path)}",
+                    fix="remove the grid from PROJ's folder to import without a conversion, or get a larger one",
+                )
+            error = MARGIN * interpolation_error(exact)
+            if error <= MAX_ERROR_M:
+                break
+        return ShiftNodes(np.ascontiguousarray(exact[::2, ::2]), (tile.height, tile.width), error)
+
+    def grids(self, tiles: Sequence[SourceTile]) -> list[Path]:
+        """Return the files of the grids that convert tiles."""
+        datums = dict.fromkeys(tile.datum for tile in tiles if tile.datum)
+        return [Path(grid) for grid in map(_grid_of, datums) if grid is not None]
+
+    def at(self, tile: SourceTile, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Return metres to add at samples of a tile, NaN where PROJ has no grid."""
+        x, y = tile.position(columns, rows)
+        return _above_ellipsoid(tile.datum, tile.crs, x, y) - _above_ellipsoid(self.reference.datum, tile.crs, x, y)
+
+
+def find_shifts(tiles: Sequence[SourceTile]) -> DatumShifts | None:
+    """Return the shifts to the datum of the first tile that names one; None for one datum, or if a grid is missing."""
+    named = [tile for tile in tiles if tile.datum]
+    if len({tile.datum for tile in named}) < 2:
+        return None
+    shifts = DatumShifts(named[0])
+    for tile in named:
+        if tile.datum != named[0].datum:
+            right, bottom = tile.width - 1.0, tile.height - 1.0
+            corners = np.array([0.0, right, 0.0, right]), np.array([0.0, 0.0, bottom, bottom])
+            if not np.isfinite(shifts.at(tile, *corners)).all():
+                return None
+    return shifts
+
+
+def _above_ellipsoid(datum: str, crs: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return metres of a datum above the ellipsoid at positions in a system; NaN where there is no grid."""
+    from rasterio.crs import CRS
+    from rasterio.warp import transform
+
+    if datum == ELLIPSOID:
+        return np.zeros(len(x))
+    grid = _grid_of(datum)
+    if grid is None:
+        return np.full(len(x), np.nan)
+    longitude, latitude = projected(crs, GEOGRAPHIC, x, y)
+    geoid = GEOID.format(plane=crs_of(GEOGRAPHIC).to_wkt(version="WKT1_GDAL"), grid=grid)
+    try:
+        found = transform(CRS.from_wkt(geoid), crs_of(GEOGRAPHIC_3D), longitude, latitude, np.zeros(len(x)))
+    except Exception:  # the grid ends here or is damaged; PROJ raises many kinds
+        return np.full(len(x), np.nan)
+    return np.where(np.isfinite(found[2]), found[2], np.nan)
+
+
+@lru_cache(maxsize=len(GRIDS))
+def _grid_of(datum: str) -> str | None:
+    """Return the path of a datum's grid in the folders of the user's PROJ, None if there is none."""
+    user = os.environ.get("XDG_DATA_HOME", "~/.local/share") + "/proj"
+    folders = [*os.environ.get(GRID_FOLDERS, "").split(os.pathsep), USER_FOLDERS.get(sys.platform, user)]
+    for folder in filter(None, (*folders, *SYSTEM_FOLDERS)):
+        for name in GRIDS.get(datum, ()):
+            file = os.path.join(os.path.expanduser(folder), name)
+            if os.path.isfile(file) and '"' not in file:
+                return file
+    return None

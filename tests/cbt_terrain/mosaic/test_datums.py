@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Vertical datums: heights are converted by PROJ's grids if there are any. The grids here are planes, known exactly."""
+
+import struct
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.importing.import_process import import_source
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.mosaic import datums
+from adaptive_terrain.cbt_terrain.mosaic.datums import ShiftNodes
+from adaptive_terrain.cbt_terrain.mosaic.mosaic_info import describe_sources
+from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import mosaic_raster, open_composite
+from adaptive_terrain.cbt_terrain.run.child import GRID_FOLDERS
+from mosaic_files import DEGREES, EAST, NORTH, UTM32, moved, sheet
+
+
+def egm96(longitude, latitude):
+    """Return metres of the plane that stands for EGM96 above the ellipsoid."""
+    return 40.0 + 0.3 * (latitude - 50.0) + 0.2 * (longitude - 10.0)
+
+
+def egm2008(longitude, latitude):
+    """Return metres of a second plane, 3 m lower and turned."""
+    return 37.0 - 0.5 * (latitude - 50.0) + 0.4 * (longitude - 10.0)
+
+
+def write_grid(path, plane, west=-10.0, east=30.0, south=30.0, north=70.0):
+    """Write a plane as a GTX, NOAA's format of vertical grids, with steps of one degree."""
+    longitude, latitude = np.meshgrid(np.arange(west, east + 1), np.arange(south, north + 1))
+    values = plane(longitude, latitude).astype(">f4")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(struct.pack(">4d2i", south, west, 1.0, 1.0, *values.shape) + values.tobytes())
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Write four tiles of one land from west to east, above four surfaces: EGM96, EGM2008, the ellipsoid, unnamed."""
+    kinds = [("EPSG:32632+5773", 0.0), ("EPSG:32632+3855", 1.0), ("EPSG:4979", 0.0), (UTM32, 0.0)]
+    for n, (crs, own) in enumerate(kinds):
+        one = sheet(UTM32, EAST + 400 * n, NORTH, 10.0, 10.0, 41, 41)
+        if crs == "EPSG:4979":
+            west, north = map(float, moved(UTM32, DEGREES, EAST + 400 * n, NORTH))
+            one = sheet(DEGREES, west, north, 1.4e-4, 9e-5, 41, 41)
+        i, j = np.meshgrid(np.arange(41) + 0.5, np.arange(41) + 0.5)
+        place = moved(one.crs, DEGREES, one.west + i * one.step_x, one.north - j * one.step_y)
+        if n < 3:
+            one.heights += egm96(*place) - (egm2008(*place) if own else egm96(*place) if n == 0 else 0.0)
+        one.write(tmp_path / "tiles" / f"{n}.tif", crs=crs, kind="float64")
+    return tmp_path / "tiles"
+
+
+def test_heights_are_converted_where_proj_has_grids(files, tmp_path, monkeypatch):
+    """In the sandbox, with grids in PROJ_DATA, tiles above three surfaces are one land; nothing else is changed."""
+    write_grid(tmp_path / "grids" / "egm96_15.gtx", egm96)
+    write_grid(tmp_path / "grids" / "egm08_25.gtx", egm2008)
+    monkeypatch.setenv("PROJ_DATA", str(tmp_path / "grids"))
+    report = import_source(ImportSettings(str(files)), tmp_path / "store")
+    [warning] = [text for text in report["warnings"] if "surfaces" in text]
+    assert "EGM96 in 1, EGM2008 in 1, the ellipsoid in 1, and 1 name none): they were converted to EGM96" in warning
+    field = open_store(tmp_path / "store")
+    heights = np.asarray(field.samples)[::-1]
+    land = sheet(UTM32, EAST, NORTH, 10.0, 10.0, heights.shape[1], heights.shape[0])
+    inner = slice(2, 38), slice(2, 150)
+    assert np.abs(heights - land.heights)[:41, :81].max() < 1e-4 < field.source_max < 5e-3
+    # The tile in degrees is interpolated from other samples of the same ground.
+    assert np.abs(heights - land.heights)[inner].max() < 1.0
+    assert report["seam_max_m"] < 1.0 and report["filled"] < 300
+
+
+def test_without_a_grid_heights_stay_and_a_warning_tells(files, tmp_path, monkeypatch):
+    monkeypatch.setenv("PROJ_DATA", str(tmp_path / "grids"))
+    write_grid(tmp_path / "grids" / "egm08_25.gtx", egm2008)
+    settings = ImportSettings(str(files))
+    report = describe_sources(settings)
+    [warning] = [text for text in report["warnings"] if "surfaces" in text]
+    assert "They were not converted, because a grid of PROJ is missing: get the grids (projsync" in warning
+    assert 30.0 < report["seam_max_m"] < 50.0, "the ellipsoid is 40 m below"
+    before = mosaic_raster(open_composite(settings, None), settings).sources
+    write_grid(tmp_path / "grids" / "egm96_15.gtx", egm96)
+    monkeypatch.setenv(GRID_FOLDERS, str(tmp_path / "grids"))
+    datums._grid_of.cache_clear()
+    after = mosaic_raster(open_composite(settings, None), settings).sources
+    datums._grid_of.cache_clear()
+    new = [path.name for path in after if path not in before]
+    assert new == ["egm96_15.gtx", "egm08_25.gtx"], "so that a store made without grids is imported again"
+
+
+def test_a_grid_that_ends_in_a_file_converts_nothing(files, tmp_path, monkeypatch):
+    monkeypatch.setenv("PROJ_DATA", str(tmp_path / "grids"))
+    write_grid(tmp_path / "grids" / "egm96_15.gtx", egm96)
+    write_grid(tmp_path / "grids" / "egm08_25.gtx", egm2008, north=50.0)
+    report = describe_sources(ImportSettings(str(files)))
+    assert any("They were not converted" in text for text in report["warnings"])
+
+
+def test_shifts_depend_on_the_sample_alone():
+    """Nodes are spread from the first to the last sample; any window has the values of the whole."""
+    random = np.random.default_rng(3)
+    nodes = ShiftNodes(random.standard_normal((5, 7)), (121, 175), 0.0)
+    whole = nodes.window(0, 121, 0, 175)
+    assert np.abs(whole[::30, ::29] - nodes.metres).max() < 1e-12
+    assert whole[7, 9] == pytest.approx(np.average(nodes.metres[:2, :2], weights=np.outer([23, 7], [20, 9])), rel=1e-12)
+    for _ in range(20):
+        row, column = random.integers(0, 100), random.integers(0, 145)
+        assert np.array_equal(nodes.window(row, 20, column, 30), whole[row : row + 20, column : column + 30])
+    assert ShiftNodes(nodes.metres[:2, :2], (1, 1), 0.0).window(0, 1, 0, 1)[0, 0] == nodes.metres[0, 0]

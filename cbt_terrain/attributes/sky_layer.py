@@ -23,7 +23,7 @@ from ..run.locks import caching
 from ..run.owned_files import NotOursError
 from .light import AZIMUTHS, azimuths
 from .pyramid import level_of, level_with
-from .whole import read_stored, result_file
+from .whole import read_stored, result_file, write_result
 
 # Bounds memory and the time of a step.
 MAX_SAMPLES = 1 << 25
@@ -87,9 +87,8 @@ def _add_azimuth(field: HeightField, scale: float, threads: int) -> dict:
             sky.share = 1.0 / AZIMUTHS
             sky.heights, sky.horizons, sky.out = (flat(a, wp.float32) for a in (heights, found, sums))
             launch.spread(kernels.add_sky, rows, [sky], step="light", threads=threads, cost=columns)
-            state |= {"sky": sums, "azimuths": state["azimuths"] + 1}
-            if state["azimuths"] == AZIMUTHS:
-                _save(field, scale, sums)
+            done = state["azimuths"] + 1
+            state |= {"sky": _save(field, scale, sums) if done == AZIMUTHS else sums, "azimuths": done}
         return state
 
 
@@ -111,17 +110,21 @@ def _load_from_store(field: HeightField, scale: float) -> None:
         _cache_entry(field, LAYER, scale).update(azimuths=AZIMUTHS, sky=sky)
 
 
-def _save(field: HeightField, scale: float, sky: np.ndarray) -> None:
-    """Write the layer of a vertical scale into the store, and remove the oldest so that MAX_SCALES remain."""
+def _save(field: HeightField, scale: float, sky: np.ndarray) -> np.ndarray:
+    """Write the layer of a vertical scale into the store, and remove the oldest so that MAX_SCALES remain.
+
+    Return the layer, mapped if it is in the store.
+    """
     file = result_file(LAYER, VERSION, (scale,))
-    store.cache_derived(field, file, sky)
-    folder = store.data_folder(field)
+    sky = write_result(field, file, sky)
+    folder = store.data_folder(field.raster)
     if folder is None or not owned_files.is_real_folder(field.path):
-        return  # never removes files through a link
+        return sky  # never removes files through a link
     with suppress(OSError, NotOursError):  # another process may do the same
         others = [f for f in folder.glob(f"effect_{LAYER}_*.npy") if f.stem != file]
         for old in sorted(others, key=lambda f: f.stat().st_mtime_ns)[: max(0, len(others) + 1 - MAX_SCALES)]:
             owned_files.remove_file(old)
+    return sky
 
 
 def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.SkyLayer:

@@ -12,10 +12,10 @@ from collections.abc import Callable
 import numpy as np
 
 from ..errors import TerrainError
-from ..field import store
+from ..field import derived_arrays, store
 from ..field.heightfield import HeightField, HeightRaster
 from ..field.lattice import Lattice
-from ..field.store_arrays import verify_array
+from ..field.store_arrays import all_finite, verify_array
 from ..run.locks import caching
 
 # Bytes of results in memory, including their pyramids; the last result stays whatever its size.
@@ -39,8 +39,7 @@ def whole(
             return _results[key]
         samples = read_stored(field, file, (lattice.height, lattice.width))
         if samples is None:
-            samples = make()
-            store.cache_derived(field, file, samples)
+            samples = write_result(field, file, make())
         _results[key] = HeightRaster(samples, lattice, key)
         while len(_results) > 1 and sum(int(_bytes_with_pyramid(values)) for values in _results.values()) > MAX_BYTES:
             _results.popitem(last=False)
@@ -69,12 +68,23 @@ def _bytes_with_pyramid(result: HeightRaster) -> int:
 
 def read_stored(field: HeightField, file: str, shape: tuple[int, int]) -> np.ndarray | None:
     """Return the float32 result `file` of this shape from the field's store; None if missing, damaged or not finite."""
-    folder = store.data_folder(field)
+    folder = store.data_folder(field.raster)
     if folder is None:
         return None
     try:
         verify_array(folder / f"{file}.npy", shape, np.float32)
     except (OSError, TerrainError):
         return None
-    samples = store.load_derived(field, file, shape, np.float32)
-    return samples if samples is not None and np.isfinite(samples).all() else None
+    found = derived_arrays.load(field.raster, {file: (shape, np.float32)})
+    return found[file] if found is not None and all_finite(found[file]) else None
+
+
+def write_result(field: HeightField, file: str, values: np.ndarray) -> np.ndarray:
+    """Write a float32 result into the field's store, if it has one, and return it mapped from there."""
+    shapes = {file: (values.shape, np.float32)}
+    return derived_arrays.derive(field.raster, shapes, lambda arrays: np.copyto(arrays[file], values), _never)[file]
+
+
+def _never(_arrays: dict[str, np.ndarray]) -> bool:
+    """Return False: what is there is computed again."""
+    return False

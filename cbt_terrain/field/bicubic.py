@@ -4,6 +4,8 @@
 The surface is a Bezier patch in each cell of the raster (kernels/bicubic/patches.py). A patch, a difference of two
 patches and each derivative are all between their lowest and highest control height.
 
+The error hierarchy is computed in bicubic_errors.py.
+
 Above the cells all corners of triangles are samples. So the distance of a triangle from the bicubic surface is at most
 its distance from the bilinear one plus the largest distance between both surfaces in the cells that it covers. A
 diamond's error is its bilinear error plus that distance below it. The error of the two triangles of a cell is a quarter
@@ -23,25 +25,22 @@ to 1 + t (1 - t), 5/4 at most, at the fraction t between two of them, and those 
 """
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import warp as wp
 
 from ...kernels.bicubic import patches as kernels
-from ...kernels.field import expand as expand_kernels
 from ...kernels.field import ranges as range_kernels
 from ..errors import TerrainError
 from ..run import launch
 from ..run.buffers import flat
 from ..run.locks import cached
-from . import codes, hierarchy, store
+from . import bicubic_errors, codes, derived_arrays, hierarchy, store
 from .codes import MAX_EXPONENT, MIN_EXPONENT
 from .heightfield import INTERPOLATIONS, HeightField, SurfaceSpec, with_detail
-from .hierarchy import items, ranges_at, stored_at, upward
+from .hierarchy import ranges_at
+from .lattice import Lattice
 
-# Indices of Warp's arrays are int32.
-MAX_ENTRIES = 2**31 - 1
 # Largest change of the surface if samples change by 1 at most.
 LEVERAGE = 25.0 / 16.0
 # Fields of a height field, besides arrays, that depend on its surface.
@@ -65,21 +64,9 @@ def interpolated(field: HeightField, name: str) -> HeightField:
 
 def bicubic(field: HeightField) -> HeightField:
     """Return the bicubic surface through the samples of a bilinear field, cached in its store, if it has one."""
-    lattice = field.lattice
-    if 2 * lattice.node_count > MAX_ENTRIES:
-        raise TerrainError(
-            f"The terrain has {lattice.width} x {lattice.height} samples, more than an index of 31 bits can number for "
-            "a bicubic surface",
-            expected="about 22,000 x 22,000 at most",
-            fix="choose bilinear interpolation or import it smaller",
-        )
-    arrays = _load(field)
-    if arrays is None:
-        field.raster.check_samples()
-        built = build(field, launch.default_threads())
-        for name, array in built.items():
-            store.cache_derived(field, name, array)
-        arrays = _load(field) or built  # mapped arrays of a store free the memory of the built ones
+    arrays = derived_arrays.derive(
+        field.raster, arrays_of(field.lattice), lambda arrays: build(field, arrays), _are_valid
+    )
     return replace(
         field,
         surface=SurfaceSpec("bicubic"),
@@ -91,39 +78,30 @@ def bicubic(field: HeightField) -> HeightField:
     )
 
 
-def _arrays(field: HeightField) -> dict[str, tuple]:
+def arrays_of(lattice: Lattice) -> dict[str, tuple]:
     """Return shapes and dtypes of the arrays of a bicubic surface, by name."""
-    arrays = store.derived_arrays(field.lattice)
+    arrays = store.derived_arrays(lattice)
     return {name: arrays[name] for name in ("error_c", "ranges_c", "numbers_c")}
 
 
-def _load(field: HeightField) -> dict[str, np.ndarray] | None:
-    """Return the arrays cached in the field's store, None if any is missing or damaged."""
-    found = {name: store.load_derived(field, name, *of) for name, of in _arrays(field).items()}
-    arrays = {name: array for name, array in found.items() if array is not None}
-    return arrays if len(arrays) == len(found) and _are_valid(arrays["numbers_c"]) else None
-
-
-def _are_valid(numbers: np.ndarray) -> bool:
-    """Return whether numbers from a file can be NUMBERS and exponents."""
+def _are_valid(arrays: dict[str, np.ndarray]) -> bool:
+    """Return whether the numbers among arrays from files can be NUMBERS and exponents."""
+    numbers = arrays["numbers_c"]
     _, step, low, high, steep_x, steep_y, *exponents = numbers
     known = all(MIN_EXPONENT <= exponent <= MAX_EXPONENT for exponent in exponents)
     return bool(np.isfinite(numbers).all() and step > 0 and low <= high and steep_x >= 0 and steep_y >= 0 and known)
 
 
-def build(field: HeightField, threads: int) -> dict[str, np.ndarray]:
-    """Compute the arrays of a bicubic surface, by name; the same bytes for any number of threads."""
-    arrays = {name: np.zeros(shape, dtype) for name, (shape, dtype) in _arrays(field).items()}
-    numbers, errors = _numbers(field, threads), np.zeros(len(arrays["error_c"]), np.float32)
+def build(field: HeightField, arrays: dict[str, np.ndarray], threads: int | None = None) -> None:
+    """Fill the zeroed arrays of a bicubic surface, by name; the same bytes for any number of threads.
+
+    Raises TerrainError for a sample that is not finite.
+    """
+    threads = threads or launch.default_threads()
+    field.raster.check_samples()
+    numbers = _numbers(field, threads)
     _fill_ranges(field, numbers[0], numbers[1], arrays["ranges_c"], threads)
-    _fill_errors(field, errors, threads)
-    arrays["numbers_c"][:] = [*numbers, *codes.encode(field.lattice, errors, arrays["error_c"], threads)]
-    return arrays
-
-
-def _launch(kernel: wp.Kernel, count: int, inputs: list, threads: int, cost: float = 1.0) -> None:
-    """Launch a kernel over `count` items as the step "bicubic hierarchy". cost: nanoseconds an item, over a base."""
-    launch.spread(kernel, count, inputs, step="bicubic hierarchy", threads=threads, cost=cost)
+    arrays["numbers_c"][:] = [*numbers, *bicubic_errors.fill_errors(field, arrays["error_c"], threads)]
 
 
 def _numbers(field: HeightField, threads: int) -> list[float]:
@@ -135,10 +113,10 @@ def _numbers(field: HeightField, threads: int) -> list[float]:
     rows = lattice.cells_y
     found = np.zeros((rows, 4))
     inputs = [
-        codes.pack_samples(field.heights(), None),
+        codes.pack_samples(field.samples, field.steps),
         wp.array(found, dtype=wp.vec4d, device=launch.DEVICE, copy=False),
     ]
-    _launch(kernels.extents, rows, inputs, threads, 10.0 * lattice.cells_x)
+    bicubic_errors.launch_step(kernels.extents, rows, inputs, threads, 10.0 * lattice.cells_x)
     low, high = float(found[:, 0].min()), float(found[:, 1].max())
     steepest = found[:, 2:].max(axis=0) * (1 + 1e-6) / (lattice.step_x, lattice.step_y)
     return [*hierarchy.range_scale(low, high), low, high, *steepest.tolist()]
@@ -152,29 +130,10 @@ def _fill_ranges(field: HeightField, base: float, step: float, ranges: np.ndarra
     lattice, out = field.lattice, flat(ranges, wp.uint16)
     columns, rows = lattice.cells_x, lattice.cells_y
     cells = ranges_at(lattice, lattice.cell_depth)
-    inputs = [codes.pack_samples(field.heights(), None), wp.float64(base), wp.float64(step), cells, out]
-    _launch(kernels.patch_ranges, rows, inputs, threads, 10.0 * columns)
+    inputs = [codes.pack_samples(field.samples, field.steps), wp.float64(base), wp.float64(step), cells, out]
+    bicubic_errors.launch_step(kernels.patch_ranges, rows, inputs, threads, 10.0 * columns)
     if lattice.range_depth:
         finest = ranges_at(lattice, lattice.range_depth)
         inputs = [columns, rows, cells, finest, out]
-        _launch(range_kernels.patches_around, finest.rows + 1, inputs, threads, 4.0 * columns)
+        bicubic_errors.launch_step(range_kernels.patches_around, finest.rows + 1, inputs, threads, 4.0 * columns)
         hierarchy.unite_ranges(lattice, ranges, threads)
-
-
-def _fill_errors(field: HeightField, errors: np.ndarray, threads: int) -> np.ndarray:
-    """Compute errors and curvatures of the bicubic surface into `errors`, float32 metres.
-
-    Return the distances between it and the bilinear surface, saturated like errors, float32 [node_count].
-    """
-    lattice, off = field.lattice, np.zeros(field.lattice.node_count, np.float32)
-    known = codes.decode(lattice, field.error, field.table)
-    out, apart, plain = (flat(array, wp.float32) for array in (errors, off, known))
-    cells, curvatures = stored_at(lattice, lattice.cell_depth), stored_at(lattice, lattice.cell_depth)
-    curvatures.base = lattice.node_count
-    inputs = [codes.pack_samples(field.heights(), None), cells, curvatures, apart, out]
-    _launch(kernels.patch_errors, lattice.cells_y, inputs, threads, 20.0 * lattice.cells_x)
-    hierarchy.saturate_cells(curvatures, 0.5, out, "bicubic hierarchy", threads)
-    _launch(expand_kernels.cover_sides, items(cells), [curvatures, cells, out], threads)
-    for _, finer, coarser, count in upward(lattice.cell_depth, partial(stored_at, lattice)):
-        _launch(expand_kernels.add_errors, count, [finer, coarser, plain, apart, out], threads)
-    return off

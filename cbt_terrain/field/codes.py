@@ -74,12 +74,20 @@ def encode(lattice: Lattice, errors: np.ndarray, codes: np.ndarray, threads: int
 
     errors: float32 metres, nested (none is below its children's). codes: uint8, zeroed.
     """
-    exponents = [exponent_of(float(errors[part].max())) for part in parts(lattice, len(errors))]
-    cells, curvatures = lattice.groups, exponents[lattice.groups + 1 :]
-    finer = curvatures[0] - 1 if curvatures else MIN_EXPONENT
+    exponents = nested(lattice, [exponent_of(float(errors[part].max())) for part in parts(lattice, len(errors))])
+    encode_with_table(lattice, errors, tables(exponents), codes, threads)
+    return exponents
+
+
+def nested(lattice: Lattice, exponents: list[int]) -> list[int]:
+    """Return exponents by group, raised so that no coarser group has a smaller one, nor the cells than curvatures / 2.
+
+    exponents: each group's own, in the order of `parts`.
+    """
+    exponents, cells = list(exponents), lattice.groups
+    finer = exponents[cells + 1] - 1 if len(exponents) > cells + 1 else MIN_EXPONENT
     for group in (cells, *range(cells)):  # from fine to coarse
         exponents[group] = finer = max(exponents[group], finer)
-    encode_with_table(lattice, errors, tables(exponents), codes, threads)
     return exponents
 
 
@@ -88,11 +96,17 @@ def encode_with_table(lattice: Lattice, errors: np.ndarray, table: np.ndarray, c
 
     table: float32 [groups, 256] metres.
     """
-    arrays = [flat(table, wp.float32), flat(errors, wp.float32), flat(codes, wp.uint8)]
-    for group, part in enumerate(parts(lattice, len(errors))):
-        blocks = -(-(part.stop - part.start) // BLOCK)
-        inputs = [BLOCK, wp.int64(part.start), wp.int64(part.stop), len(SHAPE) * group, *arrays]
-        launch.spread(kernels.encode_errors, blocks, inputs, step="error codes", threads=threads, cost=BLOCK)
+    for values, part in zip(table, parts(lattice, len(errors)), strict=True):
+        encode_part(errors[part], values, codes[part], threads)
+
+
+def encode_part(errors: np.ndarray, values: np.ndarray, codes: np.ndarray, threads: int) -> None:
+    """Do the same for one group. values: float32 [256] metres."""
+    arrays = [flat(values, wp.float32), flat(errors, wp.float32), flat(codes, wp.uint8)]
+    inputs = [BLOCK, wp.int64(0), wp.int64(len(errors)), 0, *arrays]
+    launch.spread(
+        kernels.encode_errors, -(-len(errors) // BLOCK), inputs, step="error codes", threads=threads, cost=BLOCK
+    )
 
 
 def decode(lattice: Lattice, codes: np.ndarray, table: np.ndarray) -> np.ndarray:
@@ -101,6 +115,15 @@ def decode(lattice: Lattice, codes: np.ndarray, table: np.ndarray) -> np.ndarray
     for values, part in zip(table, parts(lattice, len(codes)), strict=True):
         translate(codes[part], values, errors[part])
     return errors
+
+
+def translation(old: np.ndarray, new: np.ndarray, factor: float = 1.0) -> np.ndarray:
+    """Return the codes of another table for all codes of one, whose errors are multiplied by `factor`: uint8 [256].
+
+    old, new: float32 [256] metres. If the largest entry of `new` is not below that of `old` times `factor`, no error is
+    rounded down, and one that was rounded up to `old` before gets the code of the error itself.
+    """
+    return np.minimum(np.searchsorted(new, old * np.float32(factor)), len(new) - 1).astype(np.uint8)
 
 
 def translate(codes: np.ndarray, values: np.ndarray, out: np.ndarray) -> None:

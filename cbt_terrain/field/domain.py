@@ -6,7 +6,7 @@ import warp as wp
 
 from ...kernels.field.domain import Domain
 from ..errors import TerrainError
-from ..run.buffers import shared
+from ..run.buffers import flat, shared
 from . import codes
 from .depths import depth_limit
 from .displacement_layers import fill_layers
@@ -45,12 +45,12 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
     domain.cell_base, domain.cell_pages = base[-2], pages[-1]
     domain.cell_columns, domain.cell_rows = lattice.extent(lattice.cell_depth)
     domain.cell_group, domain.curvature_group = lattice.groups, lattice.groups + domain.bicubic
-    domain.error = shared(error_for(field, meshlet), wp.uint8)
-    domain.table = shared(field.table.reshape(-1), wp.float32)
+    domain.error = flat(error_for(field, meshlet), wp.uint8)
+    domain.table = flat(field.table, wp.float32)
     base, pages = lattice.range_layout()
     domain.range_first, domain.range_pages = shared(base, wp.int64), shared(pages, wp.int32)
     domain.range_cells = base[-2]
-    domain.ranges = shared(field.ranges.reshape(-1), wp.uint16)
+    domain.ranges = flat(field.ranges, wp.uint16)
     domain.samples = codes.pack_samples(field.samples, field.steps)
     return domain
 

@@ -17,6 +17,7 @@ from . import codes
 from .detail_bounds import DetailTerm, highest
 from .displacement_layers import Ground, bound_terms, pack_layers
 from .lattice import Lattice
+from .store_arrays import all_finite
 
 INTERPOLATIONS = ("bilinear", "bicubic")
 # Plane coordinates are float32 in the mesh, so lattice lines are at least 2^-23 of the longer side apart.
@@ -109,8 +110,7 @@ class HeightRaster:
 
     def check_samples(self) -> None:
         """Raise TerrainError if a sample is not finite. This reads all samples, so only slower code should call it."""
-        finite = (np.isfinite(self.samples[row : row + 256]).all() for row in range(0, len(self.samples), 256))
-        if self.steps is None and not all(finite):
+        if self.steps is None and not all_finite(self.samples):
             raise self.damage("it has heights that are not finite")
 
 

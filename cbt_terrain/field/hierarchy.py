@@ -23,7 +23,6 @@ from functools import partial
 import numpy as np
 import warp as wp
 
-from ...kernels.field import expand as expand_kernels
 from ...kernels.field import hierarchy as kernels
 from ...kernels.field import ranges as range_kernels
 from ...kernels.field.layout import Depth
@@ -123,37 +122,6 @@ def saturate_cells(cells: Depth, part: float, out: wp.array, step: str, threads:
     spread(kernels.saturate_rows, cells.rows, inputs, cost=0.2 * cells.columns)
     blocks, cost = -(-cells.columns // COLUMN_BLOCK), 0.2 * COLUMN_BLOCK * cells.rows
     spread(kernels.saturate_columns, blocks, [COLUMN_BLOCK, *inputs], cost=cost)
-
-
-def expand_errors(lattice: Lattice, errors: np.ndarray, meshlet: int, threads: int) -> None:
-    """Turn `errors` in place into those of leaves that are drawn `2 * meshlet` bisections finer than they are.
-
-    Each pass gives a diamond the largest error of its children, which keeps parents above children. Curvatures of a
-    bicubic surface may follow the errors (bicubic.py).
-    """
-    bicubic = len(errors) > lattice.node_count
-    out = flat(errors, wp.float32)
-    cells, before = stored_at(lattice, lattice.cell_depth), stored_at(lattice, lattice.cell_depth)
-    before.base = 0
-
-    def spread(kernel: wp.Kernel, count: int, inputs: list) -> None:
-        """Launch a kernel over `count` items as the step "meshlet errors", with the result as its last argument."""
-        launch.spread(kernel, count, [*inputs, out], step="meshlet errors", threads=threads)
-
-    for step in range(2 * meshlet):
-        for depth in range(1, lattice.cell_depth):  # from coarse to fine: a child is read before it changes
-            place = stored_at(lattice, depth)
-            spread(expand_kernels.raise_errors, items(place), [stored_at(lattice, depth + 1), place])
-        # On a bilinear surface a cell's diamond and the side diamonds one bisection below have the same error, so
-        # every other pass moves cells by two bisections. Curvatures halve with each bisection.
-        if step % 2 == 0:
-            first, part = (lattice.node_count, 0.5) if bicubic else (lattice.cell_base, 0.25)
-            old = wp.clone(out[first:])
-            spread(expand_kernels.raise_cells, items(cells), [before, old, cells, wp.float32(part)])
-            if bicubic:
-                errors[lattice.node_count :] = errors[lattice.cell_base : lattice.node_count]
-        elif bicubic:
-            errors[lattice.cell_base :] *= np.float32(0.5)
 
 
 def range_scale(low: float, high: float) -> tuple[float, float]:

@@ -1,12 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Error hierarchies for leaves that are drawn finer than they are, as meshlets."""
+"""Error hierarchies for leaves that are drawn finer than they are, as meshlets.
+
+They are computed on codes alone, so they take one byte a diamond. The codes are those of the exact errors, because
+rounding up to the entries of a table commutes with the maximum, with halving and with coarser tables (codes.py).
+"""
 
 import numpy as np
+import warp as wp
 
+from ...kernels.field import expand as kernels
 from ..run import launch
+from ..run.buffers import flat
 from ..run.locks import cached
-from . import codes, hierarchy, store
+from . import codes
+from .derived_arrays import derive
 from .heightfield import HeightField
+from .hierarchy import items, stored_at
+from .lattice import PAGE, Lattice
+
+# Codes of cells that are copied at once, before their neighbours change.
+BAND = 1 << 22
 
 
 def error_for(field: HeightField, meshlet: int) -> np.ndarray:
@@ -24,12 +37,63 @@ def error_for(field: HeightField, meshlet: int) -> np.ndarray:
 def _load_or_expand(field: HeightField, meshlet: int) -> np.ndarray:
     """Load the hierarchy from the field's store, or compute it and write it there."""
     name = f"error_m{meshlet}" if field.interpolation == "bilinear" else f"error_c_m{meshlet}"
-    expanded = store.load_derived(field, name, field.error.shape, np.uint8)
-    if expanded is not None:
-        return expanded
-    errors, expanded = codes.decode(field.lattice, field.error, field.table), np.zeros_like(field.error)
-    threads = launch.default_threads()
-    hierarchy.expand_errors(field.lattice, errors, meshlet, threads)
-    codes.encode_with_table(field.lattice, errors, field.table, expanded, threads)
-    store.cache_derived(field, name, expanded)
-    return expanded
+
+    def expand(arrays: dict[str, np.ndarray]) -> None:
+        """Fill the array with the field's codes, and raise them."""
+        arrays[name][:] = field.error
+        expand_codes(field.lattice, arrays[name], field.table, meshlet, launch.default_threads())
+
+    return derive(field.raster, {name: (field.error.shape, np.uint8)}, expand)[name]
+
+
+def expand_codes(lattice: Lattice, errors: np.ndarray, table: np.ndarray, meshlet: int, threads: int) -> None:
+    """Turn the codes `errors` in place into those of leaves that are drawn `2 * meshlet` bisections finer.
+
+    Each pass gives a diamond the largest error of its children, which keeps parents above children. Curvatures of a
+    bicubic surface may follow the errors (bicubic.py). table: float32 [groups, 256] metres.
+    """
+    bicubic, cells = len(errors) > lattice.node_count, lattice.groups
+    out = flat(errors, wp.uint8)
+    for step in range(2 * meshlet):
+        for depth in range(1, lattice.cell_depth):  # from coarse to fine: a child is read before it changes
+            coarser, group = stored_at(lattice, depth), lattice.group(depth)
+            translated = codes.translation(table[lattice.group(depth + 1)], table[group])
+            inputs = [stored_at(lattice, depth + 1), coarser, flat(translated, wp.uint8), out]
+            launch.spread(kernels.raise_codes, items(coarser), inputs, step="meshlet errors", threads=threads)
+        # On a bilinear surface a cell's diamond and the side diamonds one bisection below have the same error, so
+        # every other pass moves cells by two bisections. Curvatures halve with each bisection.
+        if step % 2 == 0:
+            _raise_cells(lattice, errors, table, threads)
+        elif bicubic:
+            for group, part in list(enumerate(codes.parts(lattice, len(errors))))[cells:]:
+                codes.translate(errors[part], codes.translation(table[group], table[group], 0.5), errors[part])
+
+
+def _raise_cells(lattice: Lattice, errors: np.ndarray, table: np.ndarray, threads: int) -> None:
+    """Set the codes of cells to a quarter of the largest error of themselves and their four neighbours.
+
+    On a bicubic surface cells and curvatures get half of the largest curvature. Rows of pages are changed band by band,
+    from a copy of their old codes.
+    """
+    source, factor = (lattice.groups + 1, 0.5) if len(errors) > lattice.node_count else (lattice.groups, 0.25)
+    parts, row = codes.parts(lattice, len(errors)), stored_at(lattice, lattice.cell_depth).pages * PAGE * PAGE
+    rows, band = errors[parts[source]].reshape(-1, row), max(1, BAND // row)
+    before = np.empty((0, row), np.uint8)  # the old codes of the row of pages south of a band
+    for first in range(0, len(rows), band):
+        old = np.concatenate([before, rows[first : first + band + 1]])
+        old_cells = stored_at(lattice, lattice.cell_depth)
+        old_cells.base = -(first - len(before)) * row
+        before = old[len(before) :][band - 1 : band]
+        for group in range(lattice.groups, source + 1):
+            cells = stored_at(lattice, lattice.cell_depth)
+            cells.base = parts[group].start
+            translated = codes.translation(table[source], table[group], factor)
+            inputs = [old_cells, flat(old, wp.uint8), cells, flat(translated, wp.uint8), flat(errors, wp.uint8)]
+            from_row, end = first * PAGE, min((first + band) * PAGE, cells.rows)
+            launch.spread(
+                kernels.raise_cells,
+                (end - from_row) * cells.columns,
+                [from_row * cells.columns, *inputs],
+                step="meshlet errors",
+                threads=threads,
+            )

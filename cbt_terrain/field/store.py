@@ -9,6 +9,7 @@
     STORE/data-*/error_m1.npy   error hierarchies for meshlets, computed on first use
     STORE/data-*/*_c.npy        arrays of the bicubic surface (bicubic.py), computed on first use;
                                 error_c_m1.npy: its error hierarchies for meshlets
+    STORE/data-*/pyramid.npy    float32, coarser levels of the heights of a large raster (attributes/pyramid.py)
     STORE/data-*/effect_*.npy   attributes of the whole raster (attributes/whole.py)
     STORE/data-*/layer_*.npy    float32 [height, width], by-products of height operators (land/)
     STORE/tiles/*.npy           tiles that height operators have computed, by content (land/tile_cache.py)
@@ -37,14 +38,12 @@ from .heightfield import HeightField, HeightRaster
 from .lattice import MAX_MESHLET, Lattice, fit
 from .store_arrays import (
     AGAIN,
-    PAGE_BYTES,
-    all_checksums,
+    allocate_array,
+    append_checksums,
     file_bytes,
-    header,
     is_cut_off,
     map_array,
     verify_array,
-    write_array,
 )
 from .store_entries import LATTICE, check_entries
 from .store_folder import (
@@ -181,7 +180,7 @@ def is_intact(field: HeightField) -> bool:
     """Return whether the files that a field has mapped still have their length."""
     surfaces = field, *field.cache.surfaces.values()
     arrays = [getattr(surface, name) for surface in surfaces for name in ("samples", "error", "ranges", "valid")]
-    arrays += field.cache.expanded.values()
+    arrays += [*field.cache.expanded.values(), *field.cache.pyramid]
     arrays += getattr(field.layers, "opened", {}).values()
     return not any(array is not None and is_cut_off(array) for array in arrays)
 
@@ -193,7 +192,7 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     """
     field = open_store(path)
     field.raster.check_samples()
-    folder, found = data_folder(field), {}
+    folder, found = data_folder(field.raster), {}
     if folder is None:
         raise TerrainError(f"{path} was replaced while it was opened", fix="check it again")
     arrays = {name: getattr(field, name) for name in ("samples", "error", "ranges", "valid")}
@@ -231,7 +230,8 @@ def _shape_of(file: Path, shapes: list[tuple[int, int]]) -> tuple[int, int]:
 def derived_arrays(lattice: Lattice) -> dict[str, tuple]:
     """Return shape and dtype of each array that a store caches, by name.
 
-    These can be computed again from samples and errors: errors of meshlets and the arrays of the bicubic surface.
+    These can be computed again from samples and errors: errors of meshlets, the arrays of the bicubic surface, and the
+    coarser levels of the heights of a large raster (attributes/pyramid.py).
     """
     plain, cells = lattice.node_count, lattice.node_count - lattice.cell_base
     # The curvatures of the raster's cells follow the errors of a bicubic surface.
@@ -240,46 +240,21 @@ def derived_arrays(lattice: Lattice) -> dict[str, tuple]:
         f"{name}_m{m}": ((n,), np.uint8) for name, n in errors.items() for m in range(1, MAX_MESHLET + 1)
     }
     arrays |= {"error_c": ((plain + cells,), np.uint8), "ranges_c": ((lattice.range_count + cells, 2), np.uint16)}
+    coarser = sum(math.prod(shape) for shape in shapes_of_effects(lattice)[1:])
+    arrays["pyramid"] = (max(coarser, 1),), np.float32
     # Six numbers, and the exponents of the groups, the cells and the curvatures.
     return arrays | {"numbers_c": ((6 + lattice.groups + 2,), np.float64)}
 
 
-def data_folder(field: HeightField) -> Path | None:
-    """Return the folder of a field's arrays; None for a field in memory or whose store was replaced."""
-    if field.path is None:
+def data_folder(raster: HeightRaster) -> Path | None:
+    """Return the folder of a raster's arrays; None for a raster in memory or whose store was replaced."""
+    if raster.path is None:
         return None
     try:
-        content = read_json(field.path)
+        content = read_json(raster.path)
     except TerrainError:
         return None
-    return field.path / content["data"] if content["key"] == field.raster.digest else None
-
-
-def load_derived(field: HeightField, name: str, shape: tuple, dtype: DTypeLike) -> np.ndarray | None:
-    """Return the cached array NAME.npy of a field's store, mapped.
-
-    It is None without a store, or if the file is missing or damaged.
-    """
-    folder = data_folder(field)
-    if folder is None:
-        return None
-    try:
-        return map_array(folder / f"{name}.npy", shape, dtype)
-    except (OSError, TerrainError):
-        return None
-
-
-def cache_derived(field: HeightField, name: str, array: np.ndarray) -> None:
-    """Write an array that was computed from a field as NAME.npy into its store.
-
-    Nothing is written if the field has no store or that is not writable.
-    """
-    folder = data_folder(field)
-    if folder is None:
-        return
-    partial_files.remove_abandoned(folder)
-    with suppress(OSError):
-        write_array(folder / f"{name}.npy", array)
+    return raster.path / content["data"] if content["key"] == raster.digest else None
 
 
 class Draft:
@@ -295,21 +270,8 @@ class Draft:
         self._arrays: dict[str, np.ndarray] = {}
 
     def allocate(self, name: str, shape: tuple, dtype: DTypeLike) -> np.ndarray:
-        """Return a new zeroed array in the file NAME.npy, mapped for writing.
-
-        Its space on disk is allocated now. Raises OSError (ENOSPC) if the disk is full, because a mapped page without
-        space would kill the process later.
-        """
-        file = self.folder / f"{name}.npy"
-        file.write_bytes(header(shape, dtype))
-        if not np.prod(shape):
-            return np.empty(shape, dtype)
-        nbytes = file_bytes(math.prod(shape) * np.dtype(dtype).itemsize)
-        with file.open("r+b") as handle:
-            handle.truncate(nbytes)
-            if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(handle.fileno(), 0, nbytes)
-        self._arrays[name] = array = np.load(file, mmap_mode="r+").view(np.ndarray)
+        """Return a new zeroed array in the file NAME.npy, mapped for writing: see `allocate_array`."""
+        self._arrays[name] = array = allocate_array(self.folder / f"{name}.npy", shape, dtype)
         return array
 
     def remove(self, name: str) -> None:
@@ -335,9 +297,7 @@ class Draft:
         for name in [name for name in self._arrays if name in _SCRATCH]:
             self.remove(name)
         for name, array in self._arrays.items():
-            with (self.folder / f"{name}.npy").open("r+b") as file:
-                file.seek(PAGE_BYTES + array.nbytes)
-                file.write(all_checksums(array))
+            append_checksums(self.folder / f"{name}.npy", array)
         content = {
             "version": VERSION,
             "data": self.folder.name,

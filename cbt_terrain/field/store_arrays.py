@@ -9,6 +9,7 @@ Checksums detect damage by disks and copies. An attacker can write valid checksu
 for any content.
 """
 
+import math
 import mmap
 import os
 import struct
@@ -26,6 +27,7 @@ from ..run.named_file import cause, open_regular
 
 PAGE_BYTES = 4096
 BLOCK_BYTES = 1 << 18
+ROWS = 256  # rows that are tested together
 # Blocks of each array that are checked when it is opened, evenly from the first to the last. They take 4 x 0.1 ms.
 SAMPLED = 4
 
@@ -78,6 +80,35 @@ def write_array(file: Path, array: np.ndarray) -> None:
         handle.write(header(array.shape, array.dtype))
         array.tofile(handle)
         handle.write(all_checksums(array))
+
+
+def allocate_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
+    """Return a zeroed array in a new file, mapped for writing; `append_checksums` completes the file.
+
+    Its space on disk is allocated now. Raises OSError (ENOSPC) if the disk is full, because a mapped page without space
+    would kill the process later.
+    """
+    file.write_bytes(header(shape, dtype))
+    if not np.prod(shape):
+        return np.empty(shape, dtype)
+    nbytes = file_bytes(math.prod(shape) * np.dtype(dtype).itemsize)
+    with file.open("r+b") as handle:
+        handle.truncate(nbytes)
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(handle.fileno(), 0, nbytes)
+    return np.load(file, mmap_mode="r+").view(np.ndarray)
+
+
+def append_checksums(file: Path, array: np.ndarray) -> None:
+    """Write the checksums of an array of `allocate_array` behind it in its file. Raises OSError."""
+    with file.open("r+b") as handle:
+        handle.seek(PAGE_BYTES + array.nbytes)
+        handle.write(all_checksums(array))
+
+
+def all_finite(array: np.ndarray) -> bool:
+    """Return whether all numbers of an array are finite; its rows are read some at a time."""
+    return all(np.isfinite(array[row : row + ROWS]).all() for row in range(0, len(array), ROWS))
 
 
 def map_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:

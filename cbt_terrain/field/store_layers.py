@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import TerrainError
-from .store_arrays import map_array
+from .store_arrays import all_finite, map_array
 
 
 class LayerFiles(Mapping[str, np.ndarray]):
@@ -33,7 +33,7 @@ class LayerFiles(Mapping[str, np.ndarray]):
             except FileNotFoundError:
                 what = f"{file} is missing, the layer {name!r} ({unit})"
                 raise TerrainError(what, fix="shape the terrain again") from None
-            if not all(np.isfinite(layer[row : row + 256]).all() for row in range(0, len(layer), 256)):
+            if not all_finite(layer):
                 what = f"{file} is damaged (a value is not a finite number)"
                 raise TerrainError(what, fix="shape the terrain again")
             self.opened[name] = layer

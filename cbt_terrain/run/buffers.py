@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+MAX_ITEMS = 2**31 - 1  # Warp's shapes and indices are int32
 _NUMPY = {
     wp.vec2i: (np.int32, 2),
     wp.vec3i: (np.int32, 3),
@@ -31,8 +32,11 @@ def shared(array: np.ndarray, dtype: Any) -> wp.array:
 
 
 def flat(array: np.ndarray, dtype: Any) -> wp.array:
-    """Return a one-dimensional Warp array over the memory of a numpy array, in C order."""
-    return shared(array.reshape(-1), dtype)
+    """Return a one-dimensional Warp array over the memory of a numpy array, in C order.
+
+    A Warp array ends at MAX_ITEMS; kernels reach the items of a larger one by `item_at` and `put` alone.
+    """
+    return shared(array.reshape(-1)[:MAX_ITEMS], dtype)
 
 
 def bind(struct: Any, **values: Any) -> None:

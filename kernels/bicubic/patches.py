@@ -3,16 +3,17 @@
 
 A patch and its derivatives are weighted means of their control values, so the largest control value bounds them.
 Control values are differences of samples, in each direction of four samples p0 .. p3 in a row; the patch is between p1
-and p2. field/bicubic.py uses these bounds. Heights are read as floats; beyond the border h(-1) = 2 h(0) - h(1). Exact
-differences of float32 samples stay exact: a planar map has a curvature of exactly zero.
+and p2. field/bicubic.py uses these bounds. Beyond the border h(-1) = 2 h(0) - h(1). Exact differences of float32
+samples stay exact: a planar map has a curvature of exactly zero.
 """
 
 import warp as wp
 
-from ..field.codes import Samples
+from ..field.codes import Samples, height_at
 from ..field.hierarchy import round_up
 from ..field.layout import Depth, entry
 from ..field.ranges import quantise_down, quantise_up
+from ..unchecked import put
 
 # Far more than the rounding of the sums below.
 OUTWARD = wp.constant(wp.float64(1.0 + 1e-12))
@@ -62,16 +63,16 @@ def second_derivatives(p: wp.vec4d) -> wp.vec2d:
 @wp.func
 def samples_of_column(raster: Samples, x: int, cy: int) -> wp.vec4d:
     """Return the samples of column x in the four rows around row `cy` of cells, extrapolated beyond the border."""
-    h = raster.floats
-    width = raster.columns
-    p1 = wp.float64(h[cy * width + x])
-    p2 = wp.float64(h[(cy + 1) * width + x])
+    row = wp.int64(raster.columns)
+    at = wp.int64(cy) * row + wp.int64(x)
+    p1 = height_at(raster, at)
+    p2 = height_at(raster, at + row)
     p0 = wp.float64(2.0) * p1 - p2
     p3 = wp.float64(2.0) * p2 - p1
     if cy > 0:
-        p0 = wp.float64(h[(cy - 1) * width + x])
+        p0 = height_at(raster, at - row)
     if cy < raster.rows - 2:
-        p3 = wp.float64(h[(cy + 2) * width + x])
+        p3 = height_at(raster, at + row + row)
     return wp.vec4d(p0, p1, p2, p3)
 
 
@@ -230,30 +231,33 @@ def off_bilinear(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
 def patch_errors(
     offset: int,
     raster: Samples,
+    corner: wp.vec2i,
+    columns: int,
     cells: Depth,
-    curvatures: Depth,
     off: wp.array(dtype=wp.float32),
     errors: wp.array(dtype=wp.float32),
+    curvatures: wp.array(dtype=wp.float32),
 ):
-    """Compute bounds for the cells of row `offset + tid`.
+    """Compute bounds for row `offset + tid` of the cells of a window of the raster.
 
-    off: distance to the bilinear patch. errors: error of the cell's leaf (entry `cells`) and curvature (entry
-    `curvatures`).
+    corner: column and row of the window's first cell. columns: cells in its rows. cells: layout of the results, by
+    cells of the window. off: distance to the bilinear patch. errors: error of the cell's leaf.
     """
-    cy = offset + wp.tid()
-    a = column(raster, -1, cy)
-    b = column(raster, 0, cy)
-    c = column(raster, 1, cy)
-    for cx in range(raster.columns - 1):
-        d = column(raster, cx + 2, cy)
+    y = offset + wp.tid()
+    cy = corner[1] + y
+    a = column(raster, corner[0] - 1, cy)
+    b = column(raster, corner[0], cy)
+    c = column(raster, corner[0] + 1, cy)
+    for x in range(columns):
+        d = column(raster, corner[0] + x + 2, cy)
         curvature = round_up(curvature_of(a, b, c, d) * OUTWARD)
         apart = round_up(off_bilinear(a, b, c, d) * OUTWARD)
         twist = wp.abs((b[0] - c[0]) + (c[3] - b[3]))
-        at = entry(cells, cx, cy)
+        at = entry(cells, x, y)
         off[at] = apart
         exact = round_up((twist * wp.float64(0.25) + wp.float64(apart)) * OUTWARD)
         errors[at] = wp.min(exact, curvature)
-        errors[entry(curvatures, cx, cy)] = curvature
+        curvatures[at] = curvature
         a = b
         b = c
         c = d
@@ -281,8 +285,8 @@ def patch_ranges(
         d = column(raster, cx + 2, cy)
         z = patch_range(a, b, c, d)
         at = wp.int64(2) * entry(cells, cx, cy)
-        ranges[at] = quantise_down(z[0], base, step, per_step)
-        ranges[at + wp.int64(1)] = quantise_up(z[1], base, step, per_step)
+        put(ranges, at, quantise_down(z[0], base, step, per_step))
+        put(ranges, at + wp.int64(1), quantise_up(z[1], base, step, per_step))
         a = b
         b = c
         c = d

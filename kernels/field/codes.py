@@ -84,31 +84,36 @@ def error_of(
     return item_at(table, wp.int64((group << 8) + wp.int32(item_at(codes, i))))
 
 
+@wp.func
+def code_of(table: wp.array(dtype=wp.float32), group: wp.int32, error: wp.float32) -> wp.uint8:
+    """Return the first code of a group's table that is not below an error in metres; the values of a table rise."""
+    code = wp.int32(0)
+    step = wp.int32(128)
+    while step > 0:
+        if table[(group << 8) + code + step - 1] < error:
+            code += step
+        step = step >> 1
+    return wp.uint8(code)
+
+
 @wp.kernel
 def encode_errors(
     offset: int,
     block: int,
     first: wp.int64,
     end: wp.int64,
-    row: int,
+    group: int,
     table: wp.array(dtype=wp.float32),
     errors: wp.array(dtype=wp.float32),
     codes: wp.array(dtype=wp.uint8),
 ):
     """Encode block `offset + tid` of `block` errors of `first` .. `end`: the first code not below the error.
 
-    errors: metres, one group of depths. row: first entry of the group in `table`, whose 256 values rise; the code is
-    found by bisection. Zeros are not written: `codes` are zero, and holes of a sparse file stay.
+    errors: metres, one group of depths. Zeros are not written: `codes` are zero, and holes of a sparse file stay.
     """
     begin = first + wp.int64(offset + wp.tid()) * wp.int64(block)
     for k in range(wp.int32(wp.min(wp.int64(block), end - begin))):
         i = begin + wp.int64(k)
         error = errors[i]
         if error > wp.float32(0.0):
-            code = wp.int32(0)
-            step = wp.int32(128)
-            while step > 0:
-                if table[row + code + step - 1] < error:
-                    code += step
-                step = step >> 1
-            codes[i] = wp.uint8(code)
+            codes[i] = code_of(table, group, error)

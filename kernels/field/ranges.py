@@ -7,6 +7,7 @@ are flat: lower and upper of a diamond are adjacent, diamonds in the order of `c
 
 import warp as wp
 
+from ..unchecked import item_at, put
 from .codes import Samples
 from .layout import Depth, child, diamond, entry, holds
 
@@ -69,7 +70,7 @@ def finest_ranges(
 def unite(a: wp.vec2us, ranges: wp.array(dtype=wp.uint16), index: wp.int64):
     """Return the union of range a and that of the diamond at an index of `ranges`."""
     at = wp.int64(2) * index
-    return wp.vec2us(wp.min(a[0], ranges[at]), wp.max(a[1], ranges[at + wp.int64(1)]))
+    return wp.vec2us(wp.min(a[0], item_at(ranges, at)), wp.max(a[1], item_at(ranges, at + wp.int64(1))))
 
 
 @wp.kernel
@@ -87,8 +88,8 @@ def patches_around(
             for cx in range(wp.max(2 * x - REACH, 0), wp.min(2 * x + REACH, columns)):
                 r = unite(r, ranges, entry(cells, cx, cy))
         at = wp.int64(2) * entry(finest, x, y)
-        ranges[at] = r[0]
-        ranges[at + wp.int64(1)] = r[1]
+        put(ranges, at, r[0])
+        put(ranges, at + wp.int64(1), r[1])
 
 
 @wp.kernel
@@ -102,5 +103,5 @@ def unite_children(offset: int, finer: Depth, coarser: Depth, ranges: wp.array(d
             if holds(finer, c):
                 r = unite(r, ranges, entry(finer, c[0], c[1]))
         at = wp.int64(2) * entry(coarser, p[0], p[1])
-        ranges[at] = r[0]
-        ranges[at + wp.int64(1)] = r[1]
+        put(ranges, at, r[0])
+        put(ranges, at + wp.int64(1), r[1])

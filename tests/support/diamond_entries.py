@@ -11,7 +11,7 @@ def error_index(lattice: Lattice, depth: int, i, j) -> np.ndarray:
     i, j: arrays of columns and rows; at cell_depth those of the raster's cells.
     """
     group = lattice.group(depth)
-    return _index(*lattice.layout(), group, 0 if depth == lattice.cell_depth else 2 * group, i, j)
+    return entry_at(*lattice.layout(), group, 0 if depth == lattice.cell_depth else 2 * group, i, j)
 
 
 def range_index(lattice: Lattice, depth: int, i, j) -> np.ndarray:
@@ -20,7 +20,7 @@ def range_index(lattice: Lattice, depth: int, i, j) -> np.ndarray:
     shift = 1 + 2 * group
     if depth == lattice.cell_depth:
         group, shift = lattice.levels // 2, 0
-    return _index(*lattice.range_layout(), group, shift, i, j)
+    return entry_at(*lattice.range_layout(), group, shift, i, j)
 
 
 def root_entries(lattice: Lattice) -> np.ndarray:
@@ -30,7 +30,8 @@ def root_entries(lattice: Lattice) -> np.ndarray:
     return error_index(lattice, 1, i, j)
 
 
-def _index(base: np.ndarray, pages: np.ndarray, group: int, shift: int, i, j) -> np.ndarray:
+def entry_at(base: np.ndarray, pages: np.ndarray, group: int, shift: int, i, j) -> np.ndarray:
+    """Return entries in the images of groups at columns i and rows j, of which every 2**shift-th is in the image."""
     x, y = np.asarray(i, np.int64) >> shift, np.asarray(j, np.int64) >> shift
     page = (y >> 5) * pages[group] + (x >> 5)
     return base[group] + (page << 10 | (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | (x & 3))

@@ -154,7 +154,7 @@ def test_a_result_is_computed_once(stored, monkeypatch):
 @pytest.mark.parametrize("damage", ["byte", "short", "shape", "nan", "folder"])
 def test_a_damaged_file_is_computed_again(stored, damage):
     first = flow_at(places_of(stored))
-    file = next(store.data_folder(stored).glob("effect_flow_*.npy"))
+    file = next(store.data_folder(stored.raster).glob("effect_flow_*.npy"))
     content = bytearray(file.read_bytes())
     if damage == "byte":
         content[PAGE_BYTES + 777] ^= 8
@@ -165,7 +165,7 @@ def test_a_damaged_file_is_computed_again(stored, damage):
     if damage in ("nan", "folder"):
         file.unlink()
     if damage == "nan":
-        store.cache_derived(stored, file.stem, np.full((60, 80), np.nan, np.float32))
+        whole.write_result(stored, file.stem, np.full((60, 80), np.nan, np.float32))
     elif damage == "folder":
         file.mkdir()
     else:

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The bicubic surface of a height field: its errors, ranges and meshes against Bezier patches in numpy."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.accuracy import interpolation, measure, triangle_errors
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.field import bicubic
+from adaptive_terrain.cbt_terrain.field import bicubic, bicubic_errors
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.heightfield import INTERPOLATIONS, HeightField
@@ -16,7 +17,7 @@ from adaptive_terrain.cbt_terrain.fit.fit import fit
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, View
-from diamond_entries import error_index, range_index
+from diamond_entries import entry_at, error_index, range_index
 from fields import bezier, bezier_heights, errors_of, mesh_heights, ranges_of, reference_heights, rough
 from invariants import arrays, assert_invariants
 from rasters import jacksboro
@@ -217,12 +218,12 @@ def test_the_distance_between_both_surfaces_is_bounded(kind):
     if kind == "rough":
         bilinear = from_array(np.tile(np.arange(9, dtype=np.float32) ** 2, (5, 1)))
         lattice = bilinear.lattice
-    off = bicubic._fill_errors(bilinear, np.zeros(2 * lattice.node_count - lattice.cell_base, np.float32), 1)
+    window = bicubic_errors._compute_tile(bilinear, ((0, lattice.cells_x), (0, lattice.cells_y)), 1)
     points = dense(bilinear, 8)
     apart = np.abs(bezier_heights(bilinear, points) - reference_heights(bilinear, points))
     apart = apart.reshape((lattice.height - 1) * 8 + 1, -1)
     j, i = np.indices((lattice.height - 1, lattice.width - 1))
-    found = off[error_index(lattice, lattice.cell_depth, i, j)]
+    found = window.off[entry_at(np.zeros(1, int), [1], 0, 0, i, j)]
     largest = np.max(
         [apart[a : -8 + a or None : 8, b : -8 + b or None : 8] for a in range(9) for b in range(9)], axis=0
     )
@@ -232,11 +233,58 @@ def test_the_distance_between_both_surfaces_is_bounded(kind):
     assert found.max() <= 3.0 * largest.max()
 
 
+def built_bytes(field, threads=1):
+    """Return the arrays of a field's bicubic surface as bytes, by name."""
+    made = {name: np.zeros(*of) for name, of in bicubic.arrays_of(field.lattice).items()}
+    bicubic.build(field, made, threads)
+    return {name: array.tobytes() for name, array in made.items()}
+
+
+def spikes(shape):
+    """Planar ground but for three samples, where curvatures reach over all of the raster."""
+    random, samples = np.random.default_rng(5), np.zeros(shape, np.float32)
+    samples[random.integers(shape[0], size=3), random.integers(shape[1], size=3)] = (3.0, 50.0, 1000.0)
+    return from_array(samples)
+
+
+@pytest.mark.parametrize("shape", [(300, 200), (129, 65), (40, 500)])
+@pytest.mark.parametrize("make", [lambda shape: rough(*shape), spikes])
+def test_tiles_do_not_change_the_bytes(shape, make, monkeypatch):
+    field = make(shape)
+    whole = built_bytes(field)
+    monkeypatch.setattr(bicubic_errors, "TILE", 64)
+    assert built_bytes(field) == whole
+
+
+def test_a_tile_beside_planar_ground_needs_distant_cells(monkeypatch):
+    field = spikes((300, 200))
+    whole = built_bytes(field)
+    monkeypatch.setattr(bicubic_errors, "TILE", 64)
+    monkeypatch.setattr(bicubic_errors, "_smallest", lambda *_: np.inf)
+    assert built_bytes(field) != whole
+
+
+def test_a_bicubic_surface_takes_the_memory_of_one_tile(monkeypatch):
+    """Four times the samples take the same memory above the arrays themselves."""
+    monkeypatch.setattr(bicubic_errors, "TILE", 128)
+    built_bytes(rough(33, 33))  # compiles
+    above = []
+    for side in (385, 769):
+        field = rough(side, side)
+        made = {name: np.zeros(*of) for name, of in bicubic.arrays_of(field.lattice).items()}
+        tracemalloc.start()
+        bicubic.build(field, made, 1)
+        above.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert above[1] < 1.2 * above[0]
+    assert above[0] < 80 * 256 * 256  # bytes a cell of a window
+
+
 def test_the_same_bytes_for_any_number_of_threads():
     field = rough(65, 129)
     view = View.look((0, -400, 120), (0, 0, 0))
     with eager_threads():
-        built = [{name: a.tobytes() for name, a in bicubic.build(field, threads).items()} for threads in (1, 2, 7)]
+        built = [built_bytes(field, threads) for threads in (1, 2, 7)]
         assert built[0] == built[1] == built[2]
         meshes = []
         for threads in (1, 2, 7):
@@ -258,13 +306,6 @@ def test_interpolations_are_made_once_and_know_each_other():
     for name in ("cubic", "", None):
         with pytest.raises(TerrainError, match="expected bilinear or bicubic"):
             interpolated(field, name)
-
-
-def test_what_is_too_large_for_an_index_is_refused(monkeypatch):
-    field = rough(17, 17)
-    monkeypatch.setattr(bicubic, "MAX_ENTRIES", 2 * field.lattice.node_count - 1)
-    with pytest.raises(TerrainError, match="17 x 17 samples, more than"):
-        interpolated(field, "bicubic")
 
 
 def test_a_fit_is_of_the_bilinear_surface_alone():

@@ -6,8 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.field import hierarchy
+from adaptive_terrain.cbt_terrain.field import codes, hierarchy
 from adaptive_terrain.cbt_terrain.field.lattice import Lattice, fit
+from adaptive_terrain.cbt_terrain.field.meshlet_errors import expand_codes
 from diamond_entries import error_index, range_index
 from fields import ranges_of, split_points
 
@@ -200,15 +201,22 @@ def test_errors_and_ranges_equal_brute_force(kind, lattice):
         assert not errors.any()
 
 
+def expand(errors, lattice, meshlet, threads=1):
+    """Return errors rounded to codes, and those of meshlets, float64 metres."""
+    found = np.zeros(errors.shape, np.uint8)
+    table = codes.tables(codes.encode(lattice, errors, found, threads))
+    rounded = codes.decode(lattice, found, table)
+    expand_codes(lattice, found, table, meshlet, threads)
+    return rounded.astype(np.float64), codes.decode(lattice, found, table).astype(np.float64)
+
+
 @pytest.mark.parametrize("meshlet", [1, 2])
 @pytest.mark.parametrize("kind", ["random", "spike", "hill"])
 def test_errors_of_meshlets_are_those_of_the_mesh_that_is_drawn(kind, meshlet):
     lattice = Lattice(3, 2, 1)
     samples = raster(kind, lattice)
     errors, *_ = compute(samples, lattice)
-    expanded = errors.copy()
-    hierarchy.expand_errors(lattice, expanded, meshlet, 1)
-    expanded = expanded.astype(np.float64)
+    errors, expanded = expand(errors, lattice, meshlet)
 
     finer = 1 << meshlet  # the surface itself does not change when it is sampled finer
     fine = Lattice(lattice.columns, lattice.rows, lattice.levels + meshlet)
@@ -237,8 +245,7 @@ def test_twists_are_saturated_for_the_sides_below_the_raster():
     lattice = Lattice(3, 2, 3)
     errors, *_ = compute(raster("spike", lattice), lattice)
     for meshlet in range(4):
-        expanded = errors.copy()
-        hierarchy.expand_errors(lattice, expanded, meshlet, 1)
+        _, expanded = expand(errors, lattice, meshlet)
         cells = level(expanded, lattice, lattice.cell_depth)
         for a, b in ((cells[1:], cells[:-1]), (cells[:, 1:], cells[:, :-1])):
             assert (a >= b / 4).all() and (b >= a / 4).all()
@@ -250,11 +257,11 @@ def test_a_hierarchy_of_real_size_is_nested():
     for depth in range(1, lattice.cell_depth):
         check_nested(errors, lattice, depth)
     low, high = ranges_of(SimpleNamespace(lattice=lattice, ranges=ranges))
-    for codes in (-low, high):
+    for limits in (-low, high):
         values = np.zeros(lattice.node_count, int)
         for depth in range(1, lattice.cell_depth):
             i, j = split_points(lattice, depth)
-            values[error_index(lattice, depth, i, j)] = codes[j, i]
+            values[error_index(lattice, depth, i, j)] = limits[j, i]
         for depth in range(1, lattice.cell_depth - 1):
             check_nested(values, lattice, depth)
 
@@ -295,7 +302,7 @@ def test_entries_of_no_diamond_are_zero():
     for depth in range(1, lattice.range_depth + 1):
         held[range_index(lattice, depth, *split_points(lattice, depth))] = True
     assert quantised[held, 1].all() and not quantised[~held].any()
-    hierarchy.expand_errors(lattice, errors, 1, 1)
+    _, errors = expand(errors, lattice, 1)
     assert (errors[used] > 0.0).all() and not errors[~used].any()
 
 
@@ -304,9 +311,7 @@ def test_two_threads_give_the_same_bytes_as_one():
     samples = raster("random", lattice)
     one, two = compute(samples, lattice, 1), compute(samples, lattice, 2)
     assert one[0].tobytes() == two[0].tobytes() and one[3].tobytes() == two[3].tobytes()
-    hierarchy.expand_errors(lattice, one[0], 2, 1)
-    hierarchy.expand_errors(lattice, two[0], 2, 2)
-    assert one[0].tobytes() == two[0].tobytes()
+    assert expand(one[0], lattice, 2, 1)[1].tobytes() == expand(two[0], lattice, 2, 2)[1].tobytes()
 
 
 def test_range_scale_covers_both_ends():

@@ -205,7 +205,9 @@ def test_a_version_that_cannot_be_opened_is_not_published(tiny, entry, monkeypat
     draft = store.Draft(tiny)
     field = small_field(draft)
     if entry == "samples.npy":
-        monkeypatch.setattr(store, "all_checksums", lambda array: b"0000" * store_arrays.block_count(array.nbytes))
+        monkeypatch.setattr(
+            store_arrays, "all_checksums", lambda array: b"0000" * store_arrays.block_count(array.nbytes)
+        )
     else:
         [name] = UNFIT[entry]
         change = field.with_raster if hasattr(field.raster, name) else partial(replace, field)

@@ -105,7 +105,7 @@ def test_damaged_land_is_made_again_beside_a_users_file(terrain, shaped, other):
     file.write_text("not ours")
     session.update_object(terrain, mode="RENDER")
     made = open_store(shaped)
-    assert (data_folder(made) / "samples.npy").read_bytes() == whole and file.read_text() == "not ours"
+    assert (data_folder(made.raster) / "samples.npy").read_bytes() == whole and file.read_text() == "not ours"
     terrain.adaptive_terrain.land.entries[0].on = False
     session.update_object(terrain)
     assert bpy.ops.adaptive_terrain.land_clear() == {"FINISHED"}

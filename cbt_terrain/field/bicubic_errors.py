@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The error hierarchy of the bicubic surface (bicubic.py), computed tile by tile, so that memory has a bound.
+
+A tile computes its cells and the KEPT bisections above them, with the cells around it that they depend on. Coarser
+diamonds, one in 250, are computed for the whole raster at once. Results are codes, in place; a tile with a larger error
+than all before raises the exponent of a group, and the codes so far are translated, which gives the codes of the errors
+themselves (codes.py).
+
+A cell's curvature is at least that of a cell n steps away times 2^-n, so any cell of the raster may count. If no
+curvature of the tile is below a bound of all curvatures times 2^-n, none that is n steps away counts. A tile with
+planar parts fails this test; then so many cells around it are computed that 2^-n is 0 in float32.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import warp as wp
+
+from ...kernels.bicubic import hierarchy as kernels
+from ...kernels.bicubic import patches
+from ...kernels.field.layout import Depth
+from ..run import launch
+from ..run.buffers import flat
+from . import codes, hierarchy
+from .codes import MIN_EXPONENT
+from .heightfield import HeightField
+from .hierarchy import items, stored_at
+from .lattice import PAGE, Lattice
+
+# Cells along the side of a tile, a multiple of ALIGNED.
+TILE = 2048
+# Bisections above the cells that tiles compute: the groups 0 and 1, and the first depth of group 2.
+KEPT, FIRST_WHOLE = 9, 2
+# Cells around a tile on which its diamonds depend; corners of windows are multiples, so that depths are aligned.
+ALIGNED = 32
+# Curvatures are at most this factor times the relief, and 2^-SMALLEST is 0 in float32.
+STEEPEST, SMALLEST = 1024.0, 151
+
+Box = tuple[tuple[int, int], tuple[int, int]]  # first and end, of columns and of rows
+
+
+@dataclass(frozen=True)
+class _Window:
+    """Errors of a window of cells.
+
+    Attributes:
+        box: cells of the window. A raster's cell beyond is missing.
+        depths: layouts of the arrays, from the cells (0) to KEPT bisections above them.
+        errors, off, curvatures: float32 metres; `off` is the distance to the bilinear surface.
+    """
+
+    box: Box
+    depths: list[Depth]
+    errors: np.ndarray
+    off: np.ndarray
+    curvatures: np.ndarray
+
+    def corner(self, finer: int) -> wp.vec2i:
+        """Return the first diamond of the window in the raster, `finer` bisections above the cells."""
+        return wp.vec2i(*(first >> finer // 2 for first, _ in self.box))
+
+
+def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
+    """Fill the codes of errors and curvatures, uint8, zeroed; return the exponents of the tables by group."""
+    lattice = field.lattice
+    bases, parts = lattice.layout()[0], codes.parts(lattice, len(out))
+    first = int(bases[min(FIRST_WHOLE, lattice.groups)])
+    errors, off = (np.zeros(max(lattice.cell_base - first, 1), np.float32) for _ in range(2))
+    largest, exponents = [0.0] * len(parts), [MIN_EXPONENT] * len(parts)
+
+    def raise_to(found: dict[int, float], unused: int = MIN_EXPONENT) -> None:
+        """Raise the exponents for the largest errors in groups, and translate the codes so far.
+
+        unused: exponent of a group without errors.
+        """
+        for group, error in found.items():
+            largest[group] = max(largest[group], error)
+        own = [codes.exponent_of(error) if error > 0.0 else unused for error in largest]
+        for group, (before, after) in enumerate(zip(exponents, codes.nested(lattice, own), strict=True)):
+            if after != before:
+                translated = codes.translation(*codes.tables([before, after]))
+                codes.translate(out[parts[group]], translated, out[parts[group]])
+            exponents[group] = after
+
+    for tile in _tiles(lattice):
+        window = _compute_tile(field, tile, threads)
+        raise_to(_largest(lattice, window))
+        _encode(lattice, window, tile, codes.tables(exponents), out, threads)
+        if len(window.depths) > KEPT:
+            for values, kept in ((window.errors, errors), (window.off, off)):
+                whole = _above(lattice, KEPT, first)
+                _rows(
+                    kernels.keep_rows, lattice, window, tile, KEPT, whole, [values], [flat(kept, wp.float32)], threads
+                )
+    for finer in range(KEPT + 1, lattice.cell_depth):
+        below, above = _above(lattice, finer - 1, first), _above(lattice, finer, first)
+        _add_errors(field, finer, below, above, wp.vec2i(0, 0), off, errors, threads)
+    raise_to({g: float(errors[p.start - first : p.stop - first].max()) for g, p in _whole_groups(lattice, parts)}, 0)
+    table = codes.tables(exponents)
+    for group, part in _whole_groups(lattice, parts):
+        codes.encode_part(errors[part.start - first : part.stop - first], table[group], out[part], threads)
+    return exponents
+
+
+def _tiles(lattice: Lattice) -> Iterator[Box]:
+    """Yield the cells of all tiles, row by row."""
+    across, up = (
+        [(first, min(first + TILE, cells)) for first in range(0, cells, TILE)]
+        for cells in (lattice.cells_x, lattice.cells_y)
+    )
+    yield from ((columns, rows) for rows, columns in product(up, across))
+
+
+def _compute_tile(field: HeightField, tile: Box, threads: int) -> _Window:
+    """Return the errors of a tile in a window that is large enough for it."""
+    bound = STEEPEST * (float(field.max_height) - float(field.min_height))
+    far = ALIGNED * (1 + -(-(SMALLEST + int(np.ceil(np.log2(max(bound, 1.0))))) // ALIGNED))
+    for around in (2 * ALIGNED, far):
+        window = _make_window(field.lattice, tile, around)
+        cells = window.depths[0]
+        (west, east), (south, north) = window.box
+        inputs = [codes.pack_samples(field.samples, field.steps), wp.vec2i(west, south), east - west, cells]
+        inputs += [flat(array, wp.float32) for array in (window.off, window.errors, window.curvatures)]
+        launch_step(patches.patch_errors, north - south, inputs, threads, 20.0 * (east - west))
+        curvatures = flat(window.curvatures, wp.float32)
+        hierarchy.saturate_cells(cells, 0.5, curvatures, "bicubic hierarchy", threads)
+        if _smallest(field.lattice, window, tile) >= np.float32(np.ldexp(bound, ALIGNED - around)):
+            break
+    inputs = [cells, curvatures, flat(window.errors, wp.float32)]
+    launch_step(kernels.cover_sides, items(cells), inputs, threads)
+    for finer in range(1, len(window.depths)):
+        below, above = window.depths[finer - 1 : finer + 1]
+        _add_errors(field, finer, below, above, window.corner(finer), window.off, window.errors, threads)
+    return window
+
+
+def _make_window(lattice: Lattice, tile: Box, around: int) -> _Window:
+    """Return the window of a tile and `around` cells on its sides, with arrays of zeros."""
+    ends = lattice.cells_x, lattice.cells_y
+    across, up = (
+        (max(first - around, 0), min(end + around, last)) for (first, end), last in zip(tile, ends, strict=True)
+    )
+    box = across, up
+    depths, base = [], 0
+    for finer in range(min(KEPT, lattice.cell_depth - 1) + 1):
+        whole, side, depth = stored_at(lattice, lattice.cell_depth - finer), finer // 2, Depth()
+        # A diamond beyond the border that the raster has, but none beyond another side of the window.
+        counts = [-(-(end - first) >> side) + 1 for first, end in box]
+        depth.columns = min(counts[0], whole.columns - (box[0][0] >> side))
+        depth.rows = min(counts[1], whole.rows - (box[1][0] >> side))
+        depth.sides, depth.first, depth.step, depth.base = whole.sides, 0, 1, base
+        depth.pages = -(-(depth.columns + depth.sides) // PAGE)
+        base += depth.pages * -(-(depth.rows + depth.sides) // PAGE) * PAGE * PAGE
+        depths.append(depth)
+    cells = depths[1].base if len(depths) > 1 else base
+    errors, off = np.zeros(base, np.float32), np.zeros(base, np.float32)
+    return _Window(box, depths, errors, off, np.zeros(cells, np.float32))
+
+
+def _smallest(lattice: Lattice, window: _Window, tile: Box) -> np.float32:
+    """Return the smallest curvature on which a tile depends; infinity if the window has all cells of the raster."""
+    if window.box == ((0, lattice.cells_x), (0, lattice.cells_y)):
+        return np.float32(np.inf)
+    (rows, columns) = (
+        slice(max(first - ALIGNED, low) - low, min(end + ALIGNED, high) - low)
+        for (first, end), (low, high) in zip(reversed(tile), reversed(window.box), strict=True)
+    )
+    pages = window.curvatures.reshape(-1, window.depths[0].pages, 8, 8, 4, 4)  # see lattice.py
+    image = pages.transpose(0, 2, 4, 1, 3, 5).reshape(len(pages) * PAGE, -1)
+    return image[rows, columns].min()
+
+
+def _largest(lattice: Lattice, window: _Window) -> dict[int, float]:
+    """Return the largest errors of a window in the groups that tiles encode.
+
+    Those of diamonds at its sides are too small, since they lack what is outside, so they are no larger than the
+    raster's.
+    """
+    found = {lattice.groups + 1: float(window.curvatures.max())}
+    ends = [depth.base for depth in window.depths[1:]] + [len(window.errors)]
+    for finer, (depth, end) in enumerate(zip(window.depths, ends, strict=True)):
+        if finer < KEPT:
+            group = lattice.group(lattice.cell_depth - finer)
+            found[group] = max(found.get(group, 0.0), float(window.errors[depth.base : end].max()))
+    return found
+
+
+def _encode(lattice: Lattice, window: _Window, tile: Box, table: np.ndarray, out: np.ndarray, threads: int) -> None:
+    """Write the codes of a tile's curvatures, cells and the diamonds of groups 0 and 1."""
+    after = [flat(table, wp.float32)]
+    for finer in range(min(KEPT, len(window.depths))):
+        depth = lattice.cell_depth - finer
+        whole, more = stored_at(lattice, depth), [*after, lattice.group(depth), flat(out, wp.uint8)]
+        _rows(kernels.encode_rows, lattice, window, tile, finer, whole, [window.errors], more, threads)
+    curvatures = stored_at(lattice, lattice.cell_depth)
+    curvatures.base = lattice.node_count
+    more = [*after, lattice.groups + 1, flat(out, wp.uint8)]
+    _rows(kernels.encode_rows, lattice, window, tile, 0, curvatures, [window.curvatures], more, threads)
+
+
+def _rows(
+    kernel: wp.Kernel,
+    lattice: Lattice,
+    window: _Window,
+    tile: Box,
+    finer: int,
+    whole: Depth,
+    values: list[np.ndarray],
+    more: list,
+    threads: int,
+) -> None:
+    """Launch a kernel over the rows of a tile's diamonds `finer` bisections above the cells.
+
+    The diamonds on a tile's western and southern side belong to it. The last tiles have those at the border and beyond.
+    """
+    side, part = finer // 2, window.depths[finer]
+    ends = (lattice.cells_x, part.columns), (lattice.cells_y, part.rows)
+    first = [(low - begin) >> side for (low, _), (begin, _) in zip(tile, window.box, strict=True)]
+    counts = [
+        (count + part.sides if high == cells else (high - begin) >> side) - start
+        for (_, high), (begin, _), (cells, count), start in zip(tile, window.box, ends, first, strict=True)
+    ]
+    inputs = [wp.vec2i(*first), counts[0], part, whole, window.corner(finer)]
+    inputs += [*(flat(array, wp.float32) for array in values), *more]
+    launch_step(kernel, counts[1], inputs, threads, 2.0 * counts[0])
+
+
+def _add_errors(
+    field: HeightField,
+    finer: int,
+    below: Depth,
+    above: Depth,
+    corner: wp.vec2i,
+    off: np.ndarray,
+    errors: np.ndarray,
+    threads: int,
+) -> None:
+    """Compute `off` and `errors` of the depth `finer` bisections above the cells from those below it."""
+    depth = field.lattice.cell_depth - finer
+    inputs = [below, above, stored_at(field.lattice, depth), corner, flat(field.table, wp.float32)]
+    inputs += [field.lattice.group(depth), flat(field.error, wp.uint8), flat(off, wp.float32), flat(errors, wp.float32)]
+    launch_step(kernels.add_errors, items(above), inputs, threads)
+
+
+def _above(lattice: Lattice, finer: int, first: int) -> Depth:
+    """Return the layout of a depth in arrays that begin with entry `first` of the error hierarchy."""
+    depth = stored_at(lattice, lattice.cell_depth - finer)
+    depth.base -= first
+    return depth
+
+
+def _whole_groups(lattice: Lattice, parts: list[slice]) -> list[tuple[int, slice]]:
+    """Return the groups that no tile encodes, with their parts of the arrays."""
+    return [(group, parts[group]) for group in range(FIRST_WHOLE, lattice.groups)]
+
+
+def launch_step(kernel: wp.Kernel, count: int, inputs: list, threads: int, cost: float = 1.0) -> None:
+    """Launch a kernel over `count` items as the step "bicubic hierarchy". cost: nanoseconds an item, over a base."""
+    launch.spread(kernel, count, inputs, step="bicubic hierarchy", threads=threads, cost=cost)

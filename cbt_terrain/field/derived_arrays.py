@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Arrays that are computed from a raster and cached in its store, where they are mapped like the store's own arrays.
+
+An array is written through a mapping of its file, so it takes no memory of the process, whatever its size. Files appear
+when all arrays that belong together are complete. They are in the folder of arrays that store.json names, and go with
+it. Without a store, or if that cannot be written, the arrays are in memory.
+"""
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from ..errors import TerrainError
+from ..run import partial_files
+from . import store, store_arrays
+from .heightfield import HeightRaster
+
+Arrays = dict[str, np.ndarray]
+# Shape and dtype of each array.
+Shapes = Mapping[str, tuple[tuple[int, ...], DTypeLike]]
+
+
+def derive(
+    raster: HeightRaster,
+    shapes: Shapes,
+    fill: Callable[[Arrays], None],
+    is_valid: Callable[[Arrays], bool] | None = None,
+) -> Arrays:
+    """Return arrays by name from the raster's store; compute and cache all of them if one is missing or damaged.
+
+    fill(arrays): fills zeroed arrays by name, and keeps no reference to them. is_valid: further test of cached arrays.
+    """
+    found = load(raster, shapes)
+    if found is None or not (is_valid is None or is_valid(found)):
+        found = load(raster, shapes) if _fill_in_store(raster, shapes, fill) else None
+    if found is None:
+        found = {name: np.zeros(*of) for name, of in shapes.items()}
+        fill(found)
+    return found
+
+
+def load(raster: HeightRaster, shapes: Shapes) -> Arrays | None:
+    """Return cached arrays of a raster's store, mapped; None without a store, or if one is missing or damaged."""
+    folder = store.data_folder(raster)
+    if folder is None:
+        return None
+    try:
+        return {name: store_arrays.map_array(folder / f"{name}.npy", *of) for name, of in shapes.items()}
+    except (OSError, TerrainError):
+        return None
+
+
+def _fill_in_store(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays], None]) -> bool:
+    """Compute arrays into files of the raster's store; return False if there is none or it cannot be written."""
+    folder = store.data_folder(raster)
+    if folder is None:
+        return False
+    partial_files.remove_abandoned(folder)
+    written = False
+    try:
+        with ExitStack() as files:
+            parts = {name: files.enter_context(partial_files.written_beside(folder / f"{name}.npy")) for name in shapes}
+            arrays = {name: store_arrays.allocate_array(parts[name], *of) for name, of in shapes.items()}
+            written = True
+            fill(arrays)
+            for name, array in arrays.items():
+                store_arrays.append_checksums(parts[name], array)
+            del array
+            arrays.clear()  # Windows renames no mapped file
+    except OSError:
+        return False
+    return written

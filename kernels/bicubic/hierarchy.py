@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The error hierarchy of the bicubic surface, depth by depth, in windows of the raster: see field/bicubic.py.
+
+A window has arrays for itself, with layouts (`Depth`) by diamonds of the window. `corner` is the window's first
+diamond of a depth in the whole raster.
+"""
+
+import warp as wp
+
+from ..field.codes import code_of, error_of
+from ..field.hierarchy import largest_below, round_up
+from ..field.layout import Depth, diamond, entry, holds
+from ..unchecked import put
+
+
+@wp.kernel
+def cover_sides(offset: int, cells: Depth, curvatures: wp.array(dtype=wp.float32), errors: wp.array(dtype=wp.float32)):
+    """Raise the error of cell `offset + tid` to half the largest curvature of itself and its sides.
+
+    So the error also bounds triangles that meet on the cell's sides.
+    """
+    p = diamond(cells, offset + wp.tid())
+    at = entry(cells, p[0], p[1])
+    largest = curvatures[at]
+    for k in range(4):
+        step = 2 * (k & 1) - 1
+        q = wp.vec2i(p[0] + wp.where(k < 2, step, 0), p[1] + wp.where(k < 2, 0, step))
+        if holds(cells, q):
+            largest = wp.max(largest, curvatures[entry(cells, q[0], q[1])])
+    errors[at] = wp.max(errors[at], largest * wp.float32(0.5))
+
+
+@wp.kernel
+def add_errors(
+    offset: int,
+    finer: Depth,
+    coarser: Depth,
+    whole: Depth,
+    corner: wp.vec2i,
+    table: wp.array(dtype=wp.float32),
+    group: int,
+    codes: wp.array(dtype=wp.uint8),
+    off: wp.array(dtype=wp.float32),
+    errors: wp.array(dtype=wp.float32),
+):
+    """Compute errors of diamonds on another surface: those on the bilinear one plus the distance between both.
+
+    whole: layout of `codes`, the errors on the bilinear surface, by diamonds of the raster; `table` has their metres,
+    and `group` is that of the depth. off: largest distance of the two surfaces, metres; it becomes the largest of the
+    children. An error is the sum, and at least the children's.
+    """
+    p = diamond(coarser, offset + wp.tid())
+    if holds(coarser, p):
+        at = entry(coarser, p[0], p[1])
+        plain = error_of(table, group, codes, entry(whole, p[0] + corner[0], p[1] + corner[1]))
+        off[at] = largest_below(off, finer, coarser, p)
+        raised = round_up(wp.float64(plain) + wp.float64(off[at]))
+        errors[at] = wp.max(raised, largest_below(errors, finer, coarser, p))
+
+
+@wp.kernel
+def keep_rows(
+    offset: int,
+    first: wp.vec2i,
+    columns: int,
+    part: Depth,
+    whole: Depth,
+    corner: wp.vec2i,
+    values: wp.array(dtype=wp.float32),
+    out: wp.array(dtype=wp.float32),
+):
+    """Copy the diamonds of row `first[1] + offset + tid` of a window, `columns` from first[0] on, to the raster's.
+
+    part: layout of `values`. whole: layout of `out`.
+    """
+    y = first[1] + offset + wp.tid()
+    for k in range(columns):
+        x = first[0] + k
+        if part.sides == 0 or (x + y) & 1 == 1:
+            out[entry(whole, x + corner[0], y + corner[1])] = values[entry(part, x, y)]
+
+
+@wp.kernel
+def encode_rows(
+    offset: int,
+    first: wp.vec2i,
+    columns: int,
+    part: Depth,
+    whole: Depth,
+    corner: wp.vec2i,
+    values: wp.array(dtype=wp.float32),
+    table: wp.array(dtype=wp.float32),
+    group: int,
+    codes: wp.array(dtype=wp.uint8),
+):
+    """Do the same as `keep_rows`, but write codes of a group of `table`."""
+    y = first[1] + offset + wp.tid()
+    for k in range(columns):
+        x = first[0] + k
+        if part.sides == 0 or (x + y) & 1 == 1:
+            code = code_of(table, group, values[entry(part, x, y)])
+            put(codes, entry(whole, x + corner[0], y + corner[1]), code)

@@ -1,21 +1,29 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The pyramid of prefiltered heights of a raster, computed on first use and cached with it.
 
-Level 0 is the raster's samples, mapped or coded. The coarser levels are float32, a third as many samples. A level of a
-raster of any size ends with the sample at or beyond the border.
+Level 0 is the raster's samples, mapped or coded. The coarser levels are float32, a third as many samples; those of a
+large raster are cached in its store, and mapped. A level of a raster of any size ends with the sample at or beyond the
+border.
 """
+
+from dataclasses import replace
 
 import numpy as np
 import warp as wp
 
 from ...kernels.effects import pyramid as kernels
 from ..field import codes
+from ..field.derived_arrays import derive
 from ..field.heightfield import HeightRaster
 from ..field.lattice import Lattice
+from ..field.store import derived_arrays as derived_shapes
 from ..field.store import shapes_of_effects as shapes  # rows and columns of each level
 from ..run import launch
 from ..run.buffers import flat
 from ..run.locks import caching
+
+# Samples from which on the coarser levels are cached in the store; those of fewer take some milliseconds.
+MIN_CACHED = 1 << 20
 
 
 def level_with(lattice: Lattice, max_samples: int, finest: int = 0) -> int:
@@ -40,15 +48,22 @@ def scaled_pyramid(
 
 
 def _coarser_levels(raster: HeightRaster, threads: int) -> np.ndarray:
-    """Compute the levels above the samples, float32, concatenated, the finest first. Each halves the one below."""
-    count = sum(int(rows * columns) for rows, columns in shapes(raster.lattice)[1:])
-    coarser = np.empty(max(count, 1), np.float32)
-    below = pack_pyramid(raster, coarser)
-    for level in range(1, below.levels):
-        rows, columns = shapes(raster.lattice)[level]
-        inputs = [below, level, below.coarser]
-        launch.spread(kernels.halve_level, rows, inputs, step="prefilter", threads=threads, cost=columns)
-    return coarser
+    """Return the levels above the samples, float32, concatenated, the finest first, from the raster's store if it can.
+
+    Each halves the one below.
+    """
+
+    def halve(arrays: dict[str, np.ndarray]) -> None:
+        """Fill the array level by level."""
+        below = pack_pyramid(raster, arrays["pyramid"])
+        for level in range(1, below.levels):
+            rows, columns = shapes(raster.lattice)[level]
+            inputs = [below, level, below.coarser]
+            launch.spread(kernels.halve_level, rows, inputs, step="prefilter", threads=threads, cost=columns)
+
+    shape = {"pyramid": derived_shapes(raster.lattice)["pyramid"]}
+    cached_raster = raster if raster.samples.size >= MIN_CACHED else replace(raster, path=None)
+    return derive(cached_raster, shape, halve)["pyramid"]
 
 
 def level_of(raster: HeightRaster, level: int, threads: int = 1) -> np.ndarray:

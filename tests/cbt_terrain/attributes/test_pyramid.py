@@ -2,13 +2,17 @@
 """The pyramid of prefiltered heights, against sums in numpy."""
 
 import itertools
+import os
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.attributes import pyramid
 from adaptive_terrain.cbt_terrain.attributes.pyramid import level_of, scaled_pyramid, shapes
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.codes import Steps
+from adaptive_terrain.cbt_terrain.field.store import is_intact, open_store, verify
+from adaptive_terrain.cbt_terrain.importing.build_store import ImportSettings, run_import
 from padded import raster
 
 # Rows and columns that fit a lattice, that do not, and that are as few as can be.
@@ -63,3 +67,35 @@ def test_coded_heights_have_the_levels_of_their_floats():
     coded = floats.with_raster(samples=numbers, steps=steps)
     for level in range(len(shapes(floats.lattice))):
         assert level_of(floats.raster, level).tobytes() == level_of(coded.raster, level).tobytes()
+
+
+def test_a_large_raster_has_its_pyramid_in_the_store(tmp_path, monkeypatch):
+    run_import(ImportSettings(source="island", size=129), tmp_path / "store")
+    expected = pyramid_bytes(open_store(tmp_path / "store"))
+    assert not list(tmp_path.rglob("pyramid.npy"))
+    monkeypatch.setattr(pyramid, "MIN_CACHED", 129 * 129)
+    assert pyramid_bytes(open_store(tmp_path / "store")) == expected
+    [file] = tmp_path.rglob("pyramid.npy")
+    monkeypatch.setattr(pyramid.launch, "spread", None)  # nothing is computed again
+    field = open_store(tmp_path / "store")
+    assert pyramid_bytes(field) == expected and is_intact(field)
+    assert verify(tmp_path / "store")["pyramid.npy"] == 1
+    os.truncate(file, 5000)
+    assert not is_intact(field)
+
+
+def pyramid_bytes(field) -> bytes:
+    """Return the coarser levels of a field's heights."""
+    scaled_pyramid(field.raster, 1.0, 0.0, 1)
+    return field.cache.pyramid[0].tobytes()
+
+
+def test_a_damaged_pyramid_is_computed_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(pyramid, "MIN_CACHED", 0)
+    run_import(ImportSettings(source="island", size=129), tmp_path / "store")
+    expected = pyramid_bytes(open_store(tmp_path / "store"))
+    [file] = tmp_path.rglob("pyramid.npy")
+    os.truncate(file, 5000)
+    assert pyramid_bytes(open_store(tmp_path / "store")) == expected
+    run_import(ImportSettings(source="island", size=65), tmp_path / "store")
+    assert not list(tmp_path.rglob("pyramid.npy"))  # it goes with the raster that it is of

@@ -4,25 +4,35 @@
 Weights are computed once at every sample at the raster's scale, so that heights do not depend on the camera.
 """
 
+import hashlib
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import TerrainError
+from ..field.derived_arrays import derive_large
 from ..field.detail import Detail
-from ..field.displacement_layers import ALL, DisplacementLayer, DisplacementLayers, Ground, LayerMask
+from ..field.displacement_layers import (
+    ALL,
+    DisplacementLayer,
+    DisplacementLayers,
+    Ground,
+    LayerMask,
+    fill_max_cells,
+    mask_levels,
+)
 from ..field.heightfield import HeightField, with_detail
 from ..field.tiled import Tiled
 from ..run.locks import caching
 from .attribute import AttributeRequest
+from .catalogue import ATTRIBUTES
 from .evaluate import on_samples
 from .splat import NAMES
 from .splat_rules import Layer
+from .whole import remove_old
 
-MAX_SAMPLES = 1 << 26
-# Number of cached sets of masks of a field, for several terrains or vertical scales.
+# Number of cached sets of masks of a field, in memory and in its store, for several terrains or vertical scales.
 MAX_CACHED = 4
 KIND = "masks of detail"
 
@@ -46,19 +56,11 @@ def displaced(
     """Return the field with a displacement below its samples, which the surface then includes.
 
     ground: Detail, layers of it, or LayeredDetail whose layers are weighted by splat layers, computed here with
-    this vertical scale and offset; None for no displacement. Raises TerrainError if the raster is too large for
-    masks.
+    this vertical scale and offset; None for no displacement.
     """
     if not isinstance(ground, LayeredDetail):
         return with_detail(field, ground)
     plain = with_detail(field, None)
-    lattice = plain.lattice
-    if lattice.width * lattice.height > MAX_SAMPLES:
-        raise TerrainError(
-            f"The height map has {lattice.width:,} x {lattice.height:,} samples",
-            expected=f"at most {MAX_SAMPLES:,} for detail of splat layers",
-            fix="give the detail to the whole terrain, or import a coarser height map",
-        )
     numbers = tuple(number for number, _ in ground.details)
     masks = _masks(plain, ground.layers, numbers, (float(vertical_scale), float(vertical_offset)), threads)
     everywhere = [DisplacementLayer(ground.everywhere)] if ground.everywhere else []
@@ -91,17 +93,30 @@ def _compute_masks(
     heights: tuple[float, float],
     threads: int,
 ) -> list[LayerMask]:
-    """Return the masks of the splat layers `numbers` at all samples, 8 bits each.
+    """Return the masks of the splat layers `numbers` at all samples, 8 bits each, from the field's store if it can.
 
     An attribute of the splat map holds the weights of four layers.
     """
-    lattice = field.lattice
-    requests = [
-        AttributeRequest(name, (KIND,), parameters=(("layers", layers),)) for name in NAMES[: max(numbers) // 4 + 1]
-    ]
-    masks = np.empty((len(numbers), lattice.height, lattice.width), np.uint8)
-    for rows, values in on_samples(field, requests, heights[0], heights[1], threads):
-        for mask, number in zip(masks, numbers, strict=True):
-            weights = values[NAMES[number // 4]][..., number % 4]
-            mask[rows] = np.rint(weights * np.float32(ALL))
-    return [LayerMask(mask) for mask in masks]
+    lattice, names = field.lattice, NAMES[: max(numbers) // 4 + 1]
+    versions = tuple((name, attribute.version) for name, attribute in ATTRIBUTES.items())
+    mark = hashlib.blake2b(repr((versions, layers, numbers, heights)).encode(), digest_size=8).hexdigest()
+    masks, maxima = f"masks_{mark}", f"mask_maxima_{mark}"
+
+    def fill(arrays: dict[str, np.ndarray]) -> None:
+        """Compute the masks row by row, and their maxima."""
+        requests = [AttributeRequest(name, (KIND,), parameters=(("layers", layers),)) for name in names]
+        for rows, values in on_samples(field, requests, heights[0], heights[1], threads):
+            for mask, number in zip(arrays[masks], numbers, strict=True):
+                weights = values[NAMES[number // 4]][..., number % 4]
+                mask[rows] = np.rint(weights * np.float32(ALL))
+        for values, found in zip(arrays[masks], arrays[maxima], strict=True):
+            fill_max_cells(values, found)
+
+    shapes = {
+        masks: ((len(numbers), lattice.height, lattice.width), np.uint8),
+        maxima: ((len(numbers), int(mask_levels(lattice)[-1])), np.uint8),
+    }
+    found = derive_large(field.raster, shapes, fill)
+    for name in shapes:
+        remove_old(field, f"{name.removesuffix(mark)}*.npy", name, MAX_CACHED)
+    return list(map(LayerMask, found[masks], found[maxima]))

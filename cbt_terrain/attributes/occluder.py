@@ -8,16 +8,16 @@ import numpy as np
 import warp as wp
 
 from ...kernels.effects import horizon as kernels
-from ..field.blocks import concatenate_levels, halvings, over_cells
+from ..field.blocks import fill_levels, level_offsets, level_shapes, over_cells
 from ..field.codes import pack_samples
+from ..field.derived_arrays import derive_large
 from ..field.heightfield import HeightField
+from ..field.store import derived_arrays as derived_shapes
 from ..run import launch
 from ..run.buffers import flat, shared
 from ..run.locks import cached
 from .attribute import SamplePoints
 
-# Rows of samples that are read together, whole blocks.
-ROWS = 256
 # Points of one launch; the work can be stopped between two launches.
 AT_ONCE = 1 << 14
 # Fraction of the largest height, more than the rounding of a height of the profile in float64.
@@ -51,11 +51,22 @@ def every_crossing(field: HeightField, scale: float) -> kernels.Occluder:
 def find_tops(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the maxima of all blocks (minima with np.minimum), float32, level after level from FINEST on.
 
-    Also the first index of each level and the number of blocks in its rows, int32 [levels], 0 below FINEST.
+    Also the first index of each level and the number of blocks in its rows, int32 [levels], 0 below FINEST. Those of a
+    large raster are cached in its store.
     """
-    side, rows = 1 << kernels.FINEST, range(0, field.lattice.height - 1, ROWS)
-    finest = np.concatenate([over_cells(field.heights(slice(row, row + ROWS + 1)), side, reduce) for row in rows])
-    return concatenate_levels(halvings(finest, reduce), int(kernels.FINEST))
+    lattice, side, name = field.lattice, 1 << kernels.FINEST, "tops" if reduce is np.maximum else "bottoms"
+    rows, columns = (-(-cells // side) for cells in (lattice.cells_y, lattice.cells_x))
+
+    def finest(some: slice) -> np.ndarray:
+        """Read the samples of some rows of blocks."""
+        return over_cells(field.heights(slice(some.start * side, some.stop * side + 1)), side, reduce)
+
+    def fill(arrays: dict[str, np.ndarray]) -> None:
+        """Compute all levels."""
+        fill_levels(arrays[name], rows, columns, reduce, finest)
+
+    found = derive_large(field.raster, {name: derived_shapes(lattice)[name]}, fill)[name]
+    return found, *level_offsets(level_shapes(rows, columns), int(kernels.FINEST))
 
 
 def launch_at_points(kernel: wp.Kernel, places: SamplePoints, inputs: list, out: np.ndarray, cost: float) -> None:

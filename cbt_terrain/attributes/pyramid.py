@@ -6,14 +6,12 @@ large raster are cached in its store, and mapped. A level of a raster of any siz
 border.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import warp as wp
 
 from ...kernels.effects import pyramid as kernels
 from ..field import codes
-from ..field.derived_arrays import derive
+from ..field.derived_arrays import derive_large
 from ..field.heightfield import HeightRaster
 from ..field.lattice import Lattice
 from ..field.store import derived_arrays as derived_shapes
@@ -21,9 +19,6 @@ from ..field.store import shapes_of_effects as shapes  # rows and columns of eac
 from ..run import launch
 from ..run.buffers import flat
 from ..run.locks import caching
-
-# Samples from which on the coarser levels are cached in the store; those of fewer take some milliseconds.
-MIN_CACHED = 1 << 20
 
 
 def level_with(lattice: Lattice, max_samples: int, finest: int = 0) -> int:
@@ -61,9 +56,7 @@ def _coarser_levels(raster: HeightRaster, threads: int) -> np.ndarray:
             inputs = [below, level, below.coarser]
             launch.spread(kernels.halve_level, rows, inputs, step="prefilter", threads=threads, cost=columns)
 
-    shape = {"pyramid": derived_shapes(raster.lattice)["pyramid"]}
-    cached_raster = raster if raster.samples.size >= MIN_CACHED else replace(raster, path=None)
-    return derive(cached_raster, shape, halve)["pyramid"]
+    return derive_large(raster, {"pyramid": derived_shapes(raster.lattice)["pyramid"]}, halve)["pyramid"]
 
 
 def level_of(raster: HeightRaster, level: int, threads: int = 1) -> np.ndarray:

@@ -8,22 +8,18 @@ It is cached with the field and, when complete, in its store, for the last MAX_S
 computation continues from the last complete azimuth.
 """
 
-from contextlib import suppress
-
 import numpy as np
 import warp as wp
 
 from ...kernels.effects import sweep as kernels
-from ..field import store
 from ..field.heightfield import HeightField
 from ..field.store import shapes_of_effects as shapes
-from ..run import launch, owned_files
+from ..run import launch
 from ..run.buffers import flat
 from ..run.locks import caching
-from ..run.owned_files import NotOursError
 from .light import AZIMUTHS, azimuths
 from .pyramid import level_of, level_with
-from .whole import read_stored, result_file, write_result
+from .whole import read_stored, remove_old, result_file, write_result
 
 # Bounds memory and the time of a step.
 MAX_SAMPLES = 1 << 25
@@ -117,13 +113,7 @@ def _save(field: HeightField, scale: float, sky: np.ndarray) -> np.ndarray:
     """
     file = result_file(LAYER, VERSION, (scale,))
     sky = write_result(field, file, sky)
-    folder = store.data_folder(field.raster)
-    if folder is None or not owned_files.is_real_folder(field.path):
-        return sky  # never removes files through a link
-    with suppress(OSError, NotOursError):  # another process may do the same
-        others = [f for f in folder.glob(f"effect_{LAYER}_*.npy") if f.stem != file]
-        for old in sorted(others, key=lambda f: f.stat().st_mtime_ns)[: max(0, len(others) + 1 - MAX_SCALES)]:
-            owned_files.remove_file(old)
+    remove_old(field, f"effect_{LAYER}_*.npy", file, MAX_SCALES)
     return sky
 
 

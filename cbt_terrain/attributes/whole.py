@@ -8,6 +8,7 @@ type, with a block that differs from its checksum or a value that is not finite,
 import hashlib
 from collections import OrderedDict
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 
@@ -16,7 +17,9 @@ from ..field import derived_arrays, store
 from ..field.heightfield import HeightField, HeightRaster
 from ..field.lattice import Lattice
 from ..field.store_arrays import all_finite, verify_array
+from ..run import owned_files
 from ..run.locks import caching
+from ..run.owned_files import NotOursError
 
 # Bytes of results in memory, including their pyramids; the last result stays whatever its size.
 MAX_BYTES = 1 << 28
@@ -83,6 +86,20 @@ def write_result(field: HeightField, file: str, values: np.ndarray) -> np.ndarra
     """Write a float32 result into the field's store, if it has one, and return it mapped from there."""
     shapes = {file: (values.shape, np.float32)}
     return derived_arrays.derive(field.raster, shapes, lambda arrays: np.copyto(arrays[file], values), _never)[file]
+
+
+def remove_old(field: HeightField, pattern: str, newest: str, max_files: int) -> None:
+    """Remove the oldest results that match a pattern from the field's store, so that `max_files` remain.
+
+    newest: name, without its suffix, of one that stays.
+    """
+    folder = store.data_folder(field.raster)
+    if folder is None or field.path is None or not owned_files.is_real_folder(field.path):
+        return  # never removes files through a link
+    with suppress(OSError, NotOursError):  # another process may do the same
+        others = [f for f in folder.glob(pattern) if f.stem != newest]
+        for old in sorted(others, key=lambda f: f.stat().st_mtime_ns)[: max(0, len(others) + 1 - max_files)]:
+            owned_files.remove_file(old)
 
 
 def _never(_arrays: dict[str, np.ndarray]) -> bool:

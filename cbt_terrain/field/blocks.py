@@ -1,7 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pyramids of blocks: the maximum or minimum of 2 x 2 values, of 2 x 2 of those, and so on to a single one."""
 
+from collections.abc import Callable
+from itertools import pairwise
+
 import numpy as np
+
+ROWS = 256  # rows of blocks that are computed together; even
 
 
 def over_cells(samples: np.ndarray, side: int, reduce: np.ufunc, around: int = 0) -> np.ndarray:
@@ -19,29 +24,63 @@ def over_cells(samples: np.ndarray, side: int, reduce: np.ufunc, around: int = 0
     return samples
 
 
-def halvings(finest: np.ndarray, reduce: np.ufunc) -> list[np.ndarray]:
-    """Return `finest`, [rows, columns, ...], and the levels above it, each `reduce` (np.maximum, np.minimum) of 2 x 2.
+def level_shapes(rows: int, columns: int) -> list[tuple[int, int]]:
+    """Return rows and columns of all levels of a pyramid, whose finest one has `rows` and `columns` blocks."""
+    shapes = [(rows, columns)]
+    while shapes[-1] != (1, 1):
+        shapes.append(((shapes[-1][0] + 1) // 2, (shapes[-1][1] + 1) // 2))
+    return shapes
+
+
+def halve(level: np.ndarray, reduce: np.ufunc) -> np.ndarray:
+    """Return `reduce` (np.maximum, np.minimum) of 2 x 2 blocks, [rows, columns, ...].
 
     A last odd row or column is copied.
     """
+    for axis in (0, 1):
+        level = level.swapaxes(0, axis)
+        half, odd = level[::2].copy(order="K"), level[1::2]
+        reduce(half[: len(odd)], odd, out=half[: len(odd)])
+        level = half.swapaxes(0, axis)
+    return level
+
+
+def halvings(finest: np.ndarray, reduce: np.ufunc) -> list[np.ndarray]:
+    """Return `finest`, [rows, columns, ...], and the levels above it, each `halve` of the one below."""
     levels = [finest]
     while levels[-1].shape[:2] != (1, 1):
-        level = levels[-1]
-        for axis in (0, 1):
-            level = level.swapaxes(0, axis)
-            half, odd = level[::2].copy(order="K"), level[1::2]
-            reduce(half[: len(odd)], odd, out=half[: len(odd)])
-            level = half.swapaxes(0, axis)
-        levels.append(level)
+        levels.append(halve(levels[-1], reduce))
     return levels
 
 
-def concatenate_levels(levels: list[np.ndarray], below: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the levels of a pyramid in one flat array, with the offset and the width of each level.
+def fill_levels(
+    levels: np.ndarray, rows: int, columns: int, reduce: np.ufunc, finest: Callable[[slice], np.ndarray]
+) -> None:
+    """Fill all levels of a pyramid, concatenated in one flat array, some rows at a time.
 
-    These are int32 [below + levels]; the first `below` entries are for levels without blocks. Rays skip empty space
-    with them.
+    rows, columns: blocks of the finest level. finest(rows): returns some rows of it, or fewer at the end.
     """
-    first = np.cumsum([0] * (below + 1) + [level.shape[0] * level.shape[1] for level in levels[:-1]], dtype=np.int32)
-    wide = np.array([0] * below + [level.shape[1] for level in levels], np.int32)
-    return np.concatenate([level.ravel() for level in levels]), first, wide
+    shapes = level_shapes(rows, columns)
+    ends = np.cumsum([rows * columns for rows, columns in shapes])
+    views = [levels[end - a * b : end].reshape(a, b) for end, (a, b) in zip(ends, shapes, strict=True)]
+    for row in range(0, rows, ROWS):
+        views[0][row : row + ROWS] = finest(slice(row, min(row + ROWS, rows)))
+    for below, above in pairwise(views):
+        for row in range(0, len(below), ROWS):
+            above[row // 2 : (row + ROWS) // 2] = halve(below[row : row + ROWS], reduce)
+
+
+def concatenate_levels(levels: list[np.ndarray], below: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the levels of a pyramid in one flat array, with their `level_offsets`."""
+    return np.concatenate([level.ravel() for level in levels]), *level_offsets(
+        [(len(level), level.shape[1]) for level in levels], below
+    )
+
+
+def level_offsets(shapes: list[tuple[int, int]], below: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the offset and the width of each level of a flat pyramid, int32 [below + levels].
+
+    The first `below` entries are for levels without blocks. Rays skip empty space with them.
+    """
+    first = np.cumsum([0] * (below + 1) + [rows * columns for rows, columns in shapes[:-1]], dtype=np.int32)
+    return first, np.array([0] * below + [columns for _, columns in shapes], np.int32)

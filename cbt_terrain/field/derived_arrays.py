@@ -18,6 +18,8 @@ from . import store, store_arrays
 from .heightfield import HeightRaster
 
 Arrays = dict[str, np.ndarray]
+# Samples of a large raster; derived arrays of fewer take some milliseconds.
+MIN_CACHED = 1 << 20
 # Shape and dtype of each array.
 Shapes = Mapping[str, tuple[tuple[int, ...], DTypeLike]]
 
@@ -35,9 +37,20 @@ def derive(
     found = load(raster, shapes)
     if found is None or not (is_valid is None or is_valid(found)):
         found = load(raster, shapes) if _fill_in_store(raster, shapes, fill) else None
-    if found is None:
-        found = {name: np.zeros(*of) for name, of in shapes.items()}
-        fill(found)
+    return _fill_in_memory(shapes, fill) if found is None else found
+
+
+def derive_large(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays], None]) -> Arrays:
+    """Do the same as `derive` for arrays that only a large raster has in its store; those of others are in memory."""
+    if raster.samples.size >= MIN_CACHED:
+        return derive(raster, shapes, fill)
+    return _fill_in_memory(shapes, fill)
+
+
+def _fill_in_memory(shapes: Shapes, fill: Callable[[Arrays], None]) -> Arrays:
+    """Compute arrays in memory."""
+    found = {name: np.zeros(*of) for name, of in shapes.items()}
+    fill(found)
     return found
 
 

@@ -6,7 +6,6 @@ A mask has a byte for every sample of the raster, where 255 is all of the detail
 
 import hashlib
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 import warp as wp
@@ -16,7 +15,7 @@ from ...kernels.field.domain import Domain
 from ..errors import TerrainError
 from ..run.buffers import flat, shared
 from ..view.linear import add_up
-from .blocks import halvings
+from .blocks import fill_levels, level_shapes
 from .detail import Detail
 from .detail_bounds import DetailTerm, highest, masked_terms, tables
 from .lattice import Lattice
@@ -28,24 +27,46 @@ ROUNDING = np.float32(1.0 + 2.0**-19)  # exceeds the rounding of a sum of a doze
 
 @dataclass(frozen=True, eq=True)
 class LayerMask:
-    """Weight of a displacement layer. `values`: uint8 [height, width], one a sample; `digest`: identifies them."""
+    """Weight of a displacement layer.
+
+    Attributes:
+        values: uint8 [height, width], one a sample.
+        max_cells: their maximum of each cell, of 2 x 2 cells, and so on, uint8 [n], in the order of `mask_levels`;
+            computed if it is empty.
+        digest: identifies the values.
+    """
 
     values: np.ndarray = field(compare=False, repr=False)
+    max_cells: np.ndarray = field(default_factory=lambda: np.empty(0, np.uint8), compare=False, repr=False)
     digest: str = ""
 
     def __post_init__(self) -> None:
-        """Convert the values to uint8 in C order and compute their digest."""
+        """Convert the values to uint8 in C order, and compute what is missing."""
         values = np.ascontiguousarray(self.values, np.uint8)
         object.__setattr__(self, "values", values)
-        content = repr(values.shape).encode() + values.data
-        object.__setattr__(self, "digest", hashlib.blake2b(content, digest_size=16).hexdigest())
+        content = hashlib.blake2b(repr(values.shape).encode(), digest_size=16)
+        content.update(values.data)
+        object.__setattr__(self, "digest", content.hexdigest())
+        if not self.max_cells.size:
+            count = sum(rows * columns for rows, columns in level_shapes(*cells_of(values)))
+            object.__setattr__(self, "max_cells", np.empty(count, np.uint8))
+            fill_max_cells(values, self.max_cells)
 
-    @cached_property
-    def max_cells(self) -> np.ndarray:
-        """Return the maximum of each cell, of 2 x 2 cells, and so on, uint8 [n], in the order of `mask_levels`."""
-        v = self.values
-        cells = np.maximum(np.maximum(v[1:, 1:], v[1:, :-1]), np.maximum(v[:-1, 1:], v[:-1, :-1]))
-        return np.concatenate([level.reshape(-1) for level in halvings(cells, np.maximum)])
+
+def cells_of(values: np.ndarray) -> tuple[int, int]:
+    """Return rows and columns of the cells between the samples of a mask."""
+    return values.shape[0] - 1, values.shape[1] - 1
+
+
+def fill_max_cells(values: np.ndarray, max_cells: np.ndarray) -> None:
+    """Fill `LayerMask.max_cells` of the values of a mask."""
+
+    def finest(rows: slice) -> np.ndarray:
+        """Return the maxima of some rows of cells."""
+        v = values[rows.start : rows.stop + 1]
+        return np.maximum(np.maximum(v[1:, 1:], v[1:, :-1]), np.maximum(v[:-1, 1:], v[:-1, :-1]))
+
+    fill_levels(max_cells, *cells_of(values), np.maximum, finest)
 
 
 @dataclass(frozen=True)
@@ -121,18 +142,24 @@ def layer_tables(ground: Ground | None, finest: float, lattice: Lattice, meshlet
 
 def mask_levels(lattice: Lattice) -> np.ndarray:
     """Return the first entry of each level of `LayerMask.max_cells`, and the number of entries, int64 [levels + 1]."""
-    columns, rows, first = lattice.width - 1, lattice.height - 1, [0]
-    while True:
-        first.append(first[-1] + columns * rows)
-        if columns * rows <= 1:
-            return np.array(first, np.int64)
-        columns, rows = (columns + 1) // 2, (rows + 1) // 2
+    shapes = level_shapes(lattice.cells_y, lattice.cells_x)
+    return np.cumsum([0, *(rows * columns for rows, columns in shapes)], dtype=np.int64)
 
 
 def max_of_masks(ground: Ground | None) -> np.ndarray:
     """Return `LayerMask.max_cells` of the layers with masks, ordered as in `layer_tables`, uint8 [masks * entries]."""
-    max_cells = [layer.mask.max_cells for layer in layers_below(ground) if layer.mask is not None]
-    return max_cells[0] if len(max_cells) == 1 else np.concatenate([np.empty(0, np.uint8), *max_cells])
+    return _joined([layer.mask.max_cells for layer in layers_below(ground) if layer.mask is not None])
+
+
+def _joined(arrays: list[np.ndarray]) -> np.ndarray:
+    """Return arrays of uint8 one after the other in a flat one: without a copy if they are so in one array's memory."""
+    if not arrays:
+        return np.empty(0, np.uint8)
+    first, ends = arrays[0], [array.ctypes.data + array.nbytes for array in arrays]
+    follow = all(end == array.ctypes.data for end, array in zip(ends, arrays[1:], strict=False))
+    if len(arrays) == 1 or (follow and all(array.base is first.base is not None for array in arrays)):
+        return np.lib.stride_tricks.as_strided(first.reshape(-1), (ends[-1] - first.ctypes.data,), (1,))
+    return np.concatenate([array.reshape(-1) for array in arrays])
 
 
 def fill_layers(domain: Domain, ground: Ground | None, finest: float, lattice: Lattice, meshlet: int) -> None:
@@ -144,7 +171,7 @@ def fill_layers(domain: Domain, ground: Ground | None, finest: float, lattice: L
     domain.detailed, domain.max_detail = int(bool(parts)), highest(parts)
     domain.detail = shared(layer_tables(ground, finest, lattice, meshlet).reshape(-1, 2), wp.vec2f)
     domain.masked = sum(int(layer.mask is not None) for layer in layers_below(ground))
-    domain.mask_max, domain.mask_top = shared(max_of_masks(ground), wp.uint8), len(levels) - 2
+    domain.mask_max, domain.mask_top = flat(max_of_masks(ground), wp.uint8), len(levels) - 2
     domain.mask_first = shared(levels, wp.int64)
 
 
@@ -171,11 +198,11 @@ def pack_layers(ground: Ground | None, finest: float, lattice: Lattice) -> kerne
                     expected=f"{expected}, the shape of the height map",
                 )
             d.mask, bytes_ = bytes_, bytes_ + layer.mask.values.size
-            masks.append(layer.mask.values.reshape(-1))
+            masks.append(layer.mask.values)
         layers.append(d)
     c.count, c.layer = len(layers), wp.array(layers, dtype=kernels.PackedDetail, device="cpu")
     c.pixels = flat(np.concatenate([np.empty(0, np.float32), *heights]), wp.float32)
-    c.masks = flat(masks[0] if len(masks) == 1 else np.concatenate([np.empty(0, np.uint8), *masks]), wp.uint8)
+    c.masks = flat(_joined(masks), wp.uint8)
     c.columns, c.rows = lattice.width, lattice.height
     c.west, c.south, _, _ = lattice.rectangle()
     c.per_x, c.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y

@@ -9,8 +9,10 @@
     STORE/data-*/error_m1.npy   error hierarchies for meshlets, computed on first use
     STORE/data-*/*_c.npy        arrays of the bicubic surface (bicubic.py), computed on first use;
                                 error_c_m1.npy: its error hierarchies for meshlets
-    STORE/data-*/pyramid.npy    float32, coarser levels of the heights of a large raster (attributes/pyramid.py)
+    STORE/data-*/pyramid.npy    float32, coarser levels of the heights of a large raster (attributes/pyramid.py);
+                                tops.npy, bottoms.npy: extremes of its blocks (attributes/occluder.py)
     STORE/data-*/effect_*.npy   attributes of the whole raster (attributes/whole.py)
+    STORE/data-*/mask*_*.npy    uint8, masks of displacement layers of a large raster (attributes/layered_detail.py)
     STORE/data-*/layer_*.npy    float32 [height, width], by-products of height operators (land/)
     STORE/tiles/*.npy           tiles that height operators have computed, by content (land/tile_cache.py)
 
@@ -29,15 +31,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import DTypeLike
 
+from ...kernels.effects.horizon import FINEST
 from ..errors import TerrainError, check_path
 from ..run import owned_files, partial_files
 from ..run.named_file import cause, open_regular
 from ..run.owned_files import NotOursError, open_folder
 from . import codes
+from .blocks import level_shapes
+from .displacement_layers import layers_below, mask_levels
 from .heightfield import HeightField, HeightRaster
 from .lattice import MAX_MESHLET, Lattice, fit
 from .store_arrays import (
     AGAIN,
+    PAGE_BYTES,
     allocate_array,
     append_checksums,
     file_bytes,
@@ -181,6 +187,9 @@ def is_intact(field: HeightField) -> bool:
     surfaces = field, *field.cache.surfaces.values()
     arrays = [getattr(surface, name) for surface in surfaces for name in ("samples", "error", "ranges", "valid")]
     arrays += [*field.cache.expanded.values(), *field.cache.pyramid]
+    masks = [layer.mask for surface in surfaces for layer in layers_below(surface.detail) if layer.mask is not None]
+    arrays += [array for mask in masks for array in (mask.values, mask.max_cells)]
+    arrays += [found[0] for key, found in field.cache.results.items() if key[0] == "tops"]
     arrays += getattr(field.layers, "opened", {}).values()
     return not any(array is not None and is_cut_off(array) for array in arrays)
 
@@ -204,6 +213,11 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     shapes = shapes_of_effects(field.lattice)
     for file in sorted(file for file in folder.glob("effect_*.npy") if is_array_file(file)):
         derived[file.name] = _shape_of(file, shapes), np.float32
+    masks = {"masks": field.samples.shape, "mask_maxima": (int(mask_levels(field.lattice)[-1]),)}
+    for prefix, shape in masks.items():
+        for file in sorted(file for file in folder.glob(f"{prefix}_*.npy") if is_array_file(file)):
+            count = max(1, (os.lstat(file).st_size - PAGE_BYTES) // math.prod(shape))
+            derived[file.name] = (count, *shape), np.uint8
     for name, (shape, dtype) in derived.items():
         if os.path.lexists(folder / name):
             try:
@@ -230,8 +244,8 @@ def _shape_of(file: Path, shapes: list[tuple[int, int]]) -> tuple[int, int]:
 def derived_arrays(lattice: Lattice) -> dict[str, tuple]:
     """Return shape and dtype of each array that a store caches, by name.
 
-    These can be computed again from samples and errors: errors of meshlets, the arrays of the bicubic surface, and the
-    coarser levels of the heights of a large raster (attributes/pyramid.py).
+    These can be computed again from samples and errors: errors of meshlets, the arrays of the bicubic surface, and of
+    a large raster the coarser levels of the heights and the extremes of blocks (attributes/pyramid.py, occluder.py).
     """
     plain, cells = lattice.node_count, lattice.node_count - lattice.cell_base
     # The curvatures of the raster's cells follow the errors of a bicubic surface.
@@ -240,7 +254,9 @@ def derived_arrays(lattice: Lattice) -> dict[str, tuple]:
         f"{name}_m{m}": ((n,), np.uint8) for name, n in errors.items() for m in range(1, MAX_MESHLET + 1)
     }
     arrays |= {"error_c": ((plain + cells,), np.uint8), "ranges_c": ((lattice.range_count + cells, 2), np.uint16)}
-    coarser = sum(math.prod(shape) for shape in shapes_of_effects(lattice)[1:])
+    levels = level_shapes(-(-lattice.cells_y >> FINEST), -(-lattice.cells_x >> FINEST))
+    arrays |= dict.fromkeys(("tops", "bottoms"), ((sum(rows * columns for rows, columns in levels),), np.float32))
+    coarser = sum(rows * columns for rows, columns in shapes_of_effects(lattice)[1:])
     arrays["pyramid"] = (max(coarser, 1),), np.float32
     # Six numbers, and the exponents of the groups, the cells and the curvatures.
     return arrays | {"numbers_c": ((6 + lattice.groups + 2,), np.float64)}

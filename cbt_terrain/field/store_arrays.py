@@ -129,8 +129,11 @@ def map_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarra
 
 def is_cut_off(array: np.ndarray) -> bool:
     """Return whether the file of a mapped array was truncated since; reading there would kill the process (SIGBUS)."""
-    mapped = getattr(array.base, "_mmap", None)
-    return mapped is not None and mapped.size() < PAGE_BYTES + array.nbytes
+    whole = array
+    while whole.base is not None and isinstance(whole.base, np.ndarray):  # of a view of a view
+        whole = whole.base
+    mapped = getattr(whole, "_mmap", None)
+    return mapped is not None and mapped.size() < PAGE_BYTES + whole.nbytes
 
 
 def verify_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> int:

@@ -7,6 +7,7 @@ kernels/accuracy/detail.py evaluates the same surface with other arithmetic.
 
 import warp as wp
 
+from ..unchecked import item_at
 from .noise import value_noise
 
 # Octaves have different hashes and offsets and are turned by the angle of (3, 4, 5), so that no lattice shows.
@@ -135,10 +136,10 @@ def mask_at(c: PackedLayers, first: wp.int64, x: wp.float64, y: wp.float64):
     t -= wp.float64(j)
     south = first + wp.int64(j) * wp.int64(c.columns) + wp.int64(i)
     north = south + wp.int64(c.columns)
-    a = wp.float64(c.masks[south])
-    b = wp.float64(c.masks[south + wp.int64(1)]) - a
-    e = wp.float64(c.masks[north])
-    f = wp.float64(c.masks[north + wp.int64(1)]) - e
+    a = wp.float64(item_at(c.masks, south))
+    b = wp.float64(item_at(c.masks, south + wp.int64(1))) - a
+    e = wp.float64(item_at(c.masks, north))
+    f = wp.float64(item_at(c.masks, north + wp.int64(1))) - e
     low = a + b * s
     rise = e + f * s - low
     return BYTE * wp.vec3d(low + rise * t, (b + (f - b) * t) * c.per_x, rise * c.per_y)

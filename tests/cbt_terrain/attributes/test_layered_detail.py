@@ -2,15 +2,17 @@
 """Splat layers with separate displacement: their masks are the layers' weights, and the mesh keeps its bound."""
 
 import math
+import os
 
 import numpy as np
-import pytest
 from adaptive_terrain.cbt_terrain.attributes import evaluate, layered_detail
 from adaptive_terrain.cbt_terrain.attributes.layered_detail import LayeredDetail, displaced
 from adaptive_terrain.cbt_terrain.attributes.splat_rules import HEIGHT, SLOPE, Layer, Rule
-from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field import blocks, derived_arrays
+from adaptive_terrain.cbt_terrain.field.build import build, from_array
 from adaptive_terrain.cbt_terrain.field.detail import Detail
+from adaptive_terrain.cbt_terrain.field.displacement_layers import max_of_masks
+from adaptive_terrain.cbt_terrain.field.store import Draft, is_intact, open_store, verify
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from detail_scenes import check, ground_view
@@ -54,8 +56,46 @@ def test_the_bound_holds_on_layers_with_detail():
     assert 0.05 < check(found, field, [view])
 
 
-def test_a_raster_too_large_for_masks_is_refused(monkeypatch):
-    monkeypatch.setattr(layered_detail, "MAX_SAMPLES", 100)
-    ground = LayeredDetail(None, (Layer("Grass"),), ((0, Detail(0.3)),))
-    with pytest.raises(TerrainError, match="has 11 x 11 samples; expected at most 100 for detail of splat layers"):
-        displaced(from_array(np.zeros((11, 11), np.float32), 1.0), ground, 1.0, 0.0, 1)
+def stored(path, field):
+    """Write a store of a field's samples and open it."""
+    draft = Draft(path)
+    samples = draft.allocate("samples", field.samples.shape, np.float32)
+    samples[:] = field.samples
+    draft.publish(build(samples, 10.0, 10.0, missing=0, allocate=draft.allocate), "", {})
+    return open_store(path)
+
+
+def test_masks_of_a_large_raster_are_in_its_store(tmp_path, monkeypatch):
+    field = rough(50, 37, relief=80.0)
+    ground = LayeredDetail(None, (Layer("Grass"), STEEP, HIGH), ((1, Detail(0.3)), (2, Detail(0.1, 9.0))))
+    expected = displaced(field, ground, 1.0, 0.0, 1)
+    monkeypatch.setattr(derived_arrays, "MIN_CACHED", 0)
+    monkeypatch.setattr(blocks, "ROWS", 4)
+    assert displaced(stored(tmp_path, field), ground, 1.0, 0.0, 1).key == expected.key
+    with monkeypatch.context() as nothing:  # is computed again
+        nothing.setattr(layered_detail, "on_samples", None)
+        again = displaced(open_store(tmp_path), ground, 1.0, 0.0, 1)
+    view = ground_view(field, above=3.0)
+    for one, two in zip(again.detail.layers, expected.detail.layers, strict=True):
+        assert one.mask.values.tobytes() == two.mask.values.tobytes()
+        assert one.mask.max_cells.tobytes() == two.mask.max_cells.tobytes()
+    made = [Terrain(found, 2).update(Criterion(error_px=1.0), [view]).surface for found in (again, expected)]
+    assert made[0].positions.tobytes() == made[1].positions.tobytes()
+    assert len(verify(tmp_path)) == 6 and is_intact(again)
+    os.truncate(next(tmp_path.glob("data-*/masks_*.npy")), 5000)
+    assert not is_intact(again)
+
+
+def test_masks_of_one_store_share_its_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr(derived_arrays, "MIN_CACHED", 0)
+    ground = LayeredDetail(None, (Layer("Grass"), STEEP, HIGH), ((1, Detail(0.3)), (2, Detail(0.1, 9.0))))
+    found = displaced(stored(tmp_path, rough(50, 37)), ground, 1.0, 0.0, 1).detail
+    assert np.shares_memory(max_of_masks(found), found.layers[1].mask.max_cells)
+
+
+def test_the_last_masks_are_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(derived_arrays, "MIN_CACHED", 0)
+    field = stored(tmp_path, rough(50, 37))
+    for scale in range(1, 8):
+        displaced(field, LayeredDetail(None, (Layer("Grass"), HIGH), ((1, Detail(0.3)),)), float(scale), 0.0, 1)
+    assert len(list(tmp_path.glob("data-*/mask*.npy"))) == 2 * layered_detail.MAX_CACHED

@@ -6,11 +6,12 @@ import math
 import numpy as np
 import pytest
 import warp as wp
-from adaptive_terrain.cbt_terrain.attributes import light, sky, sky_layer
+from adaptive_terrain.cbt_terrain.attributes import light, occluder, sky, sky_layer
 from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
-from adaptive_terrain.cbt_terrain.attributes.occluder import occluder_of
+from adaptive_terrain.cbt_terrain.attributes.occluder import find_tops, occluder_of
 from adaptive_terrain.cbt_terrain.attributes.pyramid import level_of
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field import blocks, derived_arrays
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import build, from_array
 from adaptive_terrain.cbt_terrain.field.store import Draft, open_store, verify
@@ -343,3 +344,19 @@ def test_a_larger_limit_keeps_as_many_vertical_scales(monkeypatch, tmp_path):
         assert len(list(tmp_path.glob("store/data-*/effect_sky_*.npy"))) == min(count, 4)
     again = open_store(tmp_path / "store")
     assert [sky_layer.is_known(again, scale) for scale in (1.0, 2.0, 5.0)] == [False, True, True]
+
+
+def test_extremes_of_a_large_raster_are_in_its_store(tmp_path, monkeypatch):
+    draft = Draft(tmp_path)
+    samples = draft.allocate("samples", (70, 90), np.float32)
+    samples[:] = raster(90, 70)
+    draft.publish(build(samples, 5.0, 5.0, missing=0, allocate=draft.allocate), "", {})
+    reductions = np.maximum, np.minimum
+    expected = [[array.tobytes() for array in find_tops(open_store(tmp_path), reduce)] for reduce in reductions]
+    monkeypatch.setattr(derived_arrays, "MIN_CACHED", 0)
+    monkeypatch.setattr(blocks, "ROWS", 2)
+    for _ in range(2):
+        found = [[array.tobytes() for array in find_tops(open_store(tmp_path), reduce)] for reduce in reductions]
+        assert found == expected
+        monkeypatch.setattr(occluder, "over_cells", None)  # nothing is read again
+    assert {"tops.npy", "bottoms.npy"} < verify(tmp_path).keys()

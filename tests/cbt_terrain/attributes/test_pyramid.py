@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.attributes import pyramid
 from adaptive_terrain.cbt_terrain.attributes.pyramid import level_of, scaled_pyramid, shapes
+from adaptive_terrain.cbt_terrain.field import derived_arrays
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.codes import Steps
@@ -73,7 +74,7 @@ def test_a_large_raster_has_its_pyramid_in_the_store(tmp_path, monkeypatch):
     run_import(ImportSettings(source="island", size=129), tmp_path / "store")
     expected = pyramid_bytes(open_store(tmp_path / "store"))
     assert not list(tmp_path.rglob("pyramid.npy"))
-    monkeypatch.setattr(pyramid, "MIN_CACHED", 129 * 129)
+    monkeypatch.setattr(derived_arrays, "MIN_CACHED", 129 * 129)
     assert pyramid_bytes(open_store(tmp_path / "store")) == expected
     [file] = tmp_path.rglob("pyramid.npy")
     monkeypatch.setattr(pyramid.launch, "spread", None)  # nothing is computed again
@@ -91,7 +92,7 @@ def pyramid_bytes(field) -> bytes:
 
 
 def test_a_damaged_pyramid_is_computed_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(pyramid, "MIN_CACHED", 0)
+    monkeypatch.setattr(derived_arrays, "MIN_CACHED", 0)
     run_import(ImportSettings(source="island", size=129), tmp_path / "store")
     expected = pyramid_bytes(open_store(tmp_path / "store"))
     [file] = tmp_path.rglob("pyramid.npy")

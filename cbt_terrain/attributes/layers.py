@@ -13,7 +13,7 @@ from ..run import launch
 from ..run.buffers import flat, shared
 from ..run.locks import cached
 from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
-from .pyramid import scaled_pyramid
+from .pyramid import PYRAMID, scaled_pyramid
 
 # Name, unit, and one line of meaning.
 KNOWN = (
@@ -39,9 +39,8 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     for name in wanted:
         values[name] = out = np.zeros(len(places), np.float32)
         if name in places.field.layers:
-            pyramid = scaled_pyramid(
-                _as_raster(places.field, name), vertical_scale=1.0, vertical_offset=0.0, threads=places.threads
-            )
+            raster = _as_raster(places.field, name)
+            pyramid = scaled_pyramid(raster, 1.0, 0.0, places.threads, f"{PYRAMID}_{name}")
             where = shared(places.positions, wp.vec3f), flat(places.level, wp.float32)
             inputs = [pyramid, *where, flat(out, wp.float32)]
             launch.spread(kernels.layer_at, len(places), inputs, step="layers", threads=places.threads, cost=3)
@@ -56,9 +55,12 @@ def why_missing(field: HeightField, name: str) -> str:
 
 
 def _as_raster(field: HeightField, name: str) -> HeightRaster:
-    """Return a layer as the samples of a raster, which has a pyramid."""
-    digest, lattice = f"{field.raster.digest}-{name}", field.lattice
-    return cached(field.cache.results, ("layer", name), lambda: HeightRaster(field.layers[name], lattice, digest))
+    """Return a layer as the samples of a raster in the field's store, which has a pyramid."""
+    return cached(
+        field.cache.results,
+        ("layer", name),
+        lambda: HeightRaster(field.layers[name], field.lattice, field.raster.digest, path=field.path),
+    )
 
 
 def _example(name: str) -> Callable[[Evaluate], None]:

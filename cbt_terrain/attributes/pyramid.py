@@ -20,6 +20,9 @@ from ..run import launch
 from ..run.buffers import flat
 from ..run.locks import caching
 
+# Name of the array in the store, and prefix of those of layers.
+PYRAMID = "pyramid"
+
 
 def level_with(lattice: Lattice, max_samples: int, finest: int = 0) -> int:
     """Return the finest level from `finest` on with at most `max_samples`, the coarsest if there is none."""
@@ -28,21 +31,21 @@ def level_with(lattice: Lattice, max_samples: int, finest: int = 0) -> int:
 
 
 def scaled_pyramid(
-    raster: HeightRaster, vertical_scale: float, vertical_offset: float, threads: int
+    raster: HeightRaster, vertical_scale: float, vertical_offset: float, threads: int, name: str = PYRAMID
 ) -> kernels.Pyramid:
     """Return the raster's pyramid for kernels, with heights `height * vertical_scale + vertical_offset`.
 
-    Coarser levels are computed on first use and cached with the raster.
+    Coarser levels are computed on first use and cached with the raster. name: of their array in a store.
     """
     with caching:
         if not raster.cache.pyramid:
-            raster.cache.pyramid.append(_coarser_levels(raster, threads))  # complete ones only
+            raster.cache.pyramid.append(_coarser_levels(raster, threads, name))  # complete ones only
     found = pack_pyramid(raster, raster.cache.pyramid[0])
     found.height_scale, found.height_offset = vertical_scale, vertical_offset
     return found
 
 
-def _coarser_levels(raster: HeightRaster, threads: int) -> np.ndarray:
+def _coarser_levels(raster: HeightRaster, threads: int, name: str) -> np.ndarray:
     """Return the levels above the samples, float32, concatenated, the finest first, from the raster's store if it can.
 
     Each halves the one below.
@@ -50,13 +53,13 @@ def _coarser_levels(raster: HeightRaster, threads: int) -> np.ndarray:
 
     def halve(arrays: dict[str, np.ndarray]) -> None:
         """Fill the array level by level."""
-        below = pack_pyramid(raster, arrays["pyramid"])
+        below = pack_pyramid(raster, arrays[name])
         for level in range(1, below.levels):
             rows, columns = shapes(raster.lattice)[level]
             inputs = [below, level, below.coarser]
             launch.spread(kernels.halve_level, rows, inputs, step="prefilter", threads=threads, cost=columns)
 
-    return derive_large(raster, {"pyramid": derived_shapes(raster.lattice)["pyramid"]}, halve)["pyramid"]
+    return derive_large(raster, {name: derived_shapes(raster.lattice)[PYRAMID]}, halve)[name]
 
 
 def level_of(raster: HeightRaster, level: int, threads: int = 1) -> np.ndarray:

@@ -10,9 +10,11 @@
     STORE/data-*/*_c.npy        arrays of the bicubic surface (bicubic.py), computed on first use;
                                 error_c_m1.npy: its error hierarchies for meshlets
     STORE/data-*/pyramid.npy    float32, coarser levels of the heights of a large raster (attributes/pyramid.py);
-                                tops.npy, bottoms.npy: extremes of its blocks (attributes/occluder.py)
+                                pyramid_*.npy: those of its layers
+    STORE/data-*/tops.npy       float32, maxima of blocks of heights of a large raster (attributes/occluder.py);
+                                bottoms.npy: their minima
     STORE/data-*/effect_*.npy   attributes of the whole raster (attributes/whole.py)
-    STORE/data-*/mask*_*.npy    uint8, masks of displacement layers of a large raster (attributes/layered_detail.py)
+    STORE/data-*/mask*_*.npy    uint8, masks of displacement layers (attributes/layered_detail.py), of a large raster
     STORE/data-*/layer_*.npy    float32 [height, width], by-products of height operators (land/)
     STORE/tiles/*.npy           tiles that height operators have computed, by content (land/tile_cache.py)
 
@@ -190,6 +192,8 @@ def is_intact(field: HeightField) -> bool:
     masks = [layer.mask for surface in surfaces for layer in layers_below(surface.detail) if layer.mask is not None]
     arrays += [array for mask in masks for array in (mask.values, mask.max_cells)]
     arrays += [found[0] for key, found in field.cache.results.items() if key[0] == "tops"]
+    layers = [found for key, found in field.cache.results.items() if key[0] == "layer"]
+    arrays += [array for layer in layers for array in layer.cache.pyramid]
     arrays += getattr(field.layers, "opened", {}).values()
     return not any(array is not None and is_cut_off(array) for array in arrays)
 
@@ -210,6 +214,7 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
         if array is not None:
             found[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
     derived = {f"{name}.npy": like for name, like in derived_arrays(field.lattice).items()}
+    derived |= {f"pyramid_{name}.npy": derived["pyramid.npy"] for name in field.layers}
     shapes = shapes_of_effects(field.lattice)
     for file in sorted(file for file in folder.glob("effect_*.npy") if is_array_file(file)):
         derived[file.name] = _shape_of(file, shapes), np.float32

@@ -21,7 +21,7 @@ DATA_PREFIX = "data-"
 TILES = "tiles"  # the folder of cached tiles, which lives as long as the store
 # All files of a folder of arrays; a folder with any other file belongs to the user and is left alone.
 _ARRAY_FILE = re.compile(
-    r"(samples|raster|errors?|ranges|valid|pyramid|tops|bottoms|(error|ranges|numbers)_c|error(_c)?_m\d+)\.npy|catalogue\.json"
+    r"(samples|raster|errors?|ranges|valid|pyramid(_[a-z][a-z0-9_]{0,40})?|tops|bottoms|(error|ranges|numbers)_c|error(_c)?_m\d+)\.npy|catalogue\.json"
     r"|(effect_[a-z_]+|masks|mask_maxima)_[0-9a-f]{16}\.npy"
     r"|layer_[a-z][a-z0-9_]{0,40}\.npy"
     r"|((error|ranges|numbers)_c|error(_c)?_m\d+)\.[0-9a-f]{32}\.part|store\.json"  # .part: of version 0.1.0

@@ -3,16 +3,17 @@
 
 import itertools
 import os
+import tracemalloc
 
 import numpy as np
 import pytest
-from adaptive_terrain.cbt_terrain.attributes import pyramid
+from adaptive_terrain.cbt_terrain.attributes import layers, pyramid
 from adaptive_terrain.cbt_terrain.attributes.pyramid import level_of, scaled_pyramid, shapes
-from adaptive_terrain.cbt_terrain.field import derived_arrays
+from adaptive_terrain.cbt_terrain.field import derived_arrays, store
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
-from adaptive_terrain.cbt_terrain.field.build import from_array
+from adaptive_terrain.cbt_terrain.field.build import build, from_array
 from adaptive_terrain.cbt_terrain.field.codes import Steps
-from adaptive_terrain.cbt_terrain.field.store import is_intact, open_store, verify
+from adaptive_terrain.cbt_terrain.field.store import Draft, is_intact, open_store, verify
 from adaptive_terrain.cbt_terrain.importing.build_store import ImportSettings, run_import
 from padded import raster
 
@@ -100,3 +101,36 @@ def test_a_damaged_pyramid_is_computed_again(tmp_path, monkeypatch):
     assert pyramid_bytes(open_store(tmp_path / "store")) == expected
     run_import(ImportSettings(source="island", size=65), tmp_path / "store")
     assert not list(tmp_path.rglob("pyramid.npy"))  # it goes with the raster that it is of
+
+
+def test_a_layer_of_a_large_raster_has_its_pyramid_in_the_store(tmp_path, monkeypatch):
+    draft = Draft(tmp_path)
+    samples, snow = (draft.allocate(name, (90, 70), np.float32) for name in ("samples", "layer_snow"))
+    samples[:], snow[:] = raster(70, 90), raster(70, 90)[::-1]
+    draft.publish(build(samples, 5.0, 5.0, missing=0, allocate=draft.allocate), "", {}, {"snow": "m"})
+    monkeypatch.setattr(derived_arrays, "MIN_CACHED", 0)
+    field, alone = open_store(tmp_path), from_array(raster(70, 90)[::-1], 5.0)
+    assert snow_pyramid(field) == pyramid_bytes(alone) != pyramid_bytes(field)
+    with monkeypatch.context() as nothing:  # is computed again
+        nothing.setattr(pyramid.launch, "spread", None)
+        assert snow_pyramid(open_store(tmp_path)) == pyramid_bytes(alone)
+    assert {"pyramid.npy", "pyramid_snow.npy"} < verify(tmp_path).keys() and is_intact(field)
+    os.truncate(next(tmp_path.glob("data-*/pyramid_snow.npy")), 5000)
+    assert not is_intact(field)
+
+
+def snow_pyramid(field) -> bytes:
+    """Return the coarser levels of the layer snow."""
+    layer = layers._as_raster(field, "snow")
+    scaled_pyramid(layer, 1.0, 0.0, 1, "pyramid_snow")
+    return layer.cache.pyramid[0].tobytes()
+
+
+def test_a_cached_pyramid_takes_no_memory_of_the_process(tmp_path, monkeypatch):
+    monkeypatch.setattr(store, "MAX_JSON_BYTES", 1 << 16)  # a buffer of as many is for reading it
+    run_import(ImportSettings(source="island", size=1025), tmp_path / "store")
+    field = open_store(tmp_path / "store")
+    tracemalloc.start()
+    scaled_pyramid(field.raster, 1.0, 0.0, 1)
+    assert tracemalloc.get_traced_memory()[1] < 0.1 * field.cache.pyramid[0].nbytes
+    tracemalloc.stop()

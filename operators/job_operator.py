@@ -13,10 +13,12 @@ class JobOperator:
     """Base of operators that run a job: beside the window when they are invoked, at once when a script calls them.
 
     A subclass has `kind`, a JobKind; `steps(context, job)`, which does the work; and `finish(context, obj, result)`,
-    which puts the result into the file. `context` is that of the first step only.
+    which puts the result into the file. `context` is that of the first step only. One that leaves the terrain as it is
+    has `shows_error_on_panel = False`: its errors are only reported, and the panel keeps that of the last update.
     """
 
     poll_s = jobs.POLL_S
+    shows_error_on_panel = True
 
     @classmethod
     def poll(cls, context):
@@ -81,15 +83,15 @@ class JobOperator:
 
     def fail(self, obj, message: str):
         """Report an error, and keep it for the panel of the terrain, if there is one."""
-        if obj is not None:
+        if obj is not None and self.shows_error_on_panel:
             session.record_of(obj).status.error = message
         self.report({"ERROR"}, message)
         return {"CANCELLED"}
 
     def _start_job(self, context) -> None:
-        """Clear the terrain's last error and create the job, of which no step has run yet."""
+        """Clear the terrain's last error if the panel shows errors of the job, and create it; no step has run yet."""
         obj = self.subject(context)
-        if obj is not None:
+        if obj is not None and self.shows_error_on_panel:
             session.record_of(obj).status.error = ""
         uid = None if obj is None else obj.session_uid
         self.job = jobs.BackgroundJob(self.kind, uid, lambda job: self.steps(context, job))

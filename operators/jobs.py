@@ -10,10 +10,11 @@ import queue
 import threading
 import time
 import traceback
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, wait
 from contextlib import closing
 from dataclasses import dataclass
+from types import ModuleType
 
 import bpy
 
@@ -27,6 +28,7 @@ POLL_S = 0.1
 CALL_S = 0.02  # between looks for calls that a thread waits for
 TURN_S = 0.05  # for which frames are visited before the window has its turn
 STARTING, LOOKING = "Starting", "Looking at frames"
+PREPARING = "Preparing kernels (first use)"
 SHOWN_STEPS = 200  # a progress bar is redrawn when it has grown by one
 Steps = Generator[None, None, object]
 
@@ -54,7 +56,9 @@ SHAPE = JobKind(
 PACK = JobKind("PACK", "Packing stores", "every store stays where it was", alone=True)
 BAKE = JobKind("BAKE", "Baking maps", "the maps stay as they were", alone=True)
 MEASURE = JobKind("MEASURE", "Measuring", "earlier measurements are kept", alone=True)  # two would slow each other
-KINDS = {kind.name: kind for kind in (IMPORT, SHAPE, PACK, BAKE, MEASURE)}
+WATER = JobKind("WATER", "Adding water", "the water stays as it was")
+EXPORT = JobKind("EXPORT", "Exporting", "files that are complete stay, without the JSON file that lists them")
+KINDS = {kind.name: kind for kind in (IMPORT, SHAPE, PACK, BAKE, MEASURE, WATER, EXPORT)}
 
 
 class JobStopped(Exception):
@@ -276,6 +280,14 @@ def wait_for_kernels(job: BackgroundJob) -> Steps:
             raise JobStopped
         yield
     warmup.wait()
+
+
+def prepare_kernels(job: BackgroundJob, modules: Iterable[ModuleType]) -> Steps:
+    """Yield until child processes have compiled some modules of kernels, and show their progress."""
+    while not warmup.ask(modules):
+        job.progress(warmup.progress() or 0.0, PREPARING)
+        yield
+    yield from wait_for_kernels(job)
 
 
 class CancelJob(bpy.types.Operator):

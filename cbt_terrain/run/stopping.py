@@ -26,6 +26,7 @@ _natives: dict[int, int] = {}  # addresses of a host program's handlers that `li
 _requested: int | None = None
 _listening = False
 _held = 0
+_threads = threading.local()  # `check`: the function that `checking` has set
 
 
 class Stopped(KeyboardInterrupt):
@@ -39,7 +40,12 @@ def request_stop(number: int) -> None:
 
 
 def check() -> None:
-    """Raise Stopped on the main thread after a request to stop, unless the work is inside `held`."""
+    """Raise Stopped on the main thread after a request to stop, unless the work is inside `held`.
+
+    On a thread inside `checking`, call its function.
+    """
+    if (extra := getattr(_threads, "check", None)) is not None:
+        extra()
     if _requested is not None and not _held and threading.current_thread() is threading.main_thread():
         raise Stopped
 
@@ -59,6 +65,16 @@ def end_host_work() -> None:
     native = _natives.pop(signal.SIGINT, None)
     if native:
         ctypes.CFUNCTYPE(None, ctypes.c_int)(native)(signal.SIGINT)
+
+
+@contextmanager
+def checking(function: Callable[[], None]) -> Iterator[None]:
+    """Let `check` on this thread call `function`, which raises an exception to stop the work, until the block ends."""
+    before, _threads.check = getattr(_threads, "check", None), function
+    try:
+        yield
+    finally:
+        _threads.check = before
 
 
 @contextmanager

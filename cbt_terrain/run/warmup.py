@@ -4,8 +4,8 @@
 Warp compiles a module of kernels at the first launch of one of them: 0.2 - 2.5 s each, about 10 s in all, and that
 blocks every other thread of Python for up to 50 ms. So child processes fill Warp's cache, and a thread of this process
 loads from it (60 ms in all; it blocks other threads for 8 ms at most). With a full cache there is no child. The kernels
-of a frame come first. Those of the overlay follow while the first terrain is already shown. All others (attributes,
-detail, geomorph, scatter, occlusion) are prepared when a scene first uses them.
+of a frame come first. Those of the overlay and of the first buttons follow while the first terrain is already shown.
+All others (detail, geomorph, occlusion, most attributes) are prepared when a scene first uses them.
 """
 
 import importlib
@@ -49,6 +49,17 @@ RARE = {
     f"{refine.__name__}.split_merge",
     f"{tree.__name__}.edits",
 }  # in rooms of a frame
+# Modules that Set Up Scene, Add Water, Add Scatter and Drop to Ground need. After an installation the children compile
+# them last, so that these buttons seldom wait. They are loaded when a scene first uses them.
+FIRST_CLICKS = (
+    *(
+        f"{effects.__name__}.{name}"
+        for name in ("catchment", "flow", "footprint", "jet", "pyramid", "routing", "splat")
+    ),
+    f"{land.__name__}.water",
+    *(f"{scatter.__name__}.{name}" for name in ("points", "seams", "squares", "tile")),
+    f"{query.__name__}.rays",
+)
 
 
 class _Preparation:
@@ -57,10 +68,14 @@ class _Preparation:
     `fraction`: 0 .. 1 while modules are compiled. `ready`: one event for each group.
     """
 
-    def __init__(self, *groups: list[ModuleType]) -> None:
-        """Start the thread. groups: modules that are needed together, the most urgent group first."""
+    def __init__(self, *groups: list[ModuleType], later: tuple[str, ...] = ()) -> None:
+        """Start the thread.
+
+        groups: modules that are needed together, the most urgent group first. later: names of modules that children, if
+        any are needed, compile after the groups.
+        """
         self.fraction: float | None = None
-        self._groups, self.ready = groups, [threading.Event() for _ in groups]
+        self._groups, self._later, self.ready = groups, later, [threading.Event() for _ in groups]
         self.stopping = threading.Event()
         self.thread = threading.Thread(target=self._run, name="adaptive_terrain_warmup", daemon=True)
         self.thread.start()
@@ -84,14 +99,14 @@ class _Preparation:
         except Exception:  # the launch of a kernel raises it again
             traceback.print_exc()
         finally:
-            for process in processes:
-                if self.stopping.is_set():
-                    child.kill(process)
-                process.wait()
             self.fraction = None
             _tried.update(module for group in self._groups for module in group)
             for ready in self.ready:
                 ready.set()
+            for process in processes:
+                while process.poll() is None and not self.stopping.wait(POLL_SECONDS):
+                    pass
+                child.kill(process)
 
     def _finish(self, modules: list[ModuleType], compiled: dict[ModuleType, Path], processes: list) -> None:
         """Wait until the children have compiled `modules` or have ended, and load them.
@@ -114,6 +129,7 @@ class _Preparation:
         cache = {"WARP_CACHE_PATH": str(Path(wp.config.kernel_cache_dir).parent)}
         streams = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
         names = [[module.__name__.removeprefix(HOUSE) for module in group] for group in self._groups]
+        names.append([name.removeprefix(HOUSE) for name in self._later])
         processes = []
         try:
             for i in range(count):
@@ -134,7 +150,7 @@ def start() -> None:
     """Start to prepare the kernels of a frame and of the overlay in the background, unless that was started before."""
     global _current
     if _current is None:
-        _current = _Preparation(kernel_modules(), overlay_modules())
+        _current = _Preparation(kernel_modules(), overlay_modules(), later=FIRST_CLICKS)
 
 
 def ask(modules: Iterable[ModuleType]) -> bool:

@@ -7,18 +7,22 @@ import bpy
 import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.height_operators.derived_store import raster_of
-from ...cbt_terrain.height_operators.water import DEPTH
+from ...cbt_terrain.height_operators import prepare
+from ...cbt_terrain.height_operators.derived_store import Land, raster_of
+from ...cbt_terrain.height_operators.stack import Entry, Stack
+from ...cbt_terrain.height_operators.water import DEPTH, WATER
 from ...cbt_terrain.height_operators.water_surface import default_sea, water_of
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
+from .. import jobs
 from ..bridge.demand.trees import tree_of_new
 from ..bridge.scene_paths import store_path
 from ..bridge.writer import write_mesh
+from ..job_operator import JobOperator
 from ..scatter.dry_ground import follow_sea
 from ..scene.haze import join_haze
 from ..session import session
-from ..session.polls import TerrainObjectOperator, cancelled_by_errors
+from ..session.polls import on_terrain_object
 from ..text.numbers import length_text
 from ..text.translations import phrase
 from .request import land_of
@@ -31,13 +35,16 @@ CLEAR, OPAQUE = 0.25, 0.96  # alpha at the shore, and of deep water
 DEEP_METRES = 4.0
 
 
-class AddWaterSurface(TerrainObjectOperator, bpy.types.Operator):
+class AddWaterSurface(JobOperator, bpy.types.Operator):
     """Add the terrain's lakes, rivers and sea as an object with a water material. Press it again after the land has
     changed"""
 
     bl_idname = "adaptive_terrain.water_surface"
     bl_label = "Add Water"
     bl_options = {"REGISTER", "UNDO"}
+
+    kind = jobs.WATER
+    shows_error_on_panel = False
 
     level: bpy.props.FloatProperty(
         name="Sea Level",
@@ -46,22 +53,32 @@ class AddWaterSurface(TerrainObjectOperator, bpy.types.Operator):
         unit="LENGTH", options={"SKIP_SAVE"},
     )  # fmt: skip
 
-    def invoke(self, context, _event):
+    @classmethod
+    def poll(cls, context):
+        return on_terrain_object(cls, context) and super().poll(context)
+
+    def invoke(self, context, event):
         try:
             check_is_shaped(context.object, context.evaluated_depsgraph_get())
         except TerrainError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        return self.execute(context)
+            return self.fail(context.object, str(error))
+        return JobOperator.invoke(self, context, event)
 
-    @cancelled_by_errors
-    def execute(self, context):
-        """Create or update the water object below the active terrain, and report its size and sea level."""
-        terrain = context.object
+    def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
+        """Compute the water on a thread; return the chosen level, None without one, and the result of `_water_mesh`."""
+        terrain, depsgraph = context.object, context.evaluated_depsgraph_get()
         water = existing_water(terrain)
         level = self.level if self.properties.is_property_set("level") else water and water.get(LEVEL)
-        surface, sea = _water_mesh(terrain, level)
-        water = water or _add_water(terrain)
+        store, land = store_path(terrain), land_of(terrain, terrain.evaluated_get(depsgraph), depsgraph, waits=True)
+        yield from jobs.prepare_kernels(job, prepare.kernels_of(Stack((Entry(WATER.name),))))
+        job.progress(0.0)
+        name = terrain.name
+        return level, *(yield from jobs.run_on_thread(job, lambda: _water_mesh(name, store, land, level)))
+
+    def finish(self, _context, terrain, result: tuple[float | None, Surface, float | None]) -> None:
+        """Create or update the water object below the terrain, and report its size and sea level."""
+        level, surface, sea = result
+        water = existing_water(terrain) or _add_water(terrain)
         write_mesh(water.data, _with_vertical_scale(surface, terrain.adaptive_terrain))
         before, is_new = shown_sea(terrain), SEA not in water
         if level is not None:
@@ -75,25 +92,20 @@ class AddWaterSurface(TerrainObjectOperator, bpy.types.Operator):
             follow_sea(terrain, before, is_new)
         at = "" if sea is None else f", its sea at {length_text(sea)}"
         self.report({"INFO"}, f"{water.name} has {len(surface.triangles):,} triangles{at}")
-        return {"FINISHED"}
 
 
-def _water_mesh(terrain, level: float | None) -> tuple[Surface, float | None]:
-    """Return the water of a terrain, and the level of its sea; None where the land has its own water.
+def _water_mesh(name: str, store: str, land: Land | None, level: float | None) -> tuple[Surface, float | None]:
+    """Return the water of a terrain, and the level of its sea; None where the land has its own water. For any thread.
 
-    level: of the sea in metres; None for the land's own water, or else a level that shows water. Raises
-    TerrainError.
+    name: of the terrain, for errors. store, land: its heights. level: of the sea in metres; None for the land's own
+    water, or else a level that shows water. Raises TerrainError.
     """
-    store, depsgraph = store_path(terrain), bpy.context.evaluated_depsgraph_get()
-    land = land_of(terrain, terrain.evaluated_get(depsgraph), depsgraph, waits=True)
     field = raster_of(store, land, session.open_field, verified=True)
     if level is None and DEPTH.name not in field.layers:
         level = default_sea(field)
     surface = water_of(field, launch.default_threads(), level)
     if not len(surface.triangles):
-        raise TerrainError(
-            f"There is no water on {terrain.name!r}", expected="a lake, a sea or a stream of 0.016 m³/s or more"
-        )
+        raise TerrainError(f"There is no water on {name!r}", expected="a lake, a sea or a stream of 0.016 m³/s or more")
     return surface, level
 
 
@@ -104,9 +116,13 @@ def _with_vertical_scale(surface: Surface, settings) -> Surface:
     return replace(surface, positions=positions)
 
 
-def button_text(terrain) -> str:
-    """Return the text of the button."""
-    return phrase("Add Water") if existing_water(terrain) is None else phrase("Update Water")
+def draw_button(layout, terrain) -> None:
+    """Draw the button, or the progress of its job in the same row."""
+    if job := jobs.find(jobs.WATER, terrain):
+        jobs.draw_progress(layout, job, job.text)
+        return
+    text = phrase("Add Water") if existing_water(terrain) is None else phrase("Update Water")
+    layout.operator(AddWaterSurface.bl_idname, text=text, icon="MOD_OCEAN")
 
 
 def _add_water(terrain):

@@ -4,10 +4,11 @@
 import bpy
 
 from ..session import session
-from ..session.polls import TerrainObjectOperator, cancelled_by_errors
+from ..session.polls import cancelled_by_errors
+from .update_terrain import UpdatingOperator
 
 
-class FreezeDetail(TerrainObjectOperator, bpy.types.Operator):
+class FreezeDetail(UpdatingOperator, bpy.types.Operator):
     """Keep the present triangles, whatever the camera sees, in renders too. Press it again to let the mesh follow the
     camera"""
 

@@ -2,6 +2,7 @@
 """The tab "Terrain" in the sidebar of the 3D viewport, and the same panels in the Properties editor."""
 
 from ...cbt_terrain.run import warmup
+from .. import jobs
 from ..accuracy import panel as statistics_panel
 from ..attributes import panel as effects_panel
 from ..ground import panel as ground_panel
@@ -64,7 +65,7 @@ class TerrainPanel:
         buttons.enabled = bool(settings.store)
         buttons.operator("adaptive_terrain.set_up_scene", icon="LIGHT_SUN")
         buttons.operator("adaptive_terrain.terrain_material", icon="MATERIAL")
-        buttons.operator("adaptive_terrain.water_surface", text=water_surface.button_text(obj), icon="MOD_OCEAN")
+        water_surface.draw_button(buttons, obj)
         buttons.operator_menu_enum("adaptive_terrain.scatter_add", "kind", icon="OUTLINER_OB_POINTCLOUD")
 
 
@@ -169,6 +170,8 @@ class OutputPanel(TerrainSubpanel):
         _waiting_row(column).operator("adaptive_terrain.bake", icon="MESH_GRID")
         column.separator()
         _waiting_row(column).operator("adaptive_terrain.export", icon="EXPORT")
+        if job := jobs.find(jobs.EXPORT, session.shown_terrain(context)):
+            jobs.draw_progress(column, job, job.text)
         _waiting_row(column).operator("adaptive_terrain.export_tiles", icon="TEXTURE")
         _waiting_row(column).operator("adaptive_terrain.export_tileset", icon="WORLD")
         row = column.row(align=True)

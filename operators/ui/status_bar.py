@@ -20,7 +20,7 @@ def current_work() -> tuple[float | None, str] | None:
     """Return the progress (0 .. 1, None if unknown) and a text of the long work that runs now; None if nothing runs."""
     fraction = warmup.progress()
     if fraction is not None:
-        return fraction, "Preparing kernels (first use)"
+        return fraction, jobs.PREPARING
     wait = render_wait.waiting
     if wait is not None:
         return wait.fraction, wait.text

@@ -61,7 +61,7 @@ def draw_preparation(layout) -> bool:
     fraction = warmup.progress()
     if fraction is None or not warmup.preparing():
         return False
-    layout.progress(factor=fraction, text="Preparing kernels (first use)")
+    layout.progress(factor=fraction, text=jobs.PREPARING)
     return True
 
 

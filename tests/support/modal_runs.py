@@ -15,11 +15,11 @@ class RunningOperator(SimpleNamespace):
         return value.__get__(self) if inspect.isfunction(value) else value
 
 
-def running(operator_class, obj):
-    """Invoke an operator on an object and return it."""
+def running(operator_class, obj, **properties):
+    """Invoke an operator with some properties on an object and return it."""
     import bpy
 
-    operator = RunningOperator(operator_class=operator_class, report=Mock())
+    operator = RunningOperator(operator_class=operator_class, report=Mock(), **properties)
     operator.context = SimpleNamespace(
         window_manager=Mock(),
         window=None,

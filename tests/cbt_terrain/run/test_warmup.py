@@ -35,6 +35,7 @@ sys.modules[name] = package = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(package)
 warmup = importlib.import_module(name + ".cbt_terrain.run.warmup")
 modules_of = warmup.modules_of
+warmup.FIRST_CLICKS = (f"{name}.kernels.effects.pyramid",)
 warmup.modules_of = lambda room: [m for m in modules_of(room) if m.__name__.rpartition(".")[2] in sys.argv[2:]]
 compiled_here = []
 import warp as wp
@@ -57,6 +58,9 @@ seen.append(warmup.progress())
 overlay_before = sum(bool(wp.get_module(m.__name__).execs) for m in warmup.overlay_modules())
 warmup.wait(overlay=True)
 seen.append(warmup.progress())
+later = importlib.import_module(warmup.FIRST_CLICKS[0])
+later_before = warmup.compiled_file(later).exists()
+warmup._current.thread.join()
 modules = warmup.kernel_modules() + warmup.overlay_modules()
 print(json.dumps({
     "seconds": time.perf_counter() - start,
@@ -67,6 +71,7 @@ print(json.dumps({
     "loaded": sum(bool(wp.get_module(m.__name__).execs) for m in modules),
     "modules": len(modules),
     "overlay_before": overlay_before,
+    "later": [later_before, warmup.compiled_file(later).exists(), bool(wp.get_module(later.__name__).execs)],
     "folders": sorted(os.listdir(wp.config.kernel_cache_dir)),
 }))
 """
@@ -97,7 +102,8 @@ def test_children_compile_under_the_name_of_their_parent(prepared):
     assert first["loaded"] == first["modules"] == len(QUICK)
     assert first["overlay_before"] == 0, "a terrain is shown before the overlay's kernels are there"
     assert all(name.startswith("wp_bl_ext.user_default.terrain.kernels.") for name in first["folders"])
-    assert len(first["folders"]) == first["modules"]
+    assert len(first["folders"]) == first["modules"] + 1
+    assert first["later"] == [False, True, False], "the first buttons' kernels come last and are not loaded yet"
     assert first["fractions"][0] == 0.0 and len(first["fractions"]) > 3, "the panel shows how far it is"
 
 

@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Add Water shows water by one click, at a level that the user can change and that an update keeps."""
 
+from types import SimpleNamespace
+
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.run import launch, warmup
+from adaptive_terrain.operators import jobs
 from adaptive_terrain.operators.land.water_object import LEVEL
+from adaptive_terrain.operators.land.water_surface import AddWaterSurface
+from modal_runs import running, to_the_end, turn
 
 
 def levels(water) -> np.ndarray:
@@ -38,3 +44,54 @@ def test_an_update_keeps_the_chosen_level(scene, add_terrain):
     assert bpy.ops.adaptive_terrain.water_surface() == {"FINISHED"}
     assert list(terrain.children) == [water] and water[LEVEL] == pytest.approx(level)
     assert (np.abs(levels(water) - 2.0 * level) < 2e-3).mean() > 0.5
+
+
+@pytest.fixture
+def click(monkeypatch):
+    """Return a function that clicks the button in a window."""
+    monkeypatch.setattr(AddWaterSurface, "properties", SimpleNamespace(is_property_set=lambda _name: False), False)
+    return lambda terrain: running(AddWaterSurface, terrain)
+
+
+def test_a_click_waits_for_kernels_beside_the_window(scene, add_terrain, click, monkeypatch):
+    terrain, asked, launched = add_terrain(), [], set()
+    known = [module.__name__ for module in [*warmup.kernel_modules(), *warmup.overlay_modules()]]
+    load, is_prepared = launch._load, iter([False, False, True])
+
+    def ask(modules):
+        asked.extend(module.__name__ for module in modules)
+        return next(is_prepared)
+
+    monkeypatch.setattr(launch, "_load", lambda kernel: (launched.add(kernel.module.name), load(kernel)))
+    monkeypatch.setattr(warmup, "ask", ask)
+    operator = click(terrain)
+    assert operator.began == {"RUNNING_MODAL"} and not launched
+    assert jobs.find(jobs.WATER, terrain).text == f"Adding water: {jobs.PREPARING}"
+    assert to_the_end(operator) == {"FINISHED"} and len(terrain.children) == 1
+    assert launched and not launched - {*asked, *known}, "no kernel is compiled unseen"
+
+
+def test_a_cancelled_click_leaves_the_terrain_dry(scene, add_terrain, click, monkeypatch):
+    terrain = add_terrain()
+    monkeypatch.setattr(warmup, "ask", lambda _modules: False)
+    operator = click(terrain)
+    assert bpy.ops.adaptive_terrain.cancel_job(kind="WATER") == {"FINISHED"}
+    assert turn(operator) == {"CANCELLED"} and not terrain.children and not jobs.running
+
+
+def test_the_buttons_of_the_panel_launch_prepared_kernels(scene, add_terrain, monkeypatch):
+    """A window compiles nothing at the first click of Set Up Scene, Add Water, Add Scatter and Drop to Ground."""
+    terrain, launched, load = add_terrain(), set(), launch._load
+    monkeypatch.setattr(launch, "_load", lambda kernel: (launched.add(kernel.module.name), load(kernel)))
+    operators = bpy.ops.adaptive_terrain
+    assert operators.set_up_scene() == operators.update() == operators.water_surface() == {"FINISHED"}
+    assert operators.scatter_add(kind="CONIFERS") == {"FINISHED"}
+    bpy.context.view_layer.objects.active = terrain
+    cube = bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube"))
+    scene.collection.objects.link(cube)
+    cube.select_set(True)
+    assert operators.drop_to_ground() == {"FINISHED"}
+    known = {module.__name__ for module in [*warmup.kernel_modules(), *warmup.overlay_modules()]}
+    clicks = {name.rpartition(".")[2] for name in warmup.FIRST_CLICKS}
+    assert clicks - {name.rpartition(".")[2] for name in launched} == {"flow"}, "layers of mountains have streams"
+    assert launched - known <= set(warmup.FIRST_CLICKS)

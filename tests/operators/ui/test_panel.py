@@ -249,6 +249,7 @@ def test_a_click_on_update_waits_beside_the_window(scene, add_terrain, preparing
     terrain = add_terrain()
     manager, timer = Mock(), SimpleNamespace(type="TIMER")
     context = SimpleNamespace(window_manager=manager, window=None, object=terrain, mode="OBJECT")
+    context.evaluated_depsgraph_get = bpy.context.evaluated_depsgraph_get
     update = RunningOperator(operator_class=UpdateTerrain, report=Mock())
     assert update.invoke(context, None) == {"RUNNING_MODAL"}
     assert update.modal(context, timer) == {"PASS_THROUGH"}

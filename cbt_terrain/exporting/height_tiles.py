@@ -199,6 +199,7 @@ def export_height_tiles(
     if any(layer.form.is_integer and not layer.has_range for layer in layers):
         _measure(samples, layers, lambda done: on_progress(0.4 * done))
     try:
+        remove_description(out / f"{settings.name}.json")
         for row in tile_rows:
             for tiles in samples.groups():
                 _write_tiles(samples, out, names, tiles, row, place)
@@ -209,6 +210,12 @@ def export_height_tiles(
     except OSError as reason:
         raise unwritable(f"The tiles in {out}", reason) from reason
     return index
+
+
+def remove_description(path: Path) -> None:
+    """Remove the JSON file of an earlier export, whose tiles are about to be replaced. Raises OSError."""
+    if path.is_file():
+        path.unlink()
 
 
 def _mask_layers(masks: Sequence[AttributeRequest]) -> list[_Layer]:

@@ -9,7 +9,7 @@ the root's bound hangs from each border inside the terrain.
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import quote
@@ -27,7 +27,7 @@ from ..view.criterion import Criterion
 from ..view.linear import length
 from .glb import glb_of
 from .globe import GlobeFrame, place_on_globe
-from .height_tiles import placing_or_middle
+from .height_tiles import placing_or_middle, remove_description
 from .mesh_tiles import TileMesh, border_edges, edge_keys, part_of, split, with_skirt
 
 MAX_LEVELS = 9
@@ -88,9 +88,11 @@ def export_tileset(
         for finer, level in zip(levels[:0:-1], levels[-2::-1], strict=True):
             level.bound = max(level.bound, finer.bound)
         tiles: dict[tuple[int, int, int], tuple] = {}
+        remove_description(path)
+        total = sum(len(level.mesh.triangles) for level in levels)
         for number, level in enumerate(levels):
-            _write_level(path, number, level, levels[0].bound, tiles)
-            on_progress(0.5 + 0.5 * (number + 1) / len(levels))
+            for _ in _write_level(path, number, level, levels[0].bound, tiles):
+                on_progress(0.5 + 0.5 * sum(count for _, count in tiles.values()) / total)
         root = _tile_json(path.stem, levels, tiles, 0, 0, 0)
         if root is None:
             raise TerrainError("Nothing is left of the terrain", fix="check its holes")
@@ -119,7 +121,7 @@ def _levels(field: HeightField, error_m: float, triangles: int, on_progress: Cal
         mesh = TileMesh(s.positions, s.normals, s.uv, s.triangles.astype(np.int64))
         finest.append(_divide_level(field, mesh, update.bound_m, 1 << (depth - number)))
         number += 1
-        on_progress(number / (depth + 1))
+        on_progress(1.0 - 0.25**number)  # each coarser level has a quarter of the triangles
     return finest[::-1]
 
 
@@ -183,8 +185,10 @@ def _place(levels: list[_Level], placing: Placing, folder: Path) -> GlobeFrame |
     return frame
 
 
-def _write_level(path: Path, number: int, level: _Level, root_bound: float, tiles: dict) -> None:
+def _write_level(path: Path, number: int, level: _Level, root_bound: float, tiles: dict) -> Iterator[None]:
     """Write the tiles of a level as glb files, each with a skirt that hides cracks to other levels.
+
+    Yield after each tile.
 
     tiles: gets the box of each tile (its lowest and highest corner) and its number of triangles, by level, x and y.
     root_bound: error of level 0, metres.
@@ -210,6 +214,7 @@ def _write_level(path: Path, number: int, level: _Level, root_bound: float, tile
             partial.write_bytes(content)
         box = placed.positions.min(0).astype(np.float64), placed.positions.max(0).astype(np.float64)
         tiles[number, tx, ty] = box, count
+        yield
 
 
 def _glb_name(stem: str, level: int, x: int, y: int) -> str:

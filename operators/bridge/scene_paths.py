@@ -3,6 +3,7 @@
 
 import os
 import re
+from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError
 
@@ -30,6 +31,21 @@ def store_path(obj) -> str:
     if not obj.adaptive_terrain.store:
         raise no_heights(obj)
     return absolute_path(obj.adaptive_terrain.store)
+
+
+def propose_file(operator, obj, name_end: str = "") -> None:
+    """Let the file dialog of an operator propose the terrain's name, unless it has a path already.
+
+    The folder is that of the .blend file, or before it is saved that of the terrain's height map. `name_end`: what
+    follows the name, which keeps a proposal from replacing that height map.
+    """
+    import bpy
+
+    if operator.filepath:
+        return
+    settings, name = obj.adaptive_terrain, bpy.path.clean_name(obj.name) + name_end + operator.filename_ext
+    beside = bpy.data.filepath or (absolute_path(settings.source_path) if settings.source == "FILE" else "")
+    operator.filepath = str(Path(beside).with_name(name)) if beside else name
 
 
 def no_heights(obj) -> TerrainError:

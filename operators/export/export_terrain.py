@@ -7,6 +7,7 @@ import bpy
 from bpy_extras.io_utils import ExportHelper
 
 from ...cbt_terrain.errors import TerrainError
+from ..bridge.scene_paths import propose_file
 from ..session import session
 from ..session.polls import TerrainObjectOperator
 from ..terrain.request import RENDER
@@ -25,6 +26,10 @@ class ExportTerrain(TerrainObjectOperator, bpy.types.Operator, ExportHelper):
     filename_ext = ".ply"
     check_extension = None  # the suffix that the user types is the format
     filter_glob: bpy.props.StringProperty(default=GLOB, options={"HIDDEN"})
+
+    def invoke(self, context, event):
+        propose_file(self, context.object)
+        return ExportHelper.invoke(self, context, event)
 
     def execute(self, context):
         """Write the terrain to the chosen file, and restore the viewport's detail even after an error."""

@@ -7,14 +7,24 @@ import bpy
 from bpy_extras.io_utils import ExportHelper
 
 from ...cbt_terrain.attributes.catalogue import ATTRIBUTES
+from ...cbt_terrain.attributes.evaluate import kernels_of
+from ...cbt_terrain.attributes.plan import plan
 from ...cbt_terrain.attributes.splat import NAMES as SPLATS
+from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.exporting.height_tiles import PATTERN, HeightTiles, export_height_tiles
 from ...cbt_terrain.exporting.tile_grid import MAX_TILE, UNREAL_SIZES
 from ...cbt_terrain.exporting.tileset import TRIANGLES, export_tileset
 from ...cbt_terrain.height_operators.export import FORMATS
+from ...cbt_terrain.run import stopping
+from ...kernels.query import ground
+from .. import jobs
 from ..attributes.request import gather_effects
-from ..land.bake_land import LandOperator, shaped_field
+from ..bridge.scene_paths import propose_file
+from ..job_operator import JobOperator
+from ..land.bake_land import shaped_field
+from ..land.shape_land import check_is_shaped
 from ..session import session
+from ..session.polls import on_terrain_object
 from ..terrain.request import RENDER
 from ..text.tile_lines import height_tiles_line, tileset_line
 from .exporting import check_target
@@ -36,7 +46,72 @@ def mask_requests(obj, depsgraph, field) -> tuple:
     return gather_effects(obj, evaluated, obj.matrix_world, depsgraph, RENDER, names).requests if names else ()
 
 
-class ExportHeightTiles(LandOperator, bpy.types.Operator, ExportHelper):
+class TileExport(JobOperator, ExportHelper):
+    """Base of operators that write tiles of a terrain's shaped land beside the window.
+
+    A subclass has `prepare(obj, depsgraph, field)`, which returns the modules of kernels that the export needs and a
+    function that writes on any thread: it gets a function for the progress, and returns the line to report. The dialog
+    proposes the terrain's name and `name_end`.
+    """
+
+    kind = jobs.EXPORT
+    shows_error_on_panel = False
+    name_end = ""
+
+    is_chosen: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context):
+        return on_terrain_object(cls, context) and super().poll(context)
+
+    def invoke(self, context, event):
+        """Ask for a file, or start the job once the file is chosen.
+
+        Refuse land that is not shaped yet: its shaping has its own job.
+        """
+        if self.is_chosen:
+            return JobOperator.invoke(self, context, event)
+        try:
+            check_is_shaped(context.object, context.evaluated_depsgraph_get())
+        except TerrainError as error:
+            return self.fail(context.object, str(error))
+        propose_file(self, context.object, self.name_end)
+        return ExportHelper.invoke(self, context, event)
+
+    def execute(self, context):
+        """Write before returning when a script calls it. After the dialog, invoke the operator that runs the job."""
+        if not self.options.is_invoke:
+            return JobOperator.execute(self, context)
+        operator = getattr(bpy.ops.adaptive_terrain, self.bl_idname.partition(".")[2])
+        operator("INVOKE_DEFAULT", is_chosen=True, **self.as_keywords(ignore=("is_chosen",)))
+        return {"FINISHED"}
+
+    def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
+        """Open the shaped land and write on a thread; return the line to report."""
+        check_target(Path(self.filepath))
+        land = shaped_field(context.object, context.evaluated_depsgraph_get())
+
+        def open_land():
+            with session.engine_lock:
+                return land()
+
+        field = yield from jobs.run_on_thread(job, open_land)
+        job.raise_if_stopped()  # its terrain may be gone
+        modules, write = self.prepare(job.terrain(), bpy.context.evaluated_depsgraph_get(), field)
+        yield from jobs.prepare_kernels(job, modules)
+
+        def write_stoppable() -> str:
+            with stopping.checking(job.raise_if_stopped):
+                return write(job.progress)
+
+        return (yield from jobs.run_on_thread(job, write_stoppable))
+
+    def finish(self, _context, _obj, line: str) -> None:
+        """Report what was written."""
+        self.report({"INFO"}, line)
+
+
+class ExportHeightTiles(TileExport, bpy.types.Operator):
     """Write the heights of the land as tiles for game engines, its layers as masks, and their scale and position as a
     JSON file"""
 
@@ -96,8 +171,8 @@ class ExportHeightTiles(LandOperator, bpy.types.Operator, ExportHelper):
         for name in ("flip", "masks", "pattern"):
             column.prop(self, name)
 
-    def _carry_out(self, obj, depsgraph):
-        """Write the height tiles, the masks and their JSON beside the chosen file."""
+    def prepare(self, obj, depsgraph, field):
+        """Prepare to write the height tiles, the masks and their JSON beside the chosen file."""
         path, sizes = Path(self.filepath), {FREE: self.free_size, WHOLE: 0}
         settings = HeightTiles(
             form=path.suffix[1:].lower(),
@@ -108,15 +183,16 @@ class ExportHeightTiles(LandOperator, bpy.types.Operator, ExportHelper):
             name=path.stem,
             pattern=self.pattern,
         )
-        field = shaped_field(obj, depsgraph)
         masks = mask_requests(obj, depsgraph, field) if self.masks else ()
-        with session.engine_lock:
-            index = export_height_tiles(field, path.parent, settings, masks)
-        self.report({"INFO"}, height_tiles_line(settings.name, index))
-        return {"FINISHED"}
+
+        def write(on_progress) -> str:
+            index = export_height_tiles(field, path.parent, settings, masks, on_progress)
+            return height_tiles_line(settings.name, index)
+
+        return [ground, *kernels_of(plan(masks))], write
 
 
-class ExportTileset(LandOperator, bpy.types.Operator, ExportHelper):
+class ExportTileset(TileExport, bpy.types.Operator):
     """Write the land as 3D Tiles for viewers of globes and maps: glb files in levels of detail, each with the largest
     error that it has"""
 
@@ -140,12 +216,7 @@ class ExportTileset(LandOperator, bpy.types.Operator, ExportHelper):
         min=1,
     )
 
-    def _carry_out(self, obj, depsgraph):
-        """Write the 3D Tiles beside the chosen file."""
-        path = Path(self.filepath)
-        check_target(path)
-        field = shaped_field(obj, depsgraph)
-        with session.engine_lock:
-            report = export_tileset(field, path, self.error_m, self.triangles)
-        self.report({"INFO"}, tileset_line(path.name, report))
-        return {"FINISHED"}
+    def prepare(self, _obj, _depsgraph, field):
+        """Prepare to write the 3D Tiles beside the chosen file."""
+        path, options = Path(self.filepath), (self.error_m, self.triangles)
+        return [], lambda on_progress: tileset_line(path.name, export_tileset(field, path, *options, on_progress))

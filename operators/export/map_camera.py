@@ -20,7 +20,7 @@ from ...cbt_terrain.exporting.pictures import WORLD_FILES, write_geotiffs, write
 from ...cbt_terrain.run import stopping
 from ...cbt_terrain.run.partial_files import private_folder
 from ..bridge.camera import render_resolution
-from ..bridge.scene_paths import absolute_path
+from ..bridge.scene_paths import absolute_path, propose_file
 from ..importing.imported import imported_of
 from ..land import shaped_land
 from ..session import session, stale_renders
@@ -305,6 +305,12 @@ class RenderMap(bpy.types.Operator, ExportHelper):
     def poll(cls, context):
         cls.poll_message_set("The scene's camera is no map camera: use Map Camera first")
         return context.scene.camera is not None and EXTENT in context.scene.camera
+
+    def invoke(self, context, event):
+        """Propose the name of the terrain that the panels show."""
+        if (terrain := session.shown_terrain(context)) is not None:
+            propose_file(self, terrain, "_map")
+        return ExportHelper.invoke(self, context, event)
 
     @cancelled_by_errors
     def execute(self, context):

@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The shaped land as a store that needs no stack, and as rasters for other programs."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
 from bpy_extras.io_utils import ExportHelper
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.field.packing import copy_store
 from ...cbt_terrain.height_operators import derived_store
 from ...cbt_terrain.height_operators.export import WRITERS, check_export, export_raster
-from ..bridge.scene_paths import absolute_path, store_path
+from ..bridge.scene_paths import absolute_path, propose_file, store_path
 from ..importing import imported
 from ..importing.store_location import baked_folder
 from ..session import session
@@ -22,12 +24,7 @@ GLOB = ";".join(f"*{suffix}" for suffix in WRITERS)
 
 
 class LandOperator(TerrainObjectOperator):
-    """Base of operators that need land that is shaped at all levels; a subclass has `_carry_out`.
-
-    One that writes a file proposes the name of the terrain, `name_end` and its suffix.
-    """
-
-    name_end = ""
+    """Base of operators that need land that is shaped at all levels; a subclass has `_carry_out`."""
 
     def invoke(self, context, event):
         """Refuse land that is not shaped yet: shaping it here would block the window.
@@ -39,12 +36,10 @@ class LandOperator(TerrainObjectOperator):
         except TerrainError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        if not isinstance(self, ExportHelper):
+        if not hasattr(self, "filepath"):
             return self.execute(context)
-        if not self.filepath:
-            name = bpy.path.clean_name(context.object.name) + self.name_end + self.filename_ext
-            self.filepath = str(Path(bpy.data.filepath).with_name(name)) if bpy.data.filepath else name
-        return super().invoke(context, event)
+        propose_file(self, context.object, "_heights")
+        return ExportHelper.invoke(self, context, event)
 
     @cancelled_by_errors
     def execute(self, context):
@@ -53,13 +48,14 @@ class LandOperator(TerrainObjectOperator):
         return self._carry_out(context.object, context.evaluated_depsgraph_get())
 
 
-def shaped_field(obj, depsgraph):
-    """Return the height field of a terrain's shaped land; it is shaped now, which takes long, if it is not yet.
+def shaped_field(obj, depsgraph) -> Callable[[], HeightField]:
+    """Return a function that opens the height field of a terrain's shaped land, on any thread.
 
-    Without a stack this is the imported height field. Raises TerrainError.
+    It shapes the land first, which takes long, if it is not shaped yet. Without a stack this is the imported height
+    field. Both raise TerrainError.
     """
-    land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
-    return derived_store.raster_of(store_path(obj), land, session.open_field, verified=True)
+    store, land = store_path(obj), land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
+    return lambda: derived_store.raster_of(store, land, session.open_field, verified=True)
 
 
 class BakeLand(LandOperator, bpy.types.Operator):
@@ -118,6 +114,6 @@ class ExportHeights(LandOperator, bpy.types.Operator, ExportHelper):
     def _carry_out(self, obj, depsgraph):
         """Write the heights and the layers of the shaped land as rasters named after the chosen file."""
         check_export(self.filepath)
-        files = export_raster(shaped_field(obj, depsgraph).path, self.filepath)
+        files = export_raster(shaped_field(obj, depsgraph)().path, self.filepath)
         self.report({"INFO"}, f"Written: {', '.join(file.name for file in files)}")
         return {"FINISHED"}

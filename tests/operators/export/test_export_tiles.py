@@ -2,18 +2,22 @@
 """The operators and commands that write tiles for other programs."""
 
 import json
-from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.exporting import tileset
 from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.run import launch
+from adaptive_terrain.operators import jobs
 from adaptive_terrain.operators.cli import command_line
-from adaptive_terrain.operators.export.export_tiles import ExportTileset
-from adaptive_terrain.operators.land.bake_land import LandOperator
-from bpy_extras.io_utils import ExportHelper
+from adaptive_terrain.operators.export.export_terrain import ExportTerrain
+from adaptive_terrain.operators.export.export_tiles import ExportHeightTiles, ExportTileset
+from adaptive_terrain.operators.export.map_camera import RenderMap
+from adaptive_terrain.operators.land.bake_land import ExportHeights
 from land_scenes import add
+from modal_runs import RunningOperator, running, to_the_end
 from tilesets import read_tileset
 
 
@@ -62,17 +66,62 @@ def test_the_operator_and_the_command_write_the_same_tileset(terrain, tmp_path, 
     assert command_line.main([*argv, str(tmp_path / "none" / "a.json")]) == 1
 
 
-@pytest.mark.parametrize(("end", "expected"), [("", "Terrain.json"), (ExportTileset.name_end, "Terrain_tileset.json")])
-def test_the_dialog_proposes_the_name_of_the_terrain(terrain, end, expected):
-    """So the JSON files of height tiles and of a tileset have different names."""
-    proposing = type(
-        "Proposing", (LandOperator, ExportHelper), {"filepath": "", "filename_ext": ".json", "name_end": end}
-    )
+NAMES = {
+    ExportHeightTiles: "Terrain.png",
+    ExportTileset: "Terrain_tileset.json",
+    ExportHeights: "Terrain_heights.tif",
+    ExportTerrain: "Terrain.ply",
+    RenderMap: "Terrain_map.png",
+}
+
+
+@pytest.mark.parametrize("operator_class", NAMES)
+def test_the_dialog_proposes_the_terrain_beside_its_source(terrain, operator_class, tmp_path):
+    """No two proposals are one name, and none is that of a source."""
+    terrain.adaptive_terrain.source, terrain.adaptive_terrain.source_path = "FILE", str(tmp_path / "alps.tif")
     context = SimpleNamespace(
         object=terrain,
+        scene=bpy.context.scene,
         evaluated_depsgraph_get=bpy.context.evaluated_depsgraph_get,
         window_manager=SimpleNamespace(fileselect_add=lambda _operator: None),
         blend_data=bpy.data,
     )
-    operator = proposing()
-    assert operator.invoke(context, None) == {"RUNNING_MODAL"} and Path(operator.filepath).name == expected
+    operator = RunningOperator(operator_class=operator_class, filepath="", is_chosen=False)
+    assert operator_class.invoke(operator, context, None) == {"RUNNING_MODAL"}
+    assert operator.filepath == str(tmp_path / NAMES[operator_class])
+
+
+@pytest.fixture
+def export(terrain, tmp_path):
+    """Return a function that starts the export of a tileset in a window, after its file is chosen."""
+    return lambda: running(
+        ExportTileset, terrain, filepath=str(tmp_path / "a.json"), is_chosen=True, error_m=2.0, triangles=300
+    )
+
+
+def test_a_window_exports_beside_its_work(export, tmp_path):
+    operator = export()
+    assert operator.began == {"RUNNING_MODAL"} and jobs.running == [operator.job]
+    assert to_the_end(operator) == {"FINISHED"} and len(read_tileset(tmp_path / "a.json")[1]) > 4
+    assert " tiles in " in operator.report.call_args.args[1]
+
+
+def test_a_cancelled_export_leaves_no_half_tileset(export, tmp_path, monkeypatch):
+    """The JSON file of an earlier export would describe tiles of two exports."""
+    assert to_the_end(export()) == {"FINISHED"}
+    operator, written = export(), tileset.written_beside
+
+    def stop_at_the_third(path):
+        if path.name.startswith("a_2_"):
+            operator.job.stop()
+        return written(path)
+
+    monkeypatch.setattr(tileset, "written_beside", stop_at_the_third)
+    assert to_the_end(operator) == {"CANCELLED"} and not jobs.running
+    assert not (tmp_path / "a.json").exists() and not list(tmp_path.glob("*partial*"))
+
+
+def test_an_export_stops_within_a_level(export, monkeypatch):
+    operator = export()
+    monkeypatch.setattr(tileset.Terrain, "update", lambda *_some: [operator.job.stop(), launch.stopping.check()])
+    assert to_the_end(operator) == {"CANCELLED"}

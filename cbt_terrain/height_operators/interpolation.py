@@ -15,10 +15,26 @@ def add_change(
 
     before: heights of the coarse level. rows, columns: positions of the source's samples in that level, float64.
     """
+    ground, mean, detail, clipped = _parts(source, before, change, rows, columns)
+    return ground + mean + (detail - clipped)
+
+
+def finer_change(
+    source: np.ndarray, before: np.ndarray, change: np.ndarray, rows: np.ndarray, columns: np.ndarray
+) -> np.ndarray:
+    """Return the change that `add_change` makes, exactly 0 where the change around it is 0."""
+    _, mean, _, clipped = _parts(source, before, change, rows, columns)
+    return mean - clipped
+
+
+def _parts(
+    source: np.ndarray, before: np.ndarray, change: np.ndarray, rows: np.ndarray, columns: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the interpolated coarse ground and change, the source's height above the former, and what it loses."""
     ground, mean = interpolate(before, rows, columns), interpolate(change, rows, columns)
     low, high = (interpolate(_extreme(of, change), rows, columns) for of in (np.minimum, np.maximum))
     detail = source - ground
-    return ground + mean + (detail - np.clip(detail, mean - high, mean - low))
+    return ground, mean, detail, np.clip(detail, mean - high, mean - low)
 
 
 def _extreme(extreme: np.ufunc, samples: np.ndarray) -> np.ndarray:

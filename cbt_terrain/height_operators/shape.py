@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..field.heightfield import HeightField
+from .interpolation import finer_change
 from .level_plan import UPSAMPLED, WHOLE
 from .level_runs import TileSums, apply_run
 from .level_work import Arrays, LandWindow, LevelGround, LevelWork, zero_holes
@@ -20,6 +21,8 @@ from .shaping import Added, Finished, Shaping
 from .stack import Stack
 from .tile_cache import TileCache
 from .tiles import Level, Wanted
+
+ROWS = 256  # of the raster that are interpolated at a time
 
 
 @dataclass(eq=False)
@@ -157,9 +160,9 @@ def _result(run: Shaping, state: LevelState | None, early: bool) -> Shaped:
     if state is None:
         return Shaped(np.zeros(shape_, np.float32), {}, depths, 0, run.tiles, counts, run.added, (0.0, 0.0), early)
     left_max, left_mean_square = _left_out(run, state)
-    total, layers = state.total, state.layers
+    total, layers = _change_of_raster(run, state) if early else state.total, state.layers
     for level in reversed(levels[: state.level.number]):
-        total = finer(total, level.shape)
+        total = total if early else finer(total, level.shape)
         layers = {name: finer(layer, level.shape) for name, layer in layers.items()}
     if state.level.number and run.heights.valid is not None:
         missing = run.heights.valid == 0
@@ -168,6 +171,20 @@ def _result(run: Shaping, state: LevelState | None, early: bool) -> Shaped:
     return Shaped(
         np.ascontiguousarray(total), layers, depths, state.level.number, run.tiles, counts, run.added, left, early
     )
+
+
+def _change_of_raster(run: Shaping, state: LevelState) -> np.ndarray:
+    """Return the change of the last computed level at the raster's samples, without spikes at cliffs."""
+    number, before = state.level.number, LevelGround.of(run.heights, state.level).heights
+    result = np.empty((run.heights.lattice.height, run.heights.lattice.width), np.float32)
+    columns = np.arange(result.shape[1]) / (1 << number)
+    for row in range(0, len(result), ROWS):
+        rows = slice(row, min(row + ROWS, len(result)))
+        # The coarse rows around these, and one more on each side, because the extremes around a row count.
+        coarse = slice(max((rows.start >> number) - 1, 0), (rows.stop - 1 >> number) + 3)
+        at = np.arange(rows.start, rows.stop) / (1 << number) - coarse.start
+        result[rows] = finer_change(run.heights.heights(rows), before[coarse], state.total[coarse], at, columns)
+    return result
 
 
 def _left_out(run: Shaping, state: LevelState) -> tuple[float, float]:

@@ -190,7 +190,7 @@ def raster_of(store: str, land: Land | None, open_field: OpenField, verified: bo
 def _shape(land: Land, open_field: OpenField) -> None:
     """Shape the tiles of a land that its folder lacks, together with those requested earlier."""
     wanted = wanted_tiles(land, open_field)
-    if not is_whole(land, open_field) or not requested_tiles.has(land.folder, wanted):
+    if not has_tiles(land, wanted, open_field):
         wanted = requested_tiles.with_known(land.folder, wanted)
         tell = functools.partial(on_shaping, land)
         try:
@@ -201,9 +201,12 @@ def _shape(land: Land, open_field: OpenField) -> None:
         counts["stores"] += 1
 
 
-def begin_shaping(land: Land, open_field: OpenField, gentle: bool = False) -> tuple[ShapeJob, Tiles | None]:
-    """Begin to shape land in a child process; return the job and the tiles that `finish_shaping` needs."""
-    wanted = requested_tiles.with_known(land.folder, wanted_tiles(land, open_field))
+def begin_shaping(land: Land, wanted: Tiles | None, gentle: bool = False) -> tuple[ShapeJob, Tiles | None]:
+    """Begin to shape land in a child process; return the job and the tiles that `finish_shaping` needs.
+
+    wanted: result of `wanted_tiles`.
+    """
+    wanted = requested_tiles.with_known(land.folder, wanted)
     return ShapeJob(land.source, land.stack, land.folder, wanted, tiles=land.tiles, gentle=gentle), wanted
 
 
@@ -227,6 +230,11 @@ def is_whole(land: Land, open_field: OpenField) -> bool:
         _remove_damaged(land.folder, error)
         return False
     return land_folder.records(found.provenance, land.folder, _source_key(land.source))
+
+
+def has_tiles(land: Land, wanted: Tiles | None, open_field: OpenField) -> bool:
+    """Return whether the derived store is there with these tiles, None for all; remove one that is damaged."""
+    return is_whole(land, open_field) and requested_tiles.has(land.folder, wanted)
 
 
 def wanted_tiles(land: Land, open_field: OpenField) -> Tiles | None:

@@ -162,12 +162,12 @@ def _create_job(land: Land, tiles_alone: bool) -> tuple[ShapeJob, requested_tile
     The job makes the whole land where that costs less than the tiles, unless renders need `tiles_alone`.
     """
     wanted = derived_store.wanted_tiles(land, session.open_field)
-    if derived_store.is_whole(land, session.open_field) and requested_tiles.has(land.folder, wanted):
+    if derived_store.has_tiles(land, wanted, session.open_field):
         return None
     lattice = shaping_cost.lattice_of(land.source)
     if not tiles_alone and shaping_cost.costs_less_whole_than(lattice, land.stack, land.folder, wanted):
-        land = replace(land, of_views=False, seen=None)
-    return *derived_store.begin_shaping(land, session.open_field, gentle=True), land
+        land, wanted = replace(land, of_views=False, seen=None), None
+    return *derived_store.begin_shaping(land, wanted, gentle=True), land
 
 
 def _shape_in_steps(job: jobs.BackgroundJob, begun: Future) -> jobs.Steps:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Shape the land in a child process: Blender stays usable, and the mesh shows the result when it is there."""
 
+from collections.abc import Container
 from contextlib import suppress
 from dataclasses import replace
 
@@ -8,7 +9,7 @@ import bpy
 import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.height_operators import derived_store
+from ...cbt_terrain.height_operators import derived_store, requested_tiles
 from ...cbt_terrain.height_operators.derived_store import Land
 from ...cbt_terrain.height_operators.requested_tiles import SeenTiles
 from ...cbt_terrain.view.view import View
@@ -65,13 +66,17 @@ def _visit_views(obj, scene, land: Land, frames: list[int]):
     yield from visit_views(obj, scene, frames, placement)
 
 
-def next_unshaped(context):
-    """Return the first terrain that a render would wait for, because its land is not shaped; None if there is none."""
+def next_unshaped(context, done: Container[str] = ()):
+    """Return the first terrain that a render may wait for; None if there is none.
+
+    Its land is not shaped, or shaped only where shots look: whether tiles are missing takes too long to say here. done:
+    names of terrains to leave out.
+    """
     depsgraph = context.evaluated_depsgraph_get()
     for obj in session.terrains_of(context.scene):
         with suppress(TerrainError):  # the render reports it
             land = None if obj.hide_render else land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
-            if land is not None and not land.is_shaped:
+            if land is not None and obj.name not in done and (land.of_views or not land.is_shaped):
                 return obj
     return None
 
@@ -85,6 +90,10 @@ class _Shaping(JobOperator):
         """Return the frames whose views are to be fine."""
         return frames_of(scene)
 
+    def needs_shaping(self, land: Land, wanted: requested_tiles.Tiles | None) -> bool:
+        """Return whether land has to be shaped, for its views the tiles `wanted`."""
+        return True
+
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Shape the land of the frames in a child process: the steps of a background job, which returns the land."""
         obj, scene, depsgraph = self.subject(context), context.scene, context.evaluated_depsgraph_get()
@@ -92,8 +101,12 @@ class _Shaping(JobOperator):
         visits = _visit_views(obj, scene, wanted_land(obj, depsgraph), self.frames(scene))
         views = yield from jobs.visit_frames(job, visits)
         land = wanted_land(job.terrain(), bpy.context.evaluated_depsgraph_get(), views)
+        job.progress(0.0, resting_land.CHOOSING if land.seen else "")
+        wanted = yield from jobs.run_on_thread(job, lambda: derived_store.wanted_tiles(land, session.open_field))
         derived_store.is_whole(land, session.open_field)  # removes damaged land
-        child, wanted = derived_store.begin_shaping(land, session.open_field)
+        if not self.needs_shaping(land, wanted):
+            return land
+        child, wanted = derived_store.begin_shaping(land, wanted)
         derived_store.counts["stores"] += 1
         yield from jobs.run_in_child(job, child)
         yield from jobs.wait_for_kernels(job)  # the end of shaping may update the mesh
@@ -142,6 +155,7 @@ class ShapeAndRender(_Shaping, bpy.types.Operator):
     bl_label = "Shape and Render"
 
     animation: bpy.props.BoolProperty(name="Animation", description="Render all frames", options={"SKIP_SAVE"})
+    done: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})  # names of terrains, a line each
 
     @classmethod
     def poll(cls, context):
@@ -150,10 +164,14 @@ class ShapeAndRender(_Shaping, bpy.types.Operator):
 
     def invoke(self, context, event):
         resting_land.give_way()
-        return super().invoke(context, event)
+        return JobOperator.invoke(self, context, event)
 
     def subject(self, context):
-        return next_unshaped(context)
+        return next_unshaped(context, self.done.splitlines())
+
+    def needs_shaping(self, land: Land, wanted: requested_tiles.Tiles | None) -> bool:
+        """Return whether tiles are missing; land that was finished early is rendered as it is."""
+        return not derived_store.has_tiles(land, wanted, session.open_field)
 
     def frames(self, scene) -> list[int]:
         return frames_of(scene) if self.animation else [scene.frame_current]
@@ -163,14 +181,16 @@ class ShapeAndRender(_Shaping, bpy.types.Operator):
 
     def finish(self, context, obj, land: Land | None = None) -> None:
         """Go on with the next terrain, or render."""
-        super().finish(context, obj, land)
-        window, animation, other = context.window, self.animation, next_unshaped(context)
+        _Shaping.finish(self, context, obj, land)
+        window, done, options = context.window, f"{self.done}\n{obj.name}", {"animation": self.animation}
+        operator = bpy.ops.render.render
+        if next_unshaped(context, done.splitlines()) is not None:
+            operator, options = bpy.ops.adaptive_terrain.shape_and_render, options | {"done": done}
 
         def go_on() -> None:
             """Render, or shape the next terrain and then render."""
-            operator = bpy.ops.adaptive_terrain.shape_and_render if other not in (None, obj) else bpy.ops.render.render
             with bpy.context.temp_override(window=window):
-                operator("INVOKE_DEFAULT", animation=animation)
+                operator("INVOKE_DEFAULT", **options)
 
         bpy.app.timers.register(go_on, first_interval=0.0)  # this job has ended by then
 

@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A render that waits for land shows its progress."""
 
+import shutil
 from types import SimpleNamespace
 
 import bpy
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.height_operators import derived_store
-from adaptive_terrain.operators import handlers
-from adaptive_terrain.operators.land import panel, render_wait, shape_land, shaped_land
+from adaptive_terrain.operators import handlers, jobs
+from adaptive_terrain.operators.land import panel, render_wait, resting_land, shape_land, shaped_land
 from adaptive_terrain.operators.session import session, stale_renders
 from adaptive_terrain.operators.ui import status_bar
 from land_scenes import add
+from modal_runs import running, to_the_end
 
 
 def test_a_render_shows_the_land_that_it_waits_for(terrain, monkeypatch, capsys):
@@ -89,6 +91,27 @@ def test_f12_shapes_first_what_a_render_would_wait_for(terrain):
     terrain.hide_render = False
     assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
     assert not bpy.ops.adaptive_terrain.shape_and_render.poll(), "Blender's own F12 gets the key"
+
+
+def test_f12_shapes_first_the_tiles_that_a_shot_lacks(scene, terrain, wide_store, tmp_path, monkeypatch):
+    """The render then finds them; where none is missing, it begins at once."""
+    shutil.copytree(wide_store, tmp_path / "wide")
+    terrain.adaptive_terrain.store, terrain.adaptive_terrain.land.where = str(tmp_path / "wide"), "SEEN"
+    add("relief", wave=64.0, plains=0.2)
+    later = []
+    monkeypatch.setattr(bpy.app.timers, "register", lambda function, **_options: later.append(function))
+    stores = []
+    for east in (-4000.0, -4000.0, 4000.0):
+        scene.camera.location, scene.camera.rotation_euler = (east, 0.75 * east, 460.0), (0.0, 0.0, 0.0)
+        bpy.context.view_layer.update()
+        operator = running(shape_land.ShapeAndRender, terrain, animation=False, done="")
+        assert jobs.find(jobs.SHAPE, terrain).message == resting_land.CHOOSING
+        assert to_the_end(operator) == {"FINISHED"}
+        stores.append(derived_store.counts["stores"])
+        session.update_object(terrain, mode="RENDER")
+        assert derived_store.counts["stores"] == stores[-1]
+    assert stores == [1, 1, 2] and len(later) == 3
+    assert shape_land.next_unshaped(bpy.context, [terrain.name]) is None, "the render comes next"
 
 
 def test_the_button_tells_the_seconds(terrain):

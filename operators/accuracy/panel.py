@@ -116,17 +116,18 @@ def _bound_label(value: float, unit: str, digits: int) -> str:
     return f"≤ {bound_text(shown, unit, digits)}" if value < LARGEST else NO_BOUND
 
 
-def summary_lines(status, sees_nothing: bool = False) -> list[tuple[str, str]]:
+def summary_lines(status, sees_nothing: bool = False, is_behind: bool = False) -> list[tuple[str, str]]:
     """Return the three lines at the panel's top, also before the first update.
 
-    sees_nothing: whether the camera has no view of the terrain, so that its bound in pixels means nothing.
+    sees_nothing: whether the camera has no view of the terrain, so that its bound in pixels means nothing. is_behind:
+    whether an update is under way, so that the last one may be of a camera without a view.
     """
     if not status.mode:
         return [("Triangles", "-"), ("Error bound", "-"), ("Update", "-")]
     name, value, unit, _ = (_list_bounds(status) or [("Error bound", None, "", None)])[0]
     bound = "-" if value is None else _bound_label(value, unit, 3)
-    if sees_nothing and unit.startswith("px") and value == 0.0:
-        bound = "no view"
+    if unit.startswith("px") and value == 0.0 and (sees_nothing or is_behind):
+        bound = "no view" if sees_nothing else "updating"
     ms = sum(status.ms.get(step, 0.0) for step in ("total", "overlay", "mesh"))
     return [("Triangles", f"{status.left:,}"), (name, bound), ("Update", f"{plain(ms)} ms")]
 

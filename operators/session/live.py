@@ -127,6 +127,11 @@ def seconds_under_way() -> float:
     return time.monotonic() - _started if _job is not None and not _job.future.done() else 0.0
 
 
+def is_behind() -> bool:
+    """Return whether an update is due or runs, so that the figures of the last one may be those of another view."""
+    return _job is not None or _dirty and (warmup.preparing() or not _follows_viewport)
+
+
 def stage() -> str:
     """Return the current work of the worker, for the status bar."""
     return _stage

@@ -13,7 +13,7 @@ from ..layers import panel as layers_panel
 from ..maps import panel as maps_panel
 from ..overlay import panel as overlay_panel
 from ..scatter import panel as scatter_panel
-from ..session import session
+from ..session import live, session
 from ..session.polls import LEFT_ALONE
 from ..terrain import panel as detail_panel
 from ..terrain.properties import CHOSEN_CAMERA
@@ -84,7 +84,7 @@ def _draw_without_terrain(layout, obj) -> None:
 def _figures_of(context, obj) -> list[tuple[str, str]]:
     """Return three (name, value) rows about the last update: triangles, error bound and time."""
     sees_nothing = sight_notice(context, obj)[0] in NO_VIEW
-    return statistics_panel.summary_lines(session.record_of(obj).status, sees_nothing)
+    return statistics_panel.summary_lines(session.record_of(obj).status, sees_nothing, live.is_behind())
 
 
 def _draw_state(box, context, obj) -> None:

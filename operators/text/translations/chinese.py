@@ -344,6 +344,7 @@ LABELS = {
     "Update": "更新",
     "Update Collider": "更新碰撞体",
     "Update Water": "更新水",
+    "updating": "正在更新",
     "Variation": "变化",
     "Variety": "岩性变化",
     "Vertical (m)": "垂直 (m)",

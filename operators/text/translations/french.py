@@ -350,6 +350,7 @@ LABELS = {
     "Update": "Actualiser",
     "Update Collider": "Actualiser le collisionneur",
     "Update Water": "Actualiser l’eau",
+    "updating": "mise à jour",
     "Variation": "Variation",
     "Variety": "Variabilité",
     "Vertical (m)": "Vertical (m)",

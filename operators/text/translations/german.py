@@ -348,6 +348,7 @@ LABELS = {
     "Update": "Aktualisieren",
     "Update Collider": "Kollisionskörper aktualisieren",
     "Update Water": "Wasser aktualisieren",
+    "updating": "wird aktualisiert",
     "Variation": "Variation",
     "Variety": "Schwankung",
     "Vertical (m)": "Vertikal (m)",

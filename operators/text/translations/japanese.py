@@ -346,6 +346,7 @@ LABELS = {
     "Update": "更新",
     "Update Collider": "コライダーを更新",
     "Update Water": "水を更新",
+    "updating": "更新中",
     "Variation": "ばらつき",
     "Variety": "岩質のばらつき",
     "Vertical (m)": "垂直 (m)",

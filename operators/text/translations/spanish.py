@@ -348,6 +348,7 @@ LABELS = {
     "Update": "Actualizar",
     "Update Collider": "Actualizar colisionador",
     "Update Water": "Actualizar agua",
+    "updating": "actualizando",
     "Variation": "Variación",
     "Variety": "Variedad",
     "Vertical (m)": "Vertical (m)",

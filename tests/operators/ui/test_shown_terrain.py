@@ -52,5 +52,7 @@ def test_a_camera_underground_has_no_view(scene, add_terrain, height):
     figures = dict(summary_lines(status, notice in NO_VIEW))
     if height < 0:
         assert notice == "Camera underground" and status.bounds.bound_px == 0.0 and "no view" in figures.values()
+        assert "updating" in dict(summary_lines(status, False, is_behind=True)).values(), "the camera has just moved"
     else:
         assert notice == "" and status.bounds.bound_px > 0.0 and "no view" not in figures.values()
+        assert dict(summary_lines(status, False, is_behind=True)) == figures

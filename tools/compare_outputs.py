@@ -41,7 +41,7 @@ STACK = {
     "version": 1,
     "entries": [
         {"effect": "rivers", "parameters": {"years": 100000}, "seed": 4},
-        {"effect": "thermal", "mask": {"rules": [{"of": "slope", "low": 20, "edge": 10}]}},
+        {"effect": "scree", "mask": {"rules": [{"of": "slope", "low": 20, "edge": 10}]}},
         {"effect": "droplets", "parameters": {"droplets": 2000}},
         {"effect": "relief"},
         {"effect": "water"},
@@ -89,7 +89,7 @@ camera.rotation_euler = (1.2, 0.0, 0.0)
 for frame, y in ((1, -2500.0), (3, -1500.0)):
     camera.location = (0.0, y, 900.0)
     camera.keyframe_insert("location", frame=frame)
-bpy.ops.adaptive_terrain.land_add(effect="thermal")
+bpy.ops.adaptive_terrain.land_add(effect="scree")
 bpy.ops.adaptive_terrain.layer_preset_add()
 bpy.ops.adaptive_terrain.layer_add()
 bpy.ops.adaptive_terrain.terrain_material()

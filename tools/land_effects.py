@@ -30,7 +30,7 @@ GAP, LETTERS = 8, 20  # pixels between pictures of a sheet, and of the line belo
 # 1), and what of its layers is drawn over the ground.
 SHOWN: dict[str, tuple[dict, tuple[float, float, float], str]] = {
     "rivers": ({"years": 4e5}, (0.05, 0.05, 0.9), ""),
-    "thermal": ({}, (0.4, 0.36, 0.3), "scree"),
+    "scree": ({}, (0.4, 0.36, 0.3), "scree"),
     "relief": ({"wave": 128.0, "beds": 60.0}, (0.44, 0.4, 0.2), ""),
     "snow": ({"line": 450.0}, (0.25, 0.2, 0.6), "snow"),
     "water": ({}, (0.1, 0.3, 0.5), "water_depth"),

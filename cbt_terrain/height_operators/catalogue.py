@@ -16,6 +16,19 @@ HEIGHT_OPERATORS: dict[str, HeightOperator] = {
     effect.name: effect for effect in (RIVERS, THERMAL, DROPLETS, RELIEF, WATER, FLOOD, SNOW)
 }
 
+# Earlier names of operators in files and scripts. Keys of stored land contain them, so that it stays valid.
+RENAMED = {"thermal": "scree"}
+
+
+def operator_of(name: str) -> HeightOperator | None:
+    """Return the height operator with this name or earlier name, None if there is none."""
+    return HEIGHT_OPERATORS.get(RENAMED.get(name, name))
+
+
+def key_name(name: str) -> str:
+    """Return the name of a height operator in keys of stored land: the earlier one, if it had another."""
+    return next((before for before, now in RENAMED.items() if now == name), name)
+
 
 def register_height_operator(operator: HeightOperator) -> None:
     """Add a height operator to the list.
@@ -25,7 +38,7 @@ def register_height_operator(operator: HeightOperator) -> None:
     Raises:
         TerrainError: the name is taken or is no identifier.
     """
-    check_free_name("height operator", operator.name, HEIGHT_OPERATORS)
+    check_free_name("height operator", operator.name, {*HEIGHT_OPERATORS, *RENAMED})
     HEIGHT_OPERATORS[operator.name] = operator
 
 

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from ..field.heightfield import HeightField
+from .catalogue import key_name
 from .height_operator import Change, HeightOperator, OperatorGround
 from .level_plan import LevelPlan
 from .levels import apply_mask
@@ -164,7 +165,7 @@ def _result_key(entry: Entry, ground: OperatorGround, coarser: np.ndarray | None
     coarser: its interpolated coarser change, None at the coarsest level. kind: "whole" or "tile".
     """
     effect = entry.declaration
-    method = METHOD, kind, effect.name, effect.version, sorted(entry.values.items()), ground.seed
+    method = METHOD, kind, key_name(effect.name), effect.version, sorted(entry.values.items()), ground.seed
     position = ground.first, ground.whole, ground.level, ground.step_x, ground.step_y, ground.size, ground.target
     mask = ground.mask if effect.masks else None
     arrays = [ground.heights, ground.missing, mask, coarser]

@@ -12,6 +12,7 @@ from ..field import store_folder
 from ..field.lattice import Lattice, fit
 from ..view.linear import add_up
 from . import requested_tiles
+from .catalogue import RENAMED
 from .land_folder import folder_beside, is_land_name
 from .level_plan import MAX_WHOLE, LevelPlan
 from .preview import Preview
@@ -110,6 +111,6 @@ def _measured_rates(earlier: Iterable[dict]) -> tuple[dict[str, float], float]:
             new = [one for one in added if one["computed"] == one["made"] > 0 and one["planned_ms"] > 0.0]
             for effect in {one["effect"] for one in new}:
                 ms, planned = (add_up(o[name] for o in new if o["effect"] == effect) for name in ("ms", "planned_ms"))
-                rates[effect] = ms / planned
+                rates[RENAMED.get(effect, effect)] = ms / planned
             rest_s = max(content["report"]["seconds"] - add_up(one["ms"] for one in added) / 1e3, 0.0)
     return rates, rest_s

@@ -28,7 +28,7 @@ from ..attributes.layers import NAMES as BY_PRODUCTS
 from ..errors import TerrainError, named_once, shown
 from ..plain_numbers import keep_plain_numbers, plain_number
 from ..run.named_file import cause, open_regular, read_named
-from .catalogue import HEIGHT_OPERATORS
+from .catalogue import HEIGHT_OPERATORS, RENAMED, key_name
 from .height_operator import HeightOperator
 from .mask import GroundRule, HeightMask
 
@@ -57,8 +57,12 @@ class Entry:
     name: str = ""
 
     def __post_init__(self) -> None:
-        """Convert numbers of other libraries, as NumPy's, to Python's, so that keys and JSON are the same."""
+        """Convert numbers of other libraries, as NumPy's, to Python's, and an earlier name of the effect to its name.
+
+        So keys and JSON are the same.
+        """
         keep_plain_numbers(self, "A stack entry's")
+        object.__setattr__(self, "effect", RENAMED.get(self.effect, self.effect))
         if isinstance(self.parameters, Mapping):
             parameters = {n: plain_number(v, float, f"The parameter {n}") for n, v in self.parameters.items()}
             object.__setattr__(self, "parameters", parameters)
@@ -106,7 +110,7 @@ class Stack:
             mask = entry.mask
             mark = None if mask is None else (replace(mask, image=""), _file_mark(mask.image), *mask.versions)
             values = sorted(entry.values.items())
-            content.append((entry.effect, entry.declaration.version, values, entry.seed, mark))
+            content.append((key_name(entry.effect), entry.declaration.version, values, entry.seed, mark))
         return hashlib.blake2b(repr(content).encode(), digest_size=16).hexdigest()
 
 

@@ -92,7 +92,7 @@ def settle_scree(
     """
     slope, rest = pack_slope(ground, values, base, left, scree), np.zeros_like(scree)
     inputs, cost = [slope, LONGEST, OCTAVES, values["uneven"] * slope.repose], 3.0 * slope.width
-    launch.spread(kernels.vary_repose, slope.height, inputs, step="thermal", threads=ground.threads, cost=cost)
+    launch.spread(kernels.vary_repose, slope.height, inputs, step="scree", threads=ground.threads, cost=cost)
     breaking, sweeps = times * BREAKING, times * (BREAKING + RESTING)
     recorded: dict = {}
     for number in range(sweeps):
@@ -112,7 +112,7 @@ def sweep(slope: kernels.Slope, number: int, threads: int, recorded: dict | None
 
     The order of slabs alternates, else those of one parity would erode more than the others.
     """
-    spread, odd = partial(launch.spread, step="thermal", threads=threads, recorded=recorded), number & 1
+    spread, odd = partial(launch.spread, step="scree", threads=threads, recorded=recorded), number & 1
     spread(kernels.face_rows, slope.height, [slope], cost=0.1 * slope.width)
     for along, parity in ((1, odd), (0, 1 - odd)):
         first = -((parity ^ slope.first_row) & 1)
@@ -161,16 +161,16 @@ def example(shape: Evaluate) -> None:
     """Assert that a cliff of 100 m in a bed of 60 degrees breaks and conserves mass, and no slope of 30 does."""
     x = np.tile(np.arange(65, dtype=np.float32), (33, 1))
     one_bed = {"soft_angle": 60.0, "hard_angle": 60.0, "depth": 20.0}
-    change = shape("thermal", np.where(x < 32, np.float32(100.0), np.float32(0.0)), 10.0, **one_bed)
+    change = shape("scree", np.where(x < 32, np.float32(100.0), np.float32(0.0)), 10.0, **one_bed)
     wear, scree = (change.layers[name].astype(np.float64).sum() for name in ("wear", "scree"))
     assert wear > 33 * 10.0 and abs(scree - wear) < 1e-6 * wear
     assert change.heights[:, 31].max() < -10.0 and change.heights[:, 33].min() > 3.0
-    change = shape("thermal", np.float32(10.0 * math.tan(math.radians(30.0))) * x, 10.0, uneven=0.0)
+    change = shape("scree", np.float32(10.0 * math.tan(math.radians(30.0))) * x, 10.0, uneven=0.0)
     assert not change.heights.any()
 
 
 THERMAL = HeightOperator(
-    name="thermal",
+    name="scree",
     label="Scree",
     about="Steep rock breaks off, and loose stones gather below at the angle at which they rest",
     apply=apply,

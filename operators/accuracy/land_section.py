@@ -4,7 +4,7 @@
 from itertools import groupby
 
 from ...cbt_terrain.field.heightfield import HeightField
-from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
+from ...cbt_terrain.height_operators.catalogue import operator_of
 from ..text.page_blocks import Heading, Table, Text
 
 HEAD = ["effect", "samples apart, m", "added, m rms", "m at most", "ms"]
@@ -20,7 +20,7 @@ def land_section(heights: HeightField, of: str) -> list:
         return []
     lines = [
         [
-            HEIGHT_OPERATORS[one["effect"]].label if one["effect"] in HEIGHT_OPERATORS else one["effect"],
+            getattr(operator_of(one["effect"]), "label", one["effect"]),
             *(f"{one[number]:.3g}" for number in ("spacing_m", "rms_m", "most_m")),
             f"{one['ms']:,.0f}" if one["computed"] else "known before",
         ]

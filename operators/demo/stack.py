@@ -22,7 +22,7 @@ STACK = Stack(
             seed=6,
             name="Rivers",
         ),
-        Entry("thermal", {"depth": 20.0, "bed": 60.0}, seed=2, name="Scree"),
+        Entry("scree", {"depth": 20.0, "bed": 60.0}, seed=2, name="Scree"),
         Entry(
             "relief",
             {"wave": 80.0, "roughness": 0.22, "plains": 0.0, "gain": 0.45, "beds": 40.0, "ledges": 0.6, "dip": 4.0},

@@ -3,14 +3,14 @@
 
 import bpy
 
-from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
+from ...cbt_terrain.height_operators.catalogue import operator_of
 
 PRESETS = "adaptive_terrain/land"  # the folder of stacks among Blender's presets
 
 
 def add_entry(land, effect: str):
     """Add an entry at the end of a stack, with a unique name and a seed that no other entry has."""
-    label = HEIGHT_OPERATORS[effect].label if effect in HEIGHT_OPERATORS else effect
+    label = getattr(operator_of(effect), "label", effect)
     used, seeds = {entry.name for entry in land.entries}, {entry.seed for entry in land.entries}
     entry = land.entries.add()
     entry.effect, entry.name = effect, free_name(label, used)

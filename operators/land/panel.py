@@ -7,7 +7,7 @@ The list and the rows below it have a fixed number: nothing moves while a user a
 import bpy
 from bl_ui.utils import PresetPanel
 
-from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
+from ...cbt_terrain.height_operators.catalogue import operator_of
 from .. import jobs
 from ..session import session
 from ..text.numbers import length_text, time_text, unit_text
@@ -35,7 +35,7 @@ class LandList(bpy.types.UIList):
         row = row.split(factor=NAME_WIDTH, align=True)
         left = row.row(align=True)
         left.active = entry.on
-        known = entry.effect in HEIGHT_OPERATORS
+        known = operator_of(entry.effect) is not None
         left.prop(entry, "name", text="", emboss=False, icon="NONE" if known else "ERROR")
         if entry.mask.kind != "NONE":
             left.label(icon="MOD_MASK")
@@ -163,7 +163,7 @@ class LandEffectPanel(TerrainSubpanel):
         """Draw the chosen entry: what its effect is, its parameters, seed and mask."""
         land = show_terrain(self.layout, context).adaptive_terrain.land
         entry = land.entries[land.active]
-        effect = HEIGHT_OPERATORS.get(entry.effect)
+        effect = operator_of(entry.effect)
         if effect is None:
             draw_fixed_lines(self.layout.column(align=True), str(land_stack.unknown_operator(entry.effect)), 4)
             return
@@ -171,7 +171,7 @@ class LandEffectPanel(TerrainSubpanel):
         column = self._columns()
         column.active = entry.on
         for parameter in effect.parameters:
-            column.prop(getattr(entry, effect.name), parameter.name)
+            column.prop(getattr(entry, entry.effect), parameter.name)
         column.separator()
         column.prop(entry, "seed")
         _draw_mask(column, entry.mask)

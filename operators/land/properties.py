@@ -17,7 +17,7 @@ from bpy.props import (
 
 from ...cbt_terrain.attributes import splat_rules as rules
 from ...cbt_terrain.attributes.attribute import Parameter
-from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
+from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS, RENAMED
 from ...cbt_terrain.height_operators.height_operator import HeightOperator
 from ...cbt_terrain.height_operators.mask import HEIGHT, SLOPE
 from ..layers.properties import BANDS, AspectSettings, band
@@ -92,6 +92,7 @@ def _make_group(effect: HeightOperator) -> type:
 
 
 GROUPS = {name: _make_group(effect) for name, effect in HEIGHT_OPERATORS.items()}
+EARLIER_GROUPS = {before: GROUPS[now] for before, now in RENAMED.items()}  # of entries in older files
 
 
 # What rules of masks are about -> its group, in the order of the menu.
@@ -161,7 +162,7 @@ class LandEntry(bpy.types.PropertyGroup):
     mask: PointerProperty(type=LandMask)
 
 
-for _name, _group in GROUPS.items():
+for _name, _group in (GROUPS | EARLIER_GROUPS).items():
     LandEntry.__annotations__[_name] = PointerProperty(type=_group)
 
 

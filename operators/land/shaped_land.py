@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
-from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
+from ...cbt_terrain.height_operators.catalogue import operator_of
 from ...cbt_terrain.height_operators.derived_store import Land, preview_of
 from ...cbt_terrain.height_operators.height_operator import LandLayer
 from ...cbt_terrain.height_operators.land_folder import folder_beside, is_of_views
@@ -224,14 +224,10 @@ def _read_provenance(store: str, _changed_ns: int) -> _ShapingInfo | None:
 
 def _label_of(effect: str) -> str:
     """Return the label of a height operator, or its name if this version does not have it."""
-    return HEIGHT_OPERATORS[effect].label if effect in HEIGHT_OPERATORS else effect
+    return getattr(operator_of(effect), "label", effect)
 
 
 def layers_left_by(land) -> list[LandLayer]:
     """Return the layers that the active entries leave in the shaped store, each once."""
-    effects = [
-        HEIGHT_OPERATORS[land.entries[n].effect]
-        for n in active_numbers(land)
-        if land.entries[n].effect in HEIGHT_OPERATORS
-    ]
-    return list({layer.name: layer for effect in effects for layer in effect.layers}.values())
+    effects = [operator_of(land.entries[n].effect) for n in active_numbers(land)]
+    return list({layer.name: layer for effect in effects if effect for layer in effect.layers}.values())

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
+from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS, operator_of
 from ...cbt_terrain.height_operators.mask import ASPECT, LIMITS, SLOPE, GroundRule, HeightMask
 from ...cbt_terrain.height_operators.stack import Entry, Stack
 from ...cbt_terrain.run.named_file import blocks_reader
@@ -15,7 +15,7 @@ from ..bridge.scene_paths import absolute_path, no_heights
 from ..importing.imported import imported_of
 from . import masks as land_masks
 from .entries import add_entry
-from .properties import BY_IMAGE, BY_OBJECT, BY_RULE, EVERYWHERE, GROUPS, RULES, number_of, set_number
+from .properties import BY_IMAGE, BY_OBJECT, BY_RULE, EVERYWHERE, RULES, number_of, set_number
 
 
 def unknown_operator(effect: str) -> TerrainError:
@@ -40,7 +40,7 @@ def stack_of(terrain, depsgraph, masks: Path) -> Stack:
 
 def _to_engine(entry, terrain, depsgraph, masks: Path) -> Entry:
     """Return the engine's Entry for an entry of the settings."""
-    if entry.effect not in GROUPS:
+    if operator_of(entry.effect) is None:
         raise unknown_operator(entry.effect)
     mask = _mask_of(entry, terrain, depsgraph, masks)
     return Entry(entry.effect, _changed_parameters(entry), entry.seed, True, mask, entry.name)
@@ -48,7 +48,7 @@ def _to_engine(entry, terrain, depsgraph, masks: Path) -> Entry:
 
 def _changed_parameters(entry) -> dict[str, float]:
     """Return the parameters of an entry that differ from their defaults, in declared units."""
-    declared = HEIGHT_OPERATORS[entry.effect].parameters
+    declared = operator_of(entry.effect).parameters
     numbers = [(parameter, number_of(parameter, getattr(entry, entry.effect))) for parameter in declared]
     return {parameter.name: number for parameter, number in numbers if number != parameter.default}
 
@@ -123,7 +123,7 @@ def preset_of(land) -> Stack:
     """
     found = []
     for entry in land.entries:
-        if entry.effect not in GROUPS:
+        if operator_of(entry.effect) is None:
             raise unknown_operator(entry.effect)
         mask, kind = None, entry.mask.kind
         if kind == BY_IMAGE and entry.mask.image is not None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rules that keep a new scatter out of water."""
 
-from ...cbt_terrain.height_operators.catalogue import HEIGHT_OPERATORS
+from ...cbt_terrain.height_operators.catalogue import operator_of
 from ..importing.imported import imported_of
 from ..land.water_object import shown_sea
 from ..text.numbers import length_text
@@ -51,7 +51,7 @@ def _in_terrain(height: float, terrain_settings) -> float:
 
 def _has_water(entries) -> bool:
     """Return whether an operator of the stack leaves the layer `water_depth`."""
-    effects = [HEIGHT_OPERATORS[entry.effect] for entry in entries if entry.on and entry.effect in HEIGHT_OPERATORS]
+    effects = [effect for entry in entries if entry.on and (effect := operator_of(entry.effect)) is not None]
     return any(layer.name == "water_depth" for effect in effects for layer in effect.layers)
 
 

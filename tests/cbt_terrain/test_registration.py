@@ -28,20 +28,20 @@ def test_a_registered_attribute_is_planned_with_its_kernels():
 
 
 def test_a_registered_height_operator_stands_in_stacks():
-    register_height_operator(replace(HEIGHT_OPERATORS["thermal"], name="slide"))
+    register_height_operator(replace(HEIGHT_OPERATORS["scree"], name="slide"))
     try:
         stack = stack_from({"version": 1, "entries": [{"effect": "slide"}]})
-        assert kernels_of(stack) == list(HEIGHT_OPERATORS["thermal"].kernels)
+        assert kernels_of(stack) == list(HEIGHT_OPERATORS["scree"].kernels)
     finally:
         unregister_height_operator("slide")
     with pytest.raises(TerrainError, match="slide"):
         stack_from({"version": 1, "entries": [{"effect": "slide"}]})
 
 
-@pytest.mark.parametrize("name", ["wetness", "thermal", "two words", "Upper"])
+@pytest.mark.parametrize("name", ["wetness", "scree", "two words", "Upper"])
 def test_a_taken_or_invalid_name_is_an_error(name):
     before = list(ATTRIBUTES), list(HEIGHT_OPERATORS)
-    if name != "thermal":
+    if name != "scree":
         with pytest.raises(TerrainError, match=name):
             register_attribute(replace(ATTRIBUTES["flow"], name=name))
     if name != "wetness":

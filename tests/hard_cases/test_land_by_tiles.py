@@ -23,7 +23,7 @@ from land_effects import SMOOTH, bumpy, ragged
 
 PRESETS = Path(__file__).resolve().parents[2] / "operators/presets/adaptive_terrain/land"
 # The largest difference of tiles, as a fraction of the change by fine levels. 0: they read nothing beyond their halo.
-BOUNDS = {"smooth": 0.0, "relief": 0.0, "droplets": 0.0, "thermal": 0.001, "rivers": 0.05, "snow": 0.05}
+BOUNDS = {"smooth": 0.0, "relief": 0.0, "droplets": 0.0, "scree": 0.001, "rivers": 0.05, "snow": 0.05}
 PARAMETERS = {"droplets": {"droplets": 400.0, "strength": 10.0}}
 ROUNDING = 1e-4  # metres, of changes of some hundred
 
@@ -234,7 +234,7 @@ def test_case_57_neighbours_share_their_borders(monkeypatch):
     assert across.max() < 1.5 * rms[columns.start + BAND : columns.stop - 2 * BAND].max()
 
 
-@pytest.mark.parametrize("name", ["snow", "thermal"])
+@pytest.mark.parametrize("name", ["snow", "scree"])
 def test_case_57_slides_keep_their_mass_in_tiles(name):
     """Slides on cliffs: tiles within 1 %, the worst within 2 %; mass is kept to 2e-5; no depth is negative.
 
@@ -253,7 +253,7 @@ def test_case_57_slides_keep_their_mass_in_tiles(name):
     assert min(layer.min() for kind, layer in layers.items() if kind != "slides") == 0.0
 
 
-@pytest.mark.parametrize(("name", "rows"), [("thermal", 2), ("snow", 4), ("thermal", 8), ("thermal", 40)])
+@pytest.mark.parametrize(("name", "rows"), [("scree", 2), ("snow", 4), ("scree", 8), ("scree", 40)])
 def test_case_57_a_tile_of_a_strip_is_as_the_whole(name, rows):
     """In rasters of 2 to 40 rows and 700 columns, a tile in the middle is within 2 % of the whole."""
     field = from_array(ragged(700, rows).T.copy(), 10.0, 10.0)

@@ -24,19 +24,19 @@ def crags(rows: int, columns: int, seed: int = 0) -> np.ndarray:
 
 def digest() -> str:
     """Return a digest of the changes that thermal erosion and droplets make to one ground."""
-    changes = [shape_with(name, crags(70, 61, 3), 11.0).heights for name in ("thermal", "droplets")]
+    changes = [shape_with(name, crags(70, 61, 3), 11.0).heights for name in ("scree", "droplets")]
     assert all(change.any() for change in changes)
     return hashlib.blake2b(b"".join(change.tobytes() for change in changes)).hexdigest()
 
 
-@pytest.mark.parametrize("name", ["thermal", "droplets"])
+@pytest.mark.parametrize("name", ["scree", "droplets"])
 def test_case_54_a_pit_without_outlet_and_a_perfect_plateau(name):
     """A plateau does not change by a bit; a pit in it only fills, equally from east and west to 5 %."""
     assert not shape_with(name, np.full((97, 120), 700.0, np.float32), 12.0).heights.any()
     pit = np.full((97, 97), 700.0, np.float32)
     away = np.hypot(*(np.mgrid[:97, :97] - 48))
     pit -= np.clip(400.0 - 14.0 * away, 0.0, 300.0).astype(np.float32)
-    change = shape_with(name, pit, 12.0, **({"uneven": 0.0, "hard_angle": 45.0} if name == "thermal" else {})).heights
+    change = shape_with(name, pit, 12.0, **({"uneven": 0.0, "hard_angle": 45.0} if name == "scree" else {})).heights
     assert change[away < 6].mean() > 0.5 and not change[away > 70].any()
     east, west = (np.abs(half).sum() for half in (change[:, 49:], change[:, :48]))
     assert abs(east / west - 1.0) < 0.05
@@ -44,7 +44,7 @@ def test_case_54_a_pit_without_outlet_and_a_perfect_plateau(name):
 
 def test_case_55_no_rock_is_lost_as_scree():
     """Rock and scree together keep mass to 1e-7 of the wear, over two levels and an uneven border."""
-    change = shape_with("thermal", crags(301, 420), 10.0)
+    change = shape_with("scree", crags(301, 420), 10.0)
     worn, deposited = (change.layers[name].sum(dtype=np.float64) for name in ("wear", "scree"))
     assert worn > 1e4 and abs(worn - deposited) < 1e-7 * worn
 
@@ -63,7 +63,7 @@ def test_case_56_twice_the_samples_wear_as_much():
     changes = {}
     for size in (257, 513):
         heights = 2.0 * np.maximum(island(1025), 0.0)[:: 1024 // (size - 1), :: 1024 // (size - 1)]
-        changes[size] = shape_with("thermal", heights, SIDE / (size - 1))
+        changes[size] = shape_with("scree", heights, SIDE / (size - 1))
     worn = [changes[size].layers["wear"].mean() for size in (257, 513)]
     assert worn[0] > 1.0 and abs(worn[1] / worn[0] - 1.0) < 0.1
     difference = changes[513].heights[::2, ::2] - changes[257].heights
@@ -107,7 +107,7 @@ def test_case_58_other_processors_give_the_same_bytes(tmp_path):
 
 def test_case_58_only_the_seed_changes_the_bytes():
     """Thermal erosion and droplets give the same bytes on 1, 2 and 3 threads, and others with another seed."""
-    for name in ("thermal", "droplets"):
+    for name in ("scree", "droplets"):
         effect, heights = HEIGHT_OPERATORS[name], crags(130, 97)
 
         def change(seed: int, threads: int, effect=effect, heights=heights) -> bytes:

@@ -91,9 +91,9 @@ def _make_project(folder: Path) -> str:
     scene.render.engine, scene.render.resolution_x, scene.render.resolution_y = "BLENDER_WORKBENCH", 32, 18
     bpy.context.view_layer.objects.active = obj
     obj.select_set(True)
-    bpy.ops.adaptive_terrain.land_add(effect="thermal")
+    bpy.ops.adaptive_terrain.land_add(effect="scree")
     bpy.ops.wm.save_mainfile()
-    (folder / "stack.json").write_text('{"version": 1, "entries": [{"effect": "thermal", "mask": {"image": "m.npy"}}]}')
+    (folder / "stack.json").write_text('{"version": 1, "entries": [{"effect": "scree", "mask": {"image": "m.npy"}}]}')
     np.save(folder / "m.npy", np.ones((8, 8), np.float32))
     (folder / "points.csv").write_text("x,y\n0,0\n100,-200\n")
     frames = [{"frame": 1, "eye": [0, -5000, 2000], "target": [0, 0, 0]}]

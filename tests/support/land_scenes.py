@@ -36,7 +36,7 @@ def first_shaped(tmp_path_factory):
 @pytest.fixture
 def shaped(terrain, first_shaped):
     """Return the folder of the land of `terrain`, shaped by its stack of one entry."""
-    add("thermal")
+    add("scree")
     beside = land_folder.folder_beside(terrain.adaptive_terrain.store)
     if not first_shaped.exists():
         assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}

@@ -121,7 +121,7 @@ def a_slider_never_blocks():
 
 
 def shaping_runs_beside_the_window():
-    for effect in ("thermal", "snow"):
+    for effect in ("scree", "snow"):
         run(bpy.ops.adaptive_terrain.land_add, effect=effect)
     bpy.ops.ed.undo_push(message="More")
     yield from until(lambda: len(session.record_of(terrain()).status.request.land.stack.entries) == 3)

@@ -42,7 +42,7 @@ if step == "old":
     location.data_folder = lambda: Path(bpy.utils.extension_path_user(package, path="stores", create=True))
     bpy.ops.wm.read_homefile(use_factory_startup=True)
     terrain = add_terrain(65)
-    assert bpy.ops.adaptive_terrain.land_add(effect="thermal") == {"FINISHED"}
+    assert bpy.ops.adaptive_terrain.land_add(effect="scree") == {"FINISHED"}
     assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
     result = state(terrain)
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "old.blend"))

@@ -46,7 +46,7 @@ def shaped(tmp_path_factory):
     y, x = np.indices((65, 65)) / 9.0
     np.save(folder / "d.npy", (300 * np.sin(x) * np.cos(y) + 20 * x).astype(np.float32))
     run_import(ImportSettings(str(folder / "d.npy"), extent=(3200.0, 3200.0)), folder / "store")
-    run_shape(folder / "store", Stack((Entry("thermal"),)), folder / "land", threads=1)
+    run_shape(folder / "store", Stack((Entry("scree"),)), folder / "land", threads=1)
     return folder / "land"
 
 

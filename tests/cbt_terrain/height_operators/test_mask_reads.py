@@ -89,7 +89,7 @@ def test_a_mask_reads_the_scree_of_earlier_entries():
     heights = bumpy(300, 420) * 4.0
     land = from_array(heights, 8.0, 11.0)
     hill = {"height": 50.0, "radius": 1e6, "east": 1500.0, "north": 1500.0}
-    scree, rule = Entry("thermal"), GroundRule("scree", low=1.0, edge=1.0)
+    scree, rule = Entry("scree"), GroundRule("scree", low=1.0, edge=1.0)
     alone = shape(land, Stack((scree,)), whole_land(land.lattice))
     both = shape(land, Stack((scree, Entry("hill", hill, mask=HeightMask("", (rule,))))), whole_land(land.lattice))
     added, depth = both.change - alone.change, alone.layers["scree"]
@@ -113,7 +113,7 @@ def test_depths_of_the_source_count_with_those_of_the_stack():
 def test_a_mask_of_a_missing_by_product_is_refused(shaped):
     land = from_array(bumpy(60, 80), 10.0)
     mask = HeightMask("", (GroundRule("sediment", low=0.5),))
-    stack = Stack((Entry("thermal"), Entry("hill", mask=mask), Entry("rivers")))
+    stack = Stack((Entry("scree"), Entry("hill", mask=mask), Entry("rivers")))
     text = "The mask of entry 2 of the stack, hill, has a rule about sediment, which is not there; expected a layer of"
     with pytest.raises(TerrainError, match=text):
         check_by_products(stack, ()) if shaped else preview(land, stack)

@@ -38,7 +38,7 @@ def test_kernels_that_stacks_launch_are_foreseen():
     wet = {"rules": [{"of": "wetness", "low": 1.0}]}
     seen = {"rules": [{"of": "sky", "low": 0.9}]}
     entries = [{"effect": "relief"}, {"effect": "relief", "mask": wet}, {"effect": "relief", "mask": seen}]
-    entries += [{"effect": name} for name in ("snow", "thermal", "water", "rivers", "droplets")]
+    entries += [{"effect": name} for name in ("snow", "scree", "water", "rivers", "droplets")]
     entries += [{"effect": "flood", "parameters": {"minutes": 0.1}}]
     stacks = [{"version": 1, "entries": [entry]} for entry in entries]
     given = [sys.executable, "-c", FORESEEN, json.dumps(stacks)]
@@ -51,9 +51,9 @@ def test_kernels_that_stacks_launch_are_foreseen():
 
 
 def test_compiling_reports_progress_and_happens_once(monkeypatch):
-    stack = Stack((Entry("thermal", mask=HeightMask("", (GroundRule("flow", low=1e3),))), Entry("snow", on=False)))
+    stack = Stack((Entry("scree", mask=HeightMask("", (GroundRule("flow", low=1e3),))), Entry("snow", on=False)))
     names = [module.__name__.rpartition(".")[2] for module in kernels_of(stack)]
-    assert {"thermal", "flow", "routing"} <= set(names) and "snow" not in names
+    assert {"scree", "flow", "routing"} <= set(names) and "snow" not in names
     loaded, said = [], []
     monkeypatch.setattr(preparation.warmup, "load", loaded.append)
     monkeypatch.setattr(preparation.warmup, "compiled_file", lambda module: Path("/nowhere"))

@@ -114,9 +114,9 @@ def inner_of(level, tile):
 
 SLOPE = HeightMask(rules=(GroundRule("slope", high=30.0, edge=10.0),))
 LATE_STACKS = {
-    "scree twice": Stack((Entry("thermal", {"scree_angle": 40.0}, 3), Entry("thermal", {"scree_angle": 24.0}, 5))),
+    "scree twice": Stack((Entry("scree", {"scree_angle": 40.0}, 3), Entry("scree", {"scree_angle": 24.0}, 5))),
     "masked by the slope": Stack(
-        (Entry("thermal"), Entry("hill", mask=SLOPE), Entry("snow", {"line": -300.0}, mask=SLOPE))
+        (Entry("scree"), Entry("hill", mask=SLOPE), Entry("snow", {"line": -300.0}, mask=SLOPE))
     ),
 }
 
@@ -148,7 +148,7 @@ def test_no_operator_removes_more_scree_than_there_is():
     y, x = np.indices((300, 700))
     land = 200 * np.sin(x / 31) * np.cos(y / 27) + 60 * np.random.default_rng(1).standard_normal(x.shape)
     field = from_array(land.astype(np.float32), 10.0, 10.0)
-    stack = Stack(tuple(Entry("thermal", {"scree_angle": angle}) for angle in (40.0, 24.0)))
+    stack = Stack(tuple(Entry("scree", {"scree_angle": angle}) for angle in (40.0, 24.0)))
     made = shape(field, stack, [{1: 0.0}, {}, {}][: len(levels_of(field.lattice))])
     assert made.layers["scree"].max() > 1.0 and made.layers["scree"].min() == 0.0
 

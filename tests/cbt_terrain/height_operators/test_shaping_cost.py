@@ -17,7 +17,7 @@ from adaptive_terrain.cbt_terrain.height_operators.stack import Entry, Stack
 from land_effects import bumpy
 
 FACTOR = 4.0  # between estimate and measurement, while other tests share the cores
-RIVERS, RELIEF = Stack((Entry("rivers"), Entry("thermal"))), Stack((Entry("relief"),))
+RIVERS, RELIEF = Stack((Entry("rivers"), Entry("scree"))), Stack((Entry("relief"),))
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def shape(source: str, stack: Stack) -> tuple[str, float]:
 
 
 def test_the_preview_is_the_first_calibration(source):
-    stack = Stack((Entry("thermal"), Entry("relief")))
+    stack = Stack((Entry("scree"), Entry("relief")))
     shown = preview(open_store(source), stack)
     estimate = shaping_cost.estimate_seconds(source, stack, shown, in_tiles=False)
     _, seconds = shape(source, stack)
@@ -64,14 +64,14 @@ def test_the_preview_is_the_first_calibration(source):
 
 def test_earlier_land_is_the_better_calibration(source):
     """It needs no preview, and effects count by their own times."""
-    folder, seconds = shape(source, Stack((Entry("thermal"), Entry("relief"))))
-    twice = Stack((Entry("thermal"), Entry("thermal", seed=1), Entry("relief")))
+    folder, seconds = shape(source, Stack((Entry("scree"), Entry("relief"))))
+    twice = Stack((Entry("scree"), Entry("scree", seed=1), Entry("relief")))
     estimate = shaping_cost.estimate_seconds(source, twice, None, in_tiles=False)
     content = read_json(Path(folder))
-    spent = {name: 0.0 for name in ("thermal", "relief")}
+    spent = {name: 0.0 for name in ("scree", "relief")}
     for one in content["provenance"]["shaped"]["added"]:
         spent[one["effect"]] += one["ms"] / 1e3
-    expected = content["report"]["seconds"] + spent["thermal"]
+    expected = content["report"]["seconds"] + spent["scree"]
     assert estimate == pytest.approx(expected, rel=1e-6)
     _, seconds = shape(source, twice)
     print(f"estimated {estimate:.1f} s, took {seconds:.1f} s")

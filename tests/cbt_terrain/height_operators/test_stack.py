@@ -27,6 +27,13 @@ STACK = Stack(
 )
 
 
+def test_an_earlier_name_of_an_effect_is_the_same_stack():
+    """The key is that of land that was shaped under the earlier name, so that it is found again."""
+    old = stack_from({"version": 1, "entries": [{"effect": "thermal", "parameters": {"depth": 8}, "seed": 1}]})
+    assert old == Stack((Entry("scree", {"depth": 8.0}, 1),)) and stack_content(old)["entries"][0]["effect"] == "scree"
+    assert Stack((*old.entries, Entry("rivers"))).key() == "c36c52c2667f3dffabc98cd6e9e7b43b"
+
+
 def test_reading_returns_the_written_stack(tmp_path):
     write_stack(STACK, tmp_path / "stack.json")
     found = read_stack(tmp_path / "stack.json")

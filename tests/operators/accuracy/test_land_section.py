@@ -17,7 +17,7 @@ from rasters import hills, imported
 def test_every_level_of_every_operator_has_its_line(tmp_path):
     np.save(tmp_path / "hills.npy", hills(700, 520))
     source, _ = imported(tmp_path, tmp_path / "hills.npy", extent=(6990.0, 5190.0))
-    stack = Stack((Entry("relief"), Entry("thermal", on=False), Entry("relief", seed=2)))
+    stack = Stack((Entry("relief"), Entry("scree", on=False), Entry("relief", seed=2)))
     run_shape(source.path, stack, tmp_path / "shaped")
     heading, text, table = land_section(open_store(tmp_path / "shaped"), " of hills")
     assert heading.text == "What finer land of hills costs and changes" and table.head == HEAD

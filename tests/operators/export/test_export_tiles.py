@@ -23,7 +23,7 @@ from tilesets import read_tileset
 
 def test_height_tiles_hold_shaped_land_and_its_masks(terrain, tmp_path):
     """Two tiles a side of 33 samples, with by-products and splat layers."""
-    add("thermal", depth=80.0)
+    add("scree", depth=80.0)
     for name in ("Meadow", "Cliff"):
         terrain.adaptive_terrain.layers.add().name = name
     options = {"size": "FREE", "free_size": 33, "fit": True, "tiles": (2, 2), "flip": True}

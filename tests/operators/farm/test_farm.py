@@ -242,7 +242,7 @@ def test_the_guard_looks_at_the_scene_that_is_rendered(shot, monkeypatch, capsys
 
 def test_prepare_makes_each_thing_once(shot, capsys):
     entry = bpy.data.objects["Dunes"].adaptive_terrain.land.entries.add()
-    entry.effect = "thermal" if "thermal" in entry.bl_rna.properties else entry.effect
+    entry.effect = "scree" if "scree" in entry.bl_rna.properties else entry.effect
     bpy.ops.wm.save_mainfile()
     made = dict(derived_store.counts)
     assert run("prepare", "--scene", shot, "--progress", "openjd") == 0

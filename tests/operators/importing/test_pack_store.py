@@ -36,7 +36,7 @@ def test_packing_makes_paths_relative_and_leaves_what_it_copied(scene, add_terra
 
 def test_shaped_land_is_packed_and_not_made_again(terrain, tmp_path):
     """Also behind a painted mask, and from a folder that was moved, with nothing left of the original."""
-    entry = add("thermal", depth=80.0)
+    entry = add("scree", depth=80.0)
     image = bpy.data.images.new("Painted", 8, 8, float_buffer=True)
     image.pixels.foreach_set(np.linspace(0, 1, 8 * 8 * 4, dtype=np.float32))
     image.pack()
@@ -71,7 +71,7 @@ def folder_of_land(terrain, of_views: bool) -> Path:
 
 
 def test_land_of_a_shot_is_packed_with_its_tiles(terrain, tmp_path):
-    add("thermal", depth=80.0)
+    add("scree", depth=80.0)
     folder, tiles = folder_of_land(terrain, of_views=True), [{0: 0.5}, {}]
     requested_tiles.note(str(folder), tiles)
     (tmp_path / "here").mkdir()
@@ -97,7 +97,7 @@ def test_baked_maps_are_packed_and_their_images_name_the_copies(terrain, tmp_pat
 
 
 def test_damaged_land_is_no_hindrance(terrain, tmp_path):
-    add("thermal", depth=80.0)
+    add("scree", depth=80.0)
     [file] = folder_of_land(terrain, of_views=False).glob("data-*/samples.npy")
     file.write_bytes(b"half")
     (tmp_path / "here").mkdir()

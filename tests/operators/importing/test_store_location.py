@@ -122,7 +122,7 @@ def test_a_read_only_folder_sends_imports_to_the_data_folder(scene, add_terrain,
 def test_baked_land_avoids_the_folder_that_blender_deletes(terrain, folders, tmp_path, monkeypatch, saved, place):
     """Use a copy of the store as the shaped land."""
     old, new = folders
-    add("thermal")
+    add("scree")
     lent = (old if place == "old" else new) / "hills"
     shutil.copytree(terrain.adaptive_terrain.store, lent)
     terrain.adaptive_terrain.store = str(lent)

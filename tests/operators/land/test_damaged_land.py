@@ -85,7 +85,7 @@ def test_damage_that_only_an_update_finds_is_mended_too(terrain, wide_store, tmp
 def test_damaged_data_of_the_user_is_left_alone(terrain):
     """A source and baked land give an error that names the file."""
     source = terrain.adaptive_terrain.store
-    add("thermal")
+    add("scree")
     cut_off(source)
     for mode in ("RENDER", "VIEWPORT"):
         with pytest.raises(session.TerrainError, match=r"hills/data-\w+/samples.npy is damaged .*import the terrain"):
@@ -224,7 +224,7 @@ def test_a_damaged_note_of_what_was_asked_for_is_not_read(tmp_path, level):
 
 
 def test_a_damaged_baked_store_is_an_error(terrain):
-    add("thermal")
+    add("scree")
     bpy.ops.adaptive_terrain.bake_land()
     baked = terrain.adaptive_terrain.store
     cut_off(baked)
@@ -269,7 +269,7 @@ def test_land_that_another_blender_is_writing_is_not_cleared(terrain, shaped):
 
 def test_land_that_another_blender_clears_at_once_is_made_again(terrain, monkeypatch):
     """Between the end of its making and its first look."""
-    add("thermal")
+    add("scree")
     noted = requested_tiles.note
 
     def cleared(folder, wanted):

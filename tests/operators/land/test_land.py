@@ -26,7 +26,7 @@ from modal_runs import running, to_the_end, turn
 
 
 def test_an_unwritable_export_fails_before_land_is_shaped(terrain, tmp_path):
-    add("thermal")
+    add("scree")
     with pytest.raises(RuntimeError, match="there is no folder"):
         bpy.ops.adaptive_terrain.export_heights(filepath=str(tmp_path / "none" / "land.tif"))
     assert derived_store.counts["stores"] == 0
@@ -56,7 +56,7 @@ def test_a_hidden_terrain_costs_nothing(terrain):
 
 
 def test_a_preview_first_and_the_land_when_it_is_shaped(terrain):
-    add("thermal", scree_angle=0.4)
+    add("scree", scree_angle=0.4)
     state = shaped_land.state_of(terrain)
     assert (state.active, state.wanted) == (True, True)
     session.update_object(terrain)
@@ -97,7 +97,7 @@ def note_where(monkeypatch, terrain, **said) -> str:
 
 
 def test_the_panel_says_that_tiles_are_not_to_be_trusted(terrain, monkeypatch):
-    add("thermal")
+    add("scree")
     bpy.ops.adaptive_terrain.shape()
     assert shaped_land.state_of(terrain).note == ""
     expected = "Scree may not fit from tile to tile: harder rock may help, or 4,097 samples a side at most"
@@ -107,7 +107,7 @@ def test_the_panel_says_that_tiles_are_not_to_be_trusted(terrain, monkeypatch):
 
 
 def test_the_panel_says_that_some_tiles_took_the_whole(terrain, monkeypatch):
-    add("thermal")
+    add("scree")
     bpy.ops.adaptive_terrain.shape()
     said = {"left_out_rms_m": 1234.5, "left_out_most_m": 123.45}
     left_out = "Finer levels are left out{}: about 1,234 m, 123 m at most"
@@ -117,7 +117,7 @@ def test_the_panel_says_that_some_tiles_took_the_whole(terrain, monkeypatch):
 
 
 def test_the_land_is_what_the_command_makes(terrain, tmp_path):
-    add("thermal", depth=60.0)
+    add("scree", depth=60.0)
     bpy.ops.adaptive_terrain.shape()
     stack = land_stack.preset_of(terrain.adaptive_terrain.land)
     run_shape(terrain.adaptive_terrain.store, stack, tmp_path / "other")
@@ -127,13 +127,13 @@ def test_the_land_is_what_the_command_makes(terrain, tmp_path):
 
 def test_undo_brings_the_land_before_back_at_once(terrain):
     """The settings alone decide which store is shown."""
-    entry = add("thermal")
+    entry = add("scree")
     bpy.ops.adaptive_terrain.shape()
     first = shaped_land.store_of(terrain)
-    entry.thermal.depth = 3.0
+    entry.scree.depth = 3.0
     bpy.ops.adaptive_terrain.shape()
     assert shaped_land.store_of(terrain) != first
-    entry.thermal.depth = 30.0
+    entry.scree.depth = 30.0
     session.update_object(terrain)
     assert shaped_land.store_of(terrain) == first and derived_store.counts["stores"] == 2
     entry.on = False
@@ -143,7 +143,7 @@ def test_undo_brings_the_land_before_back_at_once(terrain):
 
 
 def test_a_render_has_all_of_the_land_and_waits_for_it(terrain):
-    add("thermal", depth=80.0)
+    add("scree", depth=80.0)
     session.update_object(terrain)
     session.update_object(terrain, mode="RENDER")
     assert derived_store.counts == {"previews": 1, "stores": 1}
@@ -168,17 +168,17 @@ def test_unused_shaped_land_is_removed_when_there_is_too_much(terrain, add_terra
     other = add_terrain("Other")
     other.adaptive_terrain.store = terrain.adaptive_terrain.store
     bpy.context.view_layer.objects.active = other
-    add("thermal")
+    add("scree")
     bpy.ops.adaptive_terrain.shape()
     shown = shaped_land.store_of(other)
     first, second = other_stores(shown, "0" * 16, "1" * 16 + land_folder.OF_VIEWS)
     monkeypatch.setattr(derived_store, "MAX_BYTES", int(3.5 * land_folder.bytes_in(Path(first))))
     bpy.context.view_layer.objects.active = terrain
-    add("thermal", depth=10.0)
+    add("scree", depth=10.0)
     bpy.ops.adaptive_terrain.shape()
     own = shaped_land.store_of(terrain)
     assert there() == {shown, second, own}
-    terrain.adaptive_terrain.land.entries[0].thermal.depth = 30.0
+    terrain.adaptive_terrain.land.entries[0].scree.depth = 30.0
     session.update_object(terrain)
     assert shaped_land.store_of(terrain) == shown, "both terrains share it"
     monkeypatch.setattr(derived_store, "MAX_BYTES", 0)
@@ -187,7 +187,7 @@ def test_unused_shaped_land_is_removed_when_there_is_too_much(terrain, add_terra
 
 
 def test_the_cache_says_what_it_holds_and_is_cleared(terrain):
-    add("thermal")
+    add("scree")
     bpy.ops.adaptive_terrain.shape()
     shown = shaped_land.store_of(terrain)
     [other] = other_stores(shown, "0" * 16)
@@ -204,13 +204,13 @@ def test_the_cache_keeps_what_a_terrain_shows_by_another_path(terrain, add_terra
     """A store behind a link, or by way of another folder, and one that was baked from it."""
     (tmp_path / "scenes").mkdir()
     (tmp_path / "link").symlink_to(tmp_path)
-    add("thermal")
+    add("scree")
     assert bpy.ops.adaptive_terrain.bake_land() == {"FINISHED"}
     for between in ("link", "scenes/.."):
         other = add_terrain()
         other.adaptive_terrain.store = f"{tmp_path}/{between}/hills"
         bpy.context.view_layer.objects.active = other
-        add("thermal")
+        add("scree")
         bpy.ops.adaptive_terrain.shape()
         derived_store._in_use.pop(terrain.session_uid, None)
         bpy.context.view_layer.objects.active = terrain
@@ -221,7 +221,7 @@ def test_the_cache_keeps_what_a_terrain_shows_by_another_path(terrain, add_terra
 
 
 def test_the_cache_drops_the_land_of_a_removed_terrain(terrain, add_terrain):
-    add("thermal")
+    add("scree")
     session.update_object(terrain, mode="RENDER")
     source, folder = terrain.adaptive_terrain.store, shaped_land.store_of(terrain)
     other = add_terrain()
@@ -233,7 +233,7 @@ def test_the_cache_drops_the_land_of_a_removed_terrain(terrain, add_terrain):
 
 
 def test_baked_land_needs_no_stack(terrain):
-    add("thermal", depth=80.0)
+    add("scree", depth=80.0)
     before = open_store(terrain.adaptive_terrain.store).key
     source = terrain.adaptive_terrain.store
     assert bpy.ops.adaptive_terrain.bake_land() == {"FINISHED"}
@@ -253,7 +253,7 @@ def test_baked_land_needs_no_stack(terrain):
 def test_heights_are_exported_with_what_the_stack_leaves(terrain, tmp_path):
     import rasterio
 
-    add("thermal", depth=80.0)
+    add("scree", depth=80.0)
     assert bpy.ops.adaptive_terrain.export_heights(filepath=str(tmp_path / "land.tif")) == {"FINISHED"}
     shaped = open_store(land_folder.folder_beside(terrain.adaptive_terrain.store) / only_shaped(terrain))
     with rasterio.open(tmp_path / "land.tif") as file:
@@ -282,7 +282,7 @@ def test_times_are_short():
 @pytest.mark.parametrize("by", ["ESC", "cross"])
 def test_looking_at_frames_can_be_cancelled(terrain, monkeypatch, by):
     """The scene is at its frame again, and nothing was shaped."""
-    add("thermal")
+    add("scree")
     scene = bpy.context.scene
     terrain.adaptive_terrain.land.where = "SEEN"
     scene.frame_start, scene.frame_end = 1, 500
@@ -303,7 +303,7 @@ def test_looking_at_frames_can_be_cancelled(terrain, monkeypatch, by):
 @pytest.mark.parametrize("by", ["file", "undo"])
 def test_looking_at_frames_ends_where_the_scene_goes(terrain, tmp_path, monkeypatch, by):
     """Another file is opened, which ends what runs; or Undo puts another scene in its place."""
-    add("thermal")
+    add("scree")
     scene = bpy.context.scene
     terrain.adaptive_terrain.land.where = "SEEN"
     scene.frame_start, scene.frame_end = 1, 500
@@ -325,7 +325,7 @@ def test_looking_at_frames_ends_where_the_scene_goes(terrain, tmp_path, monkeypa
 
 
 def test_shaping_says_why_it_does_not_begin(terrain):
-    add("thermal", scree_angle=0.4)
+    add("scree", scree_angle=0.4)
     job = jobs.BackgroundJob(jobs.SHAPE, terrain.session_uid, lambda _job: iter(()))
     with pytest.raises(RuntimeError, match="Shaping is under way: wait for it, or cancel it"):
         bpy.ops.adaptive_terrain.shape()
@@ -336,7 +336,7 @@ def test_shaping_says_why_it_does_not_begin(terrain):
 
 
 def test_shaping_that_fails_unexpectedly_can_begin_again(terrain, monkeypatch):
-    add("thermal", scree_angle=0.4)
+    add("scree", scree_angle=0.4)
     monkeypatch.setattr(derived_store, "wanted_tiles", Mock(side_effect=OSError("no such device")))
     operator = running(shape_land.ShapeLand, terrain)
     assert operator.began == {"CANCELLED"} and not jobs.running
@@ -349,7 +349,7 @@ def test_shaping_that_fails_unexpectedly_can_begin_again(terrain, monkeypatch):
 
 
 def test_a_preview_waits_for_the_kernels_of_its_effects(terrain):
-    add("thermal")
+    add("scree")
     request = gather(terrain, bpy.context.evaluated_depsgraph_get())
     assert any(module.__name__.endswith("land.thermal") for module in kernels_for(request))
     bpy.ops.adaptive_terrain.shape()

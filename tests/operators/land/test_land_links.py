@@ -59,7 +59,7 @@ def mask_by(terrain) -> None:
 @pytest.mark.parametrize("at", ["", "NAME", "NAME_views", "tiles", "masks"])
 @pytest.mark.parametrize("mode", ["RENDER", "VIEWPORT"])
 def test_a_link_in_place_of_a_land_folder_is_refused(terrain, precious, at, mode):
-    add("thermal")
+    add("scree")
     folder, before = folder_of_land(terrain), content(precious)
     link = folder.parent / at.replace("NAME", folder.name)
     put_link(link, precious)
@@ -113,7 +113,7 @@ def test_clear_land_cache_removes_nothing_behind_a_link(terrain, shaped, preciou
 
 
 def test_a_land_folder_that_is_a_file_is_refused(terrain):
-    add("thermal")
+    add("scree")
     beside = folder_of_land(terrain).parent
     shutil.rmtree(beside, ignore_errors=True)
     beside.write_text("mine")
@@ -124,7 +124,7 @@ def test_a_land_folder_that_is_a_file_is_refused(terrain):
 
 def test_the_store_of_another_terrain_is_not_land(terrain):
     """A valid store under the land's name: refused, and not shown."""
-    add("thermal")
+    add("scree")
     folder = folder_of_land(terrain)
     shutil.copytree(terrain.adaptive_terrain.store, folder)
     before = content(folder)
@@ -173,7 +173,7 @@ def test_land_of_another_stack_is_refused_under_this_name(terrain, shaped):
 
 def test_use_of_land_does_not_touch_what_a_link_leads_to(terrain, precious):
     """The time of use is noted by the folder's own time."""
-    add("thermal")
+    add("scree")
     folder = folder_of_land(terrain)
     put_link(folder, precious)
     os.utime(precious, (1, 1))
@@ -193,7 +193,7 @@ def test_a_note_of_tiles_behind_a_link_is_not_read(tmp_path):
 
 
 def test_a_mask_behind_a_link_is_not_read(terrain, precious):
-    add("thermal")
+    add("scree")
     mask_by(terrain)
     masks = folder_of_land(terrain).parent / land_folder.MASKS
     [mask] = masks.iterdir()

@@ -12,6 +12,7 @@ from adaptive_terrain.cbt_terrain.height_operators.catalogue import HEIGHT_OPERA
 from adaptive_terrain.operators.importing import store_location
 from adaptive_terrain.operators.land import properties as land_properties
 from adaptive_terrain.operators.land import shaped_land
+from adaptive_terrain.operators.land import stack as land_stack
 from adaptive_terrain.operators.land.entries import free_name
 from adaptive_terrain.operators.session import session
 from land_scenes import add, names, stack_now
@@ -51,9 +52,9 @@ def test_lengths_and_angles_have_their_units():
 
 def test_the_list_is_worked_as_a_list_of_modifiers(terrain):
     add("relief", wave=80.0)
-    add("thermal")
+    add("scree")
     add("relief")
-    assert names(terrain) == ["Fine Relief", HEIGHT_OPERATORS["thermal"].label, "Fine Relief.001"]
+    assert names(terrain) == ["Fine Relief", HEIGHT_OPERATORS["scree"].label, "Fine Relief.001"]
     land = terrain.adaptive_terrain.land
     assert [entry.seed for entry in land.entries] == [0, 1, 2]
     land.active = 0
@@ -85,13 +86,24 @@ def test_a_copied_object_has_a_stack_of_its_own(terrain):
 
 
 def test_a_stack_is_saved_and_opened(terrain, tmp_path):
-    entry = add("thermal", depth=12.5)
+    entry = add("scree", depth=12.5)
     entry.on, entry.mask.kind, entry.mask.height.use = False, "RULE", True
     path = str(tmp_path / "land.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
     bpy.ops.wm.open_mainfile(filepath=path)
     entry = bpy.data.objects["Terrain"].adaptive_terrain.land.entries[0]
-    assert (entry.effect, entry.on, entry.thermal.depth, entry.mask.kind) == ("thermal", False, 12.5, "RULE")
+    assert (entry.effect, entry.on, entry.scree.depth, entry.mask.kind) == ("scree", False, 12.5, "RULE")
+
+
+def test_an_entry_of_an_older_file_keeps_its_numbers(terrain):
+    """Scree was named thermal."""
+    entry = add("scree", depth=12.5)
+    stack = land_stack.preset_of(terrain.adaptive_terrain.land)
+    entry.property_unset("scree")
+    entry.effect, entry.thermal.depth = "thermal", 12.5
+    assert land_stack.preset_of(terrain.adaptive_terrain.land) == stack
+    session.update_object(terrain)
+    assert [layer.name for layer in shaped_land.layers_left_by(terrain.adaptive_terrain.land)][:1] == ["scree"]
 
 
 def test_an_effect_of_another_version_is_told_of(terrain):

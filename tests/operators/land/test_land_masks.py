@@ -26,7 +26,7 @@ def test_a_mask_without_pixels_is_told_of_as_a_mask(terrain):
 
 
 def test_masks_by_rule_image_and_object(terrain, tmp_path):
-    entry = add("thermal")
+    entry = add("scree")
     entry.mask.kind = "IMAGE"
     with pytest.raises(session.TerrainError, match="masked by an image, and none is chosen"):
         session.update_object(terrain)
@@ -70,7 +70,7 @@ def test_a_shadow_is_the_part_that_is_covered():
 
 def test_a_right_angle_is_a_limit_of_slopes(terrain, tmp_path):
     """In Blender's float32 it is a little more than 90 degrees."""
-    slope = add("thermal").mask.slope
+    slope = add("scree").mask.slope
     terrain.adaptive_terrain.land.entries[0].mask.kind, slope.use, slope.low = "RULE", True, np.pi / 2
     [rule] = stack_now(terrain, tmp_path).entries[0].mask.rules
     assert (rule.low, rule.high) == (90.0, np.inf)
@@ -81,7 +81,7 @@ def test_a_right_angle_is_a_limit_of_slopes(terrain, tmp_path):
 
 def test_a_mask_by_rules_about_anything_that_the_ground_has(terrain, tmp_path):
     """Each rule of the menu is one of the stack, with its limits in the stack's units, and comes back from a file."""
-    entry = add("thermal")
+    entry = add("scree")
     entry.mask.kind = "RULE"
     for of in land_properties.RULES:
         assert bpy.ops.adaptive_terrain.land_rule_add(of=of) == {"FINISHED"}
@@ -132,7 +132,7 @@ def test_a_mask_that_was_cut_off_is_told_of(terrain, tmp_path, packed):
 
 @pytest.mark.parametrize("damage", [b"", b"\x93NUMPY\x01\x00\xff", b"mine"])
 def test_a_damaged_mask_file_is_named(terrain, tmp_path, damage):
-    entry = add("thermal")
+    entry = add("scree")
     entry.mask.kind, entry.mask.image = "IMAGE", bpy.data.images.new("Paint", 4, 4)
     [found] = stack_now(terrain, tmp_path).entries
     assert land_folder.read_mask(found.mask.image).shape == (4, 4)

@@ -86,7 +86,7 @@ def test_a_preset_is_saved_and_removed(terrain, tmp_path, monkeypatch):
     monkeypatch.setattr(
         bpy.utils, "preset_find", lambda name, _folder, ext: str(f) if (f := tmp_path / (name + ext)).exists() else None
     )
-    add("thermal", depth=44.0)
+    add("scree", depth=44.0)
     assert bpy.ops.adaptive_terrain.land_preset_add(name="My land") == {"FINISHED"}
     [file] = tmp_path.glob("My*.json")
     assert json.loads(file.read_text())["entries"][0]["parameters"] == {"depth": 44.0}

@@ -84,7 +84,7 @@ def test_esc_ends_the_wait_with_one_message(terrain, monkeypatch, capsys):
 
 
 def test_f12_shapes_first_what_a_render_would_wait_for(terrain):
-    add("thermal")
+    add("scree")
     assert bpy.ops.adaptive_terrain.shape_and_render.poll() and shape_land.next_unshaped(bpy.context) == terrain
     terrain.hide_render = True
     assert not bpy.ops.adaptive_terrain.shape_and_render.poll()
@@ -115,7 +115,7 @@ def test_f12_shapes_first_the_tiles_that_a_shot_lacks(scene, terrain, wide_store
 
 
 def test_the_button_tells_the_seconds(terrain):
-    add("thermal")
+    add("scree")
     session.update_object(terrain)
     seconds = shaped_land.seconds_to_shape(terrain)
     assert 0.0 < seconds < 100.0 and panel._shape_button_text(terrain).startswith("Shape Now (about ")
@@ -124,7 +124,7 @@ def test_the_button_tells_the_seconds(terrain):
 
 
 def test_the_reason_for_the_source_is_true(terrain):
-    add("thermal")
+    add("scree")
     assert shaped_land.state_of(terrain).note == "Not shown yet: press Update or Shape Now"
     terrain.adaptive_terrain.live = False
     assert shaped_land.state_of(terrain).note == "Not shown: Live Update is off"

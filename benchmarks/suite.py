@@ -142,6 +142,7 @@ def list_measures(
         yield partial(start.cold_start_row, rough, store)
         tiff = files.write_tiff(rough, folder / "rough.tif")
         yield partial(files.import_row, tiff, folder)
+        yield partial(files.mosaic_row, rough, tiff, folder)
         yield partial(files.large_rows, tiff, folder, note)
     blender = _has_blender(note)
     if blender:

@@ -127,6 +127,10 @@ ROWS = {
         "Import of a GeoTIFF of 4,097 x 4,097 samples, 67 MB, in a child process, against a limit of 5 s.",
         {ANY_SIZE: 1.0},
     ),
+    "import_mosaic": RowGoal(
+        "Processor time of an import of 64 GeoTIFFs, side by side, against that of one file with the same samples.",
+        {ANY_SIZE: 1.5},
+    ),
     "import_large": RowGoal(
         "Import of a GeoTIFF of 16,385 x 16,385 samples, 1.07 GB, against the import of 4,097 x 4,097 samples times "
         "the ratio of their numbers.",

@@ -22,6 +22,7 @@ from ..rig.scenes import MILLION
 
 IMPORT_LIMIT_MS = 5000.0
 IMPORT_RUNS = 9
+MOSAIC_SIDE, MOSAIC_RUNS = 8, 3
 LARGE_SAMPLES = 16_385
 # Bytes a sample in a store, rounded up.
 STORE_BYTES = 18
@@ -35,6 +36,21 @@ def import_row(tiff: Path, folder: Path) -> BenchmarkRow:
     row = BenchmarkRow("import", scenes.SAMPLES**2, ms, "5 s", IMPORT_LIMIT_MS, first_ms=times[0])
     row.figures = {"file_mb": megabytes, "mb_per_s": megabytes / ms * 1e3}
     return row
+
+
+def mosaic_row(field: HeightField, tiff: Path, folder: Path) -> BenchmarkRow:
+    """Measure the processor time of an import of MOSAIC_SIDE^2 tiles against that of one file with the same samples."""
+    tiles = folder / "tiles"
+    array = tiles.with_suffix(".npy")
+    np.save(array, field.heights())
+    run_child("rig.tiff", array, tiles, field.lattice.step_x, MOSAIC_SIDE)
+    remove_file(array, may_be_link=True)
+    times: list[list[float]] = [[], []]
+    for _ in range(MOSAIC_RUNS):
+        for source, found in zip((tiles, tiff), times, strict=True):
+            found.append(_import_cpu_ms(source, folder / "mosaic"))
+    ms, baseline_ms = map(statistics.median, times)
+    return BenchmarkRow("import_mosaic", field.samples.size, ms, "one file", baseline_ms, first_ms=times[0][0])
 
 
 def large_rows(tiff: Path, folder: Path, note: Callable[[str], None]) -> Iterator[BenchmarkRow]:
@@ -86,6 +102,15 @@ def _tiff_of_array(array: Path, step: float, path: Path) -> Path:
 def _import_ms(tiff: Path, store: Path) -> float:
     remove_store(store)  # an import into an up-to-date store does nothing
     return time_ms(lambda: import_source(ImportSettings(source=str(tiff)), store))
+
+
+def _import_cpu_ms(source: Path, store: Path) -> float:
+    """Return the processor time of an import's child process."""
+    remove_store(store)
+    before = os.times()
+    import_source(ImportSettings(source=str(source)), store)
+    after = os.times()
+    return 1e3 * (after.children_user + after.children_system - before.children_user - before.children_system)
 
 
 def _large_frames(store: Path, small_store: Path) -> Iterator[BenchmarkRow]:

@@ -128,6 +128,10 @@ def test_cold_start_and_import_run_in_child_processes(rough, tmp_path, monkeypat
     imported = files.import_row(tiff, tmp_path)
     assert imported.figures["mb_per_s"] > 0 and imported.ratio == imported.ms / 5000
     assert np.array_equal(open_store(tmp_path / "imported").samples, rough.samples)
+    monkeypatch.setattr(files, "MOSAIC_SIDE", 3)
+    monkeypatch.setattr(files, "MOSAIC_RUNS", 1)
+    mosaic = files.mosaic_row(rough, tiff, tmp_path)
+    assert mosaic.ratio > 0 and len(list((tmp_path / "tiles").iterdir())) == 9
 
 
 def test_a_large_raster_is_imported_and_removed(rough, tmp_path, monkeypatch):
@@ -213,6 +217,7 @@ def test_a_whole_run_measures_every_row(small_suite, tmp_path):
         fit_row.fit_rows: ["fit_jacksboro"],
         start.cold_start_row: ["cold_start"],
         files.import_row: ["import"],
+        files.mosaic_row: ["import_mosaic"],
         files.large_rows: ["import_large", "large_frame", "large_memory"],
         suite.in_program.program_frame_row: ["program_frame"],
         same_picture.same_picture_rows: ["same_picture", "same_picture_memory"],

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Ground points of LAS and LAZ files. Skipped without laspy and lazrs: `pip install "laspy[lazrs]"`."""
 
+import base64
 import struct
 import sys
+import zlib
 
 import numpy as np
 import pytest
@@ -11,6 +13,14 @@ from adaptive_terrain.cbt_terrain.importing import point_cloud, source_formats
 from rasters import imported
 
 UTM = 32632
+# 30 ground points, 2 x + 3 y high, and two of vegetation in three nodes of a COPC file that copclib 2.6.3 has written.
+COPC = (
+    "c-r%E40dB+5MV$Dj4TXP0OgDanHd;>h@nl6K>@GQ2lm)$TtLhLRh<wj|3Czk&*A{n;mr#58W1Zm3^Yj2FGxlSaE1j8&i(<;3YmFn"
+    "`3hk^L1df!!M+{p(}V%{m4NyKh_6yBN>cMmiU&N{2L$9K7FT5!D5T~k=clBmFfi;1(*TN96{HrWDU>A^WhUm8VCVs58fF$|F#A6i"
+    "z{tSGAO}=siIl2A7|LZ}LNSdSh~<EoABg$zIn_cZK4%g?drL~r%bJj-2fj5eczkPGp#`UkD^OA;?IhcM(R1bt`DcFyS;52z0nGoQ"
+    "4hA`ZlO_&e(>;Rf01FHUutFWci`4;KKrD?UOQHiTQEW$wBjtbB!UAu~V@>@pm|;0k!$3y?iZroV3X44$I1Md+^PnzgL{sktm2ZRw"
+    "Ejl>Kj4BTRhAMp%"
+)
 
 
 def plane(x, y):
@@ -90,6 +100,15 @@ def test_ground_points_become_their_cells_means(tmp_path, write, name):
     assert np.abs(field.heights(slice(None), slice(None)) - total / count).max() < 2e-3
     assert field.origin[:2].tolist() == [500_050.0, 5_200_050.0]
     assert 0.0005 <= report["source_step_m"] < 0.0006
+
+
+def test_a_copc_file_gives_the_points_of_all_its_nodes(tmp_path):
+    pytest.importorskip("lazrs")
+    (tmp_path / "a.copc.laz").write_bytes(zlib.decompress(base64.b85decode(COPC)))
+    field, report = imported(tmp_path, tmp_path / "a.copc.laz", cell=1.0)
+    y, x = np.mgrid[:5, :6] + 0.5
+    assert np.array_equal(np.asarray(field.samples), 2 * x + 3 * y)
+    assert report["warnings"][0].startswith("30 ground points became 6 x 5 cells of 1 m. 0 cells in gaps")
 
 
 def test_the_default_cell_holds_four_points_in_the_mean(tmp_path):

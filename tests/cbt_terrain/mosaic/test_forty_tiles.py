@@ -19,7 +19,7 @@ from mosaic_files import DEGREES, UTM32, UTM33, land, moved, sheet, top
 from own_surface import mesh_points
 
 # Frames of the flight, and samples along each axis of which one is tested.
-FRAMES, EVERY = (60, 1) if int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) >= 10_000 else (2, 4)
+FRAMES, EVERY = (20, 1) if int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0")) >= 10_000 else (2, 4)
 SECOND = 1 / 3600
 WEST, LATITUDE = 10.005, 50.0  # where two bands of Copernicus widths meet
 MISSING = slice(24, 48), slice(54, 72)  # of the southern band, a tile that is not there

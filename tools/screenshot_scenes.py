@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scene of a picture of the panel, run in Blender with a window: NAME FOLDER FILE.
+"""A scene of take_screenshots.py, run in Blender with a window: NAME FOLDER FILE.
 
-Touches FOLDER/NAME.ready when the scene is drawn.
+Touches FOLDER/PICTURE.ready when a picture can be taken, and goes on when the file is gone.
 """
 
 import importlib
@@ -15,6 +15,9 @@ NAME, *_PATHS = sys.argv[sys.argv.index("--") + 1 :]
 FOLDER, FILE = map(Path, _PATHS)
 WAIT_S = 1200.0  # only so that a hang ends
 MOVES, QUIET_MS = 60, 60.0
+# Buttons in pixels from the upper left of the evening's window, and the samples of its render.
+BUTTONS_X, SET_UP_Y, WATER_Y, SCATTER_Y = 1041, 332, 377, 401
+SAMPLES = 16
 PACKAGE = bpy.types.Object.adaptive_terrain.keywords["type"].__module__.partition(".operators")[0]
 PANEL = "ADAPTIVE_TERRAIN_PT_"
 IMPORT_PANELS = {"main", "source", "imported", "surface"}
@@ -70,7 +73,14 @@ def settle(terrain):
             break
     viewport()[1].tag_redraw()
     yield 3.0
-    (FOLDER / f"{NAME}.ready").touch()
+    yield from picture(NAME)
+
+
+def picture(name: str):
+    """Wait until a picture is taken."""
+    ready = FOLDER / f"{name}.ready"
+    ready.touch()
+    yield from until(lambda: not ready.exists())
 
 
 def show_tab():
@@ -130,10 +140,57 @@ def land_scene():
     yield from settle(terrain)
 
 
+def click(x: int, y: int):
+    """Move the mouse to pixels from the upper left, press and release the left button."""
+    window = viewport()[0]
+    for kind, value in (("MOUSEMOVE", "NOTHING"), ("LEFTMOUSE", "PRESS"), ("LEFTMOUSE", "RELEASE")):
+        window.event_simulate(type=kind, value=value, x=x, y=window.height - y)
+        yield 0.5
+
+
+def is_shown():
+    """Return whether the terrain's mesh is that of the present view, and no job runs."""
+    live, jobs = module("operators.session.live"), module("operators.jobs")
+    return not live.is_behind() and not jobs.running
+
+
+def evening_scene():
+    """From a dropped elevation model to a render with water and trees, by clicks on the buttons of the panel."""
+    scene = bpy.context.scene
+    run(bpy.ops.mesh.adaptive_terrain_from_file, "INVOKE_DEFAULT", filepath=str(FILE))
+    yield from until(lambda: any(len(obj.data.polygons) > 6 for obj in scene.objects if obj.type == "MESH"))
+    yield from until(is_shown)
+    yield 5.0
+    yield from picture("evening_import")
+    yield from click(BUTTONS_X, SET_UP_Y)
+    yield from until(lambda: "Terrain Sun" in scene.objects)
+    yield 2.0
+    yield from until(is_shown)
+    yield 3.0
+    yield from picture("evening_scene")
+    scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", SAMPLES, False
+    yield from click(BUTTONS_X, WATER_Y)
+    yield from until(lambda: any(obj.name.endswith(" Water") for obj in scene.objects))
+    yield 3.0
+    yield from picture("evening_water")
+    yield from click(BUTTONS_X, SCATTER_Y)
+    yield 2.0
+    yield from picture("evening_scatter")
+    yield from click(BUTTONS_X - 66, SCATTER_Y + 23)
+    yield from until(lambda: any(obj.name.endswith(" Scatter") for obj in scene.objects))
+    yield 2.0
+    yield from until(is_shown)
+    yield 3.0
+    yield from picture("evening_trees")
+    scene.render.filepath = str(FOLDER / "evening_picture.png")
+    run(bpy.ops.render.render, write_still=True)
+    yield from picture("evening_picture")
+
+
 def steps():
     """Yield the seconds to wait before each next step."""
     yield 2.0
-    yield from {"first_import": import_scene, "panel": land_scene}[NAME]()
+    yield from {"first_import": import_scene, "panel": land_scene, "evening": evening_scene}[NAME]()
 
 
 _steps = steps()

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Take the pictures of the panel for docs/images in the real Blender program: `take_screenshots.py WRAPPER`.
+"""Take pictures of the window for docs/images in the real Blender program: `take_screenshots.py WRAPPER [SCENE ...]`.
 
-WRAPPER is `.cache/blender.run`, written by tools/get_blender.sh. The script needs root and some minutes: it builds the
+WRAPPER is `.cache/blender.run`, written by tools/get_blender.sh. The scenes are those of SCENES, all by default: two of
+the panel, and the first evening. The script needs root and some minutes, for the evening half an hour: it builds the
 extension and installs it into a folder that is removed at the end.
 """
 
@@ -15,9 +16,17 @@ sys.path.insert(0, str(ROOT / "tests" / "support"))
 
 import numpy as np  # noqa: E402
 import program_window  # noqa: E402
+from PIL import Image  # noqa: E402
 from real_program import Program, lend_kernels, read_dem, write_dem  # noqa: E402
 
-PICTURES = {"first_import": (1200, 800), "panel": (1320, 1300)}
+# The size of the window and the pictures of each scene of screenshot_scenes.py.
+EVENING = tuple(f"evening_{name}" for name in ("import", "scene", "water", "scatter", "trees", "picture"))
+SCENES = {
+    "first_import": ((1200, 800), ("first_import",)),
+    "panel": ((1320, 1300), ("panel",)),
+    "evening": ((1440, 900), EVENING),
+}
+EASTING, NORTHING = 600_000.0, 5_200_000.0  # of the evening's elevation model
 
 
 def main() -> int:
@@ -26,17 +35,49 @@ def main() -> int:
         folder = Path(name)
         program = Program(str(Path(sys.argv[1]).resolve()), folder / "user")
         install(program, folder)
-        model = folder / "valley.tif"
-        write_dem(model, read_dem()["elevation"].astype(np.float32))
         script = ROOT / "tools" / "screenshot_scenes.py"
-        for picture, size in PICTURES.items():
+        for scene in sys.argv[2:] or SCENES:
+            model = folder / ("alps.tif" if scene == "evening" else "valley.tif")
+            if scene == "evening":
+                write_alps(model)
+            else:
+                write_dem(model, read_dem()["elevation"].astype(np.float32))
+            size, pictures = SCENES[scene]
             program_window.SCREEN = size
-            arguments = ["--python", script, "--", picture, folder, model]
+            arguments = ["--python", script, "--", scene, folder, model]
             with program_window.window(program, arguments, folder, place=(0, 0, *size)) as blender:
-                program_window.wait_for(folder / f"{picture}.ready", blender)
-                screen = program_window.read_screen(folder)
-            screen.save(ROOT / "docs" / "images" / f"{picture}.jpg", quality=88)
+                for picture in pictures:
+                    program_window.wait_for(folder / f"{picture}.ready", blender)
+                    save_picture(folder, picture)
     return 0
+
+
+def save_picture(folder: Path, picture: str) -> None:
+    """Save the render that the scene has written, or else the screen, and let the scene go on."""
+    render = folder / f"{picture}.png"
+    screen = Image.open(render).convert("RGB") if render.exists() else program_window.read_screen(folder)
+    screen.save(ROOT / "docs" / "images" / f"{picture}.jpg", quality=88)
+    (folder / f"{picture}.ready").unlink()
+
+
+def write_alps(path: Path) -> None:
+    """Write the built-in mountains, shaped by their effects, as a GeoTIFF in UTM."""
+    import bpy
+    import rasterio
+    from adaptive_terrain.cbt_terrain.field.store import open_store
+    from adaptive_terrain.operators.blender import need_bpy
+    from adaptive_terrain.operators.land import shaped_land
+
+    need_bpy("the pictures")
+    bpy.ops.wm.save_as_mainfile(filepath=str(path.with_name("alps.blend")))
+    bpy.ops.mesh.adaptive_terrain_add(land="MOUNTAINS", natural_size=True, shape=True)
+    bpy.ops.adaptive_terrain.shape()
+    field = open_store(shaped_land.store_of(bpy.context.object))
+    heights, step = field.heights()[::-1], field.lattice.step_x
+    shape = {"height": heights.shape[0], "width": heights.shape[1], "count": 1, "dtype": "float32"}
+    place = {"crs": "EPSG:32632", "transform": rasterio.transform.from_origin(EASTING, NORTHING, step, step)}
+    with rasterio.open(path, "w", driver="GTiff", compress="deflate", **shape, **place) as tif:
+        tif.write(np.round(heights, 2), 1)
 
 
 def install(program: Program, folder: Path) -> None:

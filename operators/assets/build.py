@@ -42,7 +42,9 @@ def write_library(folder: Path, stamp: str) -> None:
 
     Partial files are beside the folder: the Asset Browser reads all that is in it.
     """
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    # Factory settings would disable all extensions of this process, and Blender would then remove the wheels of the
+    # user's extensions.
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
     with tempfile.TemporaryDirectory(prefix="partial-", dir=folder.parent) as name:
         partial = Path(name)
         studio = Studio(bpy.context.scene, partial)

@@ -9,6 +9,7 @@ from window_report import run_in_window
 def test_the_asset_browser_lists_the_library(program, tmp_path):
     shutil.rmtree(program.user / "extensions/.user/user_default/adaptive_terrain/assets")
     report = run_in_window(program, "asset_library.py", tmp_path, ("browser", "dropped"))
+    assert report["wheels"], "the process that writes the library leaves the extension's wheels in place"
     assert report["files"] == ["adaptive_terrain.blend", "blender_assets.cats.txt", "version.txt"]
     assert report["assets"] == {"materials": 6, "node_groups": 3, "collections": 5}
     assert report["dragged"] == ["Terrain Material"]

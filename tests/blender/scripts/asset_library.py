@@ -26,6 +26,9 @@ def steps():
     mine = entries()[-1]
     yield from until(ours)
     [folder] = ours()
+    import warp
+
+    result["wheels"] = Path(warp.__file__).is_file()
     result["files"] = sorted(file.name for file in Path(folder).iterdir())
     window, area, _ = parts()
     yield from browse(area)

@@ -204,6 +204,7 @@ def pack_layers(ground: Ground | None, finest: float, lattice: Lattice) -> kerne
     c.pixels = flat(np.concatenate([np.empty(0, np.float32), *heights]), wp.float32)
     c.masks = flat(_joined(masks), wp.uint8)
     c.columns, c.rows = lattice.width, lattice.height
-    c.west, c.south, _, _ = lattice.rectangle()
+    c.anchor_x, c.anchor_y = lattice.anchor_x, lattice.anchor_y
+    c.west, c.south = -0.5 * lattice.cells_x * lattice.step_x, -0.5 * lattice.cells_y * lattice.step_y
     c.per_x, c.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
     return c

@@ -60,13 +60,15 @@ def box_of(field: HeightField, vertical_scale: float, vertical_offset: float) ->
 
     Raises TerrainError if a mesh, which has float32 positions, cannot hold it.
     """
-    _, _, x, y = field.lattice.rectangle()
+    west, south, east, north = field.lattice.rectangle()
     z = sorted(h * vertical_scale + vertical_offset for h in (field.min_height, field.max_height))
-    box = np.array([[-x, -y, z[0]], [x, y, z[1]]])
+    box = np.array([[west, south, z[0]], [east, north, z[1]]])
     largest = float(np.finfo(np.float32).max)
-    if not max(x, y) < largest:
+    if not np.abs(box[:, :2]).max() < largest:
         raise TerrainError(
-            f"The terrain is {2 * x:g} x {2 * y:g} m", expected="a size that float32 can hold", fix="import it smaller"
+            f"The terrain is {east - west:g} x {north - south:g} m",
+            expected="a size that float32 can hold",
+            fix="import it smaller",
         )
     if not np.abs(box).max() < largest:
         raise TerrainError(

@@ -3,6 +3,7 @@
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -18,6 +19,8 @@ SMALLEST_EXTENT, LARGEST_EXTENT = 1e-30, 1e30
 # Smallest relative error of lengths at the border that is worth a warning.
 MIN_SHOWN_ERROR = 1e-3
 Transform = tuple[float, float, float, float, float, float]
+# (a, b, c, d, e, f) maps metres in the terrain's space to coordinates of its CRS: a x + b y + c and d x + e y + f.
+Place = tuple[float, float, float, float, float, float]
 _EPSG = re.compile(r"EPSG:\d{1,7}")
 _ELLIPSOID = re.compile(r'(?:SPHEROID|ELLIPSOID)\["[^"]*",\s*([\d.eE+]+),\s*([\d.eE+]+)')
 
@@ -36,6 +39,8 @@ class Georeference:
         first_row_south, first_column_east: whether the file's first sample is in the south, in the east.
         transposed: whether the file's rows run along y and its columns along x.
         rotation_deg: degrees from x of the CRS to x of the terrain, counterclockwise.
+        across, up: differences of CRS coordinates (x, y) between samples along x and along y of the terrain; None
+            without a geotransform.
         size_warnings: warnings that do not apply if the user gives an extent in metres.
     """
 
@@ -47,14 +52,51 @@ class Georeference:
     first_column_east: bool = False
     transposed: bool = False
     rotation_deg: float = 0.0
+    across: tuple[float, float] | None = None
+    up: tuple[float, float] | None = None
     warnings: tuple[str, ...] = ()
     size_warnings: tuple[str, ...] = ()
+
+    @property
+    def place(self) -> Place | None:
+        """Return the affine map from the terrain's space to the CRS, None without a geotransform."""
+        if self.across is None or self.up is None:
+            return None
+        (a, d), (b, e) = (v / self.step_x for v in self.across), (v / self.step_y for v in self.up)
+        return a, b, self.middle[0], d, e, self.middle[1]
 
     def in_file_order(self, heights: np.ndarray) -> np.ndarray:
         """Return a view of `heights` [y, x], row 0 south, whose rows and columns are those of the file."""
         heights = heights if self.first_row_south else heights[::-1]
         heights = heights[:, ::-1] if self.first_column_east else heights
         return heights.T if self.transposed else heights
+
+
+def known_place(place: Place | None, crs: str, origin: Sequence[float] | np.ndarray) -> Place | None:
+    """Return the place of a store, by default metres from its origin if it has no CRS, else None: its unit is unknown.
+
+    crs: name of the system, "" without one. origin: CRS coordinates of the terrain's middle.
+    """
+    return place if place or crs else (1.0, 0.0, float(origin[0]), 0.0, 1.0, float(origin[1]))
+
+
+def move_place(place: Place, x: float, y: float) -> Place:
+    """Return the place of the same terrain in a space whose origin is at (x, y), metres."""
+    (east,), (north,) = to_crs(place, np.array([[x, y]])).T
+    return place[0], place[1], float(east), place[3], place[4], float(north)
+
+
+def to_crs(place: Place, positions: np.ndarray) -> np.ndarray:
+    """Return CRS coordinates, float64 [n, 2], of positions in the terrain's space, metres."""
+    (x, y), (a, b, c, d, e, f) = np.asarray(positions, np.float64).T, place
+    return np.stack([a * x + b * y + c, d * x + e * y + f], axis=1)
+
+
+def from_crs(place: Place, coordinates: np.ndarray) -> np.ndarray:
+    """Return positions in the terrain's space, float64 [n, 2] metres, of CRS coordinates."""
+    a, b, c, d, e, f = place
+    x, y = np.asarray(coordinates, np.float64).T - np.array([[c], [f]])
+    return np.stack([e * x - b * y, a * y - d * x], axis=1) / (a * e - b * d)
 
 
 def ellipsoid_of(wkt: str) -> tuple[float, float]:
@@ -162,13 +204,17 @@ def from_transform(
     along, down = length((a * metres_x, d * metres_y)), length((b * metres_x, e * metres_y))
     place = partial(Georeference, middle=(x, y), crs=crs, size_warnings=tuple(size_warnings))
     if a == e == 0.0:
+        place = partial(place, across=(abs(b), 0.0), up=(0.0, abs(d)))
         return place(down, along, first_row_south=d > 0.0, first_column_east=b < 0.0, transposed=True)
     if b == d == 0.0:
+        place = partial(place, across=(abs(a), 0.0), up=(0.0, abs(e)))
         return place(along, down, first_row_south=e > 0.0, first_column_east=a < 0.0)
     # A counterclockwise turn from rows to columns means that the first row is south.
     rotation = math.degrees(math.atan2(d * metres_y, a * metres_x))
     warning = _rotation_warning(rotation, crs, bool(degrees))
-    return place(along, down, first_row_south=a * e > b * d, rotation_deg=rotation, warnings=(warning,))
+    is_south = a * e > b * d
+    place = partial(place, across=(a, d), up=(b, e) if is_south else (-b, -e))
+    return place(along, down, first_row_south=is_south, rotation_deg=rotation, warnings=(warning,))
 
 
 def _metres_of_degrees(y: float, degrees: float, ellipsoid: tuple[float, float]) -> tuple[float, float]:

@@ -16,6 +16,7 @@ from ..run.locks import caching
 from . import codes
 from .detail_bounds import DetailTerm, highest
 from .displacement_layers import Ground, bound_terms, pack_layers
+from .georeference import Place, known_place, move_place
 from .lattice import Lattice
 from .store_arrays import all_finite
 
@@ -46,10 +47,12 @@ class FieldKey:
     raster: str
     interpolation: str
     detail: str
+    anchor: tuple[float, float] = (0.0, 0.0)
 
     def __str__(self) -> str:
         surface = "" if self.interpolation == "bilinear" else f"-{self.interpolation}"
-        return self.raster + surface + (f"-detail-{self.detail}" if self.detail else "")
+        anchor = "-anchor-{}-{}".format(*self.anchor) if any(self.anchor) else ""
+        return self.raster + surface + (f"-detail-{self.detail}" if self.detail else "") + anchor
 
 
 @dataclass(frozen=True)
@@ -61,12 +64,14 @@ class FieldCache:
         expanded: error hierarchies by interpolation and level of meshlets (meshlet_errors.py).
         pyramid: coarser levels of the heights (attributes/pyramid.py), if computed.
         results: for light, occlusion and previews, by kind.
+        anchored: the field with the anchor that was requested last.
     """
 
     surfaces: dict[SurfaceSpec, "HeightField"] = field(default_factory=dict)
     expanded: dict[tuple[str, int], np.ndarray] = field(default_factory=dict)
     pyramid: list[np.ndarray] = field(default_factory=list)
     results: dict[tuple, object] = field(default_factory=dict)
+    anchored: dict[tuple[float, float], "HeightField"] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +86,8 @@ class HeightRaster:
             holes (holes.py).
         layers: by-products of height operators, by name: float32 [height, width], row 0 south.
         origin: float64 [3], CRS coordinates of the local origin.
+        place: from the terrain's space to the CRS, see georeference.py; None without a geotransform and in stores of
+            older versions.
         path: of the store, None for a raster in memory.
         cache: empty in a copy that `replace` has made.
     """
@@ -94,6 +101,7 @@ class HeightRaster:
     layers: Mapping[str, np.ndarray] = field(default_factory=dict, repr=False)
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     crs: str = ""
+    place: Place | None = None
     provenance: dict = field(default_factory=dict)
     path: Path | None = None
     cache: FieldCache = field(default_factory=FieldCache, repr=False, init=False)
@@ -102,6 +110,11 @@ class HeightRaster:
         """Return samples[index], or all of them, in float32 metres."""
         samples = self.samples[index]
         return samples if self.steps is None else self.steps.heights(samples)
+
+    @property
+    def known_place(self) -> Place | None:
+        """Return `place`; without a CRS it is metres from the origin by default."""
+        return known_place(self.place, self.crs, self.origin)
 
     def damage(self, what: str) -> TerrainError:
         """Return the error for arrays that no import has written. what: clause about the fault."""
@@ -167,8 +180,9 @@ class HeightField:
 
     @cached_property
     def key(self) -> FieldKey:
-        """Return the identity of the field: content of the raster, interpolation and displacement."""
-        return FieldKey(self.raster.digest, self.interpolation, self.detail.key if self.detail else "")
+        """Return the identity of the field: content of the raster, interpolation, displacement and anchor."""
+        anchor = self.lattice.anchor_x, self.lattice.anchor_y
+        return FieldKey(self.raster.digest, self.interpolation, self.detail.key if self.detail else "", anchor)
 
     @property
     def finest_edge(self) -> float:
@@ -199,6 +213,37 @@ class HeightField:
     def with_raster(self, **changes: Any) -> "HeightField":
         """Return the same surface of a raster with other attributes and an empty cache."""
         return replace(self, raster=replace(self.raster, **changes))
+
+
+def anchored(field: HeightField, x: float, y: float) -> HeightField:
+    """Return the same surface in a space whose origin is (x, y), metres from the raster's middle: the anchor.
+
+    Positions become float32 relative to it, so they are exact near it. Samples and errors are shared; only the last
+    result is cached. field: without an anchor. Raises TerrainError if the anchor is outside of the raster or its CRS
+    coordinates are unknown.
+    """
+    if not (x or y):
+        return field
+    with caching:
+        if (x, y) not in field.cache.anchored:
+            raster, lattice = field.raster, replace(field.lattice, anchor_x=x, anchor_y=y)
+            west, south, east, north = lattice.rectangle()
+            if not (west <= 0.0 <= east and south <= 0.0 <= north):  # coordinates at its far end would be too coarse
+                raise TerrainError(
+                    f"The anchor ({x:g}, {y:g}) is outside of the terrain",
+                    expected="metres from its middle",
+                    fix="choose one on it; in Blender press Move World Here",
+                )
+            if raster.known_place is None:
+                raise TerrainError(
+                    f"The store {raster.path} does not record its place, so its origin cannot be moved",
+                    fix="import it again",
+                )
+            place = move_place(raster.known_place, x, y)
+            origin = np.array([place[2], place[5], raster.origin[2]])
+            field.cache.anchored.clear()
+            field.cache.anchored[x, y] = field.with_raster(lattice=lattice, origin=origin, place=place)
+        return field.cache.anchored[x, y]
 
 
 def with_detail(field: HeightField, detail: Ground | None) -> HeightField:

@@ -37,7 +37,8 @@ PAGE = 32
 class Lattice:
     """`columns` x `rows` root squares of `2**levels` cells a side over a raster of `cells_x` x `cells_y` cells.
 
-    A cell is `step_x` by `step_y` metres. `cells_x` and `cells_y` default to all cells of the squares.
+    A cell is `step_x` by `step_y` metres. `cells_x` and `cells_y` default to all cells of the squares. The terrain's
+    space has its origin, the anchor, `anchor_x` and `anchor_y` metres from the raster's middle.
     """
 
     columns: int
@@ -47,6 +48,8 @@ class Lattice:
     step_y: float = 1.0
     cells_x: int = 0
     cells_y: int = 0
+    anchor_x: float = 0.0
+    anchor_y: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cells_x", self.cells_x or self.columns << self.levels)
@@ -73,9 +76,9 @@ class Lattice:
         return self.span != (self.cells_x, self.cells_y)
 
     def rectangle(self) -> tuple[float, float, float, float]:
-        """Return the west, south, east and north border of the raster, metres from its middle."""
+        """Return the west, south, east and north border of the raster, metres in the terrain's space."""
         x, y = 0.5 * self.cells_x * self.step_x, 0.5 * self.cells_y * self.step_y
-        return -x, -y, x, y
+        return -x - self.anchor_x, -y - self.anchor_y, x - self.anchor_x, y - self.anchor_y
 
     @property
     def squares(self) -> int:

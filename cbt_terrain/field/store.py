@@ -173,6 +173,7 @@ def _open(path: Path, content: dict) -> HeightField:
         layers=LayerFiles(folder, content.get("layers", {}), shape),
         origin=np.array(content["origin"], np.float64),
         crs=content["crs"],
+        place=tuple(content["place"]) if "place" in content else None,
         provenance=content["provenance"],
         path=path,
     )
@@ -195,7 +196,9 @@ def is_intact(field: HeightField) -> bool:
     layers = [found for key, found in field.cache.results.items() if key[0] == "layer"]
     arrays += [array for layer in layers for array in layer.cache.pyramid]
     arrays += getattr(field.layers, "opened", {}).values()
-    return not any(array is not None and is_cut_off(array) for array in arrays)
+    if any(array is not None and is_cut_off(array) for array in arrays):
+        return False
+    return all(map(is_intact, field.cache.anchored.values()))
 
 
 def verify(path: str | os.PathLike) -> dict[str, int]:
@@ -330,6 +333,7 @@ class Draft:
             **{name: getattr(field, name) for name in _NUMBERS},
             "origin": [float(c) for c in field.origin],
             "crs": field.crs,
+            **({"place": field.raster.place} if field.raster.place else {}),
             **({"layers": layers} if layers else {}),
             "provenance": field.provenance,
             "report": report,

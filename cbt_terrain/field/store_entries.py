@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks of the entries of a store's JSON file, which may have been edited or damaged."""
 
+import math
 import re
 from collections.abc import Callable
 from typing import Any
@@ -106,6 +107,14 @@ def _is_layers(value: JsonValue) -> bool:
     return all(_LAYER.fullmatch(name) and _is_text(unit) for name, unit in value.items())
 
 
+def _is_place(value: JsonValue) -> bool:
+    """Return whether a value is a Place of georeference.py that can be inverted."""
+    if not isinstance(value, list) or len(value) != 6 or not all(map(_is_number, value)):
+        return False
+    a, b, _, d, e, _ = value
+    return 0.0 < abs(a * e - b * d) < math.inf
+
+
 _HEIGHT = (lambda value: _is_number(value, -LARGEST, LARGEST), "a finite number of metres")
 _DISTANCE = (lambda value: _is_number(value, 0.0, LARGEST), "a finite number of metres, at least 0")
 _SLOPE = (lambda value: _is_number(value, 0.0, 1e60), "a finite number, at least 0")
@@ -136,7 +145,10 @@ _ENTRIES: dict[str, _Entry] = {
     "report": (_is_report, "an object with the figures and warnings of the import"),
 }
 # Entries that only some stores have.
-_OPTIONAL: dict[str, _Entry] = {"layers": (_is_layers, f"an object of at most {MAX_LAYERS} layers and their units")}
+_OPTIONAL: dict[str, _Entry] = {
+    "layers": (_is_layers, f"an object of at most {MAX_LAYERS} layers and their units"),
+    "place": (_is_place, "six finite numbers that map metres to coordinates one to one"),
+}
 
 
 def check_entries(content: dict) -> None:

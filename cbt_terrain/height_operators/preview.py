@@ -119,7 +119,8 @@ def preview(
     )  # fmt: skip
     build_ms = (time.perf_counter() - start) * 1e3
     digest = compute_digest(result.raster.digest, stack.key())  # the stack's stands for the layers
-    result = result.with_raster(digest=digest, layers=_Layers(states[-1].ground.layers, rows, columns))
+    layers = _Layers(states[-1].ground.layers, rows, columns)
+    result = result.with_raster(digest=digest, layers=layers, place=source.raster.place)
     left = stack.active[len(states) - 1 :]
     without = (left[0].name or left[0].declaration.label) if left else ""
     return Preview(result, [state.ms for state in states[1:]], max(level.step_x, level.step_y), without, build_ms)

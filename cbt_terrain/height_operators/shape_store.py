@@ -95,6 +95,7 @@ def run_shape(
             filled=heights.filled,
             origin=heights.origin,
             crs=heights.crs,
+            place=heights.raster.place,
             provenance=heights.provenance | {"shaped": _provenance(source, heights, stack, shaped, everywhere)},
         )
         report = _shaping_report(field, source, heights, stack, shaped)

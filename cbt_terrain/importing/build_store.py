@@ -136,6 +136,7 @@ def _build(
         **({} if steps is None else _encode_samples(field, draft, steps)),
         origin=np.array([*place.middle, 0.0]),
         crs=place.crs,
+        place=place.place,
     ), check
 
 

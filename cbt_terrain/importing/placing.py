@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Conversion between a store's coordinate system and metres from the terrain's middle."""
 
+import math
 import os
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from ..errors import TerrainError, shown
 from ..field import store as stores
 from ..field.georeference import ROTATED, degree_lengths
 from ..field.heightfield import HeightField
@@ -88,9 +90,39 @@ def placing_of(store: str | os.PathLike) -> Placing:
     return Placing(float(field.origin[0]), float(field.origin[1]), unit_x, unit_y, field.crs, period)
 
 
+def reproject_point(x: float, y: float, source: str, target: str) -> tuple[float, float]:
+    """Return a point of one coordinate system in another; x is east or the longitude. Raises TerrainError.
+
+    Starts a child process, since PROJ is not loaded in Blender.
+    """
+    request, what = {"point": [x, y], "systems": [source, target]}, "the coordinate systems"
+    east, north = ask(MODULE, request, what)
+    return east, north
+
+
 def child_main() -> None:
     """Answer one request on stdin, in a child process that may load PROJ."""
-    serve(lambda request, *_: _units(request["store"]), lambda request: f"Reading {request['store']}")
+
+    def answer(request: dict, *_: object) -> tuple[float, ...]:
+        """Return the units of a store, or a point in another system."""
+        return _reprojected(*request["point"], *request["systems"]) if "point" in request else _units(request["store"])
+
+    serve(answer, lambda request: f"Reading {request.get('store', 'the coordinate systems')}")
+
+
+def _reprojected(x: float, y: float, source: str, target: str) -> tuple[float, float]:
+    """Return a point in another coordinate system. Raises TerrainError for names and points that PROJ refuses."""
+    from rasterio.crs import CRS
+    from rasterio.warp import transform
+
+    try:
+        (east,), (north,) = transform(CRS.from_string(source), CRS.from_string(target), [x], [y])
+    except Exception as reason:
+        what = f"{shown(source, 40)} cannot be converted to {shown(target, 40)} ({shown(str(reason))})"
+        raise TerrainError(what, expected="two coordinate systems that PROJ knows") from None
+    if not (math.isfinite(east) and math.isfinite(north)):
+        raise TerrainError(f"({x:g}, {y:g}) in {shown(source, 40)} has no place in {shown(target, 40)}")
+    return east, north
 
 
 def _units(store: str) -> tuple[float, float, float]:

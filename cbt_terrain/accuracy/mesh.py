@@ -86,8 +86,7 @@ class MeshGround:
         g.curved, g.max_detail = int(g.bicubic or bool(field.parts)), highest(field.parts)
         g.layers = displacement_layers.pack_layers(field.detail, field.finest_edge, lattice)
         g.step_x, g.step_y = lattice.step_x, lattice.step_y
-        g.west = -0.5 * (lattice.width - 1) * lattice.step_x
-        g.south = -0.5 * (lattice.height - 1) * lattice.step_y
+        g.west, g.south, _, _ = lattice.rectangle()
         g.scale, g.offset = self.scale, self.offset
         g.samples = codes.pack_samples(field.samples, field.steps)
 

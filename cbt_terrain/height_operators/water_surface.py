@@ -62,9 +62,10 @@ def water_of(field: HeightField, threads: int = 1, sea: float | None = None) -> 
         values = WATER.defaults() | ({} if sea is None else {"sea": sea})
         layers = WATER.apply(OperatorGround(heights, *steps, missing=missing, threads=threads), values, None).layers
     water_lattice = fit(heights.shape[1], heights.shape[0], *steps)
+    water_lattice = replace(water_lattice, anchor_x=lattice.anchor_x, anchor_y=lattice.anchor_y)
     depth, speed, discharge = layers[NAMES[0]], layers.get(NAMES[1]), layers.get(NAMES[2])
     surface = water_surface(water_lattice, heights, depth, speed, discharge, missing, threads=threads)
-    # Every lattice is centred at 0, and the reduced one may end short of the field's border.
+    # Both lattices have their anchor about their middle, and the reduced one may end short of the field's border.
     offset = np.subtract(lattice.rectangle()[:2], water_lattice.rectangle()[:2])
     return replace(surface, positions=surface.positions + np.array([*offset, 0.0], np.float32))
 

@@ -34,7 +34,8 @@ def pack_surface(field: HeightField, vertical_scale: float, vertical_offset: flo
     s.west, s.south, east, north = lattice.rectangle()
     s.step_x, s.step_y = lattice.step_x, lattice.step_y
     s.per_x, s.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
-    s.border_x, s.border_y = ROUNDED * east / lattice.step_x, ROUNDED * north / lattice.step_y
+    s.border_x = ROUNDED * max(-s.west, east) / lattice.step_x
+    s.border_y = ROUNDED * max(-s.south, north) / lattice.step_y
     s.scale, s.offset = vertical_scale, vertical_offset
     s.bicubic = int(field.interpolation == "bicubic")
     s.samples = codes.pack_samples(field.samples, field.steps)

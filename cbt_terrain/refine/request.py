@@ -47,6 +47,7 @@ def refinable_domain(
     """
     domain = make_domain(field, meshlet, height_scale, height_offset)
     domain.rounding, domain.lean, domain.max_lean = rounding.height, rounding.lean, rounding.max_lean
+    domain.near_x, domain.near_y = rounding.near
     domain.enough = ENOUGH * (domain.rounding + domain.source)
     return domain
 

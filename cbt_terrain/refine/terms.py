@@ -47,11 +47,14 @@ class Rounding:
 
     `height`: rounding of the heights. Rounded plane coordinates move a facet sideways, and so up or down by that times
     its slope: `lean` metres per metre of the range of heights in its diamond's box, and at most `max_lean` metres.
+    `near`: fraction of that which remains per metre between the box and the anchor along x and y, 1 at most; (0, 0)
+    without an anchor, where all counts everywhere.
     """
 
     height: float = 0.0
     lean: float = 0.0
     max_lean: float = 0.0
+    near: tuple[float, float] = (0.0, 0.0)
 
     @property
     def max_total(self) -> float:
@@ -85,7 +88,7 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
     cell's corners differ (BICUBIC_LEAN covers a bicubic one). So rounding by u and v cells along x and y moves the
     facet by at most (u + v) R, and by at most (u + v) times the sum of the steepest climbs along x and y. Where the
     border cuts an edge, the new vertex is between two rounded ones and is rounded again. Displacement adds its
-    steepest slope.
+    steepest slope. A coordinate is rounded by at most 2^-24 of itself.
     """
     lattice = field.lattice
     climb = field.steepest_x * lattice.step_x + field.steepest_y * lattice.step_y  # metres a cell
@@ -97,7 +100,11 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
     spare = DISPLACEMENT_ERROR * add_up(lattice.span[k] * (lattice.step_x, lattice.step_y)[k] for k in (0, 1))
     along = steepest(field.parts) * abs(vertical_scale)
     detail = along * (cells * (lattice.step_x + lattice.step_y) + spare) if along else 0.0
-    return Rounding(z * OUTWARD + detail, lean, cells * climb * abs(vertical_scale))
+    near = (0.0, 0.0)
+    if (lattice.anchor_x or lattice.anchor_y) and cells:
+        part = times * 2.0**-SINGLE_BITS * OUTWARD / cells
+        near = part / lattice.step_x if x else 0.0, part / lattice.step_y if y else 0.0
+    return Rounding(z * OUTWARD + detail, lean, cells * climb * abs(vertical_scale), near)
 
 
 def position_rounding(
@@ -105,10 +112,13 @@ def position_rounding(
 ) -> tuple[float, float, float]:
     """Return the largest error, metres along x, y and z, of float32 positions of leaves at `depth` or above."""
     lattice, plane = field.lattice, []
-    sides = (lattice.cells_x, lattice.span[0], lattice.step_x), (lattice.cells_y, lattice.span[1], lattice.step_y)
-    for cells, span, step in sides:
+    sides = (
+        (lattice.cells_x, lattice.span[0], lattice.step_x, lattice.anchor_x),
+        (lattice.cells_y, lattice.span[1], lattice.step_y, lattice.anchor_y),
+    )
+    for cells, span, step, anchor in sides:
         spacing = step * 2.0 ** (lattice.levels - depth // 2)
-        largest = (span - 0.5 * cells) * step
+        largest = max(0.5 * cells * step + anchor, (span - 0.5 * cells) * step - anchor)
         plane.append(0.0 if _is_exact(largest, spacing) else _half_step(largest))
     heights = max(abs(field.min_height), abs(field.max_height)) * abs(vertical_scale)
     highest = max(abs(h * vertical_scale + vertical_offset) for h in (field.min_height, field.max_height))

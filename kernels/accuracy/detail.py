@@ -117,6 +117,8 @@ def mask_height(c: PackedLayers, first: wp.int64, x: wp.float64, y: wp.float64) 
 def detail_height(c: PackedLayers, x: wp.float64, y: wp.float64) -> wp.float64:
     """Return the height in metres of all displacement layers at (x, y) metres."""
     found = wp.float64(0.0)
+    x += c.anchor_x
+    y += c.anchor_y
     for k in range(c.count):
         d = c.layer[k]
         z = wp.float64(0.0)

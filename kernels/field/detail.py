@@ -47,8 +47,10 @@ class PackedLayers:
     masks: wp.array(dtype=wp.uint8)  # a byte for each sample of the raster; 255 is the full height
     columns: wp.int32  # samples in a row of the raster
     rows: wp.int32
-    west: wp.float64  # metres
+    west: wp.float64  # metres from the raster's middle, as all positions below
     south: wp.float64
+    anchor_x: wp.float64  # origin of the terrain's space
+    anchor_y: wp.float64
     per_x: wp.float64  # samples a metre
     per_y: wp.float64
 
@@ -147,8 +149,13 @@ def mask_at(c: PackedLayers, first: wp.int64, x: wp.float64, y: wp.float64):
 
 @wp.func
 def detail_at(c: PackedLayers, x: wp.float64, y: wp.float64):
-    """Return the height of all displacement layers at (x, y) metres, with its slopes: (height, along x, along y)."""
+    """Return the height of all displacement layers at (x, y) metres, with its slopes: (height, along x, along y).
+
+    Layers do not depend on the anchor.
+    """
     found = wp.vec3d()
+    x += c.anchor_x
+    y += c.anchor_y
     for k in range(c.count):
         d = c.layer[k]
         m = wp.vec3d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0))

@@ -31,6 +31,8 @@ class Domain:
     rounding: wp.float64  # metres: largest rounding error of float32 heights
     lean: wp.float64  # ... further error by plane coordinates, metres a metre of the range of a diamond's box
     max_lean: wp.float64  # ... largest such error, metres
+    near_x: wp.float64  # ... fraction of it, 1 at most, a metre between a box and the anchor along x; both 0: all of it
+    near_y: wp.float64
     source: wp.float64  # metres: largest rounding error of the source's heights
     enough: wp.float64  # metres: errors below this are not refined further
     detailed: wp.int32  # 1: the surface has displacement layers, see cbt_terrain/field/detail.py

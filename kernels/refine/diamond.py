@@ -200,7 +200,12 @@ def rest_of(domain: Domain, d: Diamond) -> wp.float64:
 
     `rounding` in cbt_terrain/refine/terms.py explains its terms.
     """
-    return domain.rounding + smaller(domain.lean * (d.high[2] - d.low[2]), domain.max_lean)
+    lean = smaller(domain.lean * (d.high[2] - d.low[2]), domain.max_lean)
+    if domain.near_x + domain.near_y > wp.float64(0.0):
+        far_x = larger(wp.abs(d.low[0]), wp.abs(d.high[0]))
+        far_y = larger(wp.abs(d.low[1]), wp.abs(d.high[1]))
+        lean *= smaller(domain.near_x * far_x + domain.near_y * far_y, wp.float64(1.0))
+    return domain.rounding + lean
 
 
 @wp.func

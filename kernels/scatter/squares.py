@@ -67,7 +67,7 @@ def density_range(
     They are 0 outside the raster. east, north: border of the raster, metres.
     """
     t = offset + wp.tid()
-    more = ROUNDING * (east - domain.west + north - domain.south)
+    more = ROUNDING * (wp.abs(east) + wp.abs(domain.west) + wp.abs(north) + wp.abs(domain.south))
     x0 = q.west + wp.float64(numbers[t][0]) * q.side
     y0 = q.south + wp.float64(numbers[t][1]) * q.side
     x1 = smaller(x0 + q.side + more, east)

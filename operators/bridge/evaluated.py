@@ -9,7 +9,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.view.linear import determinant
+from ...cbt_terrain.view.linear import determinant, product
 
 RENDER = "RENDER"
 
@@ -89,3 +89,21 @@ def placement_of(terrain) -> np.ndarray:
     if determinant(placement[:3, :3]) == 0.0:
         raise TerrainError(f"The terrain {name!r} has a scale of 0", expected="another scale on each axis")
     return placement
+
+
+def anchor_of(terrain) -> tuple[float, float]:
+    """Return the point of a terrain that is its object's origin, metres east and north of the raster's middle."""
+    x, y = terrain.adaptive_terrain.anchor
+    return x, y
+
+
+def raster_placement_of(terrain) -> np.ndarray:
+    """Return float64 [4, 4]: from metres about the raster's middle to the world. Raises TerrainError."""
+    return about_middle(placement_of(terrain), anchor_of(terrain))
+
+
+def about_middle(placement: np.ndarray, anchor: tuple[float, float]) -> np.ndarray:
+    """Return the placement, float64 [4, 4], of a space that begins at the raster's middle instead of the anchor."""
+    shift = np.eye(4)
+    shift[:2, 3] = np.negative(anchor)
+    return product(placement, shift)

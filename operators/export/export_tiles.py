@@ -19,6 +19,7 @@ from ...cbt_terrain.run import stopping
 from ...kernels.query import ground
 from .. import jobs
 from ..attributes.request import gather_effects
+from ..bridge.evaluated import raster_placement_of
 from ..bridge.scene_paths import propose_file
 from ..job_operator import JobOperator
 from ..land.bake_land import shaped_field
@@ -43,7 +44,11 @@ def mask_requests(obj, depsgraph, field) -> tuple:
     num_splats = -(-len(obj.adaptive_terrain.layers) // 4)
     names = [*(name for name in ATTRIBUTES if name in field.layers), *SPLATS[:num_splats]]
     evaluated = obj.evaluated_get(depsgraph)
-    return gather_effects(obj, evaluated, obj.matrix_world, depsgraph, RENDER, names).requests if names else ()
+    return (
+        gather_effects(obj, evaluated, raster_placement_of(evaluated), depsgraph, RENDER, names).requests
+        if names
+        else ()
+    )
 
 
 class TileExport(JobOperator, ExportHelper):

@@ -20,6 +20,7 @@ from ...cbt_terrain.exporting.pictures import WORLD_FILES, write_geotiffs, write
 from ...cbt_terrain.run import stopping
 from ...cbt_terrain.run.partial_files import private_folder
 from ..bridge.camera import render_resolution
+from ..bridge.evaluated import raster_placement_of
 from ..bridge.scene_paths import absolute_path, propose_file
 from ..importing.imported import imported_of
 from ..land import shaped_land
@@ -72,7 +73,7 @@ def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float |
     """
     box, scene = sight.box_of(obj, depsgraph), depsgraph.scene
     need_no_shear(obj)
-    matrix = np.array(obj.evaluated_get(depsgraph).matrix_world, np.float64)
+    matrix = raster_placement_of(obj.evaluated_get(depsgraph))
     if np.linalg.det(matrix[:3, :3]) <= 0.0:
         raise TerrainError(f"The terrain {obj.name!r} is mirrored", fix="give it a scale above 0")
     scale = np.sqrt((matrix[:3, :3] ** 2).sum(0))

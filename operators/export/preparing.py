@@ -5,11 +5,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import bpy
-import numpy as np
 
 from ...cbt_terrain.field.store import JSON_NAME
 from ...cbt_terrain.height_operators.derived_store import raster_of
 from ...cbt_terrain.importing.import_process import import_source
+from ..bridge.evaluated import raster_placement_of
 from ..bridge.scene_paths import store_path
 from ..importing.import_terrain import settings_of
 from ..importing.import_terrain import summary as import_summary
@@ -63,7 +63,7 @@ def shape_land(obj, frames: Sequence[int], say: Say, to: To) -> None:
     if land is not None:
         views = []
         if land.of_views:
-            *_, views = visit_views(obj, scene, frames, np.array(obj.matrix_world, np.float64))
+            *_, views = visit_views(obj, scene, frames, raster_placement_of(obj), about_middle=True)
         raster_of("", wanted_land(obj, bpy.context.evaluated_depsgraph_get(), views), session.open_field, verified=True)
         say(f"{obj.name}: its land is shaped")
     if names := maps_shown_by_materials(obj):

@@ -1,6 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The panel *Ground*: objects on the terrain, and measurements. It is shown for any object."""
 
+import numpy as np
+
+from ..bridge.evaluated import anchor_of
+from ..bridge.scene_origin import coordinates_text
+from ..importing.imported import imported_of
 from ..session import session
 from ..text.numbers import length_text
 from ..text.translations import phrase
@@ -37,6 +42,10 @@ class GroundPanel:
         column = layout.column(align=True)
         column.operator("adaptive_terrain.profile", icon="IPO_EASE_IN_OUT")
         column.operator("adaptive_terrain.viewshed", icon="HIDE_OFF")
+        column.operator("adaptive_terrain.move_world", icon="WORLD")
+        text = _cursor_text(context)
+        if text:
+            layout.label(text=phrase("3D Cursor: {}", text), icon="CURSOR")
         if obj is not None and session.is_terrain(obj):
             self._draw_collider(layout, obj)
 
@@ -66,6 +75,16 @@ class GroundPanel:
         if collider is not None:
             bound = length_text(collider[add_collider.MARK])
             column.label(text=phrase("{} triangles, ≤ {} off", f"{len(collider.data.polygons):,}", bound))
+
+
+def _cursor_text(context) -> str:
+    """Return the coordinates of the 3D cursor in the system of the shown terrain; "" if they are unknown."""
+    terrain = session.shown_terrain(context)
+    imported = None if terrain is None else imported_of(terrain.adaptive_terrain)
+    if imported is None or terrain.matrix_world.determinant() == 0.0:
+        return ""
+    position = terrain.matrix_world.inverted() @ context.scene.cursor.location
+    return coordinates_text(imported.place, imported.crs, np.array(position[:2]) + anchor_of(terrain))
 
 
 def notes(obj) -> list[str]:

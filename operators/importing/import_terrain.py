@@ -20,7 +20,7 @@ from ..session import live, session
 from ..terrain import frame_terrain, sidebar
 from ..terrain.properties import built_in_land
 from ..text.numbers import SMALLEST, plain
-from . import imported
+from . import imported, shared_origin
 from .placement_notes import neighbour_notes, picture_note
 from .store_location import location_warnings, store_folder
 
@@ -112,7 +112,7 @@ def _size_of(obj) -> float:
     return math.hypot(*found.extent_m) if found is not None else 0.0
 
 
-class _Import(JobOperator):
+class ImportOperator(JobOperator):
     """Base of the operators that import."""
 
     bl_label = "Import"
@@ -122,6 +122,7 @@ class _Import(JobOperator):
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Import the terrain's height map in a child process; return its report and the path of the store."""
         settings = settings_of(context.object)
+        self.before = imported.imported_of(context.object.adaptive_terrain)
         folder = store_folder(context.object, settings)
         report = yield from jobs.run_in_child(job, ImportJob(settings, absolute_path(folder)))
         yield from jobs.wait_for_kernels(job)  # the end of an import may update the mesh
@@ -135,9 +136,15 @@ class _Import(JobOperator):
         """Give the store to the terrain. Frame a terrain that had none, or one of another size."""
         report, folder = result
         before = _size_of(obj)
+        follows = shared_origin.follows_coordinates(obj, context.scene, self.before)
         obj.adaptive_terrain.store, obj.adaptive_terrain.frozen = folder, ""
         session.record_of(obj).status.error = ""  # of the heights before
         imported.tag_object(obj)
+        shared_origin.keep_anchor_inside(obj, imported.imported_of(obj.adaptive_terrain))
+        if follows:
+            for note in shared_origin.place_terrain(obj, context.scene, imported.imported_of(obj.adaptive_terrain)):
+                self.report({"WARNING"}, note)
+            context.view_layer.update()
         after = _size_of(obj)
         if after and not (before and 1 / RESIZED < after / before < RESIZED):
             self._bring_into_view(context, obj)
@@ -168,14 +175,14 @@ class _Import(JobOperator):
             self.report({"WARNING"}, str(error))  # the import itself is done
 
 
-class ImportTerrain(_Import, bpy.types.Operator):
+class ImportTerrain(ImportOperator, bpy.types.Operator):
     """Read the height map into this terrain. You can go on working meanwhile"""
 
     bl_idname = "adaptive_terrain.import_source"
     bl_options = {"REGISTER", "UNDO"}
 
 
-class ImportAdded(_Import, bpy.types.Operator):
+class ImportAdded(ImportOperator, bpy.types.Operator):
     """Import the land of the new terrain"""
 
     bl_idname = "adaptive_terrain.import_added"
@@ -186,7 +193,7 @@ class ImportAdded(_Import, bpy.types.Operator):
     def finish(self, context, obj, result: tuple[dict, str]) -> None:
         """Remember the store, too, because Undo goes back to a terrain without one."""
         _, _added[obj.session_uid] = result
-        _Import.finish(self, context, obj, result)
+        ImportOperator.finish(self, context, obj, result)
         if session.terrains_of(context.scene) == [obj]:  # the next steps are in the tab
             sidebar.open_tab(frame_terrain.shown_viewports(context.window_manager, context.scene))
 

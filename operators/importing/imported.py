@@ -8,15 +8,14 @@ from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field import store as stores
-from ...cbt_terrain.field.georeference import LARGEST_EXTENT
+from ...cbt_terrain.field.georeference import LARGEST_EXTENT, Place, known_place
 from ...cbt_terrain.field.lands import LANDS
 from ...cbt_terrain.importing.raster import ImportSettings
+from ..bridge.scene_origin import CRS_X, CRS_Y, SRID
 from ..bridge.scene_paths import absolute_path
 from ..text.numbers import length_text, plain
 from ..text.translations import phrase
 
-# Custom properties as BlenderGIS has them on its scenes: the coordinate system, and where in it the local origin lies.
-SRID, CRS_X, CRS_Y = "SRID", "crs x", "crs y"
 LONGEST_CRS = 10_000
 LINES = ("From", "CRS", "Origin", "Raster", "Extent", "Spacing", "Heights")
 MAX_WARNINGS, LONGEST_WARNING = 8, 500
@@ -27,7 +26,8 @@ class Imported:
     """What a store records about its import.
 
     `settings` ({}: unknown), `crs` ("": none), `origin` in the CRS's unit, samples of the raster, metres of the extent
-    and between samples, the lowest and the highest height, and the import's warnings.
+    and between samples, the lowest and the highest height, the import's warnings, and the place of the raster's middle
+    (georeference.py; None: unknown).
     """
 
     settings: dict
@@ -38,6 +38,7 @@ class Imported:
     step_m: tuple[float, float]
     heights_m: tuple[float, float]
     warnings: tuple[str, ...] = ()
+    place: Place | None = None
 
 
 def imported_of(settings) -> Imported | None:
@@ -74,6 +75,7 @@ def _read_store(folder: str, _changed_ns: int) -> Imported | None:
         step_m=(lattice.step_x, lattice.step_y),
         heights_m=(content["min_height"], content["max_height"]),
         warnings=tuple(shown(text, LONGEST_WARNING) for text in report.get("warnings", [])[:MAX_WARNINGS]),
+        place=known_place(tuple(content.get("place", ())) or None, content["crs"], content["origin"]),
     )
 
 

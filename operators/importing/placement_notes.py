@@ -7,7 +7,8 @@ from pathlib import Path
 from ...cbt_terrain.errors import shown
 from ...cbt_terrain.field.georeference import degree_lengths
 from ...cbt_terrain.field.lands import LANDS
-from .imported import CRS_X, CRS_Y, SRID, Imported, imported_of
+from ..bridge.scene_origin import CRS_X, CRS_Y, SRID
+from .imported import Imported, imported_of
 
 FOOT = 0.3048
 # Cells by which the distance of two rasters may be off: degrees of other ellipsoids.

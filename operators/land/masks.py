@@ -12,7 +12,7 @@ from ...cbt_terrain.errors import unwritable
 from ...cbt_terrain.run.owned_files import is_real_file, open_folder
 from ...cbt_terrain.run.partial_files import written_beside
 from ..bridge.cleanup import plan_triangles
-from ..bridge.evaluated import evaluated_or_still
+from ..bridge.evaluated import anchor_of, evaluated_or_still
 from ..layers.images import painted_of
 
 SHADOW_SIDE = 512  # samples of a shadow along the terrain's longer side
@@ -35,6 +35,7 @@ def write_shadow_mask(obj, terrain, extent_m: tuple[float, float], depsgraph, fo
     """
     found, matrix = evaluated_or_still(depsgraph, obj, "mask")
     triangles = plan_triangles(found, matrix, Matrix(terrain.matrix_world).inverted_safe(), "mask")
+    triangles += anchor_of(terrain)
     content = repr(extent_m).encode() + triangles.tobytes()
     digest = hashlib.blake2b(content, digest_size=16).hexdigest()
     return _write_once(folder, digest, lambda: rasterize_shadow(triangles, extent_m)[::-1])

@@ -11,14 +11,13 @@ from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.height_operators import derived_store, requested_tiles, shaping_cost
 from ...cbt_terrain.height_operators.derived_store import Land
 from ...cbt_terrain.height_operators.land_folder import is_of_views
 from ...cbt_terrain.height_operators.shape_process import ShapeJob
 from .. import jobs
+from ..bridge.evaluated import about_middle
 from ..session import session
 from ..terrain.request import Request
 from .properties import SEEN
@@ -150,10 +149,11 @@ def _current_land(obj, depsgraph) -> Land | None:
 
 def _tiles_in_view(request: Request) -> requested_tiles.SeenTiles:
     """Return the views of a request as the description of the tiles that shaping needs."""
-    scale = request.vertical_scale, request.vertical_offset
-    return requested_tiles.SeenTiles(
-        tuple(request.views), np.array(request.placement), request.criterion.error_px, *scale
+    placement, scale = (
+        about_middle(request.placement, request.anchor),
+        (request.vertical_scale, request.vertical_offset),
     )
+    return requested_tiles.SeenTiles(tuple(request.views), placement, request.criterion.error_px, *scale)
 
 
 def _create_job(land: Land, tiles_alone: bool) -> tuple[ShapeJob, requested_tiles.Tiles | None, Land] | None:

@@ -6,7 +6,6 @@ from contextlib import suppress
 from dataclasses import replace
 
 import bpy
-import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.height_operators import derived_store, requested_tiles
@@ -14,6 +13,7 @@ from ...cbt_terrain.height_operators.derived_store import Land
 from ...cbt_terrain.height_operators.requested_tiles import SeenTiles
 from ...cbt_terrain.view.view import View
 from .. import jobs
+from ..bridge.evaluated import raster_placement_of
 from ..job_operator import JobOperator
 from ..session import live, session
 from ..session.shot import frames_of, visit_views
@@ -29,7 +29,7 @@ def wanted_land(obj, depsgraph, views: list[View] = ()) -> Land:
     evaluated = obj.evaluated_get(depsgraph)
     land = land_of(obj, evaluated, depsgraph, waits=True)
     if land is not None and land.of_views and views:
-        settings, placement = evaluated.adaptive_terrain, np.array(evaluated.matrix_world, np.float64)
+        settings, placement = evaluated.adaptive_terrain, raster_placement_of(evaluated)
         scale = settings.vertical_scale, settings.vertical_offset
         land = replace(land, seen=SeenTiles(tuple(views), placement, settings.render.error_px, *scale))
     if land is None:
@@ -62,8 +62,7 @@ def _visit_views(obj, scene, land: Land, frames: list[int]):
     if not land.of_views:
         yield []
         return
-    placement = np.array(obj.matrix_world, np.float64)
-    yield from visit_views(obj, scene, frames, placement)
+    yield from visit_views(obj, scene, frames, raster_placement_of(obj), about_middle=True)
 
 
 def next_unshaped(context, done: Container[str] = ()):

@@ -7,12 +7,14 @@ from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field import store as stores
+from ...cbt_terrain.field.heightfield import HeightField, anchored
 from ...cbt_terrain.height_operators.catalogue import operator_of
 from ...cbt_terrain.height_operators.derived_store import Land, preview_of
 from ...cbt_terrain.height_operators.height_operator import LandLayer
 from ...cbt_terrain.height_operators.land_folder import folder_beside, is_of_views
 from ...cbt_terrain.height_operators.level_plan import MAX_WHOLE
 from ...cbt_terrain.height_operators.shaping_cost import estimate_seconds
+from ..bridge.evaluated import anchor_of
 from ..bridge.scene_paths import absolute_path
 from ..importing.imported import imported_of
 from ..session import session
@@ -119,6 +121,11 @@ def store_of(obj) -> str:
     request = session.record_of(obj).status.request
     shown = _shaped_store(request) if request is not None else ""
     return shown if Path(shown).parent == folder_beside(source) else source
+
+
+def field_of(obj) -> HeightField:
+    """Return the height field of `store_of` in the space of a terrain's object. Raises TerrainError."""
+    return anchored(session.open_field(store_of(obj)), *anchor_of(obj))
 
 
 def _shaped_store(request) -> str:

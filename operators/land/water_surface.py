@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.heightfield import anchored
 from ...cbt_terrain.height_operators import prepare
 from ...cbt_terrain.height_operators.derived_store import Land, raster_of
 from ...cbt_terrain.height_operators.stack import Entry, Stack
@@ -16,6 +17,7 @@ from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.run import launch
 from .. import jobs
 from ..bridge.demand.trees import tree_of_new
+from ..bridge.evaluated import anchor_of
 from ..bridge.scene_paths import store_path
 from ..bridge.writer import write_mesh
 from ..job_operator import JobOperator
@@ -72,8 +74,8 @@ class AddWaterSurface(JobOperator, bpy.types.Operator):
         store, land = store_path(terrain), land_of(terrain, terrain.evaluated_get(depsgraph), depsgraph, waits=True)
         yield from jobs.prepare_kernels(job, prepare.kernels_of(Stack((Entry(WATER.name),))))
         job.progress(0.0)
-        name = terrain.name
-        return level, *(yield from jobs.run_on_thread(job, lambda: _water_mesh(name, store, land, level)))
+        name, anchor = terrain.name, anchor_of(terrain)
+        return level, *(yield from jobs.run_on_thread(job, lambda: _water_mesh(name, store, land, anchor, level)))
 
     def finish(self, _context, terrain, result: tuple[float | None, Surface, float | None]) -> None:
         """Create or update the water object below the terrain, and report its size and sea level."""
@@ -94,13 +96,15 @@ class AddWaterSurface(JobOperator, bpy.types.Operator):
         self.report({"INFO"}, f"{water.name} has {len(surface.triangles):,} triangles{at}")
 
 
-def _water_mesh(name: str, store: str, land: Land | None, level: float | None) -> tuple[Surface, float | None]:
+def _water_mesh(
+    name: str, store: str, land: Land | None, anchor: tuple[float, float], level: float | None
+) -> tuple[Surface, float | None]:
     """Return the water of a terrain, and the level of its sea; None where the land has its own water. For any thread.
 
-    name: of the terrain, for errors. store, land: its heights. level: of the sea in metres; None for the land's own
-    water, or else a level that shows water. Raises TerrainError.
+    name, anchor: of the terrain. store, land: its heights. level: of the sea in metres; None for the land's own water,
+    or else a level that shows water. Raises TerrainError.
     """
-    field = raster_of(store, land, session.open_field, verified=True)
+    field = anchored(raster_of(store, land, session.open_field, verified=True), *anchor)
     if level is None and DEPTH.name not in field.layers:
         level = default_sea(field)
     surface = water_of(field, launch.default_threads(), level)

@@ -72,6 +72,7 @@ def visit_for_request(
         look: further arguments of `request.gather`, such as a camera.
     """
     settings, depsgraph = obj.adaptive_terrain.maps, bpy.context.evaluated_depsgraph_get()
+    look = {"about_middle": True, **look}  # maps do not depend on the anchor
     map_images.reserve_folder(obj)
     for folder in (map_images.map_folder(obj).parent, map_images.map_folder(obj)):
         check_folder(folder)  # chosen by the scene: no link in it may lead elsewhere

@@ -7,7 +7,6 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from ..land import shaped_land
-from ..session import session
 from ..terrain import frame_terrain, sight
 
 SAMPLES = 129  # a side, of the heights that decide the view across
@@ -72,7 +71,7 @@ def _heights(obj) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     Ground up to this level counts as water that a view should show: the sea, or inland the lowest part (INLAND). Metres
     of the height map. Holes have the lowest height.
     """
-    field = session.open_field(shaped_land.store_of(obj))
+    field = shaped_land.field_of(obj)
     lattice = field.lattice
     columns = np.unique(np.linspace(0, lattice.width - 1, SAMPLES).round().astype(int))
     rows = np.unique(np.linspace(0, lattice.height - 1, SAMPLES).round().astype(int))
@@ -81,8 +80,8 @@ def _heights(obj) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     is_coast = (known <= 0.0).mean() >= MIN_SEA
     low = 0.0 if is_coast else float(np.quantile(known, INLAND))
     heights = np.where(np.isfinite(heights), heights, known.min())
-    x = (columns - (lattice.width - 1) / 2) * lattice.step_x
-    y = (rows - (lattice.height - 1) / 2) * lattice.step_y
+    x = (columns - (lattice.width - 1) / 2) * lattice.step_x - lattice.anchor_x
+    y = (rows - (lattice.height - 1) / 2) * lattice.step_y - lattice.anchor_y
     return x, y, np.maximum(heights, low) if is_coast else heights, low
 
 

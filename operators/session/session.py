@@ -14,7 +14,7 @@ from ...cbt_terrain.attributes.layered_detail import displaced
 from ...cbt_terrain.attributes.plan import plan
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.bicubic import interpolated
-from ...cbt_terrain.field.heightfield import HeightField
+from ...cbt_terrain.field.heightfield import HeightField, anchored
 from ...cbt_terrain.field.store import check_exists, is_intact, open_store
 from ...cbt_terrain.height_operators import derived_store
 from ...cbt_terrain.mesh.surface import Surface
@@ -228,7 +228,7 @@ def paint(record: Record, request: Request, update) -> None:
 def field_of(request: Request):
     """Return the height field of a request: its land shaped by height operators, interpolation and displacement."""
     raster = derived_store.raster_of(request.store, request.land, open_field)
-    field = interpolated(raster, request.interpolation)
+    field = interpolated(anchored(raster, *request.anchor), request.interpolation)
     placed = request.vertical_scale, request.vertical_offset
     return displaced(field, request.ground, *placed, launch.default_threads())
 

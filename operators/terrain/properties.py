@@ -98,6 +98,12 @@ class TerrainSettings(bpy.types.PropertyGroup):
         subtype="DIR_PATH", options=PATH_OPTIONS, update=changed,
     )  # fmt: skip
 
+    anchor: FloatVectorProperty(
+        name="Anchor",
+        description="Point of the terrain that is the origin of its object, in metres east and north of the middle of "
+        "the height map. Move World Here sets it",
+        size=2, default=(0.0, 0.0), unit="LENGTH", options={"HIDDEN"}, update=changed,
+    )  # fmt: skip
     source: EnumProperty(
         name="Source", description="Where the heights come from",
         items=[*land_items(),

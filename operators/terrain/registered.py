@@ -4,11 +4,12 @@
 from .detail_properties import RenderDetail, ViewportDetail
 from .frame_terrain import FrameTerrain
 from .freeze_detail import FreezeDetail
+from .move_world import MoveWorld
 from .properties import CleanupSettings, SceneSettings, SourceFile, TerrainSettings
 from .update_terrain import LockInterface, UpdateTerrain
 
 CLASSES = (
     *(ViewportDetail, RenderDetail, CleanupSettings, SourceFile, TerrainSettings, SceneSettings),
-    *(FrameTerrain, UpdateTerrain, LockInterface, FreezeDetail),
+    *(FrameTerrain, UpdateTerrain, LockInterface, FreezeDetail, MoveWorld),
 )
 HANDLERS = ()

@@ -25,7 +25,7 @@ from ...cbt_terrain.view.view import View
 from ..attributes.request import Effects, gather_effects
 from ..bridge import camera as cameras
 from ..bridge.cleanup import Cleanup, plan_triangles
-from ..bridge.evaluated import evaluated_or_still, placement_of
+from ..bridge.evaluated import anchor_of, evaluated_or_still, placement_of, raster_placement_of
 from ..bridge.scene_paths import absolute_path, no_heights
 from ..land.request import land_of
 from ..scatter.request import Scatters, gather_scatters
@@ -49,6 +49,7 @@ class Request:
         interpolation: of the height field, by its name in heightfield.py.
         ground: displacement on it, or None.
         placement: float64 [4, 4], the terrain's space to the world, metres.
+        anchor: origin of that space, metres east and north of the raster's middle.
         overlay: colours of the mesh.
         max_ms: time budget of the criterion's error, None without one; `note`: why it has no effect, or "".
         frozen: triangles to keep whatever the criterion, see frozen.py; "" for a mesh that follows its camera.
@@ -76,6 +77,7 @@ class Request:
     effects: Effects
     scatters: Scatters = Scatters()
     curve: CostCurve | None = None
+    anchor: tuple[float, float] = (0.0, 0.0)
 
     def key(self) -> tuple:
         """Return a key that is equal for equal requests: the live update skips a request that it has answered."""
@@ -93,7 +95,8 @@ class Request:
         """Return the key of the inputs that determine the triangles."""
         views = tuple(view.key() for view in self.views)
         heights = self.vertical_scale, self.vertical_offset
-        return self.criterion, views, self.placement.tobytes(), heights, self.frozen
+        placed = self.placement.tobytes(), *([self.anchor] if any(self.anchor) else [])
+        return self.criterion, views, *placed, heights, self.frozen
 
 
 def gather(
@@ -105,12 +108,13 @@ def gather(
     camera=None,
     resolution: tuple[int, int] | None = None,
     overrides: Overrides = NO_OVERRIDES,
+    about_middle: bool = False,
 ) -> Request:
     """Read the settings of the terrain `obj` and the camera that it is refined for, as `depsgraph` evaluated them.
 
     `mode` picks the settings of the viewport or of the render. `criterion`, `camera` (an object), `resolution` (pixels)
-    and `overrides` replace those of the settings and the scene. Raises TerrainError for a terrain that cannot be
-    refined.
+    and `overrides` replace those of the settings and the scene. `about_middle`: the terrain's space begins at the
+    raster's middle, not at the anchor. Raises TerrainError for a terrain that cannot be refined.
     """
     evaluated = obj.evaluated_get(depsgraph)
     settings = evaluated.adaptive_terrain  # the evaluated copy has the values that animation and drivers set
@@ -119,7 +123,8 @@ def gather(
     interpolation = overrides.interpolation or settings.interpolation
     if interpolation not in INTERPOLATIONS:  # a driver or a script may set any number
         raise TerrainError(f"The terrain {obj.name!r} has an unknown interpolation", fix="choose one on its panel")
-    placement = placement_of(evaluated)
+    anchor = (0.0, 0.0) if about_middle else anchor_of(evaluated)
+    placement = raster_placement_of(evaluated) if about_middle else placement_of(evaluated)
     max_ms, note, frozen, curve = None, "", "", None
     if criterion is None:
         frozen = settings.frozen if replace(overrides, effects=None) == NO_OVERRIDES else ""
@@ -138,7 +143,8 @@ def gather(
     if land is not None:
         if views and mode == RENDER and land.of_views:
             scale = settings.vertical_scale, settings.vertical_offset
-            land = replace(land, seen=SeenTiles(tuple(views), placement, criterion.error_px, *scale))
+            seen = SeenTiles(tuple(views), raster_placement_of(evaluated), criterion.error_px, *scale)
+            land = replace(land, seen=seen)
         elif mode != RENDER:
             store, land = _shown_land(store, land, frozen)
     cleanup = cleanup_from(settings.cleanup, evaluated, depsgraph)
@@ -166,6 +172,7 @@ def gather(
             obj, depsgraph, mode == RENDER, lambda: views or _find_views(settings, depsgraph, mode, camera, resolution)
         ),
         curve=curve,
+        anchor=anchor,
     )
 
 

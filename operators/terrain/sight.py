@@ -12,10 +12,10 @@ from ..bridge import camera as cameras
 from ..bridge.evaluated import placement_of
 from ..bridge.scene_paths import no_heights
 from ..land import shaped_land
-from ..session import session
 from .properties import CHOSEN_CAMERA
 
 NEAR_TO_FAR = 1e-5  # ratio of a clip range, as in Blender's viewport, for the precision of the depth buffer
+FAR_OUT = 2.0**17  # metres; from here on neighbouring float32 are 1.6 cm apart
 SMALL = 0.1  # fraction of a frame that a terrain must span to count as shown
 
 
@@ -28,10 +28,10 @@ def box_of(obj, depsgraph=None) -> np.ndarray:
     settings = placed.adaptive_terrain
     if not settings.store:
         raise no_heights(obj)
-    field = session.open_field(shaped_land.store_of(obj))
-    x, y = _half_extent(field)
+    field = shaped_land.field_of(obj)
+    west, south, east, north = field.lattice.rectangle()
     heights = [h * settings.vertical_scale + settings.vertical_offset for h in (field.min_height, field.max_height)]
-    corners = np.array([(i, j, h) for i in (-x, x) for j in (-y, y) for h in heights])
+    corners = np.array([(i, j, h) for i in (west, east) for j in (south, north) for h in heights])
     matrix = placement_of(placed)
     box = (matrix[:3, :3] @ corners.T).T + matrix[:3, 3]
     if not np.isfinite(box).all():
@@ -39,12 +39,6 @@ def box_of(obj, depsgraph=None) -> np.ndarray:
             f"The terrain {obj.name!r} has a location that is not finite", fix="check its transform and scale"
         )
     return box
-
-
-def _half_extent(field) -> tuple[float, float]:
-    """Return half the size of a height field in metres along x and y."""
-    lattice = field.lattice
-    return lattice.step_x * (lattice.width - 1) / 2, lattice.step_y * (lattice.height - 1) / 2
 
 
 def diagonal(box: np.ndarray) -> float:
@@ -101,18 +95,23 @@ def _in_frame(box: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray, np.n
 def is_below_ground(obj, point: np.ndarray) -> bool:
     """Return whether a point of the world, float64 [3], is below the nearest sample of the terrain."""
     settings = obj.adaptive_terrain
-    field = session.open_field(shaped_land.store_of(obj))
+    field = shaped_land.field_of(obj)
     matrix = np.array(obj.matrix_world, np.float64)
     try:
         place = inverse(matrix) @ [*point, 1.0]
     except np.linalg.LinAlgError:
         return False
-    (x, y), lattice = _half_extent(field), field.lattice
-    if not (abs(place[0]) <= x and abs(place[1]) <= y):
+    (west, south, east, north), lattice = field.lattice.rectangle(), field.lattice
+    if not (west <= place[0] <= east and south <= place[1] <= north):
         return False
-    column, row = round((place[0] + x) / lattice.step_x), round((place[1] + y) / lattice.step_y)
+    column, row = round((place[0] - west) / lattice.step_x), round((place[1] - south) / lattice.step_y)
     height = float(field.heights(row, column)) * settings.vertical_scale + settings.vertical_offset
     return math.isfinite(height) and place[2] < height
+
+
+def is_far_out(point) -> bool:
+    """Return whether float32 rounds coordinates of a point of the world, in metres, to a centimetre or more."""
+    return max(abs(point[0]), abs(point[1])) >= FAR_OUT
 
 
 def camera_of(obj, scene):

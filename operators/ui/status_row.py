@@ -21,7 +21,7 @@ POPUP_LINE = 80
 NOTICE_WIDTH = 0.7  # of the row; the button that mends it has the rest
 UNDERGROUND, SEES_NOTHING = "Camera underground", "Camera sees nothing"
 NO_VIEW = UNDERGROUND, SEES_NOTHING  # a bound of 0 px is then no sign of accuracy
-FRAME, CAMERA_TO_VIEW = "adaptive_terrain.frame", "view3d.camera_to_view"
+FRAME, CAMERA_TO_VIEW, MOVE_WORLD = "adaptive_terrain.frame", "view3d.camera_to_view", "adaptive_terrain.move_world"
 
 
 def draw_status(layout, context, obj) -> None:
@@ -87,6 +87,8 @@ def sight_notice(context, obj) -> tuple[str, str, str]:
         view = sight.view_of_camera(context.scene, camera)
         if sight.is_below_ground(obj, np.array(camera.matrix_world.translation)):
             return UNDERGROUND, CAMERA_TO_VIEW, "To View"
+        if sight.is_far_out(camera.matrix_world.translation):
+            return "Camera far from origin", MOVE_WORLD, "Move World"
         if not sight.is_in_sight(box, view):
             return SEES_NOTHING, CAMERA_TO_VIEW, "To View"
         if sight.is_cut_off(box, view):

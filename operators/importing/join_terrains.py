@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Join: several terrains become one, whose store is imported from the files of all."""
+
+import bpy
+
+from .. import jobs
+from ..bridge.scene_paths import absolute_path
+from ..scatter.request import scatters_of
+from ..session import session
+from ..terrain.properties import FILE
+from .import_terrain import ImportOperator
+
+
+class JoinTerrains(ImportOperator, bpy.types.Operator):
+    """Import the files of all selected terrains as one, without gaps between them. The active terrain keeps its
+    settings and covers the others; they are removed at the end"""
+
+    bl_idname = "adaptive_terrain.join"
+    bl_label = "Join Terrains"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        if not super().poll(context):
+            return False
+        cls.poll_message_set("Select several terrains whose source is a file")
+        return has_file(context.object) and bool(others_of(context))
+
+    def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
+        """Import the sources of all selected terrains; the settings stay as they were if that fails."""
+        settings, others = context.object.adaptive_terrain, others_of(context)
+        self.joined = [other.session_uid for other in others]
+        paths = [*_sources_of(settings), *(path for other in others for path in _sources_of(other.adaptive_terrain))]
+        self.earlier = settings.source_path, [item.path for item in settings.more_sources]
+        # The last file covers the others, so the active terrain's own come last.
+        own = len(_sources_of(settings))
+        _set_sources(settings, list(dict.fromkeys([*paths[own:], *paths[:own]])))
+        try:
+            return (yield from super().steps(context, job))
+        except BaseException:
+            self._restore(job.terrain())
+            raise
+
+    def finish(self, context, obj, result: tuple[dict, str]) -> None:
+        """Give the store to the active terrain and remove the others with their meshes."""
+        super().finish(context, obj, result)
+        for other in [other for other in session.all_terrains() if other.session_uid in self.joined]:
+            mesh, scatters = other.data, scatters_of(other)
+            for child in other.children:
+                place, child.parent = child.matrix_world.copy(), obj
+                if child not in scatters:  # those get points of the joined terrain
+                    child.matrix_world = place
+            bpy.data.batch_remove([other, *([mesh] if mesh.users == 1 else [])])
+
+    def _restore(self, obj) -> None:
+        """Give a terrain its sources back."""
+        if obj is not None:
+            path, more = self.earlier
+            _set_sources(obj.adaptive_terrain, [path, *more])
+
+
+def has_file(obj) -> bool:
+    """Return whether an object is a terrain whose source is a file."""
+    return session.is_terrain(obj) and obj.adaptive_terrain.source == FILE and bool(obj.adaptive_terrain.source_path)
+
+
+def others_of(context) -> list:
+    """Return the selected terrains, besides the active one, whose source is a file, in the order of their names."""
+    return sorted((o for o in context.selected_objects if o != context.object and has_file(o)), key=lambda o: o.name)
+
+
+def _sources_of(settings) -> list[str]:
+    """Return the absolute paths of a terrain's sources."""
+    return [absolute_path(path) for path in (settings.source_path, *(item.path for item in settings.more_sources))]
+
+
+def _set_sources(settings, paths: list[str]) -> None:
+    """Make `paths` the sources of a terrain."""
+    settings.source_path = paths[0]
+    settings.more_sources.clear()
+    for path in paths[1:]:
+        settings.more_sources.add().path = path

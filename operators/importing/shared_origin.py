@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The place of a terrain in a scene whose origin has coordinates: rasters of one area fit together."""
+
+import math
+
+import numpy as np
+
+from ...cbt_terrain.errors import TerrainError, shown
+from ...cbt_terrain.field.georeference import Place, from_crs, to_crs
+from ...cbt_terrain.importing.placing import reproject_point
+from ..bridge.evaluated import anchor_of
+from ..bridge.scene_origin import SceneOrigin, origin_of, set_origin, unit_lengths
+from .imported import Imported
+
+WGS84 = "EPSG:4326"
+SAME = 1e-6  # relative difference of lengths, and radians, that count as equal
+
+
+def follows_coordinates(obj, scene, before: Imported | None) -> bool:
+    """Return whether an import may move a terrain: it stands at its coordinates, or was just added.
+
+    A scene without an origin gets that of the terrain. before: of the terrain's last import, None for the first one.
+    """
+    if obj.parent is not None:
+        return False
+    if before is None:
+        return not any(obj.location[:2]) and _is_plain(obj)
+    if origin_of(scene) is None:
+        place_terrain(obj, scene, before)
+    found = _transform_of(obj, origin_of(scene), before)
+    return found is not None and all(
+        abs(a - b) <= SAME * (1.0 + abs(b)) for a, b in zip(obj.location[:2], found[0], strict=True)
+    )
+
+
+def keep_anchor_inside(obj, imported: Imported | None) -> None:
+    """Make the raster's middle the origin of a terrain whose anchor is outside of its new raster."""
+    half = (0.0, 0.0) if imported is None else (length / 2 for length in imported.extent_m)
+    if any(abs(at) > most for at, most in zip(anchor_of(obj), half, strict=True)):
+        obj.adaptive_terrain.anchor = (0.0, 0.0)
+
+
+def place_terrain(obj, scene, imported: Imported | None) -> list[str]:
+    """Move a terrain to its coordinates in the scene, or give the scene those of its first terrain; return notes.
+
+    A terrain in another coordinate system is placed by its reprojected middle.
+    """
+    if imported is None or not imported.crs or imported.place is None:
+        return []
+    origin = origin_of(scene)
+    if origin is None:
+        _begin_origin(obj, scene, imported)
+        return []
+    if imported.crs != origin.crs:
+        return _place_by_middle(obj, origin, imported)
+    (obj.location.x, obj.location.y), angle, (scale_x, scale_y) = _transform_of(obj, origin, imported)
+    if abs(angle) > SAME:
+        obj.rotation_euler.z = angle
+    if max(abs(scale_x - 1.0), abs(scale_y - 1.0)) > SAME:  # degrees at another latitude
+        obj.scale.x, obj.scale.y = scale_x, scale_y
+    return []
+
+
+def _transform_of(obj, origin: SceneOrigin | None, imported: Imported) -> tuple | None:
+    """Return x and y, the rotation about z in radians, and the scales of a terrain; None in another system."""
+    if origin is None or imported.place is None or imported.crs != origin.crs:
+        return None
+    x, y = anchor_of(obj)
+    corners = from_crs(origin.place, to_crs(imported.place, np.array([[x, y], [x + 1.0, y], [x, y + 1.0]])))
+    (ax, ay), (bx, by) = corners[1:] - corners[0]
+    return corners[0].tolist(), math.atan2(ay, ax), (math.hypot(ax, ay), math.hypot(bx, by))
+
+
+def _is_plain(obj) -> bool:
+    """Return whether an object is neither turned nor scaled."""
+    turn = np.array(obj.matrix_basis.to_3x3())
+    return bool(np.abs(turn - np.eye(3)).max() <= SAME)
+
+
+def _begin_origin(obj, scene, imported: Imported) -> None:
+    """Give the scene the coordinates of the world's origin by its first terrain, if that is not turned or scaled."""
+    if obj.parent is not None or not _is_plain(obj) or not _is_straight(imported.place):
+        return
+    at = np.array([anchor_of(obj)]) - np.array([obj.location[:2]])
+    ((x, y),) = to_crs(imported.place, at).tolist()
+    origin = SceneOrigin(imported.crs, x, y, unit_lengths(imported.place))
+    lengths = [1.0 if abs(metres - 1.0) < SAME else metres for metres in origin.metres]
+    try:
+        longitude, latitude = reproject_point(x, y, imported.crs, WGS84)
+    except TerrainError:
+        set_origin(scene, origin._replace(metres=tuple(lengths)), None)
+    else:
+        set_origin(scene, origin._replace(metres=tuple(lengths)), (latitude, longitude))
+
+
+def _is_straight(place: Place) -> bool:
+    """Return whether a terrain's axes are those of its coordinate system."""
+    return place[1] == place[3] == 0.0
+
+
+def _place_by_middle(obj, origin: SceneOrigin, imported: Imported) -> list[str]:
+    """Place a terrain of another coordinate system by the point of it that is its object's origin; return notes."""
+    ((x, y),) = to_crs(imported.place, np.array([anchor_of(obj)])).tolist()
+    systems = f"{shown(obj.name)} is in {shown(imported.crs, 40)} and the scene in {shown(origin.crs, 40)}"
+    try:
+        there = reproject_point(x, y, imported.crs, origin.crs)
+    except TerrainError as error:
+        return [f"{systems}, and it stays where it is ({error.what}): import it with that system as Reproject."]
+    ((obj.location.x, obj.location.y),) = from_crs(origin.place, np.array([there])).tolist()
+    return [
+        f"{systems}: it is placed by its middle, and turned and scaled by up to the difference of both systems. Import "
+        "it with the scene's system as Reproject to have all of it in the right place."
+    ]

@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Move World Here: bring a shot to the world's origin, where float32 holds coordinates to a fraction of a millimetre.
+
+All objects move together, so pictures stay the same. Each terrain also gets an anchor: the origin of its object, and of
+the float32 positions of its mesh, is then near the world's origin. Anchors are multiples of GRID, which float32 holds
+exactly, and only this operator changes them: a mesh does not depend on the frame through its anchor.
+"""
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.heightfield import anchored
+from ...cbt_terrain.view.linear import inverse
+from ..bridge import camera as cameras
+from ..bridge.evaluated import anchor_of, raster_placement_of
+from ..bridge.scene_origin import origin_of, set_origin
+from ..ground import add_collider
+from ..land import shaped_land, water_object
+from ..scatter.request import scatters_of
+from ..session import live, session
+from ..session.pauses import paused
+from ..session.polls import IN_A_MODE, cancelled_by_errors
+from ..session.shot import frames_of
+
+GRID = 1024.0  # metres
+NEAR = 4 * GRID  # up to this distance nothing moves: float32 has steps of a quarter of a millimetre there
+MAX_FRAMES = 24  # of a shot that are looked at
+FOLLOWED = 0.5  # fraction of a move that shows that constraints have moved an object already
+
+
+class MoveWorld(bpy.types.Operator):
+    """Move all objects so that the camera's path, or without a camera the 3D cursor, is at the world's origin.
+    Coordinates are precise there; far away they are rounded to centimetres and more"""
+
+    bl_idname = "adaptive_terrain.move_world"
+    bl_label = "Move World Here"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        cls.poll_message_set(IN_A_MODE)
+        return context.mode == "OBJECT"
+
+    @cancelled_by_errors
+    def execute(self, context):
+        """Move the scene, set the anchors of its terrains, and report the distance."""
+        scene, terrains = (
+            context.scene,
+            [obj for obj in session.terrains_of(context.scene) if obj.adaptive_terrain.store],
+        )
+        middle = middle_of_path(scene)
+        by = -np.round(middle / GRID) * GRID if np.abs(middle).max() > NEAR else np.zeros(2)
+        left = move_world(context, by)
+        for obj in terrains:
+            set_anchor(obj, *nearest_anchor(obj))
+        context.view_layer.update()
+        for obj in terrains:
+            live.show_soon(obj)
+        for name in left:
+            self.report(
+                {"WARNING"}, f"{name}: a driver or a track of its location was not moved, but its delta location"
+            )
+        east, north = (f"{value / 1000:+,.0f} km" for value in by)
+        self.report({"INFO"}, f"The scene moved by {east} east and {north} north")
+        return {"FINISHED"}
+
+
+def middle_of_path(scene) -> np.ndarray:
+    """Return x and y, float64 [2], of the middle of the box around the camera's path; of the 3D cursor without one."""
+    camera = cameras.active_camera(scene)
+    if camera is None:
+        return np.array(scene.cursor.location[:2], np.float64)
+    frames, now, places = frames_of(scene), (scene.frame_current, scene.frame_subframe), []
+    with paused():
+        for frame in sorted(set(np.linspace(frames[0], frames[-1], MAX_FRAMES).round().astype(int).tolist())):
+            scene.frame_set(frame)
+            evaluated = camera.evaluated_get(bpy.context.evaluated_depsgraph_get())
+            places.append(evaluated.matrix_world.translation[:2])
+        scene.frame_set(now[0], subframe=now[1])
+    places = np.array(places, np.float64)
+    if not np.isfinite(places).all():
+        raise TerrainError(f"The camera {camera.name!r} has a location that is not finite", fix="check its transform")
+    return (places.min(axis=0) + places.max(axis=0)) / 2
+
+
+def move_world(context, by: np.ndarray) -> list[str]:
+    """Move all objects, the 3D cursor, viewports and the scene's origin by (x, y) metres of the world.
+
+    Return the names of objects whose location is driven: their delta location moves instead.
+    """
+    scene, step, left = context.scene, Vector((*by, 0.0)), []
+    if not by.any():
+        return left
+    tops = [obj for obj in scene.objects if obj.parent is None and obj.library is None]
+    seen: set[int] = set()
+    for obj in sorted(tops, key=lambda top: len(top.constraints) > 0):
+        if obj.constraints:  # perhaps to an object that has moved
+            before = obj.matrix_world.translation.copy()
+            context.view_layer.update()
+            if (obj.matrix_world.translation - before).dot(step) > FOLLOWED * step.dot(step):
+                continue
+        if not shift_location(obj, step, seen):
+            left.append(obj.name)
+    context.view_layer.update()
+    scene.cursor.location += step
+    for _window, area, _region, region_3d in cameras.viewports(context.window_manager):
+        region_3d.view_location += step
+        area.tag_redraw()
+    origin = origin_of(scene)
+    if origin is not None:
+        x, y = (at - float(move) / metres for at, move, metres in zip(origin[1:3], by, origin.metres, strict=True))
+        set_origin(scene, origin._replace(x=x, y=y), None)
+    return left
+
+
+def shift_location(obj, by: Vector, seen: set[int]) -> bool:
+    """Add `by` to an object's location in all frames; return whether it has no driver or track.
+
+    seen: pointers of the curves that are shifted already, since objects may share an action.
+    """
+    animation = obj.animation_data
+    is_driven = animation is not None and (
+        any(driver.data_path == "location" for driver in animation.drivers)
+        or any(len(track.strips) for track in animation.nla_tracks)
+    )
+    if is_driven:
+        obj.delta_location = Vector(obj.delta_location) + by
+        return False
+    obj.location = Vector(obj.location) + by
+    for curve in _curves_of(animation, "location"):
+        if curve.as_pointer() not in seen:
+            seen.add(curve.as_pointer())
+            for key in curve.keyframe_points:
+                for point in (key.co, key.handle_left, key.handle_right):
+                    point.y += by[curve.array_index]
+            curve.update()
+    return True
+
+
+def _curves_of(animation, *paths: str) -> list:
+    """Return the animation curves of an object's channels `paths`, in its slot of the action."""
+    action = None if animation is None else animation.action
+    if action is None:
+        return []
+    curves = getattr(action, "fcurves", ())
+    if len(getattr(action, "layers", ())):  # from Blender 4.4 on
+        bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
+        curves = [curve for bag in bags if bag.slot == animation.action_slot for curve in bag.fcurves]
+    return [curve for curve in curves if curve.data_path in paths]
+
+
+def nearest_anchor(obj) -> tuple[float, float]:
+    """Return the anchor of a terrain that is nearest to the world's origin, in multiples of GRID inside its raster."""
+    place = inverse(raster_placement_of(obj))[:2, 3]
+    if np.abs(place).max() <= NEAR:
+        return 0.0, 0.0
+    x, y = (session.open_field(shaped_land.store_of(obj)).lattice.rectangle())[2:]
+    inside = np.floor(np.array([x, y]) / GRID) * GRID
+    return tuple(np.clip(np.round(place / GRID) * GRID, -inside, inside).tolist())
+
+
+def set_anchor(obj, x: float, y: float) -> None:
+    """Make (x, y), metres from the raster's middle, the origin of a terrain's object; nothing moves in the world.
+
+    Raises TerrainError for an animated rotation or scale: the object's path would be another.
+    """
+    by = np.array([x, y]) - anchor_of(obj)
+    if not by.any():
+        return
+    anchored(session.open_field(shaped_land.store_of(obj)), x, y)  # raises TerrainError without a known place
+    if _curves_of(obj.animation_data, "rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale"):
+        raise TerrainError(
+            f"The terrain {obj.name!r} has an animated rotation or scale, so its origin cannot be moved",
+            fix="animate a parent of it instead",
+        )
+    basis = np.array(obj.matrix_basis, np.float64)[:3, :2]
+    shift_location(obj, Vector((basis @ by).tolist()), set())
+    obj.adaptive_terrain.anchor = (x, y)
+    back = Matrix.Translation((*(-by).tolist(), 0.0))
+    made = {found for found in (water_object.existing_water(obj), add_collider.collider_of(obj)) if found is not None}
+    for child in obj.children:
+        if child in made:  # static meshes in the terrain's space
+            child.data.transform(back)
+        elif child not in scatters_of(obj):  # their points follow the anchor by themselves
+            child.matrix_parent_inverse = back @ child.matrix_parent_inverse

@@ -84,7 +84,8 @@ class PickGround(bpy.types.Operator):
             context.scene.cursor.location = hit[0]
         slope = math.degrees(math.acos(min(1.0, found[hit[1]].normals(hit[0][None])[0, 2])))
         place = ", ".join(f"{value:,.2f}" for value in hit[0])
-        self.report({"INFO"}, f"Ground at {place} m, slope {plain(slope)}°")
+        coordinates = found[hit[1]].coordinates(hit[0])
+        self.report({"INFO"}, ", ".join(filter(None, (f"Ground at {place} m, slope {plain(slope)}°", coordinates))))
         return {"FINISHED"}
 
 

@@ -8,8 +8,10 @@ import numpy as np
 from mathutils import Vector
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.georeference import to_crs
 from ...cbt_terrain.query.ground import profile
 from ...cbt_terrain.run.partial_files import written_beside
+from ..bridge.scene_origin import is_in_degrees
 from ..bridge.scene_paths import absolute_path
 from ..session.polls import cancelled_by_errors
 from ..text import profile_plot
@@ -60,7 +62,7 @@ class ProfileCurve(bpy.types.Operator):
                     f"There is no ground below the curve {curve.name!r}, which crosses holes or is outside",
                     fix="move it over the terrain",
                 )
-            files = self._write(curve.name, found) if self.filepath else []
+            files = self._write(curve.name, found, ground) if self.filepath else []
             obj = _new_curve(context, f"{curve.name} Profile", [points for _, points in found])
         heights = np.concatenate([points[:, 2] for _, points in found])
         low, high = (length_text(float(value)) for value in (np.nanmin(heights), np.nanmax(heights)))
@@ -68,10 +70,10 @@ class ProfileCurve(bpy.types.Operator):
         self.report({"INFO"}, f"{obj.name}: {len(heights):,} points, from {low} to {high}{written}")
         return {"FINISHED"}
 
-    def _write(self, name: str, found) -> list[str]:
+    def _write(self, name: str, found, ground) -> list[str]:
         """Write the table and the picture of a profile; return the file names.
 
-        found: results of `along_line`, one for each spline; several splines get numbered files.
+        found: results of `along_line`, one for each spline; several splines get numbered files. ground: its terrain.
         """
         base = Path(absolute_path(self.filepath))
         base = base.with_suffix("") if base.suffix.lower() in SUFFIXES else base
@@ -80,7 +82,7 @@ class ProfileCurve(bpy.types.Operator):
         files = []
         for number, (along, points) in enumerate(found):
             numbered = base if len(found) == 1 else base.with_name(f"{base.name}_{number + 1}")
-            texts = profile_csv(along, points), profile_plot.draw(along, points[:, 2], name)
+            texts = profile_csv(along, points, ground), profile_plot.draw(along, points[:, 2], name)
             for suffix, content in zip(SUFFIXES, texts, strict=True):
                 path = numbered.with_name(numbered.name + suffix)
                 try:
@@ -156,11 +158,20 @@ def along_line(ground, line: np.ndarray, spacing: float | None) -> tuple[np.ndar
     return np.concatenate([[0.0], np.cumsum(steps)]), points
 
 
-def profile_csv(along: np.ndarray, points: np.ndarray) -> str:
-    """Return a CSV of distance, x, y and height in metres of the world, with an empty height without ground."""
-    rows = ["distance_m,x_m,y_m,height_m"]
-    for distance, (x, y, z) in zip(along.tolist(), points.tolist(), strict=True):
-        rows.append(f"{distance:.6g},{x:.9g},{y:.9g},{'' if z != z else f'{z:.9g}'}")
+def profile_csv(along: np.ndarray, points: np.ndarray, ground) -> str:
+    """Return a CSV of distance, x, y and height in metres of the world, with an empty height without ground.
+
+    Two more columns have the coordinates in the system of the terrain, if it has one.
+    """
+    raster = ground.field.raster
+    names, places = "distance_m,x_m,y_m,height_m", np.empty((len(points), 0))
+    if raster.crs and raster.known_place is not None:
+        names += ",longitude,latitude" if is_in_degrees(raster.known_place) else ",easting,northing"
+        places = to_crs(raster.known_place, ground.to_local(np.nan_to_num(points))[:, :2])
+    rows = [names]
+    for distance, (x, y, z), place in zip(along.tolist(), points.tolist(), places.tolist(), strict=True):
+        row = f"{distance:.6g}", f"{x:.9g}", f"{y:.9g}", "" if z != z else f"{z:.9g}", *(f"{c:.12g}" for c in place)
+        rows.append(",".join(row))
     return "\n".join(rows) + "\n"
 
 

@@ -16,6 +16,7 @@ from ...cbt_terrain.query.ground import ground_at
 from ...cbt_terrain.query.rays import pick
 from ...cbt_terrain.view.criterion import Criterion
 from ...cbt_terrain.view.linear import inverse, product
+from ..bridge.scene_origin import coordinates_text
 from ..land.properties import SEEN
 from ..session import session
 from ..terrain.overrides import Overrides
@@ -59,6 +60,10 @@ class WorldGround:
         corners = np.array([(x, y, z) for x in (west, east) for y in (south, north) for z in heights])
         z = self.to_world(corners)[:, 2]
         return float(z.max() + HEADROOM * np.ptp(z) + 1.0)
+
+    def coordinates(self, point: np.ndarray) -> str:
+        """Return the coordinates of a point of the world, float64 [3], in the raster's system as a text, or ""."""
+        return coordinates_text(self.field.raster.known_place, self.field.crs, self.to_local(point[None])[0])
 
     def hits(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Return the points where rays of the world first hit the ground, float64 [n, 3]; NaN for rays that miss."""

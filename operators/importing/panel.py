@@ -47,7 +47,9 @@ class SourcePanel(TerrainSubpanel):
         settings = session.shown_terrain(context).adaptive_terrain
         several = settings.source == FILE and import_terrain.has_several_files(settings)
         if settings.source == FILE:
-            column.operator("adaptive_terrain.add_tiles", icon="ADD")
+            row = column.row(align=True)
+            row.operator("adaptive_terrain.add_tiles", icon="ADD")
+            row.operator("adaptive_terrain.join", icon="AUTOMERGE_ON")
             (_draw_mosaic if several else _draw_file)(column, settings)
         else:
             column.prop(settings, "island_size")

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A scene's origin on Earth: terrains of one area fit together, and BlenderGIS reads and writes the same properties."""
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+from adaptive_terrain.operators.ground import world_ground
+from adaptive_terrain.operators.importing.imported import imported_of
+from rasterio.transform import Affine
+from rasterio.warp import transform as warp
+from rasters import hills, write_raster
+
+
+def add(path, crs, transform, name, heights=None):
+    """Import a file as File > Import does; return the new terrain."""
+    file = write_raster(path / f"{name}.tif", hills() if heights is None else heights, crs=crs, transform=transform)
+    bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(file))
+    bpy.context.view_layer.update()
+    return bpy.context.object
+
+
+@pytest.fixture
+def saved(scene, tmp_path):
+    """Return the scene and its folder."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    return scene, tmp_path
+
+
+def world_of(terrain, transform, heights):
+    """Return the middles of cells: coordinates by the file, positions in the world, and the file's heights."""
+    rows, columns = np.indices(heights.shape).reshape(2, -1)[:, ::37]
+    x, y = transform @ (columns + 0.5, rows + 0.5)
+    return np.stack([x, y], axis=1), heights[rows, columns]
+
+
+def check_places(scene, terrain, transform, heights, tolerance=0.01):
+    """Check that the ground has the file's heights at the file's coordinates, by the scene's origin in metres."""
+    coordinates, expected = world_of(terrain, transform, heights)
+    metres = scene.get("crs metres", (1.0, 1.0))
+    places = (coordinates - (scene["crs x"], scene["crs y"])) * metres
+    inside = slice(1, None)
+    ground = world_ground.ground_of(terrain, bpy.context.evaluated_depsgraph_get())
+    found = world_ground.find_below([ground], places[inside]).heights
+    known = np.isfinite(found)
+    assert known.mean() > 0.8
+    slope = 40.0  # the steepest climb of these hills in metres a metre
+    assert np.abs(found - expected[inside])[known].max() < slope * tolerance
+
+
+@pytest.mark.parametrize(
+    ("crs", "first", "second"),
+    [
+        ("EPSG:32632", Affine(10, 0, 6e5, 0, -10, 5.2e6), Affine(10, 0, 6e5 + 390, 0, -10, 5.2e6 - 7.5)),
+        ("EPSG:4326", Affine(1 / 1200, 0, 10, 0, -1 / 1200, 47), Affine(1 / 1200, 0, 10.03, 0, -1 / 1200, 46)),
+        ("EPSG:2263", Affine(30, 0, 9.8e5, 0, -30, 2e5), Affine(30, 0, 9.8e5 + 1200, 0, -30, 2e5)),
+        (
+            "EPSG:32632",
+            Affine(10, 0, 6e5, 0, -10, 5.2e6),
+            Affine.translation(6e5, 5.2e6) @ Affine.rotation(20) @ Affine.scale(10, -10),
+        ),
+    ],
+)
+def test_a_second_raster_lands_beside_the_first(saved, crs, first, second):
+    scene, path = saved
+    west, east = add(path, crs, first, "west"), add(path, crs, second, "east", hills(seed=4))
+    assert list(west.location) == [0.0, 0.0, 0.0] and scene["SRID"] == crs
+    assert any(east.location)
+    check_places(scene, west, first, hills())
+    check_places(scene, east, second, hills(seed=4), 0.02)
+
+
+def test_the_properties_are_those_of_blendergis(saved):
+    scene, path = saved
+    add(path, "EPSG:32632", Affine(10, 0, 6e5, 0, -10, 5.2e6), "a")
+    assert (scene["SRID"], scene["crs x"], scene["crs y"]) == ("EPSG:32632", 6e5 + 200, 5.2e6 - 150)
+    (longitude,), (latitude,) = warp("EPSG:32632", "EPSG:4326", [6e5 + 200], [5.2e6 - 150])
+    assert (scene["longitude"], scene["latitude"]) == pytest.approx((longitude, latitude), abs=1e-9)
+    assert "crs metres" not in scene
+
+
+def test_a_scene_of_blendergis_places_the_first_raster(saved):
+    scene, path = saved
+    scene["SRID"], scene["crs x"], scene["crs y"] = "32632", 6e5, 5.2e6  # also without EPSG:
+    terrain = add(path, "EPSG:32632", Affine(10, 0, 6e5 + 1000, 0, -10, 5.2e6), "a")
+    assert list(terrain.location) == [1200.0, -150.0, 0.0]
+    assert (scene["crs x"], scene["crs y"]) == (6e5, 5.2e6)
+
+
+def test_another_system_is_placed_by_its_middle(saved):
+    scene, path = saved
+    add(path, "EPSG:32632", Affine(10, 0, 6e5, 0, -10, 5.2e6), "a")
+    (x,), (y,) = warp("EPSG:32632", "EPSG:32633", [6e5 + 200 + 3000], [5.2e6 - 150 - 1000])
+    terrain = add(path, "EPSG:32633", Affine(10, 0, x - 200, 0, -10, y + 150), "b")
+    assert list(terrain.location[:2]) == pytest.approx([3000.0, -1000.0], abs=1e-2)
+
+
+def test_a_terrain_that_was_moved_stays(saved):
+    scene, path = saved
+    first = add(path, "EPSG:32632", Affine(10, 0, 6e5, 0, -10, 5.2e6), "a")
+    first.location = (77.0, 0.0, 0.0)
+    settings = first.adaptive_terrain
+    settings.holes = True
+    bpy.ops.adaptive_terrain.import_source()
+    assert list(first.location) == [77.0, 0.0, 0.0]
+
+
+def test_an_unplaced_scene_keeps_unplaced_terrains(saved):
+    scene, path = saved
+    terrain = add(path, None, Affine.identity(), "a")
+    assert "SRID" not in scene and list(terrain.location) == [0.0, 0.0, 0.0]
+
+
+def test_join_makes_one_terrain_without_a_gap(saved):
+    """Tiles whose cells meet edge to edge: ground between their outermost samples is interpolated from both."""
+    scene, path = saved
+    heights = hills(80, 30)
+    west = add(path, "EPSG:32632", Affine(10, 0, 6e5, 0, -10, 5.2e6), "west", heights[:, :40])
+    east = add(path, "EPSG:32632", Affine(10, 0, 6e5 + 400, 0, -10, 5.2e6), "east", heights[:, 40:])
+    rock = bpy.data.objects.new("Rock", None)
+    scene.collection.objects.link(rock)
+    rock.parent = east
+    bpy.context.view_layer.update()
+    stood = rock.matrix_world.copy()
+    between = np.array([[200.0, 5.0, 0.0]])  # row 14, in the open cell
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    assert np.isnan(world_ground.find_below(world_ground.grounds_of(scene, depsgraph), between).heights[0])
+    west.select_set(True)
+    bpy.context.view_layer.objects.active = west
+    assert bpy.ops.adaptive_terrain.join() == {"FINISHED"}
+    assert [obj for obj in scene.objects if obj.adaptive_terrain.enabled] == [west]
+    assert list(west.location) == [200.0, 0.0, 0.0], "the middle of both, where the ground stays"
+    assert imported_of(west.adaptive_terrain).raster == (80, 30)
+    bpy.context.view_layer.update()
+    ground = world_ground.ground_of(west, bpy.context.evaluated_depsgraph_get())
+    found = world_ground.find_below([ground], between).heights[0]
+    assert found == pytest.approx(heights[14, 39:41].mean(), abs=1e-3)
+    assert rock.parent == west and (rock.matrix_world.translation - stood.translation).length < 1e-4
+    check_places(scene, west, Affine(10, 0, 6e5, 0, -10, 5.2e6), heights)
+
+
+def test_a_failed_join_changes_nothing(saved):
+    scene, path = saved
+    first = add(path, "EPSG:32632", Affine(10, 0, 6e5, 0, -10, 5.2e6), "a")
+    second = add(path, None, Affine.identity(), "b")
+    first.select_set(True)
+    bpy.context.view_layer.objects.active = first
+    before = first.adaptive_terrain.source_path
+    with pytest.raises(RuntimeError):
+        bpy.ops.adaptive_terrain.join()
+    assert first.adaptive_terrain.source_path == before and not len(first.adaptive_terrain.more_sources)
+    assert second.name in scene.objects and math.isclose(first.location.x, 0.0)

@@ -28,13 +28,14 @@ from .sidecars import sidecars
 from .source_list import file_stat, files_of, names_several
 from .sources import check_file, check_named, open_source
 from .store_job import Tell
+from .thinning import LOADED, loaded_entries, loaded_steps, thinned
 
 READING = "Reading"  # message while files from outside are read
 BLOCK_SAMPLES = 1 << 20  # read and written at a time, about
 METHOD = 2  # increased when the same source gives a different store
 DOUBT = ", or check that the file's header has its true size"
 # Settings that older versions lack. A digest has only their other values, so that it is that of an older version.
-ADDED_SETTINGS = ("more_sources", "priority", "step", "encoding", "cell")
+ADDED_SETTINGS = ("more_sources", "priority", "step", "encoding", "cell", "quick")
 
 
 def run_import(
@@ -77,11 +78,15 @@ def import_raster(
     settings = dataclasses.replace(given, source=str(file)) if file != Path(given.source) else given
     raster = open_raster(settings)
     try:
-        digest = source_digest(given, raster.sources)
         # The sources of a mosaic are known only now. For all other files the caller has checked this already.
-        report = finished_before(path, digest) if raster.sources else None
+        report = finished_import(path, given, raster.sources) if raster.sources else None
         if report is not None:
             return report
+        if settings.quick:
+            raster = thinned(raster, settings)
+            if raster.full_size is None:
+                given, settings = (dataclasses.replace(each, quick=0) for each in (given, settings))
+        digest = source_digest(given, raster.sources)
         place = _place(settings, raster)
         width, height = (max(count, 2) for count in _size(raster, place))
         lattice = lattice_for(width, height, place.step_x, place.step_y, settings.name)
@@ -89,7 +94,7 @@ def import_raster(
         raster.warnings += notes
         with open_draft(path, folder, lattice, doubt=DOUBT) as draft:
             field, check = _build(settings, raster, place, draft, (height, width), on_progress)
-            field = field.with_raster(provenance=_provenance(given, raster))
+            field = field.with_raster(provenance=_provenance(given, raster, place))
             report = _import_report(field, raster, place)
             if settings.source not in LANDS:
                 report["warnings"] += _value_warnings(raster, settings, place, report, check)
@@ -140,11 +145,12 @@ def _build(
     ), check
 
 
-def _provenance(settings: ImportSettings, raster: Raster) -> dict:
+def _provenance(settings: ImportSettings, raster: Raster, place: Georeference) -> dict:
     """Return the origin of a store's heights as JSON, with which the import can be repeated."""
     values = dataclasses.asdict(settings)
     values["no_data"] = None if settings.no_data is None else str(settings.no_data)
-    return {"settings": values, "format": raster.format, "stored": raster.stored}
+    loaded = {} if raster.full_size is None else {LOADED: loaded_steps(raster, place)}
+    return {"settings": values, "format": raster.format, "stored": raster.stored, **loaded}
 
 
 def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = ()) -> str:
@@ -171,6 +177,19 @@ def source_digest(settings: ImportSettings, sources: tuple[Path, ...] = ()) -> s
             if os.path.isfile(file):  # Path.is_file raises if the suffix makes a name too long
                 parts.append(file_stat(file.resolve()))
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def finished_import(path: str | os.PathLike, settings: ImportSettings, sources: tuple[Path, ...] = ()) -> dict | None:
+    """Return the report of an earlier import with the same settings and files, or for a quick one of a complete import.
+
+    sources: files that the source names.
+    """
+    complete = dataclasses.replace(settings, quick=0)
+    for wanted in (complete, settings) if settings.quick else (settings,):
+        report = finished_before(path, source_digest(wanted, sources))
+        if report is not None:
+            return report
+    return None
 
 
 def finished_before(path: str | os.PathLike, digest: str) -> dict | None:
@@ -328,5 +347,6 @@ def _import_report(field: HeightField, raster: Raster, place: Georeference) -> d
         "rotation_deg": place.rotation_deg,
         "bounds_against": against,
         **raster.details,
+        **(loaded_entries(raster, place) if raster.full_size is not None else {}),
         "warnings": warnings,
     }

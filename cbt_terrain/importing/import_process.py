@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..field import store_folder
-from .build_store import READING, finished_before, run_import, source_digest
+from .build_store import READING, finished_import, run_import
 from .guard import VARIABLES, guard_import
 from .raster import ImportSettings
 from .source_list import files_of, names_several
@@ -46,7 +46,7 @@ class ImportJob(StoreJob):
             watched=(JobProgress.message, READING),
             variables=VARIABLES,
             # The files that a tile index names are known to the child alone.
-            report=None if several else finished_before(store, source_digest(settings)),
+            report=None if several else finished_import(store, settings),
         )
 
 

@@ -36,6 +36,7 @@ class ImportSettings:
         priority: which of several files is used where they overlap: the last in order (ORDER), the finest (RESOLUTION)
             or the one that was changed last (NEWEST).
         step: metres between samples of a terrain of several files; None for those of the finest file.
+        quick: number of samples at most to which a large raster is thinned (thinning.py); 0 imports all.
         raw_size: columns and rows of a RAW file; None for a square.
         raw_dtype: type of its samples, one of RAW_TYPES.
         raw_little_endian: order of their bytes.
@@ -80,6 +81,7 @@ class ImportSettings:
     more_sources: tuple[str, ...] = ()
     priority: str = ORDER
     step: float | None = None
+    quick: int = 0
 
     def __post_init__(self) -> None:
         keep_plain_numbers(self, "The import's")
@@ -127,6 +129,8 @@ class ImportSettings:
             raise TerrainError(f"The built-in {self.source} has {self.size} samples a side", expected="2 to 65536")
         if self.cell is not None and not (math.isfinite(self.cell) and self.cell > 0.0):
             raise TerrainError(f"The cell size is {self.cell} m", expected="a positive length")
+        if self.quick < 0:
+            raise TerrainError(f"A quick import of {self.quick} samples is not possible", expected="a positive count")
         if self.encoding not in ENCODINGS:
             known = ", ".join(ENCODINGS[1:])
             raise TerrainError(f"The encoding {shown(self.encoding)!r} is not known", fix=f"choose one of {known}")
@@ -164,6 +168,7 @@ class Raster:
         read: read(first, count) returns `count` rows from row `first` on, NaN for missing samples.
         window: window(first, count, column, columns) returns a part of these rows; None for a raster that is read by
             whole rows only.
+        pick: pick(rows, columns) returns the samples there, NaN where missing; None for a raster that is read by rows.
         grid: coordinate system and geotransform of the samples, if the file places them.
         stored: name of the samples' type in the file.
         format: name of the file's format.
@@ -178,6 +183,7 @@ class Raster:
         roundings: of the files that hold the samples, before scale and offset; by default that of `stored`.
         warnings: sentences for the report.
         sources: other files that hold the samples.
+        full_size: columns and rows of the raster of which this one has every n-th sample; None for all samples.
         moved: largest difference that interpolated positions have made to a sample that was read, before scale.
         details: further entries of the report.
         finish: writes further files into the store's new folder; raises TerrainError if a source has changed.
@@ -190,6 +196,7 @@ class Raster:
     stored: str
     format: str
     window: Callable[[int, int, int, int], np.ndarray] | None = None
+    pick: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     grid: FileGrid | None = None
     georeference: Georeference | None = None
     is_sized: bool = False
@@ -202,6 +209,7 @@ class Raster:
     roundings: tuple[SourceRounding, ...] = ()
     warnings: list[str] = field(default_factory=list)
     sources: tuple[Path, ...] = ()
+    full_size: tuple[int, int] | None = None
     moved: float = 0.0
     details: dict = field(default_factory=dict)
     finish: Callable[[Path], None] = lambda _folder: None

@@ -143,6 +143,16 @@ class ChildJob:
             self._finish()
         return self._progress
 
+    @property
+    def reached(self) -> tuple[float, str] | None:
+        """Return the fraction and the message that a running child has sent last; None once it has ended.
+
+        Unlike `poll` it may be read on any thread.
+        """
+        if self._progress.done or not self._reader.is_alive():
+            return None
+        return self._messages.get("progress", (0.0, JobProgress.message))
+
     def cancel(self) -> None:
         """Stop the job now, if it is not done."""
         if self.poll().done:

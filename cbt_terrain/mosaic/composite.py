@@ -54,6 +54,7 @@ class Composite:
         on_piece: is called before each piece that is read, because reading many files may take long.
         boxes: float64 [tiles, 4], lowest column and row of the grid and highest ones of each tile's outer samples.
         reach: float64 [tiles, 2], columns and rows of the grid beyond its box that a tile may have a part in.
+        near: float64 [tiles, 4], boxes with their reach.
     """
 
     def __init__(
@@ -76,7 +77,7 @@ class Composite:
         self.boxes = np.stack([low_u, low_v, high_u, high_v], axis=1)
         self.reach = 2.0 * steps / (grid.step_x, grid.step_y) + 1.0
         near = np.concatenate([-self.reach, self.reach], axis=1)
-        self._near = self.boxes + near
+        self.near = self.boxes + near
         scales = {(tile.scale, tile.offset) for tile in self.tiles}
         kinds = {tile.stored for tile in self.tiles}
         is_copied = all(lattice.crs == grid.crs and is_congruent(lattice, grid) for lattice in self.lattices)
@@ -123,8 +124,8 @@ class Composite:
         """Fill the values of a piece, and return the largest difference made by positions."""
         self.on_piece()
         column, row = piece.column, piece.row
-        meets = (self._near[:, 0] < column + piece.columns) & (self._near[:, 2] >= column)
-        meets &= (self._near[:, 1] < row + piece.rows) & (self._near[:, 3] >= row)
+        meets = (self.near[:, 0] < column + piece.columns) & (self.near[:, 2] >= column)
+        meets &= (self.near[:, 1] < row + piece.rows) & (self.near[:, 3] >= row)
         if not meets.any():
             return 0.0
         found = []

@@ -8,7 +8,7 @@ from pathlib import Path
 from ...kernels.mosaic import resample
 from ..field import store_folder
 from ..importing.archives import UnpackedFiles, unpacking
-from ..importing.build_store import READING, finished_before, import_raster, source_digest
+from ..importing.build_store import READING, finished_import, import_raster
 from ..importing.guard import guard_import
 from ..importing.raster import ImportSettings, Raster
 from ..importing.source_formats import FORMATS
@@ -59,11 +59,14 @@ def run_mosaic_import(
         on_progress(*reached)
 
     def open_mosaic(settings: ImportSettings) -> Raster:
-        """Return the composite of the sources as a raster; report on it first, unless the store has it already."""
+        """Return the composite of the sources as a raster.
+
+        Report on it first, unless the store has it already or the import is quick.
+        """
         composite = open_composite(settings, path, lambda done: on_progress(SCANNED * done, READING), files)
         composite.on_piece = lambda: on_progress(*reached)
         raster = mosaic_raster(composite, settings)
-        if finished_before(path, source_digest(settings, raster.sources)) is None:
+        if not settings.quick and finished_import(path, settings, raster.sources) is None:
             details = describe_mosaic(composite, settings)
             on_progress(SCANNED, READING, details)
             raster.warnings += details["warnings"]

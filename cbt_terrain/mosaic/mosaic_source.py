@@ -15,6 +15,7 @@ from ..importing.length_scale import length_warnings, mirror_warnings
 from ..importing.raster import ImportSettings, Raster
 from .catalogue import SourceTile, build_catalogue, keep_catalogue
 from .composite import Composite
+from .nearest import nearest_samples
 from .systems import crs_of
 from .target_grid import TargetGrid, choose_grid, footprints
 
@@ -68,6 +69,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         read=lambda first, count: window(first, count, 0, grid.width),
         stored=composite.stored,
         format="mosaic",
+        pick=lambda rows, columns: nearest_samples(composite, rows, columns),
         grid=place,
         georeference=georeference_of(grid),
         is_sized=True,

@@ -92,7 +92,8 @@ def choose_grid(tiles: Sequence[SourceTile], settings: ImportSettings) -> Target
     column, row = (math.ceil(number - ALIGNED) for number in numbers[:2].tolist())
     end_column, end_row = (math.floor(number + ALIGNED) for number in numbers[2:].tolist())
     width, height = max(end_column - column, 0) + 1, max(end_row - row, 0) + 1
-    _check_size(crs, width, height, step_x, step_y, (low + high) / 2)
+    if not settings.quick:
+        _check_size(crs, width, height, step_x, step_y, (low + high) / 2)
     return TargetGrid(crs, x0, y0, step_x, step_y, column, row, width, height)
 
 

@@ -160,6 +160,7 @@ def _add_import(subparsers) -> None:
     from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.importing.raster import ENCODINGS
     from ...cbt_terrain.importing.source_formats import FORMATS
+    from ...cbt_terrain.importing.thinning import QUICK_SAMPLES
 
     verb = _add_verb(subparsers, "import", "turn a height map into a store", verbs.run_import)
     kinds = ", ".join(dict.fromkeys(form.title for form in FORMATS.values()))
@@ -192,6 +193,8 @@ def _add_import(subparsers) -> None:
     verb.add_argument("--first-row-south", action="store_true", help="for files that do not say where north is")
     verb.add_argument("--project", **PROJECT)
     _add_mosaic(verb)
+    quick = "of a large raster, load only every n-th sample; the same command without it loads all"
+    verb.add_argument("--quick", action="store_const", const=QUICK_SAMPLES, help=quick)
     _add_raw_options(verb)
     verb.add_argument("--size", type=int, metavar="N", help=f"built-in land: samples a side ({DEFAULT_SIZE})")
     verb.add_argument("--seed", type=int, metavar="N", help=f"built-in land: its shape ({DEFAULT_SEED})")

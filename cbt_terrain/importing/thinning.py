@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Quick import: every n-th sample of a large raster, so that its land is shown within seconds.
+
+Samples are those of the raster, not means, which would be half a coarse step beside them. The first and the last column
+and row are among them, so the coarse land covers the ground of the complete one, with the same middle. If the step does
+not divide the raster, a sample in between is up to half a step of the raster beside its place.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..field.georeference import LARGEST_EXTENT, Georeference
+from .raster import ImportSettings, Raster
+
+QUICK_SAMPLES = 9 << 19  # 4.7 million: 2 s of work after they are read
+# A raster of at most this many times the samples is imported completely: 0.34 us a sample make about 24 s.
+WORTHWHILE = 15
+LOADED = "loaded_m"  # entry of an incomplete store's provenance
+
+
+def stride_of(width: int, height: int, max_samples: int) -> int:
+    """Return the step, the smallest power of two, that leaves `max_samples` of a raster at most.
+
+    It is 1 for a raster whose complete import takes little longer.
+    """
+    if width * height <= WORTHWHILE * max_samples:
+        return 1
+    stride = 2
+    while len(positions(width, stride)) * len(positions(height, stride)) > max_samples and stride < max(width, height):
+        stride *= 2
+    return stride
+
+
+def positions(count: int, stride: int) -> np.ndarray:
+    """Return about every stride-th of `count` columns or rows, the first and the last one included, int64."""
+    if count < 3:
+        return np.arange(count)
+    cells = -(-(count - 1) // stride)
+    return (2 * np.arange(cells + 1) * (count - 1) + cells) // (2 * cells)
+
+
+def thinned(raster: Raster, settings: ImportSettings) -> Raster:
+    """Return a raster of at most `settings.quick` samples of another, or that raster if it needs no quick import.
+
+    A reprojected raster stays as it is, because all of it is computed for any part of it.
+    """
+    stride = stride_of(raster.width, raster.height, settings.quick)
+    if stride == 1 or raster.original is not None:
+        return raster
+    columns, rows = positions(raster.width, stride), positions(raster.height, stride)
+
+    def read(first: int, count: int) -> np.ndarray:
+        """Return `count` rows from row `first` on of the coarse raster."""
+        wanted = rows[first : first + count]
+        if raster.pick is not None:
+            return raster.pick(wanted, columns)
+        return np.concatenate([raster.read(int(row), 1)[:, columns] for row in wanted])
+
+    place = raster.georeference or Georeference(first_row_south=settings.first_row_south)
+    along = (raster.width - 1) / max(len(columns) - 1, 1), (raster.height - 1) / max(len(rows) - 1, 1)
+    along_x, along_y = along[::-1] if place.transposed else along
+    return replace(
+        raster,
+        width=len(columns),
+        height=len(rows),
+        read=read,
+        window=None,
+        pick=None,
+        block_rows=1,
+        georeference=replace(place, step_x=place.step_x * along_x, step_y=place.step_y * along_y),
+        full_size=(raster.width, raster.height),
+    )
+
+
+def loaded_steps(raster: Raster, place: Georeference) -> list[float]:
+    """Return metres between the samples of a thinned raster, and between those of the complete one.
+
+    place: georeference of the thinned raster.
+    """
+    assert raster.full_size is not None, "the raster is thinned"
+    steps = np.array([place.step_y, place.step_x] if place.transposed else [place.step_x, place.step_y])
+    ratios = (np.array([raster.width, raster.height]) - 1) / np.maximum(np.array(raster.full_size) - 1, 1)
+    return [float(steps.max()), float((steps * ratios).max())]
+
+
+def loaded_entries(raster: Raster, place: Georeference) -> dict:
+    """Return the report entries of a quick import. place: georeference of the thinned raster."""
+    steps = loaded_steps(raster, place)
+    text = loaded_text({LOADED: steps})
+    return {
+        "loaded": text,
+        "complete": False,
+        "loaded_step_m": steps[0],
+        "full_step_m": steps[1],
+        "full_raster": list(raster.full_size or ()),
+        "bounds_against": f"the surface as loaded so far, {text}",
+    }
+
+
+def loaded_m(provenance: dict) -> tuple[float, float] | None:
+    """Return the steps of `loaded_steps` from a store's provenance; None for a complete store."""
+    steps = provenance.get(LOADED)
+    if not isinstance(steps, list) or [type(step) for step in steps] != [float, float]:
+        return None
+    return (steps[0], steps[1]) if all(0.0 < step < LARGEST_EXTENT for step in steps) else None
+
+
+def loaded_text(provenance: dict) -> str:
+    """Return the detail of an incomplete store, as `to 640 m of 10 m`; "" for a complete one."""
+    steps = loaded_m(provenance)
+    return "to {} m of {} m".format(*map(_three_digits, steps)) if steps is not None else ""
+
+
+def _three_digits(value: float) -> str:
+    return f"{value:,.0f}" if value >= 100.0 else f"{value:.3g}"

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Single samples of a mosaic, for a quick import: the sample of the highest-ranked tile that is nearest to a place.
+
+For tiles on the grid it is the composite's sample, bit by bit. For others it is up to half a sample beside it.
+"""
+
+import numpy as np
+
+from .composite import Composite
+from .systems import period_of, projected
+
+MAX_GAP = 16  # rows between two that are read together
+MAX_PART = 1 << 22  # samples that are read at once
+
+
+def nearest_samples(composite: Composite, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return samples at rows and columns of the grid, ascending, float64 [rows, columns] with NaN for gaps.
+
+    Each file is opened once, unless more than the composite keeps open are needed by the next call, too.
+    """
+    grid = composite.grid
+    rows, columns = grid.row + rows, grid.column + columns
+    heights = np.full((len(rows), len(columns)), np.nan)
+    for rank, box in enumerate(composite.near):
+        across = slice(*np.searchsorted(columns, [box[0], box[2]]))
+        down = slice(*np.searchsorted(rows, [box[1], box[3]]))
+        part = heights[down, across]
+        if part.size:
+            composite.on_piece()
+            _fill(composite, rank, *grid.positions(*np.meshgrid(columns[across], rows[down])), part)
+    return heights
+
+
+def _fill(composite: Composite, rank: int, x: np.ndarray, y: np.ndarray, heights: np.ndarray) -> None:
+    """Write a tile's samples nearest to positions of the grid's system over `heights`, where it has any."""
+    tile = composite.tiles[rank]
+    x, y = (values.reshape(heights.shape) for values in projected(composite.grid.crs, tile.crs, x.ravel(), y.ravel()))
+    a, b, _, d, e, _ = tile.transform
+    x0, y0 = tile.position(0, 0)
+    period = period_of(tile.crs)
+    if period:
+        x = x - period * np.round((x - tile.position(tile.width / 2, tile.height / 2)[0]) / period)
+    area = a * e - b * d
+    with np.errstate(invalid="ignore"):
+        u, v = np.rint((e * (x - x0) - b * (y - y0)) / area), np.rint((a * (y - y0) - d * (x - x0)) / area)
+        inside = (u >= 0) & (u < tile.width) & (v >= 0) & (v < tile.height)
+    if not inside.any():
+        return
+    u, v = u[inside].astype(np.int64), v[inside].astype(np.int64)
+    left, found = int(u.min()), np.empty(len(u))
+    width = int(u.max()) + 1 - left
+    wanted = np.unique(v)
+    bands = wanted // max(1, MAX_PART // width)
+    for part in np.split(wanted, np.flatnonzero((np.diff(wanted) > MAX_GAP) | (np.diff(bands) > 0)) + 1):
+        first, last = int(part[0]), int(part[-1])
+        values = composite.tile_window(rank, first, last + 1 - first, left, width)
+        at = (v >= first) & (v <= last)
+        found[at] = values[v[at] - first, u[at] - left]
+    known = np.isfinite(found)
+    inside[inside] = known
+    heights[inside] = found[known]

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Quick imports of several files: samples of the full mosaic for files on its grid, the nearest ones for others."""
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
+from adaptive_terrain.cbt_terrain.importing.import_process import import_source
+from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.mosaic import composite as composites
+from adaptive_terrain.cbt_terrain.mosaic import nearest
+from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
+from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
+from mosaic_files import DEGREES, EAST, NORTH, UTM32, land, moved, sheet
+
+ROWS, COLUMNS = np.array([0, 1, 7, 40, 41, 99, 119]), np.array([0, 3, 50, 51, 52, 100, 159])
+
+
+def settings_of(files, **more):
+    return ImportSettings(str(files[0]), more_sources=tuple(map(str, files[1:])), **more)
+
+
+@pytest.fixture
+def tiles(tmp_path):
+    """Write an area of 160 x 120 samples as tiles with a gap, an overlap and missing samples."""
+    whole = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 160, 120)
+    whole.heights[20:50, 30:60] = np.nan
+    cuts = [(0, 60, 0, 80), (0, 60, 80, 80), (60, 60, 0, 70), (60, 60, 90, 70)]
+    files = [whole.write(tmp_path / f"{n}.tif", *cut) for n, cut in enumerate(cuts)]
+    upper = sheet(UTM32, EAST + 300, NORTH - 300, 10.0, 10.0, 50, 50, shift=40.0)
+    upper.heights[:10] = np.nan
+    return [*files, upper.write(tmp_path / "upper.tif")]
+
+
+@pytest.mark.parametrize("priority", ["order", "newest"])
+def test_samples_on_the_grid_are_those_of_the_mosaic(tiles, priority):
+    composite = open_composite(settings_of(tiles, priority=priority), None)
+    whole, _ = composite.read(0, composite.grid.height)
+    assert np.array_equal(nearest.nearest_samples(composite, ROWS, COLUMNS), whole[np.ix_(ROWS, COLUMNS)], equal_nan=True)
+    every = np.arange(composite.grid.height), np.arange(composite.grid.width)
+    assert np.array_equal(nearest.nearest_samples(composite, *every), whole, equal_nan=True)
+    assert 0.02 < np.isnan(whole).mean() < 0.2 and composite.stored == "float32"
+
+
+def test_parts_of_a_tile_are_read_in_bands(tiles, monkeypatch):
+    monkeypatch.setattr(nearest, "MAX_PART", 100)
+    test_samples_on_the_grid_are_those_of_the_mosaic(tiles, "order")
+
+
+def test_other_systems_give_the_nearest_sample(tmp_path):
+    west, north = (float(v) for v in moved(UTM32, DEGREES, EAST, NORTH))
+    degrees = sheet(DEGREES, west, north, 1 / 9000, 1 / 9000, 150, 100)
+    files = [degrees.write(tmp_path / "a.tif"), sheet(UTM32, EAST, NORTH, 5.0, 5.0, 20, 20).write(tmp_path / "b.tif")]
+    composite = open_composite(settings_of(files), None)
+    rows, columns = np.arange(0, composite.grid.height, 9), np.arange(0, composite.grid.width, 7)
+    found = nearest.nearest_samples(composite, rows, columns)
+    x, y = composite.grid.positions(*np.meshgrid(composite.grid.column + columns, composite.grid.row + rows))
+    u, v = degrees.indices(UTM32, x, y)
+    inside = (u > 0) & (u < 149) & (v > 0) & (v < 99)
+    own = (x > EAST) & (x < EAST + 100) & (y < NORTH) & (y > NORTH - 100)
+    p, q = np.rint(np.where(inside, u, 0)).astype(int), np.rint(np.where(inside, v, 0)).astype(int)
+    other = inside & ~own
+    assert other.mean() > 0.7 and np.array_equal(found[other], degrees.heights[q, p][other])
+    # A sample is at most half a cell from its place on land with slopes of up to 0.6.
+    assert np.abs(found - land(x, y))[inside].max() < 0.6 * 12.4 / 2 * np.sqrt(2)
+
+
+def test_a_quick_mosaic_covers_the_ground_of_the_full_one(tiles, tmp_path):
+    full = import_source(settings_of(tiles), tmp_path / "full")
+    quick = import_source(settings_of(tiles, quick=400), tmp_path / "quick")
+    a, b = open_store(tmp_path / "full"), open_store(tmp_path / "quick")
+    assert quick["loaded"] == "to 79.5 m of 10 m"
+    assert np.array_equal(a.origin, b.origin) and a.crs == b.crs and quick["extent_m"] == pytest.approx(full["extent_m"])
+    assert "seams" not in quick and full["seams"] > 0, "seams are of the complete import"
+    assert import_source(settings_of(tiles, quick=400), tmp_path / "full") == full | {"unchanged": True}
+    again = import_source(settings_of(tiles), tmp_path / "quick")
+    assert read_json(tmp_path / "quick")["key"] == read_json(tmp_path / "full")["key"] and "loaded" not in again
+
+
+def test_each_file_is_opened_once_for_samples(tiles, tmp_path, monkeypatch):
+    opened, real = [], composites.open_tile
+    monkeypatch.setattr(composites, "open_tile", lambda path, settings: opened.append(path) or real(path, settings))
+    run_mosaic_import(settings_of(tiles, quick=400), tmp_path / "store")
+    assert sorted(opened) == sorted(map(str, tiles))
+
+
+def test_a_mosaic_beyond_a_store_is_loaded_quickly(tmp_path):
+    far = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 30, 30)
+    corner = sheet(UTM32, EAST + 500_000, NORTH - 500_000, 10.0, 10.0, 30, 30)
+    files = [far.write(tmp_path / "a.tif"), corner.write(tmp_path / "b.tif")]
+    report = run_mosaic_import(settings_of(files, quick=10_000), tmp_path / "store")
+    assert report["full_raster"] == [50_030, 50_030] and report["loaded"] == "to 5,105 m of 10 m"
+    assert open_store(tmp_path / "store").heights()[-1, 0] == np.float32(far.heights[0, 0])
+    assert open_store(tmp_path / "store").heights()[0, -1] == np.float32(corner.heights[-1, -1])

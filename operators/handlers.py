@@ -19,7 +19,7 @@ from .accuracy import report as accuracy_report
 from .bridge import freed_memory
 from .bridge.demand import kept
 from .ground import keep_ground
-from .importing import import_terrain
+from .importing import import_terrain, incomplete
 from .land import render_wait, resting_land
 from .session import live, pauses, session, stale_renders
 from .terrain.request import RENDER, VIEWPORT
@@ -149,8 +149,11 @@ def _update_terrains(scene, depsgraph, failed: list[TerrainError]) -> None:
     """
     if depsgraph.mode == RENDER:
         if _rendered_frame(scene) == (scene.frame_current, scene.frame_subframe):
-            if failed := failed + update_all(scene, depsgraph, RENDER):
+            terrains = session.terrains_of(scene)
+            failed += incomplete.wait_for_imports(terrains) or update_all(scene, depsgraph, RENDER)
+            if failed:
                 stale_renders.handle_stale_frame(scene, failed)
+            incomplete.note_incomplete(scene, terrains)
     elif _mesh_is_needed_now():
         _update_viewport(scene, depsgraph)
     else:

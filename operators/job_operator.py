@@ -19,6 +19,7 @@ class JobOperator:
 
     poll_s = jobs.POLL_S
     shows_error_on_panel = True
+    beside_window = False
 
     @classmethod
     def poll(cls, context):
@@ -29,6 +30,7 @@ class JobOperator:
 
     def invoke(self, context, event):
         """Start the job, and continue it with a timer while the user works, unless its first step ends it."""
+        self.beside_window = True
         self._start_job(context)
         if self.job.advance():
             return self._report_end(context)

@@ -139,6 +139,9 @@ def raster_of(
         block_rows=dataset.block_shapes[band - 1][0],
         stored=str(stored),
         format=driver,
+        overview=_overview_opener(
+            path, dataset, driver, lambda small: _window_reader(path, small, band, masked, no_data, alpha)
+        ),
     )
     view, projected_from = None, ""
     sheared = grid.transform is not None and has_shear(grid, dataset.width, dataset.height)
@@ -187,6 +190,7 @@ def _resampled(path: Path, original: Raster, view: DatasetReader, band: int) -> 
         height=view.height,
         read=lambda first, count: window(first, count, 0, view.width),
         window=None,
+        overview=lambda _max_factor: None,
         grid=None,
         block_rows=view.block_shapes[band - 1][0],
         original=original,
@@ -221,6 +225,35 @@ def _window_reader(
         return blank(rows, no_data)
 
     return read
+
+
+def _overview_opener(
+    path: Path, dataset: DatasetReader, driver: str, reader: Callable[[DatasetReader], Callable]
+) -> Callable[[int], Raster | None]:
+    """Return the function `overview` of a Raster. reader(dataset): the function `window` for an open overview."""
+
+    def overview(max_factor: int) -> Raster | None:
+        """Open the coarsest overview with at most `max_factor` samples of the file a side of its own."""
+        import rasterio
+
+        factors = dataset.overviews(1) if driver == "GTiff" and dataset.name == str(path) else []
+        fitting = [factor for factor in factors if 1 < factor <= max_factor]
+        if not fitting:
+            return None
+        level = factors.index(max(fitting))
+        small = rasterio.open(path, driver=driver, sharing=False, OVERVIEW_LEVEL=level)
+        window = reader(small)
+        return Raster(
+            width=small.width,
+            height=small.height,
+            read=lambda first, count: window(first, count, 0, small.width),
+            window=window,
+            stored=small.dtypes[0],
+            format=driver,
+            close=small.close,
+        )
+
+    return overview
 
 
 def _grid_of(dataset: DatasetReader, settings: ImportSettings) -> FileGrid:

@@ -183,6 +183,7 @@ class Raster:
         roundings: of the files that hold the samples, before scale and offset; by default that of `stored`.
         warnings: sentences for the report.
         sources: other files that hold the samples.
+        overview: overview(max_factor) returns a raster of means of at most max_factor samples a side, or None.
         full_size: columns and rows of the raster of which this one has every n-th sample; None for all samples.
         moved: largest difference that interpolated positions have made to a sample that was read, before scale.
         details: further entries of the report.
@@ -209,6 +210,7 @@ class Raster:
     roundings: tuple[SourceRounding, ...] = ()
     warnings: list[str] = field(default_factory=list)
     sources: tuple[Path, ...] = ()
+    overview: Callable[[int], "Raster | None"] = lambda _max_factor: None
     full_size: tuple[int, int] | None = None
     moved: float = 0.0
     details: dict = field(default_factory=dict)

@@ -55,6 +55,8 @@ class Composite:
         boxes: float64 [tiles, 4], lowest column and row of the grid and highest ones of each tile's outer samples.
         reach: float64 [tiles, 2], columns and rows of the grid beyond its box that a tile may have a part in.
         near: float64 [tiles, 4], boxes with their reach.
+        steps: float64 [tiles], samples of the grid between two of a tile.
+        reads_overviews: whether overviews of files were read for a quick import.
     """
 
     def __init__(
@@ -69,13 +71,15 @@ class Composite:
         order = ranked(tiles, found, settings)
         self.grid, self._settings, self._unpacked = grid, settings, unpacked
         self.on_piece: Callable[[], None] = lambda: None
+        self.reads_overviews = False
         self.tiles = [tiles[n] for n in order]
         self.lattices = find_lattices(self.tiles)
         boxes, steps = found.boxes[order], found.steps[order]
         low_u, high_v = grid.indices(boxes[:, 0], boxes[:, 1])
         high_u, low_v = grid.indices(boxes[:, 2], boxes[:, 3])
         self.boxes = np.stack([low_u, low_v, high_u, high_v], axis=1)
-        self.reach = 2.0 * steps / (grid.step_x, grid.step_y) + 1.0
+        steps = steps / (grid.step_x, grid.step_y)
+        self.steps, self.reach = steps.max(axis=1), 2.0 * steps + 1.0
         near = np.concatenate([-self.reach, self.reach], axis=1)
         self.near = self.boxes + near
         scales = {(tile.scale, tile.offset) for tile in self.tiles}
@@ -195,7 +199,10 @@ class Composite:
 
     def tile_window(self, rank: int, row: int, rows: int, column: int, columns: int) -> np.ndarray:
         """Return a window of a tile as float64 values of the composite, NaN where missing."""
-        raster, tile = self._raster(rank), self.tiles[rank]
+        return self.values_of(self.tiles[rank], self.raster_of(rank), row, rows, column, columns)
+
+    def values_of(self, tile: SourceTile, raster: Raster, row: int, rows: int, column: int, columns: int) -> np.ndarray:
+        """Return a window of a tile's raster, or of an overview of it, as `tile_window` does."""
         assert raster.window is not None, "the catalogue has only tiles that are read by windows"
         heights = raster.window(row, rows, column, columns).astype(np.float64)
         if not self._converts:
@@ -203,7 +210,7 @@ class Composite:
         shift = self.shifts.window(tile, row, rows, column, columns) if self.shifts is not None else 0.0
         return heights * tile.scale + tile.offset + shift
 
-    def _raster(self, rank: int) -> Raster:
+    def raster_of(self, rank: int) -> Raster:
         """Return the raster of a tile, opened. Raises TerrainError if its file has changed."""
         if rank not in self._open:
             tile = self.tiles[rank]

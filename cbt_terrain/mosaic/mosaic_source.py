@@ -13,6 +13,7 @@ from ..importing.archives import UnpackedFiles
 from ..importing.file_grid import FileGrid, unit_of
 from ..importing.length_scale import length_warnings, mirror_warnings
 from ..importing.raster import ImportSettings, Raster
+from ..importing.thinning import FROM_OVERVIEWS
 from .catalogue import SourceTile, build_catalogue, keep_catalogue
 from .composite import Composite
 from .nearest import nearest_samples
@@ -69,7 +70,6 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         read=lambda first, count: window(first, count, 0, grid.width),
         stored=composite.stored,
         format="mosaic",
-        pick=lambda rows, columns: nearest_samples(composite, rows, columns),
         grid=place,
         georeference=georeference_of(grid),
         is_sized=True,
@@ -100,7 +100,13 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
             tile.check_unchanged()
         keep_catalogue(composite.tiles, settings, folder)
 
-    raster.window, raster.finish = window, finish
+    def pick(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Read single samples, and note in the report if they are of overviews."""
+        values = nearest_samples(composite, rows, columns)
+        raster.details.update(FROM_OVERVIEWS if composite.reads_overviews else {})
+        return values
+
+    raster.window, raster.pick, raster.finish = window, pick, finish
     return raster
 
 

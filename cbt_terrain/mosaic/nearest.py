@@ -1,16 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Single samples of a mosaic, for a quick import: the sample of the highest-ranked tile that is nearest to a place.
 
-For tiles on the grid it is the composite's sample, bit by bit. For others it is up to half a sample beside it.
+For tiles on the grid it is the composite's sample, bit by bit. For others it is up to half a sample beside it. Of a
+mosaic whose samples take too long to unpack, overviews are read where there are any (thinning.py).
 """
+
+from collections.abc import Callable
 
 import numpy as np
 
+from ..importing.thinning import FINER, MAX_UNPACKED, scaled
 from .composite import Composite
 from .systems import period_of, projected
 
 MAX_GAP = 16  # rows between two that are read together
 MAX_PART = 1 << 22  # samples that are read at once
+ROUNDING = 1e-6
 
 
 def nearest_samples(composite: Composite, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -21,18 +26,23 @@ def nearest_samples(composite: Composite, rows: np.ndarray, columns: np.ndarray)
     grid = composite.grid
     rows, columns = grid.row + rows, grid.column + columns
     heights = np.full((len(rows), len(columns)), np.nan)
+    stride = float(np.diff(columns).max(initial=1))
     for rank, box in enumerate(composite.near):
         across = slice(*np.searchsorted(columns, [box[0], box[2]]))
         down = slice(*np.searchsorted(rows, [box[1], box[3]]))
         part = heights[down, across]
         if part.size:
             composite.on_piece()
-            _fill(composite, rank, *grid.positions(*np.meshgrid(columns[across], rows[down])), part)
+            places = grid.positions(*np.meshgrid(columns[across], rows[down]))
+            _fill(composite, rank, *places, stride / composite.steps[rank], part)
     return heights
 
 
-def _fill(composite: Composite, rank: int, x: np.ndarray, y: np.ndarray, heights: np.ndarray) -> None:
-    """Write a tile's samples nearest to positions of the grid's system over `heights`, where it has any."""
+def _fill(composite: Composite, rank: int, x: np.ndarray, y: np.ndarray, stride: float, heights: np.ndarray) -> None:
+    """Write a tile's samples nearest to positions of the grid's system over `heights`, where it has any.
+
+    stride: see `_samples`.
+    """
     tile = composite.tiles[rank]
     x, y = (values.reshape(heights.shape) for values in projected(composite.grid.crs, tile.crs, x.ravel(), y.ravel()))
     a, b, _, d, e, _ = tile.transform
@@ -47,15 +57,38 @@ def _fill(composite: Composite, rank: int, x: np.ndarray, y: np.ndarray, heights
     if not inside.any():
         return
     u, v = u[inside].astype(np.int64), v[inside].astype(np.int64)
+    found = _samples(composite, rank, u, v, stride)
+    known = np.isfinite(found)
+    inside[inside] = known
+    heights[inside] = found[known]
+
+
+def _samples(composite: Composite, rank: int, u: np.ndarray, v: np.ndarray, stride: float) -> np.ndarray:
+    """Return the samples of a tile at columns u and rows v, float64 [n]; of an overview for a mosaic that is large.
+
+    stride: columns of the tile between them.
+    """
+    tile, small = composite.tiles[rank], None
+    if composite.grid.width * composite.grid.height > MAX_UNPACKED:
+        small = composite.raster_of(rank).overview(int(stride / FINER + ROUNDING))
+    if small is None:
+        return _read(lambda *window: composite.tile_window(rank, *window), u, v)
+    try:
+        composite.reads_overviews = True
+        u, v = scaled(u, tile.width, small.width), scaled(v, tile.height, small.height)
+        return _read(lambda *window: composite.values_of(tile, small, *window), u, v)
+    finally:
+        small.close()
+
+
+def _read(window: Callable[[int, int, int, int], np.ndarray], u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Return the samples at columns u and rows v from a function that reads windows, in bands of rows."""
     left, found = int(u.min()), np.empty(len(u))
     width = int(u.max()) + 1 - left
     wanted = np.unique(v)
     bands = wanted // max(1, MAX_PART // width)
     for part in np.split(wanted, np.flatnonzero((np.diff(wanted) > MAX_GAP) | (np.diff(bands) > 0)) + 1):
         first, last = int(part[0]), int(part[-1])
-        values = composite.tile_window(rank, first, last + 1 - first, left, width)
         at = (v >= first) & (v <= last)
-        found[at] = values[v[at] - first, u[at] - left]
-    known = np.isfinite(found)
-    inside[inside] = known
-    heights[inside] = found[known]
+        found[at] = window(first, last + 1 - first, left, width)[v[at] - first, u[at] - left]
+    return found

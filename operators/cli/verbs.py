@@ -368,6 +368,7 @@ def summary_line(what: str, terrains: list[dict], elapsed_ms: float | None = Non
         parts.append(f"nothing is left of {' and '.join(empty)}")
     if limited := sorted({t["limited"] for t in terrains if t["limited"]}):
         parts.append(f"held back by {limit_text(*limited)}")
+    parts += [f"{t['name']} is loaded {t['loaded']}" for t in terrains if t.get("loaded")]
     parts.append(f"update {sum(t['ms'].get('total', 0.0) for t in terrains):.0f} ms")
     if elapsed_ms is not None:
         parts.append(f"{elapsed_ms:.0f} ms in all")

@@ -249,6 +249,7 @@ def figures(piece: Piece) -> dict:
         "vertices": len(piece.surface.positions),
         **bounds_of(update),
         "ms": {step: round(ms, 3) for step, ms in update.ms.items()},
+        **{name: piece.info[name] for name in ("loaded",) if name in piece.info},
     }
 
 

@@ -16,6 +16,7 @@ from ...cbt_terrain.field.bicubic import interpolated
 from ...cbt_terrain.field.detail import Detail
 from ...cbt_terrain.field.heightfield import INTERPOLATIONS, with_detail
 from ...cbt_terrain.field.store import open_store
+from ...cbt_terrain.importing.thinning import loaded_text
 from ...cbt_terrain.mesh.surface import Surface
 from ...cbt_terrain.refine.contract import ReportedBounds
 from ...cbt_terrain.run.named_file import blocks_reader
@@ -245,6 +246,7 @@ def describe(update: Update, criterion: Criterion, views: list[View], field, pla
         "placement": np.eye(4).tolist() if placement is None else placement.tolist(),
         "crs": field.crs,
         "height_field": str(field.key),
+        **detail_of(field),
         "interpolation": field.interpolation,
         "detail": asdict(field.detail) if isinstance(field.detail, Detail) else field.detail and field.detail.key,
     }
@@ -264,6 +266,12 @@ def bounds_of(bounds: ReportedBounds) -> dict:
         "relaxed": bounds.relaxed,
         "limited": bounds.limited,
     }
+
+
+def detail_of(field) -> dict:
+    """Return the detail to which an incomplete store is loaded, for JSON; {} for a complete one."""
+    text = loaded_text(field.provenance)
+    return {"loaded": text} if text else {}
 
 
 def _view_to_json(view: View) -> dict:

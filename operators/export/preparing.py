@@ -2,13 +2,16 @@
 """Make the stores, land and maps of a scene once ahead of its frames, so that no two workers make them at once."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
 
-from ...cbt_terrain.field.store import JSON_NAME
+from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.store import JSON_NAME, read_json
 from ...cbt_terrain.height_operators.derived_store import raster_of
 from ...cbt_terrain.importing.import_process import import_source
+from ...cbt_terrain.importing.thinning import loaded_m
 from ..bridge.evaluated import raster_placement_of
 from ..bridge.scene_paths import store_path
 from ..importing.import_terrain import settings_of
@@ -32,12 +35,16 @@ def store_folder_of(obj) -> Path:
 
 
 def is_missing(store: Path) -> bool:
-    """Return whether a folder has no store yet."""
-    return not (store / JSON_NAME).exists()
+    """Return whether a folder has no complete store yet."""
+    if not (store / JSON_NAME).exists():
+        return True
+    with suppress(TerrainError):  # who opens a damaged store reports it
+        return loaded_m(read_json(store)["provenance"]) is not None
+    return False
 
 
 def import_store(obj, _frames: Sequence[int], say: Say, to: To) -> None:
-    """Import a terrain's height map into the store that its settings name, unless the store exists.
+    """Import a terrain's height map into the store that its settings name, unless the complete store exists.
 
     say: prints a line. to: takes the fraction done.
     """

@@ -20,10 +20,11 @@ from ...cbt_terrain.run.partial_files import private_folder
 from ..land.request import land_of
 from ..session import session, stale_renders
 from ..session.pauses import paused
+from ..session.record import Record
 from ..terrain.request import RENDER
 from .exporting import check_room, check_target, write_frames
 from .file_outputs import escape_braces, publish_outputs, redirected_outputs
-from .frame_sources import SceneFrames, bounds_of
+from .frame_sources import SceneFrames, bounds_of, detail_of
 from .summaries import file_sizes
 
 # Blender does not say that a picture found no room. But then there is none for this: more than a file's buffer, which
@@ -122,8 +123,8 @@ def _collect_figures(terrains: list[dict], objects: list):
 
     def note(_scene, _unused=None) -> None:
         """Note the figures of all terrains that the render has updated; a handler of Blender."""
-        shown = {obj.name: session.record_of(obj).status for obj in objects}
-        terrains[:] = [_figures(name, status) for name, status in shown.items() if status.mode == RENDER]
+        shown = {obj.name: session.record_of(obj) for obj in objects}
+        terrains[:] = [_figures(name, record) for name, record in shown.items() if record.status.mode == RENDER]
 
     bpy.app.handlers.render_post.append(note)
     try:
@@ -132,7 +133,9 @@ def _collect_figures(terrains: list[dict], objects: list):
         bpy.app.handlers.render_post.remove(note)
 
 
-def _figures(name: str, status: session.Status) -> dict:
+def _figures(name: str, record: Record) -> dict:
     """Return the figures of the terrain that was rendered, as `exporting.figures` does for an export."""
+    status = record.status
     ms = {step: round(ms, 3) for step, ms in status.ms.items()}
-    return {"name": name, "triangles": status.left, **bounds_of(status.bounds), "ms": ms}
+    figures = {"name": name, "triangles": status.left, **bounds_of(status.bounds), "ms": ms}
+    return figures | detail_of(record.field)

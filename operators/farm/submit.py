@@ -19,6 +19,7 @@ from ..export.file_outputs import output_folders
 from ..export.preparing import is_missing, store_folder_of
 from ..export.scene_files import scene_files
 from ..importing.import_terrain import settings_of
+from ..importing.imported import loaded_text
 from ..maps.properties import map_folder
 from ..maps.request import maps_shown_by_materials
 from ..session.shot import frames_of
@@ -64,6 +65,8 @@ def submit(
     height_maps, folders, outputs, notes = [], [], [], []
     for obj in objects:
         _add_terrain(obj, height_maps, folders, outputs)
+        if text := loaded_text(obj.adaptive_terrain):
+            notes.append(f"{obj.name}: {text}; the job imports all of it first")
         if not real_path(store_folder_of(obj)).is_relative_to(blend.parent):
             notes.append(f"the store of {obj.name} is not beside the file: workers need it at {store_folder_of(obj)}")
     if outside := check_outside(blend.parent, [*files, *height_maps], height_maps, folders, allow_outside):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Import a height map into a store, in a child process that can neither block nor hurt Blender."""
 
+import dataclasses
 import math
 from contextlib import suppress
 from pathlib import Path
@@ -8,11 +9,13 @@ from pathlib import Path
 import bpy
 
 from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.field.store import changed_ns
 from ...cbt_terrain.importing.header_files import lacks_header
 from ...cbt_terrain.importing.import_process import ImportJob
 from ...cbt_terrain.importing.raster import ImportSettings
 from ...cbt_terrain.importing.source_formats import BAND, CELL, ENCODING, RAW, suffixes_with
 from ...cbt_terrain.importing.source_list import names_several
+from ...cbt_terrain.importing.thinning import QUICK_SAMPLES
 from .. import jobs
 from ..bridge.scene_paths import absolute_path
 from ..job_operator import JobOperator
@@ -101,6 +104,8 @@ def summary(report: dict) -> str:
         line += f", {report['filled']:,} without data filled"
     if report.get("cut_out"):
         line += f", {report['cut_out']:,} without data cut out"
+    if report.get("loaded"):
+        line += f", loaded {report['loaded']}"
     if report["source_step_m"] >= SMALLEST:
         line += f", rounded by the source itself to ±{plain(report['source_step_m'], 2)} m"
     return line
@@ -120,10 +125,33 @@ class ImportOperator(JobOperator):
     kind = jobs.IMPORT
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
-        """Import the terrain's height map in a child process; return its report and the path of the store."""
+        """Import the terrain's height map in a child process; return its report and the path of the store.
+
+        Beside the window, a large one is imported quickly and shown first. Its complete store then replaces the quick
+        one in the same folder, so neither the terrain nor Undo changes the path. A cancelled job leaves the quick one.
+        """
         settings = settings_of(context.object)
         self.before = imported.imported_of(context.object.adaptive_terrain)
         folder = store_folder(context.object, settings)
+        quick = None
+        if self.beside_window and not changed_ns(absolute_path(folder)):
+            settings_now = dataclasses.replace(settings, quick=QUICK_SAMPLES)
+            quick = yield from self._import(job, settings_now, folder)
+            if "loaded" not in quick[0] or job.terrain() is None:
+                return quick
+            self.finish(bpy.context, job.terrain(), quick)
+        try:
+            return (yield from self._import(job, settings, folder))
+        except (jobs.JobStopped, TerrainError) as error:
+            if quick is None or job.is_orphan:
+                raise
+            report, _ = quick
+            notes = [str(error)] if isinstance(error, TerrainError) else []
+            return report | {"warnings": notes}, folder
+
+    def _import(self, job: jobs.BackgroundJob, settings: ImportSettings, folder: str) -> jobs.Steps:
+        """Import into the store `folder`; return the report and the path."""
+        job.raise_if_stopped()
         report = yield from jobs.run_in_child(job, ImportJob(settings, absolute_path(folder)))
         yield from jobs.wait_for_kernels(job)  # the end of an import may update the mesh
         return report, folder

@@ -11,6 +11,7 @@ from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field.georeference import LARGEST_EXTENT, Place, known_place
 from ...cbt_terrain.field.lands import LANDS
 from ...cbt_terrain.importing.raster import ImportSettings
+from ...cbt_terrain.importing.thinning import loaded_m
 from ..bridge.scene_origin import CRS_X, CRS_Y, SRID
 from ..bridge.scene_paths import absolute_path
 from ..text.numbers import length_text, plain
@@ -26,8 +27,8 @@ class Imported:
     """What a store records about its import.
 
     `settings` ({}: unknown), `crs` ("": none), `origin` in the CRS's unit, samples of the raster, metres of the extent
-    and between samples, the lowest and the highest height, the import's warnings, and the place of the raster's middle
-    (georeference.py; None: unknown).
+    and between samples, the lowest and the highest height, the steps of an incomplete store as loaded and in its source
+    (None: complete), the import's warnings, and the place of the raster's middle (georeference.py; None: unknown).
     """
 
     settings: dict
@@ -37,6 +38,7 @@ class Imported:
     extent_m: tuple[float, float]
     step_m: tuple[float, float]
     heights_m: tuple[float, float]
+    loaded_m: tuple[float, float] | None = None
     warnings: tuple[str, ...] = ()
     place: Place | None = None
 
@@ -74,6 +76,7 @@ def _read_store(folder: str, _changed_ns: int) -> Imported | None:
         extent_m=extent,
         step_m=(lattice.step_x, lattice.step_y),
         heights_m=(content["min_height"], content["max_height"]),
+        loaded_m=loaded_m(content["provenance"]),
         warnings=tuple(shown(text, LONGEST_WARNING) for text in report.get("warnings", [])[:MAX_WARNINGS]),
         place=known_place(tuple(content.get("place", ())) or None, content["crs"], content["origin"]),
     )
@@ -104,6 +107,14 @@ def info_lines(imported: Imported | None) -> list[tuple[str, str]]:
     return list(zip(LINES, figures, strict=True))
 
 
+def loaded_text(settings) -> str:
+    """Return the detail of a terrain whose store is incomplete, as `Loaded to 640 m of 10 m`; "" for all others."""
+    imported = imported_of(settings)
+    if imported is None or imported.loaded_m is None:
+        return ""
+    return phrase("Loaded to {} of {}", *map(length_text, imported.loaded_m))
+
+
 def _crs_name(crs: str) -> str:
     """Return the short name of a coordinate system, such as `EPSG:4326`, from its definition."""
     if not crs:
@@ -131,7 +142,9 @@ def changed_settings(settings: ImportSettings, imported: Imported | None) -> lis
         return []
     defaults = {item.name: item.default for item in dataclasses.fields(settings)}
     changed = []
-    for name, value in dataclasses.asdict(settings).items():
+    for name, value in dataclasses.asdict(
+        dataclasses.replace(settings, quick=imported.settings.get("quick", 0))
+    ).items():
         before = imported.settings.get(name, defaults[name])
         if name == "source":
             same = _same_file(value, before)

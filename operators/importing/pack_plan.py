@@ -23,6 +23,7 @@ from ..land.request import land_of
 from ..maps.properties import map_folder
 from ..session import session
 from ..text.numbers import plain
+from .incomplete import check_complete
 from .store_location import folder_beside, lies_beside, source_name
 
 OnProgress = Callable[[float], None]
@@ -80,6 +81,7 @@ def plan_packing(objects: list) -> PackPlan:
     """Plan the copies for these terrains, with their shaped land and baked maps. Raises TerrainError."""
     planned = PackPlan()
     for obj in objects:
+        check_complete(obj, "press Load All, and pack when the import is done")
         folder = real_path(absolute_path(obj.adaptive_terrain.store))
         content = stores.read_json(folder)
         if str(folder) not in planned.stores:

@@ -18,6 +18,7 @@ from .. import jobs
 from ..bridge.scene_paths import absolute_path
 from ..job_operator import JobOperator
 from ..session import session
+from .imported import loaded_text
 from .pack_plan import PackPlan, plan_packing, room_text, terrains_to_pack
 
 OFFER_S = 0.2
@@ -116,7 +117,8 @@ class OfferPack(bpy.types.Operator):
 def _ask_to_pack() -> None:
     """Open the question whether to pack, a moment after the first save of a file."""
     windows = bpy.context.window_manager.windows
-    if windows and terrains_to_pack():
+    terrains = terrains_to_pack()
+    if windows and terrains and not any(loaded_text(obj.adaptive_terrain) for obj in terrains):
         with bpy.context.temp_override(window=windows[0]):
             bpy.ops.adaptive_terrain.offer_pack("INVOKE_DEFAULT")
 

@@ -9,7 +9,7 @@ from ..text.translations import phrase
 from ..ui.panel_parts import TerrainSubpanel, draw_figures, draw_ground, draw_message, draw_switched
 from . import import_terrain, store_paths
 from .import_terrain import has_option
-from .imported import changed_settings, imported_of, info_lines
+from .imported import changed_settings, imported_of, info_lines, loaded_text
 from .placement_notes import picture_note
 
 SHOWN_FILES = 4
@@ -23,7 +23,7 @@ def draw_source(column, obj) -> None:
     if settings.source == FILE and len(settings.more_sources):
         _draw_more(column, settings)
     again = is_stale(obj)
-    text = "Import Again: settings changed" if again else "Import"
+    text = "Import Again: settings changed" if again else "Load All" if loaded_text(settings) else "Import"
     column.operator("adaptive_terrain.import_source", text=text, icon="FILE_REFRESH" if again else "IMPORT")
 
 
@@ -118,7 +118,7 @@ class ImportedPanel(TerrainSubpanel):
         column.operator("adaptive_terrain.pack_store", icon="PACKAGE")
         for notice in store_paths.notices.values():
             draw_message(self.layout, notice, "INFO")
-        notes = (*imported.warnings, picture_note(imported)) if imported is not None else ()
+        notes = (loaded_text(settings), *imported.warnings, picture_note(imported)) if imported is not None else ()
         for text in filter(None, notes):
             draw_message(column, text, "INFO")
 

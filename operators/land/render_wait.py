@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Land that a render waits for: its progress in the image editor, the panel and the status bar, or on the console.
+"""Land and imports that a render waits for: progress in the image editor, panel and status bar, or on the console.
 
 A render in a window runs its handlers on another thread, so that the window can draw meanwhile. Only a render engine
 may write the text above a render.
@@ -17,12 +17,14 @@ from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.height_operators import derived_store
 from ...cbt_terrain.height_operators.derived_store import Land
 from ...cbt_terrain.height_operators.shaping_cost import estimate_seconds
+from ...cbt_terrain.importing.store_job import ChildJob
 from ..text.console import print_line
 from ..text.translations import phrase
 
 CANCELLED = "land.cancelled"  # code of the error after Esc
 PRINTED_S = 10.0  # between lines on the console
 KNOWN = 0.05  # part of the work after which the time that is left can be told
+POLL_S = 0.05  # between looks at an import that a render waits for
 TEXT_PX, MARGIN_PX = 16, 20
 _handle = None
 
@@ -55,6 +57,16 @@ class LandWait:
         return phrase("{}, about {} s left", done, f"{left:.0f}") if left < math.inf else done
 
 
+@dataclass
+class ImportWait(LandWait):
+    """A running import that a render waits for."""
+
+    @property
+    def text(self) -> str:
+        """Return the progress as one line for the image editor and the console."""
+        return phrase("Importing, {} ({})", f"{self.fraction:.0%}", phrase(self.message))
+
+
 waiting: LandWait | None = None
 _is_cancelled = False  # by Esc, until the render ends
 
@@ -79,6 +91,24 @@ def _on_shaping(land: Land, fraction: float, message: str) -> None:
     if bpy.app.background and time.monotonic() - wait.printed >= PRINTED_S:
         wait.printed = time.monotonic()
         print_line(f"Adaptive Terrain: {wait.text}")
+
+
+def wait_for_import(child: ChildJob) -> None:
+    """Wait on a render's thread until a child process that imports has ended. Raises TerrainError after Esc."""
+    global waiting
+    wait = waiting = ImportWait("", time.monotonic())
+    try:
+        while (reached := child.reached) is not None:
+            wait.fraction, wait.message = reached
+            if _is_cancelled:
+                raise TerrainError(
+                    "The render was cancelled while the height map was imported",
+                    fix="render again when it is complete",
+                    code=CANCELLED,
+                )
+            time.sleep(POLL_S)
+    finally:
+        waiting = None
 
 
 def _estimate_seconds(land: Land) -> float:

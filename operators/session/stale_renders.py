@@ -78,6 +78,11 @@ def handle_stale_frame(scene, errors: list[TerrainError]) -> None:
         exit_if_stopped()
 
 
+def add_message(text: str) -> None:
+    """Add a sentence about the render as a whole to the message in the window at its end."""
+    _messages.append(text)
+
+
 def stale_frame_error(frame: int, errors: list[TerrainError]) -> TerrainError:
     """Return the error of a frame that is not rendered: the last of `errors`, after the sentences of the others."""
     others = [str(error).removesuffix(".") for error in errors[:-1] if str(error) != str(errors[-1])]

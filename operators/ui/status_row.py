@@ -12,6 +12,7 @@ from ...cbt_terrain.run import warmup
 from .. import jobs
 from ..bridge import camera as cameras
 from ..bridge.scene_paths import NO_HEIGHTS
+from ..importing.imported import loaded_text
 from ..scatter.request import is_scatter
 from ..session import session
 from ..terrain import sight
@@ -21,6 +22,7 @@ POPUP_LINE = 80
 NOTICE_WIDTH = 0.7  # of the row; the button that mends it has the rest
 UNDERGROUND, SEES_NOTHING = "Camera underground", "Camera sees nothing"
 NO_VIEW = UNDERGROUND, SEES_NOTHING  # a bound of 0 px is then no sign of accuracy
+LOAD_ALL = "adaptive_terrain.import_source", "Load All"
 FRAME, CAMERA_TO_VIEW, MOVE_WORLD = "adaptive_terrain.frame", "view3d.camera_to_view", "adaptive_terrain.move_world"
 
 
@@ -44,6 +46,8 @@ def draw_status(layout, context, obj) -> None:
         row.operator("adaptive_terrain.freeze", text="Release")
     else:
         text, operator, button = sight_notice(context, obj)
+        if not text and (text := loaded_text(obj.adaptive_terrain)):
+            operator, button = LOAD_ALL
         row = row.split(factor=NOTICE_WIDTH) if text else row
         row.label(text=text or "In sight", icon="ERROR" if text else "CHECKMARK")
         if operator:
@@ -71,7 +75,7 @@ def _draw_progress(row, obj) -> bool:
         return True
     job = jobs.find(jobs.IMPORT, obj) or jobs.find(jobs.PACK)
     if job is not None:
-        jobs.draw_progress(row, job, job.text)
+        jobs.draw_progress(row, job, loaded_text(obj.adaptive_terrain) or job.text)
     return job is not None
 
 

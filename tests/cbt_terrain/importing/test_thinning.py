@@ -136,7 +136,8 @@ def test_a_large_vrt_is_thinned_though_a_store_cannot_hold_it(tmp_path):
     rectangle = f'xOff="0" yOff="0" xSize="{side}" ySize="{side}"'
     (tmp_path / "a.vrt").write_text(
         f'<VRTDataset rasterXSize="{side}" rasterYSize="{side}"><GeoTransform>0, 2, 0, 0, 0, -2</GeoTransform>'
-        '<VRTRasterBand dataType="Int16" band="1"><SimpleSource><SourceFilename relativeToVRT="1">a.tif</SourceFilename>'
+        '<VRTRasterBand dataType="Int16" band="1"><SimpleSource>'
+        '<SourceFilename relativeToVRT="1">a.tif</SourceFilename>'
         f'<SourceBand>1</SourceBand><SrcRect xOff="0" yOff="0" xSize="64" ySize="64"/><DstRect {rectangle}/>'
         "</SimpleSource></VRTRasterBand></VRTDataset>"
     )

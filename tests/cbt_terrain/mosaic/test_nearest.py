@@ -3,7 +3,10 @@
 
 import numpy as np
 import pytest
+import rasterio
 from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
+from adaptive_terrain.cbt_terrain.importing import thinning
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.mosaic import composite as composites
@@ -11,6 +14,9 @@ from adaptive_terrain.cbt_terrain.mosaic import nearest
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
 from mosaic_files import DEGREES, EAST, NORTH, UTM32, land, moved, sheet
+from rasterio.enums import Resampling
+from rasterio.transform import from_origin
+from rasters import write_raster
 
 ROWS, COLUMNS = np.array([0, 1, 7, 40, 41, 99, 119]), np.array([0, 3, 50, 51, 52, 100, 159])
 
@@ -35,7 +41,9 @@ def tiles(tmp_path):
 def test_samples_on_the_grid_are_those_of_the_mosaic(tiles, priority):
     composite = open_composite(settings_of(tiles, priority=priority), None)
     whole, _ = composite.read(0, composite.grid.height)
-    assert np.array_equal(nearest.nearest_samples(composite, ROWS, COLUMNS), whole[np.ix_(ROWS, COLUMNS)], equal_nan=True)
+    assert np.array_equal(
+        nearest.nearest_samples(composite, ROWS, COLUMNS), whole[np.ix_(ROWS, COLUMNS)], equal_nan=True
+    )
     every = np.arange(composite.grid.height), np.arange(composite.grid.width)
     assert np.array_equal(nearest.nearest_samples(composite, *every), whole, equal_nan=True)
     assert 0.02 < np.isnan(whole).mean() < 0.2 and composite.stored == "float32"
@@ -69,7 +77,9 @@ def test_a_quick_mosaic_covers_the_ground_of_the_full_one(tiles, tmp_path):
     quick = import_source(settings_of(tiles, quick=400), tmp_path / "quick")
     a, b = open_store(tmp_path / "full"), open_store(tmp_path / "quick")
     assert quick["loaded"] == "to 79.5 m of 10 m"
-    assert np.array_equal(a.origin, b.origin) and a.crs == b.crs and quick["extent_m"] == pytest.approx(full["extent_m"])
+    assert (
+        np.array_equal(a.origin, b.origin) and a.crs == b.crs and quick["extent_m"] == pytest.approx(full["extent_m"])
+    )
     assert "seams" not in quick and full["seams"] > 0, "seams are of the complete import"
     assert import_source(settings_of(tiles, quick=400), tmp_path / "full") == full | {"unchanged": True}
     again = import_source(settings_of(tiles), tmp_path / "quick")
@@ -91,3 +101,35 @@ def test_a_mosaic_beyond_a_store_is_loaded_quickly(tmp_path):
     assert report["full_raster"] == [50_030, 50_030] and report["loaded"] == "to 5,105 m of 10 m"
     assert open_store(tmp_path / "store").heights()[-1, 0] == np.float32(far.heights[0, 0])
     assert open_store(tmp_path / "store").heights()[0, -1] == np.float32(corner.heights[-1, -1])
+
+
+def test_overviews_are_read_at_their_places(tmp_path, monkeypatch):
+    """A mean over 8 x 8 samples of a plane is the plane at the place of the mean, at most half of 8 samples off."""
+    rows, columns = np.mgrid[0:512, 0:512]
+    plane = sheet(UTM32, EAST, NORTH, 10.0, 10.0, 512, 512)
+    plane.heights[:] = 2.0 * columns + 3.0 * rows
+    files = [plane.write(tmp_path / f"{n}.tif", 0, 512, 256 * n, 256, tiled=True) for n in range(2)]
+    for file in files:
+        with rasterio.open(file, "r+") as opened:
+            opened.build_overviews([2, 4, 8], Resampling.average)
+    monkeypatch.setattr(nearest, "MAX_UNPACKED", 1)
+    report = run_mosaic_import(settings_of(files, quick=100), tmp_path / "store")
+    heights = open_store(tmp_path / "store").heights()[::-1]
+    assert report["loaded_from"] == "overviews" and heights.shape == (9, 9)
+    at = np.rint(np.arange(9) * 511 / 8)
+    exact = 2.0 * at + 3.0 * at[:, None]
+    assert np.abs(heights - exact).max() <= 3.5 * 2 + 3.5 * 3 + 0.01 and np.abs(heights - exact).max() > 1.0
+    # In the mean over all places, nothing is shifted: half of 8 samples would be 17.5 m.
+    assert abs((heights - exact).mean()) < 3.0
+    single = write_overviews(tmp_path / "single.tif", plane.heights.astype(np.float32))
+    monkeypatch.setattr(thinning, "MAX_UNPACKED", 1)
+    report = run_import(ImportSettings(single, quick=100), tmp_path / "one")
+    assert report["loaded_from"] == "overviews"
+    assert np.array_equal(open_store(tmp_path / "one").heights()[::-1], heights)
+
+
+def write_overviews(path, heights):
+    write_raster(path, heights, crs=UTM32, transform=from_origin(EAST, NORTH, 10, 10), tiled=True)
+    with rasterio.open(path, "r+") as opened:
+        opened.build_overviews([2, 4, 8], Resampling.average)
+    return str(path)

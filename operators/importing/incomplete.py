@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Terrains whose store is incomplete: a render waits for their running import, or else its summary says so."""
+
+from ...cbt_terrain.errors import TerrainError
+from .. import jobs
+from ..land import render_wait
+from ..session import stale_renders
+from ..text.console import print_line
+from ..text.translations import phrase
+from .imported import loaded_text
+
+
+def wait_for_imports(terrains: list) -> list[TerrainError]:
+    """Wait for running imports that complete the stores of terrains, before they are rendered.
+
+    Return the error of a wait that the user ends with Esc.
+    """
+    for obj in terrains:
+        job = jobs.find(jobs.IMPORT, obj)
+        if job is not None and job.child is not None and loaded_text(obj.adaptive_terrain):
+            try:
+                render_wait.wait_for_import(job.child)
+            except TerrainError as error:
+                return [error]
+    return []
+
+
+def note_incomplete(scene, terrains: list) -> None:
+    """Say in the summary of a render, and on the console, how detailed incomplete terrains are."""
+    for obj in terrains:
+        text = loaded_text(obj.adaptive_terrain)
+        if text and not obj.hide_render:
+            print_line(f"Adaptive Terrain: frame {scene.frame_current}, {obj.name}: {text}")
+            stale_renders.add_message(f"{obj.name}: {text}. {phrase('Load All imports the rest')}")
+
+
+def check_complete(obj, remedy: str) -> None:
+    """Raise TerrainError if the store of a terrain is incomplete. remedy: how to complete it, in the error."""
+    text = loaded_text(obj.adaptive_terrain)
+    if text:
+        what = f"The store of {obj.name!r} is incomplete ({text[0].lower()}{text[1:]})"
+        raise TerrainError(what, expected="all samples of its source", fix=remedy)

@@ -114,21 +114,23 @@ def _factors(grid: FileGrid, width: int, height: int, place: Georeference) -> tu
     if found is None:
         return np.empty((0, 2)), 0.0
     (longitude, latitude), ellipsoid = found[0].reshape(2, *x.shape), found[1]
-    factors = []
-    for east, north, point in zip(
-        (longitude[1::2] - longitude[::2]).T, (latitude[1::2] - latitude[::2]).T, latitude.mean(axis=0), strict=True
-    ):
-        if not np.isfinite(point) or abs(point) > 89.999:
-            factors.append((math.nan, math.nan))
-            continue
-        along_x, along_y = degree_lengths(float(point), ellipsoid)
-        column, row = lengths(np.stack([_within_180(east) * along_x, north * along_y]))
-        steps = (row, column) if place.transposed else (column, row)
-        factors.append((place.step_x / steps[0], place.step_y / steps[1]))
-    ratios = np.array(factors)
+    metres = np.array([_metres_per_degree(float(point), ellipsoid) for point in latitude.mean(axis=0)]).T
+    column, row = (
+        lengths(np.stack([_within_180(longitude[k + 1] - longitude[k]), latitude[k + 1] - latitude[k]]) * metres)
+        for k in (0, 2)
+    )
+    steps = (row, column) if place.transposed else (column, row)
+    with np.errstate(divide="ignore"):
+        ratios = np.stack([place.step_x / steps[0], place.step_y / steps[1]], axis=1)
     if not np.isfinite(ratios[0]).all():
         return np.empty((0, 2)), 0.0
     return ratios[np.isfinite(ratios).all(axis=1)], float(latitude[:, 0].mean())
+
+
+def _metres_per_degree(latitude: float, ellipsoid: tuple[float, float]) -> tuple[float, float]:
+    """Return the lengths of a degree of longitude and of latitude, NaN at a pole."""
+    is_usable = math.isfinite(latitude) and abs(latitude) <= 89.999
+    return degree_lengths(latitude, ellipsoid) if is_usable else (math.nan, math.nan)
 
 
 def _degrees(crs: CRS, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, tuple[float, float]] | None:
